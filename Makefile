@@ -1,0 +1,80 @@
+# Everything here works from nothing but Python 3.11 or 3.12, make, and a package index.
+# The environments (.venv, .venv-oldest) are made when needed and renewed when setup.py changes.
+#
+#   make PYTHON=/path/to/python3 ...    another Python than the one found
+#   make test ARGS='-k savgol -x'       arguments for pytest; ARGS also goes to the demo
+
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+ARGS ?=
+PIP := -m pip install --quiet --disable-pip-version-check
+BIN := .venv/bin
+OLDEST := .venv-oldest/bin
+BAGS := identification validation static
+
+# What a sourced ROS, or the environment of another Python, leaves in the shell does not belong
+# into these environments: they hold a ROS of their own.
+ifneq ($(AMENT_PREFIX_PATH)$(_ROS_WHEELS_BOOTSTRAP_COMPLETE),)
+unexport LD_LIBRARY_PATH
+endif
+unexport AMENT_PREFIX_PATH PYTHONHOME PYTHONPATH RMW_IMPLEMENTATION VIRTUAL_ENV
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+.PHONY: help
+help:  ## show this list
+	@sed -nE 's/^([a-z-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | column -t -s '|'
+
+.PHONY: demo
+demo: .venv/ready  ## identify a cup, then predict a second recording live over DDS
+	@$(BIN)/python -m bellows_ros.demo $(ARGS)
+
+.PHONY: test
+test: .venv/ready  ## run the whole suite
+	@$(BIN)/python -m pytest $(ARGS)
+
+.PHONY: test-oldest
+test-oldest: .venv-oldest/ready  ## run it on what Ubuntu 24.04 has, without numba
+	@$(OLDEST)/python -m pytest $(ARGS)
+
+.PHONY: lint
+lint: .venv/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict
+	@$(BIN)/ruff check --quiet .
+	@$(BIN)/flake8
+	@$(BIN)/mypy --no-error-summary
+	@echo 'lint: nothing found'
+
+.PHONY: fix
+fix: .venv/ready  ## repair what ruff can repair
+	@$(BIN)/ruff check --fix .
+
+.PHONY: bags
+bags: .venv/ready  ## make the recordings in bags/ again
+	@for bag in $(BAGS); do \
+	    rm -rf build/bags/$$bag && mkdir -p build/bags && \
+	    $(BIN)/bellows simulate --params bags/cup.yaml --motion bags/$$bag.yaml \
+	        --out build/bags/$$bag && \
+	    rm -rf bags/$$bag && mv build/bags/$$bag bags/$$bag || exit; \
+	done
+
+.PHONY: venv
+venv: .venv/ready  ## only make the environment
+
+.PHONY: clean
+clean:  ## remove the environments and all that was built
+	@rm -rf .venv .venv-oldest build dist install log *.egg-info demo_output
+	@rm -rf .coverage .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	@find bellows_ros launch test -name __pycache__ -prune -exec rm -rf {} +
+
+# Editable, so that the tests see the tree as it is; what an installation holds is tested too.
+# 3.11 comes first because test-oldest is on 3.12.
+.venv/ready: setup.py
+	@python=$${PYTHON:-$$(.ci/find-python 3.11 3.12)} && echo "making .venv with $$python" && \
+	$$python -m venv .venv
+	@$(BIN)/python $(PIP) --editable '.[ros,fast,plot,test,lint]'
+	@touch $@
+
+.venv-oldest/ready: setup.py .ci/oldest.txt
+	@python=$${PYTHON:-$$(.ci/find-python 3.12)} && echo "making .venv-oldest with $$python" && \
+	$$python -m venv .venv-oldest
+	@$(OLDEST)/python $(PIP) --constraint .ci/oldest.txt --editable '.[ros,plot,test]'
+	@touch $@

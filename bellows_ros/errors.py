@@ -1,0 +1,19 @@
+"""The one base of all errors that this package raises for its user to read."""
+
+
+class BellowsError(Exception):
+    """
+    Report something the user can put right, in words that say how.
+
+    The message names what is wrong, what was expected, what was got, and the remedy. Commands
+    and nodes print it without a traceback and end with `exit_code`; anything that is not a
+    `BellowsError` is a defect of this package and keeps its traceback.
+
+    Attributes
+    ----------
+    exit_code : int
+        What the process ends with, 2 as for a wrong command line.
+
+    """
+
+    exit_code = 2

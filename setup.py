@@ -1,0 +1,79 @@
+"""Describe the package to colcon (ament_python) and to pip."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'bellows_ros'
+
+EXTRAS = {
+    # ROS 2 Jazzy as wheels, where no ROS is sourced (Linux x86-64, CPython 3.10 to 3.13).
+    'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+    # Compiles the integration step; without it the same source is interpreted.
+    'fast': ['numba>=0.59'],
+    'plot': ['matplotlib>=3.8'],
+    'test': [
+        'pytest>=7.4',
+        'pytest-timeout>=2.2',
+        'hypothesis>=6.98',
+        'colcon-core',
+        'colcon-ros',
+        'setuptools>=64,<80',  # colcon calls setup.py, which newer ones no longer support
+        'wheel',
+    ],
+    # ruff for speed and repairs; flake8 with the plugins that ament_flake8 loads.
+    'lint': [
+        'ruff>=0.6',
+        'mypy>=1.10',
+        'types-PyYAML',
+        'scipy-stubs',
+        'flake8>=7',
+        'flake8-blind-except',
+        'flake8-builtins',
+        'flake8-class-newline',
+        'flake8-comprehensions',
+        'flake8-deprecated',
+        'flake8-docstrings',
+        'flake8-import-order',
+        'flake8-quotes',
+    ],
+}
+EXTRAS['dev'] = sorted({need for needs in EXTRAS.values() for need in needs}) + ['pre-commit']
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    description='Predict and identify the motion of a package held by a bellows suction cup.',
+    license='Apache-2.0',
+    license_files=['LICENSE'],
+    maintainer='bellows_ros maintainers',
+    maintainer_email='maintainers@example.org',
+    keywords=['ROS 2', 'suction cup', 'rigid body', 'system identification'],
+    classifiers=[
+        'Intended Audience :: Science/Research',
+        'Operating System :: POSIX :: Linux',
+        'Programming Language :: Python :: 3.11',
+        'Programming Language :: Python :: 3.12',
+        'Topic :: Scientific/Engineering',
+    ],
+    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    package_data={PACKAGE: ['py.typed']},
+    python_requires='>=3.11',
+    # rosbags 0.11.7 is the first that brings lz4 and backports.zstd, which files/ uses too.
+    install_requires=['numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'PyYAML>=6.0'],
+    extras_require=EXTRAS,
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        (f'share/{PACKAGE}/launch', sorted(glob('launch/*.launch.py'))),
+        (f'share/{PACKAGE}/config', sorted(glob('config/*.yaml'))),
+    ],
+    entry_points={
+        'console_scripts': [
+            f'predictor = {PACKAGE}.nodes.predictor:main',
+            f'identifier = {PACKAGE}.nodes.identifier:main',
+            f'bellows = {PACKAGE}.cli:main',
+        ],
+    },
+    zip_safe=False,
+)

@@ -1,0 +1,1 @@
+"""The suite, laid out as the package is; shared fixtures stand in conftest.py."""

@@ -1,0 +1,209 @@
+"""
+Shared fixtures, and the settings that keep the tests' ROS on this machine and to itself.
+
+The settings are made when this file is read, before any test can call `rclpy.init`.
+The ROS wheels re-execute the interpreter at its very start, to set library paths
+(`ros_wheels_bootstrapper`, from a .pth file): that is over before pytest begins, and child
+processes inherit its outcome. See `missing_library_paths` for the one case where it goes wrong.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+import importlib.util
+import os
+from pathlib import Path
+import shutil
+import socket
+import sys
+import tempfile
+import time
+from typing import Any
+
+import hypothesis
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+BOOTSTRAPPED = '_ROS_WHEELS_BOOTSTRAP_COMPLETE'
+
+# DDS on Linux: domains 1 to 101 keep clear of the ports that the system hands out by itself.
+DOMAINS = 101
+DDS_PORTS = (7400, 7410)  # of domain 0: multicast discovery, the first participant's unicast
+PORTS_PER_DOMAIN = 250
+
+NOT_IN_A_COPY = shutil.ignore_patterns(
+    '.*_cache', '.git', '.hypothesis', '.venv*', '__pycache__', '*.egg-info', 'bags', 'build',
+    'dist', 'install', 'log', 'test')
+
+
+def unused_domain() -> int:
+    """
+    Return a ROS domain in which nothing on this machine takes part.
+
+    The search starts at a domain of this process, so that runs started together differ.
+    """
+    for offset in range(DOMAINS):
+        domain = 1 + (os.getpid() + offset) % DOMAINS
+        if all(_is_free(port + PORTS_PER_DOMAIN * domain) for port in DDS_PORTS):
+            return domain
+    raise RuntimeError(f'All ROS domains from 1 to {DOMAINS} are in use on this machine.')
+
+
+def _is_free(port: int) -> bool:
+    """Tell whether no socket of this machine has the UDP port."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(('', port))
+        except OSError:
+            return False
+    return True
+
+
+def isolate_ros(log_directory: str) -> None:
+    """Keep discovery on this machine, in a domain of its own, and the logs out of the home."""
+    for name in ('ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER'):
+        os.environ.pop(name, None)
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    os.environ['ROS_DOMAIN_ID'] = str(unused_domain())
+    os.environ['ROS_LOG_DIR'] = log_directory
+
+
+def missing_library_paths() -> list[str]:
+    """
+    Return the library folders of the ROS wheels that this process was started without.
+
+    The wheels re-execute the interpreter unless a variable in the environment says that this has
+    been done. Inherited from a process of another environment, it says so wrongly.
+    """
+    if importlib.util.find_spec('ros_wheels_bootstrapper') is None:
+        return []
+    known = os.environ.get('LD_LIBRARY_PATH', '').split(os.pathsep)
+    return [str(path) for path in _library_folders() if str(path) not in known]
+
+
+def _library_folders() -> list[Path]:
+    """Return where the ROS wheels of this environment keep their shared libraries."""
+    packages = Path(sys.prefix, 'lib', f'python{sys.version_info[0]}.{sys.version_info[1]}')
+    return [path.resolve() for path in (packages / 'site-packages').glob('ros_*.libs')]
+
+
+LOGS = tempfile.TemporaryDirectory(prefix='bellows_ros_log_')
+isolate_ros(LOGS.name)
+os.environ.setdefault('MPLBACKEND', 'Agg')
+hypothesis.settings.register_profile('suite', deadline=None, derandomize=True)
+hypothesis.settings.load_profile('suite')
+
+
+def pytest_configure() -> None:
+    """Refuse to run where every import of rclpy would fail for a reason nobody would guess."""
+    if missing_library_paths():
+        raise pytest.UsageError(
+            f'{BOOTSTRAPPED} is set, but not by this Python ({sys.executable}): the ROS libraries '
+            f'cannot be found. Start again with: env -u {BOOTSTRAPPED} {sys.executable} -m pytest')
+
+
+def pytest_report_header() -> str:
+    """Say which ROS the tests of the nodes use."""
+    spec = importlib.util.find_spec('rclpy')
+    if spec is None:
+        return "ROS: no rclpy here, the tests of nodes are skipped (pip install '.[ros]')"
+    domain = os.environ['ROS_DOMAIN_ID']
+    return f'ROS: {Path(str(spec.origin)).parent}, domain {domain}, this machine only'
+
+
+def pytest_unconfigure() -> None:
+    """Remove the logs."""
+    LOGS.cleanup()
+
+
+@pytest.fixture(scope='session')
+def root() -> Path:
+    """Give the top of the repository."""
+    return ROOT
+
+
+@pytest.fixture(scope='session')
+def rig() -> Path:
+    """Give the recordings with known truth, which lie beside the repository."""
+    path = ROOT.parent / 'shared' / 'rig'
+    if not path.is_dir():
+        pytest.skip('the recordings with known truth are not here (../shared/rig)')
+    return path
+
+
+@pytest.fixture(scope='session')
+def copy_sources() -> Callable[[Path], Path]:
+    """Give a function that copies the package's sources, to build there without leaving traces."""
+    def copy(target: Path) -> Path:
+        return Path(shutil.copytree(ROOT, target, ignore=NOT_IN_A_COPY))
+
+    return copy
+
+
+@pytest.fixture(scope='session')
+def user_environment() -> dict[str, str]:
+    """
+    Give environment variables like those of a user's shell, for child processes.
+
+    Without what the ROS wheels set at the start of this process, a child starts like a command
+    typed by a user, and an interpreter of another environment finds its own libraries. The
+    settings that keep ROS on this machine stay.
+    """
+    environment = {**os.environ}
+    environment.pop(BOOTSTRAPPED, None)
+    ours = {str(path) for path in _library_folders()} | {str(Path(sys.prefix, 'lib'))}
+    paths = environment.pop('LD_LIBRARY_PATH', '').split(os.pathsep)
+    kept = [path for path in paths if path and path not in ours]
+    if kept:
+        environment['LD_LIBRARY_PATH'] = os.pathsep.join(kept)
+    return environment
+
+
+@dataclass(frozen=True)
+class Ros:
+    """
+    Hold a context and an executor of one test.
+
+    Attributes
+    ----------
+    context : rclpy.context.Context
+        Private to the test; give it to every node: `Node('name', context=ros.context)`.
+    executor : rclpy.executors.SingleThreadedExecutor
+        Spins only while the test asks for it; nodes added to it are destroyed after the test.
+
+    """
+
+    context: Any
+    executor: Any
+
+    def spin_until(self, condition: Callable[[], bool], timeout: float = 10.0) -> bool:
+        """
+        Spin until the condition holds, and tell whether it did before the timeout (s).
+
+        Waits for events, not for time: it returns as soon as the condition holds.
+        """
+        deadline = time.monotonic() + timeout
+        while not condition():
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                return False
+            self.executor.spin_once(timeout_sec=min(left, 0.1))
+        return True
+
+
+@pytest.fixture
+def ros() -> Iterator[Ros]:
+    """Give a private ROS context with a single-threaded executor, and close both cleanly."""
+    rclpy = pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    from rclpy.executors import SingleThreadedExecutor
+
+    context = rclpy.context.Context()
+    rclpy.init(args=[], context=context)
+    executor = SingleThreadedExecutor(context=context)
+    try:
+        yield Ros(context, executor)
+    finally:
+        for node in executor.get_nodes():
+            executor.remove_node(node)
+            node.destroy_node()
+        executor.shutdown()
+        context.try_shutdown()
