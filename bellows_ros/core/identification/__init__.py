@@ -1,0 +1,1 @@
+"""Identification of a cup's stiffness K and damping P from prepared recordings."""

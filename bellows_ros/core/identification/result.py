@@ -1,0 +1,83 @@
+"""The outcome of a fit, frozen, with its uncertainty and what must be said about it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """
+    K and P found from recordings.
+
+    Parameters
+    ----------
+    method : str
+        'least_squares'.
+    structure : str
+        Name of the structure of K and P.
+    stiffness, damping : ndarray (6, 6)
+        K (3.17) and P (3.33) in SI units, linear first.
+    stiffness_std, damping_std : ndarray (6, 6)
+        Standard errors; 0 for entries that the structure fixes at zero.
+    covariance : ndarray (2 n, 2 n)
+        Of the free parameters, in the order of the labels.
+    labels : tuple of str
+        Names of the free parameters: those of K, then those of P.
+    samples_used, samples_rejected : int
+        Samples in the fit, and samples of the recordings left out of it.
+    condition_number : float
+        Of the whitened regressor with columns scaled to unit length.
+    weight : ndarray (6, 6)
+        W of (4.66), at the lip.
+    residual_rms : ndarray (6,)
+        RMS of the wrench that the fit leaves unexplained, N and N m.
+    warnings : tuple of str
+        What a user must know, in sentences.
+
+    """
+
+    method: str
+    structure: str
+    stiffness: Array
+    damping: Array
+    stiffness_std: Array
+    damping_std: Array
+    covariance: Array
+    labels: tuple[str, ...]
+    samples_used: int
+    samples_rejected: int
+    condition_number: float
+    weight: Array
+    residual_rms: Array
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def usable(self) -> bool:
+        """Whether the predictor can take it: K positive definite, P positive semidefinite."""
+        return not definiteness_warnings(self.stiffness, self.damping, self.structure)
+
+
+def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> tuple[str, ...]:
+    """Return a sentence for each matrix that is not as a cup's must be, with what to do."""
+    remedy = (
+        'fit.structure: axisymmetric has far fewer parameters'
+        if structure != 'axisymmetric'
+        else 'check frames, alignment, package.mass and package.com'
+    )
+    messages = []
+    for name, matrix, lowest in (('stiffness K', stiffness, 'definite'), (
+        'damping P', damping, 'semidefinite'
+    )):
+        smallest = float(np.linalg.eigvalsh(matrix)[0])
+        tolerance = -1e-12 * float(np.abs(matrix).max())
+        if smallest < tolerance or (lowest == 'definite' and smallest <= 0.0):
+            messages.append(
+                f'The {name} is not positive {lowest} (smallest eigenvalue {smallest:.3g}): the '
+                'recording does not tell all of it, and the predictor will refuse it. Record a '
+                f'motion that is richer in all directions, or use a simpler fit; {remedy}.'
+            )
+    return tuple(messages)

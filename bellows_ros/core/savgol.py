@@ -1,0 +1,215 @@
+"""
+Savitzky-Golay filtering on SO(3) x R^3 (4.15-4.63, appendix G).
+
+Around each sample a polynomial in time is fitted to the positions and to the rotation vectors
+log(R(t_w) R(t_k)^T). At a uniform rate the least-squares fit is one constant weight matrix times
+these increments (4.19, 4.44).
+"""
+
+from collections.abc import Callable
+from math import pi
+
+from bellows_ros.core.lie import (
+    apply,
+    Array,
+    d2exp,
+    dexp,
+    exp_so3,
+    log_quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_to_quaternion,
+)
+from bellows_ros.core.trajectory import Filtered, Mask, Trajectory, uniform_rate_hz, valid_windows
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+# The polynomial must have a second derivative, for the accelerations.
+LOWEST_ORDER = 2
+# rad. Beyond pi the logarithm jumps to the opposite side; a window in which the body turns as far
+# as this from the centre is not trusted.
+LARGEST_TURN = 0.75 * pi
+# Samples filtered at a time: the working arrays stay in the processor's cache, and memory is
+# bounded.
+BLOCK = 4096
+
+
+def weights(half_window: int, order: int, rate_hz: float) -> Array:
+    """
+    Return the weights of a Savitzky-Golay fit at the centre of its window (4.19-4.20).
+
+    Parameters
+    ----------
+    half_window : int
+        Samples n on each side of the centre.
+    order : int
+        Order of the polynomial, from 2 to 2n.
+    rate_hz : float
+        Samples per second.
+
+    Returns
+    -------
+    array (3, 2n+1)
+        Rows: value, first (1/s) and second derivative (1/s^2) at the centre.
+
+    Raises
+    ------
+    BellowsError
+        If the window or the order leaves no such polynomial, or the rate is not positive.
+
+    """
+    _require_fit(half_window, order)
+    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+        raise BellowsError(f'The rate of a filter must be positive, in Hz, not {rate_hz}.')
+    # Time in half windows keeps the powers within -1..1, so the least-squares problem is well
+    # conditioned.
+    time = np.arange(-half_window, half_window + 1) / half_window
+    basis, triangle = np.linalg.qr(np.vander(time, order + 1, increasing=True))
+    coefficients = np.linalg.solve(triangle, basis.T)[:3]
+    scale = rate_hz / half_window
+    fitted = coefficients * np.array([[1.0], [scale], [2.0 * scale**2]])
+    # Exactly even, odd and even in time, as they are before rounding.
+    parity = np.array([[1.0], [-1.0], [1.0]])
+    result: Array = 0.5 * (fitted + parity * fitted[:, ::-1])
+    return result
+
+
+def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
+    """
+    Filter the poses of a trajectory and estimate its twists and accelerations.
+
+    With the polynomials' values, first and second derivatives at the centre, o, o', o''
+    (4.26-4.28) and e0, e1, e2 (4.50-4.52), the estimates are
+
+    - R = exp(e0) R_k (4.53), w = dexp(e0) e1 (4.54), dw = d2exp(e0)(e1, e1) + dexp(e0) e2 (4.55),
+      both spatial;
+    - body rate w_B = R^T w and dw_B = R^T dw: the derivative of R^T w is R^T (dw - w x w), and w x
+      w = 0;
+    - v_B = R^T o' (4.30) and dv_B = R^T o'' - w_B x v_B (4.31).
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Poses at a uniform rate, N samples. Its own twists are not used.
+    half_window : int
+        Samples n on each side of the centre.
+    order : int
+        Order of the polynomials, from 2 to 2n.
+
+    Returns
+    -------
+    Filtered
+        The N - 2n samples with a full window, the first and last such included. A sample is valid
+        if its whole window is, and if the body turns by less than `LARGEST_TURN` between the
+        centre and every sample in it.
+
+    Raises
+    ------
+    BellowsError
+        If the window or the order leaves no such polynomial, the trajectory is shorter than one
+        window, or its rate is not uniform.
+
+    """
+    _require_fit(half_window, order)
+    _require_length(trajectory, half_window)
+    W = weights(half_window, order, uniform_rate_hz(trajectory.stamps_ns))
+    blocks = [
+        _filter_block(trajectory.position[samples], trajectory.rotation[samples], W)
+        for samples in _blocks(len(trajectory), half_window)
+    ]
+    position, rotation, twist, acceleration, trusted = map(
+        np.concatenate, zip(*blocks, strict=True)
+    )
+    return Filtered(
+        trajectory.stamps_ns[half_window:len(trajectory) - half_window],
+        position,
+        rotation,
+        twist,
+        acceleration,
+        trusted & valid_windows(trajectory.valid, half_window),
+        weights=W,
+    )
+
+
+def _filter_block(
+    position: Array, rotation: Array, W: Array
+) -> tuple[Array, Array, Array, Array, Mask]:
+    """Return position, rotation, body twist, its derivative and the trusted mask of a block."""
+    n = W.shape[1] // 2
+    centre = slice(n, len(position) - n)
+    (o, o_rate, o_rate2), _ = _fit(position, np.subtract, W)
+    (e0, e1, e2), largest = _fit(rotation_to_quaternion(rotation), _turn, W)
+    R = exp_so3(e0) @ rotation[centre]
+    R_inverse = np.swapaxes(R, -1, -2)
+    spatial_rate = apply(dexp(e0), e1)
+    spatial_rate2 = d2exp(e0, e1, e1) + apply(dexp(e0), e2)
+    v, w = apply(R_inverse, o_rate), apply(R_inverse, spatial_rate)
+    dv = apply(R_inverse, o_rate2) - np.cross(w, v)
+    dw = apply(R_inverse, spatial_rate2)
+    return (
+        position[centre] + o,
+        R,
+        np.concatenate([v, w], axis=-1),
+        np.concatenate([dv, dw], axis=-1),
+        largest < LARGEST_TURN,
+    )
+
+
+def _fit(
+    samples: Array, difference: Callable[[Array, Array], Array], W: Array
+) -> tuple[Array, Array]:
+    """
+    Return the fit relative to each centre (3, M - 2n, 3), and the largest increments.
+
+    The rows are the value and its first and second derivative. The increment from k to k - j is
+    minus the one from k - j to k, so each pair of samples is visited once. The increment from a
+    sample to itself is zero: a standstill gives zeros, exactly.
+    """
+    n = W.shape[1] // 2
+    end = len(samples) - n
+    fitted = np.zeros((3, end - n, 3))
+    largest = np.zeros(end - n)
+    for j in range(1, n + 1):
+        step = difference(samples[j:], samples[:-j])
+        ahead, behind = step[n:end], step[n - j:end - j]
+        fitted += W[:, n + j, None, None] * ahead - W[:, n - j, None, None] * behind
+        length = np.sqrt(np.einsum('ij,ij->i', step, step))
+        np.maximum(largest, length[n:end], out=largest)
+        np.maximum(largest, length[n - j:end - j], out=largest)
+    return fitted, largest
+
+
+def _turn(ahead: Array, behind: Array) -> Array:
+    """Return log(R_ahead R_behind^T) of quaternions, as in (4.45)."""
+    return log_quaternion(quaternion_product(ahead, quaternion_conjugate(behind)))
+
+
+def _blocks(count: int, half_window: int) -> list[slice]:
+    """Return slices of samples, overlapping by a window less one, that cover all centres."""
+    starts = range(0, count - 2 * half_window, BLOCK)
+    return [slice(start, min(start + BLOCK + 2 * half_window, count)) for start in starts]
+
+
+def _require_fit(half_window: int, order: int) -> None:
+    """Refuse a window and order that leave no polynomial with a second derivative."""
+    if half_window < 1:
+        raise BellowsError(
+            f'The half window of a filter must be at least 1 sample, not {half_window}.'
+        )
+    if not LOWEST_ORDER <= order <= 2 * half_window:
+        raise BellowsError(
+            f'The order of a filter with half window {half_window} must be from '
+            f'{LOWEST_ORDER} (accelerations need a second derivative) to {2 * half_window} '
+            f'(a window has {2 * half_window + 1} samples), not {order}. '
+            'Change the order or the half window.'
+        )
+
+
+def _require_length(trajectory: Trajectory, half_window: int) -> None:
+    """Refuse a trajectory that is shorter than one window."""
+    if len(trajectory) < 2 * half_window + 1:
+        raise BellowsError(
+            f'A filter with half window {half_window} needs at least {2 * half_window + 1} '
+            f'samples, but there are {len(trajectory)}. '
+            'Take a smaller half window or a longer recording.'
+        )

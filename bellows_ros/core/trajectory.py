@@ -1,0 +1,547 @@
+"""
+Recorded streams and trajectories: stamped poses and twists, and their resampling.
+
+All check themselves once, on construction, and are read-only from then on.
+Stamps are integer nanoseconds throughout; only their differences become seconds.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from bellows_ros.core.lie import (
+    adjoint,
+    apply,
+    Array,
+    dexp,
+    dexp_inverse,
+    exp_so3,
+    log_so3,
+    transform,
+)
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Stamps = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# Largest entry of R^T R - I that is still taken for rounding of a recorded rotation.
+ORTHONORMAL_WITHIN = 1e-6
+# Largest deviation of a step from the mean step, as a part of it, at which a rate counts as
+# uniform. At 360 Hz and 1 m/s it moves a sample by 28 um, less than the noise of a motion capture
+# system.
+UNIFORM_WITHIN = 0.01
+NS_PER_S = 1e9
+
+
+@dataclass(frozen=True, eq=False)
+class PoseStream:
+    """
+    Poses of one body as recorded on one topic.
+
+    Parameters
+    ----------
+    name : str
+        Topic or other source, for messages.
+    frame_id : str
+        Frame the poses are given in.
+    stamps_ns : int array (N,)
+        Header stamps, strictly increasing, ns.
+    position : array (N, 3)
+        Origin of the body in the frame, m.
+    rotation : array (N, 3, 3)
+        R_world_body.
+    refused : mapping of str to tuple of int
+        Reason to the indices, in the recording's order for this topic, of the messages that were
+        left out.
+
+    Raises
+    ------
+    BellowsError
+        If shapes disagree, stamps do not increase, a number is not finite or a rotation is not
+        orthonormal.
+
+    """
+
+    name: str
+    frame_id: str
+    stamps_ns: Stamps
+    position: Array
+    rotation: Array
+    refused: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check and freeze the arrays."""
+        of = f"Poses '{self.name}'"
+        count = _freeze_stamps(self, of)
+        _freeze(self, of, 'position', (count, 3))
+        _freeze(self, of, 'rotation', (count, 3, 3))
+        _require_rotations(self.rotation, of)
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.stamps_ns)
+
+    def trajectory(self) -> 'Trajectory':
+        """Return the poses as a trajectory whose samples are all valid."""
+        return Trajectory(self.stamps_ns, self.position, self.rotation)
+
+
+@dataclass(frozen=True, eq=False)
+class TwistStream:
+    """
+    Twists of one body as recorded on one topic, in the axes they were recorded in.
+
+    Parameters
+    ----------
+    name : str
+        Topic or other source, for messages.
+    frame_id : str
+        Frame named by the recording.
+    stamps_ns : int array (N,)
+        Header stamps, strictly increasing, ns.
+    linear, angular : array (N, 3)
+        m/s and rad/s.
+    refused : mapping of str to tuple of int
+        Reason to the indices, in the recording's order for this topic, of the messages that were
+        left out.
+
+    Raises
+    ------
+    BellowsError
+        If shapes disagree, stamps do not increase or a number is not finite.
+
+    """
+
+    name: str
+    frame_id: str
+    stamps_ns: Stamps
+    linear: Array
+    angular: Array
+    refused: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check and freeze the arrays."""
+        of = f"Twists '{self.name}'"
+        count = _freeze_stamps(self, of)
+        _freeze(self, of, 'linear', (count, 3))
+        _freeze(self, of, 'angular', (count, 3))
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.stamps_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """
+    Poses of one body over time, with body twists and their derivatives where known.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        Strictly increasing, ns.
+    position : array (N, 3)
+        Origin of the body in the world, m.
+    rotation : array (N, 3, 3)
+        R_world_body.
+    twist : array (N, 6), optional
+        Body twist, linear first: R^T do/dt (m/s) and body rate (rad/s) (4.30).
+    acceleration : array (N, 6), optional
+        Time derivative of the body twist, m/s^2 and rad/s^2.
+    valid : bool array (N,) or bool, optional
+        False where a sample must not be used; one value stands for all. Invalid samples still hold
+        finite poses.
+
+    Raises
+    ------
+    BellowsError
+        If shapes disagree, stamps do not increase, a number is not finite or a rotation is not
+        orthonormal.
+
+    """
+
+    stamps_ns: Stamps
+    position: Array
+    rotation: Array
+    twist: Array | None = None
+    acceleration: Array | None = None
+    valid: Mask = field(default_factory=lambda: np.array(True))
+
+    def __post_init__(self) -> None:
+        """Check and freeze the arrays."""
+        of = 'Trajectory'
+        count = _freeze_stamps(self, of)
+        _freeze(self, of, 'position', (count, 3))
+        _freeze(self, of, 'rotation', (count, 3, 3))
+        _require_rotations(self.rotation, of)
+        for name in ('twist', 'acceleration'):
+            if getattr(self, name) is not None:
+                _freeze(self, of, name, (count, 6))
+        _freeze_mask(self, of, count)
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.stamps_ns)
+
+    @property
+    def seconds(self) -> Array:
+        """Times since the first sample, s (N,)."""
+        return (self.stamps_ns - self.stamps_ns[:1]) / NS_PER_S
+
+    @property
+    def spatial_twist(self) -> Array:
+        """Spatial (right-trivialised) twist X(T_world_body) twist (4.32), m/s and rad/s (N, 6)."""
+        return self._spatial(self.twist, 'twists')
+
+    @property
+    def spatial_acceleration(self) -> Array:
+        """
+        Time derivative of the spatial twist (4.33), m/s^2 and rad/s^2 (N, 6).
+
+        It is X(T_world_body) acceleration: the rate of X is X ad(twist), and ad(twist) twist = 0.
+        """
+        return self._spatial(self.acceleration, 'accelerations')
+
+    def _spatial(self, body: Array | None, name: str) -> Array:
+        """Return body quantities in world axes, about the world's origin."""
+        if body is None:
+            raise BellowsError(
+                f'This trajectory has no {name}; filter or differentiate its poses first.'
+            )
+        return apply(adjoint(transform(self.rotation, self.position)), body)
+
+    def select(self, index: slice | Mask | NDArray[np.int64]) -> 'Trajectory':
+        """Return the samples that a slice, a mask or increasing indices pick."""
+        return Trajectory(
+            self.stamps_ns[index],
+            self.position[index],
+            self.rotation[index],
+            None if self.twist is None else self.twist[index],
+            None if self.acceleration is None else self.acceleration[index],
+            self.valid[index],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered(Trajectory):
+    """
+    A trajectory whose twists and accelerations were estimated from poses.
+
+    Parameters
+    ----------
+    weights : array (3, 2n+1), keyword only
+        How the value, the first and the second derivative (rows; 1, 1/s, 1/s^2) at a sample weigh
+        the positions, and the rotation vectors relative to the sample, from n samples before to n
+        after it. With independent noise of standard deviation sigma in each, their standard
+        deviations are sigma times the rows' Euclidean norms.
+
+    Notes
+    -----
+    The other fields are those of `Trajectory`; twist and acceleration are always there.
+
+    """
+
+    twist: Array
+    acceleration: Array
+    weights: Array = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Check and freeze the arrays."""
+        super().__post_init__()
+        weights = np.array(self.weights, dtype=np.float64)
+        if weights.ndim != 2 or weights.shape[0] != 3 or weights.shape[1] % 2 == 0:
+            raise BellowsError(
+                f'The weights of a filter must have shape (3, 2n+1), not {weights.shape}.'
+            )
+        _store(self, 'weights', weights)
+
+
+def uniform_rate_hz(stamps_ns: Stamps) -> float:
+    """
+    Return the rate of uniformly spaced stamps.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        Strictly increasing, ns.
+
+    Returns
+    -------
+    float
+        Hz.
+
+    Raises
+    ------
+    BellowsError
+        With fewer than two stamps, or where a step differs from the mean step by more than
+        `UNIFORM_WITHIN` of it.
+
+    """
+    if len(stamps_ns) < 2:
+        raise BellowsError(f'A rate needs at least 2 stamps, not {len(stamps_ns)}.')
+    steps = np.diff(stamps_ns)
+    mean = float(stamps_ns[-1] - stamps_ns[0]) / len(steps)
+    worst = int(np.argmax(np.abs(steps - mean)))
+    if abs(steps[worst] - mean) > UNIFORM_WITHIN * mean:
+        raise BellowsError(
+            f'A uniform rate is needed, but sample {worst + 1} comes {steps[worst]} ns after '
+            f'its predecessor, where the mean step is {mean:.1f} ns. '
+            'Resample the poses to a uniform rate first.'
+        )
+    return NS_PER_S / mean
+
+
+def valid_windows(valid: Mask, half_window: int) -> Mask:
+    """
+    Return where all samples of a full window are valid.
+
+    Parameters
+    ----------
+    valid : bool array (N,)
+        Which samples are valid.
+    half_window : int
+        Samples n on each side of the centre.
+
+    Returns
+    -------
+    bool array (N - 2n,)
+
+    """
+    invalid_before = np.concatenate([[0], np.cumsum(~valid)])
+    width = 2 * half_window + 1
+    result: Mask = invalid_before[width:] == invalid_before[:-width]
+    return result
+
+
+def common_stamps(stamps_ns: ArrayLike, trajectory: Trajectory) -> Stamps:
+    """
+    Return those stamps at which a trajectory can be resampled.
+
+    These lie between its first and last stamp, both included.
+
+    Parameters
+    ----------
+    stamps_ns : int array (M,)
+        Wanted stamps, strictly increasing, ns.
+    trajectory : Trajectory
+        What is to be resampled.
+
+    Returns
+    -------
+    int array (K,), K <= M
+
+    Raises
+    ------
+    BellowsError
+        If none is inside: the two do not overlap in time.
+
+    """
+    wanted = _stamps(stamps_ns, 'Wanted stamps')
+    if len(wanted) and len(trajectory):
+        first, last = trajectory.stamps_ns[[0, -1]]
+        inside: Stamps = wanted[(wanted >= first) & (wanted <= last)]
+        if len(inside):
+            return inside
+    raise BellowsError(
+        'The two streams do not overlap in time: one covers '
+        f'{_span(wanted)}, the other {_span(trajectory.stamps_ns)}. '
+        'Give streams of one recording, stamped by one clock.'
+    )
+
+
+def resample(
+    trajectory: Trajectory, stamps_ns: ArrayLike, longest_gap_ns: int | None = None
+) -> Trajectory:
+    """
+    Interpolate a trajectory at other stamps, without extrapolating.
+
+    With twists the interpolant is the cubic Hermite polynomial on SO(3) x R^3: in the position,
+    with the end velocities R v, and in the rotation vector c of R = R_0 exp(c), with c(0) = 0,
+    c'(0) = h w_0, c(1) = log(R_0^T R_1) and c'(1) = dexp(-c(1))^-1 h w_1, where w is the body rate
+    and h the interval. It is once differentiable and of fourth order; its own body twist is
+    returned. Without twists positions go straight and rotations along the geodesic, and no twist
+    is returned. A stamp of the trajectory itself returns that very sample. The result has no
+    accelerations.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Samples at any stamps, with twists or without.
+    stamps_ns : int array (M,)
+        Wanted stamps, strictly increasing, ns, inside the trajectory's first and last (see
+        `common_stamps`).
+    longest_gap_ns : int, optional
+        A stamp between two samples further apart than this is not valid, ns.
+
+    Returns
+    -------
+    Trajectory
+        Its sample is valid when the sample it repeats, or both samples it lies between, are.
+
+    Raises
+    ------
+    BellowsError
+        If a stamp lies outside the trajectory.
+
+    """
+    wanted = _stamps(stamps_ns, 'Wanted stamps')
+    _require_inside(wanted, trajectory.stamps_ns)
+    before = np.searchsorted(trajectory.stamps_ns, wanted, side='right') - 1
+    after = np.minimum(before + 1, len(trajectory) - 1)
+    elapsed = wanted - trajectory.stamps_ns[before]
+    exact = elapsed == 0
+    interval = np.where(exact, 1, trajectory.stamps_ns[after] - trajectory.stamps_ns[before])
+    fraction = (elapsed / interval)[:, None]
+    if trajectory.twist is None:
+        position, rotation = _geodesic(trajectory, before, after, fraction)
+        twist = None
+    else:
+        position, rotation, twist = _hermite(
+            trajectory, trajectory.twist, before, after, fraction, (interval / NS_PER_S)[:, None]
+        )
+        twist[exact] = trajectory.twist[before[exact]]
+    position[exact] = trajectory.position[before[exact]]
+    rotation[exact] = trajectory.rotation[before[exact]]
+    near = np.full(len(wanted), True) if longest_gap_ns is None else interval <= longest_gap_ns
+    valid = trajectory.valid[before] & (exact | (trajectory.valid[after] & near))
+    return Trajectory(wanted, position, rotation, twist, None, valid)
+
+
+def _geodesic(
+    trajectory: Trajectory, before: Stamps, after: Stamps, s: Array
+) -> tuple[Array, Array]:
+    """Return positions and rotations at fractions s (M, 1) of the geodesics between samples."""
+    start, end = trajectory.position[before], trajectory.position[after]
+    R_start = trajectory.rotation[before]
+    turn = log_so3(np.swapaxes(R_start, -1, -2) @ trajectory.rotation[after])
+    return start + s * (end - start), R_start @ exp_so3(s * turn)
+
+
+def _hermite(
+    trajectory: Trajectory,
+    twist: Array,
+    before: Stamps,
+    after: Stamps,
+    s: Array,
+    interval_s: Array,
+) -> tuple[Array, Array, Array]:
+    """Return positions, rotations and body twists of the cubic Hermite interpolant at s (M, 1)."""
+    R_start, R_end = trajectory.rotation[before], trajectory.rotation[after]
+    start, end = twist[before] * interval_s, twist[after] * interval_s
+    origin = trajectory.position[before]
+    step, step_rate = _cubic(
+        s,
+        apply(R_start, start[:, :3]),
+        trajectory.position[after] - origin,
+        apply(R_end, end[:, :3]),
+    )
+    turn = log_so3(np.swapaxes(R_start, -1, -2) @ R_end)
+    c, c_rate = _cubic(s, start[:, 3:], turn, apply(dexp_inverse(-turn), end[:, 3:]))
+    rotation = R_start @ exp_so3(c)
+    linear = apply(np.swapaxes(rotation, -1, -2), step_rate)
+    angular = apply(dexp(-c), c_rate)
+    return origin + step, rotation, np.concatenate([linear, angular], axis=-1) / interval_s
+
+
+def _cubic(s: Array, rate_start: Array, end: Array, rate_end: Array) -> tuple[Array, Array]:
+    """Return the cubic over 0..1 from zero to `end` with these end rates, and its derivative."""
+    quadratic = 3.0 * end - 2.0 * rate_start - rate_end
+    cubic = rate_start + rate_end - 2.0 * end
+    value = s * (rate_start + s * (quadratic + s * cubic))
+    return value, rate_start + s * (2.0 * quadratic + s * 3.0 * cubic)
+
+
+def _require_inside(wanted: Stamps, available: Stamps) -> None:
+    """Refuse stamps that would need extrapolation."""
+    if not len(wanted):
+        return
+    if len(available) and wanted[0] >= available[0] and wanted[-1] <= available[-1]:
+        return
+    raise BellowsError(
+        f'The wanted stamps cover {_span(wanted)}, the trajectory only {_span(available)}. '
+        'Poses are never extrapolated; ask for stamps inside the trajectory.'
+    )
+
+
+def _span(stamps_ns: Stamps) -> str:
+    """Return the words for the time that stamps cover."""
+    if not len(stamps_ns):
+        return 'no time at all (it is empty)'
+    return f'{stamps_ns[0]} to {stamps_ns[-1]} ns'
+
+
+def _stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
+    """Return stamps as a new int64 array, or say what is wrong with them."""
+    stamps = np.asarray(stamps_ns)
+    if stamps.ndim != 1 or not (stamps.size == 0 or np.issubdtype(stamps.dtype, np.integer)):
+        raise BellowsError(
+            f'{of}: stamps must be integers (ns) of shape (N,), not '
+            f'{stamps.dtype} of shape {stamps.shape}.'
+        )
+    stamps = stamps.astype(np.int64)
+    backward = np.flatnonzero(np.diff(stamps) <= 0)
+    if len(backward):
+        i = int(backward[0])
+        raise BellowsError(
+            f'{of}: stamps must increase strictly, but sample {i + 1} has {stamps[i + 1]} ns '
+            f'after {stamps[i]} ns. Sort the samples and leave repeated stamps out.'
+        )
+    return stamps
+
+
+def _freeze_stamps(owner: PoseStream | TwistStream | Trajectory, of: str) -> int:
+    """Check and freeze the owner's stamps; return their number."""
+    stamps = _stamps(owner.stamps_ns, of)
+    _store(owner, 'stamps_ns', stamps)
+    return len(stamps)
+
+
+def _freeze(owner: object, of: str, name: str, shape: tuple[int, ...]) -> None:
+    """Check one of the owner's float arrays and store a read-only copy of it."""
+    array = np.array(getattr(owner, name), dtype=np.float64, order='C')
+    if array.shape != shape:
+        raise BellowsError(
+            f'{of}: {name} must have shape {shape} for {shape[0]} stamps, not {array.shape}.'
+        )
+    finite = np.isfinite(array).reshape(shape[0], -1).all(axis=1) if array.size else np.array([])
+    if not np.all(finite):
+        raise BellowsError(
+            f'{of}: {name} of sample {int(np.argmin(finite))} is not finite. '
+            'Leave such samples out.'
+        )
+    _store(owner, name, array)
+
+
+def _freeze_mask(owner: Trajectory, of: str, count: int) -> None:
+    """Check the owner's mask, one value for all or for each, and store a read-only copy."""
+    mask = np.array(owner.valid)
+    if mask.ndim == 0:
+        mask = np.full(count, mask)
+    if mask.shape != (count,) or mask.dtype != np.bool_:
+        raise BellowsError(
+            f'{of}: valid must be booleans of shape ({count},), not {mask.dtype} '
+            f'of shape {mask.shape}.'
+        )
+    _store(owner, 'valid', mask)
+
+
+def _store(owner: object, name: str, array: NDArray[np.generic]) -> None:
+    """Make an array read-only and set it on a frozen owner."""
+    array.setflags(write=False)
+    object.__setattr__(owner, name, array)
+
+
+def _require_rotations(rotation: Array, of: str) -> None:
+    """Refuse matrices that are not rotations."""
+    error = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(
+        axis=(-1, -2), initial=0.0
+    )
+    bad = np.flatnonzero((error > ORTHONORMAL_WITHIN) | (np.linalg.det(rotation) < 0.0))
+    if len(bad):
+        i = int(bad[0])
+        raise BellowsError(
+            f'{of}: the rotation of sample {i} is not orthonormal and right-handed to '
+            f'{ORTHONORMAL_WITHIN:g} (R^T R differs from I by {error[i]:.3g}). '
+            'Normalise the quaternions before converting them.'
+        )

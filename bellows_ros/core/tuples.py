@@ -1,0 +1,202 @@
+"""
+Scalar vocabulary of the kernels: vectors, matrices and rotations as tuples of floats.
+
+A vector is ``(x, y, z)``, a 3x3 matrix its nine entries row by row, a rotation a unit quaternion
+``(x, y, z, w)`` where it is stored and a 3x3 matrix where it is applied.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .jit import kernel
+
+Vector = tuple[float, float, float]
+Matrix = tuple[float, float, float, float, float, float, float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+SMALL_ANGLE_SQUARED = 0.25
+"""Below this squared angle (rad^2) sine and cosine ratios come from their series (to 1e-17)."""
+
+
+@kernel
+def add(a: Vector, b: Vector) -> Vector:
+    """Return a + b."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+@kernel
+def subtract(a: Vector, b: Vector) -> Vector:
+    """Return a - b."""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+@kernel
+def scale(factor: float, a: Vector) -> Vector:
+    """Return factor * a."""
+    return (factor * a[0], factor * a[1], factor * a[2])
+
+
+@kernel
+def add_scaled(a: Vector, factor: float, b: Vector) -> Vector:
+    """Return a + factor * b."""
+    return (a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2])
+
+
+@kernel
+def dot(a: Vector, b: Vector) -> float:
+    """Return the inner product of a and b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def cross(a: Vector, b: Vector) -> Vector:
+    """Return a x b."""
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+@kernel
+def apply(A: Matrix, v: Vector) -> Vector:
+    """Return A v."""
+    return (
+        A[0] * v[0] + A[1] * v[1] + A[2] * v[2],
+        A[3] * v[0] + A[4] * v[1] + A[5] * v[2],
+        A[6] * v[0] + A[7] * v[1] + A[8] * v[2],
+    )
+
+
+@kernel
+def apply_transposed(A: Matrix, v: Vector) -> Vector:
+    """Return A^T v; for a rotation, its inverse applied."""
+    return (
+        A[0] * v[0] + A[3] * v[1] + A[6] * v[2],
+        A[1] * v[0] + A[4] * v[1] + A[7] * v[2],
+        A[2] * v[0] + A[5] * v[1] + A[8] * v[2],
+    )
+
+
+@kernel
+def multiply_transposed(A: Matrix, B: Matrix) -> Matrix:
+    """Return A^T B; for rotations ``R_a_c = R_b_a^T R_b_c``."""
+    return (
+        A[0] * B[0] + A[3] * B[3] + A[6] * B[6],
+        A[0] * B[1] + A[3] * B[4] + A[6] * B[7],
+        A[0] * B[2] + A[3] * B[5] + A[6] * B[8],
+        A[1] * B[0] + A[4] * B[3] + A[7] * B[6],
+        A[1] * B[1] + A[4] * B[4] + A[7] * B[7],
+        A[1] * B[2] + A[4] * B[5] + A[7] * B[8],
+        A[2] * B[0] + A[5] * B[3] + A[8] * B[6],
+        A[2] * B[1] + A[5] * B[4] + A[8] * B[7],
+        A[2] * B[2] + A[5] * B[5] + A[8] * B[8],
+    )
+
+
+@kernel
+def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Return the Hamilton product p q, the rotation q followed by p."""
+    return (
+        p[3] * q[0] + p[0] * q[3] + p[1] * q[2] - p[2] * q[1],
+        p[3] * q[1] - p[0] * q[2] + p[1] * q[3] + p[2] * q[0],
+        p[3] * q[2] + p[0] * q[1] - p[1] * q[0] + p[2] * q[3],
+        p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2],
+    )
+
+
+@kernel
+def quaternion_conjugate(q: Quaternion) -> Quaternion:
+    """Return the inverse rotation of a unit quaternion."""
+    return (-q[0], -q[1], -q[2], q[3])
+
+
+@kernel
+def normalised(q: Quaternion) -> Quaternion:
+    """Return q / |q|; q must not be zero."""
+    factor = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return (factor * q[0], factor * q[1], factor * q[2], factor * q[3])
+
+
+@kernel
+def rotation_matrix(q: Quaternion) -> Matrix:
+    """Return the rotation matrix of a unit quaternion."""
+    x, y, z, w = q
+    return (
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y - w * z),
+        2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y),
+        2.0 * (y * z + w * x),
+        1.0 - 2.0 * (x * x + y * y),
+    )
+
+
+@kernel
+def exp_quaternion(phi: Vector) -> Quaternion:
+    """Return the unit quaternion of the rotation vector phi (rad), exp on SO(3) (G.74)."""
+    squared = dot(phi, phi)
+    if squared < SMALL_ANGLE_SQUARED:
+        x = 0.25 * squared  # of the half angle
+        ratio = 0.5 * (1 - x / 6 * (1 - x / 20 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110)))))
+        cosine = 1 - x / 2 * (
+            1 - x / 12 * (1 - x / 30 * (1 - x / 56 * (1 - x / 90 * (1 - x / 132))))
+        )
+    else:
+        angle = math.sqrt(squared)
+        ratio = math.sin(0.5 * angle) / angle
+        cosine = math.cos(0.5 * angle)
+    return (ratio * phi[0], ratio * phi[1], ratio * phi[2], cosine)
+
+
+@kernel
+def log_quaternion(q: Quaternion) -> Vector:
+    """Return the rotation vector (rad, at most pi long) of a unit quaternion, log on SO(3)."""
+    x, y, z, w = q
+    if w < 0.0:  # q and -q are the same rotation: take the short way
+        x, y, z, w = -x, -y, -z, -w
+    sine = math.sqrt(x * x + y * y + z * z)
+    if sine < 1e-4:  # atan2(s, w) / s = 1/w - s^2 / (3 w^3), the next term is below 1e-17
+        factor = 2.0 / w * (1.0 - sine * sine / (3.0 * w * w))
+    else:
+        factor = 2.0 * math.atan2(sine, w) / sine
+    return (factor * x, factor * y, factor * z)
+
+
+@kernel
+def body_rate(phi: Vector, phi_dot: Vector) -> Vector:
+    """
+    Return the body angular velocity of R0 exp(phi(t)): dexp(-phi) phi_dot (G.65).
+
+    G.65 as corrected: the last term is divided by the square of the norm.
+    """
+    squared = dot(phi, phi)
+    if squared < SMALL_ANGLE_SQUARED:
+        x = squared
+        first = 0.5 * (1 - x / 12 * (1 - x / 30 * (1 - x / 56 * (1 - x / 90 * (1 - x / 132)))))
+        second = (1 - x / 20 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110 * (1 - x / 156))))) / 6
+    else:
+        angle = math.sqrt(squared)
+        first = (1.0 - math.cos(angle)) / squared
+        second = (angle - math.sin(angle)) / (squared * angle)
+    once = cross(phi, phi_dot)
+    return add_scaled(add_scaled(phi_dot, -first, once), second, cross(phi, once))
+
+
+@kernel
+def rotation_vector_rate(phi: Vector, omega: Vector) -> Vector:
+    """Return phi_dot of R0 exp(phi(t)) for its body rate omega: the inverse of dexp(-phi)."""
+    squared = dot(phi, phi)
+    if squared < SMALL_ANGLE_SQUARED:
+        x = squared  # 1/x - cot(sqrt(x)/2) / (2 sqrt(x)), its Bernoulli series
+        tail = 1 / 47900160 + x * (691 / 1307674368000 + x / 74724249600)
+        factor = 1 / 12 + x * (1 / 720 + x * (1 / 30240 + x * (1 / 1209600 + x * tail)))
+    else:
+        angle = math.sqrt(squared)
+        factor = (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / squared
+    once = cross(phi, omega)
+    return add_scaled(add_scaled(omega, 0.5, once), factor, cross(phi, once))

@@ -1,0 +1,116 @@
+"""The thesis' validation case and random models, shared by the tests of the core."""
+
+from bellows_ros.core.inertia import box_inertia
+from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.trajectory import Trajectory
+import numpy as np
+
+K_THESIS = np.array([  # (3.45)
+    [200, 10, 30, 3.2, 2, 1.3],
+    [10, 180, 20, 0.7, 4.3, 2.5],
+    [30, 20, 1.55e3, 1, 0.9, 3.5],
+    [3.2, 0.7, 1, 2, 0.8, 1],
+    [2, 4.3, 0.9, 0.8, 3, 0.5],
+    [1.3, 2.5, 3.5, 1, 0.5, 4],
+])
+P_THESIS = np.array([  # (3.46)
+    [2.5, 0.5, 1.5, 0.34, 0.025, 0.004],
+    [0.5, 2, 1.5, 0.2, 0.07, 0.15],
+    [1.5, 1.5, 4, 0.2, 0.08, 0.1],
+    [0.34, 0.2, 0.2, 0.25, 0.1, 0.08],
+    [0.025, 0.07, 0.08, 0.1, 0.3, 0.05],
+    [0.004, 0.15, 0.1, 0.08, 0.05, 0.4],
+])
+T_WORLD_PACKAGE = np.array([  # (3.48)
+    [0.5956, -0.1185, 0.7945, -0.2004],
+    [-0.1408, 0.9584, 0.2485, 0.2661],
+    [-0.7909, -0.2598, 0.5541, 0.0301],
+    [0, 0, 0, 1],
+])
+T_WORLD_TOOL = np.array([  # (3.49)
+    [0.9865, -0.1459, 0.0743, -0.2000],
+    [0.1307, 0.9751, 0.1789, 0.3000],
+    [-0.0986, -0.1668, 0.9811, 0.1800],
+    [0, 0, 0, 1],
+])
+
+
+def orthonormal(T):
+    """Return a pose printed with four digits with the nearest rotation in it."""
+    T = T.copy()
+    U, _, Vt = np.linalg.svd(T[:3, :3])
+    T[:3, :3] = U @ Vt
+    return T
+
+
+def thesis_cup(damping=True):
+    """Return the cup of (3.45), (3.46) with l0 = 0.0482 m."""
+    return Cup(K_THESIS, P_THESIS if damping else np.zeros((6, 6)), 0.0482)
+
+
+def thesis_package():
+    """Return the 0.2 m box of 2 kg (3.47), its centre 0.1 m below the lip."""
+    return Package(2.0, box_inertia(2.0, 0.2, 0.2, 0.2), (0.0, 0.0, -0.1))
+
+
+def random_pose(rng, angle=1.0, distance=0.1):
+    """Return a pose turned and moved by about the given sizes."""
+    T = np.eye(4)
+    T[:3, :3] = exp_so3(angle * rng.standard_normal(3))
+    T[:3, 3] = distance * rng.standard_normal(3)
+    return T
+
+
+def random_cup(rng, damping=True):
+    """Return a cup with full K and P, both positive definite, in the range of real ones."""
+    scale = np.array([80.0, 80.0, 110.0, 2.0, 2.0, 1.2])
+    damper = np.array([8.0, 8.0, 5.0, 0.25, 0.25, 0.3])
+
+    def matrix(diagonal):
+        A = np.eye(6) + 0.2 * rng.standard_normal((6, 6))
+        return diagonal[:, None] * (A @ A.T) * diagonal
+
+    return Cup(matrix(scale), matrix(damper) if damping else np.zeros((6, 6)), 0.05)
+
+
+def random_package(rng):
+    """Return a package with products of inertia and its centre of mass off the cup's axis."""
+    R = exp_so3(rng.standard_normal(3))
+    return Package(1.7, R @ np.diag([0.008, 0.011, 0.013]) @ R.T, (0.01, -0.02, -0.05))
+
+
+def still_tool(T_world_tool, duration_ns, steps):
+    """Return a tool at rest."""
+    return Trajectory(
+        stamps_ns=np.arange(steps + 1) * (duration_ns // steps),
+        position=np.tile(T_world_tool[:3, 3], (steps + 1, 1)),
+        rotation=np.tile(T_world_tool[:3, :3], (steps + 1, 1, 1)),
+        twist=np.zeros((steps + 1, 6)),
+    )
+
+
+class ShakenTool:
+    """A smooth tool motion known analytically: sines in position and rotation vector."""
+
+    def __init__(self, rng, frequency=2.0, travel=0.02, angle=0.15):
+        self.a, self.b = travel * rng.standard_normal((2, 3))
+        self.c, self.d = angle * rng.standard_normal((2, 3))
+        self.w = 2 * np.pi * frequency
+
+    def at(self, t):
+        """Return position, rotation and body twist at a time (s)."""
+        from bellows_ros.core.lie import dexp
+        s, c, w = np.sin(self.w * t), np.cos(self.w * t), self.w
+        position = self.a * s + self.b * (1 - c)
+        velocity = w * (self.a * c + self.b * s)
+        phi = self.c * s + self.d * (1 - c)
+        rate = w * (self.c * c + self.d * s)
+        R = exp_so3(phi)
+        return position, R, np.concatenate([R.T @ velocity, dexp(-phi) @ rate])
+
+    def trajectory(self, duration, rate_hz):
+        """Return the motion sampled, stamps as exact as nanoseconds are."""
+        stamps = np.round(np.arange(int(duration * rate_hz) + 1) / rate_hz * 1e9).astype(np.int64)
+        parts = [self.at(stamp * 1e-9) for stamp in stamps]
+        return Trajectory(stamps, *(np.array(part) for part in zip(*parts, strict=True)))

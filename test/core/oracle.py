@@ -1,0 +1,76 @@
+"""A second, slow implementation of the model: 6x6 matrices as the thesis prints them."""
+
+from bellows_ros.core.lie import adjoint, hat, inverse_transform, transform, vee
+import numpy as np
+from scipy.integrate import solve_ivp
+
+Z = np.array([0.0, 0.0, 1.0])
+
+
+def spring_frames(length, T_E_S):
+    """Return S2_H_S1 as the product of poses (3.10-3.12)."""
+    half = transform(np.eye(3), 0.5 * length * Z)
+    return half @ T_E_S @ half
+
+
+def strain(H):
+    """Return h (3.18)."""
+    R, o = H[:3, :3], H[:3, 3]
+    return np.concatenate([(np.eye(3) + R.T) @ o, vee(R - R.T)])
+
+
+def potential(K, H):
+    """Return P0 (3.17)."""
+    h = strain(H)
+    return h @ K @ h / 8.0
+
+
+def wrench_at_S1(cup, H, v1):
+    """Return the wrench of spring and damper on the package at S1 (3.24, 3.32, 3.33)."""
+    R, o = H[:3, :3], H[:3, 3]
+    J = np.block([
+        [R + np.eye(3), hat(R.T @ o)],
+        [np.zeros((3, 3)), np.trace(R) * np.eye(3) - R.T],
+    ])
+    X = adjoint(H)
+    D = 0.5 * (cup.damping + X.T @ cup.damping @ X)
+    return -0.25 * J.T @ cup.stiffness @ strain(H) - D @ v1
+
+
+def wrench_at_lip(cup, T_E_S, v_ES):
+    """Return the cup's wrench on the package at S (3.27, 3.35)."""
+    T_S_S1 = transform(np.eye(3), 0.5 * cup.length * Z)
+    X = adjoint(inverse_transform(T_S_S1))
+    return X.T @ wrench_at_S1(cup, spring_frames(cup.length, T_E_S), X @ v_ES)
+
+
+def acceleration(cup, package, gravity, T_A_E, v_E, T_A_B, v_B):
+    """Return the rate of the package's body twist (3.5) with the generalized inertia (A.1)."""
+    T_S_B = transform(np.eye(3), package.com)
+    T_E_S = inverse_transform(T_A_E) @ T_A_B @ inverse_transform(T_S_B)
+    v_ES = adjoint(T_S_B) @ v_B - adjoint(inverse_transform(T_E_S)) @ v_E
+    f = adjoint(T_S_B).T @ wrench_at_lip(cup, T_E_S, v_ES)
+    f[:3] += package.mass * T_A_B[:3, :3].T @ gravity
+    M = np.block([
+        [package.mass * np.eye(3), np.zeros((3, 3))],
+        [np.zeros((3, 3)), package.inertia],
+    ])
+    v, w = hat(v_B[:3]), hat(v_B[3:])
+    dual_cross = np.block([[w, np.zeros((3, 3))], [v, w]])  # (2.32)
+    return np.linalg.solve(M, f - dual_cross @ M @ v_B)
+
+
+def solve(cup, package, gravity, tool_at, T_start, v_start, times):
+    """Integrate the plain equations, R's nine entries as they are, with SciPy's DOP853."""
+
+    def slope(t, y):
+        T, v = np.eye(4), y[12:]
+        T[:3, :3], T[:3, 3] = y[3:12].reshape(3, 3), y[:3]
+        o_E, R_E, v_E = tool_at(t)
+        dv = acceleration(cup, package, gravity, transform(R_E, o_E), v_E, T, v)
+        return np.concatenate([T[:3, :3] @ v[:3], (T[:3, :3] @ hat(v[3:])).ravel(), dv])
+
+    y0 = np.concatenate([T_start[:3, 3], T_start[:3, :3].ravel(), v_start])
+    out = solve_ivp(slope, (times[0], times[-1]), y0, 'DOP853', times, rtol=3e-13, atol=1e-13)
+    assert out.success, out.message
+    return out.y[:3].T, out.y[3:12].T.reshape(-1, 3, 3), out.y[12:].T

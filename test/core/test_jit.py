@@ -1,0 +1,76 @@
+"""Compiled and interpreted kernels are one source; a changed source is compiled again."""
+
+import json
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+
+from bellows_ros.core import jit
+from numpy.testing import assert_allclose
+import pytest
+
+PACKAGE = Path(jit.__file__).parents[1]
+
+SCRIPT = """
+import json
+from bellows_ros.core import jit, model, simulation, integrator
+cup, package = model.Cup.thesis(), model.Package(
+    2.0, [[.01, .001, 0], [.001, .01, 0], [0, 0, .012]], [.01, 0, -.05])
+m = model.model_tuple(cup, package, 9.81)
+tool = ((0., 0., 0.), (0., 0., 0., 1.), (.1, .2, 0.), (.3, 0., .5))
+later = integrator.tool_at(integrator.tool_segment(tool, tool, .01), .5)
+body = simulation.static_equilibrium(m, tool)
+for _ in range(50):
+    body = integrator.advance(m, body, tool, later, .005, 2)
+print(json.dumps([jit.COMPILED, body]))
+"""
+
+
+def run(script, path=PACKAGE.parent, **environment):
+    """Run a script in a new interpreter and return what it prints, from JSON."""
+    env = {**os.environ, 'PYTHONPATH': str(path), **environment}
+    out = subprocess.run(
+        [sys.executable, '-c', script], cwd=path, env=env, capture_output=True, text=True,
+        check=False)
+    assert out.returncode == 0, out.stderr
+    return json.loads(out.stdout)
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing to compare')
+def test_interpreted_kernels_give_the_same_numbers():
+    (compiled, fast), (interpreted, slow) = run(SCRIPT), run(SCRIPT, NUMBA_DISABLE_JIT='1')
+    assert compiled
+    assert not interpreted
+    for got, wanted in zip(fast, slow, strict=True):
+        assert_allclose(got, wanted, rtol=0, atol=1e-13)
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing is kept on disk')
+def test_a_change_in_one_file_reaches_kernels_in_others(tmp_path):
+    shutil.copytree(PACKAGE, tmp_path / 'bellows_ros', ignore=shutil.ignore_patterns('*.nb?'))
+    script = """
+import json
+from bellows_ros.core.kernels import strain
+print(json.dumps(strain((1., 0., 0.), (1., 0., 0., 0., 1., 0., 0., 0., 1.))[0]))
+"""
+    cache = {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
+    assert run(script, tmp_path, **cache) == [2.0, 0.0, 0.0]
+    assert list((tmp_path / 'cache').rglob('*.nbi'))
+    tuples = tmp_path / 'bellows_ros/core/tuples.py'
+    text = tuples.read_text()
+    line = 'return (a[0] + b[0], a[1] + b[1], a[2] + b[2])'
+    assert line in text
+    tuples.write_text(text.replace(line, 'return (a[0] + 5 * b[0], a[1] + b[1], a[2] + b[2])'))
+    assert run(script, tmp_path, **cache) == [6.0, 0.0, 0.0]
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing is kept on disk')
+@pytest.mark.skipif(os.geteuid() == 0, reason='root can write everywhere')
+def test_kernels_work_where_nothing_can_be_written(tmp_path):
+    copy = tmp_path / 'bellows_ros'
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns('__pycache__'))
+    for folder in (copy, copy / 'core'):
+        folder.chmod(0o555)
+    assert run(SCRIPT, tmp_path, HOME='/nonexistent', PYTHONDONTWRITEBYTECODE='1')[0]

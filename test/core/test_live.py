@@ -1,0 +1,273 @@
+"""The live predictor without ROS: pairing, refusals, recovery, and the rig's truth."""
+
+import math
+
+from bellows_ros.core import live
+from bellows_ros.core.lie import log_so3, quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.simulation import simulate
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from .cases import ShakenTool
+
+START = 1_760_000_000_000_000_000
+PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
+PERIOD = 2_777_778
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+
+
+class Messages:
+    """A tool motion as messages: stamps, poses and twists in world axes."""
+
+    def __init__(self, duration=1.0, rate_hz=360, seed=4):
+        self.tool = ShakenTool(np.random.default_rng(seed)).trajectory(duration, rate_hz)
+        R = self.tool.rotation
+        self.stamps = [START + int(stamp) for stamp in self.tool.stamps_ns]
+        self.positions = list(map(tuple, self.tool.position.tolist()))
+        self.quaternions = list(map(tuple, rotation_to_quaternion(R).tolist()))
+        in_world = np.einsum('nij,naj->nai', R, self.tool.twist.reshape(-1, 2, 3))
+        self.linear = list(map(tuple, in_world[:, 0].tolist()))
+        self.angular = list(map(tuple, in_world[:, 1].tolist()))
+
+    def __len__(self):
+        return len(self.stamps)
+
+    def pose(self, predictor, k, frame='base', stamp=None):
+        """Send one pose."""
+        stamp = self.stamps[k] if stamp is None else stamp
+        return predictor.on_pose(stamp, frame, self.positions[k], self.quaternions[k])
+
+    def twist(self, predictor, k):
+        """Send one twist."""
+        return predictor.on_twist(self.stamps[k], self.linear[k], self.angular[k])
+
+
+@pytest.fixture(scope='module')
+def messages():
+    return Messages()
+
+
+@pytest.fixture
+def predictor():
+    return LivePredictor(Cup.thesis(), PLATE, 9.81)
+
+
+def errors(predictions, truth):
+    """Return the largest position error (m) and rotation error (rad)."""
+    position = np.array([p.position for p in predictions])
+    rotation = quaternion_to_rotation(np.array([p.quaternion_xyzw for p in predictions]))
+    turn = log_so3(np.swapaxes(rotation, 1, 2) @ truth.rotation)
+    return np.abs(position - truth.position).max(), np.abs(turn).max()
+
+
+def is_finite(prediction):
+    """Return whether all numbers of a prediction are finite."""
+    return all(math.isfinite(x) for part in prediction[1:] for x in part)
+
+
+@pytest.mark.parametrize('order', ['pose first', 'twist first', 'twists in bursts of three'])
+def test_equals_the_simulation_whatever_comes_first(messages, predictor, order):
+    out, predictor.expect_twists = [], True
+    if order == 'twists in bursts of three':
+        for k in range(0, len(messages) - 2, 3):
+            for j in range(3):
+                out += messages.pose(predictor, k + j)
+            for j in range(3):
+                out += messages.twist(predictor, k + j)
+    else:
+        calls = [messages.pose, messages.twist]
+        for k in range(len(messages)):
+            for call in calls if order == 'pose first' else calls[::-1]:
+                out += call(predictor, k)
+    body = simulate(Cup.thesis(), PLATE, messages.tool)
+    assert [p.stamp_ns for p in out] == messages.stamps[:len(out)]
+    assert len(out) >= len(messages) - 2
+    assert predictor.twists_estimated == 0
+    moved = type(body)(*(part[:len(out)] for part in (
+        body.stamps_ns, body.position, body.rotation)))
+    position, turn = errors(out, moved)
+    assert position < 1e-12
+    assert turn < 1e-11
+
+
+def test_twists_are_waited_for_once_they_are_seen_to_come(messages, predictor):
+    for k in range(10):
+        messages.pose(predictor, k)
+        messages.twist(predictor, k)
+    assert predictor.expect_twists
+    assert messages.pose(predictor, 10) == []
+    assert len(messages.twist(predictor, 10)) == 1
+
+
+def test_a_lost_twist_costs_neither_a_prediction_nor_the_pairing(messages, predictor):
+    predictor.expect_twists = True
+    out = []
+    for k in range(60):
+        out += messages.pose(predictor, k)
+        if k != 30:
+            out += messages.twist(predictor, k)
+    assert [p.stamp_ns for p in out] == messages.stamps[:60]
+    assert predictor.twists_estimated == 1
+
+
+def test_twists_that_stop_are_not_waited_for_longer_than_the_limit(messages, predictor):
+    predictor.expect_twists = True
+    out = []
+    for k in range(60):
+        out += messages.pose(predictor, k)
+        if k < 20:
+            messages.twist(predictor, k)
+            continue
+        assert predictor.waiting * PERIOD <= live.LONGEST_WAIT_NS + PERIOD
+    assert not predictor.expect_twists
+    assert predictor.waiting == 0
+    assert predictor.predictions == 60
+
+
+def test_flush_predicts_for_what_waits(messages, predictor):
+    predictor.expect_twists = True
+    assert messages.pose(predictor, 0) == []
+    assert [p.stamp_ns for p in predictor.flush()] == messages.stamps[:1]
+
+
+def test_poses_alone_come_close(messages, predictor):
+    out = [p for k in range(len(messages)) for p in messages.pose(predictor, k)]
+    body = simulate(Cup.thesis(), PLATE, messages.tool)
+    position, turn = errors(out, body)
+    assert position < 0.1e-3
+    assert turn < 1e-3
+
+
+def test_tool_axes_and_world_axes_are_told_apart(messages):
+    in_tool = LivePredictor(Cup.thesis(), PLATE, 9.81, twist_frame='tool')
+    in_world = LivePredictor(Cup.thesis(), PLATE, 9.81)
+    in_tool.expect_twists = in_world.expect_twists = True
+    for k in range(200):
+        messages.pose(in_world, k)
+        messages.pose(in_tool, k)
+        expected = messages.twist(in_world, k)
+        v = messages.tool.twist[k].tolist()
+        got = in_tool.on_twist(messages.stamps[k], tuple(v[:3]), tuple(v[3:]))
+        assert_allclose(got[0].position, expected[0].position, atol=1e-14)
+        assert_allclose(got[0].quaternion_xyzw, expected[0].quaternion_xyzw, atol=1e-13)
+
+
+NAN = math.nan
+
+
+@pytest.mark.parametrize(('reason', 'pose'), [
+    ('nan', (START + PERIOD, 'base', (NAN, 0.0, 0.0), IDENTITY)),
+    ('nan', (START + PERIOD, 'base', (0.0, math.inf, 0.0), IDENTITY)),
+    ('nan', (START + PERIOD, 'base', (0.0, 0.0, 0.0), (NAN, 0.0, 0.0, 1.0))),
+    ('zero_quaternion', (START + PERIOD, 'base', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))),
+    ('not_unit', (START + PERIOD, 'base', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.1))),
+    ('nan', (START + PERIOD, 'base', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1e200))),
+    ('frame_id', (START + PERIOD, 'map', (0.0, 0.0, 0.0), IDENTITY)),
+    ('zero_stamp', (0, 'base', (0.0, 0.0, 0.0), IDENTITY)),
+    ('duplicate_stamp', (START, 'base', (0.0, 0.0, 0.0), IDENTITY)),
+    ('backward_stamp', (START - PERIOD, 'base', (0.0, 0.0, 0.0), IDENTITY)),
+])
+def test_what_cannot_be_used_is_refused_and_counted(predictor, reason, pose):
+    first = predictor.on_pose(START, 'base', (0.0, 0.0, 0.0), IDENTITY)
+    assert len(first) == 1
+    assert predictor.on_pose(*pose) == []
+    counts = {name: count for name, count in predictor.refused.items() if count}
+    assert counts == {reason: 1}
+    after = predictor.on_pose(START + 2 * PERIOD, 'base', (0.0, 0.0, 0.0), IDENTITY)
+    assert_allclose(after[0].position, first[0].position, atol=1e-12)
+
+
+def test_nan_twist_is_refused_and_its_pose_predicted_all_the_same(messages, predictor):
+    out = []
+    for k in range(20):
+        out += messages.pose(predictor, k)
+        linear = messages.linear[k] if k != 10 else (NAN, 0.0, 0.0)
+        out += predictor.on_twist(messages.stamps[k], linear, messages.angular[k])
+    assert predictor.refused['twist_nan'] == 1
+    assert len(out) == 20
+    assert all(map(is_finite, out))
+
+
+def test_quaternion_nearly_of_unit_length_is_used_as_unit(predictor):
+    out = predictor.on_pose(START, 'base', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.004))
+    assert_allclose(out[0].quaternion_xyzw, IDENTITY, atol=1e-12)
+
+
+def test_long_gap_starts_from_rest(messages, predictor):
+    for k in range(100):
+        messages.pose(predictor, k)
+    late = messages.stamps[99] + live.LONGEST_GAP_NS + 1
+    (out,) = messages.pose(predictor, 99, stamp=late)
+    assert predictor.restarts['gap'] == 1
+    assert out.linear == (0.0, 0.0, 0.0)
+    assert predictor.poses_in == predictor.predictions == 101
+
+
+def test_clock_set_back_is_noticed_after_a_few_poses(messages, predictor):
+    for k in range(50, 100):
+        messages.pose(predictor, k)
+    out = [p for k in range(10) for p in messages.pose(predictor, k)]
+    assert predictor.restarts['clock_set_back'] == 1
+    assert predictor.refused['backward_stamp'] == live.BACKWARD_RUN - 1
+    assert [p.stamp_ns for p in out] == messages.stamps[live.BACKWARD_RUN - 1:10]
+
+
+def test_reset_takes_any_stamp_and_frame(messages, predictor):
+    for k in range(50, 60):
+        messages.pose(predictor, k)
+    predictor.reset()
+    (out,) = messages.pose(predictor, 0, frame='map')
+    assert out.stamp_ns == messages.stamps[0]
+    assert not any(predictor.refused.values())
+
+
+def test_model_changes_between_steps_without_a_restart(messages, predictor):
+    for k in range(100):
+        (before,) = messages.pose(predictor, k)
+    predictor.set_model(Cup(2 * Cup.thesis().stiffness, Cup.thesis().damping, 0.0481), PLATE)
+    (after,) = messages.pose(predictor, 100)
+    assert np.linalg.norm(np.subtract(after.position, before.position)) < 1e-2
+    assert not any(predictor.restarts.values())
+
+
+def test_absurd_motion_never_gives_anything_but_finite_numbers(predictor):
+    out = []
+    rng = np.random.default_rng(9)
+    for k in range(300):
+        scale = 10.0 ** rng.uniform(-3, 200)
+        o = tuple((scale * rng.standard_normal(3)).tolist())
+        q = rng.standard_normal(4)
+        stamp = START + k * 100_000_000
+        out += predictor.on_pose(stamp, 'base', o, tuple((q / np.linalg.norm(q)).tolist()))
+    assert all(map(is_finite, out))
+    assert predictor.restarts['diverged'] + predictor.restarts['no_equilibrium'] > 0
+    good = [p for k in range(300, 420) for p in predictor.on_pose(
+        START + k * 100_000_000, 'base', (0.0, 0.0, 0.0), IDENTITY)]
+    assert good
+    assert_allclose(good[-1].force, [0.0, 0.0, 2.17 * 9.81], rtol=1e-3)
+
+
+@pytest.mark.parametrize(('twists', 'within_m', 'within_rad'), [
+    (True, 0.05e-6, 0.5e-6), (False, 1e-6, 10e-6)])
+def test_clean_recording_is_predicted(rig, twists, within_m, within_rad):
+    truth = np.load(rig / 'clean_truth.npz')
+    predictor = LivePredictor(Cup(truth['K'], truth['P'], 0.0481), PLATE, 9.81)
+    predictor.expect_twists = twists
+    T, R = truth['tool'], truth['tool'][:, :3, :3]
+    q = rotation_to_quaternion(R)
+    v = np.einsum('nij,naj->nai', R, truth['tool_twist'].reshape(-1, 2, 3))
+    out = []
+    for k, t in enumerate(truth['t']):
+        stamp = START + round(t * 1e9)
+        out += predictor.on_pose(stamp, 'world', tuple(T[k, :3, 3].tolist()), tuple(q[k].tolist()))
+        if twists:
+            out += predictor.on_twist(stamp, tuple(v[k, 0].tolist()), tuple(v[k, 1].tolist()))
+    assert len(out) == 7201
+    position = np.array([p.position for p in out]) - truth['package'][:, :3, 3]
+    rotation = quaternion_to_rotation(np.array([p.quaternion_xyzw for p in out]))
+    turn = log_so3(np.swapaxes(rotation, 1, 2) @ truth['package'][:, :3, :3])
+    assert np.linalg.norm(position, axis=1).max() < within_m
+    assert np.linalg.norm(turn, axis=1).max() < within_rad

@@ -1,0 +1,99 @@
+"""Simulations of whole recordings against the rig's truth, equilibria, and clear errors."""
+
+from bellows_ros.core.lie import log_so3
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.simulation import (
+    largest_step,
+    simulate,
+    state_row,
+    static_equilibrium,
+    substeps_for,
+    system_matrix,
+)
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from .cases import still_tool
+
+PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
+LEVEL = state_row((0, 0, 0), (0, 0, 0, 1), np.zeros(6))
+
+
+@pytest.mark.parametrize('name', ['clean', 'lab', 'lab_validation'])
+def test_recordings_of_a_known_cup_are_reproduced(rig, name):
+    truth = np.load(rig / f'{name}_truth.npz')
+    tool = Trajectory(
+        np.round(truth['t'] * 1e9).astype(np.int64), truth['tool'][:, :3, 3],
+        truth['tool'][:, :3, :3], truth['tool_twist'])
+    body = simulate(Cup(truth['K'], truth['P'], 0.0481), PLATE, tool)
+    package = truth['package']
+    assert np.abs(body.position - package[:, :3, 3]).max() < 0.05e-6
+    turn = log_so3(np.swapaxes(body.rotation, 1, 2) @ package[:, :3, :3])
+    assert np.abs(turn).max() < 0.5e-6
+    assert_allclose(body.twist, truth['package_twist'], atol=2e-5)
+
+
+def test_plate_under_a_level_tool_hangs_straight_and_lengthens_the_cup():
+    cup = Cup.thesis()
+    rest = static_equilibrium(model_tuple(cup, PLATE, 9.81), LEVEL)
+    # axially the potential is 1/2 k z^2: the stretch is m g / k
+    expected = -cup.length - 2.17 * 9.81 / 11530 - 0.03
+    assert_allclose(rest[0], [0.0, 0.0, expected], atol=1e-12)
+    assert_allclose(rest[1], [0.0, 0.0, 0.0, 1.0], atol=1e-12)
+
+
+def test_equilibrium_of_a_tilted_tool_minimises_the_energy():
+    from bellows_ros.core.simulation import displaced, state_energies
+    from scipy.optimize import minimize
+    tilt = np.deg2rad(60.0)
+    tool = state_row((0, 0, 0), (np.sin(tilt / 2), 0, 0, np.cos(tilt / 2)), np.zeros(6))
+    model = model_tuple(Cup.thesis(), PLATE, 9.81)
+    rest = static_equilibrium(model, tool)
+
+    def energy(x):
+        body = displaced(rest, tuple(0.01 * x[:3]), tuple(0.1 * x[3:]))
+        return sum(state_energies(model, tool, body))
+
+    found = minimize(energy, np.full(6, 0.3), method='BFGS', options={'gtol': 1e-10})
+    assert_allclose(found.x, 0.0, atol=2e-4)  # where differences of energies end
+
+
+def test_a_cup_too_soft_for_its_package_has_no_equilibrium():
+    soft = Cup(np.diag([10.0, 10.0, 10.0, 1e-3, 1e-3, 1e-3]), np.zeros((6, 6)), 0.05)
+    tilted = state_row((0, 0, 0), (np.sin(0.7), 0, 0, np.cos(0.7)), np.zeros(6))
+    with pytest.raises(BellowsError, match='No static equilibrium.*2.17 kg'):
+        static_equilibrium(model_tuple(soft, PLATE, 9.81), tilted)
+
+
+def test_modes_of_the_thesis_plate():
+    modes = np.linalg.eigvals(system_matrix(model_tuple(Cup.thesis(), PLATE, 0.0)))
+    frequencies = np.sort(np.abs(modes[modes.imag > 0])) / (2 * np.pi)
+    assert_allclose(frequencies[0], np.sqrt(1.123 / 0.0173) / (2 * np.pi), rtol=1e-5)  # torsion
+    axial = np.sqrt(11530 / 2.17) / (2 * np.pi)
+    assert np.min(np.abs(frequencies - axial)) < 1e-3
+
+
+def test_steps_are_short_enough_for_stiff_cups():
+    stiff = Cup(100 * Cup.thesis().stiffness, Cup.thesis().damping, 0.0481)
+    longest = largest_step(model_tuple(stiff, PLATE, 9.81))
+    assert longest < largest_step(model_tuple(Cup.thesis(), PLATE, 9.81)) / 8
+    assert substeps_for(0.008, 0.0041) == 2
+    assert substeps_for(0.008, 0.1) == 1
+    body = simulate(stiff, PLATE, still_tool(np.eye(4), 10**9, 125))
+    assert np.ptp(body.position, axis=0).max() < 1e-12
+
+
+def test_a_tool_without_twists_is_refused():
+    tool = Trajectory(np.arange(3), np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1)))
+    with pytest.raises(BellowsError, match='no twists'):
+        simulate(Cup.thesis(), PLATE, tool)
+
+
+def test_a_simulation_that_blows_up_says_so():
+    driven = Cup(Cup.thesis().stiffness, -50 * Cup.thesis().damping, 0.0481)
+    start = state_row((0, 0, -0.08), (0, 0, 0, 1), np.full(6, 0.1))
+    with pytest.raises(BellowsError, match='did not stay finite'):
+        simulate(driven, PLATE, still_tool(np.eye(4), 10 * 10**9, 1000), start)
