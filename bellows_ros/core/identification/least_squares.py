@@ -13,7 +13,7 @@ from bellows_ros.core.identification.result import definiteness_warnings, Fit
 from bellows_ros.core.identification.structure import Structure
 from bellows_ros.core.identification.wrenches import lip_relative, needed_wrench
 from bellows_ros.core.model import Package, regressor
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,9 @@ LARGEST_CONDITION = 1e6
 
 CLUSTER_WINDOWS = 4
 """Residuals this many filter windows apart are taken as independent for standard errors."""
+
+SMALLEST_SHARE = 1e-3
+"""Least part of a direction that other clusters must tell, for a cluster's residual to count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,24 +182,32 @@ class _Problem:
         """
         Return the covariance (p, p) of x and the RMS (6,) of the wrench residuals.
 
-        The covariance is inverse (sum over clusters of g g^T) inverse^T, with g the cluster's sum
-        of A^T r: it needs no independence within a cluster, which is several windows long.
+        The covariance needs no independence of residuals that are less than a cluster apart, and
+        no equal noise (the cluster-robust estimator; with Z = A R^-1 it is
+        R^-1 (sum of u u^T) R^-T, u = (I - Z_j^T Z_j)^-1/2 Z_j^T r_j for cluster j, in which the
+        root makes up for residuals that the fit itself has shrunk).
         """
-        meat, squares, count, clusters = np.zeros_like(inverse), np.zeros(6), 0, 0
+        meat, squares, count = np.zeros_like(inverse), np.zeros(6), 0
         colour = np.linalg.inv(self.whitening)
         for block, A, b in self.rows():
             r = b - A @ x
             squares += np.sum((r @ colour.T) ** 2, axis=0)
             count += len(r)
-            cluster_ns = int(CLUSTER_WINDOWS * block.window * 1e9)
-            stamps = block.package.stamps_ns
-            starts = np.unique((stamps - stamps[0]) // cluster_ns, return_index=True)[1]
-            g = np.add.reduceat(np.einsum('nip,ni->np', A, r), starts, axis=0)
-            meat += g.T @ g
-            clusters += len(g)
-        correction = clusters / max(clusters - 1, 1)
-        bread = inverse @ inverse.T
-        return correction * bread @ meat @ bread, np.sqrt(squares / count)
+            for part in _clusters(block):
+                Z = A[part].reshape(-1, len(x)) @ inverse
+                share, V = np.linalg.eigh(np.eye(len(x)) - Z.T @ Z)
+                root = V / np.sqrt(np.maximum(share, SMALLEST_SHARE))
+                u = root @ (V.T @ (Z.T @ r[part].ravel()))
+                meat += np.outer(u, u)
+        return inverse @ meat @ inverse.T, np.sqrt(squares / count)
+
+
+def _clusters(block: Samples) -> list[slice]:
+    """Return the samples of a block cut into clusters that are several filter windows long."""
+    cluster_ns = int(CLUSTER_WINDOWS * block.window * NS_PER_S)
+    stamps = block.package.stamps_ns
+    starts = np.unique((stamps - stamps[0]) // cluster_ns, return_index=True)[1]
+    return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(stamps)], strict=True)]
 
 
 def _solve(triangle: Array, structure: Structure) -> tuple[Array, Array, float]:
