@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bellows_ros.core.lie import adjoint, inverse_transform
+from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from .lie import adjoint, inverse_transform
-from ..errors import BellowsError
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ The tool moves between its samples along the cubic Hermite curve through both po
 
 from __future__ import annotations
 
-from .jit import kernel
-from .kernels import body_acceleration, ModelTuple, State
-from .tuples import (
+from bellows_ros.core.jit import kernel
+from bellows_ros.core.kernels import body_acceleration, ModelTuple, State
+from bellows_ros.core.tuples import (
     add,
     add_scaled,
     apply,

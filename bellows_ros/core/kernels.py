@@ -12,8 +12,8 @@ gravity the acceleration vector in ``A``. `model.Cup` and `model.Package` make t
 
 from __future__ import annotations
 
-from .jit import kernel
-from .tuples import (
+from bellows_ros.core.jit import kernel
+from bellows_ros.core.tuples import (
     add,
     add_scaled,
     apply,

@@ -10,14 +10,21 @@ from collections import deque
 import math
 from typing import NamedTuple
 
-from .integrator import advance
-from .jit import kernel
-from .kernels import held_wrench, ModelTuple, State, Wrench
-from .model import Cup, model_tuple, Package
-from .simulation import largest_step, static_equilibrium, substeps_for
-from .tool_twist import PoseHistory
-from .tuples import apply_transposed, normalised, Quaternion, rotation_matrix, Vector
-from ..errors import BellowsError
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.integrator import advance
+from bellows_ros.core.jit import kernel
+from bellows_ros.core.kernels import held_wrench, ModelTuple, State, Wrench
+from bellows_ros.core.linearisation import largest_step, substeps_for
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.tool_twist import PoseHistory
+from bellows_ros.core.tuples import (
+    apply_transposed,
+    normalised,
+    Quaternion,
+    rotation_matrix,
+    Vector,
+)
+from bellows_ros.errors import BellowsError
 
 PAIRING_TOLERANCE_NS = 100_000
 """Stamps of a pose and a twist that differ by no more belong to one instant."""

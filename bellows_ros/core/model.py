@@ -6,11 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from . import jit
-from .kernels import (
+from bellows_ros.core import jit
+from bellows_ros.core.kernels import (
     Blocks,
     cup_wrench,
     CupTuple,
@@ -19,7 +16,9 @@ from .kernels import (
     spring_energy,
     spring_frames,
 )
-from ..errors import BellowsError
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 

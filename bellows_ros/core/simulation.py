@@ -1,47 +1,34 @@
-"""Whole simulations: static equilibrium, the package's motion under a tool motion, energies."""
+"""Whole simulations: the package under a tool motion, and the energies in it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-import math
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from .integrator import advance
-from .jit import COMPILED, kernel
-from .kernels import (
-    body_acceleration,
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.integrator import advance
+from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.kernels import (
     lip_relative_to_tool,
     ModelTuple,
     spring_energy,
     spring_frames,
     State,
 )
-from .lie import quaternion_to_rotation, rotation_to_quaternion
-from .model import Cup, model_tuple, Package, STANDARD_GRAVITY
-from .trajectory import Trajectory
-from .tuples import (
-    add,
+from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.linearisation import largest_step
+from bellows_ros.core.model import Cup, model_tuple, Package, STANDARD_GRAVITY
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.tuples import (
     apply,
-    apply_transposed,
     dot,
-    exp_quaternion,
-    quaternion_product,
     rotation_matrix,
-    scale,
-    Vector,
 )
-from ..errors import BellowsError
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-
-PHASE_PER_STEP = 0.1
-"""Largest |eigenvalue| * step (rad) of one integration step: RK4 is accurate and stable there."""
-
-_EQUILIBRIUM_LOADS = 8
-_EQUILIBRIUM_ITERATIONS = 50
 
 
 def state_row(position: ArrayLike, quaternion_xyzw: ArrayLike, twist: ArrayLike) -> State:
@@ -50,130 +37,6 @@ def state_row(position: ArrayLike, quaternion_xyzw: ArrayLike, twist: ArrayLike)
     q = [float(value) for value in np.asarray(quaternion_xyzw)]
     v = [float(value) for value in np.asarray(twist)]
     return (o[0], o[1], o[2]), (q[0], q[1], q[2], q[3]), (v[0], v[1], v[2]), (v[3], v[4], v[5])
-
-
-@kernel
-def resting_on_tool(model: ModelTuple, tool: State) -> State:
-    """Return the package at the cup's nominal pose, [B] = [S] = [E], at rest."""
-    com, l0 = model[1][1], model[0][1]
-    R = rotation_matrix(tool[1])
-    offset = apply(R, (com[0], com[1], com[2] - l0))
-    o = tool[0]
-    zero = (0.0, 0.0, 0.0)
-    return (o[0] + offset[0], o[1] + offset[1], o[2] + offset[2]), tool[1], zero, zero
-
-
-@kernel
-def displaced(body: State, delta: Vector, phi: Vector) -> State:
-    """Return the body moved by R delta and turned by exp(phi) in its own axes, at rest."""
-    move = apply(rotation_matrix(body[1]), delta)
-    o = body[0]
-    return (
-        (o[0] + move[0], o[1] + move[1], o[2] + move[2]),
-        quaternion_product(body[1], exp_quaternion(phi)),
-        body[2],
-        body[3],
-    )
-
-
-def static_equilibrium(model: ModelTuple, tool: State) -> State:
-    """
-    Return the state in which the package hangs at rest from a tool at rest (3.9).
-
-    The load is put on in steps from the nominal pose, each solved by Newton's method, so that of
-    several equilibria the one that a real cup reaches is found. It is sought in tool axes: where
-    in the world the tool is does not matter.
-
-    Raises
-    ------
-    BellowsError
-        If there is none: the cup is too soft for the package in this tool pose.
-
-    """
-    cup, package, gravity = model
-    zero = (0.0, 0.0, 0.0)
-    origin = (zero, (0.0, 0.0, 0.0, 1.0), zero, zero)
-    R_world_tool = rotation_matrix(tool[1])
-    gravity_in_tool = apply_transposed(R_world_tool, gravity)
-    body = resting_on_tool(model, origin)
-    for load in np.linspace(0.0, 1.0, _EQUILIBRIUM_LOADS + 1)[1:]:
-        loaded = (cup, package, scale(float(load), gravity_in_tool))
-        body = _newton_equilibrium(loaded, origin, body)
-    position = add(tool[0], apply(R_world_tool, body[0]))
-    return position, quaternion_product(tool[1], body[1]), zero, zero
-
-
-def _newton_equilibrium(model: ModelTuple, tool: State, body: State) -> State:
-    """Return the state near body in which its acceleration is zero."""
-    size = math.inf
-    for _ in range(_EQUILIBRIUM_ITERATIONS):
-        residual = np.array(body_acceleration(model, tool, body)).ravel()
-        jacobian = _acceleration_slope(model, tool, body)
-        try:
-            step = np.linalg.solve(jacobian, -residual)
-        except np.linalg.LinAlgError:
-            break
-        size = float(np.linalg.norm(step))
-        if not math.isfinite(size):
-            break
-        step *= min(1.0, 0.3 / max(size, 0.3))  # never further than 0.3 m or rad at once
-        body = displaced(body, tuple(step[:3].tolist()), tuple(step[3:].tolist()))
-        if size < 1e-13:
-            break
-    if size < 1e-9:  # as near as rounding lets it
-        return body
-    raise BellowsError(
-        f'No static equilibrium: the cup cannot carry {model[1][0]:g} kg in this tool pose. '
-        'Check package.mass, package.com, cup.stiffness and their units.'
-    )
-
-
-def _acceleration_slope(model: ModelTuple, tool: State, body: State, step: float = 1e-6) -> Array:
-    """Return the derivative (6, 6) of the acceleration by a displacement in body axes."""
-    columns = []
-    for delta in np.eye(6) * step:
-        ends = []
-        for sign in (1.0, -1.0):
-            move = (sign * delta).tolist()
-            moved = displaced(body, tuple(move[:3]), tuple(move[3:]))
-            ends.append(np.array(body_acceleration(model, tool, moved)).ravel())
-        columns.append((ends[0] - ends[1]) / (2.0 * step))
-    return np.array(columns).T
-
-
-def system_matrix(model: ModelTuple) -> Array:
-    """
-    Return the matrix (12, 12) of small motions about the nominal pose with the tool at rest.
-
-    The state is displacement and twist of B in its own axes; its eigenvalues are the package's
-    modes (rad/s).
-    """
-    zero = (0.0, 0.0, 0.0)
-    tool = (zero, (0.0, 0.0, 0.0, 1.0), zero, zero)
-    body = resting_on_tool(model, tool)
-    rest = np.array(body_acceleration(model, tool, body)).ravel()
-    by_twist = []
-    for twist in np.eye(6) * 1e-3:
-        moving = (body[0], body[1], tuple(twist[:3].tolist()), tuple(twist[3:].tolist()))
-        change = np.array(body_acceleration(model, tool, moving)).ravel() - rest
-        by_twist.append(change / 1e-3)
-    return np.block(
-        [
-            [np.zeros((6, 6)), np.eye(6)],
-            [_acceleration_slope(model, tool, body), np.array(by_twist).T],
-        ]
-    )
-
-
-def largest_step(model: ModelTuple) -> float:
-    """Return the longest integration step (s) that keeps RK4 accurate for the fastest mode."""
-    fastest = float(np.abs(np.linalg.eigvals(system_matrix(model))).max())
-    return PHASE_PER_STEP / fastest if fastest > 0.0 else math.inf
-
-
-def substeps_for(duration: float, longest_step: float) -> int:
-    """Return into how many integration steps a time between two tool samples is cut."""
-    return max(1, math.ceil(duration / longest_step - 1e-9))
 
 
 def tool_rows(tool: Trajectory) -> Array:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from .jit import kernel
-from .kernels import State
-from .tuples import (
+from bellows_ros.core.jit import kernel
+from bellows_ros.core.kernels import State
+from bellows_ros.core.tuples import (
     add,
     add_scaled,
     apply_transposed,
@@ -20,6 +17,8 @@ from .tuples import (
     subtract,
     Vector,
 )
+import numpy as np
+from numpy.typing import NDArray
 
 ZERO = (0.0, 0.0, 0.0)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from .jit import kernel
+from bellows_ros.core.jit import kernel
 
 Vector = tuple[float, float, float]
 Matrix = tuple[float, float, float, float, float, float, float, float, float]

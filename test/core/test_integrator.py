@@ -202,7 +202,7 @@ def test_hermite_curve_is_of_fourth_order():
 
 
 def test_package_stays_put_in_equilibrium_and_the_cup_carries_its_weight():
-    from bellows_ros.core.simulation import static_equilibrium
+    from bellows_ros.core.equilibrium import static_equilibrium
     rng = np.random.default_rng(2)
     cup, package = random_cup(rng), random_package(rng)
     model = model_tuple(cup, package, GRAVITY)

@@ -1,15 +1,17 @@
 """Simulations of whole recordings against the rig's truth, equilibria, and clear errors."""
 
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.kernels import body_acceleration
 from bellows_ros.core.lie import log_so3
-from bellows_ros.core.model import Cup, model_tuple, Package
-from bellows_ros.core.simulation import (
+from bellows_ros.core.linearisation import (
+    displaced,
     largest_step,
-    simulate,
-    state_row,
-    static_equilibrium,
+    linearise,
     substeps_for,
     system_matrix,
 )
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.simulation import simulate, state_energies, state_row
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -46,7 +48,6 @@ def test_plate_under_a_level_tool_hangs_straight_and_lengthens_the_cup():
 
 
 def test_equilibrium_of_a_tilted_tool_minimises_the_energy():
-    from bellows_ros.core.simulation import displaced, state_energies
     from scipy.optimize import minimize
     tilt = np.deg2rad(60.0)
     tool = state_row((0, 0, 0), (np.sin(tilt / 2), 0, 0, np.cos(tilt / 2)), np.zeros(6))
@@ -74,6 +75,25 @@ def test_modes_of_the_thesis_plate():
     assert_allclose(frequencies[0], np.sqrt(1.123 / 0.0173) / (2 * np.pi), rtol=1e-5)  # torsion
     axial = np.sqrt(11530 / 2.17) / (2 * np.pi)
     assert np.min(np.abs(frequencies - axial)) < 1e-3
+
+
+def test_slopes_predict_small_changes():
+    rng = np.random.default_rng(4)
+    model = model_tuple(Cup.thesis(), PLATE, 9.81)
+    tool, body = LEVEL, static_equilibrium(model, LEVEL)
+    slopes = linearise(model, tool, body)
+    d, v, e, u = 1e-5 * rng.standard_normal((4, 6))
+
+    def moved(state, pose, twist):
+        o, q, _, _ = displaced(state, tuple(pose[:3]), tuple(pose[3:]))
+        return o, q, tuple(twist[:3]), tuple(twist[3:])
+
+    ends = [
+        np.ravel(body_acceleration(model, moved(tool, s * e, s * u), moved(body, s * d, s * v)))
+        for s in (1.0, -1.0)]
+    expected = (slopes.body_pose @ d + slopes.body_twist @ v
+                + slopes.tool_pose @ e + slopes.tool_twist @ u)
+    assert_allclose((ends[0] - ends[1]) / 2, expected, rtol=1e-6, atol=1e-8)
 
 
 def test_steps_are_short_enough_for_stiff_cups():
