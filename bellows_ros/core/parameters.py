@@ -1,0 +1,582 @@
+"""
+The one table of all parameters: of both nodes, the parameter files and the command line.
+
+A 6x6 matrix is 36 numbers, row-major; an inertia is [ixx, iyy, izz, ixy, ixz, iyz]; units are SI.
+"""
+
+from array import array
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+import difflib
+import math
+from types import MappingProxyType
+from typing import Literal
+
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_array']
+Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
+Array = NDArray[np.float64]
+
+# Relative differences that are taken for rounding: of a matrix and its transpose, and of the
+# triangle inequality of principal moments, which the rounded figures of a thin plate's data sheet
+# may just miss.
+SYMMETRIC_WITHIN = 1e-9
+TRIANGLE_WITHIN = 1e-3
+
+# Diagonals of (4.78), N/m and N m/rad, and (4.79), N s/m and N m s/rad; l0 of chapter 3, m.
+THESIS_STIFFNESS = (6417.0, 6417.0, 1.153e4, 3.868, 3.868, 1.123)
+THESIS_DAMPING = (66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736)
+THESIS_LENGTH = 0.0481
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    One parameter: what it means, what it may be, and who reads it.
+
+    Parameters
+    ----------
+    name : str
+        Dotted name.
+    kind : str
+        bool, integer, double, string, double_array or string_array, as in ROS.
+    default : value or None
+        None where no default is honest: whoever needs the parameter must be given it.
+    unit : str
+        SI unit, '' where there is none.
+    description : str
+        One sentence.
+    used_by : tuple of str
+        'identifier', 'predictor'.
+    minimum, maximum : float, optional
+        Allowed range of the number, or of each number of an array; both ends are allowed.
+    above : float, optional
+        The number must be larger than this.
+    choices : tuple of str
+        The allowed strings, when not empty.
+    length : int, optional
+        How many numbers an array has.
+    required_text : bool
+        True where the empty string is refused.
+    read_only : bool
+        True where a running node cannot change it.
+    example : str
+        What to write for a parameter without a default.
+
+    """
+
+    name: str
+    kind: Kind
+    default: Value | None
+    unit: str
+    description: str
+    used_by: tuple[str, ...]
+    minimum: float | None = None
+    maximum: float | None = None
+    above: float | None = None
+    choices: tuple[str, ...] = ()
+    length: int | None = None
+    required_text: bool = False
+    read_only: bool = False
+    example: str = ''
+
+    @property
+    def constraint(self) -> str:
+        """What the value must be, in words: its kind, count, range, choices and unit."""
+        unit = f' ({self.unit})' if self.unit else ''
+        if self.choices:
+            return 'one of ' + ', '.join(self.choices)
+        return _KIND_WORDS[self.kind].format(count=self.length) + self._range() + unit
+
+    def _range(self) -> str:
+        """Return the range in words, with a leading blank, or nothing."""
+        low = [f'above {self.above:g}'] if self.above is not None else []
+        low += [f'at least {self.minimum:g}'] if self.minimum is not None else []
+        high = [f'at most {self.maximum:g}'] if self.maximum is not None else []
+        text = ' and '.join(low + high)
+        each = ' each' if self.kind == 'double_array' else ''
+        return f',{each} {text}' if text else ''
+
+
+_KIND_WORDS: Mapping[Kind, str] = MappingProxyType(
+    {
+        'bool': 'true or false',
+        'integer': 'a whole number',
+        'double': 'a number',
+        'string': 'a text',
+        'double_array': 'a list of {count} numbers',
+        'string_array': 'a list of texts',
+    }
+)
+
+
+def _diagonal(values: tuple[float, ...]) -> tuple[float, ...]:
+    """Return a diagonal matrix as a row-major tuple."""
+    return tuple(float(x) for x in np.diag(values).ravel())
+
+
+_BOTH = ('identifier', 'predictor')
+_IDENTIFIER = ('identifier',)
+_PREDICTOR = ('predictor',)
+
+_TABLE = (
+    Parameter(
+        'bags', 'string_array', (), '',
+        'Recordings to identify from: rosbag2 folders, or single .mcap or .db3 files.',
+        _IDENTIFIER,
+    ),
+    Parameter(
+        'topics.tool_pose', 'string', 'tool_arm/pose', '',
+        'Topic with the pose of the tool tip E in the world.',
+        _IDENTIFIER, required_text=True,
+    ),
+    Parameter(
+        'topics.tool_twist', 'string', '', '',
+        "Topic with the tool tip's twist; '' for none: it is then estimated from the poses.",
+        _IDENTIFIER,
+    ),
+    Parameter(
+        'topics.package_pose', 'string', 'package/pose', '',
+        'Topic with the pose of the package in the world.',
+        _IDENTIFIER, required_text=True,
+    ),
+    Parameter(
+        'recording.world', 'string', 'z_up', '',
+        'World frame of the recording: z up, or y up as Motive records it, equation (4.1).',
+        _IDENTIFIER, choices=('z_up', 'motive_y_up'),
+    ),
+    Parameter(
+        'recording.package_frame', 'string', 'com', '',
+        "Frame the package poses are of: its centre of mass B, or the cup's lip S.",
+        _IDENTIFIER, choices=('com', 'lip'),
+    ),
+    Parameter(
+        'recording.align_at_rest', 'bool', False, '',
+        'Whether turned marker frames and a lateral pick-up offset are removed by means of the '
+        'standstill at the beginning, equations (4.2)-(4.13).',
+        _IDENTIFIER,
+    ),
+    Parameter(
+        'recording.rest_duration', 'double', 1.0, 's',
+        'How long the recording stands still at its beginning; used with recording.align_at_rest.',
+        _IDENTIFIER, above=0.0, maximum=600.0,
+    ),
+    Parameter(
+        'package.mass', 'double', None, 'kg',
+        'Mass of the held package.',
+        _BOTH, above=0.0, maximum=1e4, example='2.17',
+    ),
+    Parameter(
+        'package.inertia', 'double_array', None, 'kg m^2',
+        'Inertia of the package at B, in axes of B: ixx, iyy, izz, ixy, ixz, iyz.',
+        _BOTH, minimum=-1e6, maximum=1e6, length=6,
+        example='[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
+    ),
+    Parameter(
+        'package.com', 'double_array', None, 'm',
+        "Centre of mass B in the frame S of the cup's lip; below the lip z is negative.",
+        _BOTH, minimum=-10.0, maximum=10.0, length=3, example='[0.0, 0.0, -0.03]',
+    ),
+    Parameter(
+        'cup.length', 'double', THESIS_LENGTH, 'm',
+        'Length l0 of the cup from E to S under vacuum and without load.',
+        _BOTH, above=0.0, maximum=1.0,
+    ),
+    Parameter(
+        'cup.stiffness', 'double_array', _diagonal(THESIS_STIFFNESS), 'N/m, N, N m/rad',
+        'Stiffness K of the cup, 6x6 row-major, linear first; symmetric positive definite.',
+        _BOTH, minimum=-1e9, maximum=1e9, length=36,
+    ),
+    Parameter(
+        'cup.damping', 'double_array', _diagonal(THESIS_DAMPING), 'N s/m, N s, N m s/rad',
+        'Damping P of the cup, 6x6 row-major, linear first; symmetric positive semidefinite.',
+        _BOTH, minimum=-1e9, maximum=1e9, length=36,
+    ),
+    Parameter(
+        'filter.tool.half_window', 'integer', 0, 'samples',
+        "Half window n of the filter on the tool's poses, whose window has 2 n + 1 samples; 0 "
+        'takes as many as lie in 1/12 s (30 at 360 Hz).',
+        _IDENTIFIER, minimum=0, maximum=10000,
+    ),
+    Parameter(
+        'filter.tool.order', 'integer', 6, '',
+        "Polynomial order of the filter on the tool's poses; at most 2 n.",
+        _IDENTIFIER, minimum=2, maximum=10,
+    ),
+    Parameter(
+        'filter.package.half_window', 'integer', 0, 'samples',
+        "Half window n of the filter on the package's poses, whose window has 2 n + 1 samples; 0 "
+        'takes as many as lie in 1/12 s (30 at 360 Hz).',
+        _IDENTIFIER, minimum=0, maximum=10000,
+    ),
+    Parameter(
+        'filter.package.order', 'integer', 6, '',
+        "Polynomial order of the filter on the package's poses; at most 2 n.",
+        _IDENTIFIER, minimum=2, maximum=10,
+    ),
+    Parameter(
+        'fit.method', 'string', 'least_squares', '',
+        'How the cup is fitted: weighted least squares on the wrench, section 4.3.2.',
+        _IDENTIFIER, choices=('least_squares',),
+    ),
+    Parameter(
+        'fit.structure', 'string', 'axisymmetric', '',
+        'Form of K and P: diagonal and equal laterally (4 + 4 unknowns), or full (21 + 21).',
+        _IDENTIFIER, choices=('axisymmetric', 'full'),
+    ),
+    Parameter(
+        'gravity', 'double', 9.81, 'm/s^2',
+        'Magnitude of gravity, along -z of the world.',
+        _BOTH, minimum=0.0, maximum=100.0, read_only=True,
+    ),
+    Parameter(
+        'tool_twist.frame', 'string', 'world', '',
+        "Axes of the tool tip's twist, linear and angular: the world's or the tool's own.",
+        _BOTH, choices=('world', 'tool'), read_only=True,
+    ),
+    Parameter(
+        'frames.package', 'string', 'package', '',
+        "Name of the package's frame B in what is published.",
+        _PREDICTOR, required_text=True,
+    ),
+    Parameter(
+        'frames.lip', 'string', 'cup_lip', '',
+        "Name of the frame S of the cup's lip in what is published.",
+        _PREDICTOR, required_text=True,
+    ),
+    Parameter(
+        'output.parameters', 'string', '', '',
+        "Parameter file to write the identified cup to, for the predictor; '' for none.",
+        _IDENTIFIER,
+    ),
+    Parameter(
+        'output.json', 'string', '', '',
+        "File to write the result of the fit to, as JSON; '' for none.",
+        _IDENTIFIER,
+    ),
+    Parameter(
+        'predictor', 'string', '', '',
+        "Name of a running predictor node to set the identified cup on; '' for none.",
+        _IDENTIFIER,
+    ),
+    Parameter(
+        'exit_when_done', 'bool', False, '',
+        'Whether the node identifier ends when it has finished, or stays to show its result.',
+        _IDENTIFIER,
+    ),
+)  # fmt: skip
+
+PARAMETERS: Mapping[str, Parameter] = MappingProxyType({p.name: p for p in _TABLE})
+
+# What neither node can do without and nobody can guess.
+PACKAGE_PARAMETERS = ('package.mass', 'package.inertia', 'package.com')
+
+
+def parameters_of(user: str) -> tuple[Parameter, ...]:
+    """Return the parameters that 'identifier' or 'predictor' uses, in the table's order."""
+    return tuple(p for p in _TABLE if user in p.used_by)
+
+
+def lookup(name: str) -> Parameter:
+    """
+    Return the parameter of a name.
+
+    Raises
+    ------
+    BellowsError
+        If there is none; the message names the nearest.
+
+    """
+    if name in PARAMETERS:
+        return PARAMETERS[name]
+    near = difflib.get_close_matches(name, PARAMETERS, n=1, cutoff=0.5)
+    hint = f"Did you mean '{near[0]}'?" if near else 'Known are: ' + ', '.join(PARAMETERS) + '.'
+    raise BellowsError(f"Unknown parameter '{_short(name)}'. {hint}")
+
+
+def validate(name: str, value: object) -> Value:
+    """
+    Check one value and return it in its normal form.
+
+    Parameters
+    ----------
+    name : str
+        Dotted name of the table.
+    value : object
+        From YAML, ROS or Python; integers are taken for doubles, arrays may be lists, tuples or
+        1-D NumPy arrays.
+
+    Returns
+    -------
+    bool, int, float, str, or tuple of float or str
+
+    Raises
+    ------
+    BellowsError
+        If the name is unknown or the value is not allowed, with the reason.
+
+    """
+    parameter = lookup(name)
+    normal = _CONVERTERS[parameter.kind](parameter, value)
+    if name in _PHYSICAL:
+        _PHYSICAL[name](parameter, normal)
+    return normal
+
+
+def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[str, Value]:
+    """
+    Check all values and fill in the defaults.
+
+    Parameters
+    ----------
+    values : mapping
+        Dotted name to value.
+    required : names, optional
+        Those that must be given because they have no default, `PACKAGE_PARAMETERS` for instance.
+
+    Returns
+    -------
+    dict
+        Every parameter of the table in the table's order, without those that have no default and
+        were not given.
+
+    Raises
+    ------
+    BellowsError
+        For an unknown name, a value that is not allowed, or a required parameter that is missing.
+
+    """
+    given = {name: validate(name, value) for name, value in values.items()}
+    _require(given, required)
+    filled = {p.name: given.get(p.name, p.default) for p in _TABLE}
+    resolved = {name: value for name, value in filled.items() if value is not None}
+    for body in ('tool', 'package'):
+        _check_window(resolved, f'filter.{body}')
+    return resolved
+
+
+def matrix(values: ArrayLike) -> Array:
+    """Return 36 numbers, row-major, as a 6x6 matrix."""
+    return np.array(values, dtype=np.float64).reshape(6, 6)
+
+
+def inertia_matrix(values: ArrayLike) -> Array:
+    """Return [ixx, iyy, izz, ixy, ixz, iyz] as a symmetric 3x3 matrix."""
+    xx, yy, zz, xy, xz, yz = np.array(values, dtype=np.float64)
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def require_stiffness(stiffness: Array) -> None:
+    """
+    Refuse a 6x6 matrix that is not symmetric positive definite.
+
+    Raises
+    ------
+    BellowsError
+        With the smallest eigenvalue.
+
+    """
+    smallest, rounding = _smallest_eigenvalue(PARAMETERS['cup.stiffness'], stiffness)
+    if smallest <= rounding:
+        raise BellowsError(
+            'cup.stiffness is not positive definite: its smallest eigenvalue is '
+            f'{smallest:.6g}, it must be above zero or the cup would not hold the package. '
+            'Check signs and rows, or identify it again.'
+        )
+
+
+def require_damping(damping: Array) -> None:
+    """
+    Refuse a 6x6 matrix that is not symmetric positive semidefinite.
+
+    Raises
+    ------
+    BellowsError
+        With the smallest eigenvalue.
+
+    """
+    smallest, rounding = _smallest_eigenvalue(PARAMETERS['cup.damping'], damping)
+    if smallest < -rounding:
+        raise BellowsError(
+            'cup.damping is not positive semidefinite: its smallest eigenvalue is '
+            f'{smallest:.6g}, it must not be below zero or the cup would create energy. '
+            'Check signs and rows, or identify it again.'
+        )
+
+
+def _refuse(parameter: Parameter, got: str) -> BellowsError:
+    """Return the error for a value that is not what the parameter must be."""
+    return BellowsError(
+        f'{parameter.name} must be {parameter.constraint}, got {got}. {parameter.description}'
+    )
+
+
+def _short(value: object) -> str:
+    """Return a value in at most 80 characters, printable."""
+    text = value if isinstance(value, str) else repr(value)
+    text = ''.join(c if c.isprintable() else '?' for c in text[:81])
+    return text if len(text) <= 80 else text[:77] + '...'
+
+
+def _to_bool(parameter: Parameter, value: object) -> Value:
+    """Return a truth value."""
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    raise _refuse(parameter, _short(value))
+
+
+def _to_integer(parameter: Parameter, value: object) -> Value:
+    """Return an integer in range."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise _refuse(parameter, _short(value))
+    return int(_in_range(parameter, int(value), ''))
+
+
+def _to_double(parameter: Parameter, value: object) -> Value:
+    """Return a finite float in range."""
+    return _number(parameter, value, '')
+
+
+def _to_string(parameter: Parameter, value: object) -> Value:
+    """Return a text, one of the choices where there are any."""
+    text = _text(parameter, value)
+    if parameter.choices and text not in parameter.choices:
+        raise _refuse(parameter, f"'{_short(text)}'")
+    if parameter.required_text and not text:
+        raise BellowsError(f'{parameter.name} is empty. {parameter.description}')
+    return text
+
+
+def _to_doubles(parameter: Parameter, value: object) -> Value:
+    """Return a tuple of finite floats of the right count, each in range."""
+    items = _items(parameter, value)
+    if len(items) != parameter.length:
+        raise _refuse(parameter, f'{len(items)} of them')
+    return tuple(_number(parameter, x, f' at index {i}') for i, x in enumerate(items))
+
+
+def _to_strings(parameter: Parameter, value: object) -> Value:
+    """Return a tuple of non-empty texts."""
+    texts = tuple(_text(parameter, x) for x in _items(parameter, value))
+    if not all(texts):
+        raise _refuse(parameter, f'an empty text at index {texts.index("")}')
+    return texts
+
+
+_CONVERTERS: Mapping[Kind, Callable[[Parameter, object], Value]] = MappingProxyType(
+    {
+        'bool': _to_bool,
+        'integer': _to_integer,
+        'double': _to_double,
+        'string': _to_string,
+        'double_array': _to_doubles,
+        'string_array': _to_strings,
+    }
+)
+
+
+def _items(parameter: Parameter, value: object) -> list[object]:
+    """Return the items of a list, a tuple or a one-dimensional array."""
+    if isinstance(value, np.ndarray) and value.ndim == 1:
+        return list(value.tolist())
+    if isinstance(value, list | tuple | array):
+        return list(value)
+    raise _refuse(parameter, _short(value))
+
+
+def _text(parameter: Parameter, value: object) -> str:
+    """Return a text without control characters, which no file, topic or frame has in its name."""
+    if not isinstance(value, str):
+        raise _refuse(parameter, f'{_short(value)} ({type(value).__name__})')
+    if any(ord(c) < 32 or ord(c) == 127 for c in value):
+        raise _refuse(parameter, f"a control character in '{_short(value)}'")
+    return value
+
+
+def _number(parameter: Parameter, value: object, where: str) -> float:
+    """Return a finite float in range; a truth value is no number."""
+    is_number = isinstance(value, int | float | np.integer | np.floating)
+    if isinstance(value, bool) or not is_number:
+        raise _refuse(parameter, f'{_short(value)} ({type(value).__name__}){where}')
+    return float(_in_range(parameter, value, where))  # type: ignore[arg-type]
+
+
+def _in_range(parameter: Parameter, value: float, where: str) -> float:
+    """Return a finite number in the parameter's range."""
+    low = -math.inf if parameter.minimum is None else parameter.minimum
+    high = math.inf if parameter.maximum is None else parameter.maximum
+    above = -math.inf if parameter.above is None else parameter.above
+    try:
+        fits = math.isfinite(value) and low <= value <= high and value > above
+    except OverflowError:  # an integer no double can hold
+        fits = False
+    if not fits:
+        raise _refuse(parameter, f'{_short(value)}{where}')
+    return value
+
+
+def _require(given: Mapping[str, object], required: Iterable[str]) -> None:
+    """Refuse missing required parameters, all in one message that shows what to set."""
+    missing = [lookup(name) for name in required if name not in given]
+    if missing:
+        lines = [f'  {p.name}: {p.example}  # {p.unit}; {p.description}' for p in missing]
+        names = ', '.join(p.name for p in missing)
+        raise BellowsError(
+            f'Not set, and without a default: {names}. '
+            'Set in the parameter file or on the command line, for example:\n' + '\n'.join(lines)
+        )
+
+
+def _check_window(values: Mapping[str, Value], prefix: str) -> None:
+    """Refuse a polynomial with more coefficients than its window has samples."""
+    half_window, order = values[f'{prefix}.half_window'], values[f'{prefix}.order']
+    if isinstance(half_window, int) and isinstance(order, int) and 0 < 2 * half_window < order:
+        raise BellowsError(
+            f'{prefix}.order is {order}, but a window of {2 * half_window + 1} samples '
+            f'({prefix}.half_window {half_window}) determines at most order {2 * half_window}. '
+            'Widen the window or lower the order.'
+        )
+
+
+def _smallest_eigenvalue(parameter: Parameter, values: Array) -> tuple[float, float]:
+    """Return the smallest eigenvalue of a symmetric matrix and the size of its rounding error."""
+    scale = float(np.max(np.abs(values)))
+    asymmetry = np.abs(values - values.T)
+    row, column = (int(i) for i in np.unravel_index(int(np.argmax(asymmetry)), values.shape))
+    if asymmetry[row, column] > SYMMETRIC_WITHIN * scale:
+        raise BellowsError(
+            f'{parameter.name} is not symmetric: row {row + 1}, column {column + 1} is '
+            f'{values[row, column]:.9g}, row {column + 1}, column {row + 1} is '
+            f'{values[column, row]:.9g}. Give the same number to both, row by row.'
+        )
+    smallest = float(np.linalg.eigvalsh(values)[0])
+    return smallest, len(values) * float(np.finfo(np.float64).eps) * scale
+
+
+def _check_inertia(parameter: Parameter, value: Value) -> None:
+    """Refuse an inertia that no body can have: its moments break the triangle inequality."""
+    moments = np.linalg.eigvalsh(inertia_matrix(value))
+    shown = ', '.join(f'{m:.6g}' for m in moments)
+    if moments[0] <= 0.0:
+        raise BellowsError(
+            f'No body has this package.inertia: its principal moments are {shown} kg m^2, '
+            'all must be above zero. Check the order ixx, iyy, izz, ixy, ixz, iyz.'
+        )
+    if moments[0] + moments[1] < moments[2] * (1.0 - TRIANGLE_WITHIN):
+        raise BellowsError(
+            f'No body has this package.inertia: its principal moments are {shown} kg m^2, '
+            'but the largest is at most the sum of the other two. '
+            'Check units (kg m^2) and the order ixx, iyy, izz, ixy, ixz, iyz.'
+        )
+
+
+_PHYSICAL: Mapping[str, Callable[[Parameter, Value], None]] = MappingProxyType(
+    {
+        'package.inertia': _check_inertia,
+        'cup.stiffness': lambda _, value: require_stiffness(matrix(value)),
+        'cup.damping': lambda _, value: require_damping(matrix(value)),
+    }
+)

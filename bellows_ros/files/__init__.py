@@ -1,0 +1,1 @@
+"""Files in, core types out: recordings, parameter files and results."""

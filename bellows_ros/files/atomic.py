@@ -1,0 +1,183 @@
+"""
+Output that is written whole or not at all: beside its place, then renamed into it.
+
+A process that is killed leaves the old output, or none, and at most a hidden file or folder whose
+name begins with '.bellows-' beside it.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+import os
+from pathlib import Path
+import secrets
+import shutil
+import stat
+
+from bellows_ros.errors import BellowsError
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a text file in UTF-8, whole or not at all; see `write_bytes`."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
+    """
+    Write a file, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        An existing file is replaced and its permissions are kept; of a link, the file it leads to.
+    data : bytes
+        The whole content.
+
+    Raises
+    ------
+    BellowsError
+        If it cannot be written; what was there is untouched.
+
+    """
+    target = require_file_target(path)
+    beside = target.with_name(_hidden_name())
+    try:
+        _write_synced(beside, data, _permissions(target))
+        os.replace(beside, target)
+        _sync(target.parent)
+    except OSError as error:
+        raise _failed(path, error) from None
+    finally:
+        with suppress(OSError):
+            beside.unlink()
+
+
+def require_file_target(path: str | os.PathLike[str]) -> Path:
+    """
+    Return where a file will be written, before any work is put into its content.
+
+    Raises
+    ------
+    BellowsError
+        If its folder does not exist, or something that is no plain file is in its place.
+
+    """
+    try:
+        target = Path(path).resolve()
+        taken = target.exists() and not target.is_file()
+        no_folder = not target.parent.is_dir()
+    except (OSError, ValueError, RuntimeError) as error:
+        raise _failed(path, error) from None
+    if taken:
+        raise BellowsError(f"Output '{path}' is not a plain file. Give another name.")
+    if no_folder:
+        raise _no_folder(path, target)
+    return target
+
+
+@contextmanager
+def new_folder(path: str | os.PathLike[str], replace: bool = False) -> Iterator[Path]:
+    """
+    Provide a place for a folder that appears under its name only when it is complete.
+
+    Parameters
+    ----------
+    path : path
+        The folder to be.
+    replace : bool
+        Whether a folder that is there may be replaced. The caller makes sure that it is one it may
+        delete.
+
+    Yields
+    ------
+    Path
+        Does not exist yet and has the same last name; the caller makes the folder there.
+
+    Raises
+    ------
+    BellowsError
+        If something is there and may not be replaced, or the folder cannot be written.
+
+    """
+    target = _folder_target(path, replace)
+    try:
+        work = target.with_name(_hidden_name())
+        work.mkdir()
+        try:
+            yield work / target.name
+            _sync_all(work / target.name)
+            _move_into_place(work, target, replace)
+        finally:
+            shutil.rmtree(work, ignore_errors=True)
+    except OSError as error:
+        raise _failed(path, error) from None
+
+
+def _folder_target(path: str | os.PathLike[str], replace: bool) -> Path:
+    """Return where a folder goes."""
+    target = Path(os.path.abspath(path))
+    if os.path.lexists(target) and not (replace and target.is_dir() and not target.is_symlink()):
+        raise BellowsError(f"Output '{path}' exists. Give another name, or remove it first.")
+    if not target.parent.is_dir():
+        raise _no_folder(path, target)
+    return target
+
+
+def _move_into_place(work: Path, target: Path, replace: bool) -> None:
+    """Rename the finished folder; one that is replaced is moved away just before."""
+    if replace and target.exists():
+        os.rename(target, work / 'replaced')
+    elif os.path.lexists(target):
+        raise FileExistsError(f"'{target}' has appeared in the meantime")
+    os.rename(work / target.name, target)
+    _sync(target.parent)
+
+
+def _no_folder(path: str | os.PathLike[str], target: Path) -> BellowsError:
+    """Return the error for output into a folder that is not there."""
+    return BellowsError(
+        f"Output '{path}': folder '{target.parent}' does not exist. Make it first."
+    )
+
+
+def _hidden_name() -> str:
+    """Return a name nobody else uses."""
+    return f'.bellows-{secrets.token_hex(8)}.tmp'
+
+
+def _permissions(target: Path) -> int | None:
+    """Return the permissions of a file that is there; None where there is none."""
+    return stat.S_IMODE(target.stat().st_mode) if target.exists() else None
+
+
+def _write_synced(path: Path, data: bytes, permissions: int | None) -> None:
+    """Write a new file down to the disk; without permissions it gets those of any new file."""
+    with path.open('xb') as file:
+        if permissions is not None:
+            os.fchmod(file.fileno(), permissions)
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync(path: Path) -> None:
+    """Bring a file or a folder's names to the disk, where the file system can."""
+    with suppress(OSError):
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _sync_all(folder: Path) -> None:
+    """Bring a folder and its files to the disk."""
+    for path in [*folder.rglob('*'), folder]:
+        _sync(path)
+
+
+def _failed(path: str | os.PathLike[str], error: Exception) -> BellowsError:
+    """Return the error for output that cannot be written."""
+    reason = getattr(error, 'strerror', None) or str(error)
+    return BellowsError(
+        f"Output '{os.fspath(path)!s}' cannot be written: {reason}. Nothing was changed."
+    )

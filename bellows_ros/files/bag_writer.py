@@ -1,0 +1,183 @@
+"""
+Writing rosbag2 recordings of poses and twists, whole or not at all.
+
+The same content, name and rosbags version give the same bytes.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+import heapq
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import atomic, cdr
+from bellows_ros.files.bag_folder import METADATA
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
+
+STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
+# 'chunk' is compression inside an MCAP file; 'message' and 'file' are rosbag2's own.
+COMPRESSIONS = {
+    'none': CompressionMode.NONE,
+    'message': CompressionMode.MESSAGE,
+    'file': CompressionMode.FILE,
+    'chunk': CompressionMode.STORAGE,
+}
+_VERSION: Literal[9] = 9  # of metadata.yaml, as ROS 2 Jazzy writes it
+_BATCH = 8192
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """
+    Messages to record on one topic.
+
+    Parameters
+    ----------
+    topic : str
+    type_name : str
+        One of `cdr.LAYOUTS`, for instance 'geometry_msgs/msg/PoseStamped'.
+    stamps_ns : int array (N,)
+        Header stamps, ns; any order.
+    values : array (N, 7), (N, 6) or (N, 13)
+        Poses as x, y, z and the quaternion (x, y, z, w); twists as linear, angular; Odometry has
+        both, pose first. Any numbers: faults can be recorded too. Covariances are zero.
+    frame_id, child_frame_id : str
+        The child's only for TransformStamped and Odometry.
+    log_times_ns : int array (N,), optional
+        When each message was received, ns; as stamped when left out. Messages are recorded in this
+        order.
+
+    """
+
+    topic: str
+    type_name: str
+    stamps_ns: NDArray[np.int64]
+    values: NDArray[np.float64]
+    frame_id: str = 'world'
+    child_frame_id: str = ''
+    log_times_ns: NDArray[np.int64] | None = None
+
+    def __post_init__(self) -> None:
+        """Check shapes and ranges."""
+        if self.type_name not in cdr.LAYOUTS:
+            known = ', '.join(cdr.LAYOUTS)
+            raise BellowsError(f"Type '{self.type_name}' cannot be recorded; {known} can.")
+        width = _width(cdr.LAYOUTS[self.type_name])
+        count = len(self.stamps_ns)
+        logged = count if self.log_times_ns is None else len(self.log_times_ns)
+        if np.shape(self.values) != (count, width) or logged != count:
+            raise BellowsError(
+                f"Topic '{self.topic}' has {count} stamps and {logged} log times; "
+                f'values must be {count} x {width}, not {np.shape(self.values)}.'
+            )
+        if count and (np.min(self.stamps_ns) < 0 or np.min(self._log_times()) < 0):
+            raise BellowsError(f"Topic '{self.topic}' has times before 1970.")
+
+    def _log_times(self) -> NDArray[np.int64]:
+        """Return when each message was received, ns."""
+        return np.asarray(self.stamps_ns if self.log_times_ns is None else self.log_times_ns)
+
+    def messages(self, number: int) -> Iterator[tuple[int, int, bytes]]:
+        """Yield log time, the given number and bytes of each message, by log time."""
+        log_times = self._log_times()
+        order = np.argsort(log_times, kind='stable')
+        layout = cdr.LAYOUTS[self.type_name]
+        names = (self.frame_id, self.child_frame_id)[: layout.strings]
+        for start in range(0, len(order), _BATCH):
+            part = order[start:start + _BATCH]
+            stamps_ns, values = np.asarray(self.stamps_ns)[part], np.asarray(self.values)[part]
+            for i, data in zip(part, cdr.encode(stamps_ns, values, names, layout), strict=True):
+                yield int(log_times[i]), number, data
+
+
+def write_bag(
+    path: str | os.PathLike[str],
+    recorded: Sequence[Recorded],
+    storage: str = 'mcap',
+    compression: str = 'none',
+    replace: bool = False,
+) -> None:
+    """
+    Write a recording.
+
+    Parameters
+    ----------
+    path : path
+        Folder to make.
+    recorded : sequence of Recorded
+        Several may share a topic of one type.
+    storage : str
+        'mcap' or 'sqlite3'.
+    compression : str
+        'none', 'message' or 'file' (zstd as rosbag2 does it), or 'chunk' (zstd inside an MCAP
+        file).
+    replace : bool
+        Whether a recording that is there may be replaced.
+
+    Raises
+    ------
+    BellowsError
+        If there is nothing to record, the choice is unknown, or something is in the way.
+
+    """
+    _require_choices(storage, compression)
+    if not any(len(r.stamps_ns) for r in recorded):
+        raise BellowsError(f"Recording '{path}' would be empty. Give messages to record.")
+    if replace:
+        _require_replaceable(Path(path))
+    with atomic.new_folder(path, replace) as folder:
+        writer = Writer(folder, version=_VERSION, storage_plugin=STORAGES[storage])
+        writer.set_compression(COMPRESSIONS[compression], CompressionFormat.ZSTD)
+        with writer:
+            connections = _connections(writer, recorded)
+            streams = [r.messages(number) for number, r in enumerate(recorded)]
+            for log_time_ns, number, data in heapq.merge(*streams, key=lambda m: m[:2]):
+                writer.write(connections[number], log_time_ns, data)
+
+
+def _width(layout: cdr.Layout) -> int:
+    """Return how many numbers a message has without covariances."""
+    parts = [part for part in (layout.pose, layout.twist) if part]
+    return sum(part.stop - part.start for part in parts)
+
+
+def _require_choices(storage: str, compression: str) -> None:
+    """Refuse an unknown storage or compression, and chunks where there are none."""
+    if storage not in STORAGES or compression not in COMPRESSIONS:
+        raise BellowsError(
+            f"Storage '{storage}' with compression '{compression}' is not known; storages are "
+            f'{", ".join(STORAGES)}, compressions {", ".join(COMPRESSIONS)}.'
+        )
+    if storage == 'sqlite3' and compression == 'chunk':
+        raise BellowsError("SQLite has no chunks to compress; use 'message' or 'file', or mcap.")
+
+
+def _require_replaceable(folder: Path) -> None:
+    """Refuse to replace what is not a recording and nothing else."""
+    if not folder.is_dir():
+        return
+    names = [p.name for p in folder.iterdir()]
+    strange = [n for n in names if n != METADATA and not n.endswith(('.mcap', '.db3', '.zstd'))]
+    if strange or METADATA not in names:
+        held = f"it holds '{strange[0]}'" if strange else f'it has no {METADATA}'
+        raise BellowsError(
+            f"Folder '{folder}' is not replaced because it is not just a recording: {held}. "
+            'Give another name, or remove it first.'
+        )
+
+
+def _connections(writer: Writer, recorded: Sequence[Recorded]) -> list[Connection]:
+    """Add the topics to a recording, each once."""
+    types: Any = get_typestore(Stores.ROS2_JAZZY)
+    made: dict[tuple[str, str], Connection] = {}
+    for r in recorded:
+        key = (r.topic, r.type_name)
+        if key not in made:
+            made[key] = writer.add_connection(r.topic, r.type_name, typestore=types)
+    return [made[r.topic, r.type_name] for r in recorded]

@@ -1,0 +1,319 @@
+"""
+Reading rosbag2 recordings: SQLite and MCAP, plain and zstd, by folder or by file.
+
+Files are not trusted: sizes are bounded, and whatever is wrong with one is a BellowsError that
+says what to do.
+"""
+
+from array import array
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+import os
+from pathlib import Path
+import shutil
+import tempfile
+from typing import BinaryIO, NamedTuple
+
+from bellows_ros.core.trajectory import PoseStream, TwistStream
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import cdr, mcap, sqlite_storage, streams
+from bellows_ros.files.bag_folder import storage_files
+from bellows_ros.files.compression import open_plain, unzstd, ZSTD_MAGIC, ZstdError
+from bellows_ros.files.storage import DamagedError, Message, Topic, Wanted
+import numpy as np
+
+# A recording of a topic may have so many messages: five hours at 500 Hz, some 1 GB once read.
+LARGEST_COUNT = 10_000_000
+# A compressed SQLite file is decompressed beside the system's temporary files, up to this size.
+LARGEST_TEMPORARY = 16 * 2**30
+
+_BATCH = 8192
+_COPY_STEP = 2**20
+_LARGEST_INT64 = 2**63 - 1
+
+Stream = PoseStream | TwistStream
+
+
+class TopicCount(NamedTuple):
+    """A topic of a recording: name, type and number of messages."""
+
+    name: str
+    type_name: str
+    messages: int
+
+
+def topics(path: str | os.PathLike[str]) -> list[TopicCount]:
+    """
+    Return the topics of a recording, by name.
+
+    Parameters
+    ----------
+    path : path
+        rosbag2 folder, or a bare .mcap or .db3 file.
+
+    Raises
+    ------
+    BellowsError
+        If there is no such recording, or it is damaged.
+
+    """
+    counts: dict[Topic, int] = {}
+    for _ in _messages(Path(path), lambda topic: False, counts):
+        pass
+    return sorted(TopicCount(t.name, t.type_name, n) for t, n in counts.items())
+
+
+def read_streams(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> dict[str, Stream]:
+    """
+    Read the streams of a recording.
+
+    Parameters
+    ----------
+    path : path
+        rosbag2 folder, or a bare .mcap or .db3 file.
+    wanted : mapping of role to topic
+        A role ending in 'twist' is read as twists, any other as poses. Topics are those of the
+        recording; a leading '/' may be left out. A role whose topic is '' is left out of the
+        result.
+
+    Returns
+    -------
+    dict of role to PoseStream or TwistStream
+        Poses from PoseStamped, PoseWithCovarianceStamped, TransformStamped and Odometry; twists
+        from TwistStamped and Odometry, whose twists are in the axes of its child frame. Stamps are
+        those of the headers. What was left out is in `refused`, with indices into the topic's
+        messages in the order they were recorded in.
+
+    Raises
+    ------
+    BellowsError
+        If there is no such recording, it is damaged, lacks a topic, or a topic has another type or
+        nothing usable.
+
+    """
+    bag = Path(path)
+    names = {role: _absolute(topic) for role, topic in wanted.items() if topic}
+    collectors = {role: _Collector(name, role) for role, name in names.items()}
+    counts: dict[Topic, int] = {}
+    for message in _messages(bag, _chooser(collectors), counts):
+        for collector in collectors.values():
+            if collector.accepts(message.topic):
+                collector.add(message)
+    _require_messages(bag, counts)
+    return {role: _stream(bag, counts, collector) for role, collector in collectors.items()}
+
+
+def _absolute(topic: str) -> str:
+    """Return a topic's name as a recording has it."""
+    return topic if topic.startswith('/') else f'/{topic}'
+
+
+def accepted_types(role: str) -> tuple[str, ...]:
+    """Return the message types a role can be read from."""
+    twists = role.endswith('twist')
+    return tuple(name for name, x in cdr.LAYOUTS.items() if (x.twist if twists else x.pose))
+
+
+def _chooser(collectors: Mapping[str, '_Collector']) -> Wanted:
+    """Return the function that picks the topics to read."""
+    return lambda topic: any(c.accepts(topic) for c in collectors.values())
+
+
+class _Collector:
+    """The messages of one topic, decoded in batches as they come."""
+
+    def __init__(self, name: str, role: str) -> None:
+        """Start with nothing."""
+        self.name = name
+        self.role = role
+        self.type_name = ''
+        self.types = accepted_types(role)
+        self._log_times = array('q')
+        self._batch: list[bytes] = []
+        self._decoded: list[cdr.Decoded] = []
+
+    def accepts(self, topic: Topic) -> bool:
+        """Return whether a topic is this one, in a type and an encoding that can be read."""
+        return (
+            topic.name == self.name and topic.type_name in self.types and topic.encoding == 'cdr'
+        )
+
+    def add(self, message: Message) -> None:
+        """Take one message."""
+        if self.type_name not in ('', message.topic.type_name):
+            raise BellowsError(
+                f"Topic '{self.name}' has messages of two types, {self.type_name} and "
+                f'{message.topic.type_name}. Record them under two names.'
+            )
+        if len(self._log_times) == LARGEST_COUNT:
+            raise BellowsError(
+                f"Topic '{self.name}' has more than {LARGEST_COUNT} messages. "
+                'Give a part of the recording.'
+            )
+        self.type_name = message.topic.type_name
+        self._log_times.append(max(0, min(message.log_time_ns, _LARGEST_INT64)))
+        self._batch.append(_plain(message.data))
+        if len(self._batch) == _BATCH:
+            self._flush()
+
+    def decoded(self) -> cdr.Decoded:
+        """Return all messages, in the order they were recorded in."""
+        self._flush()
+        frames, frame = _joined_frames(self._decoded)
+        stamps_ns = np.concatenate([d.stamps_ns for d in self._decoded])
+        values = np.concatenate([d.values for d in self._decoded])
+        log_times = np.array(self._log_times)
+        if np.all(log_times[1:] >= log_times[:-1]):
+            return cdr.Decoded(stamps_ns, values, frame, frames)
+        order = np.argsort(log_times, kind='stable')
+        return cdr.Decoded(stamps_ns[order], values[order], frame[order], frames)
+
+    def _flush(self) -> None:
+        """Decode what has come."""
+        layout = cdr.LAYOUTS[self.type_name]
+        part = layout.twist if self.role.endswith('twist') else layout.pose
+        if self._batch and part:
+            self._decoded.append(cdr.decode(self._batch, layout, part))
+            self._batch = []
+
+
+def _plain(data: bytes) -> bytes:
+    """Return a message's plain bytes; none where they cannot be had, which is counted later."""
+    if not data.startswith(ZSTD_MAGIC):
+        return data if len(data) <= cdr.LARGEST_MESSAGE else b''
+    try:
+        return unzstd(data, cdr.LARGEST_MESSAGE)
+    except BellowsError:
+        return b''
+
+
+def _joined_frames(parts: list[cdr.Decoded]) -> tuple[list[tuple[str, ...]], cdr.Indices]:
+    """Return the frames of all parts, numbered through, and each message's number."""
+    numbers: dict[tuple[str, ...], int] = {}
+    joined = []
+    for part in parts:
+        of_part = [numbers.setdefault(names, len(numbers)) for names in part.frames]
+        joined.append(np.array([*of_part, -1])[part.frame])
+    return list(numbers), np.concatenate(joined)
+
+
+def _stream(bag: Path, counts: Mapping[Topic, int], collector: _Collector) -> Stream:
+    """Return the stream of a topic, which must have usable messages."""
+    _require_topic(bag, counts, collector)
+    decoded = collector.decoded()
+    stream: Stream
+    if collector.role.endswith('twist'):
+        in_child = cdr.LAYOUTS[collector.type_name].strings > 1
+        stream = streams.twist_stream(collector.name, decoded, in_child)
+    else:
+        stream = streams.pose_stream(collector.name, decoded)
+    if not len(stream):
+        raise BellowsError(
+            f"Topic '{collector.name}' in recording '{bag}' has no usable message. "
+            f'Of {len(decoded.stamps_ns)}: {streams.describe(stream.refused)}. '
+            'Check what publishes it, and record again.'
+        )
+    return stream
+
+
+def _require_messages(bag: Path, counts: Mapping[Topic, int]) -> None:
+    """Refuse a recording without messages."""
+    if not any(counts.values()):
+        raise BellowsError(
+            f"Recording '{bag}' is empty: it has {len(counts)} topics and no message. "
+            'Record while the topics are published.'
+        )
+
+
+def _require_topic(bag: Path, counts: Mapping[Topic, int], collector: _Collector) -> None:
+    """Refuse a topic that is not there, is of another type, or has no messages."""
+    accepted = ', '.join(collector.types)
+    here = [topic for topic in counts if topic.name == collector.name]
+    readable = [topic for topic in here if collector.accepts(topic)]
+    if not here:
+        raise BellowsError(
+            f"Topic '{collector.name}' is not in recording '{bag}'; "
+            f'{_alternatives(counts, collector)}. Set topics.{collector.role}.'
+        )
+    if not readable:
+        got = ', '.join(sorted({f'{t.type_name} in {t.encoding}' for t in here}))
+        raise BellowsError(
+            f"Topic '{collector.name}' in recording '{bag}' is of type {got}; "
+            f'accepted are {accepted}, in cdr. '
+            f'For topics.{collector.role}, {_alternatives(counts, collector)}.'
+        )
+    if not any(counts[topic] for topic in readable):
+        raise BellowsError(
+            f"Topic '{collector.name}' in recording '{bag}' has no messages. "
+            'Record while it is published.'
+        )
+
+
+def _alternatives(counts: Mapping[Topic, int], collector: _Collector) -> str:
+    """Return which topics of a recording could be meant."""
+    fitting = sorted({t.name for t in counts if t.type_name in collector.types})
+    if fitting:
+        return 'topics of a fitting type there: ' + ', '.join(fitting)
+    others = sorted(f'{t.name} ({t.type_name})' for t in counts)
+    return 'no topic there is of a fitting type; there are: ' + (', '.join(others) or 'none')
+
+
+def _messages(bag: Path, wanted: Wanted, counts: dict[Topic, int]) -> Iterator[Message]:
+    """Yield the wanted messages of all files of a recording, file by file."""
+    for path in storage_files(bag):
+        try:
+            yield from _file_messages(path, wanted, counts)
+        except DamagedError as error:
+            raise BellowsError(
+                f"File '{path}' cannot be read as a recording: {error}. "
+                'Give a sound copy, or record again.'
+            ) from None
+        except (ZstdError, EOFError) as error:
+            raise BellowsError(
+                f"File '{path}' is damaged or truncated: {error}. "
+                'Give a sound copy, or record again.'
+            ) from None
+        except OSError as error:
+            raise BellowsError(f"File '{path}' cannot be read: {error}.") from None
+
+
+def _file_messages(path: Path, wanted: Wanted, counts: dict[Topic, int]) -> Iterator[Message]:
+    """Yield the wanted messages of a file; its first bytes tell its storage and compression."""
+    with open_plain(path) as (file, compressed):
+        magic = file.read(len(sqlite_storage.MAGIC))
+        file.seek(0)
+        if magic.startswith(mcap.MAGIC):
+            yield from mcap.scan(file, wanted, counts)
+        elif magic == sqlite_storage.MAGIC:
+            with _on_disk(path, file, compressed) as plain:
+                yield from sqlite_storage.scan(plain, wanted, counts)
+        elif not magic:
+            raise DamagedError('it is empty')
+        else:
+            raise DamagedError('it is neither an MCAP nor an SQLite file')
+
+
+@contextmanager
+def _on_disk(path: Path, file: BinaryIO, compressed: bool) -> Iterator[Path]:
+    """Provide the path of a file's plain content, decompressed where it must be."""
+    if not compressed:
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix='bellows_') as folder:
+        plain = Path(folder) / path.stem
+        _copy(file, plain)
+        yield plain
+
+
+def _copy(file: BinaryIO, plain: Path) -> None:
+    """Write a file's content, as far as half of the free space allows."""
+    left = min(LARGEST_TEMPORARY, shutil.disk_usage(plain.parent).free // 2)
+    with plain.open('wb') as out:
+        while piece := file.read(_COPY_STEP):
+            left -= len(piece)
+            if left < 0:
+                raise DamagedError(
+                    f'decompressed it is too large for {plain.parent.parent}. '
+                    "Decompress it with 'zstd -d' where there is space, and give that file"
+                )
+            out.write(piece)

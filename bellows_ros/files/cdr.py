@@ -1,0 +1,252 @@
+"""
+Decoding of the stamped messages of poses and twists from CDR, many at once.
+
+These messages are a header, one or two strings, and a fixed row of doubles; messages whose first
+bytes and strings agree therefore lie in memory as one array. Everything else about CDR is not
+needed here.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import struct
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+Indices = NDArray[np.int64]
+
+# A stamped pose or twist is at most this long; longer ones are not decoded.
+LARGEST_MESSAGE = 4096
+
+_STAMP_AT, _STRINGS_AT = 4, 12
+_LARGEST_PADDING = 3  # at the end, to a multiple of four
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Layout:
+    """
+    What follows the stamp of a message type.
+
+    Parameters
+    ----------
+    strings : int
+        Number of frame names.
+    doubles : int
+        Number of doubles after them.
+    pose : slice or None
+        Where among the doubles x, y, z and the quaternion (x, y, z, w) are.
+    twist : slice or None
+        Where among the doubles the linear and the angular velocity are.
+
+    """
+
+    strings: int
+    doubles: int
+    pose: slice | None = None
+    twist: slice | None = None
+
+
+_POSE, _TWIST, _COVARIANCE = 7, 6, 36
+_SECOND = _POSE + _COVARIANCE
+
+LAYOUTS: Mapping[str, Layout] = MappingProxyType(
+    {
+        'geometry_msgs/msg/PoseStamped': Layout(1, _POSE, pose=slice(0, 7)),
+        'geometry_msgs/msg/PoseWithCovarianceStamped': Layout(1, _SECOND, pose=slice(0, 7)),
+        'geometry_msgs/msg/TransformStamped': Layout(2, _POSE, pose=slice(0, 7)),
+        'geometry_msgs/msg/TwistStamped': Layout(1, _TWIST, twist=slice(0, 6)),
+        'nav_msgs/msg/Odometry': Layout(
+            2,
+            _SECOND + _TWIST + _COVARIANCE,
+            pose=slice(0, 7),
+            twist=slice(_SECOND, _SECOND + _TWIST),
+        ),
+    }
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Decoded:
+    """
+    Messages of one topic, decoded.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        Header stamps, ns.
+    values : array (N, D)
+        The doubles asked for.
+    frame : int array (N,)
+        Index into `frames`; -1 where the message could not be decoded.
+    frames : list of tuple of str
+        The frame names met: frame_id, and child_frame_id where the type has one.
+
+    """
+
+    stamps_ns: NDArray[np.int64]
+    values: NDArray[np.float64]
+    frame: NDArray[np.int64]
+    frames: list[tuple[str, ...]]
+
+
+def decode(messages: Sequence[bytes], layout: Layout, part: slice) -> Decoded:
+    """
+    Decode messages of one type.
+
+    Parameters
+    ----------
+    messages : sequence of bytes
+        CDR with its four-byte head, of either endianness.
+    layout : Layout
+        Of their type.
+    part : slice
+        Which of the doubles to return.
+
+    Returns
+    -------
+    Decoded
+
+    """
+    count = len(messages)
+    stamps_ns = np.zeros(count, dtype=np.int64)
+    values = np.zeros((count, part.stop - part.start))
+    frame = np.full(count, -1, dtype=np.int64)
+    frames: list[tuple[str, ...]] = []
+    for (head, size), members in _alike(messages, layout.strings).items():
+        names, dtype = _names(head, layout.strings), _dtype(head, size, layout)
+        if names is None or dtype is None:
+            continue
+        rows = np.frombuffer(b''.join(messages[i] for i in members), dtype=dtype)
+        index = np.array(members)
+        stamps_ns[index] = rows['sec'].astype(np.int64) * _NS_PER_S + rows['nanosec']
+        values[index] = rows['doubles'][:, part]
+        sound = (rows['sec'] >= 0) & (rows['nanosec'] < _NS_PER_S)
+        frame[index[sound]] = _index(frames, names)
+    return Decoded(stamps_ns, values, frame, frames)
+
+
+def _index(frames: list[tuple[str, ...]], names: tuple[str, ...]) -> int:
+    """Return the index of frame names, which are added when new."""
+    if names not in frames:
+        frames.append(names)
+    return frames.index(names)
+
+
+def _alike(messages: Sequence[bytes], strings: int) -> dict[tuple[bytes, int], list[int]]:
+    """Return the indices of messages that agree in size and, but for the stamp, in their head."""
+    groups: dict[tuple[bytes, int], list[int]] = {}
+    for i, message in enumerate(messages):
+        end = _end_of_strings(message, strings)
+        if end:
+            key = (message[:_STAMP_AT] + message[_STRINGS_AT:end], len(message))
+            groups.setdefault(key, []).append(i)
+    return groups
+
+
+def _end_of_strings(message: bytes, strings: int) -> int:
+    """Return where the strings end, or 0 if they do not end in the message."""
+    if len(message) > LARGEST_MESSAGE:
+        return 0
+    form = '<I' if message[1:2] == b'\1' else '>I'
+    at = _STRINGS_AT
+    for _ in range(strings):
+        at += -at % 4
+        if at + 4 > len(message):
+            return 0
+        at += 4 + struct.unpack_from(form, message, at)[0]
+    return at if at <= len(message) else 0
+
+
+def _names(head: bytes, strings: int) -> tuple[str, ...] | None:
+    """Return the strings of a head without its stamp, or None if they are damaged."""
+    form = '<I' if head[1] else '>I'
+    names = []
+    at = _STAMP_AT
+    for _ in range(strings):
+        at += -at % 4
+        (size,) = struct.unpack_from(form, head, at)
+        text = head[at + 4:at + 4 + size]
+        if text[-1:] != b'\0':
+            return None
+        try:
+            names.append(text[:-1].decode())
+        except UnicodeDecodeError:
+            return None
+        at += 4 + size
+    return tuple(names)
+
+
+def _dtype(head: bytes, size: int, layout: Layout) -> np.dtype[np.void] | None:
+    """Return how messages with this head lie in memory, or None if that is not the layout."""
+    if head[0] or head[1] > 1:  # not plain CDR
+        return None
+    order = '<' if head[1] else '>'
+    doubles_at = _doubles_at(head)
+    if not 0 <= size - doubles_at - 8 * layout.doubles <= _LARGEST_PADDING:
+        return None
+    return np.dtype(
+        {
+            'names': ['sec', 'nanosec', 'doubles'],
+            'formats': [f'{order}i4', f'{order}u4', (f'{order}f8', (layout.doubles,))],
+            'offsets': [_STAMP_AT, _STAMP_AT + 4, doubles_at],
+            'itemsize': size,
+        }
+    )
+
+
+def _doubles_at(head: bytes) -> int:
+    """Return where the doubles begin: aligned to 8, counted after the first 4 bytes."""
+    end = len(head) + _STRINGS_AT - _STAMP_AT
+    return end + (_STAMP_AT - end) % 8
+
+
+def encode(
+    stamps_ns: Indices, values: NDArray[np.float64], names: Sequence[str], layout: Layout
+) -> list[bytes]:
+    """
+    Encode messages of one type, little-endian.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        Header stamps, ns.
+    values : array (N, D)
+        Pose, then twist, as far as the type has them; what else it has (covariances) is zero.
+    names : sequence of str
+        frame_id, and child_frame_id where the type has one.
+    layout : Layout
+        Of the type.
+
+    Returns
+    -------
+    list of bytes
+
+    """
+    head = _head(names)
+    doubles_at = _doubles_at(head)
+    size = doubles_at + 8 * layout.doubles
+    dtype = _dtype(head, size, layout)
+    rows = np.zeros(len(stamps_ns), dtype=dtype)
+    rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, _NS_PER_S)
+    column = 0
+    for part in filter(None, (layout.pose, layout.twist)):
+        width = part.stop - part.start
+        rows['doubles'][:, part] = values[:, column:column + width]
+        column += width
+    raw = rows.view(np.uint8).reshape(len(rows), size)
+    raw[:, :_STAMP_AT] = np.frombuffer(head[:_STAMP_AT], np.uint8)
+    raw[:, _STRINGS_AT:_STRINGS_AT + len(head) - _STAMP_AT] = np.frombuffer(
+        head[_STAMP_AT:], np.uint8
+    )
+    return [row.tobytes() for row in raw]
+
+
+def _head(names: Sequence[str]) -> bytes:
+    """Return the head of a message without its stamp."""
+    head = b'\0\1\0\0'
+    for name in names:
+        text = name.encode() + b'\0'
+        head += bytes(-len(head) % 4) + struct.pack('<I', len(text)) + text
+    return head

@@ -1,0 +1,262 @@
+"""
+Parameter files: YAML as ROS takes it, read and written.
+
+Read are `/**:`, a node's name or its full name over `ros__parameters:`, and files without either;
+names may be nested or dotted. Written files are read by ROS as they are: every double has a
+decimal point.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
+import os
+from pathlib import Path
+import textwrap
+from typing import Any
+
+from bellows_ros.core.parameters import Parameter, PARAMETERS, validate, Value
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import atomic, safe_yaml
+
+NODES = ('identifier', 'predictor')
+_SECTION = 'ros__parameters'
+_INDENT = '  '
+_WIDTH = 97
+_ROW = 6  # items of a list on one line
+
+# What every ROS node has beside its own parameters; it means nothing to the calculation.
+_OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.*')
+
+# Units of the rows of K and P as comments: linear and angular columns.
+_ROW_UNITS = {
+    'cup.stiffness': ('N/m, N', 'N, N m/rad'),
+    'cup.damping': ('N s/m, N s', 'N s, N m s/rad'),
+}
+_AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
+
+Found = tuple[str, Any, int]
+
+
+def read_parameters(path: str | os.PathLike[str], node: str | None = None) -> dict[str, Value]:
+    """
+    Read a parameter file.
+
+    Parameters
+    ----------
+    path : path
+        YAML file.
+    node : str, optional
+        'identifier' or 'predictor': only what ROS would give a node of that name is read, in the
+        file's order, later values over earlier ones. Without it, what is there for either, which
+        must not contradict itself.
+
+    Returns
+    -------
+    dict
+        Dotted names to values, checked and in the normal form of `core.parameters.validate`.
+        Parameters that every ROS node has, as use_sim_time, are left out.
+
+    Raises
+    ------
+    BellowsError
+        With the file and the line: not readable, not YAML, an unknown name, or a value that is not
+        allowed.
+
+    """
+    file = Path(path)
+    content, lines = safe_yaml.load_with_lines(file)
+    if not isinstance(content, dict):
+        raise BellowsError(
+            f"Parameter file '{file}' holds no parameters. Give 'name: value' lines."
+        )
+    values: dict[str, Value] = {}
+    for keys, section in _sections(file, content, node):
+        for name, value, line in _flattened(section, keys, lines):
+            if any(fnmatchcase(name, form) for form in _OF_ROS):
+                continue
+            checked = _checked(file, name, value, line)
+            if node is None and values.get(name, checked) != checked:
+                raise BellowsError(
+                    f"{file}, line {line}: '{name}' is given before with another value. Keep one."
+                )
+            values[name] = checked
+    return values
+
+
+def write_parameters(
+    path: str | os.PathLike[str],
+    values: Mapping[str, object],
+    header: Sequence[str] = (),
+    provenance: Sequence[str] = (),
+    node: str = '/**',
+) -> None:
+    """
+    Write a parameter file that ROS nodes take with --params-file, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        YAML file.
+    values : mapping
+        Dotted names to values; they are checked, and written in the order of the parameter table.
+    header : sequence of str
+        Comment lines at the top.
+    provenance : sequence of str
+        Comment lines below them: where the values come from.
+    node : str
+        Which nodes the values are for; '/**' for all.
+
+    Raises
+    ------
+    BellowsError
+        If a value is not allowed, or the file cannot be written; what was there is then untouched.
+
+    """
+    atomic.write_text(path, format_parameters(values, header, provenance, node))
+
+
+def format_parameters(
+    values: Mapping[str, object],
+    header: Sequence[str] = (),
+    provenance: Sequence[str] = (),
+    node: str = '/**',
+) -> str:
+    """Return the text of a parameter file; see `write_parameters`."""
+    checked = {name: validate(name, value) for name, value in values.items()}
+    lines = [_comment(line) for line in header]
+    lines += ['#'] if header and provenance else []
+    lines += [_comment(line) for line in provenance]
+    lines += [f'{_quoted(node)}:' if node[:1] != '/' else f'{node}:', f'{_INDENT}{_SECTION}:']
+    body = list(_body(checked))
+    return '\n'.join([*lines, *(body or [f'{_INDENT * 2}{{}}'])]) + '\n'
+
+
+def _sections(
+    file: Path, content: Mapping[str, Any], node: str | None
+) -> list[tuple[tuple[str, ...], Mapping[str, Any]]]:
+    """Return the parts of a file that are meant for a node, with the keys that lead to each."""
+    every = list(_ros_sections(content, ()))
+    if not every:
+        return [((), content)]
+    wanted = (node,) if node else NODES
+    chosen = [(keys, part) for keys, part in every if any(_matches(keys, n) for n in wanted)]
+    if not chosen:
+        there = ', '.join('/'.join(keys[:-1]) for keys, _ in every)
+        raise BellowsError(
+            f"Parameter file '{file}' has nothing for {' or '.join(wanted)}, only for: {there}. "
+            "Name the node, or write '/**:' for any."
+        )
+    for keys, part in chosen:
+        if not isinstance(part, dict):
+            raise BellowsError(
+                f"Parameter file '{file}': {'/'.join(keys)} must hold 'name: value' lines."
+            )
+    return chosen
+
+
+def _ros_sections(content: Mapping[str, Any], keys: tuple[str, ...]) -> Iterator[tuple[Any, Any]]:
+    """Yield what stands under each `ros__parameters`, with the keys that lead to it."""
+    for key, value in content.items():
+        if key == _SECTION:
+            yield (*keys, key), value
+        elif isinstance(value, dict):
+            yield from _ros_sections(value, (*keys, str(key)))
+
+
+def _matches(keys: tuple[str, ...], node: str) -> bool:
+    """Return whether a section, by the keys over it, is for a node of this name."""
+    last = '/'.join(keys[:-1]).split('/')[-1]
+    return last in ('**', '*', node)
+
+
+def _flattened(
+    part: Mapping[str, Any], keys: tuple[str, ...], lines: safe_yaml.Lines, prefix: str = ''
+) -> Iterator[Found]:
+    """Yield the dotted names, values and lines of nested mappings."""
+    for key, value in part.items():
+        where = (*keys, str(key))
+        name = f'{prefix}{key}'
+        if isinstance(value, dict):
+            yield from _flattened(value, where, lines, f'{name}.')
+        else:
+            yield name, value, lines.get(where, 0)
+
+
+def _checked(file: Path, name: str, value: object, line: int) -> Value:
+    """Return a checked value; the error names the line."""
+    try:
+        return validate(name, value)
+    except BellowsError as error:
+        raise BellowsError(f'{file}, line {line}: {error}') from None
+
+
+def _body(values: Mapping[str, Value]) -> Iterator[str]:
+    """Yield the lines of the values, nested by the parts of their names."""
+    open_groups: list[str] = []
+    for parameter in PARAMETERS.values():
+        if parameter.name not in values or values[parameter.name] == ():
+            continue  # ROS has no empty lists
+        *groups, leaf = parameter.name.split('.')
+        for depth, group in enumerate(groups):
+            if open_groups[depth:depth + 1] != [group]:
+                open_groups[depth:] = [group]
+                yield f'{_INDENT * (2 + depth)}{group}:'
+        open_groups[len(groups):] = []
+        yield from _entry(parameter, leaf, values[parameter.name], _INDENT * (2 + len(groups)))
+
+
+def _entry(parameter: Parameter, leaf: str, value: Value, indent: str) -> Iterator[str]:
+    """Yield the lines of one parameter: its sentence, its value, and units beside every line."""
+    for line in textwrap.wrap(parameter.description, _WIDTH - len(indent)):
+        yield f'{indent}# {line}'
+    if isinstance(value, tuple) and len(value) > _ROW:
+        yield f'{indent}{leaf}:'
+        yield from _rows(parameter, value, indent + _INDENT)
+    else:
+        unit = f'  # {parameter.unit}' if parameter.unit else ''
+        yield f'{indent}{leaf}: {_scalar(value)}{unit}'
+
+
+def _rows(parameter: Parameter, value: tuple[Any, ...], indent: str) -> Iterator[str]:
+    """Yield the lines of a long list, six items a line."""
+    texts = [_scalar(x) for x in value]
+    width = max(len(text) for text in texts)
+    for row, start in enumerate(range(0, len(value), _ROW)):
+        cells = ', '.join(text.rjust(width) for text in texts[start:start + _ROW])
+        opening = '[' if start == 0 else ' '
+        closing = ']' if start + _ROW >= len(value) else ','
+        yield f'{indent}{opening}{cells}{closing}{_row_unit(parameter, row)}'
+
+
+def _row_unit(parameter: Parameter, row: int) -> str:
+    """Return the comment with the units of a row."""
+    if parameter.name in _ROW_UNITS:
+        return f'  # {_AXES[row]}: {_ROW_UNITS[parameter.name][row // 3]}'
+    return f'  # {parameter.unit}' if parameter.unit else ''
+
+
+def _scalar(value: object) -> str:
+    """Return a value as YAML of any version reads it."""
+    if isinstance(value, tuple):
+        return '[' + ', '.join(_scalar(item) for item in value) + ']'
+    if isinstance(value, bool):
+        return 'true' if value else 'false'
+    if isinstance(value, float):
+        return _double(value)
+    return _quoted(value) if isinstance(value, str) else str(value)
+
+
+def _double(value: float) -> str:
+    """Return the shortest decimals that read back as this number, with a decimal point."""
+    mantissa, exponent, power = repr(value).partition('e')
+    return f'{mantissa}{"" if "." in mantissa else ".0"}{exponent}{power}'
+
+
+def _quoted(text: str) -> str:
+    """Return a text in single quotes."""
+    doubled = text.replace("'", "''")
+    return f"'{doubled}'"
+
+
+def _comment(line: str) -> str:
+    """Return a comment, in which a line break cannot end it."""
+    return ('# ' + ''.join(c if c.isprintable() else ' ' for c in line)).rstrip()

@@ -1,0 +1,150 @@
+"""
+The result of a fit as a JSON file.
+
+Numbers keep every digit. JSON knows neither NaN nor infinity: a number that is not known, because
+the recording does not determine it, is null.
+"""
+
+from collections.abc import Mapping
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import atomic
+import numpy as np
+
+LARGEST_FILE = 64 * 2**20
+
+# What every result has.
+KEYS = (
+    'method',
+    'structure',
+    'stiffness',
+    'damping',
+    'stiffness_std',
+    'damping_std',
+    'samples_used',
+    'samples_rejected',
+    'condition_number',
+)
+_MATRICES = ('stiffness', 'damping', 'stiffness_std', 'damping_std')
+
+
+def write_result(path: str | os.PathLike[str], result: Mapping[str, Any]) -> None:
+    """
+    Write the result of a fit, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        JSON file.
+    result : mapping
+        At least `KEYS`, matrices 6x6 in SI units; may hold nested mappings, lists and NumPy arrays
+        and scalars.
+
+    Raises
+    ------
+    BellowsError
+        If a key is missing, a matrix is not 6x6, something has no place in JSON, or the file
+        cannot be written.
+
+    """
+    content = _plain(result)
+    _require_complete('The result', content)
+    atomic.write_text(path, format_json(content))
+
+
+def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
+    """Write any mapping as JSON in the same form, whole or not at all."""
+    atomic.write_text(path, format_json(content))
+
+
+def format_json(content: Mapping[str, Any]) -> str:
+    """Return JSON text with one line per key and per row of a matrix."""
+    return _text(_plain(content), '') + '\n'
+
+
+def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """
+    Read the result of a fit.
+
+    Returns
+    -------
+    dict
+        At least `KEYS`; None stands for a number that is not known.
+
+    Raises
+    ------
+    BellowsError
+        If the file cannot be read, is not JSON, or lacks something.
+
+    """
+    file = Path(path)
+    try:
+        with file.open('rb') as stream:
+            data = stream.read(LARGEST_FILE + 1)
+        if len(data) > LARGEST_FILE:
+            raise BellowsError(f"Result '{file}' is larger than {LARGEST_FILE} bytes.")
+        content = json.loads(data, parse_constant=_refuse_constant)
+    except OSError as error:
+        raise BellowsError(f"Result '{file}' cannot be read: {error.strerror}.") from None
+    except RecursionError:
+        raise BellowsError(f"Result '{file}' is nested too deeply to be read.") from None
+    except ValueError as error:
+        raise BellowsError(f"Result '{file}' is not JSON: {error}.") from None
+    _require_complete(f"Result '{file}'", content)
+    return dict(content)
+
+
+def _refuse_constant(name: str) -> None:
+    """Refuse NaN and infinity, which are not JSON."""
+    raise ValueError(f'{name} is not allowed, null stands for a number that is not known')
+
+
+def _require_complete(what: str, content: Any) -> None:
+    """Refuse a result without its keys, or with matrices of another shape."""
+    missing = [key for key in KEYS if not isinstance(content, dict) or key not in content]
+    if missing:
+        raise BellowsError(f'{what} lacks {", ".join(missing)}. Identify the cup again.')
+    for key in _MATRICES:
+        rows = content[key]
+        shaped = isinstance(rows, list) and len(rows) == 6
+        if not shaped or not all(isinstance(row, list) and len(row) == 6 for row in rows):
+            raise BellowsError(f"{what}: '{key}' must be a list of 6 rows of 6 numbers.")
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON knows: NumPy becomes Python, NaN and infinity become None."""
+    if isinstance(value, Mapping):
+        return {_key(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    raise BellowsError(f'A result cannot hold {type(value).__name__}: {value!r:.80}.')
+
+
+def _key(key: Any) -> str:
+    """Return a key, which must be a text."""
+    if not isinstance(key, str):
+        raise BellowsError(f'A result cannot hold the key {key!r:.80}: keys are texts.')
+    return key
+
+
+def _text(value: Any, indent: str) -> str:
+    """Return plain content as JSON; a list of numbers or texts stays on one line."""
+    inner = indent + '  '
+    if isinstance(value, dict) and value:
+        items = [f'{inner}{json.dumps(key)}: {_text(x, inner)}' for key, x in value.items()]
+        return '{\n' + ',\n'.join(items) + f'\n{indent}}}'
+    if isinstance(value, list) and any(isinstance(x, dict | list) for x in value):
+        items = [f'{inner}{_text(x, inner)}' for x in value]
+        return '[\n' + ',\n'.join(items) + f'\n{indent}]'
+    return json.dumps(value, allow_nan=False)

@@ -1,0 +1,151 @@
+"""
+YAML read without trust: plain data, no duplicate or merge keys, bounded, errors with their line.
+
+Aliases are refused where asked: ROS does not know them either, and nested ones grow without bound
+when written out.
+"""
+
+from collections.abc import Hashable, Iterator
+from pathlib import Path
+import re
+from typing import Any
+
+from bellows_ros.errors import BellowsError
+import yaml
+
+LARGEST_FILE = 2**20
+
+Lines = dict[tuple[str, ...], int]
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's safe loader, stricter."""
+
+    aliases_allowed = False
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Refuse tags, and aliases."""
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        alias = isinstance(event, yaml.AliasEvent)
+        if getattr(event, 'tag', None) or (alias and not self.aliases_allowed):
+            reason = 'aliases (*name)' if alias else 'tags (!name)'
+            raise yaml.composer.ComposerError(
+                None, None, f'{reason} are not allowed; write plain values', event.start_mark
+            )
+        return super().compose_node(parent, index)
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Refuse merge keys."""
+        for key, _ in node.value:
+            if key.tag == 'tag:yaml.org,2002:merge':
+                raise yaml.constructor.ConstructorError(
+                    None, None, 'merge keys (<<) are not allowed', key.start_mark
+                )
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """Refuse keys that are not plain or come twice."""
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise yaml.constructor.ConstructorError(
+                    None, None, 'a key must be a plain name', key.start_mark
+                )
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key '{key.value[:80]}' is given twice", key.start_mark
+                )
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+# As in ROS: 1e-05 is a number though YAML 1.1 wants a point in it, and 2024-05-01 is a text.
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, form) for tag, form in forms if tag != 'tag:yaml.org,2002:timestamp']
+    for first, forms in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float',
+    re.compile(r'[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$'),
+    list('-+0123456789'),
+)
+
+
+class _LoaderWithAliases(_Loader):
+    """The same for files that other programs write, with aliases."""
+
+    aliases_allowed = True
+
+
+def load(path: Path, aliases: bool = False) -> Any:
+    """
+    Return the content of a YAML file: dicts, lists, strings, numbers, truth values and None.
+
+    Raises
+    ------
+    BellowsError
+        If the file cannot be read, is too large, or is not the YAML described above.
+
+    """
+    return load_with_lines(path, aliases)[0]
+
+
+def load_with_lines(path: Path, aliases: bool = False) -> tuple[Any, Lines]:
+    """
+    Return the content of a YAML file, and the line of each key.
+
+    Returns
+    -------
+    content
+        As from `load`.
+    lines : dict
+        From the keys that lead to a value, outermost first, to the line of the last, from 1; empty
+        with aliases.
+
+    Raises
+    ------
+    BellowsError
+        As `load`.
+
+    """
+    text = _read(path)
+    try:
+        loader = (_LoaderWithAliases if aliases else _Loader)(text)
+        node = loader.get_single_node()
+        if node is None:
+            return None, {}
+        return loader.construct_document(node), {} if aliases else dict(_lines(node, ()))
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f', line {mark.line + 1}' if mark else ''
+        raise BellowsError(f'{path}{line}: not valid YAML here: {error.problem}.') from None
+    except yaml.YAMLError as error:
+        raise BellowsError(f'{path} is not valid YAML: {error}') from None
+    except RecursionError:
+        raise BellowsError(f'{path} is nested too deeply to be read.') from None
+    except (ValueError, OverflowError) as error:  # what only looks like a number
+        raise BellowsError(f'{path}: a value cannot be read: {error}.') from None
+
+
+def _lines(node: yaml.Node, keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], int]]:
+    """Yield the keys that lead to each value of nested mappings, with the line of the last."""
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            yield (*keys, key.value), key.start_mark.line + 1
+            yield from _lines(value, (*keys, key.value))
+
+
+def _read(path: Path) -> str:
+    """Return the text of a file of bounded size."""
+    try:
+        if not path.is_file():
+            raise BellowsError(f"File '{path}' does not exist or is not a plain file.")
+        with path.open('rb') as file:
+            data = file.read(LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:
+        raise BellowsError(f"File '{path}' cannot be read: {error}") from None
+    if len(data) > LARGEST_FILE:
+        raise BellowsError(f"File '{path}' is larger than {LARGEST_FILE} bytes.")
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise BellowsError(f"File '{path}' is not text in UTF-8: {error}.") from None

@@ -1,0 +1,164 @@
+"""Output is written whole or not at all."""
+
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.atomic import new_folder, require_file_target, write_bytes, write_text
+import numpy as np
+import pytest
+
+PATIENCE = 30.0  # s, for a child process to do what takes milliseconds
+
+
+def test_text_is_written_in_utf8(tmp_path):
+    write_text(tmp_path / 'a', 'K = 6417 N/m, 45°\n')
+    assert (tmp_path / 'a').read_text(encoding='utf-8') == 'K = 6417 N/m, 45°\n'
+    assert os.listdir(tmp_path) == ['a']
+
+
+def test_new_files_get_the_permissions_of_any_new_file(tmp_path):
+    write_bytes(tmp_path / 'a', b'x')
+    (tmp_path / 'b').write_bytes(b'x')
+    assert (tmp_path / 'a').stat().st_mode == (tmp_path / 'b').stat().st_mode
+
+
+@pytest.mark.parametrize('mode', [0o600, 0o640, 0o666, 0o755])
+def test_a_replaced_file_keeps_its_permissions(tmp_path, mode):
+    path = tmp_path / 'a'
+    path.write_text('old')
+    path.chmod(mode)
+    write_text(path, 'new')
+    assert path.read_text() == 'new'
+    assert path.stat().st_mode & 0o777 == mode
+
+
+def test_a_link_stays_and_its_file_is_replaced(tmp_path):
+    (tmp_path / 'real').write_text('old')
+    (tmp_path / 'link').symlink_to('real')
+    write_text(tmp_path / 'link', 'new')
+    assert (tmp_path / 'link').is_symlink()
+    assert (tmp_path / 'real').read_text() == 'new'
+
+
+def test_what_cannot_be_written_is_refused(tmp_path):
+    for path, reason in (
+        (tmp_path / 'none' / 'a', 'does not exist'),
+        (tmp_path, 'not a plain file'),
+        ('/dev/null', 'not a plain file'),
+        ('a\0b', 'cannot be written'),
+        (tmp_path / ('x' * 300), 'cannot be written'),
+    ):
+        with pytest.raises(BellowsError, match=reason):
+            write_text(path, 'x')
+    with pytest.raises(BellowsError, match='does not exist'):
+        require_file_target(tmp_path / 'none' / 'a')
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_full_disk_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / 'a'
+    path.write_text('old')
+
+    def full(descriptor):
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(os, 'fsync', full)
+    with pytest.raises(BellowsError, match='No space left on device. Nothing was changed'):
+        write_text(path, 'new')
+    assert path.read_text() == 'old'
+    assert os.listdir(tmp_path) == ['a']
+
+
+def test_a_folder_appears_when_it_is_complete(tmp_path):
+    with new_folder(tmp_path / 'bag') as folder:
+        assert folder.name == 'bag'
+        folder.mkdir()
+        (folder / 'file').write_text('x')
+        assert not (tmp_path / 'bag').exists()
+    assert (tmp_path / 'bag' / 'file').read_text() == 'x'
+    assert os.listdir(tmp_path) == ['bag']
+
+
+def test_a_folder_that_fails_leaves_nothing(tmp_path):
+    with pytest.raises(RuntimeError, match='half way'), new_folder(tmp_path / 'bag') as folder:
+        folder.mkdir()
+        raise RuntimeError('half way')
+    with pytest.raises(BellowsError, match='cannot be written'), new_folder(tmp_path / 'bag'):
+        pass  # nobody makes the folder
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_folder_that_exists_is_replaced_only_when_asked(tmp_path):
+    path = tmp_path / 'bag'
+    path.mkdir()
+    (path / 'old').write_text('x')
+    with pytest.raises(BellowsError, match='exists'), new_folder(path):
+        pass
+    with pytest.raises(RuntimeError), new_folder(path, replace=True) as folder:
+        folder.mkdir()
+        raise RuntimeError
+    assert os.listdir(path) == ['old']
+    with new_folder(path, replace=True) as folder:
+        folder.mkdir()
+        (folder / 'new').write_text('x')
+    assert os.listdir(path) == ['new']
+    assert os.listdir(tmp_path) == ['bag']
+
+
+def test_a_folder_that_appears_meanwhile_is_not_touched(tmp_path):
+    path = tmp_path / 'bag'
+    with pytest.raises(BellowsError, match='meanwhile|meantime'), new_folder(path) as folder:
+        folder.mkdir()
+        path.mkdir()
+    assert os.listdir(tmp_path) == ['bag']
+    with pytest.raises(BellowsError, match='exists'), new_folder(path):
+        pass
+
+
+def test_a_folder_replaces_neither_files_nor_links(tmp_path):
+    (tmp_path / 'file').write_text('x')
+    (tmp_path / 'real').mkdir()
+    (tmp_path / 'link').symlink_to('real')
+    for name in ('file', 'link'):
+        with pytest.raises(BellowsError, match='exists'), new_folder(tmp_path / name, True):
+            pass
+    with pytest.raises(BellowsError, match='does not exist'), new_folder(tmp_path / 'no' / 'x'):
+        pass
+
+
+WRITER = """
+import sys
+from bellows_ros.files.atomic import write_bytes
+path, first = sys.argv[1], True
+while True:
+    for byte in b'ab':
+        write_bytes(path, bytes([byte]) * 3_000_000)
+        if first:
+            print('ready', flush=True)
+            first = False
+"""
+
+
+def test_a_process_that_is_killed_leaves_a_whole_file(tmp_path):
+    path = tmp_path / 'out'
+    rng = np.random.default_rng(0)
+    for _ in range(15):
+        child = subprocess.Popen(
+            [sys.executable, '-c', WRITER, str(path)], stdout=subprocess.PIPE,
+            cwd=Path(__file__).parents[2])
+        try:
+            assert child.stdout.readline() == b'ready\n'
+            time.sleep(rng.uniform(0.0, 0.01))  # the moment is the point, nothing is awaited
+        finally:
+            child.send_signal(signal.SIGKILL)
+            child.wait(PATIENCE)
+            child.stdout.close()
+        data = path.read_bytes()
+        assert len(data) == 3_000_000 and set(data) in ({ord('a')}, {ord('b')})
+    left = [name for name in os.listdir(tmp_path) if name != 'out']
+    assert all(name.startswith('.bellows-') for name in left)

@@ -1,0 +1,194 @@
+"""Recordings that are written: read back by this package and by rosbags, whole or not at all."""
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import bag_writer, cdr
+from bellows_ros.files.bag_writer import COMPRESSIONS, Recorded, STORAGES, write_bag
+from bellows_ros.files.bags import read_streams, topics
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from rosbags.highlevel import AnyReader
+import yaml
+
+from . import recordings as made
+
+FORMS = [
+    (s, c) for s in STORAGES for c in COMPRESSIONS if (s, c) != ('sqlite3', 'chunk')
+]
+COUNT = 30
+
+
+def recorded(kind=made.POSE, count=COUNT, **options):
+    """Return poses or twists to record."""
+    pose, twist = made.pose_values(count), made.twist_values(count)
+    values = {made.TWIST: twist, made.ODOMETRY: np.hstack([pose, twist])}.get(kind, pose)
+    return Recorded('/a', kind, made.stamps(count), values, **options)
+
+
+def files_of(folder):
+    """Return the content of a folder's files."""
+    return {p.name: p.read_bytes() for p in folder.iterdir()}
+
+
+@pytest.mark.parametrize('storage, compression', FORMS)
+def test_every_form_is_read_by_this_package_and_by_rosbags(tmp_path, storage, compression):
+    path = tmp_path / 'bag'
+    write_bag(path, [recorded()], storage, compression)
+    stream = read_streams(path, {'p': 'a'})['p']
+    assert_array_equal(stream.position, made.pose_values(COUNT)[:, :3])
+    assert_array_equal(stream.stamps_ns, made.stamps(COUNT))
+    with AnyReader([path]) as reader:
+        messages = [(t, reader.deserialize(data, c.msgtype)) for c, t, data in reader.messages()]
+    assert [t for t, _ in messages] == list(made.stamps(COUNT))
+    assert_array_equal(
+        [[m.pose.position.x, m.pose.orientation.w] for _, m in messages],
+        made.pose_values(COUNT)[:, [0, 6]])
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize('kind', sorted(cdr.LAYOUTS))
+def test_every_type_comes_back(tmp_path, kind):
+    write_bag(tmp_path / 'b', [recorded(kind, frame_id='map', child_frame_id='tool')])
+    layout = cdr.LAYOUTS[kind]
+    if layout.pose:
+        stream = read_streams(tmp_path / 'b', {'p': 'a'})['p']
+        assert_array_equal(stream.position, made.pose_values(COUNT)[:, :3])
+        assert stream.frame_id == 'map'
+    if layout.twist:
+        stream = read_streams(tmp_path / 'b', {'tool_twist': 'a'})['tool_twist']
+        assert_array_equal(stream.angular, made.twist_values(COUNT)[:, 3:])
+        assert stream.frame_id == ('tool' if kind == made.ODOMETRY else 'map')
+
+
+def test_topics_are_recorded_in_the_order_messages_were_received_in(tmp_path):
+    t = made.stamps(COUNT)
+    late = t + 5_000_000
+    write_bag(
+        tmp_path / 'b',
+        [
+            recorded(log_times_ns=late[::-1]),
+            Recorded('/b', made.TWIST, t, made.twist_values(COUNT)),
+        ],
+    )
+    with AnyReader([tmp_path / 'b']) as reader:
+        order = [(t, c.topic) for c, t, _ in reader.messages()]
+    assert order == sorted([(x, '/a') for x in late] + [(x, '/b') for x in t])
+    stream = read_streams(tmp_path / 'b', {'p': 'a'})['p']
+    assert_array_equal(stream.stamps_ns, t[-1:])
+    assert stream.refused == {'backward_stamp': tuple(range(1, COUNT))}
+
+
+def test_faults_can_be_recorded_and_one_topic_fed_from_several_sources(tmp_path):
+    values = made.pose_values(COUNT)
+    values[4] = np.nan
+    values[5, 3:] = 0.0
+    t = made.stamps(COUNT)
+    write_bag(
+        tmp_path / 'b',
+        [
+            Recorded('/a', made.POSE, t, values),
+            Recorded('/a', made.POSE, t[7:8] + 1, made.pose_values(1), frame_id='other'),
+        ],
+    )
+    assert topics(tmp_path / 'b') == [('/a', made.POSE, COUNT + 1)]
+    stream = read_streams(tmp_path / 'b', {'p': 'a'})['p']
+    assert stream.refused == {'nan': (4,), 'zero_quaternion': (5,), 'frame_id': (8,)}
+
+
+@pytest.mark.parametrize('storage, compression', FORMS)
+def test_the_same_content_gives_the_same_bytes(tmp_path, storage, compression):
+    for i in '12':
+        (tmp_path / i).mkdir()
+        write_bag(tmp_path / i / 'bag', [recorded()], storage, compression)
+    assert files_of(tmp_path / '1' / 'bag') == files_of(tmp_path / '2' / 'bag')
+
+
+def test_metadata_counts_and_times_what_is_there(tmp_path):
+    write_bag(tmp_path / 'b', [recorded()])
+    info = yaml.safe_load((tmp_path / 'b' / 'metadata.yaml').read_text())
+    info = info['rosbag2_bagfile_information']
+    t = made.stamps(COUNT)
+    assert info['message_count'] == COUNT
+    assert info['starting_time']['nanoseconds_since_epoch'] == t[0]
+    assert info['duration']['nanoseconds'] == t[-1] - t[0]
+    assert info['relative_file_paths'] == ['b.mcap']
+
+
+def test_an_existing_recording_is_replaced_only_when_asked(tmp_path):
+    path = tmp_path / 'b'
+    write_bag(path, [recorded()])
+    before = files_of(path)
+    with pytest.raises(BellowsError, match='exists'):
+        write_bag(path, [recorded(count=3)])
+    assert files_of(path) == before
+    write_bag(path, [recorded(count=3)], 'sqlite3', replace=True)
+    assert topics(path) == [('/a', made.POSE, 3)]
+    assert list(tmp_path.iterdir()) == [path]
+    write_bag(tmp_path / 'new', [recorded()], replace=True)
+
+
+def test_a_folder_with_anything_else_is_never_replaced(tmp_path):
+    path = tmp_path / 'b'
+    write_bag(path, [recorded()])
+    (path / 'thesis.tex').write_text('precious')
+    with pytest.raises(BellowsError, match=r"it holds 'thesis.tex'"):
+        write_bag(path, [recorded()], replace=True)
+    (path / 'thesis.tex').rename(tmp_path / 'file')
+    (path / 'metadata.yaml').unlink()
+    with pytest.raises(BellowsError, match=r'it has no metadata.yaml'):
+        write_bag(path, [recorded()], replace=True)
+    with pytest.raises(BellowsError, match='exists'):
+        write_bag(tmp_path / 'file', [recorded()], replace=True)
+    assert (tmp_path / 'file').read_text() == 'precious'
+
+
+def test_a_failure_half_way_leaves_nothing(tmp_path, monkeypatch):
+    path = tmp_path / 'b'
+    write_bag(path, [recorded()])
+    before = files_of(path)
+    monkeypatch.setattr(bag_writer, '_BATCH', 10)
+    real = cdr.encode
+    calls = []
+
+    def failing(*args):
+        calls.append(args)
+        if len(calls) == 2:
+            raise OSError(28, 'No space left on device')
+        return real(*args)
+
+    monkeypatch.setattr(cdr, 'encode', failing)
+    with pytest.raises(BellowsError, match='No space left'):
+        write_bag(path, [recorded()], replace=True)
+    assert files_of(path) == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_cannot_be_recorded_is_refused(tmp_path):
+    t = made.stamps(3)
+    with pytest.raises(BellowsError, match='cannot be recorded'):
+        Recorded('/a', 'std_msgs/msg/String', t, np.zeros((3, 7)))
+    with pytest.raises(BellowsError, match=r'values must be 3 x 7, not \(3, 6\)'):
+        Recorded('/a', made.POSE, t, np.zeros((3, 6)))
+    with pytest.raises(BellowsError, match='2 log times'):
+        Recorded('/a', made.POSE, t, np.zeros((3, 7)), log_times_ns=t[:2])
+    with pytest.raises(BellowsError, match='before 1970'):
+        Recorded('/a', made.POSE, t - 2 * made.EPOCH_NS, np.zeros((3, 7)))
+    with pytest.raises(BellowsError, match='would be empty'):
+        write_bag(tmp_path / 'b', [])
+    with pytest.raises(BellowsError, match='storages are'):
+        write_bag(tmp_path / 'b', [recorded()], 'bag')
+    with pytest.raises(BellowsError, match='compressions'):
+        write_bag(tmp_path / 'b', [recorded()], 'mcap', 'gzip')
+    with pytest.raises(BellowsError, match='no chunks'):
+        write_bag(tmp_path / 'b', [recorded()], 'sqlite3', 'chunk')
+    with pytest.raises(BellowsError, match='does not exist'):
+        write_bag(tmp_path / 'none' / 'b', [recorded()])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_stamps_keep_every_nanosecond(tmp_path):
+    t = made.EPOCH_NS + np.array([0, 1, 999_999_999, 1_000_000_000, 2_123_456_789])
+    write_bag(tmp_path / 'b', [Recorded('/a', made.POSE, t, made.pose_values(5))])
+    stream = read_streams(tmp_path / 'b', {'p': 'a'})['p']
+    assert_array_equal(stream.stamps_ns, t)
+    assert_allclose(np.linalg.det(stream.rotation), 1.0, rtol=1e-14)

@@ -1,0 +1,602 @@
+"""Reading recordings that rosbags wrote, in every storage and compression, and what is refused."""
+
+import os
+import shutil
+import sqlite3
+import tracemalloc
+
+from bellows_ros.core.lie import quaternion_to_rotation
+from bellows_ros.core.trajectory import PoseStream, TwistStream
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import bags, sqlite_storage
+from bellows_ros.files.bags import accepted_types, read_streams, topics
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from rosbags.rosbag2 import Reader
+import yaml
+
+from . import recordings as made
+
+FORMS = [
+    ('mcap', 'NONE'), ('mcap', 'MESSAGE'), ('mcap', 'FILE'), ('mcap', 'STORAGE'),
+    ('sqlite3', 'NONE'), ('sqlite3', 'MESSAGE'), ('sqlite3', 'FILE'),
+]
+COUNT = 20
+
+
+def metadata(folder):
+    """Return the content of metadata.yaml."""
+    return yaml.safe_load((folder / 'metadata.yaml').read_text())
+
+
+def change_metadata(folder, **changes):
+    """Change entries of metadata.yaml."""
+    content = metadata(folder)
+    content['rosbag2_bagfile_information'].update(changes)
+    (folder / 'metadata.yaml').write_text(yaml.safe_dump(content))
+
+
+def one_topic(path, messages, kind=made.POSE, storage='mcap', **options):
+    """Write a recording with the topic /a."""
+    return made.write(path, {('/a', kind): messages}, storage, **options)
+
+
+def error_of(path, wanted=None):
+    """Return the message a recording is refused with."""
+    with pytest.raises(BellowsError) as error:
+        read_streams(path, wanted or {'tool_pose': '/a'})
+    assert error.value.exit_code == 2
+    return str(error.value)
+
+
+@pytest.fixture(params=FORMS, ids='-'.join)
+def bag(request, tmp_path):
+    """Provide a recording with three topics, in each storage and compression."""
+    storage, compression = request.param
+    t = made.stamps(COUNT)
+    content = {
+        ('/tool/pose', made.POSE): made.poses(COUNT),
+        ('/tool/twist', made.TWIST): [
+            (int(t[i]), made.encoded(made.TWIST, t[i], twist=made.twist_values(COUNT)[i]))
+            for i in range(COUNT)
+        ],
+        ('/unused', made.POSE): made.poses(3),
+    }
+    return made.write(tmp_path / 'bag', content, storage, compression)
+
+
+def test_streams_are_read_from_every_storage_and_compression(bag):
+    wanted = {'tool_pose': '/tool/pose', 'tool_twist': 'tool/twist', 'other_twist': ''}
+    streams = read_streams(bag, wanted)
+    assert set(streams) == {'tool_pose', 'tool_twist'}
+    pose, twist = streams['tool_pose'], streams['tool_twist']
+    values = made.pose_values(COUNT)
+    assert isinstance(pose, PoseStream) and isinstance(twist, TwistStream)
+    assert pose.name == '/tool/pose' and pose.frame_id == 'world' and pose.refused == {}
+    assert_array_equal(pose.stamps_ns, made.stamps(COUNT))
+    assert_array_equal(pose.position, values[:, :3])
+    assert_array_equal(pose.rotation, quaternion_to_rotation(values[:, 3:]))
+    assert_array_equal(np.hstack([twist.linear, twist.angular]), made.twist_values(COUNT))
+    assert_array_equal(twist.stamps_ns, made.stamps(COUNT))
+
+
+def test_topics_are_listed_by_name(bag):
+    assert topics(bag) == [
+        ('/tool/pose', made.POSE, COUNT), ('/tool/twist', made.TWIST, COUNT),
+        ('/unused', made.POSE, 3),
+    ]
+
+
+def test_a_bare_storage_file_is_a_recording_too(bag):
+    from_folder = read_streams(bag, {'tool_pose': '/tool/pose'})['tool_pose']
+    from_file = read_streams(made.storage_file(bag), {'tool_pose': '/tool/pose'})['tool_pose']
+    assert_array_equal(from_file.position, from_folder.position)
+    renamed = made.storage_file(bag).rename(bag / 'renamed')
+    assert topics(renamed) == topics(os.fspath(renamed))
+
+
+@pytest.mark.parametrize('storage', made.PLUGINS)
+def test_all_messages_are_those_that_rosbags_reads(rig, storage):
+    path = rig / {'mcap': 'clean', 'sqlite3': 'lab'}[storage]
+    with Reader(path) as reader:
+        for connection in reader.connections:
+            role = 'tool_twist' if connection.msgtype == made.TWIST else 'tool_pose'
+            stream = read_streams(path, {role: connection.topic})[role]
+            kept = np.ones(connection.msgcount, dtype=bool)
+            kept[[i for indices in stream.refused.values() for i in indices]] = False
+            raw = [data for _, _, data in reader.messages([connection])]
+            decoded = [made.TYPES.deserialize_cdr(x, connection.msgtype) for x in raw]
+            used = [m for m, keep in zip(decoded, kept, strict=True) if keep]
+            stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in used]
+            assert_array_equal(stream.stamps_ns, stamps)
+            if role == 'tool_pose':
+                positions = [[p.x, p.y, p.z] for p in (m.pose.position for m in used)]
+                assert_array_equal(stream.position, positions)
+
+
+def test_poses_of_the_rig_are_the_true_ones(rig):
+    truth = np.load(rig / 'clean_truth.npz')
+    streams = read_streams(
+        rig / 'clean', {'tool_pose': '/tool_arm/pose', 'package_pose': '/package/pose'})
+    for role, body in (('tool_pose', 'tool'), ('package_pose', 'package')):
+        T = next(truth[k] for k in truth.files if truth[k].shape[-2:] == (4, 4) and body in k)
+        # The recording holds poses that were rounded only as doubles.
+        assert_allclose(streams[role].position, T[:, :3, 3], rtol=0, atol=1e-12)
+        assert_allclose(streams[role].rotation, T[:, :3, :3], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    'kind', [made.POSE, made.POSE_COVARIANCE, made.TRANSFORM, made.ODOMETRY])
+def test_poses_are_read_from_each_type(tmp_path, kind):
+    t, values = made.stamps(4), made.pose_values(4)
+    messages = [
+        (int(t[i]), made.encoded(kind, t[i], pose=values[i], twist=[0.0] * 6)) for i in range(4)
+    ]
+    stream = read_streams(one_topic(tmp_path / 'b', messages, kind), {'p': 'a'})['p']
+    assert_array_equal(stream.position, values[:, :3])
+    assert_array_equal(stream.rotation, quaternion_to_rotation(values[:, 3:]))
+    assert stream.frame_id == 'world'
+
+
+@pytest.mark.parametrize('kind, frame_id', [(made.TWIST, 'world'), (made.ODOMETRY, 'body')])
+def test_twists_are_read_with_the_frame_their_axes_are_in(tmp_path, kind, frame_id):
+    t, values = made.stamps(4), made.twist_values(4)
+    pose = made.pose_values(1)[0]
+    messages = [
+        (int(t[i]), made.encoded(kind, t[i], pose=pose, twist=values[i])) for i in range(4)
+    ]
+    stream = read_streams(one_topic(tmp_path / 'b', messages, kind), {'tool_twist': 'a'})
+    assert_array_equal(stream['tool_twist'].linear, values[:, :3])
+    assert_array_equal(stream['tool_twist'].angular, values[:, 3:])
+    assert stream['tool_twist'].frame_id == frame_id
+
+
+def faulty(index, reason):
+    """Return a PoseStamped message with one fault."""
+    t = made.stamps(100)[index]
+    pose = made.pose_values(100)[index]
+    options = {}
+    if reason == 'nan':
+        pose[index % 7] = (np.nan, np.inf, -np.inf)[index % 3]
+    elif reason == 'zero_quaternion':
+        pose[3:] *= 1e-9
+    elif reason == 'not_unit':
+        pose[3:] *= 1.02
+    elif reason == 'out_of_range':
+        pose[0] = 1e300
+    elif reason == 'zero_stamp':
+        t = 0
+    elif reason == 'frame_id':
+        options = {'frame_id': 'elsewhere'}
+    elif reason == 'duplicate_stamp':
+        t = made.stamps(100)[index - 1]
+    elif reason == 'backward_stamp':
+        t = made.stamps(100)[index - 1] - 1
+    data = made.encoded(made.POSE, t, pose=pose, **options)
+    return data[:-9] if reason == 'malformed' else data
+
+
+@pytest.mark.parametrize('reason', bags.streams.REASONS)
+def test_messages_that_cannot_be_used_are_counted_by_reason(tmp_path, reason):
+    bad = (1, 7, 50, 99)
+    good = made.poses(100)
+    messages = [
+        (log, faulty(i, reason) if i in bad else data) for i, (log, data) in enumerate(good)
+    ]
+    stream = read_streams(one_topic(tmp_path / 'b', messages), {'p': 'a'})['p']
+    assert stream.refused == {reason: bad}
+    kept = np.setdiff1d(np.arange(100), bad)
+    assert_array_equal(stream.stamps_ns, made.stamps(100)[kept])
+    assert_array_equal(stream.position, made.pose_values(100)[kept, :3])
+    assert stream.frame_id == 'world'
+
+
+def test_a_message_with_several_faults_is_counted_once(tmp_path):
+    reasons = list(bags.streams.REASONS)
+    messages = made.poses(100)
+    rng = np.random.default_rng(5)
+    expected = {}
+    for i in range(1, 100, 2):
+        reason = reasons[rng.integers(len(reasons))]
+        messages[i] = (messages[i][0], faulty(i, reason))
+        expected.setdefault(reason, []).append(i)
+    stream = read_streams(one_topic(tmp_path / 'b', messages), {'p': 'a'})['p']
+    assert {k: list(v) for k, v in stream.refused.items()} == expected
+    assert len(stream) + sum(map(len, stream.refused.values())) == 100
+
+
+def test_quaternions_with_small_rounding_are_normalised(tmp_path):
+    values = made.pose_values(10)
+    rounded = np.hstack([values[:, :3], np.round(values[:, 3:], 3)])
+    stream = read_streams(one_topic(tmp_path / 'b', made.poses(10, rounded)), {'p': 'a'})['p']
+    assert stream.refused == {}
+    # Three decimals leave up to 0.5e-3 per component, twice that in an angle.
+    assert_allclose(stream.rotation, quaternion_to_rotation(values[:, 3:]), rtol=0, atol=3e-3)
+
+
+def test_nan_in_a_twist_is_counted(tmp_path):
+    values = made.twist_values(5)
+    values[3, 4] = np.nan
+    t = made.stamps(5)
+    messages = [(int(t[i]), made.encoded(made.TWIST, t[i], twist=values[i])) for i in range(5)]
+    path = one_topic(tmp_path / 'b', messages, made.TWIST)
+    assert read_streams(path, {'tool_twist': 'a'})['tool_twist'].refused == {'nan': (3,)}
+
+
+def test_messages_come_in_the_order_they_were_received_in(tmp_path):
+    messages = made.poses(6)
+    logged = [(messages[i][0], messages[j][1]) for i, j in enumerate([0, 2, 1, 3, 5, 4])]
+    for storage in made.PLUGINS:
+        path = one_topic(tmp_path / storage, logged[::-1], storage=storage)
+        stream = read_streams(path, {'p': 'a'})['p']
+        assert stream.refused == {'backward_stamp': (2, 5)}
+        assert_array_equal(stream.stamps_ns, made.stamps(6)[[0, 2, 3, 5]])
+
+
+def test_one_topic_may_serve_two_roles_and_batches_join(tmp_path, monkeypatch):
+    monkeypatch.setattr(bags, '_BATCH', 7)
+    messages = made.poses(50)
+    messages[3] = (messages[3][0], faulty(3, 'malformed'))
+    messages[20] = (messages[20][0], faulty(20, 'frame_id'))
+    streams = read_streams(one_topic(tmp_path / 'b', messages), {'p': 'a', 'q': '/a'})
+    for stream in streams.values():
+        assert stream.refused == {'malformed': (3,), 'frame_id': (20,)}
+        kept = np.setdiff1d(np.arange(50), [3, 20])
+        assert_array_equal(stream.position, made.pose_values(50)[kept, :3])
+
+
+def test_a_recording_in_several_files_is_one(tmp_path):
+    messages = made.poses(30)
+    folder = one_topic(tmp_path / 'first', messages[:10])
+    for i, part in ((1, messages[10:20]), (2, messages[20:])):
+        more = made.storage_file(one_topic(tmp_path / f'more{i}', part))
+        shutil.copy(more, folder / f'first_{i}.mcap')
+    change_metadata(folder, relative_file_paths=['first.mcap', 'first_1.mcap', 'first_2.mcap'])
+    assert topics(folder) == [('/a', made.POSE, 30)]
+    stream = read_streams(folder, {'p': 'a'})['p']
+    assert_array_equal(stream.position, made.pose_values(30)[:, :3])
+
+
+@pytest.mark.parametrize('version', range(1, 10))
+@pytest.mark.parametrize('storage', made.PLUGINS)
+def test_metadata_of_every_version_is_read(tmp_path, version, storage):
+    folder = one_topic(tmp_path / 'b', made.poses(4), storage=storage)
+    info = metadata(folder)['rosbag2_bagfile_information']
+    later = {
+        3: ['compression_format', 'compression_mode'], 5: ['files'], 6: ['custom_data'],
+        8: ['ros_distro'],
+    }
+    for since, keys in later.items():
+        for key in keys if version < since else ():
+            del info[key]
+    if version < 4:  # the folder's own name came first
+        info['relative_file_paths'] = [f'b/{x}' for x in info['relative_file_paths']]
+    for topic in info['topics_with_message_count']:
+        topic['topic_metadata']['offered_qos_profiles'] = '- history: 3\n  depth: 0\n'
+        topic['topic_metadata'].pop('type_description_hash')
+    info['version'] = version
+    (folder / 'metadata.yaml').write_text(yaml.safe_dump({'rosbag2_bagfile_information': info}))
+    assert len(read_streams(folder, {'p': 'a'})['p']) == 4
+
+
+JAZZY = """
+rosbag2_bagfile_information:
+  version: 9
+  storage_identifier: mcap
+  duration:
+    nanoseconds: 8333333
+  starting_time:
+    nanoseconds_since_epoch: 1760000000000000000
+  message_count: 4
+  topics_with_message_count:
+    - topic_metadata:
+        name: /a
+        type: geometry_msgs/msg/PoseStamped
+        serialization_format: cdr
+        offered_qos_profiles:
+          - history: unknown
+            depth: 0
+            reliability: reliable
+            durability: volatile
+            deadline:
+              sec: 9223372036
+              nsec: 854775807
+            lifespan:
+              sec: 9223372036
+              nsec: 854775807
+            liveliness: automatic
+            liveliness_lease_duration:
+              sec: 9223372036
+              nsec: 854775807
+            avoid_ros_namespace_conventions: false
+        type_description_hash: RIHS01_10f3786d7d40
+      message_count: 4
+  compression_format: ""
+  compression_mode: ""
+  relative_file_paths:
+    - b.mcap
+  files:
+    - path: b.mcap
+      starting_time:
+        nanoseconds_since_epoch: 1760000000000000000
+      duration:
+        nanoseconds: 8333333
+      message_count: 4
+  custom_data: ~
+  ros_distro: jazzy
+"""
+
+
+def test_metadata_as_jazzy_writes_it_is_read(tmp_path):
+    folder = one_topic(tmp_path / 'b', made.poses(4))
+    (folder / 'metadata.yaml').write_text(JAZZY)
+    assert topics(folder) == [('/a', made.POSE, 4)]
+
+
+def test_a_missing_recording_is_refused(tmp_path):
+    assert 'does not exist' in error_of(tmp_path / 'nothing')
+    assert 'does not exist' in error_of('nul\0byte')
+    with pytest.raises(BellowsError, match='does not exist'):
+        topics(tmp_path / 'nothing')
+
+
+def test_a_folder_without_metadata_is_refused_with_what_it_holds(tmp_path):
+    assert 'no metadata.yaml' in error_of(tmp_path)
+    folder = one_topic(tmp_path / 'b', made.poses(4))
+    (folder / 'metadata.yaml').unlink()
+    assert "It holds b.mcap: run 'ros2 bag reindex'" in error_of(folder)
+
+
+@pytest.mark.parametrize('storage', made.PLUGINS)
+def test_an_empty_recording_is_refused(tmp_path, storage):
+    folder = one_topic(tmp_path / 'b', [], storage=storage)
+    assert '1 topics and no message' in error_of(folder)
+    assert topics(folder) == [('/a', made.POSE, 0)]
+    change_metadata(folder, relative_file_paths=[])
+    assert 'is empty' in error_of(folder)
+
+
+@pytest.mark.parametrize('storage', made.PLUGINS)
+def test_a_file_without_a_byte_is_refused(tmp_path, storage):
+    folder = one_topic(tmp_path / 'b', made.poses(4), storage=storage)
+    made.storage_file(folder).write_bytes(b'')
+    assert 'it is empty' in error_of(folder)
+
+
+def test_a_wrong_topic_is_refused_with_those_that_are_there(bag):
+    message = error_of(bag, {'tool_pose': '/tool'})
+    assert "'/tool' is not in recording" in message
+    assert 'fitting type there: /tool/pose, /unused. Set topics.tool_pose.' in message
+    message = error_of(bag, {'tool_twist': 'tool'})
+    assert 'fitting type there: /tool/twist.' in message
+
+
+def test_a_wrong_type_is_refused_with_those_accepted(bag):
+    message = error_of(bag, {'tool_twist': '/tool/pose'})
+    assert f'is of type {made.POSE}' in message
+    assert f'accepted are {made.TWIST}, {made.ODOMETRY}' in message
+    assert 'fitting type there: /tool/twist' in message
+
+
+def test_a_recording_without_any_fitting_topic_says_so(tmp_path):
+    kind = 'std_msgs/msg/String'
+    text = made.TYPES.types[kind](data='x')
+    data = bytes(made.TYPES.serialize_cdr(text, kind))
+    folder = one_topic(tmp_path / 'b', [(made.EPOCH_NS, data)], kind)
+    assert f'there are: /a ({kind})' in error_of(folder, {'tool_pose': '/b'})
+
+
+def test_a_topic_without_messages_is_refused(tmp_path):
+    content = {('/a', made.POSE): [], ('/b', made.POSE): made.poses(3)}
+    assert 'has no messages' in error_of(made.write(tmp_path / 'b', content))
+
+
+def test_a_topic_without_usable_messages_is_refused_with_the_counts(tmp_path):
+    values = made.pose_values(10)
+    values[:6, 0] = np.nan
+    values[6:, 3:] = 0.0
+    message = error_of(one_topic(tmp_path / 'b', made.poses(10, values)))
+    assert 'Of 10: 6 hold NaN or infinity (first: message 0)' in message
+    assert '4 have a quaternion of zero (first: message 6)' in message
+
+
+def test_a_topic_of_two_types_is_refused(tmp_path):
+    t, pose = made.EPOCH_NS, made.pose_values(1)[0]
+    kinds = (made.POSE, made.TRANSFORM)
+    content = {('/a', k): [(t, made.encoded(k, t, pose=pose))] for k in kinds}
+    assert 'messages of two types' in error_of(made.write(tmp_path / 'b', content))
+
+
+def test_another_encoding_is_refused(tmp_path):
+    folder = one_topic(tmp_path / 'b', made.poses(3))
+    file = made.storage_file(folder)
+    file.write_bytes(file.read_bytes().replace(b'\3\0\0\0cdr', b'\3\0\0\0abc'))
+    assert 'PoseStamped in abc' in error_of(folder)
+
+
+@pytest.mark.parametrize(
+    'name',
+    ['/etc/passwd', '../other/other.mcap', 'sub/../../other/other.mcap', 'C:\\b.mcap', '..'],
+)
+@pytest.mark.parametrize('version', [3, 9])
+def test_files_outside_the_folder_are_not_read(tmp_path, name, version):
+    one_topic(tmp_path / 'other', made.poses(4))
+    folder = one_topic(tmp_path / 'b', made.poses(4))
+    change_metadata(folder, relative_file_paths=[name], version=version)
+    assert 'is outside the folder' in error_of(folder)
+
+
+def test_a_link_out_of_the_folder_is_not_followed(tmp_path):
+    other = one_topic(tmp_path / 'other', made.poses(4))
+    folder = one_topic(tmp_path / 'b', made.poses(4))
+    made.storage_file(folder).unlink()
+    (folder / 'b.mcap').symlink_to(made.storage_file(other))
+    assert 'is outside the folder' in error_of(folder)
+
+
+@pytest.mark.parametrize(
+    'changes, reason',
+    [
+        ({'relative_file_paths': ['gone.mcap']}, "lacks 'gone.mcap'"),
+        ({'relative_file_paths': 'b.mcap'}, 'must be a list'),
+        ({'relative_file_paths': [7]}, 'must be a list'),
+        ({'relative_file_paths': None}, 'must be a list'),
+        ({'relative_file_paths': ['.']}, "lacks '.'"),
+        ({'compression_format': 'lz4'}, "compressed with 'lz4'; zstd is supported"),
+        ({'compression_format': ['zstd']}, 'is compressed with'),
+    ],
+)
+def test_damaged_metadata_is_refused(tmp_path, changes, reason):
+    folder = one_topic(tmp_path / 'b', made.poses(4))
+    change_metadata(folder, **changes)
+    assert reason in error_of(folder)
+
+
+@pytest.mark.parametrize(
+    'text, reason',
+    [
+        ('', 'damaged'),
+        ('- 1', 'damaged'),
+        ('rosbag2_bagfile_information: 3', 'damaged'),
+        ('a: [', 'not valid YAML'),
+        ('a: !!python/object/apply:os.system [echo]', 'tags'),
+        ('[' * 5000, 'nested too deeply'),
+        ('x: ' + 'y' * 2**21, 'larger than'),
+        ('a: &a {b: 1}\n<<: [*a, *a]', 'merge'),
+    ],
+)
+def test_metadata_that_is_no_metadata_is_refused(tmp_path, text, reason):
+    folder = one_topic(tmp_path / 'b', made.poses(4))
+    (folder / 'metadata.yaml').write_text(text)
+    assert reason in error_of(folder)
+    (folder / 'metadata.yaml').write_bytes(b'\xff\xfe\x00')
+    assert 'not text in UTF-8' in error_of(folder)
+
+
+def test_a_file_of_another_kind_is_refused(tmp_path):
+    path = tmp_path / 'a.mcap'
+    path.write_bytes(b'#ROSBAG V2.0\n' + bytes(200))
+    assert 'neither an MCAP nor an SQLite file' in error_of(path)
+
+
+def test_a_path_with_signs_that_mean_something_in_an_address_is_read(tmp_path):
+    folder = one_topic(tmp_path / 'a?b#c%20d', made.poses(4), storage='mcap')
+    target = tmp_path / 'x?mode=rwc#%41'
+    shutil.copytree(one_topic(tmp_path / 'plain', made.poses(4), storage='sqlite3'), target)
+    assert len(read_streams(folder, {'p': 'a'})['p']) == 4
+    assert len(read_streams(target, {'p': 'a'})['p']) == 4
+
+
+def test_a_database_that_was_not_closed_is_refused(tmp_path):
+    folder = one_topic(tmp_path / 'b', made.poses(4), storage='sqlite3')
+    (folder / 'b.db3-wal').write_bytes(b'x')
+    assert 'was not closed: b.db3-wal' in error_of(folder)
+
+
+def test_a_write_ahead_log_is_merged_by_the_remedy(tmp_path):
+    file = made.storage_file(one_topic(tmp_path / 'b', made.poses(4), storage='sqlite3'))
+    database = sqlite3.connect(file)
+    database.execute('PRAGMA journal_mode = WAL')
+    database.execute('DELETE FROM messages WHERE id = 4')
+    database.commit()
+    crashed = tmp_path / 'crashed'
+    shutil.copytree(file.parent, crashed)  # as a recorder leaves it that is killed
+    database.close()
+    assert 'was not closed' in error_of(crashed)
+    merging = sqlite3.connect(crashed / 'b.db3')
+    merging.execute('SELECT * FROM sqlite_master').fetchall()
+    merging.close()
+    for folder in (crashed, file.parent):
+        assert len(read_streams(folder, {'p': 'a'})['p']) == 3
+
+
+def altered_database(tmp_path, *statements):
+    """Write a recording and run statements on its database."""
+    folder = one_topic(tmp_path / 'b', made.poses(4), storage='sqlite3')
+    database = sqlite3.connect(made.storage_file(folder))
+    for statement in statements:
+        database.execute(statement)
+    database.commit()
+    database.close()
+    return folder
+
+
+@pytest.mark.parametrize(
+    'statements, reason',
+    [
+        (['DROP TABLE topics'], 'no tables'),
+        (['ALTER TABLE topics RENAME COLUMN name TO x'], 'no such column'),
+        (["UPDATE topics SET type = x'00'"], "'topics' is damaged"),
+        (['UPDATE messages SET topic_id = 9'], '4 messages have a topic it does not list'),
+        (["UPDATE messages SET data = 'text'"], "'messages' is damaged"),
+        (["UPDATE messages SET timestamp = 'text'"], "'messages' is damaged"),
+        (['DROP TABLE messages', 'CREATE VIEW messages AS SELECT 1 AS topic_id'], 'no tables'),
+    ],
+)
+def test_a_damaged_database_is_refused(tmp_path, statements, reason):
+    assert reason in error_of(altered_database(tmp_path, *statements))
+
+
+def test_a_database_that_computes_without_end_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(sqlite_storage, '_LEAST_STEPS', 1_000_000)
+    folder = altered_database(
+        tmp_path,
+        'WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c LIMIT 200000)'
+        ' INSERT INTO messages (topic_id, timestamp, data) SELECT 1, x, zeroblob(0) FROM c',
+    )
+    monkeypatch.setattr(sqlite_storage, '_STEPS_PER_BYTE', 0)
+    assert 'interrupted' in error_of(folder)
+
+
+def test_messages_of_any_size_in_a_database_do_not_fill_the_memory(tmp_path):
+    folder = altered_database(
+        tmp_path,
+        'ALTER TABLE messages ADD COLUMN big AS (zeroblob(900000000)) VIRTUAL',
+        'ALTER TABLE messages RENAME COLUMN data TO old',
+        'ALTER TABLE messages RENAME COLUMN big TO data',
+    )
+    assert 'too big' in error_of(folder)
+
+
+def test_negative_receive_times_do_no_harm(tmp_path):
+    folder = altered_database(tmp_path, 'UPDATE messages SET timestamp = -timestamp')
+    assert len(read_streams(folder, {'p': 'a'})['p']) == 4
+
+
+def test_a_topic_with_too_many_messages_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(bags, 'LARGEST_COUNT', 9)
+    assert len(read_streams(one_topic(tmp_path / 'a', made.poses(9)), {'p': 'a'})['p']) == 9
+    assert 'more than 9 messages' in error_of(one_topic(tmp_path / 'b', made.poses(10)))
+
+
+def test_a_compressed_database_that_is_too_large_is_refused(tmp_path, monkeypatch):
+    folder = one_topic(tmp_path / 'b', made.poses(9), storage='sqlite3', compression='FILE')
+    monkeypatch.setattr(bags, 'LARGEST_TEMPORARY', 1000)
+    assert 'decompressed it is too large' in error_of(folder)
+
+
+def test_the_types_of_a_role_follow_from_its_name():
+    assert accepted_types('tool_twist') == (made.TWIST, made.ODOMETRY)
+    assert set(accepted_types('package_pose')) == {
+        made.POSE, made.POSE_COVARIANCE, made.TRANSFORM, made.ODOMETRY}
+
+
+def test_reading_holds_little_more_than_what_it_returns(tmp_path):
+    count = 20_000
+    one = made.poses(1)[0][1]
+    t = made.stamps(count)
+    stamped = np.frombuffer(one * count, np.uint8).reshape(count, -1).copy()
+    stamped[:, 4:12] = np.stack([t // 10**9, t % 10**9], axis=1).astype('<u4').view(np.uint8)
+    messages = [(int(s), row.tobytes()) for s, row in zip(t, stamped, strict=True)]
+    path = one_topic(tmp_path / 'b', messages)
+    del messages, stamped
+    tracemalloc.start()
+    try:
+        stream = read_streams(path, {'p': 'a'})['p']
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(stream) == count
+    # 650,000 messages in 400 MB are 600 bytes each; fixed costs are below 8 MB.
+    assert peak < 600 * count + 8e6

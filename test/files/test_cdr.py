@@ -1,0 +1,139 @@
+"""Decoding and encoding of messages, against rosbags' own."""
+
+from bellows_ros.files import cdr
+from hypothesis import given, strategies
+import numpy as np
+from numpy.testing import assert_array_equal
+import pytest
+
+from . import recordings as made
+
+KINDS = sorted(cdr.LAYOUTS)
+ANY_DOUBLE = strategies.floats(width=64)
+ANY_NAME = strategies.text(
+    strategies.characters(blacklist_characters='\0', blacklist_categories=['Cs']), max_size=9)
+
+
+def parts(kind):
+    """Return which of a type's doubles can be asked for, by name."""
+    layout = cdr.LAYOUTS[kind]
+    return {k: v for k, v in (('pose', layout.pose), ('twist', layout.twist)) if v}
+
+
+def names(kind, frame_id, child_frame_id):
+    """Return the frame names a type has."""
+    return (frame_id, child_frame_id)[: cdr.LAYOUTS[kind].strings]
+
+
+@pytest.mark.parametrize('kind', KINDS)
+@given(
+    numbers=strategies.lists(ANY_DOUBLE, min_size=13, max_size=13),
+    sec=strategies.integers(0, 2**31 - 1),
+    nanosec=strategies.integers(0, 10**9 - 1),
+    frame_id=ANY_NAME,
+    child_frame_id=ANY_NAME,
+    little_endian=strategies.booleans(),
+)
+def test_decoding_returns_what_rosbags_encoded(
+    kind, numbers, sec, nanosec, frame_id, child_frame_id, little_endian
+):
+    given_parts = {'pose': numbers[:7], 'twist': numbers[7:]}
+    stamp_ns = sec * 10**9 + nanosec
+    data = made.encoded(
+        kind, stamp_ns, **given_parts, frame_id=frame_id, child_frame_id=child_frame_id,
+        little_endian=little_endian)
+    for name, part in parts(kind).items():
+        decoded = cdr.decode([data], cdr.LAYOUTS[kind], part)
+        assert decoded.stamps_ns[0] == stamp_ns
+        assert decoded.frames == [names(kind, frame_id, child_frame_id)]
+        assert_array_equal(decoded.values, [given_parts[name]])
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_encoding_is_what_rosbags_reads(kind):
+    layout = cdr.LAYOUTS[kind]
+    given_parts = {'pose': made.pose_values(5), 'twist': made.twist_values(5)}
+    values = np.hstack([given_parts[name] for name in parts(kind)])
+    for frame_id in ('', 'w', 'world', 'a frame of 24 characters', 'wörld'):
+        data = cdr.encode(made.stamps(5), values, names(kind, frame_id, 'tool'), layout)
+        for i, one in enumerate(data):
+            row = {name: part[i] for name, part in given_parts.items()}
+            expected = made.message(
+                kind, made.stamps(5)[i], **row, frame_id=frame_id, child_frame_id='tool')
+            got = made.TYPES.deserialize_cdr(one, kind)
+            assert got.header == expected.header
+            for name in parts(kind):
+                if kind == made.TRANSFORM:
+                    assert got.transform == expected.transform
+                elif hasattr(getattr(got, name), 'covariance'):
+                    assert getattr(getattr(got, name), name) == getattr(
+                        getattr(expected, name), name)
+                    assert_array_equal(getattr(got, name).covariance, 0.0)
+                else:
+                    assert getattr(got, name) == getattr(expected, name)
+
+
+def test_messages_that_differ_in_all_but_their_type_are_decoded_together():
+    values = made.pose_values(6)
+    frames = ['world', 'a', 'world', 'frame', 'world', 'frame']
+    data = [
+        made.encoded(made.POSE, t, pose=v, frame_id=f, little_endian=i % 2 == 0)
+        for i, (t, v, f) in enumerate(zip(made.stamps(6), values, frames, strict=True))
+    ]
+    decoded = cdr.decode(data, cdr.LAYOUTS[made.POSE], slice(0, 7))
+    assert_array_equal(decoded.values, values)
+    assert_array_equal(decoded.stamps_ns, made.stamps(6))
+    assert [decoded.frames[i] for i in decoded.frame] == [(f,) for f in frames]
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_message_cut_short_anywhere_is_not_decoded(kind):
+    data = made.encoded(kind, made.EPOCH_NS, pose=made.pose_values(1)[0], twist=[1.0] * 6)
+    cut = [data[:size] for size in range(len(data))]
+    for part in parts(kind).values():
+        decoded = cdr.decode([data, *cut], cdr.LAYOUTS[kind], part)
+        assert_array_equal(decoded.frame, [0] + [-1] * len(cut))
+
+
+def test_padding_at_the_end_is_allowed_and_more_is_not():
+    data = made.encoded(made.POSE, made.EPOCH_NS, pose=made.pose_values(1)[0])
+    padded = [data + bytes(n) for n in range(6)]
+    decoded = cdr.decode(padded, cdr.LAYOUTS[made.POSE], slice(0, 7))
+    assert_array_equal(decoded.frame, [0, 0, 0, 0, -1, -1])
+
+
+@pytest.mark.parametrize(
+    'at, value',
+    [
+        (0, 1),  # not CDR
+        (1, 7),  # another version of CDR
+        (7, 0x80),  # seconds below zero
+        (11, 0xFF),  # more nanoseconds than a second has
+        (12, 0),  # a string without its end
+        (15, 0xFF),  # a string longer than memory
+        (16, 0xFF),  # not UTF-8
+        (21, 0x20),  # a string without its zero
+    ],
+)
+def test_damaged_messages_are_not_decoded(at, value):
+    good = made.encoded(made.POSE, made.EPOCH_NS, pose=made.pose_values(1)[0])
+    damaged = bytearray(good)
+    damaged[at] = value
+    decoded = cdr.decode([bytes(damaged), good], cdr.LAYOUTS[made.POSE], slice(0, 7))
+    assert decoded.frame[0] == -1
+    assert decoded.frame[1] >= 0
+
+
+@given(strategies.lists(strategies.binary(max_size=120), max_size=5))
+def test_any_bytes_are_either_decoded_or_left_out(data):
+    for kind in KINDS:
+        for part in parts(kind).values():
+            decoded = cdr.decode(data, cdr.LAYOUTS[kind], part)
+            assert len(decoded.frame) == len(data)
+
+
+def test_messages_that_are_too_long_are_not_decoded():
+    name = 'x' * cdr.LARGEST_MESSAGE
+    data = made.encoded(made.POSE, made.EPOCH_NS, pose=[0.0] * 7, frame_id=name)
+    decoded = cdr.decode([data], cdr.LAYOUTS[made.POSE], slice(0, 7))
+    assert_array_equal(decoded.frame, [-1])

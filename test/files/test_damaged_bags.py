@@ -1,0 +1,312 @@
+"""
+Damaged and hostile recordings: each is an error that can be told, or a loss that is counted.
+
+Nothing here may end in another exception, take long, or fill the memory.
+"""
+
+import io
+import struct
+import sys
+import tracemalloc
+import zlib
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import mcap
+from bellows_ros.files.bags import read_streams, topics
+from bellows_ros.files.compression import unlz4, unzstd
+from bellows_ros.files.storage import DamagedError, LARGEST_RECORD
+import lz4.frame
+import numpy as np
+from numpy.testing import assert_array_equal
+import pytest
+
+from . import recordings as made
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+FORMS = [
+    ('mcap', 'NONE'), ('mcap', 'MESSAGE'), ('mcap', 'FILE'), ('mcap', 'STORAGE'),
+    ('sqlite3', 'NONE'), ('sqlite3', 'MESSAGE'), ('sqlite3', 'FILE'),
+]
+COUNT = 60
+WANTED = {'p': '/a'}
+
+
+@pytest.fixture(params=FORMS, ids='-'.join)
+def bag(request, tmp_path):
+    """Provide a recording in each storage and compression."""
+    storage, compression = request.param
+    content = {('/a', made.POSE): made.poses(COUNT), ('/b', made.POSE): made.poses(3)}
+    return made.write(tmp_path / 'bag', content, storage, compression)
+
+
+def outcome(path):
+    """Return the stream of a recording, which must add up, or None if it is refused."""
+    try:
+        stream = read_streams(path, WANTED)['p']
+    except BellowsError as error:
+        assert len(str(error)) < 2000
+        assert str(path) in str(error)
+        return None
+    assert np.all(np.isfinite(stream.position)) and np.all(np.diff(stream.stamps_ns) > 0)
+    lost = [i for indices in stream.refused.values() for i in indices]
+    assert len(set(lost)) == len(lost)
+    assert len(stream) + len(lost) == {n: m for n, _, m in topics(path)}['/a']
+    return stream
+
+
+def test_a_file_truncated_anywhere_is_refused(bag):
+    file = made.storage_file(bag)
+    whole = file.read_bytes()
+    rng = np.random.default_rng(1)
+    places = {0, 1, 8, 9, 16, 100, len(whole) - 1, len(whole) - 8, len(whole) - 37}
+    places |= {int(x) for x in rng.integers(0, len(whole), size=40)}
+    for size in places:
+        file.write_bytes(whole[:size])
+        assert outcome(bag) is None, f'truncated to {size} of {len(whole)} bytes'
+    file.write_bytes(whole)
+    assert len(outcome(bag)) == COUNT
+
+
+def test_metadata_truncated_anywhere_is_an_error_or_enough(bag):
+    file = bag / 'metadata.yaml'
+    whole = file.read_bytes()
+    for size in range(0, len(whole), max(1, len(whole) // 50)):
+        file.write_bytes(whole[:size])
+        stream = outcome(bag)
+        assert stream is None or len(stream) == COUNT
+
+
+def test_flipped_bits_are_an_error_or_counted(bag):
+    file = made.storage_file(bag)
+    whole = np.frombuffer(file.read_bytes(), np.uint8)
+    rng = np.random.default_rng(2)
+    refused = 0
+    for _ in range(60):
+        damaged = whole.copy()
+        for at in rng.integers(0, len(whole), size=rng.integers(1, 20)):
+            damaged[at] ^= 1 << rng.integers(8)
+        file.write_bytes(damaged.tobytes())
+        stream = outcome(bag)
+        refused += stream is None
+        if stream is not None:  # no message may go missing without a word
+            assert sum(t.messages for t in topics(bag)) == COUNT + 3
+    assert refused  # some of them hit what holds the file together
+
+
+def test_overwritten_blocks_are_an_error_or_counted(bag):
+    file = made.storage_file(bag)
+    whole = file.read_bytes()
+    rng = np.random.default_rng(3)
+    for fill in (b'\0', b'\xff', None):
+        for _ in range(10):
+            size = int(rng.integers(1, 400))
+            at = int(rng.integers(0, len(whole)))
+            block = rng.bytes(size) if fill is None else fill * size
+            file.write_bytes(whole[:at] + block + whole[at + size:])
+            outcome(bag)
+
+
+def test_flipped_bits_in_metadata_are_an_error_or_do_no_harm(bag):
+    file = bag / 'metadata.yaml'
+    whole = np.frombuffer(file.read_bytes(), np.uint8)
+    rng = np.random.default_rng(4)
+    for _ in range(40):
+        damaged = whole.copy()
+        damaged[rng.integers(len(whole))] ^= 1 << rng.integers(8)
+        file.write_bytes(damaged.tobytes())
+        stream = outcome(bag)
+        assert stream is None or len(stream) == COUNT
+
+
+def test_a_message_cut_short_in_its_recording_is_counted(tmp_path):
+    messages = made.poses(COUNT)
+    messages[5] = (messages[5][0], b'')
+    messages[6] = (messages[6][0], bytes(5000))
+    messages[7] = (messages[7][0], zstd.compress(bytes(10**6)))
+    messages[8] = (messages[8][0], zstd.compress(messages[8][1])[:-3])
+    path = made.write(tmp_path / 'bag', {('/a', made.POSE): messages})
+    assert read_streams(path, WANTED)['p'].refused == {'malformed': (5, 6, 7, 8)}
+
+
+# MCAP files made by hand: the pieces, and what can be wrong with each.
+
+
+def record(kind, body):
+    """Return a record."""
+    return struct.pack('<BQ', kind, len(body)) + body
+
+
+def text(value):
+    """Return a string."""
+    return struct.pack('<I', len(value)) + value.encode()
+
+
+SCHEMA = record(3, struct.pack('<H', 1) + text(made.POSE) + text('ros2msg') + text(''))
+HEADER = record(1, text('ros2') + text('test'))
+
+
+def channel(number=1, topic='/a', schema=1):
+    """Return a channel record."""
+    fields = struct.pack('<HH', number, schema) + text(topic) + text('cdr')
+    return record(4, fields + struct.pack('<I', 0))
+
+
+def message(i, number=1):
+    """Return a message record."""
+    log_time_ns, data = made.poses(i + 1)[i]
+    return record(5, struct.pack('<HIQQ', number, 0, log_time_ns, log_time_ns) + data)
+
+
+def chunk(records, compression='', stored=None, size=None, checksum=0):
+    """Return a chunk record."""
+    stored = records if stored is None else stored
+    size = len(records) if size is None else size
+    head = struct.pack('<QQQI', 0, 0, size, checksum)
+    return record(6, head + text(compression) + struct.pack('<Q', len(stored)) + stored)
+
+
+def statistics(counts):
+    """Return a statistics record, of which only the counts by channel matter."""
+    counted = b''.join(struct.pack('<HQ', *item) for item in counts.items())
+    return record(0x0B, bytes(42) + struct.pack('<I', len(counted)) + counted)
+
+
+def write_mcap(path, *records, footer=True):
+    """Write a file of records."""
+    end = record(0x0F, bytes(4)) + record(2, bytes(20)) if footer else b''
+    path.write_bytes(mcap.MAGIC + HEADER + b''.join(records) + end + mcap.MAGIC)
+    return path
+
+
+BASE = SCHEMA + channel()
+
+
+def test_a_file_without_chunks_or_index_is_read(tmp_path):
+    path = write_mcap(tmp_path / 'a.mcap', SCHEMA, channel(), *(message(i) for i in range(5)))
+    assert_array_equal(outcome(path).position, made.pose_values(5)[:, :3])
+
+
+@pytest.mark.parametrize('compression', ['', 'zstd', 'lz4'])
+def test_chunks_are_read_and_unknown_records_passed_over(tmp_path, compression):
+    records = BASE + message(0) + record(0x80, b'private') + message(1)
+    pack = {'': bytes, 'zstd': zstd.compress, 'lz4': lz4.frame.compress}[compression]
+    attachment = record(9, bytes(3 * 2**20))
+    path = write_mcap(
+        tmp_path / 'a.mcap', attachment, chunk(records, compression, pack(records)), channel())
+    assert len(outcome(path)) == 2
+
+
+@pytest.mark.parametrize(
+    'records, reason',
+    [
+        ([message(0)], 'channel 1, which is not defined'),
+        ([BASE, channel(1, '/b'), message(0)], 'defined twice'),
+        ([SCHEMA, chunk(chunk(channel()))], 'record inside a chunk'),
+        ([chunk(BASE + message(0)[:-1])], 'record inside a chunk'),
+        ([chunk(BASE + message(0)[:5])], 'damaged'),
+        ([chunk(BASE, 'bz2')], "'bz2' is not supported"),
+        ([chunk(BASE, 'zstd')], 'cannot be decompressed'),
+        ([chunk(BASE, 'lz4')], 'cannot be decompressed'),
+        ([chunk(BASE, 'zstd', zstd.compress(BASE)[:-2])], 'cannot be decompressed'),
+        ([chunk(BASE, 'zstd', zstd.compress(BASE), len(BASE) - 1)], 'longer than'),
+        ([chunk(BASE, 'zstd', zstd.compress(BASE), len(BASE) + 1)], 'but says'),
+        ([chunk(BASE, size=2**62)], 'says it is 4611686018427387904 bytes long'),
+        ([chunk(BASE, checksum=1)], 'checksum'),
+        ([BASE, statistics({1: 2}), message(0), statistics({1: 2})], 'has 0 messages'),
+        ([BASE, message(0), statistics({1: 2})], 'has 1 messages in channel 1, but says 2'),
+        ([BASE, message(0), record(0x0B, bytes(42) + b'\4\0\0\0abcd')], 'damaged'),
+        ([record(5, b'')], 'damaged'),
+        ([record(4, bytes(3))], 'damaged'),
+        ([record(3, bytes(2) + b'\xff' * 4)], 'has only'),
+        ([record(3, bytes(2) + b'\1\0\0\0\xff')], 'damaged'),
+        ([struct.pack('<BQ', 5, 2**63)], 'says it is'),
+        ([struct.pack('<BQ', 9, 2**63)], 'truncated'),
+        ([struct.pack('<BQ', 5, LARGEST_RECORD)], 'truncated'),
+        ([record(2, bytes(20))], 'does not end'),
+    ],
+)
+def test_records_that_are_not_sound_are_refused(tmp_path, records, reason):
+    path = write_mcap(tmp_path / 'a.mcap', *records)
+    with pytest.raises(BellowsError, match=reason):
+        read_streams(path, WANTED)
+    with pytest.raises(BellowsError, match=reason):
+        topics(path)
+
+
+def test_a_file_whose_recording_was_not_ended_is_refused(tmp_path):
+    path = write_mcap(tmp_path / 'a.mcap', BASE, message(0), footer=False)
+    with pytest.raises(BellowsError, match='mcap recover'):
+        read_streams(path, WANTED)
+
+
+def test_a_checksum_that_is_right_is_accepted(tmp_path):
+    records = BASE + message(0)
+    path = write_mcap(tmp_path / 'a.mcap', chunk(records, checksum=zlib.crc32(records)))
+    assert len(outcome(path)) == 1
+
+
+def peak_memory(call):
+    """Return the largest memory in use during a call, bytes."""
+    tracemalloc.start()
+    try:
+        call()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def bomb(size):
+    """Return compressed zeros, made without holding them."""
+    out = io.BytesIO()
+    with zstd.open(out, 'wb') as file:
+        for _ in range(size // 2**20):
+            file.write(bytes(2**20))
+    return out.getvalue()
+
+
+def test_small_files_that_inflate_do_not_fill_the_memory(tmp_path):
+    inflating = bomb(2**29)
+    assert len(inflating) < 2**17
+
+    def refused(*records):
+        path = write_mcap(tmp_path / 'a.mcap', *records)
+        with pytest.raises(BellowsError):
+            read_streams(path, WANTED)
+
+    # Half a gigabyte in a chunk that says it has little, or more; and as a whole file.
+    assert peak_memory(lambda: refused(chunk(b'', 'zstd', inflating, 1000))) < 2**24
+    assert peak_memory(lambda: refused(chunk(b'', 'zstd', inflating, 2**30))) < 2**24
+    (tmp_path / 'b.db3').write_bytes(inflating)
+    assert peak_memory(lambda: outcome(tmp_path / 'b.db3')) < 2**24
+
+
+def test_records_inside_an_inflating_file_are_bounded(tmp_path):
+    head = mcap.MAGIC + HEADER + struct.pack('<BQ', 9, 2**29)
+    (tmp_path / 'a.mcap').write_bytes(zstd.compress(head) + bomb(2**29))
+    assert peak_memory(lambda: outcome(tmp_path / 'a.mcap')) < 2**25
+
+
+@pytest.mark.parametrize('unpack, pack', [(unzstd, zstd.compress), (unlz4, lz4.frame.compress)])
+def test_decompression_stops_at_its_limit(unpack, pack):
+    data = bytes(range(256)) * 40
+    assert unpack(pack(data), len(data)) == data
+    assert unpack(pack(data) + pack(b'more'), len(data) + 4) == data + b'more'
+    assert unpack(b'', 0) == b''
+    for packed, limit in (
+        (pack(data), len(data) - 1), (pack(data) + pack(b'more'), len(data)), (b'nonsense', 9),
+        (pack(data)[:-5], len(data)), (pack(data) + b'x', len(data)),
+    ):
+        with pytest.raises(BellowsError):
+            unpack(packed, limit)
+
+
+def test_any_bytes_after_the_magic_are_refused():
+    rng = np.random.default_rng(6)
+    for _ in range(300):
+        file = io.BytesIO(mcap.MAGIC + rng.bytes(int(rng.integers(200))))
+        with pytest.raises(DamagedError):
+            list(mcap.scan(file, lambda topic: True, {}))

@@ -1,0 +1,166 @@
+"""Parameter files: what is read from them, and that what is written reads back the same."""
+
+from bellows_ros.core.parameters import PARAMETERS, resolve
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import (
+    format_parameters,
+    read_parameters,
+    write_parameters,
+)
+from hypothesis import given, settings, strategies
+import numpy as np
+import pytest
+import yaml
+
+PACKAGE = {
+    'package.mass': 2.17,
+    'package.inertia': (0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0),
+    'package.com': (0.0, 0.0, -0.03),
+}
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Provide a function that reads a text as a parameter file."""
+
+    def read(text, node=None):
+        path = tmp_path / 'p.yaml'
+        path.write_text(text)
+        return read_parameters(path, node)
+
+    return read
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        'package.mass: 2\ncup: {length: 0.05}\n',
+        'package:\n  mass: 2.0\ncup.length: 0.05\n',
+        '/**:\n  ros__parameters:\n    package:\n      mass: 2\n    cup.length: 0.05\n',
+        'predictor:\n  ros__parameters: {package.mass: 2, cup.length: 0.05}\n',
+        'identifier:\n  ros__parameters: {package: {mass: 2}, cup: {length: 5e-2}}\n',
+        '/cell/predictor:\n  ros__parameters: {package.mass: 2, cup.length: 0.05}\n',
+        'cell:\n  predictor:\n    ros__parameters: {package.mass: 2, cup.length: 0.05}\n',
+        '/**/predictor:\n  ros__parameters: {package.mass: 2, cup.length: 0.05}\n',
+        '/*: {ros__parameters: {package.mass: 2}}\n'
+        'predictor: {ros__parameters: {cup.length: 0.05}}\n',
+        'use_sim_time: true\npackage.mass: 2\ncup.length: 0.05\n',
+    ],
+)
+def test_every_form_gives_the_same_values(file, text):
+    assert file(text) == {'package.mass': 2.0, 'cup.length': 0.05}
+
+
+BOTH = """
+/**:
+  ros__parameters:
+    package.mass: 1.0
+    qos_overrides: {/tool_arm/pose: {subscription: {depth: 5}}}
+predictor:
+  ros__parameters: {package.mass: 2.0, frames.package: box}
+/cell/identifier:
+  ros__parameters: {package.mass: 3.0}
+camera:
+  ros__parameters: {exposure: 7}
+"""
+
+
+def test_a_node_is_given_what_ros_would_give_it(file):
+    assert file(BOTH, 'predictor') == {'package.mass': 2.0, 'frames.package': 'box'}
+    assert file(BOTH, 'identifier') == {'package.mass': 3.0}
+    with pytest.raises(BellowsError, match='line 7: .package.mass. is given before'):
+        file(BOTH)
+
+
+@pytest.mark.parametrize(
+    'text, reason',
+    [
+        ('package.mas: 1\n', "line 1: .*'package.mas'. Did you mean 'package.mass'"),
+        ('cup:\n  length: 0.05\n  stifness: [1]\n', "line 3: .*mean 'cup.stiffness'"),
+        ('package:\n  mass: two\n', 'line 2: package.mass must be a number'),
+        ('a: 1\n', "line 1: Unknown parameter 'a'"),
+        ('package:\n  mass:\n', 'line 2: package.mass must be a number'),
+        ('cup.stiffness: [1.0, 2.0]\n', 'line 1: cup.stiffness must be a list of 36'),
+        ('cup: {length: 0.05}\ncup.length: 0.06\n', 'line 2: .cup.length. is given before'),
+        ('package.mass: 1\npackage.mass: 1\n', 'line 2: .*given twice'),
+        ('package: 3\n', "line 1: Unknown parameter 'package'"),
+        ('1: 2\n', "line 1: Unknown parameter '1'"),
+        ('', 'holds no parameters'),
+        ('- 1\n', 'holds no parameters'),
+        ('camera: {ros__parameters: {a: 1}}\n', 'nothing for identifier or predictor, only'),
+        ('/**: {ros__parameters: 3}\n', "must hold 'name: value'"),
+        ('a: !!python/name:os.system\n', 'tags'),
+    ],
+)
+def test_errors_name_the_line_and_the_remedy(file, text, reason):
+    with pytest.raises(BellowsError, match=reason):
+        file(text)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(BellowsError, match='does not exist'):
+        read_parameters(tmp_path / 'none.yaml')
+
+
+def test_deep_nesting_is_refused(file):
+    with pytest.raises(BellowsError, match='nested too deeply|Unknown parameter'):
+        file('a: {' * 300 + 'b: 1' + '}' * 300)
+
+
+def test_all_values_come_back(tmp_path):
+    values = {**resolve(PACKAGE), 'bags': ('a', "b's: #{}[]", '-', 'true', '1.0', ' x ', 'ü')}
+    for node in ('/**', 'predictor', '/cell/predictor'):
+        write_parameters(tmp_path / 'p.yaml', values, ['A cup'], ['from a recording'], node)
+        assert read_parameters(tmp_path / 'p.yaml') == values
+
+
+def test_every_line_reads_well():
+    stiffness = np.diag([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123])
+    stiffness[0, 4] = stiffness[4, 0] = -1.25e-05
+    values = {'cup.stiffness': tuple(stiffness.ravel()), 'gravity': 10, 'package.mass': 1e-05}
+    text = format_parameters(values, ['The cup.'], ['made from\nlab: 1'])
+    lines = text.splitlines()
+    assert lines[:5] == ['# The cup.', '#', '# made from lab: 1', '/**:', '  ros__parameters:']
+    assert '    gravity: 10.0  # m/s^2' in lines
+    assert '      mass: 1.0e-05  # kg' in lines
+    rows = [line for line in lines if line.endswith(('# x: N/m, N', '# ry: N, N m/rad'))]
+    assert rows[0].split() == [
+        '[', '6417.0,', '0.0,', '0.0,', '0.0,', '-1.25e-05,', '0.0,', '#', 'x:', 'N/m,', 'N']
+    assert rows[1].split()[:5] == ['-1.25e-05,', '0.0,', '0.0,', '0.0,', '3.868,']
+    assert all(len(line) < 100 for line in lines)
+
+
+@settings(deadline=None)
+@given(strategies.floats(1e-300, 1e4, exclude_min=True))
+def test_doubles_keep_every_digit_and_their_point(value):
+    text = format_parameters({'package.mass': value})
+    (line,) = (line for line in text.splitlines() if 'mass:' in line)
+    written = line.split()[1]
+    assert float(written) == value
+    assert '.' in written
+    # YAML 1.1, as PyYAML itself has it, also takes it for a number.
+    assert yaml.safe_load(text)['/**']['ros__parameters']['package']['mass'] == value
+
+
+def test_empty_lists_are_left_out_because_ros_has_none():
+    text = format_parameters({'bags': (), 'gravity': 9.81})
+    assert 'bags' not in text
+    assert yaml.safe_load(format_parameters({'bags': ()})) == {'/**': {'ros__parameters': {}}}
+
+
+def test_a_value_that_is_not_allowed_is_not_written(tmp_path):
+    path = tmp_path / 'p.yaml'
+    path.write_text('old')
+    for values in ({'gravity': float('nan')}, {'unknown': 1}, {'cup.stiffness': [0.0] * 36}):
+        with pytest.raises(BellowsError):
+            write_parameters(path, values)
+    assert path.read_text() == 'old'
+
+
+def test_every_parameter_is_written_with_its_sentence_and_unit():
+    text = ' '.join(format_parameters({**resolve(PACKAGE), 'bags': ('a',)}).split())
+    for parameter in PARAMETERS.values():
+        sentence = ' # '.join(parameter.description.split())
+        assert sentence.replace(' # ', ' ') in text.replace(' # ', ' ')
+        if parameter.unit and parameter.length != 36:
+            assert f'# {parameter.unit}' in text

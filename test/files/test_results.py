@@ -1,0 +1,134 @@
+"""Results of a fit as JSON: every digit comes back, and nothing that is not JSON goes in."""
+
+import json
+import math
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.results import format_json, KEYS, read_result, write_json, write_result
+from hypothesis import given, strategies
+import numpy as np
+from numpy.testing import assert_array_equal
+import pytest
+
+RNG = np.random.default_rng(0)
+RESULT = {
+    'method': 'least_squares',
+    'structure': 'axisymmetric',
+    'stiffness': RNG.normal(size=(6, 6)) * 1e4,
+    'damping': RNG.normal(size=(6, 6)),
+    'stiffness_std': RNG.normal(size=(6, 6)) ** 2,
+    'damping_std': np.full((6, 6), np.nan),
+    'samples_used': np.int64(7051),
+    'samples_rejected': 99,
+    'condition_number': np.float64(np.inf),
+    'more': {'bags': ('a', 'b'), 'refused': {'nan': [1, 2]}, 'ok': np.bool_(True), 'none': None},
+}
+
+
+def changed(**values):
+    """Return the result with some values changed; those that are None are left out."""
+    return {k: v for k, v in {**RESULT, **values}.items() if v is not None}
+
+
+def test_every_digit_comes_back(tmp_path):
+    write_result(tmp_path / 'fit.json', RESULT)
+    result = read_result(tmp_path / 'fit.json')
+    assert list(result) == list(RESULT)
+    for key in ('stiffness', 'damping', 'stiffness_std'):
+        assert_array_equal(np.array(result[key]), RESULT[key])
+    assert result['samples_used'] == 7051 and isinstance(result['samples_used'], int)
+    assert result['more'] == {
+        'bags': ['a', 'b'], 'refused': {'nan': [1, 2]}, 'ok': True, 'none': None}
+
+
+def test_what_is_not_known_is_null(tmp_path):
+    write_result(tmp_path / 'fit.json', RESULT)
+    assert not {'NaN', 'Infinity'} & set((tmp_path / 'fit.json').read_text().split())
+    result = read_result(tmp_path / 'fit.json')
+    assert result['condition_number'] is None
+    assert result['damping_std'] == [[None] * 6] * 6
+
+
+def test_matrices_are_written_row_by_row():
+    text = format_json({'stiffness': np.eye(6), 'empty': {}, 'nothing': []})
+    assert '\n    [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],\n    [0.0, 1.0' in text
+    assert json.loads(text) == {'stiffness': np.eye(6).tolist(), 'empty': {}, 'nothing': []}
+
+
+@pytest.mark.parametrize('key', KEYS)
+def test_a_result_without_one_of_its_keys_is_refused(tmp_path, key):
+    with pytest.raises(BellowsError, match=f'lacks {key}'):
+        write_result(tmp_path / 'fit.json', changed(**{key: None}))
+    write_json(tmp_path / 'fit.json', changed(**{key: None}))
+    with pytest.raises(BellowsError, match=f'lacks {key}'):
+        read_result(tmp_path / 'fit.json')
+
+
+@pytest.mark.parametrize(
+    'values, reason',
+    [
+        ({'stiffness': np.eye(5)}, "'stiffness' must be a list of 6 rows of 6"),
+        ({'stiffness': [1.0] * 36}, "'stiffness' must be"),
+        ({'damping_std': 3}, "'damping_std' must be"),
+        ({'more': {1: 2}}, 'key 1'),
+        ({'more': object}, 'cannot hold type'),
+        ({'more': 1j}, 'cannot hold complex'),
+        ({'more': {'a': [{'b': {1, 2}}]}}, 'cannot hold set'),
+    ],
+)
+def test_what_has_no_place_in_a_result_is_refused(tmp_path, values, reason):
+    path = tmp_path / 'fit.json'
+    path.write_text('old')
+    with pytest.raises(BellowsError, match=reason):
+        write_result(path, changed(**values))
+    assert path.read_text() == 'old'
+
+
+@pytest.mark.parametrize(
+    'data, reason',
+    [
+        (b'', 'not JSON'),
+        (b'{', 'not JSON'),
+        (b'\xff', 'not JSON'),
+        (b'[1]', 'lacks method'),
+        (b'3', 'lacks method'),
+        (b'{"method": NaN}', 'NaN is not allowed'),
+        (b'{"method": -Infinity}', 'not JSON: -Infinity'),
+        (b'[' * 200_000, 'nested too deeply'),
+        (b'1' * 5000, 'not JSON'),
+    ],
+)
+def test_what_is_no_result_is_refused(tmp_path, data, reason):
+    (tmp_path / 'fit.json').write_bytes(data)
+    with pytest.raises(BellowsError, match=reason):
+        read_result(tmp_path / 'fit.json')
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    for path in (tmp_path / 'none.json', tmp_path):
+        with pytest.raises(BellowsError, match='cannot be read'):
+            read_result(path)
+
+
+json_values = strategies.recursive(
+    strategies.none()
+    | strategies.booleans()
+    | strategies.integers()
+    | strategies.floats()
+    | strategies.text(),
+    lambda inner: strategies.lists(inner) | strategies.dictionaries(strategies.text(), inner),
+)
+
+
+def without_unknown(value):
+    """Return content in which what is not a number has become None."""
+    if isinstance(value, dict):
+        return {k: without_unknown(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [without_unknown(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@given(strategies.dictionaries(strategies.text(), json_values))
+def test_any_content_comes_back(content):
+    assert json.loads(format_json(content)) == without_unknown(content)

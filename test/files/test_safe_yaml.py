@@ -1,0 +1,113 @@
+"""YAML that cannot do harm, and errors that name the line."""
+
+from pathlib import Path
+import tempfile
+import time
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import safe_yaml
+from hypothesis import given, settings, strategies
+import pytest
+import yaml
+
+
+def load(path, text, **options):
+    """Load a text as a file."""
+    path.write_text(text)
+    return safe_yaml.load(path, **options)
+
+
+@pytest.mark.parametrize(
+    'text, value',
+    [
+        ('1e-05', 1e-5), ('-2E+3', -2e3), ('1.5e4', 1.5e4), ('6417.0', 6417.0), ('12', 12),
+        ('.nan', pytest.approx(float('nan'), nan_ok=True)), ('true', True), ('~', None),
+        ('2024-05-01', '2024-05-01'), ('e5', 'e5'), ("'1'", '1'), ('[1, a]', [1, 'a']),
+    ],
+)
+def test_values_are_those_ros_would_take(tmp_path, text, value):
+    loaded = load(tmp_path / 'a', f'key: {text}\n')['key']
+    assert loaded == value
+    assert type(loaded) is type(value) or not isinstance(value, int | float | str)
+
+
+@pytest.mark.parametrize(
+    'text, line, reason',
+    [
+        ('a: 1\nb: 2\na: 3\n', 3, "key 'a' is given twice"),
+        ('a:\n  b: 1\n  b: 2\n', 3, "key 'b' is given twice"),
+        ('a: &x 1\nb: *x\n', 2, r'aliases \(\*name\) are not allowed'),
+        ('a: &x {c: 1}\nb:\n  <<: {d: 1}\n', 3, 'merge keys'),
+        ('a: 1\n? [1, 2]\n: 3\n', 2, 'a key must be a plain name'),
+        ('a: 1\nb: !!python/object/apply:os.system [echo]\n', 2, 'tags'),
+        ('a: 1\n---\nb: 2\n', 2, 'another document'),
+        ('a: 1\n  b: 2\n', 2, 'mapping values'),
+        ('a: [1,\n', 2, 'expected'),
+        ('a: "x\n', 2, 'end of stream'),
+    ],
+)
+def test_errors_name_the_line(tmp_path, text, line, reason):
+    with pytest.raises(BellowsError, match=rf'a, line {line}: not valid YAML here: .*{reason}'):
+        load(tmp_path / 'a', text)
+
+
+@pytest.mark.parametrize(
+    'data, reason',
+    [
+        (b'[' * 20_000, 'nested too deeply'),
+        (b'\xff\xff', 'UTF-8'),
+        (b'a: \0', 'not valid YAML'),
+        (b'x: ' + b'1' * 5000, 'cannot be read'),
+        (b'#' * 2**21, 'larger than'),
+    ],
+)
+def test_what_is_no_yaml_is_refused(tmp_path, data, reason):
+    (tmp_path / 'a').write_bytes(data)
+    with pytest.raises(BellowsError, match=reason):
+        safe_yaml.load(tmp_path / 'a')
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    for path in (tmp_path, tmp_path / 'none', '/dev/zero'):
+        with pytest.raises(BellowsError, match='does not exist or is not a plain file'):
+            safe_yaml.load(type(tmp_path)(path))
+
+
+def test_aliases_that_would_grow_are_not_written_out(tmp_path):
+    lines = ['a0: &a0 [x, x]']
+    lines += [f'a{i}: &a{i} [*a{i - 1}, *a{i - 1}]' for i in range(1, 60)]
+    start = time.monotonic()
+    with pytest.raises(BellowsError, match='aliases'):
+        load(tmp_path / 'a', '\n'.join(lines))
+    assert load(tmp_path / 'a', '\n'.join(lines), aliases=True)['a0'] == ['x', 'x']
+    assert time.monotonic() - start < 10.0
+
+
+def test_lines_lead_to_each_key(tmp_path):
+    (tmp_path / 'a').write_text('# comment\na:\n  b: 1\n  c: {d: 2}\n"e f": [1]\n')
+    content, lines = safe_yaml.load_with_lines(tmp_path / 'a')
+    assert content == {'a': {'b': 1, 'c': {'d': 2}}, 'e f': [1]}
+    assert lines == {
+        ('a',): 2, ('a', 'b'): 3, ('a', 'c'): 4, ('a', 'c', 'd'): 4, ('e f',): 5}
+
+
+def test_an_empty_file_is_nothing(tmp_path):
+    assert load(tmp_path / 'a', '# only a comment\n') is None
+
+
+@settings(deadline=None)
+@given(
+    strategies.text(max_size=60)
+    | strategies.text('[]{}:,&*!<>-?|#%@`"\'ab0. \n\t', max_size=40)
+)
+def test_any_text_is_either_plain_or_refused(text):
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(text.encode('utf-8', 'surrogatepass'))
+        file.flush()
+        for aliases in (False, True):
+            try:
+                content = safe_yaml.load(Path(file.name), aliases)
+            except BellowsError:
+                continue
+            if not aliases:
+                yaml.safe_dump(content)  # only plain things can be written
