@@ -43,7 +43,7 @@ def kernel(function: Function) -> Function:
 
 def _kernel_sources_stamp() -> tuple[float, int]:
     """Return the newest change time and the summed size of all modules that hold kernels."""
-    stats = [path.stat() for path in sorted(Path(__file__).parent.glob('*.py'))]
+    stats = [path.stat() for path in sorted(Path(__file__).parent.rglob('*.py'))]
     return max(stat.st_mtime for stat in stats), sum(stat.st_size for stat in stats)
 
 

@@ -1,0 +1,1 @@
+"""Recordings that never were: motions, and what sensors make of them."""

@@ -1,0 +1,398 @@
+"""
+Smooth motions of the tool tip E, known at every time together with their velocity.
+
+A motion begins with a rest and has continuous accelerations (C2). Times are seconds since its
+beginning. Displacements are in world axes; turns are ``R_world_tool = R_start exp(phi)``, with the
+rotation vector phi in the tool's axes at the start.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+from bellows_ros.core.lie import (
+    apply,
+    Array,
+    dexp,
+    exp_so3,
+    log_so3,
+    quaternion_to_rotation,
+)
+from bellows_ros.core.synthetic.settings import Settings
+from bellows_ros.core.trajectory import NS_PER_S, Stamps, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+KINDS = ('multi_sine', 'chirp', 'waypoints', 'static')
+AXES = ('x', 'y', 'z')
+
+LONGEST = 3600.0
+"""Longest motion, s."""
+LARGEST_FREQUENCY = 100.0
+"""Highest frequency of a motion, Hz: beyond any robot."""
+SHORTEST_MOVE = 0.01
+"""Shortest move to a waypoint, s."""
+_UNIT_WITHIN = 1e-3  # of a start or waypoint quaternion written with few digits
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A pose of E in the world: position (3,) in m and R_world_tool (3, 3)."""
+
+    position: Array
+    rotation: Array
+
+
+class Motion(ABC):
+    """
+    A motion of the tool.
+
+    Attributes
+    ----------
+    start : Pose
+        Where the tool rests at the beginning.
+    rest_duration : float
+        Time of that rest, s.
+    duration : float
+        Time from beginning to end, the rest included, s.
+
+    """
+
+    start: Pose
+    rest_duration: float
+    duration: float
+
+    @abstractmethod
+    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
+        """
+        Return where the tool is and how it moves.
+
+        Parameters
+        ----------
+        t : array (N,)
+            Times, s; before the beginning the tool rests.
+
+        Returns
+        -------
+        position, velocity : arrays (N, 3)
+            In world axes, m and m/s.
+        rotation : array (N, 3, 3)
+            R_world_tool.
+        body_rate : array (N, 3)
+            Angular velocity in tool axes, rad/s.
+
+        """
+
+    @property
+    @abstractmethod
+    def highest_frequency(self) -> float:
+        """Highest frequency in the motion, Hz; an estimate where it has no line spectrum."""
+
+    def trajectory(self, stamps_ns: Stamps, start_ns: int) -> Trajectory:
+        """
+        Return the tool's poses and body twists at given stamps.
+
+        Parameters
+        ----------
+        stamps_ns : int array (N,)
+            Strictly increasing, ns.
+        start_ns : int
+            Stamp of the motion's beginning, ns.
+
+        """
+        o, o_rate, R, w = self.state((stamps_ns - start_ns) / NS_PER_S)
+        twist = np.hstack([apply(np.swapaxes(R, -1, -2), o_rate), w])
+        return Trajectory(stamps_ns, o, R, twist)
+
+
+def smooth_step(s: Array) -> tuple[Array, Array]:
+    """
+    Return the quintic from 0 to 1 with zero velocity and acceleration at both ends, and its slope.
+
+    Of all steps it has the least integral of the squared jerk. Outside 0..1 it stands still.
+    """
+    s = np.clip(s, 0.0, 1.0)
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class Oscillation(Motion):
+    """
+    Oscillations that swell smoothly after the rest.
+
+    Parameters
+    ----------
+    start : Pose
+    rest_duration, ramp_duration, duration : float
+        Rest, time until the full amplitude, and all together, s.
+    amplitude : array (M,)
+        Of each component, m or rad.
+    axis : int array (M,)
+        Which displacement a component adds to: 0..2 world axes, 3..5 of the rotation vector.
+    frequency : array (M, 2)
+        At the end of the rest and at the end of the motion, Hz, changing linearly in between.
+    phase : array (M,)
+        At the end of the rest, rad.
+
+    """
+
+    start: Pose
+    rest_duration: float
+    ramp_duration: float
+    duration: float
+    amplitude: Array
+    axis: NDArray[np.int64]
+    frequency: Array
+    phase: Array
+
+    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
+        """Return where the tool is and how it moves; the body rate is dexp(-phi) dphi/dt."""
+        value, rate = self._displacement(t)
+        phi = value[:, 3:]
+        return (
+            self.start.position + value[:, :3],
+            rate[:, :3],
+            self.start.rotation @ exp_so3(phi),
+            apply(dexp(-phi), rate[:, 3:]),
+        )
+
+    def _displacement(self, t: Array) -> tuple[Array, Array]:
+        """Return displacement and rotation vector since the start (N, 6), and their rates."""
+        tau = t - self.rest_duration
+        ramp, slope = smooth_step(tau / self.ramp_duration)
+        slope = slope / self.ramp_duration
+        value, rate = np.zeros((2, len(t), 6))
+        for i, axis in enumerate(self.axis):
+            wave, wave_rate = self._wave(i, tau)
+            value[:, axis] += ramp * wave
+            rate[:, axis] += ramp * wave_rate + slope * wave
+        return value, rate
+
+    def _wave(self, i: int, tau: Array) -> tuple[Array, Array]:
+        """Return component i without the ramp at times tau (N,) since the rest, and its rate."""
+        first, last = 2.0 * np.pi * self.frequency[i]
+        sweep = (last - first) / (self.duration - self.rest_duration)
+        angle = self.phase[i] + first * tau + 0.5 * sweep * tau**2
+        angle_rate = first + sweep * tau
+        return self.amplitude[i] * np.sin(angle), self.amplitude[i] * angle_rate * np.cos(angle)
+
+    @property
+    def highest_frequency(self) -> float:
+        """Highest frequency of a component, Hz."""
+        return float(np.max(self.frequency, initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A move to a pose along a smooth step, and a hold there; times in s."""
+
+    goal: Pose
+    move: float
+    hold: float
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoints(Motion):
+    """
+    Moves from pose to pose, each with a stop at its end.
+
+    Positions go straight and orientations about a fixed axis, both along the smooth step.
+
+    Parameters
+    ----------
+    start : Pose
+    rest_duration : float
+        s.
+    segments : tuple of Segment
+        At least one.
+
+    """
+
+    start: Pose
+    rest_duration: float
+    segments: tuple[Segment, ...]
+    duration: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Add up the duration."""
+        moving = sum(segment.move + segment.hold for segment in self.segments)
+        object.__setattr__(self, 'duration', self.rest_duration + moving)
+
+    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
+        """Return where the tool is and how it moves; at rest before the first segment."""
+        still = np.zeros((len(t), 3))
+        position, rotation = still + self.start.position, still[..., None] + self.start.rotation
+        velocity, body_rate = still.copy(), still.copy()
+        begin, here = self.rest_duration, self.start
+        for segment in self.segments:
+            now = t >= begin  # what a later segment covers, it overwrites
+            position[now], velocity[now], rotation[now], body_rate[now] = _moved(
+                here, segment, t[now] - begin
+            )
+            begin, here = begin + segment.move + segment.hold, segment.goal
+        return position, velocity, rotation, body_rate
+
+    @property
+    def highest_frequency(self) -> float:
+        """One over the shortest move, Hz."""
+        return 1.0 / min(segment.move for segment in self.segments)
+
+
+def _moved(here: Pose, segment: Segment, tau: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the state at times tau (N,) after a segment began at a pose."""
+    step, slope = (x[:, None] for x in smooth_step(tau / segment.move))
+    slope = slope / segment.move
+    way = segment.goal.position - here.position
+    turn = log_so3(here.rotation.T @ segment.goal.rotation)
+    rotation = here.rotation @ exp_so3(step * turn)
+    return here.position + step * way, slope * way, rotation, slope * turn
+
+
+def motion_from(settings: Settings, phases: Generator) -> Motion:
+    """
+    Return the motion that settings describe; what they mean stands in config/motion_example.yaml.
+
+    Parameters
+    ----------
+    settings : Settings
+        With `kind`, and a block of that name.
+    phases : Generator
+        Draws the phases of oscillations.
+
+    Raises
+    ------
+    BellowsError
+        If a setting is missing, unknown or out of range.
+
+    """
+    kind = settings.choice('kind', KINDS)
+    start = _pose(settings.block('start'))
+    rest = settings.number('rest_duration', 2.0, 's', least=0.0, most=LONGEST)
+    motion = (
+        _oscillation(settings, kind, start, rest, phases)
+        if kind in ('multi_sine', 'chirp')
+        else Waypoints(start, rest, _segments(settings.block(kind), kind))
+    )
+    if motion.duration > LONGEST:
+        raise BellowsError(
+            f'The motion takes {motion.duration:g} s; at most {LONGEST:g} s are possible. '
+            'Split it into several recordings.'
+        )
+    return motion
+
+
+def _pose(settings: Settings) -> Pose:
+    """Return a pose given by position and either rpy or quaternion_xyzw; identity if neither."""
+    position = settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m')
+    rpy = settings.vector('rpy', 3, (0.0, 0.0, 0.0), unit='rad')
+    quaternion = settings.vector('quaternion_xyzw', 4, (0.0, 0.0, 0.0, 1.0))
+    settings.done()
+    if 'rpy' in settings and 'quaternion_xyzw' in settings:
+        raise BellowsError(
+            f"Settings '{settings.name('rpy')}' and '{settings.name('quaternion_xyzw')}' are both "
+            'given. Give one of them.'
+        )
+    if 'quaternion_xyzw' in settings:
+        length = float(np.linalg.norm(quaternion))
+        if abs(length - 1.0) > _UNIT_WITHIN:
+            raise settings.refuse('quaternion_xyzw', 'of length 1', quaternion.tolist())
+        return Pose(position, quaternion_to_rotation(quaternion / length))
+    return Pose(position, rpy_rotation(rpy))
+
+
+def rpy_rotation(rpy: Array) -> Array:
+    """Return R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) of roll, pitch, yaw in rad, as URDF has it."""
+    roll, pitch, yaw = exp_so3(np.diag(rpy))
+    R: Array = yaw @ pitch @ roll
+    return R
+
+
+def _oscillation(
+    settings: Settings, kind: str, start: Pose, rest: float, phases: Generator
+) -> Oscillation:
+    """Return a multi-sine or a chirp."""
+    duration = settings.number('duration', unit='s', above=rest, most=LONGEST)
+    ramp = settings.number('ramp_duration', 1.0, 's', above=0.0, most=LONGEST)
+    block = settings.block(kind)
+    axis, amplitude, frequency = _sines(block) if kind == 'multi_sine' else _sweeps(block)
+    if not len(axis):
+        raise BellowsError(
+            f"Setting '{kind}' moves nothing. Give it an amplitude on one axis at least, of "
+            'position or of rotation.'
+        )
+    phase = phases.uniform(0.0, 2.0 * np.pi, len(axis))
+    block.done()
+    return Oscillation(start, rest, ramp, duration, amplitude, axis, frequency, phase)
+
+
+def _sines(settings: Settings) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return axis, amplitude and constant frequencies of the components of a multi-sine."""
+    parts = []
+    for offset, name, unit in ((0, 'position', 'm'), (3, 'rotation', 'rad')):
+        block = settings.block(name)
+        for index, axis in enumerate(AXES):
+            if axis in block:
+                parts += [(offset + index, a, f) for a, f in _lines(block, axis, unit)]
+            else:
+                block.block(axis)
+        block.done()
+    axes = np.array([part[0] for part in parts], dtype=np.int64)
+    amplitude, frequency = np.array([part[1:] for part in parts]).reshape(-1, 2).T
+    return axes, amplitude, np.stack([frequency, frequency], axis=1)
+
+
+def _lines(block: Settings, axis: str, unit: str) -> list[tuple[float, float]]:
+    """Return the amplitudes and frequencies of one axis."""
+    settings = block.block(axis)
+    amplitude = settings.numbers('amplitude', unit)
+    frequency = settings.numbers('frequency', 'Hz', least=0.0)
+    settings.done()
+    if len(amplitude) != len(frequency):
+        raise BellowsError(
+            f"Settings '{block.name(axis)}.amplitude' and '.frequency' must be equally long, got "
+            f'{len(amplitude)} and {len(frequency)} numbers.'
+        )
+    if frequency.max() > LARGEST_FREQUENCY:
+        raise settings.refuse(
+            'frequency', f'at most {LARGEST_FREQUENCY:g} Hz each', frequency.tolist()
+        )
+    return list(zip(amplitude.tolist(), frequency.tolist(), strict=True))
+
+
+def _sweeps(settings: Settings) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return axis, amplitude and first and last frequency of the components of a chirp."""
+    amplitude = np.concatenate(
+        [
+            settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m'),
+            settings.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad'),
+        ]
+    )
+    ends = [
+        settings.number(name, unit='Hz', least=0.0, most=LARGEST_FREQUENCY)
+        for name in ('from', 'to')
+    ]
+    axes = np.flatnonzero(amplitude)
+    return axes, amplitude[axes], np.tile(ends, (len(axes), 1))
+
+
+def _segments(settings: Settings, kind: str) -> tuple[Segment, ...]:
+    """Return the segments of waypoints, each with its times, or of static poses, all alike."""
+    common = None
+    if kind == 'static':
+        common = _times(settings)
+    segments = tuple(_segment(block, common) for block in settings.blocks('poses'))
+    settings.done()
+    return segments
+
+
+def _times(settings: Settings) -> tuple[float, float]:
+    """Return the time of a move and of the hold after it, s."""
+    move = settings.number('move', unit='s', least=SHORTEST_MOVE, most=LONGEST)
+    return move, settings.number('hold', 0.0, 's', least=0.0, most=LONGEST)
+
+
+def _segment(settings: Settings, common: tuple[float, float] | None) -> Segment:
+    """Return one segment."""
+    move, hold = _times(settings) if common is None else common
+    return Segment(_pose(settings), move, hold)

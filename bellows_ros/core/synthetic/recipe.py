@@ -1,0 +1,159 @@
+"""The recipe of a recording: what a motion file says, checked."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import re
+
+from bellows_ros.core.lie import Array
+from bellows_ros.core.synthetic.motion import Motion, motion_from
+from bellows_ros.core.synthetic.sensing import (
+    Sensor,
+    sensor_from,
+    twist_sensor_from,
+    TwistSensor,
+    WORLDS,
+)
+from bellows_ros.core.synthetic.settings import Settings
+import numpy as np
+from numpy.random import default_rng, Generator, SeedSequence
+
+TOPICS = {
+    'tool_pose': '/tool_arm/pose',
+    'tool_twist': '/tool_arm/twist',
+    'package_pose': '/package/pose',
+}
+FRAME_IDS = {'z_up': 'world', 'motive_y_up': 'motive'}
+START_NS = 1_700_000_000_000_000_000
+
+_PURPOSES = ('phases', 'tool plan', 'tool', 'tool twist', 'package plan', 'package')
+_TOPIC = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """
+    How a recording is made: the motion, how both bodies are tracked, and how it is stored.
+
+    Parameters
+    ----------
+    motion : Motion
+        Of the tool.
+    tool, package : Sensor
+        How each is tracked.
+    tool_twist : TwistSensor or None
+        How the tool's twist is measured; None where it is not published.
+    world : str
+        Of `core.sensing.WORLDS`.
+    frame_id : str
+        In every header.
+    topics : mapping
+        Topic of 'tool_pose', 'tool_twist' and 'package_pose'.
+    storage, compression : str
+        As `files.bag_writer.write_bag` takes them.
+    seed : int
+        Of all random numbers.
+    start_ns : int
+        First stamp, ns.
+    truth : bool
+        Whether the true motion is written beside the recording.
+
+    """
+
+    motion: Motion
+    tool: Sensor
+    tool_twist: TwistSensor | None
+    package: Sensor
+    world: str
+    frame_id: str
+    topics: Mapping[str, str]
+    storage: str
+    compression: str
+    seed: int
+    start_ns: int
+    truth: bool
+
+
+def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
+    """
+    Check the content of a motion file.
+
+    Parameters
+    ----------
+    motion : mapping
+        Parsed YAML.
+    com : array (3,)
+        Centre of mass B in the lip frame S, m.
+
+    Raises
+    ------
+    BellowsError
+        If a setting is missing, unknown or not allowed.
+
+    """
+    settings = Settings(motion)
+    seed = settings.whole('seed', 0)
+    world = settings.choice('world', tuple(WORLDS), 'z_up')
+    moving = motion_from(settings, generator(seed, 'phases'))
+    tool, tool_twist = _tool(settings.block('tool'))
+    storage = settings.choice('storage', ('mcap', 'sqlite3'), 'mcap')
+    recipe = Recipe(
+        motion=moving,
+        tool=tool,
+        tool_twist=tool_twist,
+        package=_package(settings.block('package'), com),
+        world=world,
+        frame_id=settings.text('frame_id', FRAME_IDS[world]),
+        topics=_topics(settings.block('topics')),
+        storage=storage,
+        compression=_compression(settings, storage),
+        seed=seed,
+        start_ns=settings.whole('start_time_ns', START_NS, least=10**9, most=2**62),
+        truth=settings.flag('truth', False),
+    )
+    settings.done()
+    return recipe
+
+
+def _tool(settings: Settings) -> tuple[Sensor, TwistSensor | None]:
+    """Return how the tool is tracked."""
+    twist = twist_sensor_from(settings.block('twist'))
+    sensor = sensor_from(settings)
+    settings.done()
+    return sensor, twist
+
+
+def _package(settings: Settings, com: Array) -> Sensor:
+    """Return how the package is tracked: at its centre of mass or at the lip, plus an offset."""
+    frame = settings.choice('frame', ('com', 'lip'), 'com')
+    offset = settings.vector('pickup_offset', 2, (0.0, 0.0), unit='m')
+    tracked = np.zeros(3) if frame == 'com' else -com  # S in B axes, which are those of S
+    sensor = sensor_from(settings, tracked + [*offset, 0.0])
+    settings.done()
+    return sensor
+
+
+def _topics(settings: Settings) -> dict[str, str]:
+    """Return the topics, with a leading slash, all different."""
+    topics = {}
+    for role, default in TOPICS.items():
+        name = settings.text(role, default)
+        topics[role] = name if name.startswith('/') else f'/{name}'
+        if not _TOPIC.fullmatch(topics[role]):
+            raise settings.refuse(role, 'a topic name such as ' + default, name)
+        if list(topics.values()).count(topics[role]) > 1:
+            raise settings.refuse(role, 'a topic no other stream has', name)
+    settings.done()
+    return topics
+
+
+def _compression(settings: Settings, storage: str) -> str:
+    """Return the form of compression that suits the storage."""
+    zstd = settings.choice('compression', ('none', 'zstd'), 'none') == 'zstd'
+    if not zstd:
+        return 'none'
+    return 'chunk' if storage == 'mcap' else 'message'
+
+
+def generator(seed: int, purpose: str) -> Generator:
+    """Return random numbers for one purpose, which do not depend on how many others draw."""
+    return default_rng(SeedSequence(seed, spawn_key=(_PURPOSES.index(purpose),)))

@@ -1,0 +1,377 @@
+"""
+What a tracking system makes of a true motion: marker frames, noise, tracking jumps, gaps, stamps.
+
+A recorded pose of a body with the true pose (R, o) in the world is
+
+    o_rec = o + R d + jump + noise,    R_rec = R exp(marker) exp(jump) exp(noise),
+
+where d is where the marker frame's origin lies in the body's axes, and `marker` the rotation
+vector by which that frame is turned against the body. For the package, d holds the pick-up offset:
+the plate was not gripped at the markers' centre. Poses are then turned into the recording's world.
+"""
+
+from dataclasses import dataclass, field
+
+from bellows_ros.core.lie import apply, Array, exp_so3
+from bellows_ros.core.synthetic.settings import Settings
+from bellows_ros.core.trajectory import NS_PER_S, Stamps, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+Indices = NDArray[np.int64]
+
+R_MOTIVE_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+"""From the world A (z up) to Motive's frame M (y up): the inverse of (4.1), which is (4.1)."""
+WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_MOTIVE_WORLD}
+"""R_recording_world of each world a recording can be in."""
+
+FASTEST = 10_000.0
+"""Highest rate of a stream, Hz."""
+LARGEST_JITTER = 0.45
+"""Jitter is cut at this part of the sampling time, so that stamps keep their order."""
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """Tracking jumps: how many, how far (m), how much turned (rad), and how long each (s)."""
+
+    count: int = 0
+    position: float = 0.0
+    rotation: float = 0.0
+    duration: float = 0.0
+
+
+@dataclass(frozen=True)
+class Dropouts:
+    """Gaps without messages: how many, and how long each (s)."""
+
+    count: int = 0
+    duration: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """
+    How one body is tracked.
+
+    Parameters
+    ----------
+    name : str
+        For messages.
+    rate_hz : float
+        Poses per second.
+    position_noise, rotation_noise : float
+        Standard deviation in each axis, m and rad.
+    origin : array (3,)
+        Where the marker frame's origin lies in the body's axes, m.
+    marker : array (3,)
+        Rotation vector of the marker frame in the body's axes, rad.
+    jumps : Jumps
+    dropouts : Dropouts
+    jitter : float
+        Standard deviation of a stamp about the time of its sample, s.
+    latency : float
+        From a message's stamp to its arrival at the recorder, s.
+
+    """
+
+    name: str
+    rate_hz: float
+    position_noise: float = 0.0
+    rotation_noise: float = 0.0
+    origin: Array = field(default_factory=lambda: np.zeros(3))
+    marker: Array = field(default_factory=lambda: np.zeros(3))
+    jumps: Jumps = field(default_factory=Jumps)
+    dropouts: Dropouts = field(default_factory=Dropouts)
+    jitter: float = 0.0
+    latency: float = 0.0
+
+
+@dataclass(frozen=True)
+class TwistSensor:
+    """How the tool's twist is measured: axes ('world' or 'tool') and noise (m/s, rad/s)."""
+
+    frame: str = 'world'
+    linear_noise: float = 0.0
+    angular_noise: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """
+    When a stream's samples are taken, and what becomes of each.
+
+    Parameters
+    ----------
+    sampled_ns : int array (N,)
+        When the body was where the sample says, ns.
+    stamps_ns : int array (N,)
+        What the message's header says, ns.
+    jump : int array (N,)
+        Number of the tracking jump the sample is part of, -1 for none.
+    kept : bool array (N,)
+        False where the message is missing.
+    jumps, dropouts : tuple of int
+        Index of the first sample of each, in order.
+
+    """
+
+    sampled_ns: Stamps
+    stamps_ns: Stamps
+    jump: Indices
+    kept: NDArray[np.bool_]
+    jumps: tuple[int, ...]
+    dropouts: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Recorded poses in the recording's world: stamps (N,) ns, position (N, 3), R (N, 3, 3)."""
+
+    stamps_ns: Stamps
+    position: Array
+    rotation: Array
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredTwist:
+    """Recorded twists: stamps (N,) ns, linear and angular velocity (N, 3) in m/s and rad/s."""
+
+    stamps_ns: Stamps
+    linear: Array
+    angular: Array
+
+
+def sample_stamps(rate_hz: float, duration: float, start_ns: int) -> Stamps:
+    """Return the evenly spaced stamps (N,) of a recording, first and last included, ns."""
+    count = int(np.floor(duration * rate_hz + 1e-6)) + 1
+    steps = np.round(np.arange(count) * (NS_PER_S / rate_hz)).astype(np.int64)
+    return start_ns + steps
+
+
+def schedule(
+    sensor: Sensor, duration: float, rest_duration: float, start_ns: int, draw: Generator
+) -> Schedule:
+    """
+    Plan a stream's samples; jumps and gaps never overlap, and none is in the rest.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        How the body is tracked.
+    duration, rest_duration : float
+        Of the whole recording and of the rest at its beginning, s.
+    start_ns : int
+        Stamp of the beginning, ns.
+    draw : Generator
+        Random numbers.
+
+    Raises
+    ------
+    BellowsError
+        If the jumps and gaps do not fit into the motion.
+
+    """
+    sampled_ns = sample_stamps(sensor.rate_hz, duration, start_ns)
+    jump = np.full(len(sampled_ns), -1)
+    kept = np.full(len(sampled_ns), True)
+    first = int(np.ceil(rest_duration * sensor.rate_hz)) + 1
+    lengths = _event_lengths(sensor)
+    _require_room(sensor, lengths, len(sampled_ns) - first)
+    starts, order = _event_starts(lengths, first, len(sampled_ns), draw)
+    jumps: list[int] = []
+    dropouts: list[int] = []
+    for start, event in zip(starts.tolist(), order.tolist(), strict=True):
+        samples = slice(start, start + int(lengths[event]))
+        if event < sensor.jumps.count:
+            jump[samples] = len(jumps)
+            jumps.append(start)
+        else:
+            kept[samples] = False
+            dropouts.append(start)
+    stamps_ns = sampled_ns + _jitter_ns(sensor, len(sampled_ns), draw)
+    return Schedule(sampled_ns, stamps_ns, jump, kept, tuple(jumps), tuple(dropouts))
+
+
+def _event_lengths(sensor: Sensor) -> Indices:
+    """Return how many samples each jump, then each gap lasts, one at least."""
+    durations = [sensor.jumps.duration] * sensor.jumps.count
+    durations += [sensor.dropouts.duration] * sensor.dropouts.count
+    lengths = np.round(np.array(durations) * sensor.rate_hz).astype(np.int64)
+    return np.maximum(lengths, 1)
+
+
+def _require_room(sensor: Sensor, lengths: Indices, samples: int) -> None:
+    """Refuse more jumps and gaps than there are samples for."""
+    needed = int(lengths.sum()) + len(lengths) + 1
+    if len(lengths) and needed > samples:
+        raise BellowsError(
+            f"The outliers and dropouts of '{sensor.name}' need {needed} samples, but there are "
+            f'only {max(samples, 0)} after the rest. '
+            'Make them fewer or shorter, or the motion longer.'
+        )
+
+
+def _event_starts(
+    lengths: Indices, first: int, count: int, draw: Generator
+) -> tuple[Indices, Indices]:
+    """
+    Return the first samples of events in increasing order, and which event starts at each.
+
+    Between two events, and at both ends, there is one sample at least.
+    """
+    order = draw.permutation(len(lengths))
+    taken = np.cumsum(lengths[order] + 1)
+    free = count - first - int(lengths.sum()) - len(lengths) - 1
+    spread = np.sort(draw.integers(0, max(free, 0) + 1, len(lengths)))
+    return first + spread + taken - lengths[order] - 1, order
+
+
+def _jitter_ns(sensor: Sensor, count: int, draw: Generator) -> Stamps:
+    """Return by how much each stamp is off, ns."""
+    largest = LARGEST_JITTER / sensor.rate_hz
+    jitter = np.clip(draw.normal(0.0, sensor.jitter, count), -largest, largest)
+    return np.round(jitter * NS_PER_S).astype(np.int64)
+
+
+def measure_poses(
+    truth: Trajectory, sensor: Sensor, plan: Schedule, world: Array, draw: Generator
+) -> Measured:
+    """
+    Return the recorded poses of a body.
+
+    Parameters
+    ----------
+    truth : Trajectory
+        Its poses at `plan.sampled_ns`.
+    sensor : Sensor
+        How it is tracked.
+    plan : Schedule
+        When it is sampled.
+    world : array (3, 3)
+        R_recording_world, of `WORLDS`.
+    draw : Generator
+        Random numbers.
+
+    """
+    count = len(truth)
+    noise = draw.normal(size=(count, 6))
+    directions = draw.normal(size=(len(plan.jumps), 2, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    sizes = np.array([[sensor.jumps.position], [sensor.jumps.rotation]])
+    jumps = np.concatenate([directions * sizes, np.zeros((1, 2, 3))])[plan.jump]  # -1: none
+    position = truth.position + apply(truth.rotation, sensor.origin)
+    position = position + jumps[:, 0] + sensor.position_noise * noise[:, :3]
+    rotation = truth.rotation @ exp_so3(sensor.marker) @ exp_so3(jumps[:, 1])
+    rotation = rotation @ exp_so3(sensor.rotation_noise * noise[:, 3:])
+    kept = plan.kept
+    return Measured(plan.stamps_ns[kept], position[kept] @ world.T, (world @ rotation)[kept])
+
+
+def measure_twists(
+    truth: Trajectory,
+    sensor: TwistSensor,
+    marker: Array,
+    plan: Schedule,
+    world: Array,
+    draw: Generator,
+) -> MeasuredTwist:
+    """
+    Return the recorded twists of the tool tip.
+
+    Parameters
+    ----------
+    truth : Trajectory
+        With body twists at `plan.sampled_ns`.
+    sensor : TwistSensor
+        In 'world' axes, or in 'tool' axes: those of the tool's marker frame.
+    marker : array (3,)
+        Rotation vector of that frame in the tool's axes, rad.
+    plan : Schedule
+        When they are sampled.
+    world : array (3, 3)
+        R_recording_world.
+    draw : Generator
+        Random numbers.
+
+    Raises
+    ------
+    BellowsError
+        If the trajectory has no twists.
+
+    """
+    if truth.twist is None:
+        raise BellowsError('The tool trajectory has no twists to measure.')
+    axes = world @ truth.rotation if sensor.frame == 'world' else exp_so3(marker).T
+    noise = draw.normal(size=(len(truth), 6))
+    linear = apply(axes, truth.twist[:, :3]) + sensor.linear_noise * noise[:, :3]
+    angular = apply(axes, truth.twist[:, 3:]) + sensor.angular_noise * noise[:, 3:]
+    return MeasuredTwist(plan.stamps_ns[plan.kept], linear[plan.kept], angular[plan.kept])
+
+
+def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
+    """
+    Return the sensor that settings describe; what they mean stands in config/motion_example.yaml.
+
+    Parameters
+    ----------
+    settings : Settings
+        The block 'tool' or 'package'; what else may stand in it the caller asks for.
+    origin : array (3,), optional
+        Where the marker frame's origin lies in the body's axes, m; zero when left out.
+
+    """
+    noise, marker, stamps = (settings.block(name) for name in ('noise', 'marker', 'stamps'))
+    sensor = Sensor(
+        settings.path,
+        rate_hz=settings.number('rate_hz', unit='Hz', above=0.0, most=FASTEST),
+        position_noise=noise.number('position', 0.0, 'm', least=0.0),
+        rotation_noise=noise.number('rotation', 0.0, 'rad', least=0.0),
+        origin=np.zeros(3) if origin is None else origin,
+        marker=marker.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad'),
+        jumps=_jumps(settings.block('outliers')),
+        dropouts=_dropouts(settings.block('dropouts')),
+        jitter=stamps.number('jitter', 0.0, 's', least=0.0),
+        latency=stamps.number('latency', 0.0, 's', least=0.0, most=60.0),
+    )
+    for block in (noise, marker, stamps):
+        block.done()
+    return sensor
+
+
+def _jumps(settings: Settings) -> Jumps:
+    """Return the tracking jumps; their sizes must be given where there are any."""
+    count = settings.whole('count', 0, most=100_000)
+    needed = 0.0 if not count else None
+    jumps = Jumps(
+        count,
+        settings.number('position', needed, 'm', least=0.0),
+        settings.number('rotation', needed, 'rad', least=0.0, most=3.0),
+        settings.number('duration', needed, 's', least=0.0),
+    )
+    settings.done()
+    return jumps
+
+
+def _dropouts(settings: Settings) -> Dropouts:
+    """Return the gaps; their duration must be given where there are any."""
+    count = settings.whole('count', 0, most=100_000)
+    duration = settings.number('duration', None if count else 0.0, 's', least=0.0)
+    settings.done()
+    return Dropouts(count, duration)
+
+
+def twist_sensor_from(settings: Settings) -> TwistSensor | None:
+    """Return the twist sensor that the block 'tool.twist' describes; None where it is off."""
+    publish = settings.flag('publish', True)
+    noise = settings.block('noise')
+    sensor = TwistSensor(
+        settings.choice('frame', ('world', 'tool'), 'world'),
+        noise.number('linear', 0.0, 'm/s', least=0.0),
+        noise.number('angular', 0.0, 'rad/s', least=0.0),
+    )
+    noise.done()
+    settings.done()
+    return sensor if publish else None

@@ -1,0 +1,284 @@
+"""What tracking makes of a motion: noise, jumps, gaps, frames, worlds and stamps."""
+
+from bellows_ros.core.lie import apply, exp_so3, log_so3
+from bellows_ros.core.synthetic.sensing import (
+    Dropouts,
+    Jumps,
+    measure_poses,
+    measure_twists,
+    sample_stamps,
+    schedule,
+    Sensor,
+    sensor_from,
+    twist_sensor_from,
+    TwistSensor,
+    WORLDS,
+)
+from bellows_ros.core.synthetic.settings import Settings
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+EPOCH_NS = 1_700_000_000_000_000_000
+DURATION, REST = 20.0, 2.0
+Z_UP, MOTIVE = WORLDS['z_up'], WORLDS['motive_y_up']
+# (4.1) as printed: from Motive's frame M to the world A.
+A_R_M = np.array([[-1, 0, 0], [0, 0, 1], [0, 1, 0]])
+
+
+def draw(seed=0):
+    return np.random.default_rng(seed)
+
+
+def plan_of(sensor, seed=0):
+    return schedule(sensor, DURATION, REST, EPOCH_NS, draw(seed))
+
+
+def tumbling(stamps_ns):
+    """Give a motion with large turns, at rest for two seconds."""
+    t = np.maximum((stamps_ns - EPOCH_NS) / 1e9 - REST, 0.0)[:, None]
+    position = np.array([0.5, -0.2, 0.8]) + 0.1 * np.sin(t * [1.0, 2.0, 3.0])
+    rotation = exp_so3(0.8 * np.sin(t * [0.7, 1.1, 1.3]))
+    twist = np.hstack([np.cos(t), np.sin(t), t, -t, 2.0 + t, 0.0 * t])
+    return Trajectory(stamps_ns, position, rotation, twist)
+
+
+def measured(sensor, world=Z_UP, seed=0):
+    """Return plan, truth and what is recorded of it."""
+    plan = plan_of(sensor, seed)
+    truth = tumbling(plan.sampled_ns)
+    return plan, truth, measure_poses(truth, sensor, plan, world, draw(seed + 100))
+
+
+def turned(R, other):
+    """Return the rotation vectors from R to the other rotation, in axes of R."""
+    return log_so3(np.swapaxes(R, -1, -2) @ other)
+
+
+def test_stamps_are_even_with_both_ends():
+    stamps = sample_stamps(360.0, 20.0, EPOCH_NS)
+    assert len(stamps) == 7201
+    assert (stamps[0], stamps[-1]) == (EPOCH_NS, EPOCH_NS + 20 * 10**9)
+    assert set(np.diff(stamps)) == {2_777_777, 2_777_778}
+
+
+def test_without_faults_the_truth_is_recorded():
+    _, truth, poses = measured(Sensor('tool', 100.0))
+    assert_array_equal(poses.stamps_ns, truth.stamps_ns)
+    assert_allclose(poses.position, truth.position, atol=1e-15)
+    assert_allclose(poses.rotation, truth.rotation, atol=1e-15)
+
+
+def test_noise_has_the_standard_deviation_that_was_asked_for():
+    sensor = Sensor('tool', 500.0, position_noise=1e-4, rotation_noise=5e-4)
+    _, truth, poses = measured(sensor)
+    noise = np.hstack(
+        [
+            (poses.position - truth.position) / 1e-4,
+            turned(truth.rotation, poses.rotation) / 5e-4,
+        ]
+    )
+    count = len(noise)
+    assert count == 10_001
+    # Five standard errors of mean, deviation, correlation with each other and with the past.
+    assert_allclose(noise.mean(0), 0.0, atol=5.0 / np.sqrt(count))
+    assert_allclose(noise.std(0), 1.0, atol=5.0 / np.sqrt(2.0 * count))
+    assert_allclose(np.corrcoef(noise.T), np.eye(6), atol=5.0 / np.sqrt(count))
+    assert_allclose((noise[1:] * noise[:-1]).mean(0), 0.0, atol=5.0 / np.sqrt(count))
+
+
+def test_marker_frame_and_origin_are_fixed_to_the_body():
+    marker, origin = np.array([0.04, -0.07, 0.9]), np.array([0.0008, -0.0006, 0.03])
+    _, truth, poses = measured(Sensor('package', 100.0, origin=origin, marker=marker))
+    assert_allclose(poses.position, truth.position + apply(truth.rotation, origin), atol=1e-15)
+    assert_allclose(turned(truth.rotation, poses.rotation), np.tile(marker, (2001, 1)), atol=1e-12)
+
+
+def test_motive_world_is_undone_by_the_printed_matrix():
+    _, truth, poses = measured(Sensor('tool', 100.0), MOTIVE)
+    assert_allclose(poses.position @ A_R_M.T, truth.position, atol=1e-15)
+    assert_allclose(A_R_M @ poses.rotation, truth.rotation, atol=1e-15)
+    # y is up: the second coordinate is the height.
+    assert_allclose(poses.position[:, 1], truth.position[:, 2], atol=1e-15)
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_jumps_and_gaps_are_as_many_as_asked_for_and_apart(seed):
+    sensor = Sensor('tool', 200.0, jumps=Jumps(6, 0.03, 0.3, 0.02), dropouts=Dropouts(4, 0.1))
+    plan, truth, poses = measured(sensor, seed=seed)
+
+    rest = int(REST * 200)
+    jumping = plan.jump >= 0
+    faulty = jumping | ~plan.kept
+    assert (len(plan.jumps), len(plan.dropouts)) == (6, 4)
+    assert jumping.sum() == 6 * 4 and (~plan.kept).sum() == 4 * 20
+    assert not np.any(jumping & ~plan.kept)
+    assert np.sum(np.diff(faulty.astype(int)) == 1) == 10  # no two of them touch
+    assert not faulty[: rest + 1].any() and not faulty[-1]
+
+    assert len(poses.stamps_ns) == len(truth) - 80
+    off = poses.position - truth.position[plan.kept]
+    turn = turned(truth.rotation[plan.kept], poses.rotation)
+    size = np.where(jumping[plan.kept], 1.0, 0.0)
+    assert_allclose(np.linalg.norm(off, axis=1), 0.03 * size, atol=1e-12)
+    assert_allclose(np.linalg.norm(turn, axis=1), 0.3 * size, atol=1e-7)
+    # While one lasts, it is the same.
+    for number, start in enumerate(plan.jumps):
+        during = off[plan.jump[plan.kept] == number]
+        assert_allclose(during, np.tile(during[0], (4, 1)), atol=1e-12)
+        assert plan.jump[start] == number and plan.jump[start - 1] == -1
+
+
+def test_faults_that_fit_exactly_are_placed_and_one_more_is_refused():
+    def sensor(count):
+        return Sensor('package', 10.0, dropouts=Dropouts(count, 0.5))
+
+    # 201 samples, 21 of them in the rest: 180 hold 29 gaps of 5 and the samples around them.
+    assert len(plan_of(sensor(29)).dropouts) == 29
+    with pytest.raises(BellowsError, match="of 'package' need 181 samples, but there are only"):
+        plan_of(sensor(30))
+
+
+def test_jitter_moves_stamps_and_keeps_their_order():
+    plan = plan_of(Sensor('tool', 500.0, jitter=1e-4))
+    off = (plan.stamps_ns - plan.sampled_ns) * 1e-9
+    assert off.std() == pytest.approx(1e-4, rel=5.0 / np.sqrt(2.0 * len(off)))
+    wild = plan_of(Sensor('tool', 500.0, jitter=1.0))
+    assert np.all(np.diff(wild.stamps_ns) > 0)
+    assert_array_equal(plan_of(Sensor('tool', 500.0)).stamps_ns, plan.sampled_ns)
+
+
+@pytest.mark.parametrize('world', ['z_up', 'motive_y_up'])
+def test_twists_are_in_the_axes_that_were_asked_for(world):
+    marker = np.array([0.1, -0.4, 0.9])
+    plan, truth, poses = measured(Sensor('tool', 100.0, marker=marker), WORLDS[world])
+    for frame in ('world', 'tool'):
+        twists = measure_twists(truth, TwistSensor(frame), marker, plan, WORLDS[world], draw())
+        # Whatever the world, turned by the recorded pose both are the velocities in marker axes.
+        R_T = np.swapaxes(poses.rotation, -1, -2) if frame == 'world' else np.eye(3)
+        seen = exp_so3(marker).T
+        assert_allclose(apply(R_T, twists.linear), truth.twist[:, :3] @ seen.T, atol=1e-13)
+        assert_allclose(apply(R_T, twists.angular), truth.twist[:, 3:] @ seen.T, atol=1e-13)
+
+
+def test_twist_noise_and_gaps():
+    sensor = Sensor('tool', 500.0, dropouts=Dropouts(3, 0.1))
+    plan = plan_of(sensor)
+    truth = tumbling(plan.sampled_ns)
+    exact = measure_twists(truth, TwistSensor(), np.zeros(3), plan, Z_UP, draw())
+    sensor = TwistSensor('world', 2e-3, 5e-3)
+    noisy = measure_twists(truth, sensor, np.zeros(3), plan, Z_UP, draw())
+    count = len(noisy.stamps_ns)
+    assert count == 10_001 - 150
+    assert_array_equal(noisy.stamps_ns, plan.stamps_ns[plan.kept])
+    within = 5.0 / np.sqrt(2.0 * count)
+    assert_allclose((noisy.linear - exact.linear).std(0), 2e-3, rtol=within)
+    assert_allclose((noisy.angular - exact.angular).std(0), 5e-3, rtol=within)
+
+
+def test_twists_need_a_trajectory_with_twists():
+    plan = plan_of(Sensor('tool', 10.0))
+    truth = tumbling(plan.sampled_ns)
+    bare = Trajectory(truth.stamps_ns, truth.position, truth.rotation)
+    with pytest.raises(BellowsError, match='has no twists'):
+        measure_twists(bare, TwistSensor(), np.zeros(3), plan, Z_UP, draw())
+
+
+def aligned(tool, package):
+    """Return E_H_S by (4.2)-(4.11), literally, of poses in the world that begin at rest."""
+    R_E0, R_S0 = tool.rotation[0].T, package.rotation[0].T  # (4.4), (4.5): A_R_E = A_R_S = I
+    R_T = np.swapaxes(tool.rotation, -1, -2)
+    between = apply(R_T, package.position - tool.position)  # (4.7)
+    rotation = R_E0.T @ R_T @ package.rotation @ R_S0  # (4.8)
+    position = between @ R_E0
+    lateral = position[0] * [1.0, 1.0, 0.0]  # (4.6)
+    return position - lateral, rotation  # (4.10)
+
+
+@pytest.mark.parametrize('pickup', [(0.0, 0.0), (0.0008, -0.0006)])
+def test_alignment_at_rest_removes_what_was_put_in(pickup):
+    """Recover E_H_S of a package that swings below the tool, from turned and shifted markers."""
+    origin = np.array([*pickup, 0.0])
+    tool_sensor = Sensor('tool', 100.0, marker=np.array([0.04, -0.07, 0.9]))
+    plate_sensor = Sensor('package', 100.0, marker=np.array([-0.03, 0.05, -0.6]), origin=origin)
+    plan = plan_of(tool_sensor)
+    tool = tumbling(plan.sampled_ns)
+    swing = np.sin(np.maximum(tool.seconds - REST, 0.0))[:, None] * [0.1, 0.15, 0.2]
+    R_E_S = exp_so3(swing)
+    o_E_S = np.array([0.0, 0.0, -0.05]) + swing * [0.03, 0.02, 0.01]
+    plate = Trajectory(
+        plan.sampled_ns, tool.position + apply(tool.rotation, o_E_S), tool.rotation @ R_E_S
+    )
+    recorded = [
+        measure_poses(truth, sensor, plan, Z_UP, draw())
+        for truth, sensor in ((tool, tool_sensor), (plate, plate_sensor))
+    ]
+    position, rotation = aligned(*recorded)
+    assert_allclose(rotation, R_E_S, atol=1e-12)
+    # (4.10) takes the offset in the tool's axes; it is fixed to the plate, which turns against
+    # them. At rest both are the same, else they differ by (E_R_S - I) offset.
+    assert_allclose(position[:200], o_E_S[:200], atol=1e-12)
+    assert_allclose(position, o_E_S + apply(R_E_S, origin) - origin, atol=1e-12)
+
+
+def test_the_laboratory_recording_is_what_this_model_records(rig):
+    """Find one marker turn and one origin that explain a whole recording of another simulation."""
+    from bellows_ros.files.bags import read_streams
+
+    topics = {'tool_pose': '/mocap/tool_arm/pose', 'package_pose': '/mocap/plate/pose'}
+    streams = read_streams(rig / 'lab', topics)
+    with np.load(rig / 'lab_truth.npz') as truth:
+        times_ns = np.round(truth['t'] * 1e9).astype(np.int64)
+        bodies = {'tool_pose': truth['tool'], 'package_pose': truth['package']}
+    for role, T in bodies.items():
+        stream = streams[role]
+        index = np.searchsorted(times_ns, stream.stamps_ns - stream.stamps_ns[0] - 500)
+        body = Trajectory(stream.stamps_ns, T[index, :3, 3], T[index, :3, :3])
+        marker = np.median(turned(body.rotation, A_R_M @ stream.rotation), axis=0)
+        lever = stream.position @ A_R_M.T - body.position
+        origin = np.median(apply(np.swapaxes(body.rotation, -1, -2), lever), axis=0)
+        sensor = Sensor(role, 360.0, origin=origin, marker=marker)
+        plan = schedule(sensor, (len(body) - 0.5) / 360.0, 2.0, 0, draw())
+        poses = measure_poses(body, sensor, plan, MOTIVE, draw())
+
+        off = poses.position - stream.position
+        turn = turned(poses.rotation, stream.rotation)
+        sound = np.linalg.norm(off, axis=1) < 1e-3  # without the jumps
+        assert sound.mean() > 0.99
+        # The recording's own noise is left, and nothing that grows with the motion.
+        assert_allclose(off[sound].std(0), 1e-4, rtol=0.1)
+        assert_allclose(turn[sound].std(0), 5e-4, rtol=0.1)
+        assert_allclose(origin[:2], [0.0008, -0.0006] if 'package' in role else 0.0, atol=1e-5)
+
+
+SENSOR = {'rate_hz': 100.0}
+
+
+@pytest.mark.parametrize(
+    ('content', 'message'),
+    [
+        ({}, "'tool.rate_hz' is missing; it must be a number above 0 and at most 10000 (Hz)"),
+        ({'rate_hz': 0}, "'tool.rate_hz' must be a number above 0 and at most 10000 (Hz), got 0."),
+        ({**SENSOR, 'noise': {'position': -1.0}}, "'tool.noise.position' must be a number"),
+        ({**SENSOR, 'noise': {'postion': 1.0}}, "Did you mean 'tool.noise.position'?"),
+        ({**SENSOR, 'marker': {'rotation': 0.1}}, "'tool.marker.rotation' must be a list of 3"),
+        ({**SENSOR, 'outliers': {'count': 2}}, "'tool.outliers.position' is missing"),
+        ({**SENSOR, 'outliers': {'count': 0.5}}, "'tool.outliers.count' must be a whole number"),
+        ({**SENSOR, 'dropouts': {'count': 2}}, "'tool.dropouts.duration' is missing"),
+        ({**SENSOR, 'dropouts': 3}, "Setting 'tool.dropouts' must hold names and values, got 3."),
+        ({**SENSOR, 'stamps': {'latency': -1.0}}, "'tool.stamps.latency' must be a number"),
+    ],
+)
+def test_a_wrong_setting_is_refused_by_name(content, message):
+    with pytest.raises(BellowsError) as caught:
+        sensor_from(Settings(content, 'tool'))
+    assert message in str(caught.value)
+
+
+def test_twist_settings():
+    assert twist_sensor_from(Settings({})) == TwistSensor('world', 0.0, 0.0)
+    assert twist_sensor_from(Settings({'publish': False})) is None
+    with pytest.raises(BellowsError, match="'frame' must be one of world, tool, got 'body'"):
+        twist_sensor_from(Settings({'frame': 'body'}))

@@ -1,0 +1,90 @@
+"""The recordings in bags/: small, made from the files beside them, good for identification."""
+
+from pathlib import Path
+
+from bellows_ros.core.lie import log_so3
+from bellows_ros.core.trajectory import PoseStream
+from bellows_ros.files.bags import read_streams, topics
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.workflows.simulate import simulate_recording
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+import yaml
+
+NAMES = ('identification', 'validation', 'static')
+ROLES = {
+    'tool_pose': '/tool_arm/pose',
+    'tool_twist': '/tool_arm/twist',
+    'package_pose': '/package/pose',
+}
+
+
+@pytest.fixture(scope='module')
+def bags(root):
+    return root / 'bags'
+
+
+def test_all_together_are_below_six_megabytes(bags):
+    files = [path for path in bags.rglob('*') if path.is_file()]
+    assert sum(path.stat().st_size for path in files) < 6e6
+    assert {path.parent.name for path in files if path.suffix == '.mcap'} == set(NAMES)
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_the_files_make_the_recording_again(bags: Path, name: str, tmp_path: Path):
+    motion = yaml.safe_load((bags / f'{name}.yaml').read_text())
+    report = simulate_recording(read_parameters(bags / 'cup.yaml'), motion, tmp_path / name)
+
+    assert report.warnings == ()
+    assert np.radians(3.0) < report.largest_bending < np.radians(25.0)
+    assert topics(bags / name) == topics(tmp_path / name)
+    kept, made = read_streams(bags / name, ROLES), read_streams(tmp_path / name, ROLES)
+    for role, stream in kept.items():
+        other = made[role]
+        assert_array_equal(stream.stamps_ns, other.stamps_ns)
+        assert not stream.refused and stream.frame_id == 'world'
+        # Equal but for rounding, which depends on the machine's mathematical library.
+        if isinstance(stream, PoseStream):
+            assert_allclose(stream.position, other.position, atol=1e-10)
+            assert_allclose(stream.rotation, other.rotation, atol=1e-9)
+        else:
+            assert_allclose(stream.linear, other.linear, atol=1e-10)
+            assert_allclose(stream.angular, other.angular, atol=1e-10)
+
+
+def test_what_is_known_beforehand_agrees_with_the_truth_and_does_not_hold_it(bags):
+    truth, known = read_parameters(bags / 'cup.yaml'), read_parameters(bags / 'package.yaml')
+    assert not {'cup.stiffness', 'cup.damping'} & set(known)
+    shared = set(truth) & set(known)
+    assert shared == {'package.mass', 'package.inertia', 'package.com', 'cup.length'}
+    assert {name: known[name] for name in shared} == {name: truth[name] for name in shared}
+    assert {known[f'topics.{role}'] for role in ROLES} == set(ROLES.values())
+
+
+@pytest.mark.parametrize('name', ['identification', 'validation'])
+def test_every_axis_moves_well_beyond_the_noise(bags, name):
+    """Hold for both moving recordings: the cup's six displacements are seen, from 0.1 mm noise."""
+    com = np.array(read_parameters(bags / 'package.yaml')['package.com'])
+    streams = read_streams(bags / name, ROLES)
+    tool, package = streams['tool_pose'], streams['package_pose']
+    nearest = np.searchsorted(tool.stamps_ns, package.stamps_ns, side='right') - 1
+    R_E = tool.rotation[nearest]
+    turn = log_so3(np.swapaxes(R_E, -1, -2) @ package.rotation)
+    # Where the lip is relative to the tool changes slowly enough for the tool's last sample, but
+    # the tool's own velocity must be taken out.
+    late = ((package.stamps_ns - tool.stamps_ns[nearest]) * 1e-9)[:, None]
+    o_E = tool.position[nearest] + late * streams['tool_twist'].linear[nearest]
+    lip = package.position - package.rotation @ com - o_E
+    displacement = np.einsum('nji,nj->ni', R_E, lip)
+    sound = np.linalg.norm(displacement - np.median(displacement, axis=0), axis=1) < 0.015
+    assert sound.mean() > 0.99
+    assert np.all(displacement[sound].std(axis=0) > 4.0 * 1e-4)
+    assert np.all(turn[sound].std(axis=0) > 50.0 * 5e-4)
+
+
+def test_the_static_recording_stands_still_in_six_poses(bags):
+    tool = read_streams(bags / 'static', ROLES)['tool_twist']
+    moving = np.abs(tool.angular).max(axis=1) > 0.02
+    assert np.sum(np.diff(moving.astype(int)) == 1) == 6
+    assert moving.mean() < 0.5

@@ -1,0 +1,394 @@
+"""Simulated recordings: true to an independent integrator, and what their motion file says."""
+
+import copy
+from pathlib import Path
+
+from bellows_ros.core.lie import hat, log_so3, quaternion_to_rotation
+from bellows_ros.core.synthetic.motion import KINDS
+from bellows_ros.core.synthetic.recipe import generator, read_recipe
+from bellows_ros.core.synthetic.settings import Settings
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bags import read_streams, topics
+from bellows_ros.workflows.simulate import simulate_recording
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from rosbags.highlevel import AnyReader
+from scipy.integrate import DOP853
+import yaml
+
+START_NS = 1_700_000_000_000_000_000
+K = np.diag([5400.0, 6000.0, 9200.0, 4.2, 3.6, 1.35])
+P = np.diag([55.0, 50.0, 24.0, 0.06, 0.07, 0.1])
+K[0, 4] = K[4, 0] = 12.0
+P[1, 3] = P[3, 1] = -0.2
+MASS, INERTIA = 1.8, [0.005, 0.0065, 0.0098, 0.0002, -0.0001, 0.0003]
+COM, LENGTH, GRAVITY = np.array([0.004, -0.002, -0.03]), 0.046, 9.79
+PARAMETERS = {
+    'cup.stiffness': K.ravel().tolist(),
+    'cup.damping': P.ravel().tolist(),
+    'cup.length': LENGTH,
+    'package.mass': MASS,
+    'package.inertia': INERTIA,
+    'package.com': COM.tolist(),
+    'gravity': GRAVITY,
+}
+MOTION = {
+    'kind': 'multi_sine',
+    'duration': 2.0,
+    'rest_duration': 0.3,
+    'ramp_duration': 0.4,
+    'start': {'position': [0.5, -0.2, 0.8], 'rpy': [0.1, -0.2, 0.7]},
+    'multi_sine': {
+        'position': {
+            'x': {'amplitude': [0.03], 'frequency': [1.3]},
+            'z': {'amplitude': [0.01], 'frequency': [3.1]},
+        },
+        'rotation': {
+            'y': {'amplitude': [0.15], 'frequency': [1.1]},
+            'z': {'amplitude': [0.3], 'frequency': [0.9]},
+        },
+    },
+    'tool': {'rate_hz': 250.0},
+    'package': {'rate_hz': 120.0},
+    'truth': True,
+}
+ROLES = {'tool_pose': '/tool_arm/pose', 'tool_twist': '/tool_arm/twist', 'pose': '/package/pose'}
+
+
+def motion(**changes):
+    """Give the motion with some settings replaced; a dot stands between a block and its own."""
+    content = copy.deepcopy(MOTION)
+    for path, value in changes.items():
+        *blocks, name = path.split('.')
+        inner = content
+        for block in blocks:
+            inner = inner.setdefault(block, {})
+        inner[name] = value
+    return content
+
+
+def recorded(tmp_path, content, name='bag'):
+    """Simulate, and return the streams and the report."""
+    report = simulate_recording(PARAMETERS, content, tmp_path / name)
+    return read_streams(tmp_path / name, ROLES), report
+
+
+def content_of(path: Path):
+    """Return the bytes of all files in a folder."""
+    return {p.relative_to(path): p.read_bytes() for p in sorted(path.rglob('*')) if p.is_file()}
+
+
+# ---- The truth, by plain 6x6 matrices and SciPy's integrator of order 8. ----
+
+
+def adjoint(R, o):
+    """Return X(H) (2.24)."""
+    return np.block([[R, hat(o) @ R], [np.zeros((3, 3)), R]])
+
+
+def acceleration(tool, o_B, R_B, v_B):
+    """Return the rate of the package's body twist, straight from the equations of chapter 3."""
+    o_E, o_E_rate, R_E, w_E = (value[0] for value in tool)
+    v_E = np.concatenate([R_E.T @ o_E_rate, w_E])
+    R = R_E.T @ R_B
+    o_S = R_E.T @ (o_B - R_B @ COM - o_E)  # E_o_S
+    l1, z = LENGTH / 2.0, np.array([0.0, 0.0, 1.0])
+    o = (LENGTH - l1) * z + l1 * R @ z + o_S  # (3.13)
+    skew = R - R.T
+    h = np.concatenate([o + R.T @ o, [skew[2, 1], skew[0, 2], skew[1, 0]]])
+    I3 = np.eye(3)
+    J = np.block([[R + I3, hat(R.T @ o)], [0.0 * I3, np.trace(R) * I3 - R.T]])
+    v_S = adjoint(np.eye(3), COM) @ v_B - np.linalg.inv(adjoint(R, o_S)) @ v_E
+    to_S1 = np.linalg.inv(adjoint(np.eye(3), l1 * z))
+    X = adjoint(R, o)
+    f1 = -0.25 * J.T @ K @ h - 0.5 * (P + X.T @ P @ X) @ to_S1 @ v_S
+    f = adjoint(np.eye(3), COM).T @ to_S1.T @ f1
+    v, w = v_B[:3], v_B[3:]
+    xx, yy, zz, xy, xz, yz = INERTIA
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    force = f[:3] / MASS - np.cross(w, v) - GRAVITY * R_B[2]
+    return np.concatenate([force, np.linalg.solve(inertia, f[3:] - np.cross(w, inertia @ w))])
+
+
+def integrated(moving, times, o_B, R_B, v_B):
+    """Return the package's poses at the times, started at the first."""
+    def rate(t, y):
+        R, v = y[3:12].reshape(3, 3), y[12:]
+        tool = moving.state(np.array([t]))
+        turn = R @ hat(v[3:])
+        return np.concatenate([R @ v[:3], turn.ravel(), acceleration(tool, y[:3], R, v)])
+
+    start = np.concatenate([o_B, R_B.ravel(), v_B])
+    solver = DOP853(rate, times[0], start, times[-1], rtol=1e-12, atol=1e-14, max_step=0.02)
+    poses, wanted = [start], list(times[1:])
+    while wanted:
+        solver.step()
+        interpolant = solver.dense_output()
+        while wanted and wanted[0] <= solver.t:
+            poses.append(interpolant(wanted.pop(0)))
+    result = np.array(poses)
+    return result[:, :3], result[:, 3:12].reshape(-1, 3, 3)
+
+
+def test_the_truth_agrees_with_an_independent_integrator(tmp_path):
+    recorded(tmp_path, MOTION)
+    with np.load(tmp_path / 'bag_truth.npz') as truth:
+        t, T, twist, tool = truth['t'], truth['package'], truth['package_twist'], truth['tool']
+        assert_array_equal(truth['K'], K)
+        assert_array_equal(truth['P'], P)
+    moving = read_recipe(MOTION, COM).motion
+    some = np.append(np.arange(0, len(t) - 1, 8), len(t) - 1)
+    o, R = integrated(moving, t[some], T[0, :3, 3], T[0, :3, :3], twist[0])
+
+    assert np.ptp(T[:, :3, 3], axis=0).min() > 0.01  # it does move
+    assert_allclose(T[some, :3, 3], o, atol=1e-9)
+    assert_allclose(log_so3(np.swapaxes(R, -1, -2) @ T[some, :3, :3]), 0.0, atol=5e-9)
+    # The tool is where the motion puts it, and the package begins at rest.
+    position, _, rotation, _ = moving.state(t)
+    assert_allclose(tool[:, :3, 3], position, atol=1e-15)
+    assert_allclose(tool[:, :3, :3], rotation, atol=1e-15)
+    assert_allclose(acceleration(moving.state(t[:1]), T[0, :3, 3], T[0, :3, :3], 0.0 * twist[0]),
+                    0.0, atol=1e-9)
+
+
+def test_streams_have_their_own_rates_and_are_the_truth_without_noise(tmp_path):
+    streams, report = recorded(tmp_path, MOTION)
+    counts = {name: count for name, _, count in topics(tmp_path / 'bag')}
+    assert counts == dict(report.messages)
+    assert counts == {'/tool_arm/pose': 501, '/tool_arm/twist': 501, '/package/pose': 241}
+    with np.load(tmp_path / 'bag_truth.npz') as truth:
+        assert_array_equal(streams['pose'].stamps_ns, START_NS + np.round(truth['t'] * 1e9))
+        assert_allclose(streams['pose'].position, truth['package'][:, :3, 3], atol=1e-15)
+        assert_allclose(streams['pose'].rotation, truth['package'][:, :3, :3], atol=1e-14)
+    moving = read_recipe(MOTION, COM).motion
+    t = (streams['tool_twist'].stamps_ns - START_NS) * 1e-9
+    _, velocity, rotation, body_rate = moving.state(t)
+    assert_allclose(streams['tool_twist'].linear, velocity, atol=1e-14)
+    spatial_rate = np.einsum('nij,nj->ni', rotation, body_rate)
+    assert_allclose(streams['tool_twist'].angular, spatial_rate, atol=1e-14)
+    assert {s.frame_id for s in streams.values()} == {'world'}
+    assert report.duration == 2.0 and report.events == () and report.warnings == ()
+
+
+def test_the_lip_is_recorded_where_the_lip_is(tmp_path):
+    centre, _ = recorded(tmp_path, MOTION, 'com')
+    offset = motion(**{'package.frame': 'lip', 'package.pickup_offset': [0.001, -0.002]})
+    lip, _ = recorded(tmp_path, offset, 'lip')
+    lever = np.array([0.001, -0.002, 0.0]) - COM
+    expected = centre['pose'].position + centre['pose'].rotation @ lever
+    assert_allclose(lip['pose'].position, expected, atol=1e-14)
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+@pytest.mark.parametrize('compression', ['none', 'zstd'])
+def test_every_storage_is_read_by_rosbags_and_here(tmp_path, storage, compression):
+    streams, report = recorded(tmp_path, motion(storage=storage, compression=compression))
+    suffix = {'mcap': '.mcap', 'sqlite3': '.db3'}[storage]
+    assert {p.suffix for p in (tmp_path / 'bag').iterdir()} == {suffix, '.yaml'}
+    with AnyReader([tmp_path / 'bag']) as reader:
+        wanted = [c for c in reader.connections if c.topic == '/package/pose']
+        poses = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(wanted)]
+    assert len(poses) == report.messages['/package/pose'] == len(streams['pose'])
+    last = poses[-1].pose
+    assert_array_equal(
+        [last.position.x, last.position.y, last.position.z], streams['pose'].position[-1]
+    )
+    q = [getattr(last.orientation, axis) for axis in 'xyzw']
+    assert_allclose(quaternion_to_rotation(q), streams['pose'].rotation[-1], atol=1e-15)
+    assert poses[-1].header.stamp.sec * 10**9 + poses[-1].header.stamp.nanosec == (
+        START_NS + 2 * 10**9
+    )
+
+
+NOISY = {
+    'tool.noise': {'position': 1e-5, 'rotation': 1e-5},
+    'package.noise': {'position': 1e-4, 'rotation': 5e-4},
+    'package.outliers': {'count': 2, 'position': 0.05, 'rotation': 0.4, 'duration': 0.02},
+    'package.dropouts': {'count': 1, 'duration': 0.1},
+    'package.stamps': {'jitter': 1e-4, 'latency': 0.0},
+}
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path):
+    for name in ('first', 'second'):
+        (tmp_path / name).mkdir()
+        simulate_recording(PARAMETERS, motion(**NOISY, seed=5), tmp_path / name / 'bag')
+    assert content_of(tmp_path / 'first') == content_of(tmp_path / 'second')
+    other, _ = recorded(tmp_path, motion(**NOISY, seed=6), 'other')
+    first = read_streams(tmp_path / 'first' / 'bag', ROLES)
+    assert np.abs(other['tool_pose'].position - first['tool_pose'].position).max() > 1e-3
+
+
+def test_random_numbers_of_one_purpose_do_not_depend_on_others(tmp_path):
+    """Change the tool's noise, and the package's recording stays as it was."""
+    first, _ = recorded(tmp_path, motion(**NOISY), 'first')
+    changes = {**NOISY, 'tool.noise': {}, 'tool.rate_hz': 100.0, 'tool.twist': {'publish': False}}
+    report = simulate_recording(PARAMETERS, motion(**changes), tmp_path / 'second')
+    second = read_streams(tmp_path / 'second', {'pose': '/package/pose'})
+    assert set(report.messages) == {'/tool_arm/pose', '/package/pose'}
+    assert_array_equal(second['pose'].stamps_ns, first['pose'].stamps_ns)
+    assert_allclose(second['pose'].position, first['pose'].position, atol=1e-9)
+    draws = [generator(0, purpose).normal() for purpose in ('tool', 'package', 'phases')]
+    assert len(set(draws)) == 3
+
+
+def test_events_of_the_report_are_where_they_are_in_the_recording(tmp_path):
+    streams, report = recorded(tmp_path, motion(**NOISY))
+    assert [event.kind for event in report.events].count('outlier') == 2
+    assert [event.kind for event in report.events].count('dropout') == 1
+    assert report.messages['/package/pose'] == 241 - 12
+    t = (streams['pose'].stamps_ns - START_NS) * 1e-9
+    for event in report.events:
+        assert event.topic == '/package/pose' and event.start > 0.3
+        if event.kind == 'dropout':
+            gap = int(np.argmax(np.diff(t)))
+            assert t[gap] < event.start < t[gap + 1]
+        else:
+            at = int(np.argmin(np.abs(t - event.start)))
+            step = streams['pose'].position[at] - streams['pose'].position[at - 1]
+            assert np.linalg.norm(step) > 0.04
+
+
+def test_latency_is_between_stamp_and_recording(tmp_path):
+    recorded(tmp_path, motion(**{'package.stamps': {'latency': 0.004}}))
+    with AnyReader([tmp_path / 'bag']) as reader:
+        delays = {'/tool_arm/pose': set(), '/tool_arm/twist': set(), '/package/pose': set()}
+        for connection, log_time_ns, raw in reader.messages():
+            stamp = reader.deserialize(raw, connection.msgtype).header.stamp
+            delays[connection.topic].add(log_time_ns - stamp.sec * 10**9 - stamp.nanosec)
+    assert delays == {'/tool_arm/pose': {0}, '/tool_arm/twist': {0}, '/package/pose': {4_000_000}}
+
+
+def test_bending_beyond_45_degrees_is_warned_about_with_its_time(tmp_path):
+    shake = {'position': {'y': {'amplitude': [0.08], 'frequency': [3.0]}}}
+    soft = {**PARAMETERS, 'cup.damping': (0.2 * P).ravel().tolist()}
+    report = simulate_recording(soft, motion(multi_sine=shake), tmp_path / 'bag')
+    with np.load(tmp_path / 'bag_truth.npz') as truth:
+        cosine = np.einsum('ni,ni->n', truth['tool'][:, :3, 2], truth['package'][:, :3, 2])
+        passed = truth['t'][np.argmax(cosine < np.cos(np.radians(45.0)))]
+    assert report.largest_bending > np.radians(45.0)
+    # The file has the package's 120 Hz, between which it turns by up to 0.1 rad more.
+    assert 0.0 <= report.largest_bending - np.arccos(cosine.min()) < 0.1
+    (warning,) = report.warnings
+    told = float(warning.split('first time ')[1].split(' s')[0])
+    assert passed - 1.0 / 120.0 <= told <= passed
+    assert 'may flip' in warning
+
+
+def test_progress_is_told(tmp_path):
+    said = []
+    simulate_recording(PARAMETERS, MOTION, tmp_path / 'bag', said.append)
+    assert said[0] == 'simulating 2 s'
+    assert said[1].startswith('writing 1243 messages')
+
+
+def without(name):
+    return {key: value for key, value in PARAMETERS.items() if key != name}
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'content', 'message'),
+    [
+        (without('package.mass'), MOTION, 'Not set, and without a default: package.mass'),
+        ({**PARAMETERS, 'cup.stifness': 1}, MOTION, "Did you mean 'cup.stiffness'?"),
+        ({**PARAMETERS, 'cup.stiffness': [1.0] * 35}, MOTION, 'got 35 of them'),
+        ({**PARAMETERS, 'package.mass': 1e3}, MOTION, 'No static equilibrium'),
+        (PARAMETERS, None, "'kind' is missing; it must be one of"),
+        (PARAMETERS, [1], 'A motion file must hold names and values'),
+        (PARAMETERS, motion(sed=1), "Unknown setting 'sed'. Did you mean 'seed'?"),
+        (PARAMETERS, motion(seed=-1), "'seed' must be a whole number from 0"),
+        (PARAMETERS, motion(world='y_up'), "'world' must be one of z_up, motive_y_up, got 'y_up'"),
+        (PARAMETERS, motion(storage='bag'), "'storage' must be one of mcap, sqlite3, got 'bag'."),
+        (PARAMETERS, motion(compression='lz4'), "'compression' must be one of none, zstd"),
+        (PARAMETERS, motion(tool={}), "'tool.rate_hz' is missing"),
+        (PARAMETERS, motion(**{'tool.frame': 'lip'}), "Unknown setting 'tool.frame'"),
+        (PARAMETERS, motion(**{'package.twist': {}}), "Unknown setting 'package.twist'"),
+        (PARAMETERS, motion(**{'package.frame': 'plate'}), "'package.frame' must be one of com"),
+        (PARAMETERS, motion(**{'package.pickup_offset': [1]}), 'must be a list of 2 numbers (m)'),
+        (PARAMETERS, motion(**{'topics.tool_pose': 'a b'}), "'topics.tool_pose' must be a topic"),
+        (PARAMETERS, motion(**{'topics.package_pose': 'tool_arm/pose'}), 'no other stream has'),
+        (PARAMETERS, motion(**{'topics.package': 'x'}), "Did you mean 'topics.package_pose'?"),
+        (PARAMETERS, motion(**{'tool.dropouts': {'count': 9, 'duration': 1}}), "of 'tool' need"),
+        (PARAMETERS, motion(duration=3600.0), 'simulated samples'),
+        (PARAMETERS, motion(start_time_ns=0), "'start_time_ns' must be a whole number"),
+    ],
+)
+def test_errors_leave_nothing_behind(tmp_path, parameters, content, message):
+    with pytest.raises(BellowsError) as caught:
+        simulate_recording(parameters, content, tmp_path / 'bag')
+    assert message in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_that_exists_is_not_touched(tmp_path):
+    (tmp_path / 'bag').mkdir()
+    (tmp_path / 'bag' / 'metadata.yaml').write_text('mine')
+    with pytest.raises(BellowsError, match='exists. Give another name, or remove it first'):
+        simulate_recording(PARAMETERS, MOTION, tmp_path / 'bag')
+    assert content_of(tmp_path) == {Path('bag/metadata.yaml'): b'mine'}
+
+
+def test_a_recording_is_replaced_where_that_is_allowed(tmp_path):
+    for seed in (1, 2):
+        changed = motion(seed=seed, storage='mcap' if seed == 1 else 'sqlite3')
+        simulate_recording(PARAMETERS, changed, tmp_path / 'bag', replace=True)
+    assert {p.name for p in (tmp_path / 'bag').iterdir()} == {'bag.db3', 'metadata.yaml'}
+    (tmp_path / 'bag' / 'notes.txt').write_text('mine')
+    before = content_of(tmp_path)
+    with pytest.raises(BellowsError, match="not just a recording: it holds 'notes.txt'"):
+        simulate_recording(PARAMETERS, MOTION, tmp_path / 'bag', replace=True)
+    assert content_of(tmp_path) == before
+
+
+def test_a_folder_that_is_missing_is_named_before_the_work(tmp_path):
+    said = []
+    with pytest.raises(BellowsError, match='does not exist. Make it first'):
+        simulate_recording(PARAMETERS, MOTION, tmp_path / 'no' / 'bag', said.append)
+    assert said == []
+
+
+# ---- The example that documents every setting. ----
+
+
+def example(root, kind):
+    """Return the example's settings, with the block of another kind in place of the first."""
+    text = (root / 'config' / 'motion_example.yaml').read_text()
+    content = yaml.safe_load(text)
+    others = yaml.safe_load(
+        '\n'.join(line[3:] for line in text.splitlines() if line.startswith('#| '))
+    )
+    assert set(others) | {'multi_sine'} == set(KINDS)
+    if kind != 'multi_sine':
+        del content['multi_sine']
+        content.update({'kind': kind, kind: others[kind]})
+    if kind in ('waypoints', 'static'):
+        del content['duration'], content['ramp_duration']
+    return content
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_the_example_is_valid_for_every_kind(root, kind):
+    recipe = read_recipe(example(root, kind), COM)
+    assert recipe.motion.duration > recipe.motion.rest_duration == 2.0
+    assert recipe.package.jumps.count == 3
+
+
+def test_the_example_names_every_setting(root, monkeypatch):
+    """Ask for nothing that the example does not have."""
+    missing = []
+
+    class Noticing(Settings):
+
+        def done(self):
+            super().done()
+            missing.extend(self.name(name) for name in self._asked if name not in self)
+
+    def block(self, name):
+        self._asked.append(name)
+        return Noticing(self._values.get(name), self.name(name))
+
+    monkeypatch.setattr(Settings, 'block', block)
+    monkeypatch.setattr('bellows_ros.core.synthetic.recipe.Settings', Noticing)
+    read_recipe(example(root, 'multi_sine'), COM)
+    assert missing == ['start.quaternion_xyzw']  # the other way to say what rpy says
