@@ -40,9 +40,12 @@ def static_equilibrium(model: ModelTuple, tool: State) -> State:
     R_world_tool = rotation_matrix(tool[1])
     gravity_in_tool = apply_transposed(R_world_tool, gravity)
     body = resting_on_tool(model, origin)
+    loaded = model
     for load in np.linspace(0.0, 1.0, _LOADS + 1)[1:]:
         loaded = (cup, package, scale(float(load), gravity_in_tool))
         body = _newton_equilibrium(loaded, origin, body)
+    if np.linalg.eigvals(linearise(loaded, origin, body).body_pose).real.max() >= 0.0:
+        raise _no_equilibrium(model)  # it would fall over
     position = add(tool[0], apply(R_world_tool, body[0]))
     return position, quaternion_product(tool[1], body[1]), zero, zero
 
@@ -66,7 +69,12 @@ def _newton_equilibrium(model: ModelTuple, tool: State, body: State) -> State:
             break
     if size < 1e-9:  # as near as rounding lets it
         return body
-    raise BellowsError(
-        f'No static equilibrium: the cup cannot carry {model[1][0]:g} kg in this tool pose. '
-        'Check package.mass, package.com, cup.stiffness and their units.'
+    raise _no_equilibrium(model)
+
+
+def _no_equilibrium(model: ModelTuple) -> BellowsError:
+    """Return the error that says so."""
+    return BellowsError(
+        f'No static equilibrium: the cup cannot carry {model[1][0]:g} kg in this tool pose '
+        'without falling over. Check package.mass, package.com, cup.stiffness and their units.'
     )

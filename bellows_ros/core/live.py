@@ -156,8 +156,9 @@ class LivePredictor:
         self._backward: list[int] = []
         self._waiting: deque[_Pose] = deque()
         self._twists: deque[_Twist] = deque(maxlen=32)
-        self._pairs_in_a_row = self._lost_in_a_row = 0
+        self._pairs_in_a_row = self._lost_in_a_row = self._late_in_a_row = 0
         self._last_paired = False
+        self._without_twist: deque[int] = deque(maxlen=16)  # stamps predicted so
         self._history.clear()
 
     @property
@@ -214,6 +215,7 @@ class LivePredictor:
             return []
         if stamp_ns < self._last_ns:
             self.refused['twist_unpaired'] += 1
+            self._note_late(stamp_ns)
             return []
         self._twists.append(_Twist(stamp_ns, linear, angular))
         return self._release([])
@@ -279,6 +281,8 @@ class LivePredictor:
             self._last_paired = False
             if twist is not None:
                 self._count_pair()
+            else:
+                self._without_twist.append(pose.stamp_ns)
             prediction = self._predict(pose, twist)
             if prediction is not None:
                 predictions.append(prediction)
@@ -296,10 +300,18 @@ class LivePredictor:
             self.refused['twist_unpaired'] += 1
         return None
 
+    def _note_late(self, stamp_ns: int) -> None:
+        """Wait for twists again when those of poses predicted without come, only later."""
+        in_time = self._newest_ns - stamp_ns <= LONGEST_WAIT_NS
+        known = (abs(stamp_ns - other) <= PAIRING_TOLERANCE_NS for other in self._without_twist)
+        if in_time and any(known):
+            self._late_in_a_row += 1
+            self.expect_twists = self.expect_twists or self._late_in_a_row >= 2
+
     def _count_pair(self) -> None:
         """Note that the newest predicted pose has a twist; after two in a row wait for them."""
         self._last_paired = True
-        self._lost_in_a_row = 0
+        self._lost_in_a_row = self._late_in_a_row = 0
         self._pairs_in_a_row += 1
         if self._pairs_in_a_row >= 2:
             self.expect_twists = True
@@ -364,3 +376,14 @@ class LivePredictor:
 def _still(tool: State) -> State:
     """Return the tool's pose without its motion."""
     return tool[0], tool[1], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+
+
+def warm_up(cup: Cup, package: Package, gravity: float, twist_frame: str) -> None:
+    """Predict on made-up data in a predictor that is thrown away: nothing compiles later."""
+    live = LivePredictor(cup, package, gravity, twist_frame)
+    still, upright = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+    for stamp_ns in range(1_000_000, 13_000_000, 1_000_000):
+        live.on_pose(stamp_ns, 'world', still, upright)
+        if stamp_ns > 6_000_000:  # first without twists, then with
+            live.on_twist(stamp_ns, still, still)
+    live.flush()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,6 +17,7 @@ from bellows_ros.core.kernels import (
     spring_energy,
     spring_frames,
 )
+from bellows_ros.core.parameters import inertia_matrix, matrix, TRIANGLE_WITHIN
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -145,6 +147,24 @@ class Package:
         )
 
 
+def cup_of(values: Mapping[str, Any]) -> Cup:
+    """Return the cup that parameter values describe (see `parameters`)."""
+    return Cup(
+        stiffness=matrix(values['cup.stiffness']),
+        damping=matrix(values['cup.damping']),
+        length=values['cup.length'],
+    )
+
+
+def package_of(values: Mapping[str, Any]) -> Package:
+    """Return the package that parameter values describe (see `parameters`)."""
+    return Package(
+        mass=values['package.mass'],
+        inertia=inertia_matrix(values['package.inertia']),
+        com=values['package.com'],
+    )
+
+
 def check_inertia(inertia: Array) -> None:
     """
     Raise BellowsError unless a rigid body can have this inertia tensor (3, 3).
@@ -160,7 +180,7 @@ def check_inertia(inertia: Array) -> None:
             'The package inertia must be positive definite, but a principal moment is '
             f'{moments[0]:g} kg m^2. Check the order ixx, iyy, izz, ixy, ixz, iyz and the signs.'
         )
-    if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-6):
+    if moments[2] > (moments[0] + moments[1]) * (1.0 + TRIANGLE_WITHIN):
         raise BellowsError(
             f'No rigid body has the principal moments {moments.tolist()} kg m^2: the largest is '
             'above the sum of the other two. Check units and the order of the entries.'

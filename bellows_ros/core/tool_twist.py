@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from bellows_ros.core.jit import kernel
+from typing import Any
+
+from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import State
 from bellows_ros.core.tuples import (
     add,
@@ -18,9 +20,11 @@ from bellows_ros.core.tuples import (
     Vector,
 )
 import numpy as np
-from numpy.typing import NDArray
 
 ZERO = (0.0, 0.0, 0.0)
+
+SMALLEST_DETERMINANT = 1e-4
+"""Of the normal matrix in units of the time spanned; three even samples have 0.06."""
 
 
 class PoseHistory:
@@ -58,25 +62,25 @@ class PoseHistory:
 
     def state(self, back: int = 0) -> State:
         """Return the pose that many samples before the newest, with its estimated body twist."""
-        at = self._count - 1 - back
-        return pose_with_slope(self._rows, self._count, at)
+        rows: Any = self._rows if COMPILED else self._rows.tolist()  # plain floats are faster
+        return pose_with_slope(rows, self._count, self._count - 1 - back)
 
 
 @kernel
-def pose_with_slope(rows: NDArray[np.float64], count: int, at: int) -> State:
+def pose_with_slope(rows: Any, count: int, at: int) -> State:
     """Return the pose in rows[at] with the slope there of a quadratic through rows[:count]."""
-    o = (rows[at, 1], rows[at, 2], rows[at, 3])
-    q = (rows[at, 4], rows[at, 5], rows[at, 6], rows[at, 7])
+    o = (rows[at][1], rows[at][2], rows[at][3])
+    q = (rows[at][4], rows[at][5], rows[at][6], rows[at][7])
     if count < 2:
         return o, q, ZERO, ZERO
-    span = rows[count - 1, 0] - rows[0, 0]
+    span = rows[count - 1][0] - rows[0][0]
     s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0
     d0, d1, d2 = ZERO, ZERO, ZERO  # moments of the displacements
     p0, p1, p2 = ZERO, ZERO, ZERO  # and of the rotation vectors
     for i in range(count):
-        s = (rows[i, 0] - rows[at, 0]) / span
-        d = subtract((rows[i, 1], rows[i, 2], rows[i, 3]), o)
-        qi = (rows[i, 4], rows[i, 5], rows[i, 6], rows[i, 7])
+        s = (rows[i][0] - rows[at][0]) / span
+        d = subtract((rows[i][1], rows[i][2], rows[i][3]), o)
+        qi = (rows[i][4], rows[i][5], rows[i][6], rows[i][7])
         p = log_quaternion(quaternion_product(quaternion_conjugate(q), qi))
         s1, s2, s3, s4 = s1 + s, s2 + s * s, s3 + s * s * s, s4 + s * s * s * s
         d0, d1, d2 = add(d0, d), add_scaled(d1, s, d), add_scaled(d2, s * s, d)
@@ -100,14 +104,14 @@ def slope_weights(
     """
     Return the row of the inverse normal matrix of a quadratic fit that gives its slope at s = 0.
 
-    The matrix is [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]] of the sums of powers of s. Of two
-    samples, where it is singular, the slope is that of the line through them.
+    The matrix is [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]] of the sums of powers of s. Where it is
+    nearly singular, as of two samples or of two bursts, the slope is that of the fitted line.
     """
-    if n < 2.5:
-        return (-s1 / (n * s2 - s1 * s1), n / (n * s2 - s1 * s1), 0.0)
     determinant = (
         n * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s3 * s2) + s2 * (s1 * s3 - s2 * s2)
     )
+    if determinant < SMALLEST_DETERMINANT:
+        return (-s1 / (n * s2 - s1 * s1), n / (n * s2 - s1 * s1), 0.0)
     return (
         (s3 * s2 - s1 * s4) / determinant,
         (n * s4 - s2 * s2) / determinant,

@@ -271,3 +271,14 @@ def test_clean_recording_is_predicted(rig, twists, within_m, within_rad):
     turn = log_so3(np.swapaxes(rotation, 1, 2) @ truth['package'][:, :3, :3])
     assert np.linalg.norm(position, axis=1).max() < within_m
     assert np.linalg.norm(turn, axis=1).max() < within_rad
+
+
+def test_twists_that_always_come_one_pose_late_are_waited_for(messages, predictor):
+    predictor.expect_twists = True
+    out = list(messages.pose(predictor, 0)) + predictor.flush()
+    for k in range(1, 200):
+        out += messages.pose(predictor, k)
+        out += messages.twist(predictor, k - 1)
+    assert predictor.twists_estimated < 5
+    assert [p.stamp_ns for p in out] == messages.stamps[:len(out)]
+    assert len(out) >= 199

@@ -117,3 +117,9 @@ def test_a_simulation_that_blows_up_says_so():
     start = state_row((0, 0, -0.08), (0, 0, 0, 1), np.full(6, 0.1))
     with pytest.raises(BellowsError, match='did not stay finite'):
         simulate(driven, PLATE, still_tool(np.eye(4), 10 * 10**9, 1000), start)
+
+
+def test_a_package_that_would_fall_over_has_no_equilibrium():
+    on_top = Package(50.0, np.eye(3), (0.0, 0.0, 0.5))
+    with pytest.raises(BellowsError, match='falling over'):
+        static_equilibrium(model_tuple(Cup.thesis(), on_top, 9.81), LEVEL)

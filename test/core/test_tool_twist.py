@@ -62,3 +62,10 @@ def test_forgets():
     history.append(1, (5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     assert history.state() == (
         (5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+def test_bursts_give_the_slope_of_the_line_and_not_of_their_noise():
+    stamps = np.array([0, 10, 100_000_000, 100_000_010]) + 1
+    positions = np.outer([0.0, 1e-4, 0.1, 0.1001], [1.0, 0.0, 0.0])  # 0.1 mm off the line in 10 ns
+    history = filled(positions, np.tile(np.eye(3), (4, 1, 1)), stamps, 5)
+    assert_allclose(history.state()[2], [1.0, 0.0, 0.0], atol=2e-3)

@@ -1,0 +1,369 @@
+"""
+From recorded marker frames to tool tip E, lip S and centre of mass B (4.1-4.13).
+
+A motion capture system gives poses of marker bodies whose axes are turned against E and S, and the
+package hangs a little beside the cup's axis. At rest the axes of E and S are those of the world,
+and S lies below E: what differs from that at the standstill at the beginning is taken out, by
+constant rigid transformations of each body. Poses that need no such correction go through the
+same transformations, with the identity in them.
+"""
+
+from dataclasses import dataclass
+
+from bellows_ros.core.lie import apply, Array, exp_so3, log_so3
+from bellows_ros.core.recording.grid import DEVIATION_PER_MAD
+from bellows_ros.core.trajectory import Mask, NS_PER_S, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import ArrayLike
+
+WORLDS = ('z_up', 'motive_y_up')
+PACKAGE_FRAMES = ('com', 'lip')
+# The rotation part of A_H_M (4.1): Motive's y is up, and its x points the other way.
+R_WORLD_MOTIVE = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+
+# Medians over this time, s, are what a standstill is judged by: shorter than a body sways, long
+# enough to average noise. Their spread may be this large, and this many times what noise explains.
+BLOCK_SECONDS = 0.1
+REST_WITHIN = {'position': 2e-3, 'rotation': 10e-3}
+REST_DEVIATIONS = 6.0
+# Fewer valid samples than this, or a smaller part of what the rate gives, make no standstill.
+FEWEST_AT_REST = 10
+SMALLEST_PART_AT_REST = 0.5
+# A mean over the standstill leaves out what is further from the median than this many robust
+# standard deviations.
+TRIMMED_BEYOND = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """
+    Constant transformations from recorded marker frames to the frames of the model.
+
+    Parameters
+    ----------
+    R_tool_markers_tool : array (3, 3)
+        From axes of the tool E to those its pose is recorded in (4.4); the origins are the same.
+    R_package_markers_lip : array (3, 3)
+        From axes of the lip S to those the package's pose is recorded in (4.5).
+    origin_to_com : array (3,)
+        From the origin of the recorded package pose to the centre of mass B, in axes of S, m.
+    lateral_offset : array (3,)
+        What was taken out of the position of the lip (4.10), in axes of S, which at rest are
+        those of E, m; z is 0. `origin_to_com` has it in.
+    distance_at_rest : float or None
+        How far the lip is below the tool tip at rest, m; None where rest was not looked at.
+
+    """
+
+    R_tool_markers_tool: Array
+    R_package_markers_lip: Array
+    origin_to_com: Array
+    lateral_offset: Array
+    distance_at_rest: float | None = None
+
+    def tool(self, markers: Trajectory) -> Trajectory:
+        """
+        Return the poses of E from recorded ones, in the world already (4.12).
+
+        Parameters
+        ----------
+        markers : Trajectory
+            Poses of the tool's marker frame.
+
+        Returns
+        -------
+        Trajectory
+            Without twists.
+
+        """
+        rotation = markers.rotation @ self.R_tool_markers_tool
+        return _with_poses(markers, markers.position, rotation)
+
+    def package(self, markers: Trajectory) -> Trajectory:
+        """
+        Return the poses of B from recorded ones, in the world already (4.13), (4.64).
+
+        The lateral offset is constant in S, as a package that was picked up beside its middle
+        carries it; (4.10) takes it in axes of E, which is the same at rest and differs by the
+        offset times the bending angle in motion.
+
+        Parameters
+        ----------
+        markers : Trajectory
+            Poses of the package's marker frame.
+
+        Returns
+        -------
+        Trajectory
+            Without twists.
+
+        """
+        rotation = markers.rotation @ self.R_package_markers_lip
+        return _with_poses(
+            markers, markers.position + apply(rotation, self.origin_to_com), rotation
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Standstill:
+    """
+    Where a body is while it stands still.
+
+    Parameters
+    ----------
+    position : array (3,)
+        Mean, m.
+    rotation : array (3, 3)
+        Mean.
+    samples : int
+        How many the means are of.
+    spread : dict of str to float
+        Largest distance of medians over short times from the mean: 'position' in m, 'rotation' in
+        rad.
+
+    """
+
+    position: Array
+    rotation: Array
+    samples: int
+    spread: dict[str, float]
+
+
+def in_world(poses: Trajectory, world: str) -> Trajectory:
+    """
+    Return recorded poses in the world A, z up (4.1).
+
+    Parameters
+    ----------
+    poses : Trajectory
+        Of any body, as recorded.
+    world : str
+        'z_up': the recording's frame is the world; 'motive_y_up': Motive's axes, y up.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    BellowsError
+        If there is no such world.
+
+    """
+    require_choice('recording.world', world, WORLDS)
+    if world == 'z_up':
+        return poses
+    position = apply(R_WORLD_MOTIVE, poses.position)
+    return _with_poses(poses, position, R_WORLD_MOTIVE @ poses.rotation)
+
+
+def as_recorded(package_frame: str, com: ArrayLike) -> Alignment:
+    """
+    Return the alignment of poses that are those of E, and of S or B, already.
+
+    Parameters
+    ----------
+    package_frame : str
+        What the package's poses are poses of: 'com' or 'lip'.
+    com : array (3,)
+        Centre of mass B in S, m.
+
+    Returns
+    -------
+    Alignment
+
+    """
+    return _alignment(np.eye(3), np.eye(3), np.zeros(3), package_frame, com)
+
+
+def aligned_at_rest(
+    tool: Standstill, package: Standstill, package_frame: str, com: ArrayLike
+) -> Alignment:
+    """
+    Return the alignment that makes a standstill the nominal one (4.2-4.13).
+
+    Parameters
+    ----------
+    tool, package : Standstill
+        Of the recorded frames in the world, z up, at the same time.
+    package_frame : str
+        What the package's poses are poses of: 'com' or 'lip'. Only the origin counts.
+    com : array (3,)
+        Centre of mass B in S, m.
+
+    Returns
+    -------
+    Alignment
+
+    Raises
+    ------
+    BellowsError
+        If the lip is more beside the tool tip than below it.
+
+    """
+    origin = _origin_of_lip(package_frame, com)
+    # (4.6) at rest, where the axes of E, S and the world are the same.
+    E_o_S = package.position + origin - tool.position
+    if float(np.linalg.norm(E_o_S[:2])) >= -E_o_S[2]:
+        raise BellowsError(
+            'At rest the lip should hang below the tool tip, but seen from the tip it is at '
+            f'({_mm(E_o_S)}) mm in world axes, z up: more aside than below. '
+            'Check recording.world, recording.package_frame, package.com, and that the tool and '
+            'package topics are not exchanged.'
+        )
+    # (4.4) and (4.5) with A_R_E = A_R_S = I at rest (4.2), (4.3).
+    return _alignment(
+        tool.rotation.T,
+        package.rotation.T,
+        np.array([E_o_S[0], E_o_S[1], 0.0]),
+        package_frame,
+        com,
+        -float(E_o_S[2]),
+    )
+
+
+def standstill(
+    poses: Trajectory, start_ns: int, duration_s: float, noise: dict[str, float], body: str
+) -> Standstill:
+    """
+    Return where a body stands still, having checked that it does.
+
+    Parameters
+    ----------
+    poses : Trajectory
+        As recorded; invalid samples are left out.
+    start_ns : int
+        When the standstill begins, ns.
+    duration_s : float
+        How long it lasts, s.
+    noise : dict of str to float
+        Standard deviation per axis of 'position' (m) and 'rotation' (rad).
+    body : str
+        Name for messages.
+
+    Returns
+    -------
+    Standstill
+
+    Raises
+    ------
+    BellowsError
+        If too few valid samples are there, or the body moves.
+
+    """
+    end_ns = start_ns + int(duration_s * NS_PER_S)
+    inside = (poses.stamps_ns >= start_ns) & (poses.stamps_ns <= end_ns)
+    rest = poses.select(inside & poses.valid)
+    if len(rest) < max(FEWEST_AT_REST, SMALLEST_PART_AT_REST * np.count_nonzero(inside)):
+        raise BellowsError(
+            f'Alignment needs the {body} at rest in the first {duration_s:g} s, but of the '
+            f'{np.count_nonzero(inside)} poses there only {len(rest)} are usable; at least '
+            f'{FEWEST_AT_REST} and half of them are needed. Set recording.rest_duration to what '
+            'the recording has, or recording.align_at_rest to false.'
+        )
+    position, rotation = _robust_mean(rest)
+    spread = _spread(rest, position, rotation)
+    _require_rest(rest, spread, noise, duration_s, body)
+    return Standstill(
+        position, rotation, len(rest), {q: float(np.max(part)) for q, part in spread.items()}
+    )
+
+
+def require_choice(parameter: str, value: str, choices: tuple[str, ...]) -> None:
+    """Refuse a value that is none of the choices."""
+    if value not in choices:
+        raise BellowsError(f"{parameter} must be one of {', '.join(choices)}, not '{value}'.")
+
+
+def _alignment(
+    R_tool: Array,
+    R_package: Array,
+    lateral_offset: Array,
+    package_frame: str,
+    com: ArrayLike,
+    distance: float | None = None,
+) -> Alignment:
+    """Return an alignment whose package pose is moved to S, and from there to B (4.64)."""
+    origin_to_com = _origin_of_lip(package_frame, com) - lateral_offset + np.asarray(com, float)
+    return Alignment(R_tool, R_package, origin_to_com, lateral_offset, distance)
+
+
+def _origin_of_lip(package_frame: str, com: ArrayLike) -> Array:
+    """Return where the lip's centre is, seen from the recorded origin, in axes of S."""
+    require_choice('recording.package_frame', package_frame, PACKAGE_FRAMES)
+    return np.zeros(3) if package_frame == 'lip' else -np.asarray(com, dtype=np.float64)
+
+
+def _with_poses(poses: Trajectory, position: Array, rotation: Array) -> Trajectory:
+    """Return other poses at the same stamps, with the same ones valid."""
+    return Trajectory(poses.stamps_ns, position, rotation, valid=poses.valid)
+
+
+def _robust_mean(poses: Trajectory) -> tuple[Array, Array]:
+    """Return the mean position and rotation of the samples that are not far from the median."""
+    middle = np.median(poses.position, axis=0)
+    some = poses.rotation[len(poses) // 2]
+    turned = log_so3(some.T @ poses.rotation)
+    reference = some @ exp_so3(np.median(turned, axis=0))
+    near = _near(poses.position - middle) & _near(log_so3(reference.T @ poses.rotation))
+    used = poses.select(near)
+    rotation = reference
+    for _ in range(3):  # the mean in the logarithm converges cubically near itself
+        rotation = rotation @ exp_so3(np.mean(log_so3(rotation.T @ used.rotation), axis=0))
+    return np.mean(used.position, axis=0), rotation
+
+
+def _near(deviation: Array) -> Mask:
+    """Return where no axis deviates by more than its usual deviation times a factor."""
+    usual = DEVIATION_PER_MAD * np.median(np.abs(deviation), axis=0)
+    # Without noise the median is nothing but rounding: then all that is tiny is near.
+    result: Mask = np.all(np.abs(deviation) <= TRIMMED_BEYOND * usual + 1e-6, axis=1)
+    return result
+
+
+def _spread(rest: Trajectory, position: Array, rotation: Array) -> dict[str, Array]:
+    """Return the distances of the medians over short blocks from the mean, block by block."""
+    block = (rest.stamps_ns - rest.stamps_ns[0]) // int(BLOCK_SECONDS * NS_PER_S)
+    first = np.flatnonzero(np.diff(block))
+    deviation = {
+        'position': rest.position - position,
+        'rotation': log_so3(rotation.T @ rest.rotation),
+    }
+    return {
+        q: np.array(
+            [np.linalg.norm(np.median(values, axis=0)) for values in np.split(part, first + 1)]
+        )
+        for q, part in deviation.items()
+    }
+
+
+def _require_rest(
+    rest: Trajectory,
+    spread: dict[str, Array],
+    noise: dict[str, float],
+    duration_s: float,
+    body: str,
+) -> None:
+    """Refuse a standstill in which the body moves more than noise explains."""
+    per_block = len(rest) / len(spread['position'])
+    limit = {q: REST_WITHIN[q] + REST_DEVIATIONS * noise[q] / np.sqrt(per_block) for q in spread}
+    if all(np.max(part) <= limit[q] for q, part in spread.items()):
+        return
+    start = rest.select(rest.stamps_ns < rest.stamps_ns[0] + int(BLOCK_SECONDS * NS_PER_S))
+    from_start = _spread(rest, *_robust_mean(start))
+    moves = np.any([part > limit[q] for q, part in from_start.items()], axis=0)
+    still_s = BLOCK_SECONDS * float(np.argmax(moves))
+    position, rotation = (1e3 * float(np.max(part)) for part in spread.values())
+    raise BellowsError(
+        f'Alignment needs the {body} at rest in the first {duration_s:g} s, but there it is up to '
+        f'{position:.2g} mm and {rotation:.2g} mrad from its mean, where at most '
+        f"{limit['position'] * 1e3:.2g} mm and {limit['rotation'] * 1e3:.2g} mrad are expected. "
+        f'It stays where it starts for some {still_s:.1f} s: set recording.rest_duration to less '
+        'than that, record a longer standstill, or set recording.align_at_rest to false.'
+    )
+
+
+def _mm(vector: Array) -> str:
+    """Return a vector in mm, in words."""
+    return ', '.join(f'{1e3 * x:.1f}' for x in vector)

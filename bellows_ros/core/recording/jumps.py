@@ -1,0 +1,247 @@
+"""
+How far a pose jumps between two samples, and how much that stands out (appendix H).
+
+A body with finite speed cannot jump. How far it does is the least distance, over the time between
+two samples, of two straight continuations: of the samples before, and of the samples after. Honest
+motion leaves next to nothing, not even where its velocity or its acceleration changes at once,
+since the continuations meet where it did. Two samples on each side find short excursions,
+`LONG_SIDE` on each side find small ones. Positions (m) and rotation vectors (rad) are treated
+alike.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+
+from bellows_ros.core.lie import Array, log_so3
+from bellows_ros.core.trajectory import Mask, NS_PER_S, Stamps, Trajectory
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+Indices = NDArray[np.int64]
+
+# Samples on each side of the second, longer look, and how even their times must be.
+LONG_SIDE = 5
+EVEN_WITHIN = 0.1
+# A jump counts from this many times the median of its surroundings on. Of white noise, the largest
+# in two million samples reaches 4.0.
+STANDS_OUT = 4.5
+# It must be at least this large: far below what matters, far above rounding and quantisation.
+SMALLEST_JUMP = {'position': 0.5e-3, 'rotation': 1e-3}
+# Motion whose velocity changes at once is no jump: parabolas through the samples on each side, if
+# they are smooth to this part of the jump, then meet to within that part of it.
+SMOOTH_WITHIN = 0.5
+MEETS_WITHIN = 0.3
+# In the longer look, the lines must fit their samples to this part of the jump.
+FITS_WITHIN = 0.6
+# A jump that may be the other end of one that counts may be weaker, by this factor.
+WEAKER = 0.5
+# Among fewer jumps than this nothing stands out.
+FEWEST_JUDGED = 30
+# Samples of the running median of the surroundings, and of the one that follows the acceleration.
+SURROUNDINGS = 51
+SMOOTH = 7
+# Median length of the jump in the middle per standard deviation of white noise in each axis, from
+# two samples on each side: that of a normal 3-vector, times the norm of (1, -3, 3, -1) / 2.
+MEDIAN_PER_DEVIATION = 1.5382 * sqrt(5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Jumps:
+    """Jumps (M,) of one quantity, over the interval after each sample but the last."""
+
+    jump: Array  # (M, 3)
+    threshold: Array  # (M,)
+    usual: float  # median length of the jump in the middle of the interval
+
+    @property
+    def strength(self) -> Array:
+        """Jump over threshold (M,)."""
+        result: Array = np.linalg.norm(self.jump, axis=1) / self.threshold
+        return result
+
+
+def increments_of(poses: Trajectory) -> dict[str, Array]:
+    """Return the differences of positions and the body rotation vectors between samples (M, 3)."""
+    return {
+        'position': np.diff(poses.position, axis=0),
+        'rotation': log_so3(np.swapaxes(poses.rotation[:-1], -1, -2) @ poses.rotation[1:]),
+    }
+
+
+def short_look(increment: Array, step_ns: Stamps, gap: Mask, quantity: str) -> Jumps:
+    """
+    Return the jumps seen from two samples on each side, at any stamps.
+
+    The end of an interval is predicted with the velocity before it, the start with the velocity
+    after it; the first and the last interval have only one of both.
+    """
+    step_s = step_ns[:, None] / NS_PER_S
+    velocity = increment / step_s
+    start = np.zeros_like(increment)
+    end = np.zeros_like(increment)
+    start[:-1] = increment[:-1] - velocity[1:] * step_s[:-1]
+    end[1:] = increment[1:] - velocity[:-1] * step_s[1:]
+    start[-1], end[0] = -end[-1], -start[0]
+    start, end = _without_acceleration(start, end, SMOOTH)
+    start[-1], end[0] = end[-1], start[0]
+    jumps = _jumps(start, end, gap, SMALLEST_JUMP[quantity], _noise_gain(step_s[:, 0]))
+    jumps.jump[_bends(increment, jumps, gap)] = 0.0
+    return jumps
+
+
+def _noise_gain(step_s: Array) -> Array:
+    """Return how noise enters the prediction over each interval, 1 where stamps are uniform."""
+    ratio = np.zeros((2, len(step_s)))  # to the interval before, to the one after
+    ratio[0, 1:] = step_s[1:] / step_s[:-1]
+    ratio[1, :-1] = step_s[:-1] / step_s[1:]
+    largest = np.max(ratio, axis=0)
+    result: Array = np.sqrt((1.0 + (1.0 + largest) ** 2 + largest**2) / 6.0)
+    return result
+
+
+def _bends(increment: Array, jumps: Jumps, gap: Mask) -> Indices:
+    """Return where what looks like a jump is a bend of a motion that is smooth on both sides."""
+    tried = np.flatnonzero(jumps.strength >= WEAKER)
+    inside = (tried >= 3) & (tried < len(increment) - 3)
+    i = tried[inside]
+    around = i[:, None] + np.arange(-3, 4)
+    path = np.concatenate([np.zeros((len(i), 1, 3)), np.cumsum(increment[around], axis=1)], axis=1)
+    before, after = path[:, :4], path[:, :3:-1]  # each from far to near
+    size = np.linalg.norm(jumps.jump[i], axis=1)
+    rough = [np.linalg.norm(np.diff(side, 3, axis=1)[:, 0], axis=1) for side in (before, after)]
+    smooth = np.maximum(*rough) < SMOOTH_WITHIN * size
+    meets = _least_distance(before[:, 1:], after[:, 1:]) < MEETS_WITHIN * size
+    bends: Indices = i[smooth & meets & ~gap[around].any(axis=1)]
+    return bends
+
+
+def _least_distance(before: Array, after: Array) -> Array:
+    """Return the least distance between parabolas through three samples on each side (K, 3, 3)."""
+    time = np.linspace(0.0, 1.0, 21)
+    ahead = _parabola(time)
+    behind = _parabola(1.0 - time)
+    apart = np.einsum('ts,ksi->kti', ahead, before) - np.einsum('ts,ksi->kti', behind, after)
+    result: Array = np.min(np.linalg.norm(apart, axis=2), axis=1)
+    return result
+
+
+def _parabola(time: Array) -> Array:
+    """Return how samples at -2, -1, 0 weigh in their parabola at other times (T, 3)."""
+    t = time[:, None]
+    first, second, third = t * (t + 1.0) / 2.0, -t * (t + 2.0), (t + 1.0) * (t + 2.0) / 2.0
+    return np.concatenate([first, second, third], axis=1)
+
+
+def long_look(increment: Array, breaks: Mask, quantity: str) -> Jumps:
+    """Return the jumps seen from lines through `LONG_SIDE` samples without breaks on each side."""
+    m = LONG_SIDE
+    start, end = np.zeros_like(increment), np.zeros_like(increment)
+    misfit = np.zeros(len(increment))
+    count = len(increment) - 2 * m + 2  # intervals with so many samples on each side
+    unseen = np.full(len(increment), True)
+    if count > 0:
+        path = np.concatenate([np.zeros((1, 3)), np.cumsum(increment, axis=0)])
+        sides = sliding_window_view(path, m, axis=0)
+        before, after = sides[:count], sides[m:m + count, :, ::-1]
+        here, beyond, left = _line_weights(m)
+        inside = slice(m - 1, m - 1 + count)
+        start[inside] = after @ beyond - before @ here
+        end[inside] = after @ here - before @ beyond
+        misfit[inside] = np.sqrt(np.sum((before @ left) ** 2 + (after @ left) ** 2, axis=(1, 2)))
+        unseen[inside] = any_within(breaks, 2 * m - 1)
+    start, end = _without_acceleration(start, end, 2 * m + 1)
+    jumps = _jumps(start, end, unseen, SMALLEST_JUMP[quantity])
+    jumps.jump[misfit > FITS_WITHIN * np.linalg.norm(jumps.jump, axis=1)] = 0.0
+    jumps.jump[_bends(increment, jumps, breaks)] = 0.0
+    return jumps
+
+
+def uneven(step_ns: Stamps) -> Mask:
+    """Return which steps between samples differ from the usual one too much for the long look."""
+    usual = float(np.median(step_ns))
+    result: Mask = np.abs(step_ns - usual) > EVEN_WITHIN * usual
+    return result
+
+
+def _line_weights(count: int) -> tuple[Array, Array, Array]:
+    """
+    Return how samples weigh in their line, at the last one and one after it, and what is left.
+
+    The last is (count, count - 2): orthonormal combinations that vanish on every line.
+    """
+    time = np.arange(1.0 - count, 1.0)
+    basis, _ = np.linalg.qr(np.vander(time, count, increasing=True))
+    value, slope = np.linalg.pinv(np.stack([np.ones(count), time], axis=1))
+    return value, value + slope, basis[:, 2:]
+
+
+def any_within(mask: Mask, width: int) -> Mask:
+    """Return whether any is set of each `width` neighbours (N - width + 1,)."""
+    total = np.concatenate([[0], np.cumsum(mask)])
+    result: Mask = total[width:] > total[:-width]
+    return result
+
+
+def _without_acceleration(start: Array, end: Array, width: int) -> tuple[Array, Array]:
+    """Take out half their difference where it varies smoothly: it is due to the acceleration."""
+    smooth = median_filter(0.5 * (end - start), size=(width, 1), mode='mirror')
+    return start + smooth, end - smooth
+
+
+def _jumps(
+    start: Array, end: Array, unseen: Mask, smallest: float, gain: Array | float = 1.0
+) -> Jumps:
+    """Return the least of the jumps from those at the start to those at the end of intervals."""
+    change = end - start
+    squared = np.sum(change**2, axis=1)
+    along = np.divide(
+        -np.sum(start * change, axis=1), squared, out=np.zeros_like(squared), where=squared > 0.0
+    )
+    jump = start + np.clip(along, 0.0, 1.0)[:, None] * change
+    jump[unseen] = 0.0
+    middle = np.linalg.norm(0.5 * (start + end), axis=1) / gain
+    threshold = np.maximum(STANDS_OUT * gain * _surroundings(middle, unseen), smallest)
+    return Jumps(jump, threshold, float(np.median(middle)))
+
+
+def _surroundings(values: Array, unseen: Mask) -> Array:
+    """
+    Return the running median of what was seen, before or after each, whichever is larger.
+
+    So the first samples of a motion are compared with the motion, not with the rest before it.
+    """
+    seen = np.flatnonzero(~unseen)
+    if len(seen) < FEWEST_JUDGED:
+        return np.full_like(values, np.inf)
+    median = median_filter(values[seen], size=SURROUNDINGS, mode='mirror')
+    shift = SURROUNDINGS // 2
+    place = np.searchsorted(seen, np.arange(len(values)))
+    before = median[np.clip(place - shift, 0, len(seen) - 1)]
+    after = median[np.clip(place + shift, 0, len(seen) - 1)]
+    result: Array = np.maximum(before, after)
+    return result
+
+
+def strength_of(look: list[Jumps]) -> Array:
+    """Return how strong the stronger one of the jumps in position and rotation is (M,)."""
+    result: Array = np.max([jumps.strength for jumps in look], axis=0)
+    return result
+
+
+def overshadowed(strength: Array, short: list[Jumps], long: list[Jumps]) -> Mask:
+    """
+    Return where a stronger jump of like direction is near: the long look sees it there, too.
+
+    Jumps of opposite direction may follow each other at once, as at a spike of one sample.
+    """
+    directions = [
+        look[q].jump / look[q].threshold[:, None] for look in (short, long) for q in range(2)
+    ]
+    result = np.full(len(strength), False)
+    for apart in range(1, LONG_SIDE):
+        like = sum(np.sum(d[apart:] * d[:-apart], axis=1) for d in directions) > 0.0
+        result[apart:] |= like & (strength[:-apart] > strength[apart:])
+        result[:-apart] |= like & (strength[apart:] >= strength[:-apart])
+    return result

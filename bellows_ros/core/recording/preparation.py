@@ -1,0 +1,482 @@
+"""
+From recorded streams to a recording that a cup can be identified from, or judged by.
+
+Each stream goes into the world's axes (4.1), loses what tracking got wrong (appendix H), comes to
+a uniform rate, is aligned at rest (4.2-4.13) and filtered (4.15-4.63); then the tool comes to the
+package's stamps. Nothing is repaired in silence: all that is left out is in the report.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from bellows_ros.core.lie import apply, Array
+from bellows_ros.core.recording.alignment import (
+    aligned_at_rest,
+    Alignment,
+    as_recorded,
+    in_world,
+    R_WORLD_MOTIVE,
+    Standstill,
+    standstill,
+)
+from bellows_ros.core.recording.grid import on_grid, Timing, timing
+from bellows_ros.core.recording.outliers import find_outliers, Outliers, repeats_in_motion
+from bellows_ros.core.savgol import savgol
+from bellows_ros.core.trajectory import (
+    Filtered,
+    Mask,
+    NS_PER_S,
+    PoseStream,
+    resample,
+    Stamps,
+    Trajectory,
+    TwistStream,
+    uniform_rate_hz,
+)
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+# Half a filter window, s, where none is given. With order 6 the filter takes less than 0.1 % from
+# K and P of a cup shaken at 3 Hz, and averages as much noise as that allows.
+AUTOMATIC_HALF_WINDOW = 1 / 12
+# Warned about: a lip so far aside at rest (m), so large a lateral centre of mass (m), so many
+# poses repeated in motion, stamps that jitter by so much (parts of the sample or period).
+LATERAL_WARNED = 5e-3
+LATERAL_COM_WARNED = 1e-6
+REPEATS_WARNED = 0.05
+JITTER_WARNED = 0.1
+
+
+@dataclass(frozen=True)
+class PrepareSettings:
+    """
+    How recorded streams become a recording; the names of the parameters they stand for.
+
+    Parameters
+    ----------
+    world : str
+        recording.world: 'z_up' or 'motive_y_up' (4.1).
+    package_frame : str
+        recording.package_frame: 'com' or 'lip'.
+    align_at_rest : bool
+        recording.align_at_rest: whether (4.2-4.13) are applied.
+    rest_duration : float
+        recording.rest_duration, s.
+    com : tuple of 3 floats
+        package.com: B in S, m.
+    tool_half_window, tool_order, package_half_window, package_order : int
+        filter.tool.half_window and so on; a half window of 0 is chosen from the rate.
+    tool_twist_frame : str
+        tool_twist.frame: axes of a recorded tool twist, 'world' or 'tool'; its linear part is the
+        velocity of the tool tip.
+
+    """
+
+    world: str = 'z_up'
+    package_frame: str = 'com'
+    align_at_rest: bool = False
+    rest_duration: float = 1.0
+    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tool_half_window: int = 0
+    tool_order: int = 6
+    package_half_window: int = 0
+    package_order: int = 6
+    tool_twist_frame: str = 'world'
+
+
+@dataclass(frozen=True, eq=False)
+class StreamReport:
+    """
+    What became of the poses of one topic.
+
+    Parameters
+    ----------
+    name : str
+        Topic.
+    samples : int
+        Poses the stream has.
+    refused : mapping of str to tuple of int
+        Reason to the indices of the messages that were left out when reading.
+    timing : Timing
+        Rate, jitter, and gaps by sample.
+    outliers : Outliers
+        Excursions, frozen poses and steps, by sample, and the noise.
+    filled : int
+        Samples missing in gaps, put in as invalid.
+    touched : int
+        Filtered samples left out because their windows touch invalid ones.
+    standstill : Standstill or None
+        What alignment found, in the world, of the recorded frame.
+
+    """
+
+    name: str
+    samples: int
+    refused: Mapping[str, tuple[int, ...]]
+    timing: Timing
+    outliers: Outliers
+    filled: int
+    touched: int
+    standstill: Standstill | None
+
+    @property
+    def marked(self) -> int:
+        """Poses marked as wrong."""
+        return int(np.count_nonzero(~self.outliers.good))
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """
+    What became of a recording.
+
+    Parameters
+    ----------
+    tool, package : StreamReport
+        Of the two topics.
+    samples, valid : int
+        Common samples, and those of them to be used.
+    warnings : tuple of str
+        What the user should know, in words.
+
+    """
+
+    tool: StreamReport
+    package: StreamReport
+    samples: int
+    valid: int
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """
+    Motion of tool and package at common stamps, at the package's rate.
+
+    Parameters
+    ----------
+    tool : Trajectory
+        Tool tip E in the world, filtered, with body twists of the filter.
+    package : Trajectory
+        Centre of mass B in the world, filtered, with body twists and their derivatives.
+    measured_tool, measured_package : Trajectory
+        E and B aligned but not filtered. The tool has the recorded body twists where there are
+        any; where poses or twists are missing or wrong, samples are not valid.
+    tool_weights, package_weights : array (3, 2n+1)
+        Weights of the filters (see `Filtered`).
+    alignment : Alignment
+        From the recorded frames to E and B.
+    report : Report
+        What was left out, and why.
+
+    """
+
+    tool: Trajectory
+    package: Trajectory
+    measured_tool: Trajectory
+    measured_package: Trajectory
+    tool_weights: Array
+    package_weights: Array
+    alignment: Alignment
+    report: Report
+
+    @property
+    def valid(self) -> Mask:
+        """Where both filtered poses are to be used (N,)."""
+        return self.tool.valid & self.package.valid
+
+    @property
+    def measured(self) -> Mask:
+        """Where both unfiltered poses are to be used (N,)."""
+        return self.measured_tool.valid & self.measured_package.valid
+
+
+@dataclass(frozen=True, eq=False)
+class _Stream:
+    """One topic's poses in the world at a uniform rate, and what was found on the way."""
+
+    recorded: PoseStream
+    timing: Timing
+    outliers: Outliers
+    poses: Trajectory
+
+
+def prepare(
+    tool: PoseStream,
+    package: PoseStream,
+    settings: PrepareSettings,
+    tool_twist: TwistStream | None = None,
+    alignment: Alignment | None = None,
+) -> Recording:
+    """
+    Prepare recorded streams.
+
+    Parameters
+    ----------
+    tool, package : PoseStream
+        As recorded, in one frame and stamped by one clock.
+    settings : PrepareSettings
+        How.
+    tool_twist : TwistStream, optional
+        Recorded twist of the tool tip. It goes into `measured_tool` alone: for least squares the
+        filter's twist is better even where the recorded one is exact, because tool and package
+        then lose the same part of their motion, which cancels in their relative twist.
+    alignment : Alignment, optional
+        Of another recording of the same markers and the same grasp, used instead of a standstill
+        of this one.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    BellowsError
+        If the streams do not overlap, are too short for the filters, do not begin at rest where
+        they should, or nothing valid is left.
+
+    """
+    _require_overlap(tool, package)
+    streams = _clean(tool, settings.world), _clean(package, settings.world)
+    alignment, stills = _aligned(streams, settings, alignment)
+    raw = alignment.tool(streams[0].poses), alignment.package(streams[1].poses)
+    filtered = (
+        _filtered(raw[0], settings.tool_half_window, settings.tool_order, tool.name),
+        _filtered(raw[1], settings.package_half_window, settings.package_order, package.name),
+    )
+    common = _common(filtered, streams)
+    longest_ns = streams[0].timing.longest_step_ns
+    measured_tool = resample(raw[0], common, longest_ns)
+    if tool_twist is not None:
+        measured_tool = _with_twist(measured_tool, tool_twist, alignment, settings)
+    tool_there, package_there = resample(filtered[0], common, longest_ns), _at(filtered[1], common)
+    reports = [_stream_report(*parts) for parts in zip(streams, filtered, stills, strict=True)]
+    valid = tool_there.valid & package_there.valid
+    _require_some(valid, reports)
+    warnings = tuple(_warnings(streams, alignment, settings))
+    return Recording(
+        tool_there,
+        package_there,
+        measured_tool,
+        _at(raw[1], common),
+        filtered[0].weights,
+        filtered[1].weights,
+        alignment,
+        Report(reports[0], reports[1], len(common), int(np.count_nonzero(valid)), warnings),
+    )
+
+
+def _aligned(
+    streams: tuple[_Stream, _Stream], settings: PrepareSettings, given: Alignment | None
+) -> tuple[Alignment, tuple[Standstill | None, Standstill | None]]:
+    """Return the alignment that was given or asked for, and the standstills it was found from."""
+    if given is not None:
+        return given, (None, None)
+    if not settings.align_at_rest:
+        return as_recorded(settings.package_frame, settings.com), (None, None)
+    rest = _standstills(*streams, settings.rest_duration)
+    return aligned_at_rest(*rest, settings.package_frame, settings.com), rest
+
+
+def _clean(recorded: PoseStream, world: str) -> _Stream:
+    """Return a topic's poses in the world at a uniform rate, with what is wrong in them marked."""
+    if len(recorded) < 3:
+        raise BellowsError(
+            f"Topic '{recorded.name}' has {len(recorded)} usable poses, which is too few. "
+            'Record for longer, or choose another topic.'
+        )
+    poses = in_world(recorded.trajectory(), world)
+    found_timing = timing(poses.stamps_ns)
+    outliers = find_outliers(poses, found_timing.longest_step_ns)
+    marked = Trajectory(poses.stamps_ns, poses.position, poses.rotation, valid=outliers.good)
+    return _Stream(recorded, found_timing, outliers, on_grid(marked, found_timing))
+
+
+def _standstills(
+    tool: _Stream, package: _Stream, duration_s: float
+) -> tuple[Standstill, Standstill]:
+    """Return the standstills of both bodies, from where both streams have begun."""
+    start = int(max(tool.poses.stamps_ns[0], package.poses.stamps_ns[0]))
+    first, second = (
+        standstill(stream.poses, start, duration_s, stream.outliers.noise, body)
+        for stream, body in ((tool, 'tool'), (package, 'package'))
+    )
+    return first, second
+
+
+def _filtered(poses: Trajectory, half_window: int, order: int, name: str) -> Filtered:
+    """Return the filtered poses of a topic (4.15-4.63)."""
+    if half_window == 0:
+        rate_hz = uniform_rate_hz(poses.stamps_ns)
+        half_window = max(round(AUTOMATIC_HALF_WINDOW * rate_hz), (order + 1) // 2 + 1)
+    if len(poses) < 2 * half_window + 1:
+        raise BellowsError(
+            f"Topic '{name}' has {len(poses)} samples, but a filter with half window "
+            f'{half_window} needs at least {2 * half_window + 1}. '
+            'Take a smaller half window or a longer recording.'
+        )
+    return savgol(poses, half_window, order)
+
+
+def _common(
+    filtered: tuple[Filtered, Filtered], streams: tuple[_Stream, _Stream]
+) -> Stamps:
+    """Return the package's stamps at which the filtered tool is known."""
+    tool, package = filtered
+    stamps = package.stamps_ns
+    common: Stamps = stamps[(stamps >= tool.stamps_ns[0]) & (stamps <= tool.stamps_ns[-1])]
+    if not len(common):
+        raise BellowsError(
+            f"Topics '{streams[0].recorded.name}' and '{streams[1].recorded.name}' overlap by "
+            'less than the windows of the filters. Take smaller half windows or record longer.'
+        )
+    return common
+
+
+def _at(trajectory: Trajectory, stamps_ns: Stamps) -> Trajectory:
+    """Return the samples of a trajectory from the first to the last of some of its stamps."""
+    first, last = np.searchsorted(trajectory.stamps_ns, stamps_ns[[0, -1]])
+    return trajectory.select(slice(int(first), int(last) + 1))
+
+
+def _with_twist(
+    tool: Trajectory, recorded: TwistStream, alignment: Alignment, settings: PrepareSettings
+) -> Trajectory:
+    """Return the tool with its recorded twists, interpolated, in axes of E."""
+    if settings.tool_twist_frame not in ('world', 'tool'):
+        raise BellowsError(
+            f"tool_twist.frame must be world or tool, not '{settings.tool_twist_frame}'."
+        )
+    if len(recorded) < 3:
+        raise BellowsError(
+            f"Topic '{recorded.name}' has {len(recorded)} usable twists, which is too few. "
+            "Set topics.tool_twist to '' to do without."
+        )
+    parts = []
+    for recorded_part in (recorded.linear, recorded.angular):
+        part = _interpolated(recorded.stamps_ns, recorded_part, tool.stamps_ns)
+        if settings.tool_twist_frame == 'tool':
+            part = apply(alignment.R_tool_markers_tool.T, part)
+        else:
+            in_axes = R_WORLD_MOTIVE if settings.world == 'motive_y_up' else np.eye(3)
+            part = apply(np.swapaxes(tool.rotation, -1, -2), apply(in_axes, part))
+        parts.append(part)
+    known = _covered(recorded.stamps_ns, tool.stamps_ns)
+    twist = np.concatenate(parts, axis=1)
+    return Trajectory(
+        tool.stamps_ns, tool.position, tool.rotation, twist, valid=tool.valid & known
+    )
+
+
+def _interpolated(stamps_ns: Stamps, values: Array, wanted_ns: Stamps) -> Array:
+    """Return values (M, 3) between stamps, linearly; those at the ends beyond them."""
+    start = stamps_ns[0]
+    known, wanted = (stamps_ns - start) / NS_PER_S, (wanted_ns - start) / NS_PER_S
+    return np.stack([np.interp(wanted, known, column) for column in values.T], axis=1)
+
+
+def _covered(stamps_ns: Stamps, wanted_ns: Stamps) -> Mask:
+    """Return which wanted stamps are, or lie between, stamps without a gap."""
+    longest = timing(stamps_ns).longest_step_ns
+    after = np.searchsorted(stamps_ns, wanted_ns)
+    inside = after < len(stamps_ns)
+    after = np.minimum(after, len(stamps_ns) - 1)
+    exact = stamps_ns[after] == wanted_ns
+    before = np.maximum(after - 1, 0)
+    near = (after > 0) & (stamps_ns[after] - stamps_ns[before] <= longest)
+    result: Mask = inside & (exact | near)
+    return result
+
+
+def _stream_report(stream: _Stream, filtered: Filtered, still: Standstill | None) -> StreamReport:
+    """Return what became of a topic's poses."""
+    at_centres = _at(stream.poses, filtered.stamps_ns).valid
+    return StreamReport(
+        stream.recorded.name,
+        len(stream.recorded),
+        stream.recorded.refused,
+        stream.timing,
+        stream.outliers,
+        len(stream.poses) - len(stream.recorded) if stream.timing.uniform else 0,
+        int(np.count_nonzero(at_centres & ~filtered.valid)),
+        still,
+    )
+
+
+def _require_overlap(tool: PoseStream, package: PoseStream) -> None:
+    """Refuse streams without a common time."""
+    if not (len(tool) and len(package)):
+        return
+    first = max(tool.stamps_ns[0], package.stamps_ns[0])
+    last = min(tool.stamps_ns[-1], package.stamps_ns[-1])
+    if first >= last:
+        raise BellowsError(
+            f'The two streams do not overlap in time: {_covers(tool)}, {_covers(package)}. '
+            'Choose topics of one recording, stamped by one clock.'
+        )
+
+
+def _covers(stream: PoseStream) -> str:
+    """Return in words the time that a stream covers."""
+    first, last = (int(stamp) / NS_PER_S for stamp in stream.stamps_ns[[0, -1]])
+    return f"'{stream.name}' covers {first:.3f} to {last:.3f} s"
+
+
+def _require_some(valid: Mask, reports: list[StreamReport]) -> None:
+    """Refuse a recording of which nothing is left."""
+    if valid.any():
+        return
+    found = '; '.join(
+        f"'{r.name}': {r.marked} of {r.samples} poses are outliers, {len(r.timing.gaps)} gaps, "
+        f'{r.touched} filtered samples touch one of these'
+        for r in reports
+    )
+    raise BellowsError(
+        f'Of {len(valid)} common samples none is left: {found}. '
+        'Take smaller half windows, or a recording with fewer gaps and outliers.'
+    )
+
+
+def _warnings(
+    streams: tuple[_Stream, _Stream], alignment: Alignment, settings: PrepareSettings
+) -> list[str]:
+    """Return what the user should know."""
+    found = [warning for stream in streams for warning in _stream_warnings(stream)]
+    aside = float(np.linalg.norm(alignment.lateral_offset))
+    if aside > LATERAL_WARNED:
+        found.append(
+            f'The package was picked up {aside * 1e3:.1f} mm beside its middle. Alignment takes '
+            'this out; check package.com and package.inertia, which it does not change.'
+        )
+    lateral_com = float(np.hypot(*settings.com[:2]))
+    if settings.align_at_rest and lateral_com > LATERAL_COM_WARNED:
+        found.append(
+            f'The centre of mass lies {lateral_com * 1e3:.1f} mm beside the axis of the cup, so '
+            'the cup is bent at rest, but alignment takes the pose at rest for unbent. Set '
+            'recording.align_at_rest to false if the poses are those of E and S already.'
+        )
+    return found
+
+
+def _stream_warnings(stream: _Stream) -> list[str]:
+    """Return what the user should know about one topic."""
+    name, start = stream.recorded.name, int(stream.recorded.stamps_ns[0])
+    found = [
+        f"Topic '{name}' jumps by {step.position * 1e3:.1f} mm and {step.rotation * 1e3:.1f} mrad "
+        f'{(step.stamp_ns - start) / NS_PER_S:.3f} s after its start and does not return: all '
+        'poses after it are off those before it. Use the recording up to there, or from there on.'
+        for step in stream.outliers.steps
+    ]
+    repeats = repeats_in_motion(stream.recorded)
+    if repeats > REPEATS_WARNED * len(stream.recorded):
+        found.append(
+            f"Topic '{name}' repeats its pose {repeats} times in motion: it is published faster "
+            'than it is measured, so its rate is not the real one.'
+        )
+    if stream.timing.jitter_s * stream.timing.rate_hz > JITTER_WARNED:
+        found.append(
+            f"The stamps of topic '{name}' jitter by {stream.timing.jitter_s * 1e3:.2g} ms at "
+            f'{stream.timing.rate_hz:.5g} Hz. Poses were interpolated as if stamps were right; '
+            'if they are times of arrival, stamp the poses when they are measured.'
+        )
+    return found

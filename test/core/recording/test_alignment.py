@@ -1,0 +1,178 @@
+"""Recorded marker frames brought to E, S and B, against poses that are known."""
+
+from bellows_ros.core.lie import apply, exp_so3, log_so3
+from bellows_ros.core.recording.alignment import (
+    aligned_at_rest,
+    as_recorded,
+    in_world,
+    standstill,
+)
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+from .tracking import Noise, noisy, Shake, shaken, START
+
+COM = np.array([0.004, -0.002, -0.03])
+HANGS = np.array([0.0, 0.0, -0.05])
+NOISE = {'position': 1e-4, 'rotation': 5e-4}
+TOOL_MARKERS = exp_so3([0.3, -0.2, 2.5])
+PACKAGE_MARKERS = exp_so3([-1.0, 0.4, -0.6])
+ASIDE = np.array([0.8e-3, -0.6e-3, 0.0])
+# Motive's axes in the world's: y is up (4.1).
+R_MOTIVE_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+
+
+def held(rng, count=3000):
+    """Give poses of E and S: at rest one below the other with axes of the world, then moving."""
+    tool = shaken(rng, Shake(360.0, count / 360.0))
+    bending = shaken(rng, Shake(360.0, count / 360.0, 1.0))
+    at_rest = tool.rotation[0].T
+    R_tool = tool.rotation @ at_rest
+    R_lip = R_tool @ (bending.rotation[0].T @ bending.rotation)
+    lip = tool.position + apply(R_tool, HANGS + 0.1 * bending.position)
+    return (
+        Trajectory(tool.stamps_ns, tool.position + [1.0, 2.0, 1.5], R_tool),
+        Trajectory(tool.stamps_ns, lip + [1.0, 2.0, 1.5], R_lip),
+    )
+
+
+def moved(poses, offset, turn):
+    """Give poses of another frame on the same body."""
+    return Trajectory(
+        poses.stamps_ns, poses.position + apply(poses.rotation, offset), poses.rotation @ turn
+    )
+
+
+def rest_of(poses, seconds=1.5):
+    return standstill(poses, START, seconds, {'position': 0.0, 'rotation': 0.0}, 'body')
+
+
+def assert_same_poses(actual, expected, atol):
+    assert_allclose(actual.position, expected.position, atol=atol)
+    turn = log_so3(np.swapaxes(expected.rotation, -1, -2) @ actual.rotation)
+    assert_allclose(turn, 0.0, atol=atol)
+
+
+@pytest.mark.parametrize('frame', ['lip', 'com'])
+def test_markers_turned_and_a_lip_aside_are_found_and_undone(frame):
+    tool, lip = held(np.random.default_rng(40))
+    tool_markers = moved(tool, np.zeros(3), TOOL_MARKERS)
+    # The plate's origin is beside the lip's centre by a constant of the plate.
+    origin = ASIDE if frame == 'lip' else ASIDE + COM
+    package_markers = moved(lip, origin, PACKAGE_MARKERS)
+    found = aligned_at_rest(rest_of(tool_markers), rest_of(package_markers), frame, COM)
+    assert_allclose(found.lateral_offset, ASIDE, atol=1e-12)
+    assert_allclose(found.distance_at_rest, 0.05, atol=1e-12)
+    assert_allclose(found.R_tool_markers_tool, TOOL_MARKERS.T, atol=1e-12)
+    assert_allclose(found.R_package_markers_lip, PACKAGE_MARKERS.T, atol=1e-12)
+    assert_same_poses(found.tool(tool_markers), tool, 1e-12)
+    assert_same_poses(found.package(package_markers), moved(lip, COM, np.eye(3)), 1e-12)
+
+
+def test_alignment_is_that_of_the_thesis_at_rest_and_close_to_it_in_motion():
+    """(4.7)-(4.13) subtract the offset in axes of E, not S: the same at rest."""
+    tool, lip = held(np.random.default_rng(41))
+    tool_markers = moved(tool, np.zeros(3), TOOL_MARKERS)
+    package_markers = moved(lip, ASIDE, PACKAGE_MARKERS)
+    found = aligned_at_rest(rest_of(tool_markers), rest_of(package_markers), 'lip', np.zeros(3))
+    R_E = tool_markers.rotation @ tool_markers.rotation[0].T
+    E_o_S = apply(np.swapaxes(R_E, -1, -2), package_markers.position - tool_markers.position)
+    E_o_S = E_o_S - E_o_S[0] * [1.0, 1.0, 0.0]
+    A_o_S = tool_markers.position + apply(R_E, E_o_S)
+    aligned = found.package(package_markers)
+    rest = slice(0, 700)
+    assert_allclose(aligned.position[rest], A_o_S[rest], atol=1e-12)
+    R_S = package_markers.rotation @ package_markers.rotation[0].T
+    assert_allclose(aligned.rotation, R_S, atol=1e-12)
+    bending = np.linalg.norm(log_so3(np.swapaxes(R_E, -1, -2) @ R_S), axis=1)
+    apart = np.linalg.norm(aligned.position - A_o_S, axis=1)
+    assert np.all(apart <= np.linalg.norm(ASIDE) * bending + 1e-12)
+
+
+@pytest.mark.parametrize('frame', ['lip', 'com'])
+def test_poses_as_recorded_are_only_moved_to_the_centre_of_mass(frame):
+    tool, lip = held(np.random.default_rng(42))
+    alignment = as_recorded(frame, COM)
+    recorded = lip if frame == 'lip' else moved(lip, COM, np.eye(3))
+    assert_same_poses(alignment.tool(tool), tool, 1e-15)
+    assert_same_poses(alignment.package(recorded), moved(lip, COM, np.eye(3)), 1e-15)
+
+
+def test_one_alignment_serves_another_recording_of_the_same_markers():
+    tool, lip = held(np.random.default_rng(43))
+    other, other_lip = held(np.random.default_rng(44))
+    found = aligned_at_rest(
+        rest_of(moved(tool, np.zeros(3), TOOL_MARKERS)),
+        rest_of(moved(lip, ASIDE, PACKAGE_MARKERS)), 'lip', COM)
+    assert_same_poses(found.tool(moved(other, np.zeros(3), TOOL_MARKERS)), other, 1e-12)
+    expected = moved(other_lip, COM, np.eye(3))
+    assert_same_poses(found.package(moved(other_lip, ASIDE, PACKAGE_MARKERS)), expected, 1e-12)
+
+
+def test_motive_recordings_come_to_the_world():
+    tool, _ = held(np.random.default_rng(45))
+    motive = Trajectory(
+        tool.stamps_ns, apply(R_MOTIVE_WORLD, tool.position), R_MOTIVE_WORLD @ tool.rotation
+    )
+    assert_same_poses(in_world(motive, 'motive_y_up'), tool, 1e-15)
+    assert in_world(tool, 'z_up') is tool
+    # Up is y there, and z here.
+    up = Trajectory(tool.stamps_ns[:1], np.array([[0.0, 1.0, 0.0]]), np.eye(3)[None])
+    assert_array_equal(in_world(up, 'motive_y_up').position, [[0.0, 0.0, 1.0]])
+
+
+def test_unknown_choices_are_refused():
+    tool, _ = held(np.random.default_rng(46))
+    with pytest.raises(BellowsError, match="z_up, motive_y_up, not 'y_up'"):
+        in_world(tool, 'y_up')
+    with pytest.raises(BellowsError, match="com, lip, not 'plate'"):
+        as_recorded('plate', COM)
+
+
+def test_a_standstill_is_the_mean_of_noise_without_outliers():
+    rng = np.random.default_rng(47)
+    still = Trajectory(
+        START + np.arange(720) * 2_777_778, np.tile([1.0, 2.0, 3.0], (720, 1)),
+        np.tile(TOOL_MARKERS, (720, 1, 1)))
+    poses = noisy(rng, still, Noise())
+    position, rotation = poses.position.copy(), poses.rotation.copy()
+    position[100:104] += [0.05, 0.0, 0.0]  # an outlier that was not marked
+    position[200:230] += [0.5, 0.0, 0.0]  # one that was
+    valid = np.full(720, True)
+    valid[200:230] = False
+    poses = Trajectory(poses.stamps_ns, position, rotation, valid=valid)
+    found = standstill(poses, START, 2.0, {'position': 1e-4, 'rotation': 5e-4}, 'tool')
+    # Five standard deviations of a mean of 690.
+    assert_allclose(found.position, [1.0, 2.0, 3.0], atol=5 * 1e-4 / np.sqrt(690))
+    assert_allclose(log_so3(TOOL_MARKERS.T @ found.rotation), 0.0, atol=5 * 5e-4 / np.sqrt(690))
+    assert found.samples == 690
+
+
+@pytest.mark.parametrize('noise', [0.0, 1e-3])
+def test_a_body_that_sets_off_too_early_is_refused_with_how_long_it_stands_still(noise):
+    rng = np.random.default_rng(48)
+    poses = noisy(rng, shaken(rng, Shake(360.0, 20.0)), Noise(noise, noise))
+    level = {'position': noise, 'rotation': noise}
+    standstill(poses, START, 1.9, level, 'tool')
+    with pytest.raises(BellowsError, match=r'the tool at rest in the first 5 s.* some 2\.\d s'):
+        standstill(poses, START, 5.0, level, 'tool')
+
+
+def test_a_standstill_without_poses_is_refused():
+    tool, _ = held(np.random.default_rng(49))
+    hidden = Trajectory(
+        tool.stamps_ns, tool.position, tool.rotation, valid=np.arange(len(tool)) > 600)
+    with pytest.raises(BellowsError, match='of the 541 poses there only 0 are usable'):
+        standstill(hidden, START, 1.5, NOISE, 'tool')
+
+
+@pytest.mark.parametrize('where', [[0.0, 0.0, 0.05], [0.0, -0.05, 0.0]])
+def test_a_lip_that_does_not_hang_below_the_tool_is_refused(where):
+    """Exchanged topics put it above, a wrong world aside."""
+    tool, lip = held(np.random.default_rng(50))
+    there = Trajectory(lip.stamps_ns, tool.position + where, lip.rotation)
+    with pytest.raises(BellowsError, match='should hang below the tool tip'):
+        aligned_at_rest(rest_of(tool), rest_of(there), 'lip', np.zeros(3))

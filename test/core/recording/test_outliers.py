@@ -1,0 +1,283 @@
+"""Tracking faults found in motions whose faults are known, and none found in honest motions."""
+
+from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.recording.grid import timing
+from bellows_ros.core.recording.outliers import find_outliers, repeats_in_motion
+from bellows_ros.core.trajectory import Trajectory
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+from .tracking import displaced, Noise, noisy, Shake, shaken, with_excursions
+
+NONE = Noise(0.0, 0.0)
+LAB = Noise(1e-4, 5e-4)
+COARSE = Noise(1e-3, 1e-3)
+RATES = [100.0, 360.0, 1000.0]
+CALM, LIVELY, WILD = (0.5, 2.0), (2.0, 3.0), (10.0, 5.0)  # g, Hz
+
+
+def found_in(poses):
+    """Give the outliers of poses whose only gaps are those of their stamps."""
+    return find_outliers(poses, timing(poses.stamps_ns).longest_step_ns)
+
+
+def without(poses, *missing):
+    """Give poses with slices of them missing."""
+    return poses.select(np.delete(np.arange(len(poses)), np.concatenate(
+        [np.arange(len(poses))[part] for part in missing])))
+
+
+def score(rng, shake, noise, metres, radians, samples, recordings=3, count=8):
+    """Give recall and precision of samples marked, over several recordings."""
+    hit = off_in_all = marked = 0
+    for _ in range(recordings):
+        poses = noisy(rng, shaken(rng, shake), noise)
+        poses, off = with_excursions(rng, poses, count, metres, radians, samples)
+        bad = ~found_in(poses).good
+        hit += np.count_nonzero(bad & off)
+        off_in_all += np.count_nonzero(off)
+        marked += np.count_nonzero(bad)
+    return hit / off_in_all, hit / marked
+
+
+@pytest.mark.parametrize('noise', [NONE, Noise(1e-5, 1e-5), LAB, COARSE])
+@pytest.mark.parametrize('motion', [CALM, LIVELY, WILD])
+@pytest.mark.parametrize('rate_hz', RATES)
+def test_honest_motion_is_left_alone(rate_hz, motion, noise):
+    """Up to 10 g at 5 Hz, even at 100 Hz, where neighbours differ by more than a jump would."""
+    rng = np.random.default_rng(10)
+    for _ in range(3):
+        poses = noisy(rng, shaken(rng, Shake(rate_hz, 12.0, *motion)), noise)
+        found = found_in(poses)
+        assert found.good.all()
+        assert found.steps == ()
+
+
+@pytest.mark.parametrize('motion', [CALM, LIVELY])
+@pytest.mark.parametrize('rate_hz', RATES)
+def test_a_motion_that_begins_at_once_is_no_jump(rate_hz, motion):
+    """Its velocity jumps, its pose does not."""
+    rng = np.random.default_rng(11)
+    for _ in range(5):
+        found = found_in(shaken(rng, Shake(rate_hz, 6.0, *motion), at_once=True))
+        assert found.good.all()
+
+
+@pytest.mark.parametrize('noise', [NONE, LAB])
+def test_a_long_rest_is_left_alone(noise):
+    rng = np.random.default_rng(12)
+    poses = noisy(rng, shaken(rng, Shake(360.0, 30.0), rest=29.0), noise)
+    assert found_in(poses).good.all()
+
+
+@pytest.mark.parametrize('noise', [NONE, LAB, COARSE])
+@pytest.mark.parametrize('motion', [CALM, LIVELY, WILD])
+@pytest.mark.parametrize('rate_hz', RATES)
+def test_large_excursions_are_marked_to_the_sample(rate_hz, motion, noise):
+    """From 3 cm and 3 degrees on: noise of 1 mm or 10 g make no difference."""
+    rng = np.random.default_rng(13)
+    recall, precision = score(
+        rng, Shake(rate_hz, 20.0, *motion), noise, (0.03, 2.0), (0.05, 2.0), (1, 200)
+    )
+    assert recall > 0.99
+    assert precision > 0.97
+
+
+@pytest.mark.parametrize('noise', [NONE, LAB])
+@pytest.mark.parametrize('motion', [CALM, LIVELY])
+@pytest.mark.parametrize('rate_hz', RATES)
+@pytest.mark.parametrize('samples', [(2, 7), (8, 200)])
+def test_excursions_of_a_few_millimetres_are_marked(samples, rate_hz, motion, noise):
+    """From 3 mm or 5 mrad on, with noise of 0.1 mm and 0.5 mrad."""
+    rng = np.random.default_rng(14)
+    recall, precision = score(
+        rng, Shake(rate_hz, 20.0, *motion), noise, (0.003, 0.01), (0.005, 0.02), samples
+    )
+    assert recall > 0.95
+    assert precision > 0.9
+
+
+@pytest.mark.parametrize('metres, radians', [(0.0, 0.02), (0.004, 0.0)])
+def test_jumps_of_position_or_rotation_alone_are_enough(metres, radians):
+    rng = np.random.default_rng(15)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    run = slice(4000, 4006)
+    poses = displaced(poses, run, np.array([0, metres, 0]), np.array([0, 0, radians]), True)
+    found = found_in(poses)
+    (excursion,) = found.excursions
+    assert (excursion.first, excursion.last) == (4000, 4005)
+    assert excursion.start_ns == poses.stamps_ns[4000]
+    # The size of a jump is known to a few times the noise of one sample.
+    assert_allclose([excursion.position, excursion.rotation], [metres, radians], atol=4e-3)
+    assert_array_equal(np.flatnonzero(~found.good), np.arange(4000, 4006))
+
+
+@pytest.mark.parametrize('on_body', [False, True])
+def test_a_permanent_step_is_reported_and_only_its_sides_are_marked(on_body):
+    rng = np.random.default_rng(16)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    after = slice(3000, None)
+    poses = displaced(poses, after, np.array([0.03, 0, 0]), np.array([0, 0.2, 0]), on_body)
+    found = found_in(poses)
+    (step,) = found.steps
+    assert (step.index, step.stamp_ns) == (2999, poses.stamps_ns[2999])
+    assert_allclose(step.rotation, 0.2, atol=5e-3)
+    assert_array_equal(np.flatnonzero(~found.good), [2999, 3000])
+
+
+def test_an_excursion_within_an_excursion_is_marked_as_a_whole():
+    rng = np.random.default_rng(17)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = displaced(poses, slice(3000, 3060), np.array([0.05, 0, 0]), np.zeros(3), False)
+    poses = displaced(poses, slice(3020, 3040), np.array([0, 0.02, 0]), np.zeros(3), False)
+    found = found_in(poses)
+    assert_array_equal(np.flatnonzero(~found.good), np.arange(3000, 3060))
+    assert found.steps == ()
+
+
+def test_an_excursion_after_a_step_is_told_from_it():
+    rng = np.random.default_rng(18)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = displaced(poses, slice(3000, None), np.array([0.05, 0, 0]), np.zeros(3), False)
+    poses = displaced(poses, slice(3100, 3110), np.array([0, 0.02, 0]), np.zeros(3), False)
+    found = found_in(poses)
+    assert [step.index for step in found.steps] == [2999]
+    assert [(run.first, run.last) for run in found.excursions] == [(3100, 3109)]
+
+
+@pytest.mark.parametrize('noise', [NONE, LAB])
+@pytest.mark.parametrize('length', [1, 2, 30, 150])
+@pytest.mark.parametrize('where', ['start', 'end'])
+def test_excursions_at_the_ends_are_marked(where, length, noise):
+    rng = np.random.default_rng(19)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), noise)
+    run = slice(0, length) if where == 'start' else slice(len(poses) - length, len(poses))
+    poses = displaced(poses, run, np.array([0.03, 0, 0]), np.array([0, 0.2, 0]), True)
+    found = found_in(poses)
+    assert_array_equal(np.flatnonzero(~found.good), np.arange(len(poses))[run])
+    assert found.steps == ()
+
+
+@pytest.mark.parametrize('length', [1, 3, 20, 60])
+@pytest.mark.parametrize('side', ['before', 'after'])
+@pytest.mark.parametrize('lost', [1, 5, 20])
+def test_excursions_that_end_in_a_gap_are_marked(lost, side, length):
+    """Only one of their two jumps can be seen; the other one shows as a jump over the gap."""
+    rng = np.random.default_rng(20)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    gap = slice(4000, 4000 + lost)
+    run = slice(4000 - length, 4000) if side == 'before' else slice(gap.stop, gap.stop + length)
+    poses = displaced(poses, run, np.array([0.1, 0, 0]), np.array([0, 0.5, 0]), True)
+    off = np.full(len(poses), False)
+    off[run] = True
+    kept, off = without(poses, gap), np.delete(off, gap)
+    found = found_in(kept)
+    assert_array_equal(np.flatnonzero(~found.good), np.flatnonzero(off))
+    assert found.steps == ()
+
+
+def test_a_step_over_a_gap_is_reported():
+    rng = np.random.default_rng(21)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = displaced(poses, slice(4010, None), np.array([0.3, 0, 0]), np.zeros(3), False)
+    (step,) = found_in(without(poses, slice(4000, 4010))).steps
+    assert step.index == 3999
+
+
+@pytest.mark.parametrize('lost', [1, 10, 40, 100])
+def test_gaps_alone_are_no_jumps(lost):
+    rng = np.random.default_rng(22)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    gaps = [slice(i, i + lost) for i in range(1000, 7000, 1000)]
+    found = found_in(without(poses, *gaps))
+    assert found.good.all()
+    assert found.steps == ()
+
+
+def frozen(poses, run):
+    """Give poses that stay at the one before a run of samples."""
+    position, rotation = poses.position.copy(), poses.rotation.copy()
+    position[run], rotation[run] = position[run.start - 1], rotation[run.start - 1]
+    return Trajectory(poses.stamps_ns, position, rotation)
+
+
+@pytest.mark.parametrize('noise', [NONE, LAB])
+@pytest.mark.parametrize('length', [5, 12, 60])
+def test_frozen_poses_are_marked(length, noise):
+    rng = np.random.default_rng(23)
+    for start in (2500, 4000, 5500):
+        poses = noisy(rng, shaken(rng, Shake(360.0)), noise)
+        run = slice(start, start + length)
+        found = found_in(frozen(poses, run))
+        assert [(r.first, r.last) for r in found.frozen] == [(run.start, run.stop - 1)]
+        assert_array_equal(np.flatnonzero(~found.good), np.arange(run.start, run.stop))
+        assert found.steps == ()
+
+
+def test_poses_frozen_till_the_end_are_marked():
+    rng = np.random.default_rng(24)
+    poses = shaken(rng, Shake(360.0))
+    found = found_in(frozen(poses, slice(7100, 7200)))
+    assert_array_equal(np.flatnonzero(~found.good), np.arange(7100, 7200))
+
+
+def test_a_rest_recorded_without_noise_is_not_frozen_even_with_an_outlier_in_it():
+    rng = np.random.default_rng(25)
+    poses = shaken(rng, Shake(360.0))
+    poses = displaced(poses, slice(300, 304), np.array([0.3, 0, 0]), np.zeros(3), False)
+    found = found_in(poses)
+    assert found.frozen == ()
+    assert_array_equal(np.flatnonzero(~found.good), np.arange(300, 304))
+
+
+def test_rounded_coordinates_are_neither_jumps_nor_frozen():
+    """A driver that sends four decimals repeats poses at rest and moves in steps of 0.1 mm."""
+    rng = np.random.default_rng(26)
+    poses = shaken(rng, Shake(360.0, 20.0, 0.5, 1.0))
+    rounded = Trajectory(poses.stamps_ns, np.round(poses.position, 4), poses.rotation)
+    assert found_in(rounded).good.all()
+
+
+def test_isolated_samples_are_marked():
+    rng = np.random.default_rng(27)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    kept = without(poses, slice(3000, 3010), slice(3012, 3020))
+    found = found_in(kept)
+    assert [(run.first, run.last) for run in found.isolated] == [(3000, 3001)]
+    assert_array_equal(np.flatnonzero(~found.good), [3000, 3001])
+
+
+@pytest.mark.parametrize('noise', [Noise(1e-5, 1e-5), LAB, COARSE])
+def test_noise_is_estimated(noise):
+    rng = np.random.default_rng(28)
+    found = found_in(noisy(rng, shaken(rng, Shake(360.0, 20.0, 0.5, 1.0)), noise))
+    assert_allclose(found.noise['position'], noise.position, rtol=0.05)
+    assert_allclose(found.noise['rotation'], noise.rotation, rtol=0.05)
+
+
+def test_poses_published_faster_than_measured_are_counted():
+    rng = np.random.default_rng(29)
+    poses = shaken(rng, Shake(300.0, 10.0))
+    held = np.arange(len(poses)) // 3 * 3
+    slow = Trajectory(poses.stamps_ns, poses.position[held], poses.rotation[held])
+    assert repeats_in_motion(poses) == 0
+    # Two of three repeat, in the eight of ten seconds of motion.
+    assert_allclose(repeats_in_motion(slow), 2 / 3 * 0.8 * len(poses), rtol=0.01)
+
+
+def test_a_turn_of_the_whole_recording_changes_nothing():
+    rng = np.random.default_rng(30)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses, _ = with_excursions(rng, poses, 8, (0.01, 1.0), (0.02, 1.0), (1, 20))
+    R = exp_so3([1.0, -2.0, 0.5])
+    turned = Trajectory(poses.stamps_ns, poses.position @ R.T, R @ poses.rotation)
+    marked = ~found_in(poses).good
+    assert np.mean(marked != ~found_in(turned).good) < 1e-3 * np.mean(marked)
+
+
+@pytest.mark.parametrize('count', [3, 4, 5, 7, 12])
+def test_few_samples_are_no_trouble(count):
+    rng = np.random.default_rng(31)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB).select(slice(0, count))
+    assert found_in(poses).good.all()

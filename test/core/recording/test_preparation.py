@@ -1,0 +1,294 @@
+"""Recorded streams prepared for identification, against the motion they were made from."""
+
+from dataclasses import replace
+
+from bellows_ros.core.lie import apply, exp_so3, log_so3
+from bellows_ros.core.recording.preparation import prepare, PrepareSettings
+from bellows_ros.core.savgol import savgol
+from bellows_ros.core.trajectory import PoseStream, Trajectory, TwistStream
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bags import read_streams
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+from .tracking import displaced, Noise, noisy, Shake, shaken, START
+
+COM = (0.0, 0.0, -0.03)
+WINDOWS = (25, 4, 25, 4)
+PLAIN = PrepareSettings('z_up', 'com', False, 1.0, COM, *WINDOWS)
+AT_REST = replace(PLAIN, align_at_rest=True)
+LAB = PrepareSettings('motive_y_up', 'lip', True, 1.5, COM, *WINDOWS)
+R_MOTIVE_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+
+
+def held(seed, rate_hz=360.0, seconds=20.0):
+    """Give poses of E and of B, which hangs below it and sways."""
+    rng = np.random.default_rng(seed)
+    tool = shaken(rng, Shake(rate_hz, seconds, 1.0, 2.0))
+    sway = shaken(rng, Shake(rate_hz, seconds, 0.3, 2.0))
+    R_tool = tool.rotation @ tool.rotation[0].T
+    R_package = R_tool @ (sway.rotation[0].T @ sway.rotation)
+    package = tool.position + apply(R_tool, sway.position + [0.0, 0.0, -0.05])
+    return (
+        Trajectory(tool.stamps_ns, tool.position, R_tool),
+        Trajectory(tool.stamps_ns, package + apply(R_package, np.array(COM)), R_package),
+    )
+
+
+def stream(poses, name='/tool', index=slice(None)):
+    """Give poses as a recorded topic."""
+    part = poses.select(index)
+    return PoseStream(name, 'world', part.stamps_ns, part.position, part.rotation)
+
+
+def difference(actual, expected, valid):
+    """Give differences of positions and rotation vectors where valid."""
+    turn = log_so3(np.swapaxes(expected.rotation, -1, -2) @ actual.rotation)
+    return (actual.position - expected.position)[valid], turn[valid]
+
+
+def at(poses, stamps_ns):
+    """Give the poses at some of their stamps."""
+    return poses.select(np.searchsorted(poses.stamps_ns, stamps_ns))
+
+
+def test_poses_that_need_nothing_are_only_filtered():
+    tool, package = held(60)
+    found = prepare(stream(tool), stream(package, '/package'), PLAIN)
+    assert found.valid.all() and found.measured.all()
+    assert_array_equal(found.package.stamps_ns, package.stamps_ns[25:-25])
+    for filtered, poses in ((found.tool, tool), (found.package, package)):
+        expected = savgol(poses, 25, 4)
+        assert_allclose(filtered.position, expected.position, atol=1e-14)
+        assert_allclose(filtered.twist, expected.twist, atol=1e-12)
+    assert_allclose(found.package.acceleration, savgol(package, 25, 4).acceleration, atol=1e-9)
+    assert_array_equal(found.measured_tool.position, tool.position[25:-25])
+    assert_allclose(found.measured_package.position, package.position[25:-25], atol=1e-15)
+    assert found.report.samples == found.report.valid == len(package) - 50
+    assert found.report.warnings == ()
+
+
+def test_filters_have_their_own_windows_and_the_common_time_is_theirs():
+    tool, package = held(61)
+    settings = replace(PLAIN, tool_half_window=10, tool_order=3, package_half_window=40)
+    found = prepare(stream(tool), stream(package, '/package', slice(5, -300)), settings)
+    assert found.tool_weights.shape == (3, 21)
+    assert found.package_weights.shape == (3, 81)
+    assert_array_equal(found.tool.stamps_ns, package.stamps_ns[45:-340])
+    expected = at(savgol(tool, 10, 3), found.tool.stamps_ns)
+    assert_allclose(found.tool.twist, expected.twist, atol=1e-12)
+
+
+@pytest.mark.parametrize('rate_hz', [100.0, 360.0, 1000.0])
+def test_windows_that_are_not_given_last_equally_long_at_every_rate(rate_hz):
+    tool, package = held(71, rate_hz, 6.0)
+    settings = replace(PLAIN, tool_half_window=0, package_half_window=0)
+    found = prepare(stream(tool), stream(package, '/package'), settings)
+    for weights in (found.tool_weights, found.package_weights):
+        assert_allclose(weights.shape[1] / rate_hz, 1 / 6, atol=2 / rate_hz)
+
+
+@pytest.mark.parametrize('rate_hz', [125.0, 200.0, 500.0])
+def test_a_tool_at_another_rate_comes_to_the_stamps_of_the_package(rate_hz):
+    tool, package = (poses.select(slice(None, None, 25)) for poses in held(62, 9000.0))
+    every = held(62, 9000.0)[0].select(slice(7, None, int(9000 / rate_hz)))
+    settings = replace(PLAIN, tool_half_window=int(0.035 * rate_hz), package_half_window=12)
+    found = prepare(stream(every), stream(package, '/package'), settings)
+    assert_array_equal(found.tool.stamps_ns, found.package.stamps_ns)
+    position, turn = difference(found.tool, at(tool, found.tool.stamps_ns), found.valid)
+    # What a quartic over 70 ms and a cubic over 8 ms leave of 10 m/s^2 at 2 Hz.
+    assert_allclose(position, 0.0, atol=2e-6)
+    assert_allclose(turn, 0.0, atol=2e-5)
+
+
+def test_marker_frames_and_motive_axes_are_undone():
+    tool, package = held(63)
+    turned = []
+    for poses, turn in ((tool, [0.1, 2.0, 0.3]), (package, [-0.5, 0.2, 1.0])):
+        rotation = R_MOTIVE_WORLD @ poses.rotation @ exp_so3(turn)
+        position = apply(R_MOTIVE_WORLD, poses.position)
+        turned.append(Trajectory(poses.stamps_ns, position, rotation))
+    settings = replace(LAB, package_frame='com')
+    found = prepare(stream(turned[0]), stream(turned[1], '/package'), settings)
+    for poses, expected in ((found.measured_tool, tool), (found.measured_package, package)):
+        position, turn = difference(poses, at(expected, poses.stamps_ns), found.valid)
+        assert_allclose(position, 0.0, atol=1e-12)
+        assert_allclose(turn, 0.0, atol=1e-12)
+    assert found.report.tool.standstill.samples == 541
+    assert_allclose(found.alignment.distance_at_rest, 0.05, atol=1e-12)
+
+
+def test_what_a_window_touches_is_dropped_and_counted():
+    tool, package = held(64)
+    bad = displaced(tool, slice(3000, 3005), np.array([0.1, 0, 0]), np.zeros(3), True)
+    gap = np.delete(np.arange(len(package)), slice(5000, 5010))
+    found = prepare(stream(bad), stream(package, '/package', gap), PLAIN)
+    dropped = np.flatnonzero(~found.valid) + 25
+    assert_array_equal(
+        dropped, np.concatenate([np.arange(2975, 3030), np.arange(4975, 5035)]))
+    assert_array_equal(
+        np.flatnonzero(~found.measured) + 25,
+        np.concatenate([np.arange(3000, 3005), np.arange(5000, 5010)]))
+    report = found.report
+    assert (report.tool.marked, report.tool.filled, report.tool.touched) == (5, 0, 50)
+    assert (report.package.marked, report.package.filled, report.package.touched) == (0, 10, 50)
+    (excursion,) = report.tool.outliers.excursions
+    assert (excursion.first, excursion.last) == (3000, 3004)
+    (hole,) = report.package.timing.gaps
+    assert hole.index == 4999
+    assert report.valid == report.samples - len(dropped) == np.count_nonzero(found.valid)
+
+
+@pytest.mark.parametrize('axes', ['world', 'tool'])
+def test_a_recorded_twist_goes_to_the_measured_tool_alone(axes):
+    tool, package = held(65)
+    exact = savgol(tool, 3, 4)
+    markers = exp_so3([0.4, 1.0, -2.0])
+    R = exact.rotation if axes == 'world' else np.broadcast_to(markers.T, exact.rotation.shape)
+    twist = TwistStream(
+        '/twist', axes, exact.stamps_ns,
+        apply(R, exact.twist[:, :3]), apply(R, exact.twist[:, 3:]))
+    turned = Trajectory(tool.stamps_ns, tool.position, tool.rotation @ markers)
+    settings = replace(AT_REST, tool_twist_frame=axes)
+    with_twist = prepare(stream(turned), stream(package, '/package'), settings, twist)
+    without = prepare(stream(turned), stream(package, '/package'), settings)
+    expected = at(exact, with_twist.tool.stamps_ns)
+    # The filter of `exact` moves its poses, and with them the axes, by parts of a microradian.
+    assert_allclose(with_twist.measured_tool.twist, expected.twist, atol=2e-6)
+    assert_array_equal(with_twist.tool.twist, without.tool.twist)
+    assert without.measured_tool.twist is None
+
+
+def test_gaps_of_the_twist_make_the_measured_tool_invalid():
+    tool, package = held(66)
+    kept = np.delete(np.arange(len(tool)), slice(4000, 4020))
+    zeros = np.zeros((len(kept), 3))
+    twist = TwistStream('/twist', 'world', tool.stamps_ns[kept], zeros, zeros)
+    found = prepare(stream(tool), stream(package, '/package'), PLAIN, twist)
+    assert_array_equal(np.flatnonzero(~found.measured_tool.valid) + 25, np.arange(4000, 4020))
+    assert found.valid.all()
+
+
+def test_the_alignment_of_one_recording_serves_another_that_never_rests():
+    tool, package = held(67)
+    settings = AT_REST
+    first = prepare(stream(tool), stream(package, '/package'), settings)
+    later = slice(1500, None)
+    second = prepare(
+        stream(tool, '/tool', later), stream(package, '/package', later), settings,
+        alignment=first.alignment)
+    expected = at(first.package, second.package.stamps_ns)
+    assert_allclose(second.package.position, expected.position, atol=1e-12)
+    with pytest.raises(BellowsError, match='at rest'):
+        prepare(stream(tool, '/tool', later), stream(package, '/package', later), settings)
+
+
+def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
+    rng = np.random.default_rng(68)
+    tool, package = (noisy(rng, poses, Noise()) for poses in held(68))
+    step = displaced(tool, slice(4000, None), np.array([0.05, 0, 0]), np.zeros(3), False)
+    settings = replace(AT_REST, com=(0.01, 0.0, -0.03))
+    aside = displaced(package, slice(None), np.array([0.01, 0, 0]), np.zeros(3), True)
+    found = prepare(stream(step), stream(aside, '/package'), settings)
+    jump, aside = found.report.warnings
+    assert "'/tool' jumps by" in jump and 'does not return' in jump
+    assert '10.0 mm beside the axis' in aside
+    twice = np.arange(len(tool)) // 2 * 2
+    repeated = Trajectory(tool.stamps_ns, tool.position[twice], tool.rotation[twice])
+    (repeats,) = prepare(
+        stream(repeated), stream(package, '/package'), PLAIN).report.warnings
+    assert 'faster than it is measured' in repeats
+    late = tool.stamps_ns + rng.integers(0, 1_000_000, len(tool))
+    jittered = Trajectory(late, tool.position, tool.rotation)
+    (jitters,) = prepare(
+        stream(jittered), stream(package, '/package'), PLAIN).report.warnings
+    assert "stamps of topic '/tool' jitter" in jitters
+
+
+def test_a_package_picked_up_far_aside_is_warned_about():
+    tool, package = held(69)
+    aside = displaced(package, slice(None), np.array([0.008, 0, 0]), np.zeros(3), True)
+    settings = AT_REST
+    (warning,) = prepare(stream(tool), stream(aside, '/package'), settings).report.warnings
+    assert '8.0 mm beside its middle' in warning
+
+
+def test_what_cannot_be_prepared_says_why():
+    tool, package = held(70)
+    settings = PLAIN
+    later = replace(stream(package, '/package'), stamps_ns=package.stamps_ns + 60_000_000_000)
+    with pytest.raises(BellowsError, match=r"'/tool' covers .* '/package' covers"):
+        prepare(stream(tool), later, settings)
+    with pytest.raises(BellowsError, match="'/tool' has 40 samples, but .* at least 51"):
+        prepare(stream(tool, '/tool', slice(0, 40)), stream(package, '/package'), settings)
+    with pytest.raises(BellowsError, match='2 usable poses'):
+        prepare(stream(tool, '/tool', slice(0, 2)), stream(package, '/package'), settings)
+    with pytest.raises(BellowsError, match='overlap by less than the windows'):
+        prepare(
+            stream(tool, '/tool', slice(0, 1040)),
+            stream(package, '/package', slice(1000, None)), settings)
+    holes = np.flatnonzero(np.arange(len(tool)) % 40)
+    with pytest.raises(BellowsError, match=r"none is left: '/tool': .* 179 gaps"):
+        prepare(stream(tool, '/tool', holes), stream(package, '/package'), settings)
+    zeros = np.zeros((2, 3))
+    twist = TwistStream('/twist', 'world', tool.stamps_ns[:2], zeros, zeros)
+    with pytest.raises(BellowsError, match='2 usable twists'):
+        prepare(stream(tool), stream(package, '/package'), settings, twist)
+
+
+# Recordings of a known cup.
+
+
+def rig_streams(rig, name):
+    names = {
+        'clean': ('/tool_arm/pose', '/package/pose'),
+    }.get(name, ('/mocap/tool_arm/pose', '/mocap/plate/pose'))
+    streams = read_streams(rig / name, dict(zip(('tool', 'package'), names, strict=True)))
+    return streams['tool'], streams['package']
+
+
+def rig_truth(rig, name, stamps_ns):
+    """Give the true poses of E and B at stamps, which all are samples of the truth."""
+    with np.load(rig / f'{name}_truth.npz') as truth:
+        index = np.rint((stamps_ns - START) * 360e-9).astype(int)
+        return [
+            Trajectory(stamps_ns, T[index, :3, 3], T[index, :3, :3], twist[index])
+            for T, twist in (
+                (truth['tool'], truth['tool_twist']), (truth['package'], truth['package_twist']))
+        ]
+
+
+def test_clean_recording_is_used_whole(rig):
+    found = prepare(*rig_streams(rig, 'clean'), PLAIN)
+    assert found.valid.all() and found.measured.all()
+    assert found.report.tool.timing.uniform
+    truth = rig_truth(rig, 'clean', found.package.stamps_ns)
+    for measured, expected in zip(
+            (found.measured_tool, found.measured_package), truth, strict=True):
+        position, turn = difference(measured, expected, found.valid)
+        assert_allclose(position, 0.0, atol=1e-14)
+        assert_allclose(turn, 0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize('name, jumps, gaps', [('lab', 6, 4), ('lab_validation', 3, 2)])
+def test_lab_recordings_lose_their_faults_and_become_the_true_poses(rig, name, jumps, gaps):
+    found = prepare(*rig_streams(rig, name), LAB)
+    truth = rig_truth(rig, name, found.package.stamps_ns)
+    for report in (found.report.tool, found.report.package):
+        assert len(report.outliers.excursions) == jumps
+        assert len(report.timing.gaps) == gaps
+        assert report.outliers.steps == ()
+        assert_allclose(report.outliers.noise['position'], 1e-4, rtol=0.05)
+        assert_allclose(report.outliers.noise['rotation'], 5e-4, rtol=0.05)
+    for measured, filtered, expected in zip(
+            (found.measured_tool, found.measured_package), (found.tool, found.package), truth,
+            strict=True):
+        position, turn = difference(measured, expected, found.measured)
+        # Six standard deviations of the noise, and of its mean over the standstill.
+        assert np.max(np.abs(position)) < 6e-4 and np.max(np.abs(turn)) < 3e-3
+        assert_allclose(np.mean(position, axis=0), 0.0, atol=0.03e-3)
+        assert_allclose(np.mean(turn, axis=0), 0.0, atol=0.13e-3)
+        position, turn = difference(filtered, expected, found.valid)
+        assert np.std(position) < 0.03e-3 and np.std(turn) < 0.14e-3
+    assert_allclose(found.alignment.lateral_offset, [0.8e-3, -0.6e-3, 0.0], atol=0.03e-3)
