@@ -14,8 +14,8 @@ from typing import Any
 
 from bellows_ros.core.lie import Array, rotation_to_quaternion, transform
 from bellows_ros.core.linearisation import largest_step
-from bellows_ros.core.model import Cup, model_tuple, Package
-from bellows_ros.core.parameters import inertia_matrix, matrix, PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.model import Cup, cup_of, model_tuple, Package, package_of
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.simulation import simulate
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
 from bellows_ros.core.synthetic.sensing import (
@@ -164,13 +164,7 @@ def simulate_recording(
 
 def _model(values: Mapping[str, Any]) -> tuple[Cup, Package, float]:
     """Return cup, package and gravity (m/s^2) of complete parameters."""
-    cup = Cup(
-        matrix(values['cup.stiffness']), matrix(values['cup.damping']), values['cup.length']
-    )
-    package = Package(
-        values['package.mass'], inertia_matrix(values['package.inertia']), values['package.com']
-    )
-    return cup, package, values['gravity']
+    return cup_of(values), package_of(values), values['gravity']
 
 
 def _output_files(bag: Path, truth: bool, replace: bool) -> Path | None:
