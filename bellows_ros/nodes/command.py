@@ -1,0 +1,155 @@
+"""
+Run one node as a command: help, start, spin, and an orderly end.
+
+ROS is imported only when a node is really to run, so that `--help` answers at once and where no
+ROS is installed. Ctrl-C and SIGTERM end a node in order, with exit code 0; what the user can put
+right is said without a traceback and ends with 2.
+"""
+
+from collections.abc import Callable, Sequence
+import gc
+import importlib.util
+import signal
+import sys
+from types import FrameType
+from typing import Any
+
+from .help_text import help_text, Interface
+from .. import __version__
+from ..errors import BellowsError
+
+NO_ROS = (
+    "ROS 2 is not here (this Python has no 'rclpy'). Source an installation, for instance "
+    "`source /opt/ros/jazzy/setup.bash`, or install the wheels: pip install 'bellows_ros[ros]'"
+)
+ASKED_TO_STOP = (signal.SIGINT, signal.SIGTERM)
+
+
+class _Stop:
+    """
+    Notes that the process is asked to end, so that it ends where it can do so in order.
+
+    An exception raised by a signal would come up anywhere, in the middle of a callback from C too.
+    """
+
+    def __init__(self) -> None:
+        """Take the signals."""
+        self.asked = False
+        self._before = {number: signal.signal(number, self._note) for number in ASKED_TO_STOP}
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.asked = True
+
+    def restore(self) -> None:
+        """Give the signals back."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+
+def run(
+    interface: Interface, load_node: Callable[[], Callable[[], Any]], args: Sequence[str] | None
+) -> int:
+    """
+    Run a node until it has finished or the process is asked to end.
+
+    Parameters
+    ----------
+    interface : Interface
+        For `--help`.
+    load_node : callable
+        Imports ROS and returns the node's class. A node has a future `finished`: its result ends
+        the process well, its exception is raised here.
+    args : sequence of str or None
+        The command line behind the command's name; None for that of the process.
+
+    Returns
+    -------
+    int
+        The exit code: 0, or 2 where the user can put it right.
+
+    """
+    arguments = list(sys.argv[1:] if args is None else args)
+    own = _own_arguments(arguments)
+    if {'-h', '--help'} & set(own):
+        print(help_text(interface), end='')
+        return 0
+    if '--version' in own:
+        print(f'{interface.name} {__version__}')
+        return 0
+    stop = _Stop()
+    try:
+        _refuse_arguments(interface.name, own)
+        _run_node(load_node, [interface.name, *arguments], stop)
+    except BellowsError as error:
+        print(f'{interface.name}: {error}', file=sys.stderr)
+        return error.exit_code
+    finally:
+        stop.restore()
+    return 0
+
+
+def _own_arguments(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments that are not ROS's: outside of `--ros-args ... [--]`."""
+    own, ros = [], False
+    for argument in arguments:
+        if argument == '--ros-args':
+            ros = True
+        elif ros and argument == '--':
+            ros = False
+        elif not ros:
+            own.append(argument)
+    return own
+
+
+def _refuse_arguments(name: str, own: Sequence[str]) -> None:
+    """Raise BellowsError if there are arguments that nobody takes."""
+    if own:
+        raise BellowsError(
+            f"Unknown argument '{own[0]}'. Parameters and remappings stand behind --ros-args, "
+            f'for example: {name} --ros-args --params-file FILE. See {name} --help.'
+        )
+
+
+def _run_node(load_node: Callable[[], Callable[[], Any]], argv: list[str], stop: _Stop) -> None:
+    """Make the node and spin it until it has finished or the process is asked to end."""
+    if importlib.util.find_spec('rclpy') is None:
+        raise BellowsError(NO_ROS)
+    make_node = load_node()
+    import rclpy
+
+    try:
+        _initialise(argv)
+        _spin(make_node(), stop)
+    finally:
+        rclpy.try_shutdown()
+
+
+def _initialise(argv: list[str]) -> None:
+    """Start ROS, and say in words what is wrong with its arguments."""
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    try:
+        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # the base of all errors of rcl
+        what = str(error).partition(', at /')[0].removeprefix('failed to initialize rcl: ')
+        same = 'Sequence should be of same type' in what
+        hint = ' Write all numbers of a list alike: 2.0, not 2.' if same else ''
+        raise BellowsError(f'ROS cannot start with these arguments: {what}.{hint}') from None
+
+
+def _spin(node: Any, stop: _Stop) -> None:
+    """Let a node work to its end; its timers see to it that a signal is noticed soon."""
+    from rclpy.executors import SingleThreadedExecutor
+
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    gc.freeze()  # what exists now stays: the collector need not look at it while messages come
+    try:
+        while not (stop.asked or node.finished.done()):
+            executor.spin_once()
+        if node.finished.done():
+            node.finished.result()
+    finally:
+        node.close()
+        executor.shutdown()

@@ -1,0 +1,75 @@
+"""The text behind `--help` of a node, made from the table of parameters; needs no ROS."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import textwrap
+
+from ..core import parameters as table
+
+WIDTH = 96
+
+
+@dataclass(frozen=True)
+class Interface:
+    """
+    What a node is for and what it is connected with.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node and of its command.
+    purpose : str
+        One sentence.
+    topics : sequence of (name, type, sentence)
+        Topics and services.
+    examples : sequence of str
+        Command lines.
+
+    """
+
+    name: str
+    purpose: str
+    topics: Sequence[tuple[str, str, str]]
+    examples: Sequence[str]
+
+
+def help_text(interface: Interface) -> str:
+    """Return what `--help` prints: purpose, topics and services, parameters, examples."""
+    parts = [
+        f'usage: {interface.name} [--help] [--version] [--ros-args ...]\n\n'
+        + textwrap.fill(interface.purpose, WIDTH),
+        'Start it with:\n' + '\n'.join(f'  {example}' for example in interface.examples),
+    ]
+    if interface.topics:
+        topics = [_entry(f'{name}  [{kind}]', text) for name, kind, text in interface.topics]
+        parts.append('Topics and services (relative names; remap with -r FROM:=TO):\n'
+                     + '\n'.join(topics))
+    parameters = [_parameter(p) for p in table.parameters_of(interface.name)]
+    parts.append('Parameters (set with -p NAME:=VALUE or --params-file FILE):\n'
+                 + '\n'.join(parameters))
+    return '\n\n'.join(parts) + '\n'
+
+
+def _parameter(parameter: table.Parameter) -> str:
+    """Return a parameter's lines: name, kind and unit, default, sentence."""
+    if parameter.default is None:
+        default = 'must be set'
+    elif isinstance(parameter.default, tuple):
+        default = f"default: {'thesis cup' if parameter.default else 'none'}"
+    else:
+        default = f'default: {_yaml(parameter.default)}'
+    fixed = '; cannot change while the node runs' if parameter.read_only else ''
+    return _entry(f'{parameter.name}  [{parameter.constraint}; {default}{fixed}]',
+                  parameter.description)
+
+
+def _yaml(value: object) -> str:
+    """Return a default as it stands in YAML."""
+    return str(value).lower() if isinstance(value, bool) else repr(value)
+
+
+def _entry(head: str, text: str) -> str:
+    """Return a head and its indented, wrapped sentence."""
+    head = textwrap.fill(head, WIDTH, initial_indent='  ', subsequent_indent='    ')
+    body = textwrap.fill(text, WIDTH, initial_indent='      ', subsequent_indent='      ')
+    return f'{head}\n{body}'

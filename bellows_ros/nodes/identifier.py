@@ -1,0 +1,52 @@
+"""The command `identifier`: the node that finds a cup's stiffness and damping in recordings."""
+
+from collections.abc import Callable, Sequence
+import sys
+from typing import Any
+
+from .command import run
+from .help_text import Interface
+
+INTERFACE = Interface(
+    name='identifier',
+    purpose=(
+        'Find the stiffness and the damping of a bellows suction cup in recordings of the tool '
+        'arm and of the package it holds. The result is shown as the parameters cup.stiffness '
+        'and cup.damping of this node, written to output.parameters and output.json, and set on '
+        'the node named by predictor.'
+    ),
+    topics=(),
+    examples=(
+        'identifier --ros-args --params-file identifier.yaml',
+        'identifier --ros-args --params-file identifier.yaml -p output.parameters:=cup.yaml',
+    ),
+)
+
+
+def _load_node() -> Callable[[], Any]:
+    """Import ROS and return the node."""
+    from .identifier_node import IdentifierNode
+
+    return IdentifierNode
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """
+    Run the identifier.
+
+    Parameters
+    ----------
+    args : sequence of str, optional
+        Command line behind the command's name; that of the process if left out.
+
+    Returns
+    -------
+    int
+        The exit code.
+
+    """
+    return run(INTERFACE, _load_node, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,165 @@
+"""The node that finds a cup's stiffness and damping in recordings, and shows them."""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future as Work
+from threading import Thread
+import time
+from typing import Any
+
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.task import Future
+
+from .parameters import ros_parameter, TableNode
+from ..core.parameters import Value
+from ..errors import BellowsError
+from ..workflows.identify import identify, save
+
+TICK = 0.1
+LONGEST_WAIT = 10.0
+"""How long (s) the predictor is waited for."""
+
+FOUND = ('cup.stiffness', 'cup.damping')
+
+
+class IdentifierNode(TableNode):
+    """
+    Identify a cup once, beside the executor, and show the result as parameters.
+
+    Parameters
+    ----------
+    options
+        Keyword arguments of `rclpy.node.Node`.
+
+    Attributes
+    ----------
+    finished : rclpy.task.Future
+        Done when the work is and `exit_when_done` is set; raises what went wrong.
+
+    Raises
+    ------
+    BellowsError
+        If a parameter is unknown, not allowed or missing.
+
+    """
+
+    def __init__(self, **options: Any) -> None:
+        """Start the work."""
+        super().__init__('identifier', read_only=True, results=FOUND, **options)
+        self.finished: Future = Future()
+        self._stage = self._said = ''
+        self._work: Work[Any] = Work()
+        _require_bags(self.values, self.destroy_node)
+        Thread(target=self._do_work, args=(dict(self.values),), daemon=True).start()
+        self._step: Callable[[], None] = self._await_work
+        self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    # --------------------------------------------------------- beside the executor
+
+    def _do_work(self, settings: Mapping[str, Any]) -> None:
+        """Identify and write the files, in a thread that touches nothing of ROS."""
+        try:
+            result = identify(settings, self._note_progress)
+            save(result, settings['output.parameters'], settings['output.json'])
+            self._work.set_result(result)
+        except Exception as error:  # noqa: BLE001 (it is raised again where the node ends)
+            self._work.set_exception(error)
+
+    def _note_progress(self, stage: str, fraction: float) -> None:
+        """Remember what is being done."""
+        self._stage = stage
+
+    # ------------------------------------------------------------- in the executor
+
+    def _tick(self) -> None:
+        """Do what comes next; what goes wrong ends the node."""
+        try:
+            self._step()
+        except Exception as error:  # noqa: BLE001 (raised again by whoever waits for the end)
+            self._step = self._rest
+            self.finished.set_exception(error)
+
+    def _await_work(self) -> None:
+        """Say what is being done, and show the result as soon as it is there."""
+        if self._stage != self._said:
+            self._said = self._stage
+            self.get_logger().info(self._said)
+        if self._work.done():
+            self._show(self._work.result())
+
+    def _show(self, result: Any) -> None:
+        """Make the result parameters of this node and go on to the predictor."""
+        for name, matrix in zip(FOUND, (result.fit.stiffness, result.fit.damping), strict=True):
+            value = tuple(float(x) for x in np.ravel(matrix))
+            self.values = {**self.values, name: value}
+            self.declare_from_table(name, value)
+            diagonal = ', '.join(f'{x:.5g}' for x in value[::7])
+            self.get_logger().info(f'{name}: diagonal {diagonal}')
+        for name in ('output.parameters', 'output.json'):
+            if self.values[name]:
+                self.get_logger().info(f'Wrote {self.values[name]}.')
+        if self.values['predictor']:
+            self._client = AsyncParameterClient(self, str(self.values['predictor']))
+            self._give_up_at = time.monotonic() + LONGEST_WAIT
+            self._step = self._send
+        else:
+            self._end()
+
+    def _send(self) -> None:
+        """Set the cup on the predictor as soon as it is there."""
+        if self._client.services_are_ready():
+            cup = [ros_parameter(name, self.values[name]) for name in ('cup.length', *FOUND)]
+            self._answer = self._client.set_parameters_atomically(cup)
+            self._step = self._await_answer
+        else:
+            self._give_up_in_time('is no node of this name')
+
+    def _await_answer(self) -> None:
+        """Say what the predictor made of the cup."""
+        if not self._answer.done():
+            self._give_up_in_time('comes no answer')
+            return
+        result = self._answer.result().result
+        if not result.successful:
+            raise BellowsError(
+                f"The node '{self.values['predictor']}' refused the identified cup: "
+                f'{result.reason}'
+            )
+        self.get_logger().info(f"Set the cup on '{self.values['predictor']}'.")
+        self._end()
+
+    def _give_up_in_time(self, what: str) -> None:
+        """Raise BellowsError when the predictor has been waited for long enough."""
+        if time.monotonic() > self._give_up_at:
+            raise BellowsError(
+                f"The cup was identified, but could not be set on '{self.values['predictor']}': "
+                f'there {what} ({LONGEST_WAIT:g} s waited). Start the predictor, check its name '
+                'and namespace, or leave the parameter predictor empty.'
+            )
+
+    def _end(self) -> None:
+        """End, or stay to show the result."""
+        self._step = self._rest
+        if self.values['exit_when_done']:
+            self.finished.set_result(None)
+        else:
+            self.get_logger().info('Done; the result stays here as parameters until Ctrl-C.')
+
+    def _rest(self) -> None:
+        """Do nothing; the timer goes on, so that Ctrl-C is noticed."""
+
+    def close(self) -> None:
+        """End; work that still goes on is left behind, as it writes its files only when done."""
+        self.destroy_node()
+
+
+def _require_bags(values: Mapping[str, Value], clean_up: Any) -> None:
+    """Refuse to start without recordings."""
+    if not values['bags']:
+        clean_up()
+        raise BellowsError(
+            'No recordings: the parameter bags is empty. Name one or more, for example: '
+            "--ros-args -p bags:='[recording]' or in the parameter file bags: ['recording']."
+        )

@@ -1,0 +1,293 @@
+"""Declare the parameters of a node from the one table, and change them live, all or nothing."""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.exceptions import ParameterNotDeclaredException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_service import ParameterService
+
+from ..core import parameters as table
+from ..errors import BellowsError
+
+Values = dict[str, Any]
+"""Dotted names to values as `core.parameters.validate` returns them."""
+
+QOS_PREFIX = 'qos_overrides.'
+TOGETHER = ('cup.', 'package.')
+"""Parameters whose names begin so change together or not at all within one call."""
+
+_TYPES = {
+    'bool': Parameter.Type.BOOL,
+    'integer': Parameter.Type.INTEGER,
+    'double': Parameter.Type.DOUBLE,
+    'string': Parameter.Type.STRING,
+    'double_array': Parameter.Type.DOUBLE_ARRAY,
+    'string_array': Parameter.Type.STRING_ARRAY,
+}
+_WHOLE_NUMBERS = (
+    ('double', Parameter.Type.INTEGER),
+    ('double_array', Parameter.Type.INTEGER_ARRAY),
+)
+
+
+def ros_parameter(name: str, value: object) -> Parameter:
+    """Return a value of the table as a ROS parameter."""
+    kind = _TYPES[table.lookup(name).kind]
+    return Parameter(name, kind, list(value) if isinstance(value, tuple) else value)
+
+
+def descriptor(parameter: table.Parameter, read_only: bool) -> ParameterDescriptor:
+    """Return what `ros2 param describe` shows: sentence, unit, constraint and range."""
+    unit = f' Unit: {parameter.unit}.' if parameter.unit else ''
+    described = ParameterDescriptor(
+        description=parameter.description + unit,
+        additional_constraints=parameter.constraint,
+        read_only=read_only or parameter.read_only,
+    )
+    low = parameter.above if parameter.minimum is None else parameter.minimum
+    if low is not None and parameter.maximum is not None:
+        _set_range(described, parameter.kind, low, parameter.maximum)
+    return described
+
+
+def _set_range(described: ParameterDescriptor, kind: str, low: float, high: float) -> None:
+    """Put the range of a single number into its descriptor; ROS knows none for arrays."""
+    if kind == 'double':
+        described.floating_point_range = [
+            FloatingPointRange(from_value=float(low), to_value=float(high))
+        ]
+    elif kind == 'integer':
+        described.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+
+
+class TableNode(Node):
+    """
+    A node whose parameters are those of the table.
+
+    Parameters
+    ----------
+    user : {'predictor', 'identifier'}
+        Default name of the node, and whose parameters it has.
+    read_only : bool
+        True where none of them can change once the node runs.
+    results : collection of str
+        Parameters that are not declared before the node has found their values.
+    options
+        Keyword arguments of `rclpy.node.Node`.
+
+    Attributes
+    ----------
+    values : dict
+        All values as the core takes them; replaced as a whole when some are set.
+    given : frozenset of str
+        Names that a file or the command line set.
+
+    Raises
+    ------
+    BellowsError
+        If a name is unknown, a value is not allowed, or one without a default is missing.
+
+    """
+
+    def __init__(
+        self,
+        user: str,
+        read_only: bool = False,
+        results: Collection[str] = (),
+        **options: Any,
+    ) -> None:
+        """Declare all parameters, with what files and the command line say about them."""
+        super().__init__(user, start_parameter_services=False, **options)
+        self._read_only = read_only
+        try:
+            self._take_given()
+            for parameter in table.parameters_of(user):
+                if parameter.name not in results:
+                    self.declare_from_table(parameter.name, self.values[parameter.name])
+        except BellowsError:
+            self.destroy_node()
+            raise
+        self._parameter_service = TogetherParameterService(self)
+        self.add_pre_set_parameters_callback(_whole_numbers_as_doubles)
+        self.add_on_set_parameters_callback(self._check)
+        self.add_post_set_parameters_callback(self._keep)
+
+    def check_values(self, values: Values) -> None:
+        """Raise BellowsError where values that are allowed one by one cannot stand together."""
+
+    def on_values(self, names: list[str]) -> None:
+        """Act on new `values`; called after the named parameters have been set."""
+
+    def unmatched_qos_overrides(self) -> list[str]:
+        """Return the names of given QoS overrides that no topic of this node has taken."""
+        return [
+            name
+            for name in self._parameter_overrides
+            if name.startswith(QOS_PREFIX) and not self.has_parameter(name)
+        ]
+
+    def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
+        """
+        Set parameters: those of cup and package together or not at all, others one by one.
+
+        A parameter that cannot change and is given the value it has counts as set, so that what
+        `ros2 param dump` writes can be loaded.
+        """
+        together = [p for p in parameter_list if p.name.startswith(TOGETHER)]
+        common = self._set(together)
+        return [common if p in together else self._set([p]) for p in parameter_list]
+
+    def declare_from_table(self, name: str, value: table.Value) -> None:
+        """Declare a parameter of the table with a value that has been checked."""
+        parameter = table.lookup(name)
+        initial: Any = list(value) if isinstance(value, tuple) else value
+        if initial == []:  # which has no type
+            initial = _TYPES[parameter.kind]
+        described = descriptor(parameter, self._read_only)
+        self.declare_parameter(name, initial, described, ignore_override=True)
+
+    def _take_given(self) -> None:
+        """Check what files and the command line say, and fill in the defaults."""
+        given = {
+            name: parameter.value
+            for name, parameter in self._parameter_overrides.items()
+            if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))
+        }
+        self.given = frozenset(given)
+        _require_package(given)
+        self.values: Values = table.resolve(given)
+        self.check_values(self.values)
+
+    def _set(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Set all or none of some parameters, and say in words why not."""
+        changing = [p for p in parameters if not self._stays_as_it_is(p)]
+        if not changing:
+            return SetParametersResult(successful=True)
+        try:
+            return self.set_parameters_atomically(changing)
+        except ParameterNotDeclaredException:
+            unknown = [p.name for p in changing if not self.has_parameter(p.name)]
+            return _refused(_why_unknown(unknown[0], self.get_name()))
+
+    def _stays_as_it_is(self, parameter: Parameter) -> bool:
+        """Return whether a parameter is read-only and has this value already."""
+        if not self.has_parameter(parameter.name):
+            return False
+        if not self.describe_parameter(parameter.name).read_only:
+            return False
+        now = self.get_parameter_or(parameter.name, Parameter(parameter.name))
+        return bool(now.get_parameter_value() == parameter.get_parameter_value())
+
+    def _checked(self, parameters: list[Parameter]) -> Values:
+        """Return all values with some of them replaced, or raise BellowsError."""
+        new = {p.name: table.validate(p.name, p.value) for p in parameters if _is_ours(p)}
+        return {**self.values, **new}
+
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Say whether new values are allowed, and change nothing."""
+        try:
+            self.check_values(self._checked(parameters))
+        except BellowsError as error:
+            return _refused(str(error))
+        return SetParametersResult(successful=True)
+
+    def _keep(self, parameters: list[Parameter]) -> None:
+        """Take over values that have been set."""
+        names = [p.name for p in parameters if _is_ours(p)]
+        if names:
+            self.values = self._checked(parameters)
+            self.on_values(names)
+
+
+class TogetherParameterService(ParameterService):
+    """
+    The parameter services of a node, with its own `set_parameters` behind the one of that name.
+
+    The service of rclpy sets one parameter after the other, whatever the node.
+    """
+
+    def _set_parameters_callback(
+        self, request: SetParameters.Request, response: SetParameters.Response
+    ) -> SetParameters.Response:
+        """Set what belongs together all or nothing, the rest one by one."""
+        try:
+            parameters = [Parameter.from_parameter_msg(p) for p in request.parameters]
+        except (TypeError, ValueError) as error:  # no such type of parameter
+            response.results = [_refused(f'Nothing was set: {error}.')] * len(request.parameters)
+        else:
+            response.results = self._get_node().set_parameters(parameters)
+        return response
+
+    def _set_parameters_atomically_callback(
+        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
+    ) -> SetParametersAtomically.Response:
+        """Set all or none."""
+        try:
+            parameters = [Parameter.from_parameter_msg(p) for p in request.parameters]
+        except (TypeError, ValueError) as error:
+            response.result = _refused(f'Nothing was set: {error}.')
+        else:
+            response.result = self._get_node()._set(parameters)
+        return response
+
+
+def _refused(reason: str) -> SetParametersResult:
+    """Return the answer to a call that changed nothing."""
+    return SetParametersResult(successful=False, reason=reason)
+
+
+def _is_ours(parameter: Parameter) -> bool:
+    """Return whether a parameter stands in the table; others belong to ROS."""
+    return parameter.name in table.PARAMETERS
+
+
+def _why_unknown(name: str, node: str) -> str:
+    """Return what to say about a parameter that a node does not have."""
+    try:
+        users = table.lookup(name).used_by
+    except BellowsError as error:
+        return str(error)
+    return f"The node '{node}' has no parameter '{name}': it belongs to the {users[0]}."
+
+
+def _whole_numbers_as_doubles(parameters: list[Parameter]) -> list[Parameter]:
+    """Return parameters with 2 made 2.0 where the table asks for a number with a fraction."""
+    return [_as_double(p) for p in parameters]
+
+
+def _as_double(parameter: Parameter) -> Parameter:
+    """Return a parameter, its whole number or numbers as doubles if they are meant to be."""
+    if not _is_ours(parameter):
+        return parameter
+    if (table.lookup(parameter.name).kind, parameter.type_) not in _WHOLE_NUMBERS:
+        return parameter
+    value = parameter.value
+    if parameter.type_ == Parameter.Type.INTEGER:
+        return ros_parameter(parameter.name, float(value))
+    return ros_parameter(parameter.name, [float(x) for x in value])
+
+
+def _require_package(given: Mapping[str, object]) -> None:
+    """Refuse to start without the package, and show the file to write."""
+    missing = [name for name in table.PACKAGE_PARAMETERS if name not in given]
+    if not missing:
+        return
+    lines = [
+        f'    {p.name}: {p.example}  # {p.unit}. {p.description}'
+        for p in map(table.lookup, missing)
+    ]
+    raise BellowsError(
+        f'Not set, and without a default: {", ".join(missing)}. The held package must be '
+        'described, for instance in a file package.yaml:\n\n'
+        '/**:\n  ros__parameters:\n' + '\n'.join(lines) + '\n\n'
+        'Then start again with: --ros-args --params-file package.yaml'
+    )

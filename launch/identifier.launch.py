@@ -1,0 +1,56 @@
+"""
+Start one identifier: it finds the cup's stiffness and damping in recordings.
+
+Starts the node `identifier` of bellows_ros, and nothing else. The parameter file names the
+recordings and their topics (see config/identifier.yaml):
+
+    ros2 launch bellows_ros identifier.launch.py params_file:=identifier.yaml
+
+All arguments: `ros2 launch bellows_ros identifier.launch.py --show-args`.
+"""
+
+ARGUMENTS = {
+    'params_file': (None, 'Parameter file (YAML) with recordings, topics and package. Required.'),
+    'namespace': ('', 'Namespace of the node.'),
+    'log_level': ('info', 'Least severe log level shown: debug, info, warn, error.'),
+}
+
+
+def generate_launch_description():
+    """
+    Describe the start of the identifier.
+
+    Returns
+    -------
+    launch.LaunchDescription
+        Its arguments and the one node.
+
+    Raises
+    ------
+    ImportError
+        If launch or launch_ros is missing, with what to do.
+
+    """
+    try:
+        from launch import LaunchDescription
+        from launch.actions import DeclareLaunchArgument
+        from launch.substitutions import LaunchConfiguration
+        from launch_ros.actions import Node
+    except ImportError as missing:
+        raise ImportError(
+            f'identifier.launch.py needs ROS 2 launch, and this Python has no {missing.name!r}. '
+            'Source a ROS 2 installation that has it (on Ubuntu: apt install ros-jazzy-ros2launch)'
+            ', or start the node itself: identifier --ros-args --params-file FILE') from None
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=description)
+        for name, (default, description) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*declared, Node(
+        package='bellows_ros',
+        executable='identifier',
+        name='identifier',
+        namespace=LaunchConfiguration('namespace'),
+        parameters=[LaunchConfiguration('params_file')],
+        arguments=['--ros-args', '--log-level', LaunchConfiguration('log_level')],
+        output='screen',
+    )])

@@ -1,0 +1,71 @@
+"""
+Start one predictor: it publishes where the held package is, from the motion of the tool arm.
+
+Starts the node `predictor` of bellows_ros, and nothing else. The driver that publishes the pose
+(and twist) of the tool arm runs elsewhere; name its topics with `tool_pose` and `tool_twist`:
+
+    ros2 launch bellows_ros predictor.launch.py params_file:=package.yaml cup_file:=cup.yaml \
+        tool_pose:=/tcp_pose_broadcaster/pose
+
+All arguments: `ros2 launch bellows_ros predictor.launch.py --show-args`.
+"""
+
+ARGUMENTS = {
+    'params_file': (None, 'Parameter file (YAML) with at least package.mass. Required.'),
+    'cup_file': ('', "Parameter file with the cup, as the identifier writes it; '' for none."),
+    'namespace': ('', 'Namespace of the node and its relative topics.'),
+    'tool_pose': ('tool_arm/pose', "Topic of the tool arm's pose (PoseStamped)."),
+    'tool_twist': ('tool_arm/twist', "Topic of the tool arm's twist (TwistStamped); optional."),
+    'log_level': ('info', 'Least severe log level shown: debug, info, warn, error.'),
+}
+
+
+def generate_launch_description():
+    """
+    Describe the start of the predictor.
+
+    Returns
+    -------
+    launch.LaunchDescription
+        Its arguments and the one node.
+
+    Raises
+    ------
+    ImportError
+        If launch or launch_ros is missing, with what to do.
+
+    """
+    try:
+        from launch import LaunchDescription
+        from launch.actions import DeclareLaunchArgument, OpaqueFunction
+        import launch_ros  # noqa: F401
+    except ImportError as missing:
+        raise ImportError(
+            f'predictor.launch.py needs ROS 2 launch, and this Python has no {missing.name!r}. '
+            'Source a ROS 2 installation that has it (on Ubuntu: apt install ros-jazzy-ros2launch)'
+            ', or start the node itself: predictor --ros-args --params-file FILE') from None
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=description)
+        for name, (default, description) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=start_predictor)])
+
+
+def start_predictor(context):
+    """Return the node, with the arguments' values as they stand at start."""
+    from launch_ros.actions import Node
+
+    value = {name: context.launch_configurations[name] for name in ARGUMENTS}
+    return [Node(
+        package='bellows_ros',
+        executable='predictor',
+        name='predictor',
+        namespace=value['namespace'],
+        parameters=[file for file in (value['params_file'], value['cup_file']) if file],
+        remappings=[
+            ('tool_arm/pose', value['tool_pose']),
+            ('tool_arm/twist', value['tool_twist']),
+        ],
+        arguments=['--ros-args', '--log-level', value['log_level']],
+        output='screen',
+    )]

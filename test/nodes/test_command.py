@@ -1,0 +1,158 @@
+"""The commands as a user types them: help without ROS, plain errors, an orderly end."""
+
+from collections.abc import Iterator
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+from bellows_ros.core.parameters import parameters_of
+from bellows_ros.nodes import identifier, predictor
+from bellows_ros.nodes.help_text import help_text
+import pytest
+
+MODULES = {'predictor': predictor, 'identifier': identifier}
+LONGEST_HELP = 0.3  # s
+PACKAGE = [
+    '-p', 'package.mass:=2.17', '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
+    '-p', 'package.com:=[0.0, 0.0, -0.03]',
+]  # fmt: skip
+WITHOUT_ROS = """
+import sys
+
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition('.')[0] in ('rclpy', 'rcl_interfaces', 'geometry_msgs', 'std_srvs'):
+            raise ModuleNotFoundError('no ROS here: ' + name)
+
+sys.meta_path.insert(0, NoRos())
+import importlib.util
+find = importlib.util.find_spec
+importlib.util.find_spec = lambda name, *rest: None if name == 'rclpy' else find(name, *rest)
+from bellows_ros.nodes.{name} import main
+sys.exit(main({arguments!r}))
+"""
+
+
+def run(environment: dict[str, str], root: Path, *command: str) -> Any:
+    """Run Python to its end."""
+    return subprocess.run(
+        [sys.executable, *command], env=environment, cwd=root, capture_output=True, text=True,
+        timeout=60)
+
+
+@pytest.mark.parametrize('name', MODULES)
+def test_help_shows_everything(name: str) -> None:
+    """Name each topic, service and parameter, with unit."""
+    text = help_text(MODULES[name].INTERFACE)
+    unbroken = ' '.join(text.split())
+
+    for topic, kind, _ in MODULES[name].INTERFACE.topics:
+        assert f'{topic} [{kind}]' in unbroken
+    for parameter in parameters_of(name):
+        assert f'{parameter.name} [{parameter.constraint}; ' in unbroken
+        assert parameter.description in unbroken
+        assert parameter.unit in unbroken
+    assert max(map(len, text.splitlines())) < 100
+
+
+@pytest.mark.parametrize('name', MODULES)
+def test_help_needs_no_ros(name: str, root: Path, user_environment: dict[str, str]) -> None:
+    """Answer from the table alone."""
+    done = run(user_environment, root, '-c', WITHOUT_ROS.format(name=name, arguments=['--help']))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == help_text(MODULES[name].INTERFACE)
+
+
+@pytest.mark.parametrize('name', MODULES)
+def test_help_comes_at_once(
+        name: str, root: Path, user_environment: dict[str, str]) -> None:
+    """Answer fast; the best of several starts counts, as a busy machine only adds time."""
+    best = float('inf')
+    for _ in range(7):
+        start = time.perf_counter()
+        done = run(user_environment, root, '-m', f'bellows_ros.nodes.{name}', '--help')
+        best = min(best, time.perf_counter() - start)
+        assert done.returncode == 0, done.stderr
+    assert best < LONGEST_HELP
+
+
+@pytest.mark.parametrize('name', MODULES)
+def test_missing_ros_is_said_plainly(
+        name: str, root: Path, user_environment: dict[str, str]) -> None:
+    """Say how to get it, without a traceback."""
+    done = run(user_environment, root, '-c', WITHOUT_ROS.format(name=name, arguments=[]))
+    assert done.returncode == 2
+    assert "pip install 'bellows_ros[ros]'" in done.stderr
+    assert 'Traceback' not in done.stderr
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['--ros-args'], 'Not set, and without a default: package.mass'),
+    (['--ros-args', *PACKAGE, '-p', 'cup.stifness:=1.0'], "Did you mean 'cup.stiffness'?"),
+    (['--ros-args', *PACKAGE, '-p', 'cup.stiffness:=[1.0, 2]'], 'alike: 2.0, not 2.'),
+    (['--ros-args', *PACKAGE, '-p', 'cup.length:=long'], 'cup.length must be a number'),
+    (['--ros-args', '--params-file', 'nowhere.yaml'], "'--params-file nowhere.yaml'"),
+    (['package.yaml'], "Unknown argument 'package.yaml'"),
+])
+def test_what_the_user_can_put_right_ends_with_2(
+        arguments: list[str], words: str, root: Path, user_environment: dict[str, str]) -> None:
+    """Print what is wrong and no traceback."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    done = run(user_environment, root, '-m', 'bellows_ros.nodes.predictor', *arguments)
+
+    assert done.returncode == 2, done.stderr
+    assert words.lower() in done.stderr.lower()
+    assert 'Traceback' not in done.stderr
+
+
+@pytest.fixture
+def running(root: Path, user_environment: dict[str, str]) -> Iterator['subprocess.Popen[str]']:
+    """Give a predictor in a process of its own."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *PACKAGE],
+        env=user_environment, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_process_predicts_and_ends_in_order(
+        number: signal.Signals, running: 'subprocess.Popen[str]', ros: Any) -> None:
+    """Answer a pose over DDS; on Ctrl-C or SIGTERM say what came and went and end with 0."""
+    from geometry_msgs.msg import PoseStamped
+    from rclpy.node import Node
+    from rclpy.qos import qos_profile_sensor_data
+
+    node = Node('driver', context=ros.context)
+    ros.executor.add_node(node)
+    answers: list[Any] = []
+    reader = node.create_subscription(
+        PoseStamped, 'package/pose', answers.append, qos_profile_sensor_data)
+    writer = node.create_publisher(PoseStamped, 'tool_arm/pose', qos_profile_sensor_data)
+    found = ros.spin_until(
+        lambda: reader.get_publisher_count() and writer.get_subscription_count(), 60.0)
+    assert found, 'the predictor did not come up'
+
+    message = PoseStamped()
+    message.pose.orientation.w = 1.0
+    node.create_timer(0.02, lambda: send(writer, message))
+    assert ros.spin_until(lambda: len(answers) > 3)
+    running.send_signal(number)
+    _, log = running.communicate(timeout=20)
+
+    assert running.returncode == 0, log
+    assert 'Traceback' not in log and 'invalid' not in log
+    assert ' predictions out, 0 refused' in log
+
+
+def send(writer: Any, message: Any) -> None:
+    """Send the pose of a tool that stands still, one second after the other."""
+    message.header.stamp.sec += 1
+    writer.publish(message)

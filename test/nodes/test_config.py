@@ -1,0 +1,71 @@
+"""The configuration files that are shipped: read by us, taken by ROS, units on every line."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from bellows_ros.core.model import Cup
+from bellows_ros.core.parameters import parameters_of
+from bellows_ros.files.parameter_files import read_parameters
+import pytest
+
+NAMES = ('predictor', 'identifier', 'cup_thesis')
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_every_value_has_its_unit(name: str, root: Path) -> None:
+    """Find a comment on every line that holds a value."""
+    lines = (root / 'config' / f'{name}.yaml').read_text().splitlines()
+    for line in lines:
+        text, _, comment = line.partition('#')
+        is_heading = text.strip().endswith(':')
+        assert comment.strip() or is_heading or not text.strip(), line
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_our_reader_takes_it(name: str, root: Path) -> None:
+    """Read every file with the checks of the table."""
+    values = read_parameters(root / 'config' / f'{name}.yaml')
+    if name == 'cup_thesis':
+        cup = Cup.thesis()
+        assert values['cup.stiffness'] == tuple(cup.stiffness.ravel())
+        assert values['cup.damping'] == tuple(cup.damping.ravel())
+        assert values['cup.length'] == cup.length
+    else:
+        ours = {p.name for p in parameters_of(name)}
+        shown = set(values) | {'cup.stiffness', 'cup.damping', 'cup.length'}
+        assert ours - shown == set(), 'not in the file'
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_defaults_shown_are_the_defaults(name: str, root: Path) -> None:
+    """Show in the files what holds without them, where there is a default."""
+    chosen = {'bags', 'output.parameters', 'output.json'}
+    values = read_parameters(root / 'config' / f'{name}.yaml')
+    for parameter in (p for user in ('predictor', 'identifier') for p in parameters_of(user)):
+        if parameter.default is not None and parameter.name in set(values) - chosen:
+            assert values[parameter.name] == parameter.default, parameter.name
+
+
+def test_predictor_starts_with_its_files(
+        root: Path, make_predictor: Callable[..., Any]) -> None:
+    """Give the real node both files, as a user would."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    files = [root / 'config' / f'{name}.yaml' for name in ('predictor', 'cup_thesis')]
+    node = make_predictor({}, cli_args=[
+        '--ros-args', *(part for file in files for part in ('--params-file', str(file)))])
+
+    expected = {name: value for file in files for name, value in read_parameters(file).items()}
+    for name, value in expected.items():
+        shown = node.get_parameter(name).value
+        assert (tuple(shown) if isinstance(value, tuple) else shown) == value
+    assert node.given == set(expected)
+
+
+def test_predictor_starts_with_the_file_of_the_identifier(
+        root: Path, make_predictor: Callable[..., Any]) -> None:
+    """Serve both nodes with one file."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    node = make_predictor({}, cli_args=[
+        '--ros-args', '--params-file', str(root / 'config' / 'identifier.yaml')])
+    assert node.get_parameter('package.mass').value == 2.17

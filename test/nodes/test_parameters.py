@@ -1,0 +1,220 @@
+"""Parameters of the nodes: declared from the table, refused in words, changed all or nothing."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from bellows_ros.core.model import Cup
+from bellows_ros.core.parameters import parameters_of
+from bellows_ros.errors import BellowsError
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+PACKAGE = {
+    'package.mass': 2.17,
+    'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
+    'package.com': [0.0, 0.0, -0.03],
+}
+THESIS = Cup.thesis()
+K = (1.1 * THESIS.stiffness).ravel().tolist()
+P = (1.1 * THESIS.damping).ravel().tolist()
+INDEFINITE = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1.0]).ravel().tolist()
+
+
+class Caller:
+    """Another node that sets parameters through the services."""
+
+    def __init__(self, ros: Any) -> None:
+        """Join the graph."""
+        self._ros = ros
+        self._node = Node('caller', context=ros.context)
+        ros.executor.add_node(self._node)
+
+    def call(self, service: str, kind: type, request: Any) -> Any:
+        """Call a service of the predictor and return the answer."""
+        client = self._node.create_client(kind, f'/predictor/{service}')
+        assert self._ros.spin_until(client.service_is_ready)
+        future = client.call_async(request)
+        assert self._ros.spin_until(future.done)
+        return future.result()
+
+    def set_parameters(self, **values: Any) -> list[tuple[bool, str]]:
+        """Set parameters as `ros2 param set` and `load` do; `__` stands for a dot."""
+        parameters = [
+            Parameter(name.replace('__', '.'), value=value).to_parameter_msg()
+            for name, value in values.items()]
+        answer = self.call('set_parameters', SetParameters, SetParameters.Request(
+            parameters=parameters))
+        return [(result.successful, result.reason) for result in answer.results]
+
+
+@pytest.fixture
+def caller(ros: Any) -> Caller:
+    """Give a node beside the predictor."""
+    return Caller(ros)
+
+
+def cup(node: Any) -> Sequence[Any]:
+    """Return the stiffness and the damping that the node shows."""
+    return [list(node.get_parameter(f'cup.{name}').value) for name in ('stiffness', 'damping')]
+
+
+def used(node: Any) -> tuple[Any, Any]:
+    """Return the blocks of K and P that the prediction is made with."""
+    blocks: tuple[Any, Any] = node._live._model[0][2:]
+    return blocks
+
+
+def test_stiffness_and_damping_change_together(
+        make_predictor: Callable[..., Any], caller: Caller) -> None:
+    """Take both of one call, in what is shown and in what is used."""
+    node = make_predictor()
+    assert caller.set_parameters(cup__stiffness=K, cup__damping=P) == [(True, ''), (True, '')]
+
+    assert cup(node) == [K, P]
+    assert used(node) == Cup(np.reshape(K, (6, 6)), np.reshape(P, (6, 6)), 0.0481).as_tuple[2:]
+
+
+@pytest.mark.parametrize(('stiffness', 'damping', 'reason'), [
+    (K, INDEFINITE, 'cup.damping is not positive semidefinite'),
+    (INDEFINITE, P, 'cup.stiffness is not positive definite'),
+    (K, P[:35], 'got 35'),
+    (K, [*P[:35], float('nan')], 'nan'),
+    (K, 'stiff', 'DOUBLE_ARRAY'),
+])
+@pytest.mark.parametrize('order', [1, -1])
+def test_neither_changes_where_one_is_refused(
+        stiffness: Any, damping: Any, reason: str, order: int,
+        make_predictor: Callable[..., Any], caller: Caller) -> None:
+    """Refuse both with the reason, whichever comes first in the call."""
+    node = make_predictor()
+    shown, before = cup(node), used(node)
+    both = [('cup__stiffness', stiffness), ('cup__damping', damping)][::order]
+    results = caller.set_parameters(**dict(both))
+
+    assert [successful for successful, _ in results] == [False, False]
+    assert all(reason in why for _, why in results)
+    assert cup(node) == shown
+    assert used(node) == before
+
+
+def test_one_alone_is_taken(make_predictor: Callable[..., Any], caller: Caller) -> None:
+    """Take a valid K without a P."""
+    node = make_predictor()
+    assert caller.set_parameters(cup__stiffness=K) == [(True, '')]
+    assert cup(node) == [K, THESIS.damping.ravel().tolist()]
+
+
+def test_package_changes_live_and_whole_numbers_will_do(
+        make_predictor: Callable[..., Any], caller: Caller) -> None:
+    """Take 3 for 3.0, as `ros2 param set` sends it."""
+    node = make_predictor()
+    assert caller.set_parameters(package__mass=3, package__com=[0, 0, -1]) == [(True, '')] * 2
+    assert node.get_parameter('package.mass').value == 3.0
+    assert node._live._model[1][:2] == (3.0, (0.0, 0.0, -1.0))
+
+
+def test_what_does_not_belong_together_is_set_one_by_one(
+        make_predictor: Callable[..., Any], caller: Caller) -> None:
+    """Set what can be set; a fixed parameter with its own value is no failure of a load."""
+    node = make_predictor()
+    results = caller.set_parameters(
+        gravity=9.81, tool_twist__frame='tool', frames__package='box', cup__stifness=K,
+        bags=['a'])  # fmt: skip
+
+    assert [successful for successful, _ in results] == [True, False, True, False, False]
+    assert 'read-only' in results[1][1]
+    assert "Did you mean 'cup.stiffness'?" in results[3][1]
+    assert 'belongs to the identifier' in results[4][1]
+    assert node.values['frames.package'] == 'box'
+
+
+def test_atomic_service_sets_all_or_none(
+        make_predictor: Callable[..., Any], caller: Caller) -> None:
+    """Hold for the other service too."""
+    node = make_predictor()
+    for damping, expected in ((INDEFINITE, False), (P, True)):
+        request = SetParametersAtomically.Request(parameters=[
+            Parameter('cup.stiffness', value=K).to_parameter_msg(),
+            Parameter('cup.damping', value=damping).to_parameter_msg()])
+        answer = caller.call('set_parameters_atomically', SetParametersAtomically, request)
+        assert answer.result.successful is expected
+        assert (cup(node) == [K, P]) is expected
+
+
+def test_malformed_requests_are_answered(
+        make_predictor: Callable[..., Any], caller: Caller) -> None:
+    """Refuse a type that does not exist, and the removal of a parameter; live on."""
+    make_predictor()
+    for kind in (0, 99):
+        odd = ParameterMessage(name='package.mass', value=ParameterValue(type=kind))
+        answer = caller.call(
+            'set_parameters', SetParameters, SetParameters.Request(parameters=[odd]))
+        assert [result.successful for result in answer.results] == [False]
+        answer = caller.call('set_parameters_atomically', SetParametersAtomically,
+                             SetParametersAtomically.Request(parameters=[odd]))
+        assert not answer.result.successful
+    assert caller.set_parameters(package__mass=2.0) == [(True, '')]
+
+
+def test_every_parameter_is_described(
+        make_predictor: Callable[..., Any], caller: Caller) -> None:
+    """Show sentence, unit, range and whether it can change."""
+    make_predictor()
+    table = parameters_of('predictor')
+    answer = caller.call('describe_parameters', DescribeParameters, DescribeParameters.Request(
+        names=[parameter.name for parameter in table]))
+
+    assert len(answer.descriptors) == len(table)
+    for parameter, shown in zip(table, answer.descriptors, strict=True):
+        assert parameter.description in shown.description
+        assert parameter.unit in shown.description
+        assert shown.additional_constraints == parameter.constraint
+        assert shown.read_only == parameter.read_only
+    mass = {d.name: d for d in answer.descriptors}['package.mass'].floating_point_range[0]
+    assert (mass.from_value, mass.to_value) == (0.0, 1e4)
+
+
+@pytest.mark.parametrize('missing', PACKAGE)
+def test_package_must_be_given(missing: str, make_predictor: Callable[..., Any]) -> None:
+    """Name what is missing and show the file that sets it."""
+    given = {name: value for name, value in PACKAGE.items() if name != missing}
+    with pytest.raises(BellowsError) as caught:
+        make_predictor(given)
+    message = str(caught.value)
+    assert message.startswith(f'Not set, and without a default: {missing}.')
+    assert f'/**:\n  ros__parameters:\n    {missing}: ' in message
+
+
+@pytest.mark.parametrize(('name', 'value', 'words'), [
+    ('cup.stifness', K, "Did you mean 'cup.stiffness'?"),
+    ('cup.stiffness', K[:35], 'got 35'),
+    ('cup.stiffness', INDEFINITE, 'not positive definite'),
+    ('package.mass', -1.0, 'above 0'),
+    ('package.inertia', [1.0, 1.0, 3.0, 0.0, 0.0, 0.0], 'No body has'),
+    ('tool_twist.frame', 'flange', 'one of world, tool'),
+])
+def test_bad_values_at_start_are_refused(
+        name: str, value: Any, words: str, make_predictor: Callable[..., Any]) -> None:
+    """Say what is wrong and what would be right."""
+    with pytest.raises(BellowsError, match=words.replace('?', r'\?')):
+        make_predictor({**PACKAGE, name: value})
+
+
+def test_one_file_serves_both_nodes(make_predictor: Callable[..., Any]) -> None:
+    """Accept the identifier's names and ROS's own, and declare only one's own."""
+    node = make_predictor({
+        **PACKAGE, 'fit.structure': 'full', 'use_sim_time': False, 'package.mass': 2})
+    assert node.get_parameter('package.mass').value == 2.0
+    assert not node.has_parameter('fit.structure')
+
+
+def test_unmatched_qos_override_is_said(
+        make_predictor: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+    """Warn about an override that no topic takes; a misspelt one is silent in ROS."""
+    make_predictor({**PACKAGE, 'qos_overrides./tool_arm/poze.subscription.depth': 5})
+    assert "'qos_overrides./tool_arm/poze.subscription.depth'" in capfd.readouterr().err

@@ -1,0 +1,242 @@
+"""The predictor node over real DDS: what it publishes, and what bad input does to it."""
+
+from collections.abc import Callable
+import math
+from typing import Any
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+MS = 1_000_000
+START = 1_700_000_000_123_456_789  # ns; a stamp that no double can hold
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+LENGTH, DEPTH, MASS, GRAVITY, AXIAL = 0.0481, 0.03, 2.17, 9.81, 11530.0
+
+
+def stamps_ns(messages: list[Any]) -> list[int]:
+    """Return the stamps of messages."""
+    return [m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for m in messages]
+
+
+def numbers(messages: list[Any]) -> np.ndarray:
+    """Return positions and quaternions of poses, (N, 7)."""
+    return np.array([
+        [m.pose.position.x, m.pose.position.y, m.pose.position.z, m.pose.orientation.x,
+         m.pose.orientation.y, m.pose.orientation.z, m.pose.orientation.w] for m in messages
+    ])  # fmt: skip
+
+
+def test_standing_tool_carries_the_package_at_rest(make_partner: Callable[..., Any]) -> None:
+    """Publish the static equilibrium with the input's stamp, and the weight as the wrench."""
+    partner = make_partner()
+    for step in range(3):
+        partner.send_pose(START + step * MS)
+        partner.send_twist(START + step * MS)
+    partner.wait_for_poses(3)
+    assert partner.ros.spin_until(lambda: len(partner.wrenches) == len(partner.twists) == 3)
+
+    for messages in (partner.poses, partner.twists, partner.wrenches):
+        assert stamps_ns(messages) == [START, START + MS, START + 2 * MS]
+    stretched = LENGTH + MASS * GRAVITY / AXIAL  # the weight hangs on the axial spring
+    expected = [0.0, 0.0, -stretched - DEPTH, *UPRIGHT]
+    assert_allclose(numbers(partner.poses), [expected] * 3, atol=1e-12)
+    assert {m.header.frame_id for m in partner.poses} == {'world'}
+    assert {m.header.frame_id for m in partner.twists} == {'package'}
+    assert {m.header.frame_id for m in partner.wrenches} == {'cup_lip'}
+    force = partner.wrenches[-1].wrench.force
+    assert_allclose([force.x, force.y, force.z], [0.0, 0.0, MASS * GRAVITY], atol=1e-9)
+
+
+def test_pose_and_twist_are_paired_by_stamp_whichever_comes_first(
+        make_partner: Callable[..., Any]) -> None:
+    """Predict once per pose with the twist of its stamp, from twists before and behind it."""
+    partner = make_partner()
+    for step in range(20):
+        stamp = START + step * MS
+        first, second = partner.send_pose, partner.send_twist
+        if step % 3 == 0:
+            first, second = second, first
+        first(stamp)
+        second(stamp)
+    partner.wait_for_poses(20)
+
+    assert stamps_ns(partner.poses) == [START + step * MS for step in range(20)]
+    assert partner.predictor._live.twists_estimated == 0
+
+
+def test_poses_alone_are_enough(make_partner: Callable[..., Any]) -> None:
+    """Predict at once where nobody sends twists."""
+    partner = make_partner(with_twists=False)
+    for step in range(5):
+        partner.send_pose(START + step * MS)
+        partner.wait_for_poses(step + 1)
+
+    assert partner.predictor._live.twists_estimated == 5
+
+
+def test_pose_does_not_wait_long_for_a_lost_twist(make_partner: Callable[..., Any]) -> None:
+    """Predict with an estimated twist when no twist comes and no other pose either."""
+    partner = make_partner()
+    partner.send_pose(START)
+    partner.wait_for_poses(1)
+
+    assert partner.predictor._live.twists_estimated == 1
+
+
+def test_vanished_twist_publisher_is_not_waited_for(make_partner: Callable[..., Any]) -> None:
+    """Notice that nobody sends twists any more."""
+    partner = make_partner()
+    partner.ros.spin_until(lambda: partner.predictor._live.expect_twists)
+    partner.node.destroy_publisher(partner.twist_writer)
+
+    assert partner.ros.spin_until(lambda: not partner.predictor._live.expect_twists)
+
+
+@pytest.mark.parametrize(('reason', 'bad'), [
+    ('nan', {'position': (math.nan, 0.0, 0.0)}),
+    ('nan', {'position': (0.0, math.inf, 0.0)}),
+    ('nan', {'xyzw': (math.nan, 0.0, 0.0, 1.0)}),
+    ('zero_quaternion', {'xyzw': (0.0, 0.0, 0.0, 0.0)}),
+    ('not_unit', {'xyzw': (0.0, 0.0, 0.0, 2.0)}),
+    ('frame_id', {'frame_id': 'elsewhere'}),
+    ('duplicate_stamp', {'stamp_ns': START + 9 * MS}),
+    ('backward_stamp', {'stamp_ns': START}),
+    ('zero_stamp', {'stamp_ns': 0}),
+])
+def test_bad_poses_are_counted_and_change_nothing(
+        reason: str, bad: dict[str, Any], make_partner: Callable[..., Any]) -> None:
+    """Go on as if the bad pose had not come."""
+    partner = make_partner(with_twists=False)
+    for step in range(10):
+        partner.send_pose(START + step * MS)
+    partner.send_pose(**{'stamp_ns': START + 10 * MS, **bad})
+    for step in range(11, 20):
+        partner.send_pose(START + step * MS)
+    partner.wait_for_poses(19)
+    partner.wait_for_inputs(20)
+
+    live = partner.predictor._live
+    assert {name: count for name, count in live.refused.items() if count} == {reason: 1}
+    expected = [START + step * MS for step in range(20) if step != 10]
+    assert stamps_ns(partner.poses) == expected
+    poses = numbers(partner.poses)
+    assert np.isfinite(poses).all()
+    assert_allclose(poses, np.broadcast_to(poses[0], poses.shape), atol=1e-12)
+
+
+def test_nan_twist_is_counted_and_its_pose_predicted(make_partner: Callable[..., Any]) -> None:
+    """Estimate the twist where the one sent is no number."""
+    partner = make_partner()
+    for step in range(6):
+        partner.send_pose(START + step * MS)
+        partner.send_twist(START + step * MS, (math.nan if step == 3 else 0.0, 0.0, 0.0))
+    partner.wait_for_poses(6)
+
+    assert partner.predictor._live.refused['twist_nan'] == 1
+    assert np.isfinite(numbers(partner.poses)).all()
+
+
+def test_stamp_with_a_full_second_of_nanoseconds_is_refused(
+        make_partner: Callable[..., Any]) -> None:
+    """Refuse a stamp that cannot be written back."""
+    from geometry_msgs.msg import PoseStamped
+
+    partner = make_partner(with_twists=False)
+    message = PoseStamped()
+    message.header.stamp.sec = 2**31 - 1
+    message.header.stamp.nanosec = 2**32 - 1
+    message.pose.orientation.w = 1.0
+    partner.pose_writer.publish(message)
+    partner.wait_for_inputs(1)
+    partner.send_pose(START)
+    partner.wait_for_poses(1)
+
+    assert partner.predictor._live.refused['zero_stamp'] == 1
+
+
+def call(partner: Any, service: str, kind: type, request: Any) -> Any:
+    """Call a service from the partner and return its answer."""
+    client = partner.node.create_client(kind, service)
+    assert partner.ros.spin_until(client.service_is_ready)
+    future = client.call_async(request)
+    assert partner.ros.spin_until(future.done)
+    return future.result()
+
+
+def test_reset_starts_from_rest(make_partner: Callable[..., Any]) -> None:
+    """Forget the motion, the stamps and the frame."""
+    from std_srvs.srv import Trigger
+
+    partner = make_partner(with_twists=False)
+    for step in range(60):  # 1 m/s^2 to the side
+        partner.send_pose(START + step * MS, (0.5 * (step * 1e-3) ** 2, 0.0, 0.0))
+    partner.wait_for_poses(60)
+    assert abs(numbers(partner.poses)[-1, 0] - 0.5 * 0.059**2) > 1e-5  # it swings
+
+    answer = call(partner, '/predictor/reset', Trigger, Trigger.Request())
+    partner.send_pose(START - 1_000_000_000, frame_id='base')
+    partner.wait_for_poses(61)
+
+    assert answer.success and 'static equilibrium' in answer.message
+    assert partner.poses[-1].header.frame_id == 'base'
+    assert_allclose(numbers(partner.poses)[-1, :2], 0.0, atol=1e-12)
+
+
+def test_topics_follow_namespace_and_remaps(make_partner: Callable[..., Any]) -> None:
+    """Stand in a cell's namespace and read the driver's topic."""
+    partner = make_partner(
+        inputs={'pose': '/driver/tcp_pose'},
+        outputs={name: f'/cell/{topic}' for name, topic in {
+            'pose': 'package/pose', 'twist': 'package/twist', 'wrench': 'cup/wrench'}.items()},
+        with_twists=False,
+        cli_args=['--ros-args', '-r', '__ns:=/cell', '-r', 'tool_arm/pose:=/driver/tcp_pose',
+                  '-r', '__node:=left_cup'],
+    )  # fmt: skip
+    partner.send_pose(START)
+    partner.wait_for_poses(1)
+
+    assert partner.predictor.get_fully_qualified_name() == '/cell/left_cup'
+    assert {name for name, _ in partner.predictor.get_service_names_and_types()} >= {
+        '/cell/left_cup/reset', '/cell/left_cup/set_parameters'}
+
+
+def test_qos_can_be_overridden(make_predictor: Callable[..., Any]) -> None:
+    """Take the reliability and depth from parameters; sensor data by default."""
+    from rclpy.qos import ReliabilityPolicy
+
+    node = make_predictor(cli_args=[
+        '--ros-args', '-p', 'qos_overrides./tool_arm/pose.subscription.reliability:=reliable',
+        '-p', 'qos_overrides./tool_arm/pose.subscription.depth:=7'])  # fmt: skip
+    qos = {end.topic_name: end.qos_profile for end in node.subscriptions}
+
+    assert qos['/tool_arm/pose'].reliability == ReliabilityPolicy.RELIABLE
+    assert qos['/tool_arm/pose'].depth == 7
+    assert qos['/tool_arm/twist'].reliability == ReliabilityPolicy.BEST_EFFORT
+    published = {p.topic_name: p.qos_profile.reliability for p in node.publishers}
+    for topic in ('/package/pose', '/package/twist', '/cup/wrench'):
+        assert published[topic] == ReliabilityPolicy.RELIABLE
+
+
+def test_cup_too_soft_for_the_package_is_said_once(
+        make_partner: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+    """Publish nothing and say why, once."""
+    heavy = {
+        'package.mass': 1e4, 'package.inertia': [1e3, 1e3, 1e3, 0.0, 0.0, 0.0],
+        'package.com': [5.0, 0.0, -5.0],
+    }  # fmt: skip
+    partner = make_partner(heavy, with_twists=False)
+    for step in range(10):
+        partner.send_pose(START + step * MS)
+        partner.wait_for_inputs(step + 1)
+        partner.predictor._say_report()
+
+    assert partner.poses == []
+    assert capfd.readouterr().err.count('the cup cannot hold the package') == 1
+
+
+def test_thesis_cup_is_announced(
+        make_predictor: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+    """Say whose cup it is when none is given."""
+    make_predictor()
+    assert 'using the cup of the thesis' in capfd.readouterr().err
