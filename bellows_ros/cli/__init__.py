@@ -1,0 +1,9 @@
+"""
+The command `bellows`: the package's work from a shell, without ROS.
+
+One module per command, loaded only when it is asked for; see `commands`.
+"""
+
+from .app import main
+
+__all__ = ['main']

@@ -1,0 +1,8 @@
+"""Run the command as `python -m bellows_ros.cli`."""
+
+import sys
+
+from .app import main
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,128 @@
+"""Find the command, run it, and turn what goes wrong into a message and an exit code."""
+
+import argparse
+from collections.abc import Sequence
+import difflib
+import importlib
+import os
+import sys
+import textwrap
+from types import ModuleType
+from typing import NoReturn
+
+from bellows_ros import __version__
+from bellows_ros.errors import BellowsError
+
+from .commands import COMMANDS, EXIT_CODES, INTERRUPTED, PIPE_CLOSED, USER_ERROR
+from .console import Console
+
+DESCRIPTION = (
+    'Identify bellows suction cups from recordings (rosbag2), and predict the motion of the '
+    'packages they hold.'
+)
+TRY = """try it:
+  bellows identify bags/identification --params bags/package.yaml --out cup.yaml
+  bellows replay bags/validation --params cup.yaml
+"""
+WIDTH = 79
+
+
+class Parser(argparse.ArgumentParser):
+    """Arguments as usual, but errors are short: what is wrong, and where help is."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong with the command line and end with 2."""
+        self.exit(USER_ERROR, f'{self.prog}: {message}\nSee {self.prog} --help.\n')
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """
+    Run the command line.
+
+    Parameters
+    ----------
+    args : sequence of str, optional
+        Command line behind the command's name; that of the process if left out.
+
+    Returns
+    -------
+    int
+        The exit code, of `commands`.
+
+    Raises
+    ------
+    SystemExit
+        After --help and --version, and when the command line itself is wrong.
+
+    """
+    console = Console(sys.stdout, sys.stderr)
+    try:
+        return _run(list(sys.argv[1:] if args is None else args), console)
+    except BellowsError as error:
+        console.error(str(error))
+        return error.exit_code
+    except KeyboardInterrupt:
+        console.note('Interrupted; nothing is half done.')
+        return INTERRUPTED
+    except BrokenPipeError:  # whoever reads the output has had enough
+        _silence_stdout()
+        return PIPE_CLOSED
+
+
+def _run(arguments: list[str], console: Console) -> int:
+    """Run the named command, or answer for the whole."""
+    if not arguments or arguments[0] not in COMMANDS:
+        _refuse(arguments)
+    name, *rest = arguments
+    module = importlib.import_module(f'{__package__}.{name}')
+    code: int = module.run(_command_parser(name, module).parse_args(rest), console)
+    console.flush()
+    return code
+
+
+def _refuse(arguments: list[str]) -> NoReturn:
+    """Answer --help and --version, and refuse what is no command."""
+    parser = _top_parser()
+    if not arguments:
+        parser.print_help(sys.stderr)
+        sys.exit(USER_ERROR)
+    parser.parse_known_args(arguments[:1])
+    first = arguments[0]
+    near = difflib.get_close_matches(first, COMMANDS, n=1)
+    hint = f"Did you mean '{near[0]}'?" if near else f'There are: {", ".join(COMMANDS)}.'
+    parser.error(f"'{first}' is no command. {hint}")
+
+
+def _top_parser() -> Parser:
+    """Return the parser that answers `bellows --help`."""
+    width = max(map(len, COMMANDS))
+    commands = '\n'.join(f'  {name:{width}}  {text}' for name, text in COMMANDS.items())
+    parser = Parser(
+        prog='bellows',
+        usage='bellows COMMAND [ARGUMENTS]',
+        description=f'{textwrap.fill(DESCRIPTION, WIDTH)}\n\ncommands:\n{commands}',
+        epilog=f'Each has its own help: bellows COMMAND --help\n\n{TRY}\n{EXIT_CODES}',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument('--version', action='version', version=f'bellows {__version__}')
+    return parser
+
+
+def _command_parser(name: str, module: ModuleType) -> Parser:
+    """Return the parser of a command."""
+    examples = '\n'.join(f'  {line}\n      {what}' for line, what in module.EXAMPLES)
+    parser = Parser(
+        prog=f'bellows {name}',
+        description=textwrap.fill(module.DESCRIPTION, WIDTH),
+        epilog=f'examples:\n{examples}\n\n{EXIT_CODES}',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    module.add_arguments(parser)
+    return parser
+
+
+def _silence_stdout() -> None:
+    """Let nothing be written any more, also not when the process ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

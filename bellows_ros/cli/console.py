@@ -1,0 +1,161 @@
+"""
+What a command says: results to one stream, all else to stderr, both plain unless on a terminal.
+
+Colour is used only on a terminal, and not where NO_COLOR is set or TERM is dumb.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+import os
+import shutil
+import sys
+import textwrap
+import time
+from typing import TextIO
+
+WIDTH = 79
+BAR = 24  # characters
+AGAIN = 0.1  # s, between two drawings of the progress
+CLEAR_LINE = '\r\x1b[2K'
+STYLES: Mapping[str, str] = {'bold': '1', 'dim': '2', 'red': '31', 'yellow': '33', 'green': '32'}
+
+# For output that knows only ASCII.
+PLAIN = str.maketrans({'±': '+-', '²': '^2', '→': '->'})
+
+
+class Console:
+    """
+    Say results, notes and errors.
+
+    Parameters
+    ----------
+    out : text stream
+        For what the command is asked for.
+    err : text stream
+        For notes, warnings, errors and progress.
+
+    """
+
+    def __init__(self, out: TextIO, err: TextIO) -> None:
+        """Remember the streams."""
+        self._out = out
+        self._err = err
+
+    @contextmanager
+    def results_to_stderr(self, wanted: bool) -> Iterator[None]:
+        """Leave stdout to a file's content where it goes there."""
+        before = self._out
+        self._out = self._err if wanted else before
+        try:
+            yield
+        finally:
+            self._out = before
+
+    def say(self, text: str = '', style: str = '') -> None:
+        """Print a line of the result."""
+        _write(self._out, self._styled(self._out, text, style))
+
+    def paragraph(self, text: str, style: str = '') -> None:
+        """Print a sentence or several of the result, wrapped, with its indentation kept."""
+        indent = text[:len(text) - len(text.lstrip())]
+        lines = textwrap.wrap(
+            text.strip(), WIDTH, initial_indent=indent, subsequent_indent=2 * indent,
+            break_long_words=False, break_on_hyphens=False,
+        )  # fmt: skip
+        self.say('\n'.join(lines), style)
+
+    def warn(self, text: str) -> None:
+        """Print a warning of the result."""
+        body = textwrap.fill(
+            f'Warning: {text}', WIDTH, subsequent_indent='  ', break_long_words=False,
+            break_on_hyphens=False,
+        )  # fmt: skip
+        self.say(body, 'yellow')
+
+    def note(self, text: str) -> None:
+        """Print what is not part of the result."""
+        _write(self._err, text)
+
+    def error(self, text: str) -> None:
+        """Print what went wrong."""
+        _write(self._err, self._styled(self._err, 'bellows:', 'red') + ' ' + text)
+
+    def raw(self, text: str) -> None:
+        """Write a file's content to stdout."""
+        sys.stdout.write(text)
+
+    def flush(self) -> None:
+        """Make sure that all is written, as an error at the very end could not be told."""
+        self._out.flush()
+
+    @contextmanager
+    def progress(self) -> Iterator['Progress']:
+        """Show progress on stderr while the work in this context goes on."""
+        progress = Progress(self._err, _is_terminal(self._err))
+        try:
+            yield progress
+        finally:
+            progress.clear()
+
+    def _styled(self, stream: TextIO, text: str, style: str) -> str:
+        """Return a text in a style, where the stream shows it."""
+        return f'\x1b[{STYLES[style]}m{text}\x1b[0m' if style and has_colour(stream) else text
+
+
+class Progress:
+    """One line that says what is being done, how far it is, and how long it will take."""
+
+    def __init__(self, stream: TextIO, shown: bool) -> None:
+        """Start to take the time."""
+        self._stream = stream
+        self._shown = shown
+        self._start = time.monotonic()
+        self._next = 0.0
+        self._stage = ''
+
+    def __call__(self, stage: str, fraction: float | None = None) -> None:
+        """Show a stage, and the fraction of the whole work that is done where it is known."""
+        now = time.monotonic()
+        if not self._shown or (now < self._next and stage == self._stage):
+            return
+        self._next, self._stage = now + AGAIN, stage
+        width = shutil.get_terminal_size().columns - 1
+        line = progress_line(stage, fraction, now - self._start)[:width]
+        self._stream.write(CLEAR_LINE + line)
+        self._stream.flush()
+
+    def clear(self) -> None:
+        """Leave no trace on the terminal."""
+        if self._shown and self._stage:
+            self._stream.write(CLEAR_LINE)
+            self._stream.flush()
+
+
+def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:
+    """Return a line with a bar and the time left (s), as far as they are known."""
+    if fraction is None:
+        return f'{stage} ...'
+    done = min(max(fraction, 0.0), 1.0)
+    full = round(done * BAR)
+    left = elapsed * (1.0 - done) / done if done > 0.05 and elapsed > 1.0 else None
+    remaining = f', {left:.0f} s left' if left is not None else ''
+    return f'[{"#" * full}{"-" * (BAR - full)}] {done:4.0%}  {stage}{remaining}'
+
+
+def has_colour(stream: TextIO) -> bool:
+    """Tell whether a stream shows colours and its reader wants them."""
+    return _is_terminal(stream) and not os.environ.get('NO_COLOR')
+
+
+def _is_terminal(stream: TextIO) -> bool:
+    """Tell whether a stream is a terminal that can do more than print."""
+    return stream.isatty() and os.environ.get('TERM') != 'dumb'
+
+
+def _write(stream: TextIO, text: str) -> None:
+    """Print a line in what the stream's encoding has."""
+    try:
+        text.encode(stream.encoding or 'utf-8')
+    except UnicodeEncodeError:
+        text = text.translate(PLAIN).encode('ascii', 'backslashreplace').decode()
+    print(text, file=stream)

@@ -1,0 +1,115 @@
+"""`bellows parameters`: all parameters with unit, default and meaning."""
+
+import argparse
+from collections.abc import Iterable, Iterator
+import textwrap
+from typing import TYPE_CHECKING
+
+from .commands import OK
+from .console import Console, WIDTH
+
+if TYPE_CHECKING:
+    from bellows_ros.core.parameters import Parameter
+
+DESCRIPTION = (
+    'List the parameters of the nodes identifier and predictor, which parameter files and '
+    "'--set' of the other commands take too."
+)
+EXAMPLES = (
+    ('bellows parameters', 'all of them'),
+    ('bellows parameters filter fit', 'those whose names begin so'),
+    ('bellows parameters --yaml > my_cell.yaml', 'a parameter file to fill in'),
+)
+NOTHING = 'none'
+SECTION = 'ros__parameters:\n'
+INDENT = '    '
+EXAMPLE_LIST = "['recording']"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument('names', metavar='NAME', nargs='*', help='only names that begin so')
+    parser.add_argument(
+        '--yaml', action='store_true', help='as a parameter file with the defaults, to fill in'
+    )
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Print the parameters."""
+    chosen = _chosen(arguments.names)
+    if arguments.yaml:
+        console.raw(template(chosen))
+        return OK
+    for parameter in chosen:
+        console.say(parameter.name, 'bold')
+        for line in _entry(parameter):
+            console.say(line)
+    return OK
+
+
+def _chosen(prefixes: list[str]) -> 'list[Parameter]':
+    """Return the parameters whose names begin with one of the prefixes; all without any."""
+    from bellows_ros.core.parameters import lookup, PARAMETERS
+
+    if not prefixes:
+        return list(PARAMETERS.values())
+    found = [p for p in PARAMETERS.values() if p.name.startswith(tuple(prefixes))]
+    for prefix in prefixes:
+        if not any(p.name.startswith(prefix) for p in found):
+            lookup(prefix)  # raises, and names the nearest
+    return found
+
+
+def _entry(parameter: 'Parameter') -> list[str]:
+    """Return the lines below a parameter's name."""
+    facts = f'{parameter.constraint}; {_default(parameter)}; {" and ".join(parameter.used_by)}'
+    return [
+        *textwrap.wrap(facts, WIDTH, initial_indent='    ', subsequent_indent='    '),
+        *textwrap.wrap(
+            parameter.description, WIDTH, initial_indent='    ', subsequent_indent='    '
+        ),
+    ]
+
+
+def _default(parameter: 'Parameter') -> str:
+    """Return the default in words."""
+    default = parameter.default
+    if default is None:
+        return 'must be given'
+    if isinstance(default, tuple):
+        return f'default {"that of the thesis" if default else NOTHING}'
+    if isinstance(default, bool):
+        return f'default {str(default).lower()}'
+    if isinstance(default, str):
+        return f"default '{default}'" if default else f'default {NOTHING}'
+    return f'default {default:g}'
+
+
+def template(parameters: 'Iterable[Parameter]') -> str:
+    """
+    Return a parameter file with the defaults.
+
+    What has no default, or an empty list, which ROS files do not know, stands there as a comment.
+    """
+    from bellows_ros.files.parameter_files import format_parameters
+
+    parameters = list(parameters)
+    open_ones = [p for p in parameters if p.default in (None, ())]
+    values = {p.name: p.default for p in parameters if p not in open_ones}
+    text = format_parameters(values, ['Parameters of bellows_ros at their defaults.'])
+    head, body = text.split(SECTION, 1)
+    return head + SECTION + ''.join(_to_fill_in(open_ones)) + (body if values else '')
+
+
+def _to_fill_in(parameters: 'list[Parameter]') -> 'Iterator[str]':
+    """Yield the lines, commented, of parameters that must be given."""
+    if parameters:
+        yield f"{INDENT}# CHANGE THESE (examples), and remove the '#' before their names.\n"
+    for parameter in parameters:
+        comment = f'{INDENT}# '
+        for line in textwrap.wrap(
+            parameter.description, 97, initial_indent=comment, subsequent_indent=comment
+        ):
+            yield f'{line}\n'
+        unit = f'  # {parameter.unit}' if parameter.unit else ''
+        yield f'{INDENT}#{parameter.name}: {parameter.example or EXAMPLE_LIST}{unit}\n'

@@ -1,0 +1,81 @@
+"""`bellows replay`: predict a recording with a cup, and score the prediction."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .commands import OK
+from .console import Console
+from .options import (
+    add_json_option,
+    add_parameter_options,
+    given_parameters,
+    require_outputs,
+    STDOUT,
+)
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.replay import Replay
+
+DESCRIPTION = (
+    "Send a recording's tool-arm messages through the prediction code of the node predictor, at "
+    'full speed and without ROS, and compare its poses with the measured ones, as seen from the '
+    'tool.'
+)
+EXAMPLES = (
+    ('bellows replay bags/validation --params cup.yaml',
+     'how well the cup identified before predicts another recording'),
+    ('bellows replay bags/validation --params cup.yaml \\\n'
+     '      --set topics.tool_twist= --json replay.json',
+     'the same without twists, with all figures in a file'),
+)  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        'bag', metavar='BAG', type=Path,
+        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
+    )  # fmt: skip
+    add_parameter_options(parser)
+    add_json_option(parser, 'the scores')
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Replay, write, report."""
+    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+
+    values = given_parameters(arguments.params, arguments.overrides)
+    settings = resolve(values, PACKAGE_PARAMETERS)
+    require_outputs(arguments.json)
+    from bellows_ros.files.results import format_json, write_json
+    from bellows_ros.workflows.replay import replay
+
+    with console.progress() as progress:
+        result = replay(arguments.bag, settings, progress)
+    if arguments.json == STDOUT:
+        console.raw(format_json(result.as_json()))
+    elif arguments.json:
+        write_json(arguments.json, result.as_json())
+    with console.results_to_stderr(arguments.json == STDOUT):
+        if 'cup.stiffness' not in values:
+            console.warn('cup.stiffness is not set: this is the cup of the thesis, (4.78, 4.79).')
+        _say(result, arguments, console)
+    return OK
+
+
+def _say(result: 'Replay', arguments: argparse.Namespace, console: Console) -> None:
+    """Print the scores and the counts."""
+    from .words import count_lines, score_table
+
+    console.say(f'Prediction of {arguments.bag}', 'bold')
+    console.say('(package relative to the tool, predicted minus measured)', 'dim')
+    console.say()
+    for line in score_table(result.scores):
+        console.say(f'  {line}')
+    console.say()
+    for line in count_lines(result.counts):
+        console.paragraph(line)
+    console.say(f'{result.real_time_factor:.0f} times faster than real time.')
+    if arguments.json not in ('', STDOUT):
+        console.say(f'Wrote {arguments.json}.')

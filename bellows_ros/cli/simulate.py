@@ -1,0 +1,117 @@
+"""`bellows simulate`: make a recording of a known cup."""
+
+import argparse
+from collections import Counter
+from collections.abc import Iterable
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bellows_ros.errors import BellowsError
+
+from .commands import OK
+from .console import Console
+from .options import add_json_option, add_parameter_options, given_parameters, STDOUT
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.simulate import SimulationReport
+
+DESCRIPTION = (
+    'Simulate a package held by a known cup while the tool moves, and write what a robot driver '
+    'and a tracking system would record of it: noise, outliers, dropouts and all.'
+)
+EXAMPLES = (
+    ('bellows simulate --params bags/cup.yaml --motion bags/static.yaml --out recording',
+     'a recording of a cup and a motion in files'),
+    ('bellows simulate --params bags/cup.yaml --set package.mass=2.5 \\\n'
+     '      --motion config/motion_example.yaml --out heavy --force',
+     'with a heavier package, over the recording that is there'),
+)  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_parameter_options(parser)
+    parser.add_argument(
+        '--motion', metavar='FILE', required=True, type=Path,
+        help='motion file (YAML): how the tool moves, and how both are tracked; '
+        'config/motion_example.yaml explains every setting',
+    )  # fmt: skip
+    parser.add_argument(
+        '--out', metavar='BAG', required=True, help='folder of the recording, made by this'
+    )
+    parser.add_argument(
+        '--force', action='store_true', help='replace a recording that is there already'
+    )
+    add_json_option(parser, 'what was recorded')
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Simulate, write and report."""
+    from bellows_ros.files.results import format_json, write_json
+    from bellows_ros.files.safe_yaml import load
+    from bellows_ros.workflows.simulate import simulate_recording
+
+    from .options import require_outputs
+
+    values = given_parameters(arguments.params, arguments.overrides)
+    require_outputs(arguments.json)
+    _require_free(Path(arguments.out), arguments.force)
+    motion = load(arguments.motion)
+    with console.progress() as progress:
+        report = simulate_recording(
+            values, motion, arguments.out, progress, replace=arguments.force
+        )
+    content = as_json(report)
+    if arguments.json == STDOUT:
+        console.raw(format_json(content))
+    elif arguments.json:
+        write_json(arguments.json, content)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        _say(report, console)
+    return OK
+
+
+def _require_free(bag: Path, force: bool) -> None:
+    """Refuse a recording that exists, unless it may be replaced."""
+    if bag.exists() and not force:
+        raise BellowsError(
+            f"Output '{bag}' exists. Give another name, or --force to replace the recording."
+        )
+
+
+def as_json(report: 'SimulationReport') -> dict[str, object]:
+    """Return what was recorded, for JSON."""
+    return {
+        'bag': str(report.bag),
+        'truth': str(report.truth) if report.truth else None,
+        'duration_s': report.duration,
+        'messages': dict(report.messages),
+        'events': [
+            {'topic': e.topic, 'kind': e.kind, 'start_s': e.start} for e in report.events
+        ],
+        'largest_bending_rad': report.largest_bending,
+        'largest_bending_time_s': report.largest_bending_time,
+        'warnings': list(report.warnings),
+    }
+
+
+def _say(report: 'SimulationReport', console: Console) -> None:
+    """Print what was recorded."""
+    console.say(f'Recorded {report.duration:g} s to {report.bag}', 'bold')
+    width = max(map(len, report.messages))
+    for topic, count in report.messages.items():
+        put_in = _many(event.kind for event in report.events if event.topic == topic)
+        console.say(f'  {topic:{width}}  {count:6} messages'
+                    + (f', with {" and ".join(put_in)}' if put_in else ''))
+    console.say(f'The cup bends by up to {math.degrees(report.largest_bending):.1f} degrees, '
+                f'at {report.largest_bending_time:.2f} s.')
+    if report.truth:
+        console.say(f'The true motion: {report.truth}')
+    for warning in report.warnings:
+        console.warn(warning)
+
+
+def _many(kinds: Iterable[str]) -> list[str]:
+    """Return the kinds of events with their counts."""
+    return [f'{n} {kind}{"" if n == 1 else "s"}' for kind, n in Counter(kinds).items()]

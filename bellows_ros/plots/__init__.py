@@ -1,0 +1,1 @@
+"""Pictures, made with matplotlib (extra `plot`); nothing else in the package imports it."""

@@ -1,0 +1,183 @@
+"""
+Measured against predicted pose of the package relative to the tool, all six axes.
+
+The content of Figs. 4.16 and 4.17 of the thesis on one page, with what is left over below each
+axis, to its own scale.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from bellows_ros.core.score import AXES, Scores
+import numpy as np
+from numpy.typing import NDArray
+
+from .style import drawing, Theme, THEMES
+
+Array = NDArray[np.float64]
+
+SIZE = (11.0, 8.4)  # inches
+LEFT, RIGHT, BETWEEN = 0.085, 0.985, 0.19  # parts of the width; of a column between two
+MIDDLE = LEFT + (RIGHT - LEFT) * (1.0 + BETWEEN) / (2.0 + BETWEEN)
+MILLI = 1e3
+UNITS = ('mm',) * 3 + ('mrad',) * 3
+GAP_PERIODS = 3.0
+"""A line is interrupted where so many sampling periods have no sample."""
+
+LEAST_SPAN = 2.0  # mm or mrad; an axis that hardly moves is not blown up beyond this
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """
+    Measured and predicted coordinates of the package relative to the tool.
+
+    Parameters
+    ----------
+    seconds : array (N,)
+        From the beginning of the recording, s.
+    measured, predicted : array (N, 6)
+        Position (m) and rotation vector (rad) in tool axes.
+    scores : Scores
+        Errors of the prediction.
+
+    """
+
+    seconds: Array
+    measured: Array
+    predicted: Array
+    scores: Scores
+
+
+def prediction_figure(comparison: Comparison, title: str, note: str, theme: str = 'light') -> Any:
+    """
+    Draw a comparison.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What is drawn.
+    title, note : str
+        What is shown, and under which conditions.
+    theme : {'light', 'dark'}
+        For paper or for the dark.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    colours = THEMES[theme]
+    with drawing(colours) as figures:
+        figure = figures.Figure(figsize=SIZE)
+        _write_head(figure, title, note, colours)
+        outer = figure.add_gridspec(
+            3, 2, left=LEFT, right=RIGHT, top=0.855, bottom=0.065, hspace=0.2, wspace=BETWEEN
+        )
+        for axis in range(6):
+            cell = outer[axis % 3, axis // 3]
+            inner = cell.subgridspec(2, 1, height_ratios=(3.2, 1.0), hspace=0.1)
+            panels = figure.add_subplot(inner[0]), figure.add_subplot(inner[1])
+            _draw_axis(panels, comparison, axis, colours)
+            _arrange(panels, axis, comparison.seconds, colours)
+    return figure
+
+
+def _write_head(figure: Any, title: str, note: str, colours: Theme) -> None:
+    """Write title, conditions and legend over all panels."""
+    figure.text(LEFT, 0.955, title, fontsize=13.5, fontweight='bold')
+    figure.text(LEFT, 0.93, note, color=colours.quiet)
+    columns = ((LEFT, 'Position of B in tool axes'), (MIDDLE, 'Rotation of B in tool axes'))
+    for x, words in columns:
+        figure.text(x, 0.885, words, fontsize=10.5, fontweight='bold')
+    lines = [
+        _line(colours.measured, 4.0, 'measured'),
+        _line(colours.predicted, 1.0, 'predicted'),
+        _line(colours.error, 1.0, 'predicted minus measured'),
+    ]
+    figure.legend(
+        handles=lines, loc='upper right', bbox_to_anchor=(0.992, 0.982), ncols=3, fontsize=9.5,
+        handlelength=1.8, columnspacing=1.6,
+    )  # fmt: skip
+
+
+def _line(colour: str, width: float, label: str) -> Any:
+    """Return an entry of the legend."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=colour, linewidth=width, label=label)
+
+
+def _draw_axis(panels: Any, comparison: Comparison, axis: int, colours: Theme) -> None:
+    """Draw one coordinate and its error."""
+    upper, lower = panels
+    seconds, measured, predicted = (
+        with_gaps(comparison.seconds, values)
+        for values in (comparison.seconds, comparison.measured[:, axis] * MILLI,
+                       comparison.predicted[:, axis] * MILLI)
+    )  # fmt: skip
+    upper.plot(seconds, measured, color=colours.measured, linewidth=3.6)
+    upper.plot(seconds, predicted, color=colours.predicted, linewidth=0.9)
+    _widen(upper)
+    error = predicted - measured
+    lower.axhline(0.0, color=colours.quiet, linewidth=0.6)
+    lower.plot(seconds, error, color=colours.error, linewidth=0.6)
+    reach = 1.15 * max(float(np.nanmax(np.abs(error))), 1e-3)
+    lower.set_ylim(-reach, reach)
+    scores, unit = comparison.scores, UNITS[axis]
+    upper.set_title(
+        f'error RMS {figures(scores.rms[axis] * MILLI)} {unit}, largest '
+        f'{figures(scores.largest[axis] * MILLI)} {unit}, '
+        f'{percent(scores.nrmse[axis])} of the motion',
+        loc='right', fontsize=8.5, color=colours.quiet, pad=4.0,
+    )  # fmt: skip
+
+
+def figures(value: float) -> str:
+    """Return a number with two figures."""
+    return f'{value:#.2g}'.removesuffix('.')
+
+
+def percent(ratio: float) -> str:
+    """Return a ratio in percent with two figures, or a dash where nothing moved."""
+    return f'{figures(100.0 * ratio)} %' if np.isfinite(ratio) else '-'
+
+
+def _widen(panel: Any) -> None:
+    """Show at least `LEAST_SPAN`, so that noise on an axis at rest does not look like motion."""
+    low, high = panel.get_ylim()
+    lack = 0.5 * max(0.0, LEAST_SPAN - (high - low))
+    panel.set_ylim(low - lack, high + lack)
+
+
+def _arrange(panels: Any, axis: int, seconds: Array, colours: Theme) -> None:
+    """Put ticks, labels and limits."""
+    from matplotlib.ticker import MaxNLocator
+
+    upper, lower = panels
+    for panel in panels:
+        panel.set_xlim(seconds[0], seconds[-1])
+        panel.tick_params(length=2.5, width=0.6)
+        panel.xaxis.set_major_locator(MaxNLocator(nbins=12, steps=[1, 2, 5, 10], integer=True))
+    upper.tick_params(labelbottom=False)
+    upper.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
+    lower.yaxis.set_major_locator(MaxNLocator(nbins=2, symmetric=True, steps=[1, 2, 3, 5, 10]))
+    lower.tick_params(axis='y', labelsize=7.5)
+    upper.set_ylabel(f'{AXES[axis]}  ({UNITS[axis]})')
+    lower.set_ylabel('error', color=colours.error, fontsize=8.5)
+    for panel in panels:
+        panel.yaxis.set_label_coords(-0.125, 0.5)
+    if axis % 3 == 2:
+        lower.set_xlabel('time (s)')
+    else:
+        lower.tick_params(labelbottom=False)
+
+
+def with_gaps(seconds: Array, values: Array) -> Array:
+    """Return values (N + G,) with a NaN in each of the G gaps, so that lines are interrupted."""
+    if len(seconds) < 3:
+        return values
+    steps = np.diff(seconds)
+    gaps = np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1
+    broken: Array = np.insert(values, gaps, np.nan)
+    return broken

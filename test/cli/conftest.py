@@ -1,0 +1,107 @@
+"""The command as a process of its own, and small recordings of a known cup for it."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+import yaml
+
+# The cup and the package that the recordings are made with.
+STIFFNESS = (5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35)
+DAMPING = (55.0, 55.0, 24.0, 0.06, 0.06, 0.10)
+PACKAGE = {
+    'package.mass': 1.8,
+    'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
+    'package.com': [0.0, 0.0, -0.03],
+    'cup.length': 0.046,
+}
+TOPICS = {
+    'topics.tool_pose': '/tool_arm/pose',
+    'topics.tool_twist': '/tool_arm/twist',
+    'topics.package_pose': '/package/pose',
+}
+MOTION: Mapping[str, Any] = {
+    'kind': 'multi_sine',
+    'duration': 8.0,
+    'rest_duration': 1.0,
+    'seed': 4,
+    'multi_sine': {
+        'position': {
+            'x': {'amplitude': [0.03, 0.003], 'frequency': [0.6, 2.6]},
+            'y': {'amplitude': [0.03, 0.003], 'frequency': [0.7, 2.9]},
+            'z': {'amplitude': [0.03, 0.004], 'frequency': [0.8, 4.9]},
+        },
+        'rotation': {
+            'x': {'amplitude': [0.10, 0.02], 'frequency': [0.5, 3.3]},
+            'y': {'amplitude': [0.10, 0.02], 'frequency': [0.9, 3.5]},
+            'z': {'amplitude': [0.20, 0.10], 'frequency': [0.6, 3.2]},
+        },
+    },
+    'tool': {'rate_hz': 300.0, 'noise': {'position': 1e-5, 'rotation': 2e-5}},
+    'package': {
+        'rate_hz': 240.0,
+        'noise': {'position': 2e-5, 'rotation': 1e-4},
+        'dropouts': {'count': 1, 'duration': 0.05},
+    },
+}
+
+Run = Callable[..., 'subprocess.CompletedProcess[str]']
+
+
+def diagonal(values: tuple[float, ...]) -> list[float]:
+    """Return a diagonal matrix as 36 numbers."""
+    return [values[i] if i == j else 0.0 for i in range(6) for j in range(6)]
+
+
+def write_yaml(path: Path, content: Mapping[str, Any]) -> Path:
+    """Write a YAML file."""
+    path.write_text(yaml.safe_dump(dict(content)))
+    return path
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return every file below a folder with its content."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob('*')) if path.is_file()
+    }  # fmt: skip
+
+
+@pytest.fixture(scope='session')
+def bellows(user_environment: dict[str, str]) -> Run:
+    """Give a function that runs `bellows` with arguments, in a folder."""
+
+    def run(
+        *arguments: object, cwd: Path | None = None, **environment: str
+    ) -> 'subprocess.CompletedProcess[str]':
+        return subprocess.run(
+            [sys.executable, '-m', 'bellows_ros.cli', *map(str, arguments)],
+            cwd=cwd, env={**user_environment, **environment}, capture_output=True, text=True,
+            stdin=subprocess.DEVNULL, timeout=100,
+        )  # fmt: skip
+
+    return run
+
+
+@pytest.fixture(scope='session')
+def workshop(tmp_path_factory: pytest.TempPathFactory, bellows: Run) -> Path:
+    """
+    Give a folder with what a user has, which tests only read.
+
+    It holds cup.yaml (the truth), package.yaml (what is known beforehand), motion.yaml, and the
+    recording `recording`.
+    """
+    folder = tmp_path_factory.mktemp('workshop')
+    truth = {'cup.stiffness': diagonal(STIFFNESS), 'cup.damping': diagonal(DAMPING)}
+    write_yaml(folder / 'cup.yaml', {**PACKAGE, **TOPICS, **truth})
+    write_yaml(folder / 'package.yaml', {**PACKAGE, **TOPICS})
+    write_yaml(folder / 'motion.yaml', MOTION)
+    done = bellows(
+        'simulate', '--params', 'cup.yaml', '--motion', 'motion.yaml', '--out', 'recording',
+        cwd=folder,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return folder

@@ -1,0 +1,154 @@
+"""What holds for all commands: help, versions, exit codes, streams, start-up."""
+
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+import bellows_ros
+from bellows_ros.cli.commands import COMMANDS
+import pytest
+
+from .conftest import contents, MOTION, Run, write_yaml
+
+HEAVY = ('numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'yaml', 'rclpy')
+
+
+def test_help_names_every_command(bellows: Run) -> None:
+    """List all commands with what they do, and the exit codes."""
+    done = bellows('--help')
+    assert (done.returncode, done.stderr) == (0, '')
+    for name, text in COMMANDS.items():
+        assert f'{name} ' in done.stdout and text in done.stdout
+    assert 'exit codes' in done.stdout and '130' in done.stdout
+
+
+@pytest.mark.parametrize('name', COMMANDS)
+def test_every_command_has_help_with_examples(name: str, bellows: Run) -> None:
+    """Show arguments, examples and exit codes."""
+    done = bellows(name, '--help')
+    assert (done.returncode, done.stderr) == (0, '')
+    assert done.stdout.startswith(f'usage: bellows {name}')
+    assert f'examples:\n  bellows {name}' in done.stdout
+    assert 'exit codes' in done.stdout
+    assert max(map(len, done.stdout.splitlines())) < 100
+
+
+@pytest.mark.parametrize('arguments', [['--help'], ['--version'], *([n, '-h'] for n in COMMANDS)])
+def test_help_loads_nothing_heavy(
+    arguments: list[str], user_environment: dict[str, str]
+) -> None:
+    """Answer without what takes long to load."""
+    code = f"""
+import sys
+from bellows_ros.cli import main
+try:
+    main({arguments!r})
+except SystemExit as end:
+    print('exit', end.code, [name for name in {HEAVY!r} if name in sys.modules])
+"""
+    done = subprocess.run(
+        [sys.executable, '-c', code], env=user_environment, capture_output=True, text=True)
+    assert done.stdout.endswith('exit 0 []\n'), done.stdout + done.stderr
+
+
+def test_version(bellows: Run) -> None:
+    """Print the package's version."""
+    assert bellows('--version').stdout == f'bellows {bellows_ros.__version__}\n'
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (['indentify'], "'indentify' is no command. Did you mean 'identify'?"),
+        (['xyz'], "'xyz' is no command. There are: identify, replay"),
+        (['--colour'], "'--colour' is no command."),
+        (['replay'], 'the following arguments are required: BAG'),
+        (['replay', 'bag', '--jsn', 'x'], 'unrecognized arguments: --jsn'),
+        (['simulate', '--out', 'x'], '--motion'),
+    ],
+)
+def test_a_wrong_command_line_is_explained(
+    arguments: list[str], words: str, bellows: Run
+) -> None:
+    """Say in two lines what is wrong and where help is, and end with 2."""
+    done = bellows(*arguments)
+    assert (done.returncode, done.stdout) == (2, '')
+    assert words in done.stderr and '--help' in done.stderr
+    assert len(done.stderr.splitlines()) == 2
+
+
+def test_without_a_command_help_goes_to_stderr(bellows: Run) -> None:
+    """Treat an empty command line as a mistake, but help at once."""
+    done = bellows()
+    assert (done.returncode, done.stdout) == (2, '')
+    assert 'commands:' in done.stderr
+
+
+def test_output_has_no_colour_in_a_file(bellows: Run) -> None:
+    """Write escape sequences only to a terminal."""
+    done = bellows('parameters')
+    assert done.returncode == 0 and '\x1b' not in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(('no_colour', 'coloured'), [('', True), ('1', False)])
+def test_colour_on_a_terminal_honours_no_color(
+    no_colour: str, coloured: bool, user_environment: dict[str, str]
+) -> None:
+    """Use colour on a terminal, unless NO_COLOR is set and not empty."""
+    pty = pytest.importorskip('pty', reason='no pseudo-terminals here')
+    code = f"""
+import os, pty, sys
+os.environ.update(TERM='xterm', NO_COLOR={no_colour!r})
+pty.spawn([sys.executable, '-m', 'bellows_ros.cli', 'parameters', 'gravity'])
+"""
+    assert pty
+    done = subprocess.run(
+        [sys.executable, '-c', code], env=user_environment, capture_output=True,
+        stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+    assert b'gravity' in done.stdout
+    assert (b'\x1b[1m' in done.stdout) == coloured
+
+
+def test_a_closed_pipe_is_no_error(root: Path, user_environment: dict[str, str]) -> None:
+    """End quietly when the reader of the output has had enough, as `head` has."""
+    command = f'{sys.executable} -m bellows_ros.cli parameters --yaml | head -n 1'
+    done = subprocess.run(
+        ['bash', '-c', command], env=user_environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert done.stdout.startswith('#')
+
+
+def test_plain_ascii_where_the_output_knows_no_more(bellows: Run) -> None:
+    """Do without special characters where the stream has none."""
+    done = bellows('parameters', PYTHONIOENCODING='ascii')
+    assert (done.returncode, done.stderr) == (0, '')
+    assert done.stdout.isascii()
+
+
+def test_ctrl_c_ends_with_130_and_leaves_nothing(
+    workshop: Path, tmp_path: Path, user_environment: dict[str, str]
+) -> None:
+    """Interrupt a long simulation as soon as the terminal shows that it runs."""
+    pty = pytest.importorskip('pty', reason='no pseudo-terminals here')
+    motion = write_yaml(tmp_path / 'long.yaml', {**MOTION, 'duration': 1000.0})
+    terminal, end = pty.openpty()
+    command = [sys.executable, '-m', 'bellows_ros.cli', 'simulate', '--params',
+               workshop / 'cup.yaml', '--motion', motion, '--out', tmp_path / 'long']
+    before = contents(tmp_path)
+    process = subprocess.Popen(
+        command, env={**user_environment, 'TERM': 'xterm'}, stderr=end, stdout=subprocess.PIPE,
+        stdin=subprocess.DEVNULL)
+    os.close(end)
+    shown = b''
+    while b'simulating 1000 s' not in shown:
+        shown += os.read(terminal, 1000)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 130
+    assert process.communicate()[0] == b''
+    shown = os.read(terminal, 1000)
+    os.close(terminal)
+    assert b'Interrupted' in shown and b'Traceback' not in shown
+    assert contents(tmp_path) == before

@@ -1,0 +1,344 @@
+"""Everything a user can get wrong has its own message, ends with 2, and touches no output."""
+
+from collections.abc import Callable
+from pathlib import Path
+import shutil
+from typing import Any
+
+from bellows_ros.files.bag_writer import Recorded, write_bag
+import numpy as np
+import pytest
+import yaml
+
+from .conftest import contents, diagonal, PACKAGE, Run, STIFFNESS, TOPICS, write_yaml
+
+POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
+RATE_HZ = 200.0
+START_NS = 1_700_000_000_000_000_000
+BEFORE = 'what was there before'
+
+Case = tuple[dict[str, Any], list[str]]
+
+
+def still(topic: str, seconds: float, start_s: float = 0.0, kind: str = POSE) -> Recorded:
+    """Return messages of a body that does not move."""
+    count = round(seconds * RATE_HZ)
+    first_ns = START_NS + round(start_s * 1e9)
+    stamps_ns = first_ns + np.round(np.arange(count) * 1e9 / RATE_HZ).astype(np.int64)
+    values = np.zeros((count, 7 if kind == POSE else 6))
+    if kind == POSE:
+        values[:, 6] = 1.0
+    return Recorded(topic, kind, stamps_ns, values)
+
+
+def bag_of(folder: Path, *recorded: Recorded) -> Path:
+    """Write a recording."""
+    write_bag(folder / 'bad', recorded)
+    return folder / 'bad'
+
+
+# ---- recordings ---------------------------------------------------------------------------------
+
+def missing(folder: Path, good: Path) -> Path:
+    """Name a recording that is not there."""
+    return folder / 'bad'
+
+
+def empty_folder(folder: Path, good: Path) -> Path:
+    """Make a folder without anything."""
+    (folder / 'bad').mkdir()
+    return folder / 'bad'
+
+
+def empty_bag(folder: Path, good: Path) -> Path:
+    """Make a recording whose metadata knows topics but no message was recorded."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import get_typestore, Stores
+
+    with Writer(folder / 'bad', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        writer.add_connection('/tool_arm/pose', POSE, typestore=get_typestore(Stores.ROS2_JAZZY))
+    return folder / 'bad'
+
+
+def truncated(folder: Path, good: Path) -> Path:
+    """Cut a recording's file in half."""
+    bag = Path(shutil.copytree(good, folder / 'bad'))
+    (file,) = bag.glob('*.mcap')
+    file.write_bytes(file.read_bytes()[:file.stat().st_size // 2])
+    return bag
+
+
+def no_recording(folder: Path, good: Path) -> Path:
+    """Name a file that is something else."""
+    (folder / 'bad.mcap').write_text('certainly not a recording')
+    return folder / 'bad.mcap'
+
+
+def other_topics(folder: Path, good: Path) -> Path:
+    """Record under other names."""
+    return bag_of(folder, still('/arm/pose', 5.0), still('/box/pose', 5.0))
+
+
+def other_type(folder: Path, good: Path) -> Path:
+    """Record twists where poses belong."""
+    return bag_of(
+        folder, still('/tool_arm/pose', 5.0, kind=TWIST),
+        still('/tool_arm/twist', 5.0, kind=TWIST), still('/package/pose', 5.0))
+
+
+def apart_in_time(folder: Path, good: Path) -> Path:
+    """Record the package a minute after the tool."""
+    return bag_of(
+        folder, still('/tool_arm/pose', 5.0), still('/tool_arm/twist', 5.0, kind=TWIST),
+        still('/package/pose', 5.0, start_s=60.0))
+
+
+def too_short(folder: Path, good: Path) -> Path:
+    """Record less than a window of the filter."""
+    return bag_of(
+        folder, still('/tool_arm/pose', 0.1), still('/tool_arm/twist', 0.1, kind=TWIST),
+        still('/package/pose', 0.1))
+
+
+BAD_BAGS: dict[str, tuple[Callable[[Path, Path], Path], list[str]]] = {
+    'missing': (missing, ['bad', 'not']),
+    'empty folder': (empty_folder, ['bad']),
+    'empty bag': (empty_bag, ['bad', 'no message']),
+    'truncated': (truncated, [
+        '.mcap', 'cannot be read as a recording', 'Give a sound copy, or record again']),
+    'no recording': (no_recording, ['bad.mcap', 'neither an MCAP nor an SQLite file']),
+    'wrong topic': (other_topics, [
+        "Topic '/tool_arm/pose' is not in", '/arm/pose', '/box/pose', 'Set topics.tool_pose']),
+    'wrong type': (other_type, [
+        "Topic '/tool_arm/pose'", TWIST, 'accepted are', POSE, '/package/pose']),
+    'apart in time': (apart_in_time, ['/package/pose', '60']),
+}
+
+
+# ---- parameters ---------------------------------------------------------------------------------
+
+BAD_PARAMETERS: dict[str, Case] = {
+    'no mass': (
+        {'package.mass': None},
+        ['package.mass', 'without a default', 'package.mass: 2.17', 'kg']),
+    'inertia of no body': (
+        {'package.inertia': [0.001, 0.001, 0.010, 0.0, 0.0, 0.0]},
+        ['package.inertia', '0.01', 'at most the sum of the other two', 'kg m^2']),
+    'negative inertia': (
+        {'package.inertia': [-0.001, 0.001, 0.001, 0.0, 0.0, 0.0]},
+        ['package.inertia', 'above zero']),
+    'K of 35 numbers': (
+        {'cup.stiffness': diagonal(STIFFNESS)[:35]},
+        ['cup.stiffness must be a list of 36 numbers', 'got 35']),
+    'K not definite': (
+        {'cup.stiffness': diagonal((*STIFFNESS[:5], -1.0))},
+        ['cup.stiffness is not positive definite', '-1']),
+    'unknown name': (
+        {'package.weight': 1.8},
+        ["Unknown parameter 'package.weight'", 'Did you mean', 'parameters.yaml, line']),
+    'near name': (
+        {'filter.tool.half_windows': 20},
+        ["Did you mean 'filter.tool.half_window'?"]),
+    'wrong kind': (
+        {'package.mass': 'heavy'},
+        ['package.mass must be a number', 'kg', 'heavy']),
+    'NaN': (
+        {'package.mass': float('nan')},
+        ['package.mass must be a number', 'nan']),
+}
+
+
+@pytest.fixture
+def outputs(tmp_path: Path) -> Path:
+    """Give a folder with outputs of before."""
+    folder = tmp_path / 'outputs'
+    folder.mkdir()
+    for name in ('cup.yaml', 'fit.json', 'replay.json'):
+        (folder / name).write_text(BEFORE)
+    return folder
+
+
+def check_refusal(
+    done: Any, outputs: Path, before: dict[str, bytes], words: list[str]
+) -> None:
+    """Check exit code, message and that nothing was touched."""
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ''
+    assert done.stderr.startswith('bellows: ')
+    assert 'Traceback' not in done.stderr
+    for word in words:
+        assert word in done.stderr
+    assert contents(outputs) == before
+
+
+def identify_command(bag: Path, parameters: Path, outputs: Path) -> list[object]:
+    """Return arguments that write both outputs."""
+    return ['identify', bag, '--params', parameters,
+            '--out', outputs / 'cup.yaml', '--json', outputs / 'fit.json']
+
+
+def replay_command(bag: Path, parameters: Path, outputs: Path) -> list[object]:
+    """Return arguments that write the scores."""
+    return ['replay', bag, '--params', parameters, '--json', outputs / 'replay.json']
+
+
+COMMANDS = {'identify': identify_command, 'replay': replay_command}
+
+
+@pytest.mark.parametrize('command', COMMANDS)
+@pytest.mark.parametrize('name', BAD_BAGS)
+def test_a_bad_recording(
+    name: str, command: str, bellows: Run, workshop: Path, outputs: Path, tmp_path: Path
+) -> None:
+    """Say what is wrong with a recording."""
+    make, words = BAD_BAGS[name]
+    bag = make(tmp_path, workshop / 'recording')
+    before = contents(outputs)
+    done = bellows(*COMMANDS[command](bag, workshop / 'cup.yaml', outputs))
+    check_refusal(done, outputs, before, words)
+
+
+def test_a_recording_too_short_for_the_filter(
+    bellows: Run, workshop: Path, outputs: Path, tmp_path: Path
+) -> None:
+    """Say how long it is and how long it must be."""
+    bag, before = too_short(tmp_path, workshop), contents(outputs)
+    command = identify_command(bag, workshop / 'package.yaml', outputs)
+    done = bellows(*command, '--set', 'filter.tool.half_window=25')
+    check_refusal(
+        done, outputs, before, ['/tool_arm/pose', '20 samples', 'at least 51', 'longer recording'])
+
+
+def test_a_bad_recording_among_good_ones(
+    bellows: Run, workshop: Path, outputs: Path, tmp_path: Path
+) -> None:
+    """Name the one that is bad, and write nothing."""
+    before = contents(outputs)
+    done = bellows(
+        'identify', workshop / 'recording', other_topics(tmp_path, workshop),
+        '--params', workshop / 'package.yaml', '--out', outputs / 'cup.yaml')
+    check_refusal(done, outputs, before, [str(tmp_path / 'bad')])
+
+
+@pytest.mark.parametrize('command', COMMANDS)
+@pytest.mark.parametrize('name', BAD_PARAMETERS)
+def test_a_bad_parameter(
+    name: str, command: str, bellows: Run, workshop: Path, outputs: Path, tmp_path: Path
+) -> None:
+    """Say which parameter is wrong, and what it must be."""
+    change, words = BAD_PARAMETERS[name]
+    values = {**PACKAGE, **TOPICS, **change}
+    values = {key: value for key, value in values.items() if value is not None}
+    before = contents(outputs)
+    file = write_yaml(tmp_path / 'parameters.yaml', values)
+    done = bellows(*COMMANDS[command](workshop / 'recording', file, outputs))
+    check_refusal(done, outputs, before, words)
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        ('package: [1, 2', ['parameters.yaml, line', 'not valid YAML']),
+        ('just a sentence', ['parameters.yaml', "Give 'name: value' lines"]),
+        ('', ['parameters.yaml', "Give 'name: value' lines"]),
+        ('package:\n  mass: 1.0\n  mass: 2.0\n', ['line 3', 'given twice']),
+    ],
+)
+def test_a_bad_parameter_file(
+    text: str, words: list[str], bellows: Run, workshop: Path, outputs: Path, tmp_path: Path
+) -> None:
+    """Name file and line."""
+    file = tmp_path / 'parameters.yaml'
+    file.write_text(text)
+    before = contents(outputs)
+    done = bellows(*identify_command(workshop / 'recording', file, outputs))
+    check_refusal(done, outputs, before, words)
+
+
+def test_a_missing_parameter_file(bellows: Run, workshop: Path, outputs: Path) -> None:
+    """Name the file."""
+    before = contents(outputs)
+    done = bellows(*identify_command(workshop / 'recording', Path('nowhere.yaml'), outputs))
+    check_refusal(done, outputs, before, ["'nowhere.yaml' does not exist"])
+
+
+@pytest.mark.parametrize(
+    ('override', 'words'),
+    [
+        ('fit.structure', ["--set takes NAME=VALUE, got 'fit.structure'"]),
+        ('fit.structur=full', ['--set fit.structur: Unknown parameter', "'fit.structure'"]),
+        ('fit.structure=round', ['one of axisymmetric, full', "'round'"]),
+        ('package.mass=-1', ['package.mass must be a number, above 0', '(kg)', 'got -1']),
+        ('package.mass=1,8', ['package.mass must be a number', '1,8']),
+        ('package.com=[0, 0]', ['package.com must be a list of 3 numbers', 'got 2']),
+        ('filter.tool.half_window=2.5', ['filter.tool.half_window must be a whole number']),
+        ('recording.align_at_rest=perhaps', ['true or false', 'perhaps']),
+    ],
+)
+def test_a_bad_override(
+    override: str, words: list[str], bellows: Run, workshop: Path, outputs: Path
+) -> None:
+    """Treat --set like a line of the file."""
+    before = contents(outputs)
+    command = identify_command(workshop / 'recording', workshop / 'package.yaml', outputs)
+    check_refusal(bellows(*command, '--set', override), outputs, before, words)
+
+
+def test_no_recording_at_all(bellows: Run, workshop: Path, outputs: Path) -> None:
+    """Ask for one."""
+    before = contents(outputs)
+    done = bellows('identify', '--params', workshop / 'package.yaml')
+    check_refusal(done, outputs, before, ['No recording is given', 'bags'])
+
+
+@pytest.mark.parametrize('option', ['--out', '--json'])
+def test_an_output_that_cannot_be_written_is_found_before_the_work(
+    option: str, bellows: Run, workshop: Path, outputs: Path
+) -> None:
+    """Refuse a folder that is not there, and a folder in the place of the file."""
+    before = contents(outputs)
+    for bad, words in ((outputs / 'no' / 'file', 'does not exist'), (outputs, 'not a plain file')):
+        done = bellows('identify', workshop / 'missing', '--params', workshop / 'package.yaml',
+                       option, bad)
+        check_refusal(done, outputs, before, [words, str(bad)])
+
+
+def test_two_outputs_of_one_name(bellows: Run, workshop: Path, outputs: Path) -> None:
+    """Refuse to write one over the other."""
+    before = contents(outputs)
+    done = bellows(
+        'identify', workshop / 'recording', '--params', workshop / 'package.yaml',
+        '--out', outputs / 'cup.yaml', '--json', outputs / 'cup.yaml')
+    check_refusal(done, outputs, before, ['same name', 'cup.yaml'])
+
+
+@pytest.mark.parametrize(
+    ('change', 'words'),
+    [
+        ({'kind': 'dance'}, ["'kind'", 'multi_sine', 'dance']),
+        ({'duraton': 3.0}, ["Unknown setting 'duraton'", "'duration'"]),
+        ({'duration': -1.0}, ["'duration'", '-1']),
+    ],
+)
+def test_a_bad_motion(
+    change: dict[str, Any], words: list[str], bellows: Run, workshop: Path, outputs: Path,
+    tmp_path: Path,
+) -> None:
+    """Name the setting, and make no recording."""
+    before = contents(outputs)
+    motion = {**yaml.safe_load((workshop / 'motion.yaml').read_text()), **change}
+    done = bellows(
+        'simulate', '--params', workshop / 'cup.yaml', '--out', outputs / 'new',
+        '--motion', write_yaml(tmp_path / 'motion.yaml', motion))
+    check_refusal(done, outputs, before, words)
+
+
+def test_a_recording_is_not_replaced_unasked(
+    bellows: Run, workshop: Path, outputs: Path
+) -> None:
+    """Refuse to write over a recording without --force, and over anything else even with it."""
+    before = contents(outputs)
+    command = ['simulate', '--params', workshop / 'cup.yaml', '--motion', workshop / 'motion.yaml',
+               '--out', outputs]
+    check_refusal(bellows(*command), outputs, before, ['exists', '--force'])
+    check_refusal(bellows(*command, '--force'), outputs, before, ['not just a recording'])

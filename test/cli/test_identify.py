@@ -1,0 +1,124 @@
+"""`bellows identify`: a recording goes in, a cup comes out."""
+
+import json
+from pathlib import Path
+
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import KEYS
+import numpy as np
+import pytest
+
+from .conftest import contents, DAMPING, PACKAGE, Run, STIFFNESS
+
+# Of this short recording with noise; how exact a fit can be is tested with the fit itself.
+STIFFNESS_WITHIN, DAMPING_WITHIN = 0.05, 0.3
+
+
+@pytest.fixture(scope='module')
+def identified(
+    bellows: Run, workshop: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[str, Path]:
+    """Identify once with all outputs; give the summary and their folder."""
+    folder = tmp_path_factory.mktemp('identified')
+    done = bellows(
+        'identify', 'recording', '--params', 'package.yaml', '--out', folder / 'cup.yaml',
+        '--json', folder / 'fit.json', cwd=workshop,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, '')
+    return done.stdout, folder
+
+
+def test_json_has_the_cup_and_what_it_rests_on(identified: tuple[str, Path]) -> None:
+    """Write all keys, and K and P near the truth."""
+    fit = json.loads((identified[1] / 'fit.json').read_text())
+    assert set(KEYS) <= set(fit)
+    assert (fit['method'], fit['structure']) == ('least_squares', 'axisymmetric')
+    np.testing.assert_allclose(
+        fit['stiffness'], np.diag(STIFFNESS), rtol=STIFFNESS_WITHIN, atol=1e-9)
+    np.testing.assert_allclose(fit['damping'], np.diag(DAMPING), rtol=DAMPING_WITHIN, atol=1e-9)
+    assert np.all(np.diag(fit['stiffness_std']) > 0.0)
+    assert fit['samples_used'] > 1000 and fit['samples_rejected'] > 0
+
+
+def test_the_cup_file_is_complete_for_predictor_and_replay(
+    identified: tuple[str, Path]
+) -> None:
+    """Write the cup and the package it was identified with, to full precision."""
+    values = read_parameters(identified[1] / 'cup.yaml', 'predictor')
+    fit = json.loads((identified[1] / 'fit.json').read_text())
+    assert values['cup.stiffness'] == tuple(np.ravel(fit['stiffness']))
+    assert values['cup.damping'] == tuple(np.ravel(fit['damping']))
+    for name, value in PACKAGE.items():
+        np.testing.assert_array_equal(values[name], value)
+
+
+def test_the_summary_can_be_read(identified: tuple[str, Path]) -> None:
+    """Print K and P with errors and units, what was used and why not all, and what comes next."""
+    text, folder = identified
+    for words in ('x, y ', 'rx, ry ', '±', 'N/m', 'N m/rad', 'N s/m', 'N m s/rad',
+                  'samples used', 'rejected', '1 gap', '/package/pose', 'Condition number',
+                  f'Wrote {folder / "cup.yaml"}', f'Wrote {folder / "fit.json"}',
+                  f'bellows replay BAG --params {folder / "cup.yaml"}'):
+        assert words in text
+    assert '\x1b' not in text and '\r' not in text
+    assert 'nan' not in text
+
+
+def test_json_to_stdout_leaves_the_summary_to_stderr(
+    bellows: Run, workshop: Path, identified: tuple[str, Path]
+) -> None:
+    """Print JSON and nothing else; write no file."""
+    before = contents(workshop)
+    done = bellows(
+        'identify', workshop / 'recording', '--params', workshop / 'package.yaml', '--json', '-')
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)['stiffness'] == json.loads(
+        (identified[1] / 'fit.json').read_text())['stiffness']
+    assert 'samples used' in done.stderr and 'give --out cup.yaml' in done.stderr
+    assert contents(workshop) == before
+
+
+def test_parameters_from_several_places(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+    """Take later files over earlier ones, --set over files, and bags from a file."""
+    more = tmp_path / 'more.yaml'
+    more.write_text(
+        f"identifier:\n  ros__parameters:\n    bags: ['{workshop / 'recording'}']\n"
+        '    package.mass: 99.0\n    fit: {structure: axisymmetric}\n')
+    done = bellows(
+        'identify', '--params', workshop / 'package.yaml', '--params', more,
+        '--set', 'fit.structure=full', '--set', 'package.mass=1.8', '--json', '-')
+    assert done.returncode == 0, done.stderr
+    fit = json.loads(done.stdout)
+    assert fit['structure'] == 'full'
+    diagonal = np.diag(fit['stiffness'])
+    np.testing.assert_allclose(diagonal, STIFFNESS, rtol=0.2)  # 21 unknowns from 8 s
+    assert 'K in N/m, N and N m/rad:' in done.stderr
+
+
+def test_two_recordings_count_twice(bellows: Run, workshop: Path) -> None:
+    """Use all recordings that are given."""
+    used = []
+    for bags in (['recording'], ['recording', 'recording']):
+        done = bellows('identify', *bags, '--params', 'package.yaml', '--json', '-', cwd=workshop)
+        assert done.returncode == 0, done.stderr
+        used.append(json.loads(done.stdout)['samples_used'])
+    assert used[1] == 2 * used[0]
+
+
+def test_a_cup_that_cannot_be_is_not_written(
+    bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """End with 1: JSON is written, the cup is not, and the summary says so."""
+    cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
+    cup.write_text('what was there before')
+    done = bellows(
+        'identify', workshop / 'recording', '--params', workshop / 'package.yaml',
+        '--set', 'package.com=[0, 0, -0.3]', '--out', cup, '--json', fit)  # a slip by ten
+    assert done.returncode == 1, done.stderr
+    assert cup.read_text() == 'what was there before'
+    stiffness = np.array(json.loads(fit.read_text())['stiffness'])
+    assert np.linalg.eigvalsh(stiffness)[0] <= 0.0
+    text = ' '.join(done.stdout.split())
+    assert 'Warning: The stiffness K is not positive definite' in text
+    assert 'was not written' in text and f'Wrote {fit}' in text
+    assert 'Traceback' not in done.stderr

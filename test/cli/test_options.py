@@ -1,0 +1,63 @@
+"""Values from the command line, and what else the commands share."""
+
+import os
+import signal
+
+from bellows_ros.cli.console import progress_line
+from bellows_ros.cli.options import parse_override, uninterrupted
+import pytest
+
+
+@pytest.mark.parametrize(
+    ('text', 'name', 'value'),
+    [
+        ('package.mass=1.8', 'package.mass', 1.8),
+        ('package.mass = 2', 'package.mass', 2.0),
+        ('package.mass=1e-1', 'package.mass', 0.1),
+        ('package.com=[0, 0, -0.03]', 'package.com', (0.0, 0.0, -0.03)),
+        ('package.com=0,0,-3e-2', 'package.com', (0.0, 0.0, -0.03)),
+        ('package.com=0 0 -0.03', 'package.com', (0.0, 0.0, -0.03)),
+        ('topics.tool_twist=', 'topics.tool_twist', ''),
+        ("topics.tool_twist=''", 'topics.tool_twist', ''),
+        ('topics.tool_pose=/a=b', 'topics.tool_pose', '/a=b'),
+        ('frames.package=7', 'frames.package', '7'),
+        ('recording.align_at_rest=True', 'recording.align_at_rest', True),
+        ('filter.tool.order=3', 'filter.tool.order', 3),
+        ('bags=one', 'bags', ('one',)),
+        ("bags=['one', two]", 'bags', ('one', 'two')),
+    ],
+)
+def test_overrides_are_read_in_the_kind_of_the_parameter(
+    text: str, name: str, value: object
+) -> None:
+    """Read numbers, lists, texts and truth values as one would write them."""
+    got = parse_override(text)
+    assert got == (name, value)
+    assert type(got[1]) is type(value)
+
+
+def test_an_interrupt_waits_for_finished_work_to_be_written() -> None:
+    """Let nothing stop the writing half way, and give Ctrl-C back after it."""
+    before = signal.getsignal(signal.SIGINT)
+    written = []
+    with uninterrupted():
+        os.kill(os.getpid(), signal.SIGINT)
+        written.append('all')
+    assert written == ['all']
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize(
+    ('fraction', 'elapsed', 'line'),
+    [
+        (None, 3.0, 'reading ...'),
+        (0.0, 0.0, f'[{"-" * 24}]   0%  reading'),
+        (0.5, 6.0, f'[{"#" * 12}{"-" * 12}]  50%  reading, 6 s left'),
+        (1.0, 9.0, f'[{"#" * 24}] 100%  reading, 0 s left'),
+    ],
+)
+def test_progress_says_how_far_and_how_long(
+    fraction: float | None, elapsed: float, line: str
+) -> None:
+    """Show a bar and the time left once it can be told."""
+    assert progress_line('reading', fraction, elapsed) == line

@@ -1,0 +1,59 @@
+"""`bellows parameters`: the table, and a parameter file to fill in."""
+
+from pathlib import Path
+
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, PARAMETERS, resolve
+from bellows_ros.files.parameter_files import read_parameters
+
+from .conftest import Run
+
+
+def test_every_parameter_is_listed(bellows: Run) -> None:
+    """Show name, unit, default and sentence of each."""
+    text = ' '.join(bellows('parameters').stdout.split())
+    for parameter in PARAMETERS.values():
+        assert f'{parameter.name} ' in text
+        assert ' '.join(parameter.description.split()) in text
+        assert ' '.join(parameter.constraint.split()) in text
+
+
+def test_names_choose(bellows: Run) -> None:
+    """Show only those whose names begin as asked for."""
+    done = bellows('parameters', 'filter.tool', 'gravity')
+    names = [line for line in done.stdout.splitlines() if not line.startswith(' ')]
+    assert names == ['filter.tool.half_window', 'filter.tool.order', 'gravity']
+
+
+def test_an_unknown_name_is_refused(bellows: Run) -> None:
+    """Name the nearest."""
+    done = bellows('parameters', 'gravitiy')
+    assert done.returncode == 2
+    assert "Did you mean 'gravity'?" in done.stderr
+
+
+def test_the_template_is_a_parameter_file_with_the_defaults(bellows: Run, tmp_path: Path) -> None:
+    """Read back what is written; the package is left to fill in."""
+    file = tmp_path / 'all.yaml'
+    file.write_text(bellows('parameters', '--yaml').stdout)
+    assert read_parameters(file) == {
+        p.name: p.default for p in PARAMETERS.values() if p.default not in (None, ())
+    }
+
+
+def test_the_template_can_be_filled_in(bellows: Run, tmp_path: Path) -> None:
+    """Make a complete file by removing the comment signs, as the file says."""
+    file = tmp_path / 'all.yaml'
+    names = ('bags', *PACKAGE_PARAMETERS)
+    text = bellows('parameters', '--yaml').stdout
+    for name in names:
+        assert f'    #{name}: ' in text
+        text = text.replace(f'    #{name}: ', f'    {name}: ')
+    file.write_text(text)
+    assert list(resolve(read_parameters(file), names)) == list(PARAMETERS)
+
+
+def test_the_template_of_some_is_a_parameter_file(bellows: Run, tmp_path: Path) -> None:
+    """Write only those asked for."""
+    file = tmp_path / 'some.yaml'
+    file.write_text(bellows('parameters', '--yaml', 'fit').stdout)
+    assert set(read_parameters(file)) == {'fit.method', 'fit.structure'}

@@ -1,0 +1,47 @@
+"""`bellows simulate`: recordings of a known cup."""
+
+import json
+from pathlib import Path
+
+from bellows_ros.files.bags import topics
+
+from .conftest import contents, MOTION, Run
+
+
+def test_the_recording_holds_what_was_reported(
+    bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Count the messages in the recording, in the summary and in JSON alike."""
+    done = bellows(
+        'simulate', '--params', workshop / 'cup.yaml', '--motion', workshop / 'motion.yaml',
+        '--out', tmp_path / 'new', '--json', '-',
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report['duration_s'] == MOTION['duration']
+    assert report['messages'] == {t.name: t.messages for t in topics(tmp_path / 'new')}
+    for topic, count in report['messages'].items():
+        assert topic in done.stderr and str(count) in done.stderr
+    assert '1 dropouts' not in done.stderr and '1 dropout' in done.stderr
+
+
+def test_the_same_files_make_the_same_recording(
+    bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Repeat the fixture's recording, over one that is there."""
+    command = ['simulate', '--params', workshop / 'cup.yaml', '--motion',
+               workshop / 'motion.yaml', '--out', tmp_path / 'recording', '--force']
+    for _ in range(2):
+        done = bellows(*command)
+        assert done.returncode == 0, done.stderr
+        assert contents(tmp_path / 'recording') == contents(workshop / 'recording')
+
+
+def test_set_changes_the_cup(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+    """Take parameters from the command line too."""
+    done = bellows(
+        'simulate', '--params', workshop / 'cup.yaml', '--set', 'package.mass=2.5',
+        '--motion', workshop / 'motion.yaml', '--out', tmp_path / 'heavy',
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert contents(tmp_path / 'heavy') != contents(workshop / 'recording')

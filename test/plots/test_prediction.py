@@ -1,0 +1,121 @@
+"""The picture of measured against predicted poses."""
+
+from pathlib import Path
+from typing import Any
+
+from bellows_ros.core.score import score
+from bellows_ros.errors import BellowsError
+from bellows_ros.plots.prediction import (
+    Comparison,
+    figures,
+    percent,
+    prediction_figure,
+    with_gaps,
+)
+from bellows_ros.plots.style import THEMES, write_figure
+import numpy as np
+import pytest
+
+pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
+
+
+@pytest.fixture(scope='module')
+def comparison() -> Comparison:
+    """Give made-up coordinates with a gap and known errors."""
+    seconds = np.arange(400) / 100.0
+    seconds[200:] += 0.5
+    amplitude = np.array([0.01, 0.008, 0.0005, 0.2, 0.1, 0.0])
+    measured = amplitude * np.sin(3.0 * seconds[:, None])
+    predicted = measured + np.array([1e-3, -1e-3, 1e-4, 2e-3, 1e-3, 0.0])
+    return Comparison(seconds, measured, predicted, score(measured, predicted))
+
+
+@pytest.fixture(scope='module', params=THEMES)
+def figure(request: pytest.FixtureRequest, comparison: Comparison) -> Any:
+    """Give the picture in each theme."""
+    return prediction_figure(comparison, 'Title', 'conditions', request.param)
+
+
+def lines(panel: Any) -> list[Any]:
+    """Return the curves of a panel."""
+    return [line for line in panel.get_lines() if len(line.get_xdata()) > 2]
+
+
+def test_each_axis_has_both_curves_and_their_difference(
+    figure: Any, comparison: Comparison
+) -> None:
+    """Draw in mm and mrad, the error in a strip of its own."""
+    assert len(figure.axes) == 12
+    for axis in range(6):
+        upper, lower = figure.axes[2 * axis: 2 * axis + 2]
+        measured, predicted = (line.get_ydata() for line in lines(upper))
+        (error,) = (line.get_ydata() for line in lines(lower))
+        kept = ~np.isnan(measured)
+        np.testing.assert_allclose(measured[kept], 1e3 * comparison.measured[:, axis], atol=1e-12)
+        np.testing.assert_allclose(
+            predicted[kept], 1e3 * comparison.predicted[:, axis], atol=1e-12)
+        np.testing.assert_allclose(error, predicted - measured)
+        unit = 'mm' if axis < 3 else 'mrad'
+        assert upper.get_ylabel().endswith(f'({unit})')
+        assert f'{figures(1e3 * comparison.scores.rms[axis])} {unit}' in upper.get_title('right')
+
+
+def test_curves_are_interrupted_in_gaps(figure: Any) -> None:
+    """Draw no line where nothing was measured."""
+    for panel in figure.axes:
+        for line in lines(panel):
+            assert np.count_nonzero(np.isnan(line.get_ydata())) == 1
+
+
+def test_text_stays_inside_and_apart(figure: Any) -> None:
+    """Let no words leave the page, and no title run into another."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    width, height = figure.canvas.get_width_height()
+    boxes = [text.get_window_extent(renderer) for text in figure.texts]
+    boxes += [axes.title.get_window_extent(renderer) for axes in figure.axes]
+    boxes += [axes._right_title.get_window_extent(renderer) for axes in figure.axes]
+    boxes += [legend.get_window_extent(renderer) for legend in figure.legends]
+    boxes = [box for box in boxes if box.width > 1.0]
+    for number, box in enumerate(boxes):
+        assert 0 <= box.x0 and box.x1 <= width and 0 <= box.y0 and box.y1 <= height
+        assert not any(box.overlaps(other) for other in boxes[:number])
+
+
+def test_an_axis_at_rest_is_not_blown_up(figure: Any) -> None:
+    """Show what hardly moves in a span in which it looks at rest."""
+    low, high = figure.axes[10].get_ylim()
+    assert high - low >= 2.0
+
+
+@pytest.mark.parametrize(('ending', 'start'), [('png', b'\x89PNG'), ('svg', b'<?xml')])
+def test_files_are_written_and_repeatable(
+    ending: str, start: bytes, comparison: Comparison, tmp_path: Path
+) -> None:
+    """Write the same bytes for the same picture."""
+    names = [tmp_path / f'{i}.{ending}' for i in range(2)]
+    for name in names:
+        write_figure(name, prediction_figure(comparison, 'Title', 'conditions'))
+    first, second = (name.read_bytes() for name in names)
+    assert first.startswith(start)
+    assert first == second
+
+
+def test_an_unknown_ending_is_refused(comparison: Comparison, tmp_path: Path) -> None:
+    """Name the endings there are."""
+    with pytest.raises(BellowsError, match=r'\.png, \.svg or \.pdf'):
+        write_figure(tmp_path / 'picture.doc', None)
+
+
+def test_gaps_are_found_by_time() -> None:
+    """Put one NaN into each gap."""
+    seconds = np.array([0.0, 0.1, 0.2, 0.9, 1.0, 1.1])
+    broken = with_gaps(seconds, np.arange(6.0))
+    np.testing.assert_array_equal(broken, [0.0, 1.0, 2.0, np.nan, 3.0, 4.0, 5.0])
+
+
+def test_numbers_have_two_figures() -> None:
+    """Round for reading."""
+    assert [figures(x) for x in (0.0996, 0.1, 1.234, 16.4)] == ['0.10', '0.10', '1.2', '16']
+    assert (percent(0.1634), percent(float('nan'))) == ('16 %', '-')

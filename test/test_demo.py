@@ -1,0 +1,138 @@
+"""The demonstration, run as `make demo` runs it."""
+
+import json
+from pathlib import Path
+import re
+import shutil
+import subprocess
+import sys
+
+from bellows_ros.files.parameter_files import read_parameters
+import numpy as np
+import pytest
+
+LARGEST_ERROR_MM, LARGEST_ERROR_MRAD = 0.12, 0.6
+LONGEST = 90  # s, as promised to users
+
+Done = 'subprocess.CompletedProcess[str]'
+
+
+def demonstrate(
+    root: Path, environment: dict[str, str], *arguments: object, timeout: float = LONGEST
+) -> Done:
+    """Run the demonstration where the recordings are."""
+    return subprocess.run(
+        [sys.executable, '-m', 'bellows_ros.demo', *map(str, arguments)],
+        cwd=root, env=environment, capture_output=True, text=True, timeout=timeout,
+        stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope='module')
+def outcome(
+    root: Path, user_environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Done, Path]:
+    """Run it once, and give what it printed and where it wrote."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
+    out = tmp_path_factory.mktemp('demo') / 'demo_output'
+    done = demonstrate(root, user_environment, '--out', out)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done, out
+
+
+def test_it_ends_well_and_quietly(outcome: tuple[Done, Path]) -> None:
+    """Print nothing but the summary: no warnings, no colour, no progress."""
+    done, _ = outcome
+    assert done.stderr == ''
+    assert '\x1b' not in done.stdout
+    assert len(done.stdout.splitlines()) < 35
+
+
+def test_it_finds_the_cup(outcome: tuple[Done, Path], root: Path) -> None:
+    """Write K and P near those that the recording was made with."""
+    _, out = outcome
+    truth = read_parameters(root / 'bags' / 'cup.yaml')
+    found = read_parameters(out / 'cup.yaml')
+    fit = json.loads((out / 'fit.json').read_text())
+    # Noise and the filter leave their mark; how exact a fit can be is tested with the fit.
+    for key, within in (('stiffness', 0.04), ('damping', 0.2)):
+        name = f'cup.{key}'
+        np.testing.assert_allclose(np.ravel(fit[key]), found[name])
+        np.testing.assert_allclose(found[name], truth[name], rtol=within, atol=1e-12)
+
+
+def test_every_message_is_answered(outcome: tuple[Done, Path], root: Path) -> None:
+    """Lose none of the recording's poses, at their recorded speed."""
+    done, _ = outcome
+    found = re.search(
+        r'(\d+) poses and (\d+) twists to the node, (\d+) predictions back, none lost',
+        done.stdout)
+    assert found, done.stdout
+    poses, twists, answers = map(int, found.groups())
+    assert poses == twists == answers > 5000
+
+
+def test_it_prints_latency(outcome: tuple[Done, Path]) -> None:
+    """Give both percentiles; how large they are is the machine's affair."""
+    found = re.search(r'p50 (\d+) us, p99 (\d+) us', outcome[0].stdout)
+    assert found, outcome[0].stdout
+    assert 0 < int(found[1]) <= int(found[2])
+
+
+def test_the_errors_are_those_of_the_measurement(outcome: tuple[Done, Path]) -> None:
+    """Predict to within little more than the noise of the recording, 0.1 mm and 0.5 mrad."""
+    errors = re.findall(r'([\d.]+) (mm|mrad) +[\d.]+ %', outcome[0].stdout)
+    assert [unit for _, unit in errors] == ['mm', 'mrad'] * 3
+    for value, unit in errors:
+        assert float(value) < (LARGEST_ERROR_MM if unit == 'mm' else LARGEST_ERROR_MRAD)
+
+
+def test_it_writes_the_picture(outcome: tuple[Done, Path]) -> None:
+    """Write a picture of a size that shows six axes, for paper and for the dark."""
+    from matplotlib.image import imread
+
+    for name in ('demo.png', 'demo_dark.png'):
+        height, width = imread(outcome[1] / name).shape[:2]
+        assert width > 1200 and height > 900
+
+
+def test_the_node_has_nothing_to_complain_about(outcome: tuple[Done, Path]) -> None:
+    """Find neither warnings nor errors in the node's own log."""
+    log = (outcome[1] / 'predictor.log').read_text()
+    assert 'predictions out, 0 refused' in log
+    assert not re.search('WARN|ERROR|Traceback', log), log
+
+
+@pytest.mark.parametrize('missing', ['validation', 'package.yaml'])
+def test_a_missing_recording_is_said(
+    missing: str, root: Path, user_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """End with 2 and say what is not there, before anything is made."""
+    def leave_out(folder: str, names: list[str]) -> list[str]:
+        return [missing]
+
+    bags = shutil.copytree(root / 'bags', tmp_path / 'bags', ignore=leave_out)
+    done = demonstrate(root, user_environment, '--bags', bags, '--out', tmp_path / 'out')
+    assert (done.returncode, done.stdout) == (2, '')
+    assert str(bags / missing) in done.stderr and 'Traceback' not in done.stderr
+    assert not (tmp_path / 'out').exists()
+
+
+@pytest.mark.parametrize('module', ['rclpy', 'matplotlib'])
+def test_missing_software_is_said(
+    module: str, root: Path, user_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """End with 2 and say what to install."""
+    code = f"""
+import importlib.util, sys
+find = importlib.util.find_spec
+importlib.util.find_spec = lambda name, *rest: None if name == {module!r} else find(name, *rest)
+from bellows_ros.demo.app import main
+sys.exit(main(['--out', {str(tmp_path / 'out')!r}]))
+"""
+    done = subprocess.run(
+        [sys.executable, '-c', code], cwd=root, env=user_environment, capture_output=True,
+        text=True)
+    assert (done.returncode, done.stdout) == (2, '')
+    assert module in done.stderr and 'pip install' in done.stderr

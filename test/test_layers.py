@@ -1,0 +1,155 @@
+"""Imports point one way: nodes and commands, workflows, files, core; ROS only in the nodes."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+import subprocess
+import sys
+import time
+
+import pytest
+
+# What each room may import of this package beside itself; every room may use errors.
+ALLOWED = {
+    'errors': set(),
+    'core': {'errors'},
+    'files': {'errors', 'core'},
+    'workflows': {'errors', 'core', 'files'},
+    'nodes': {'errors', 'core', 'files', 'workflows'},
+    'plots': {'errors', 'core', 'files'},
+    'cli': {'errors', 'core', 'files', 'workflows', 'plots'},
+    'demo': {'errors', 'core', 'files', 'workflows', 'nodes', 'cli', 'plots'},
+}
+ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'launch',
+       'message_filters', 'rosbag2_py', 'std_srvs', 'tf2_')
+CORE_NEEDS = {'numpy', 'scipy', 'numba', 'bellows_ros'}
+LONGEST_START = 0.3  # s, of `bellows --help`
+
+
+def is_ros(module: str) -> bool:
+    """Tell whether a module comes with ROS."""
+    top = module.partition('.')[0]
+    return top.startswith(ROS) or top.endswith('_msgs')
+
+
+def modules(root: Path, room: str = '*') -> list[Path]:
+    """Return the package's source files, all or those of one room."""
+    package = root / 'bellows_ros'
+    inside = sorted(package.rglob('*.py'))
+    return [file for file in inside if room in ('*', room_of(file, root))]
+
+
+def room_of(file: Path, root: Path) -> str:
+    """Return the room a source file stands in: 'core', 'errors', or '' for the package itself."""
+    first = file.relative_to(root / 'bellows_ros').parts[0].removesuffix('.py')
+    return '' if first == '__init__' else first
+
+
+def imports(file: Path, root: Path) -> Iterator[str]:
+    """Yield the absolute names of all that a file imports, at its top or inside functions."""
+    package = file.relative_to(root).parent.parts
+    for node in ast.walk(ast.parse(file.read_text(), str(file))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[:len(package) + 1 - node.level] if node.level else ()
+            module = '.'.join([*base, *filter(None, [node.module])])
+            yield from (f'{module}.{alias.name}' for alias in node.names)
+
+
+def run(code: str, environment: dict[str, str]) -> 'subprocess.CompletedProcess[str]':
+    """Run code in an interpreter of its own."""
+    return subprocess.run(
+        [sys.executable, '-c', code], env=environment, capture_output=True, text=True)
+
+
+def test_rooms_import_only_what_lies_below_them(root: Path) -> None:
+    """Find no import that points upward or sideways."""
+    wrong = []
+    for file in modules(root):
+        room = room_of(file, root)
+        for name in imports(file, root):
+            parts = name.split('.')
+            target = parts[1] if parts[0] == 'bellows_ros' and len(parts) > 1 else room
+            if target in ALLOWED and target not in ALLOWED.get(room, set()) | {room}:
+                wrong.append(f'{file.relative_to(root)} imports {name}')
+    assert wrong == []
+
+
+def test_every_room_has_a_rule(root: Path) -> None:
+    """Leave no part of the package outside the order."""
+    rooms = {room_of(file, root) for file in modules(root)} - {''}
+    assert rooms <= set(ALLOWED)
+
+
+def test_only_nodes_import_ros(root: Path) -> None:
+    """Keep ROS behind one door."""
+    wrong = [
+        f'{file.relative_to(root)} imports {name}'
+        for file in modules(root) if room_of(file, root) != 'nodes'
+        for name in imports(file, root) if is_ros(name)]
+    assert wrong == []
+
+
+def test_core_needs_only_numbers(root: Path) -> None:
+    """Use numpy, scipy, numba and the standard library, and of that no logging."""
+    allowed = CORE_NEEDS | set(sys.stdlib_module_names) - {'logging'}
+    wrong = [
+        f'{file.relative_to(root)} imports {name}'
+        for file in modules(root, 'core')
+        for name in imports(file, root) if name.partition('.')[0] not in allowed]
+    assert wrong == []
+
+
+def test_core_files_and_workflows_import_without_ros(
+        root: Path, user_environment: dict[str, str]) -> None:
+    """Import every module of theirs where an import of anything of ROS fails."""
+    names = [
+        '.'.join(file.relative_to(root).with_suffix('').parts).removesuffix('.__init__')
+        for room in ('errors', 'core', 'files', 'workflows') for file in modules(root, room)]
+    code = f"""
+import importlib, sys
+
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition('.')[0]
+        if top.startswith({ROS!r}) or top.endswith('_msgs'):
+            raise ModuleNotFoundError('no ROS here: ' + name)
+
+sys.meta_path.insert(0, NoRos())
+for name in {names!r}:
+    importlib.import_module(name)
+print('imported', len(set({names!r})))
+"""
+    done = run(code, user_environment)
+    assert done.stdout == f'imported {len(names)}\n', done.stderr
+
+
+HELP = "import sys; sys.argv = ['bellows', '--help']; from bellows_ros.cli import main; main()"
+
+
+def test_help_of_bellows_loads_no_numbers(user_environment: dict[str, str]) -> None:
+    """Answer --help without the packages that take long to load, and without ROS."""
+    code = f"""
+import sys
+try:
+    {HELP}
+except SystemExit as end:
+    loaded = [name for name in ('numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'rclpy')
+              if name in sys.modules]
+    print('exit', end.code, loaded)
+"""
+    done = run(code, user_environment)
+    assert done.stdout.endswith('exit 0 []\n'), done.stdout + done.stderr
+
+
+@pytest.mark.parametrize('attempts', [7])
+def test_help_of_bellows_comes_at_once(attempts: int, user_environment: dict[str, str]) -> None:
+    """Answer --help fast; the best of several starts counts, as a busy machine only adds time."""
+    best = float('inf')
+    for _ in range(attempts):
+        start = time.perf_counter()
+        done = run(HELP, user_environment)
+        best = min(best, time.perf_counter() - start)
+        assert done.returncode == 0, done.stderr
+    assert best < LONGEST_START

@@ -1,0 +1,155 @@
+"""What pip and ROS learn about the package, and what they install."""
+
+import ast
+from collections.abc import Callable
+from importlib.metadata import PathDistribution
+from importlib.util import find_spec
+from pathlib import Path
+import py_compile
+import runpy
+import subprocess
+import sys
+import tarfile
+from xml.etree import ElementTree
+import zipfile
+
+import bellows_ros
+from bellows_ros.errors import BellowsError
+import pytest
+
+COMMANDS = {
+    'predictor': 'bellows_ros.nodes.predictor:main',
+    'identifier': 'bellows_ros.nodes.identifier:main',
+    'bellows': 'bellows_ros.cli:main',
+}
+LAUNCH_FILES = ('identifier.launch.py', 'predictor.launch.py')
+
+
+def setup_arguments(root: Path) -> dict[str, object]:
+    """Return the literal keyword arguments of the call in setup.py."""
+    tree = ast.parse((root / 'setup.py').read_text())
+    call = next(
+        node for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'setup')
+    return {
+        keyword.arg: keyword.value.value for keyword in call.keywords
+        if keyword.arg and isinstance(keyword.value, ast.Constant)}
+
+
+def build(kind: str, source: Path, target: Path) -> Path:
+    """Build a 'wheel' or an 'sdist' with the standard interface of build tools (PEP 517)."""
+    target.mkdir()
+    code = f'from setuptools import build_meta as b; b.build_{kind}({str(target)!r})'
+    done = subprocess.run(
+        [sys.executable, '-c', code], cwd=source, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return next(target.iterdir())
+
+
+@pytest.fixture
+def wheel(copy_sources: Callable[[Path], Path], tmp_path: Path) -> zipfile.ZipFile:
+    """Give the wheel that is built from the unpacked source distribution, as pip would."""
+    sdist = build('sdist', copy_sources(tmp_path / 'source'), tmp_path / 'sdist')
+    with tarfile.open(sdist) as archive:
+        archive.extractall(tmp_path / 'unpacked', filter='data')
+    unpacked = next((tmp_path / 'unpacked').iterdir())
+    return zipfile.ZipFile(build('wheel', unpacked, tmp_path / 'wheel'))
+
+
+def test_wheel_holds_the_package_and_its_share_and_no_tests(
+        wheel: zipfile.ZipFile, root: Path, tmp_path: Path) -> None:
+    """Install every module, the launch files and the configuration; leave the tests at home."""
+    names = set(wheel.namelist())
+    data = f'bellows_ros-{bellows_ros.__version__}.data/data/share/'
+
+    modules = {str(path.relative_to(root)) for path in (root / 'bellows_ros').rglob('*.py')}
+    assert modules <= names
+    assert f'{data}ament_index/resource_index/packages/bellows_ros' in names
+    assert f'{data}bellows_ros/package.xml' in names
+    for file in [*root.glob('launch/*.launch.py'), *root.glob('config/*.yaml')]:
+        assert f'{data}bellows_ros/{file.relative_to(root)}' in names
+    assert not [name for name in names if name.startswith(('test', 'build', 'setup'))]
+
+    wheel.extractall(tmp_path / 'wheel_contents')
+    metadata = PathDistribution(next((tmp_path / 'wheel_contents').glob('*.dist-info')))
+    scripts = metadata.entry_points.select(group='console_scripts')
+    assert {script.name: script.value for script in scripts} == COMMANDS
+    hard = {need for need in metadata.requires or () if 'extra' not in need}
+    assert {need.split('>')[0] for need in hard} == {'numpy', 'scipy', 'rosbags', 'PyYAML'}
+
+
+@pytest.mark.parametrize('target', COMMANDS.values())
+def test_every_command_leads_to_a_module(target: str) -> None:
+    """Name only modules that exist."""
+    assert find_spec(target.partition(':')[0]) is not None
+
+
+def test_version_and_licence_agree_everywhere(root: Path) -> None:
+    """Give setup.py, package.xml, the package and the changelog one version and one licence."""
+    manifest = ElementTree.parse(root / 'package.xml').getroot()
+    arguments = setup_arguments(root)
+    version = bellows_ros.__version__
+
+    assert manifest.findtext('version') == arguments['version'] == version
+    assert manifest.findtext('license') == arguments['license'] == 'Apache-2.0'
+    assert 'Apache License' in (root / 'LICENSE').read_text()
+    changelog = (root / 'CHANGELOG.rst').read_text()
+    assert 'Forthcoming\n-' in changelog or f'\n{version} (' in changelog
+
+
+def test_package_xml_is_valid_and_asks_rosdep_for_nothing_it_lacks(root: Path) -> None:
+    """Hold the schema of format 3, and name no dependency that Ubuntu 24.04 does not have."""
+    package = pytest.importorskip('catkin_pkg.package', reason='catkin_pkg comes with colcon-ros')
+    notes: list[str] = []
+    text = (root / 'package.xml').read_text()
+    manifest = package.parse_package_string(text, warnings=notes)
+
+    assert notes == []
+    assert manifest.package_format == 3
+    assert manifest.get_build_type() == 'ament_python'
+    needs = {need.name for need in manifest.exec_depends}
+    assert {'rclpy', 'geometry_msgs', 'std_srvs', 'python3-numpy', 'python3-scipy'} <= needs
+    assert not {'python3-numba', 'numba', 'rosbags'} & needs
+
+
+@pytest.mark.parametrize('name', LAUNCH_FILES)
+def test_launch_file_says_what_it_starts(name: str, root: Path, tmp_path: Path) -> None:
+    """Compile, and name in the first line what will run."""
+    file = root / 'launch' / name
+    py_compile.compile(str(file), cfile=str(tmp_path / 'compiled'), doraise=True)
+
+    summary = str(ast.get_docstring(ast.parse(file.read_text()))).splitlines()[0]
+
+    assert summary.startswith(f"Start one {name.partition('.')[0]}: it ")
+
+
+@pytest.mark.parametrize('name', LAUNCH_FILES)
+def test_launch_file_without_launch_says_what_is_missing(
+        name: str, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Name the missing package and the way to start the node without it."""
+    monkeypatch.setitem(sys.modules, 'launch', None)
+    describe = runpy.run_path(str(root / 'launch' / name))['generate_launch_description']
+
+    with pytest.raises(ImportError) as caught:
+        describe()
+
+    message = str(caught.value)
+    assert message.startswith(f"{name} needs ROS 2 launch, and this Python has no 'launch'.")
+    assert f"{name.partition('.')[0]} --ros-args --params-file FILE" in message
+
+
+@pytest.mark.parametrize('name', LAUNCH_FILES)
+def test_launch_file_describes_its_node(name: str, root: Path) -> None:
+    """Declare every argument, with the parameter file a required one."""
+    pytest.importorskip('launch_ros', reason='ROS 2 launch is not among the wheels')
+    contents = runpy.run_path(str(root / 'launch' / name))
+    arguments = contents['generate_launch_description']().get_launch_arguments()
+
+    assert {argument.name for argument in arguments} == set(contents['ARGUMENTS'])
+    required = {argument.name for argument in arguments if not argument.default_value}
+    assert required == {'params_file'}
+
+
+def test_errors_end_a_command_like_a_wrong_command_line() -> None:
+    """Carry the exit code 2, in subclasses too."""
+    assert BellowsError('what, expected, got, remedy').exit_code == 2
