@@ -35,14 +35,19 @@ class Identification:
         K and P with their uncertainty.
     values : mapping
         All parameters of the run.
-    reports : tuple of Report
-        What became of each recording, in the order of the parameter `bags`.
+    recordings : tuple of Recording
+        The prepared recordings, in the order of the parameter `bags`.
 
     """
 
     fit: Fit
     values: Mapping[str, Any]
-    reports: tuple[Report, ...]
+    recordings: tuple[Recording, ...]
+
+    @property
+    def reports(self) -> tuple[Report, ...]:
+        """What became of each recording."""
+        return tuple(recording.report for recording in self.recordings)
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters of the cup file: those of the run with K and P in them."""
@@ -110,16 +115,15 @@ def identify(settings: Mapping[str, object], progress: Progress | None = None) -
             'No recording to identify from: the parameter bags is empty. Name at least one '
             'rosbag2 folder, or a .mcap or .db3 file.'
         )
-    samples, reports = [], []
+    recordings = []
     for number, bag in enumerate(bags):
         _tell(progress, f'reading {os.fspath(bag)}', number / (len(bags) + 1))
-        recording = load(bag, values).recording
-        samples.append(_samples(recording, values))
-        reports.append(recording.report)
+        recordings.append(load(bag, values).recording)
     _tell(progress, 'fitting', len(bags) / (len(bags) + 1))
+    samples = [_samples(recording, values) for recording in recordings]
     fit = least_squares(samples, values['cup.length'], structure_named(values['fit.structure']))
     _tell(progress, 'done', 1.0)
-    return Identification(fit, values, tuple(reports))
+    return Identification(fit, values, tuple(recordings))
 
 
 def save(
