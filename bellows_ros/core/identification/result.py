@@ -9,6 +9,18 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
+class Iteration:
+    """One step of a minimisation: its stage, chi^2 per residual, K, P, and the seconds so far."""
+
+    stage: int
+    number: int
+    chi2: float
+    stiffness: Array
+    damping: Array
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
 class Fit:
     """
     K and P found from recordings.
@@ -37,6 +49,12 @@ class Fit:
         RMS of the wrench that the fit leaves unexplained, N and N m.
     warnings : tuple of str
         What a user must know, in sentences.
+    chi2 : float or None
+        Chi^2 per degree of freedom of the prediction errors; None for least squares.
+    iterations : tuple of Iteration
+        How the minimum was found; empty for least squares.
+    delays : tuple of float
+        Times (s) by which each recording's tool stamps are behind the package's, where wanted.
 
     """
 
@@ -54,6 +72,9 @@ class Fit:
     weight: Array
     residual_rms: Array
     warnings: tuple[str, ...] = ()
+    chi2: float | None = None
+    iterations: tuple[Iteration, ...] = ()
+    delays: tuple[float, ...] = ()
 
     @property
     def usable(self) -> bool:

@@ -1,0 +1,68 @@
+"""White measurement noise of recorded poses, estimated from the data."""
+
+from typing import NamedTuple
+
+from bellows_ros.core.lie import log_so3
+from bellows_ros.core.savgol import weights
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+HALF_WINDOW, ORDER = 4, 4
+"""A quartic through nine samples follows any motion of a package; what it leaves is noise."""
+
+TWIST_HALF_WINDOW, TWIST_ORDER = 2, 4
+"""
+The tool's twist beside its poses as measured is the slope of a quartic through five of them.
+
+The quartic meets them all: nothing is smoothed, and the poses' noise stays white.
+"""
+
+MAD_TO_STD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+class Noise(NamedTuple):
+    """Standard deviation per axis of white noise: position (m) and rotation vector (rad)."""
+
+    position: float
+    rotation: float
+
+
+def noise_of(poses: Trajectory) -> Noise:
+    """
+    Estimate the white noise of poses at a uniform rate.
+
+    It is the median size of what a local polynomial leaves of each sample, so that outliers do
+    not count. Noise-free recordings give what rounding leaves.
+
+    Raises
+    ------
+    BellowsError
+        If there is no window of valid samples.
+
+    """
+    n = HALF_WINDOW
+    W = weights(n, ORDER, 1.0)[0]
+    count = len(poses) - 2 * n
+    windows = np.ones(max(count, 0), dtype=bool)
+    position = np.zeros((max(count, 0), 3))
+    rotation = np.zeros_like(position)
+    for j in range(2 * n + 1) if count > 0 else ():
+        part = slice(j, j + count)
+        windows &= poses.valid[part]
+        position += W[j] * (poses.position[part] - poses.position[n:n + count])
+        R_centre = np.swapaxes(poses.rotation[n:n + count], 1, 2)
+        rotation += W[j] * log_so3(R_centre @ poses.rotation[part])
+    if not windows.any():
+        raise BellowsError(
+            f'No {2 * n + 1} valid samples in a row from which to estimate the measurement noise.'
+        )
+    scale = MAD_TO_STD / np.sqrt(1.0 - W[n])  # the centre is part of its own fit
+    return Noise(
+        float(scale * np.median(np.abs(position[windows]))),
+        float(scale * np.median(np.abs(rotation[windows]))),
+    )
