@@ -275,15 +275,15 @@ def quaternion_product(p: ArrayLike, q: ArrayLike) -> Array:
     p, q = _vectors(p, 4), _vectors(q, 4)
     px, py, pz, pw = (p[..., i] for i in range(4))
     qx, qy, qz, qw = (q[..., i] for i in range(4))
-    return np.stack(
+    product = np.stack(
         [
             pw * qx + px * qw + py * qz - pz * qy,
             pw * qy + py * qw + pz * qx - px * qz,
             pw * qz + pz * qw + px * qy - py * qx,
             pw * qw - px * qx - py * qy - pz * qz,
-        ],
-        axis=-1,
+        ]
     )
+    return np.moveaxis(product, 0, -1)
 
 
 def quaternion_conjugate(quaternion_xyzw: ArrayLike) -> Array:

@@ -95,10 +95,12 @@ def read_streams(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> dic
     names = {role: _absolute(topic) for role, topic in wanted.items() if topic}
     collectors = {role: _Collector(name, role) for role, name in names.items()}
     counts: dict[Topic, int] = {}
+    takers: dict[Topic, list[_Collector]] = {}
     for message in _messages(bag, _chooser(collectors), counts):
-        for collector in collectors.values():
-            if collector.accepts(message.topic):
-                collector.add(message)
+        if message.topic not in takers:
+            takers[message.topic] = [c for c in collectors.values() if c.accepts(message.topic)]
+        for collector in takers[message.topic]:
+            collector.add(message)
     _require_messages(bag, counts)
     return {role: _stream(bag, counts, collector) for role, collector in collectors.items()}
 
@@ -162,6 +164,7 @@ class _Collector:
         frames, frame = _joined_frames(self._decoded)
         stamps_ns = np.concatenate([d.stamps_ns for d in self._decoded])
         values = np.concatenate([d.values for d in self._decoded])
+        self._decoded.clear()
         log_times = np.array(self._log_times)
         if np.all(log_times[1:] >= log_times[:-1]):
             return cdr.Decoded(stamps_ns, values, frame, frames)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from bellows_ros.core.lie import apply, Array, exp_so3, log_so3
 from bellows_ros.core.recording.grid import DEVIATION_PER_MAD
-from bellows_ros.core.trajectory import Mask, NS_PER_S, Trajectory
+from bellows_ros.core.trajectory import frozen, Mask, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -77,7 +77,7 @@ class Alignment:
             Without twists.
 
         """
-        rotation = markers.rotation @ self.R_tool_markers_tool
+        rotation = _turned(markers.rotation, self.R_tool_markers_tool)
         return _with_poses(markers, markers.position, rotation)
 
     def package(self, markers: Trajectory) -> Trajectory:
@@ -99,7 +99,7 @@ class Alignment:
             Without twists.
 
         """
-        rotation = markers.rotation @ self.R_package_markers_lip
+        rotation = _turned(markers.rotation, self.R_package_markers_lip)
         return _with_poses(
             markers, markers.position + apply(rotation, self.origin_to_com), rotation
         )
@@ -297,7 +297,12 @@ def _origin_of_lip(package_frame: str, com: ArrayLike) -> Array:
 
 def _with_poses(poses: Trajectory, position: Array, rotation: Array) -> Trajectory:
     """Return other poses at the same stamps, with the same ones valid."""
-    return Trajectory(poses.stamps_ns, position, rotation, valid=poses.valid)
+    return Trajectory(poses.stamps_ns, frozen(position), frozen(rotation), valid=poses.valid)
+
+
+def _turned(rotation: Array, turn: Array) -> Array:
+    """Return rotations (N, 3, 3) followed by a turn (3, 3); the same array if there is none."""
+    return rotation if np.array_equal(turn, np.eye(3)) else rotation @ turn
 
 
 def _robust_mean(poses: Trajectory) -> tuple[Array, Array]:

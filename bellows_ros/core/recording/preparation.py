@@ -24,6 +24,7 @@ from bellows_ros.core.recording.outliers import find_outliers, Outliers, repeats
 from bellows_ros.core.savgol import savgol
 from bellows_ros.core.trajectory import (
     Filtered,
+    frozen,
     Mask,
     NS_PER_S,
     PoseStream,
@@ -162,6 +163,8 @@ class Recording:
     measured_tool, measured_package : Trajectory
         E and B aligned but not filtered. The tool has the recorded body twists where there are
         any; where poses or twists are missing or wrong, samples are not valid.
+    aligned_tool, aligned_package : Trajectory
+        E and B aligned but not filtered, each at its own uniform rate, from start to end.
     tool_weights, package_weights : array (3, 2n+1)
         Weights of the filters (see `Filtered`).
     alignment : Alignment
@@ -175,6 +178,8 @@ class Recording:
     package: Trajectory
     measured_tool: Trajectory
     measured_package: Trajectory
+    aligned_tool: Trajectory
+    aligned_package: Trajectory
     tool_weights: Array
     package_weights: Array
     alignment: Alignment
@@ -246,11 +251,13 @@ def prepare(
     )
     common = _common(filtered, streams)
     longest_ns = streams[0].timing.longest_step_ns
+    tool_there, package_there = resample(filtered[0], common, longest_ns), _at(filtered[1], common)
+    reports = [_stream_report(*parts) for parts in zip(streams, filtered, stills, strict=True)]
+    weights = filtered[0].weights, filtered[1].weights
+    del filtered  # as large as the recording itself: a tenth of the peak of memory
     measured_tool = resample(raw[0], common, longest_ns)
     if tool_twist is not None:
         measured_tool = _with_twist(measured_tool, tool_twist, alignment, settings)
-    tool_there, package_there = resample(filtered[0], common, longest_ns), _at(filtered[1], common)
-    reports = [_stream_report(*parts) for parts in zip(streams, filtered, stills, strict=True)]
     valid = tool_there.valid & package_there.valid
     _require_some(valid, reports)
     warnings = tuple(_warnings(streams, alignment, settings))
@@ -259,8 +266,8 @@ def prepare(
         package_there,
         measured_tool,
         _at(raw[1], common),
-        filtered[0].weights,
-        filtered[1].weights,
+        *raw,
+        *weights,
         alignment,
         Report(reports[0], reports[1], len(common), int(np.count_nonzero(valid)), warnings),
     )
@@ -362,7 +369,7 @@ def _with_twist(
             part = apply(np.swapaxes(tool.rotation, -1, -2), apply(in_axes, part))
         parts.append(part)
     known = _covered(recorded.stamps_ns, tool.stamps_ns)
-    twist = np.concatenate(parts, axis=1)
+    twist = frozen(np.concatenate(parts, axis=1))
     return Trajectory(
         tool.stamps_ns, tool.position, tool.rotation, twist, valid=tool.valid & known
     )
