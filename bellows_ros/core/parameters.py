@@ -6,9 +6,10 @@ A 6x6 matrix is 36 numbers, row-major; an inertia is [ixx, iyy, izz, ixy, ixz, i
 
 from array import array
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import difflib
 import math
+import re
 from types import MappingProxyType
 from typing import Literal
 
@@ -181,6 +182,18 @@ _TABLE = (
         _BOTH, minimum=-10.0, maximum=10.0, length=3, example='[0.0, 0.0, -0.03]',
     ),
     Parameter(
+        'package.attached', 'bool', True, '',
+        'Whether the cup holds the package when the node becomes active; a vacuum signal decides '
+        'instead where there is one.',
+        _PREDICTOR, read_only=True,
+    ),
+    Parameter(
+        'package.files', 'string_array', (), '',
+        'Parameter files with package.*, one for each of the recordings, where these held '
+        'different packages; none where they held the same.',
+        _IDENTIFIER,
+    ),
+    Parameter(
         'cup.length', 'double', THESIS_LENGTH, 'm',
         'Length l0 of the cup from E to S under vacuum and without load.',
         _BOTH, above=0.0, maximum=1.0,
@@ -194,6 +207,58 @@ _TABLE = (
         'cup.damping', 'double_array', _diagonal(THESIS_DAMPING), 'N s/m, N s, N m s/rad',
         'Damping P of the cup, 6x6 row-major, linear first; symmetric positive semidefinite.',
         _BOTH, minimum=-1e9, maximum=1e9, length=36,
+    ),
+    Parameter(
+        'cup.name', 'string', '', '',
+        "Which of the cups in cups.NAME.* is mounted; '' for the one in cup.*.",
+        _PREDICTOR,
+    ),
+    Parameter(
+        'cup.stiffness_std', 'double_array', (0.0,) * 36, 'N/m, N, N m/rad',
+        'Standard deviations of the entries of K, 6x6 row-major; 0 where an entry is exact.',
+        _PREDICTOR, minimum=0.0, maximum=1e9, length=36,
+    ),
+    Parameter(
+        'cup.damping_std', 'double_array', (0.0,) * 36, 'N s/m, N s, N m s/rad',
+        'Standard deviations of the entries of P, 6x6 row-major; 0 where an entry is exact.',
+        _PREDICTOR, minimum=0.0, maximum=1e9, length=36,
+    ),
+    Parameter(
+        'cup.max_force', 'double', 0.0, 'N',
+        'Largest force that the cup can hold, for the holding margin; 0 where it is not known.',
+        _PREDICTOR, minimum=0.0, maximum=1e6,
+    ),
+    Parameter(
+        'cup.max_moment', 'double', 0.0, 'N m',
+        'Largest moment at the lip that the cup can hold; 0 where it is not known.',
+        _PREDICTOR, minimum=0.0, maximum=1e6,
+    ),
+    Parameter(
+        'envelope.deflection_low', 'double_array', (0.0,) * 6, 'm, rad',
+        'Smallest shift (x, y, z) and rotation vector of the lip from its nominal pose, in tool '
+        'axes, that the fit has seen; all of envelope.* is 0 where it is not known.',
+        _BOTH, minimum=-10.0, maximum=10.0, length=6,
+    ),
+    Parameter(
+        'envelope.deflection_high', 'double_array', (0.0,) * 6, 'm, rad',
+        'Largest shift (x, y, z) and rotation vector of the lip that the fit has seen.',
+        _BOTH, minimum=-10.0, maximum=10.0, length=6,
+    ),
+    Parameter(
+        'envelope.rates', 'double_array', (0.0,) * 6, 'm/s, rad/s',
+        "Largest absolute twist of the lip in the tool, in the lip's axes, that the fit has seen.",
+        _BOTH, minimum=0.0, maximum=1e4, length=6,
+    ),
+    Parameter(
+        'envelope.frequencies', 'double_array', (0.0,) * 4, 'Hz',
+        "Bands with 95 % of the power of the lip's motion: from and to of its shift, from and to "
+        'of its rotation.',
+        _BOTH, minimum=0.0, maximum=1e5, length=4,
+    ),
+    Parameter(
+        'envelope.mass', 'double_array', (0.0,) * 2, 'kg',
+        'Smallest and largest mass of the packages that the fit has seen.',
+        _BOTH, minimum=0.0, maximum=1e4, length=2,
     ),
     Parameter(
         'filter.tool.half_window', 'integer', 0, 'samples',
@@ -218,14 +283,33 @@ _TABLE = (
         _IDENTIFIER, minimum=2, maximum=10,
     ),
     Parameter(
+        'filter.relative', 'bool', False, '',
+        "Whether the filter takes the lip's motion in the tool instead of the package's in the "
+        'world, appendix J.',
+        _IDENTIFIER,
+    ),
+    Parameter(
         'fit.method', 'string', 'least_squares', '',
-        'How the cup is fitted: weighted least squares on the wrench, section 4.3.2.',
-        _IDENTIFIER, choices=('least_squares',),
+        'How the cup is fitted: least squares on accelerations (section 4.3.2) is fast, the '
+        'prediction error on poses is exact with noisy recordings too and starts from the former.',
+        _IDENTIFIER, choices=('least_squares', 'prediction_error'),
     ),
     Parameter(
         'fit.structure', 'string', 'axisymmetric', '',
-        'Form of K and P: diagonal and equal laterally (4 + 4 unknowns), or full (21 + 21).',
-        _IDENTIFIER, choices=('axisymmetric', 'full'),
+        'Form of K and P: diagonal and equal laterally (4 + 4 unknowns), diagonal (6 + 6), or '
+        'full (21 + 21).',
+        _IDENTIFIER, choices=('axisymmetric', 'diagonal', 'full'),
+    ),
+    Parameter(
+        'fit.compare_recordings', 'bool', False, '',
+        'Whether each recording is fitted alone as well, and tested whether all are of one cup.',
+        _IDENTIFIER,
+    ),
+    Parameter(
+        'fit.time_offset', 'bool', False, '',
+        'Whether the time by which the stamps of the tool are behind those of the package is '
+        'estimated too, for every recording; for the prediction error.',
+        _IDENTIFIER,
     ),
     Parameter(
         'gravity', 'double', 9.81, 'm/s^2',
@@ -246,6 +330,53 @@ _TABLE = (
         'frames.lip', 'string', 'cup_lip', '',
         "Name of the frame S of the cup's lip in what is published.",
         _PREDICTOR, required_text=True,
+    ),
+    Parameter(
+        'frames.tf', 'bool', True, '',
+        "Whether the package's frame is sent to tf, where tf2_msgs is installed.",
+        _PREDICTOR, read_only=True,
+    ),
+    Parameter(
+        'autostart', 'bool', True, '',
+        'Whether the node configures and activates itself, or waits for its lifecycle manager.',
+        _PREDICTOR, read_only=True,
+    ),
+    Parameter(
+        'tool_noise.position', 'double', 1e-4, 'm',
+        "Standard deviation of the tool pose's position in each axis, for the covariance.",
+        _PREDICTOR, minimum=0.0, maximum=1.0,
+    ),
+    Parameter(
+        'tool_noise.rotation', 'double', 5e-4, 'rad',
+        "Standard deviation of the tool pose's rotation about each axis, for the covariance.",
+        _PREDICTOR, minimum=0.0, maximum=1.0,
+    ),
+    Parameter(
+        'coast.limit', 'double', 0.1, 's',
+        'How long the tool is extrapolated when no pose comes; 0 for not at all.',
+        _PREDICTOR, minimum=0.0, maximum=0.4,
+    ),
+    Parameter(
+        'coast.poses', 'bool', False, '',
+        'Whether package/pose, package/twist and cup/wrench, which cannot show that the tool is '
+        'extrapolated, are published then as package/odometry is.',
+        _PREDICTOR,
+    ),
+    Parameter(
+        'vacuum.signal', 'string', 'none', '',
+        'What attaches and detaches the package: nothing but the services, vacuum/held (Bool), or '
+        'vacuum/pressure (FluidPressure).',
+        _PREDICTOR, choices=('none', 'bool', 'pressure'), read_only=True,
+    ),
+    Parameter(
+        'vacuum.attach_below', 'double', 60000.0, 'Pa',
+        'Absolute pressure in the cup below which the package is held.',
+        _PREDICTOR, minimum=0.0, maximum=1e6,
+    ),
+    Parameter(
+        'vacuum.detach_above', 'double', 80000.0, 'Pa',
+        'Absolute pressure in the cup above which the package is gone.',
+        _PREDICTOR, minimum=0.0, maximum=1e6,
     ),
     Parameter(
         'output.parameters', 'string', '', '',
@@ -271,6 +402,9 @@ _TABLE = (
 
 PARAMETERS: Mapping[str, Parameter] = MappingProxyType({p.name: p for p in _TABLE})
 
+# A file may hold several cups, and cup.name chooses: cups.NAME.stiffness is like cup.stiffness.
+NAMED_CUP = re.compile(r'cups\.([A-Za-z][A-Za-z0-9_]*)\.([a-z_]+)')
+
 # What neither node can do without and nobody can guess.
 PACKAGE_PARAMETERS = ('package.mass', 'package.inertia', 'package.com')
 
@@ -292,6 +426,9 @@ def lookup(name: str) -> Parameter:
     """
     if name in PARAMETERS:
         return PARAMETERS[name]
+    named = NAMED_CUP.fullmatch(name)
+    if named and named[2] != 'name' and f'cup.{named[2]}' in PARAMETERS:
+        return replace(PARAMETERS[f'cup.{named[2]}'], name=name)
     near = difflib.get_close_matches(name, PARAMETERS, n=1, cutoff=0.5)
     hint = f"Did you mean '{near[0]}'?" if near else 'Known are: ' + ', '.join(PARAMETERS) + '.'
     raise BellowsError(f"Unknown parameter '{_short(name)}'. {hint}")
@@ -321,8 +458,9 @@ def validate(name: str, value: object) -> Value:
     """
     parameter = lookup(name)
     normal = _CONVERTERS[parameter.kind](parameter, value)
-    if name in _PHYSICAL:
-        _PHYSICAL[name](parameter, normal)
+    check = _PHYSICAL.get(name) or _PHYSICAL.get(NAMED_CUP.sub(r'cup.\2', name))
+    if check:
+        check(parameter, normal)
     return normal
 
 
@@ -351,7 +489,8 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
     """
     given = {name: validate(name, value) for name, value in values.items()}
     _require(given, required)
-    filled = {p.name: given.get(p.name, p.default) for p in _TABLE}
+    named = {name: value for name, value in given.items() if name not in PARAMETERS}
+    filled = {**{p.name: given.get(p.name, p.default) for p in _TABLE}, **named}
     resolved = {name: value for name, value in filled.items() if value is not None}
     for body in ('tool', 'package'):
         _check_window(resolved, f'filter.{body}')
@@ -369,7 +508,7 @@ def inertia_matrix(values: ArrayLike) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def require_stiffness(stiffness: Array) -> None:
+def require_stiffness(stiffness: Array, name: str = 'cup.stiffness') -> None:
     """
     Refuse a 6x6 matrix that is not symmetric positive definite.
 
@@ -379,16 +518,16 @@ def require_stiffness(stiffness: Array) -> None:
         With the smallest eigenvalue.
 
     """
-    smallest, rounding = _smallest_eigenvalue(PARAMETERS['cup.stiffness'], stiffness)
+    smallest, rounding = _smallest_eigenvalue(name, stiffness)
     if smallest <= rounding:
         raise BellowsError(
-            'cup.stiffness is not positive definite: its smallest eigenvalue is '
+            f'{name} is not positive definite: its smallest eigenvalue is '
             f'{smallest:.6g}, it must be above zero or the cup would not hold the package. '
             'Check signs and rows, or identify it again.'
         )
 
 
-def require_damping(damping: Array) -> None:
+def require_damping(damping: Array, name: str = 'cup.damping') -> None:
     """
     Refuse a 6x6 matrix that is not symmetric positive semidefinite.
 
@@ -398,10 +537,10 @@ def require_damping(damping: Array) -> None:
         With the smallest eigenvalue.
 
     """
-    smallest, rounding = _smallest_eigenvalue(PARAMETERS['cup.damping'], damping)
+    smallest, rounding = _smallest_eigenvalue(name, damping)
     if smallest < -rounding:
         raise BellowsError(
-            'cup.damping is not positive semidefinite: its smallest eigenvalue is '
+            f'{name} is not positive semidefinite: its smallest eigenvalue is '
             f'{smallest:.6g}, it must not be below zero or the cup would create energy. '
             'Check signs and rows, or identify it again.'
         )
@@ -541,14 +680,14 @@ def _check_window(values: Mapping[str, Value], prefix: str) -> None:
         )
 
 
-def _smallest_eigenvalue(parameter: Parameter, values: Array) -> tuple[float, float]:
+def _smallest_eigenvalue(name: str, values: Array) -> tuple[float, float]:
     """Return the smallest eigenvalue of a symmetric matrix and the size of its rounding error."""
     scale = float(np.max(np.abs(values)))
     asymmetry = np.abs(values - values.T)
     row, column = (int(i) for i in np.unravel_index(int(np.argmax(asymmetry)), values.shape))
     if asymmetry[row, column] > SYMMETRIC_WITHIN * scale:
         raise BellowsError(
-            f'{parameter.name} is not symmetric: row {row + 1}, column {column + 1} is '
+            f'{name} is not symmetric: row {row + 1}, column {column + 1} is '
             f'{values[row, column]:.9g}, row {column + 1}, column {row + 1} is '
             f'{values[column, row]:.9g}. Give the same number to both, row by row.'
         )
@@ -576,7 +715,7 @@ def _check_inertia(parameter: Parameter, value: Value) -> None:
 _PHYSICAL: Mapping[str, Callable[[Parameter, Value], None]] = MappingProxyType(
     {
         'package.inertia': _check_inertia,
-        'cup.stiffness': lambda _, value: require_stiffness(matrix(value)),
-        'cup.damping': lambda _, value: require_damping(matrix(value)),
+        'cup.stiffness': lambda p, value: require_stiffness(matrix(value), p.name),
+        'cup.damping': lambda p, value: require_damping(matrix(value), p.name),
     }
 )

@@ -1,0 +1,14 @@
+"""The live predictor without ROS, in rooms of its own: screening, pairing, propagation."""
+
+from bellows_ros.core.live.predictor import (
+    LivePredictor,
+    LONGEST_GAP_NS,
+    REFUSALS,
+    RESTARTS,
+    warm_up,
+)
+from bellows_ros.core.live.samples import Prediction
+
+__all__ = [
+    'LivePredictor', 'LONGEST_GAP_NS', 'Prediction', 'REFUSALS', 'RESTARTS', 'warm_up',
+]  # fmt: skip

@@ -1,0 +1,225 @@
+"""
+What the diagnostics say: observations put into levels (REP-107), words and numbers, no ROS.
+
+OK: works as meant. WARN: works, but somebody should look at it. ERROR: does not do its work.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+import math
+from typing import NamedTuple
+
+from bellows_ros.core.identification.envelope import Distance
+from bellows_ros.core.live.load import STRONGEST_BENDING
+from bellows_ros.core.live.timing import Quantiles, Rhythm
+
+SMALL_MARGIN = 0.2
+"""Of the largest force or moment; with less left somebody should look."""
+
+STRANGE_AGE = 1.0
+"""Messages older or younger (s) than this have stamps of another clock."""
+
+TWIST_WORDS = {
+    'other_axes': 'The twists do not fit the poses in the axes of tool_twist.frame, but they do '
+                  'in the other: change it between world and tool.',
+    'does_not_fit': 'The twists do not fit the poses: check their units, and that they are of the '
+                    'tool tip.',
+}  # fmt: skip
+PHASE_WORDS = {
+    'detached': 'Detached: no package is held, nothing is predicted.',
+    'waiting': 'Waiting for the first pose of the tool.',
+    'coasting': 'Coasting: no pose of the tool comes, its motion is extrapolated.',
+    'lost': 'Lost: no pose of the tool that can be used; nothing is published until one comes.',
+}
+
+
+class Level(IntEnum):
+    """Levels of REP-107, as in diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+class Status(NamedTuple):
+    """One line of the diagnostics."""
+
+    name: str
+    level: Level
+    message: str
+    values: dict[str, str]
+
+
+class InputSeen(NamedTuple):
+    """One input as seen since the last report."""
+
+    topic: str
+    publishers: int
+    mismatch: str
+    """Name of the QoS policy that does not match some publisher's, or nothing."""
+    rhythm: Rhythm
+    silent: float
+    """Seconds since the last message; infinite before the first."""
+    refused: Mapping[str, int]
+    """Counts since the last report."""
+    total_refused: Mapping[str, int]
+    """Counts since the start."""
+
+
+def number(value: float) -> str:
+    """Return a number for the diagnostics; what there is none of is said so."""
+    return f'{value:.4g}' if math.isfinite(value) else 'none'
+
+
+def input_status(name: str, seen: InputSeen, optional: bool = False) -> Status:
+    """Return the line on an input; one that is optional may be absent."""
+    level, message = _judge_input(seen, optional)
+    values = {
+        'topic': seen.topic,
+        'publishers': str(seen.publishers),
+        'rate (Hz)': number(seen.rhythm.rate_hz),
+        'jitter (s)': number(seen.rhythm.jitter),
+        'age (s)': number(seen.rhythm.age),
+        'silent for (s)': number(seen.silent),
+        **{f'refused: {reason}': str(count) for reason, count in seen.total_refused.items()},
+    }
+    return Status(name, level, message, values)
+
+
+def _judge_input(seen: InputSeen, optional: bool) -> tuple[Level, str]:
+    """Return level and words on an input."""
+    lowest = Level.WARN if optional else Level.ERROR
+    if seen.rhythm.messages == 0:
+        return _judge_silence(seen, optional, lowest)
+    refused = {reason: count for reason, count in seen.refused.items() if count}
+    if refused:
+        total = sum(refused.values())
+        listed = ', '.join(f'{count} {reason}' for reason, count in refused.items())
+        all_of_them = total >= seen.rhythm.messages
+        return (
+            lowest if all_of_them else Level.WARN,
+            f'{total} of {seen.rhythm.messages} messages refused: {listed}.',
+        )
+    if seen.mismatch:
+        return Level.WARN, _mismatch_words(seen)
+    if abs(seen.rhythm.age) > STRANGE_AGE:
+        side = 'behind' if seen.rhythm.age > 0.0 else 'ahead of'
+        return Level.WARN, (
+            f'Stamps are {abs(seen.rhythm.age):.3g} s {side} the clock of this node: synchronise '
+            'the clocks, or set use_sim_time while a recording is played.'
+        )
+    return Level.OK, f'{seen.rhythm.rate_hz:.4g} Hz.'
+
+
+def _judge_silence(seen: InputSeen, optional: bool, lowest: Level) -> tuple[Level, str]:
+    """Return level and words on an input that sends nothing."""
+    if seen.mismatch:
+        return lowest, _mismatch_words(seen)
+    if seen.publishers == 0:
+        if optional:
+            return Level.OK, f'Nobody publishes {seen.topic}: estimated from the poses.'
+        return lowest, (
+            f'Nobody publishes {seen.topic}. Start the driver, or remap the topic to its own.'
+        )
+    since = f'for {seen.silent:.1f} s' if math.isfinite(seen.silent) else 'so far'
+    return lowest, (
+        f'The publisher of {seen.topic} is silent: no message {since}. Is the driver or its '
+        'controller active?'
+    )
+
+
+def _mismatch_words(seen: InputSeen) -> str:
+    """Return what to say about a QoS mismatch."""
+    return (
+        f'QoS does not match: a publisher of {seen.topic} offers another {seen.mismatch} than is '
+        f'asked for. Set qos_overrides.{seen.topic}.subscription.{seen.mismatch} to what it '
+        'offers.'
+    )
+
+
+class PredictionSeen(NamedTuple):
+    """The prediction as seen since the last report."""
+
+    state: str
+    """Of the lifecycle: 'active' or another."""
+    phase: str
+    cup: str
+    compute: Quantiles
+    """Seconds from a message's arrival until its predictions were published."""
+    counts: Mapping[str, int]
+    """Since the start."""
+    restarts: Mapping[str, int]
+    """Since the last report."""
+    twist_verdict: str
+
+
+def prediction_status(name: str, seen: PredictionSeen) -> Status:
+    """Return the line on the prediction."""
+    values = {
+        'lifecycle': seen.state,
+        'phase': seen.phase,
+        'cup': seen.cup,
+        'compute time p50 (us)': number(1e6 * seen.compute.p50),
+        'compute time p99 (us)': number(1e6 * seen.compute.p99),
+        'compute time max (us)': number(1e6 * seen.compute.largest),
+        'twists against poses': seen.twist_verdict,
+        **{what: str(count) for what, count in seen.counts.items()},
+    }
+    return Status(name, *_judge_prediction(seen), values)
+
+
+def _judge_prediction(seen: PredictionSeen) -> tuple[Level, str]:
+    """Return level and words on the prediction."""
+    if seen.state != 'active':
+        return Level.OK, f'{seen.state.capitalize()}: nothing is published.'
+    restarts = {reason: count for reason, count in seen.restarts.items() if count}
+    if 'no_equilibrium' in restarts:
+        return Level.ERROR, 'The cup cannot hold the package at rest: nothing is published.'
+    if seen.phase == 'lost':
+        return Level.ERROR, PHASE_WORDS['lost']
+    if seen.phase == 'coasting':
+        return Level.WARN, PHASE_WORDS['coasting']
+    if restarts:
+        listed = ', '.join(f'{count} {reason}' for reason, count in restarts.items())
+        return Level.WARN, f'Started afresh from rest: {listed}.'
+    if seen.twist_verdict in TWIST_WORDS:
+        return Level.WARN, TWIST_WORDS[seen.twist_verdict]
+    return Level.OK, PHASE_WORDS.get(seen.phase, 'Predicting.')
+
+
+def load_status(
+    name: str, margin: float | None, away: Distance | None, bending: float,
+    limits_known: bool, envelope_known: bool,
+) -> Status:  # fmt: skip
+    """Return the line on the cup's load: holding margin and what its identification has seen."""
+    values = {
+        'holding margin': 'not known' if not limits_known else number(
+            math.nan if margin is None else margin),
+        'distance from envelope': 'not known' if not envelope_known else number(
+            math.nan if away is None else away.value),
+        'largest bending (rad)': number(bending),
+    }  # fmt: skip
+    return Status(name, *_judge_load(margin, away, bending), values)
+
+
+def _judge_load(
+    margin: float | None, away: Distance | None, bending: float
+) -> tuple[Level, str]:
+    """Return level and words on the cup's load."""
+    if margin is not None and margin < 0.0:
+        return Level.ERROR, (
+            f'The load is {-margin:.0%} above what the cup can hold: it may let go.'
+        )
+    if margin is not None and margin < SMALL_MARGIN:
+        return Level.WARN, f'Only {margin:.0%} of what the cup can hold is left.'
+    if bending > STRONGEST_BENDING:
+        return Level.WARN, (
+            f'The cup bends by {bending:.2g} rad: its restoring moment hardly grows any more.'
+        )
+    if away is not None and away.outside:
+        return Level.WARN, away.words
+    return Level.OK, 'Within what is known.' if margin is not None or away is not None else (
+        'No limits are known: see cup.max_force, cup.max_moment and envelope.*.')  # fmt: skip

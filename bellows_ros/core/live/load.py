@@ -1,0 +1,158 @@
+"""How near the cup is to letting go, and to what its identification has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from typing import Any, NamedTuple
+
+from bellows_ros.core.identification.envelope import Distance, distance, known_envelope
+from bellows_ros.core.jit import kernel
+from bellows_ros.core.kernels import lip_relative_to_tool, ModelTuple, State
+from bellows_ros.core.lie import log_so3
+from bellows_ros.core.live.samples import Prediction
+from bellows_ros.core.tuples import (
+    apply,
+    Matrix,
+    Quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_matrix,
+    subtract,
+    Vector,
+)
+import numpy as np
+
+STRONGEST_BENDING = 0.6
+"""Beyond this angle (rad) the restoring moment of the model hardly grows any more (3.17)."""
+
+
+class Deflection(NamedTuple):
+    """Pose and twist of the lip relative to the nominal lip, in tool axes and lip axes."""
+
+    shift: Vector
+    """From where the lip is without load, in tool axes, m."""
+    rotation: Matrix
+    """E_R_S, row by row."""
+    linear: Vector
+    """Of the twist of the lip relative to the tool, in lip axes, m/s."""
+    angular: Vector
+    """Rate of the lip relative to the tool, in lip axes, rad/s."""
+
+
+@kernel
+def _lip(model: ModelTuple, tool: State, body: State) -> tuple[Vector, Matrix, Vector, Vector]:
+    """Return E_o_S, E_R_S and the twist of the lip relative to the tool."""
+    return lip_relative_to_tool(
+        model[1][1],
+        tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], rotation_matrix(body[1]), body[2], body[3],
+    )  # fmt: skip
+
+
+def deflection(model: ModelTuple, prediction: Prediction) -> Deflection:
+    """Return by how much the lip has moved from its nominal pose (0, 0, -l0) in the tool."""
+    o, R, v, w = _lip(model, prediction.tool, prediction.body)
+    return Deflection((o[0], o[1], o[2] + model[0][1]), R, v, w)
+
+
+def deflection_rotation(prediction: Prediction) -> Quaternion:
+    """Return the rotation E_R_S of the lip in the tool (3.13), as [S] = [B]."""
+    return quaternion_product(quaternion_conjugate(prediction.tool[1]), prediction.quaternion_xyzw)
+
+
+def lip_position(model: ModelTuple, prediction: Prediction) -> Vector:
+    """Return the centre of the lip S in the world (m)."""
+    com = model[1][1]
+    return subtract(
+        prediction.position, apply(rotation_matrix(prediction.quaternion_xyzw), com))
+
+
+def equivalent_box(values: Mapping[str, Any]) -> Vector:
+    """
+    Return the sides (m) of the homogeneous box with a package's mass and moments (A.2).
+
+    Along x, y, z of B; products of inertia are left out, and no side is below 1 mm.
+    """
+    xx, yy, zz = values['package.inertia'][:3]
+    squares = (yy + zz - xx, xx + zz - yy, xx + yy - zz)
+    x, y, z = (
+        max(1e-3, math.sqrt(max(0.0, 6.0 * square / values['package.mass'])))
+        for square in squares
+    )
+    return x, y, z
+
+
+def bending(lip: Deflection) -> float:
+    """Return the angle (rad) between the axes of tool and lip."""
+    return math.acos(min(1.0, max(-1.0, lip.rotation[8])))
+
+
+class Load:
+    """
+    Watch predictions: the smallest holding margin and the largest distance from the envelope.
+
+    Parameters
+    ----------
+    values : mapping
+        Parameters by name: cup.max_force, cup.max_moment, package.mass, envelope.*.
+
+    """
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        """Take the limits."""
+        self._max_force = values['cup.max_force']
+        self._max_moment = values['cup.max_moment']
+        self._mass = values['package.mass']
+        self._envelope = known_envelope(values)
+        self._clear()
+
+    def _clear(self) -> None:
+        """Begin again."""
+        self._margin = math.inf
+        self._distance: Distance | None = None
+        self._bending = 0.0
+
+    @property
+    def limits_known(self) -> bool:
+        """Whether the largest force or moment is known."""
+        return bool(self._max_force > 0.0 or self._max_moment > 0.0)
+
+    @property
+    def envelope_known(self) -> bool:
+        """Whether it is known what the identification has seen."""
+        return self._envelope is not None
+
+    def watch_force(self, prediction: Prediction) -> None:
+        """Note the margin of a prediction: 1 without load, 0 where the cup lets go."""
+        if self._max_force > 0.0:
+            self._margin = min(
+                self._margin, 1.0 - math.hypot(*prediction.force) / self._max_force)
+        if self._max_moment > 0.0:
+            self._margin = min(
+                self._margin, 1.0 - math.hypot(*prediction.moment) / self._max_moment)
+
+    def watch_deflection(self, model: ModelTuple, prediction: Prediction) -> None:
+        """Note how far a prediction is from what the identification has seen."""
+        lip = deflection(model, prediction)
+        self._bending = max(self._bending, bending(lip))
+        if self._envelope is None:
+            return
+        vector = _rotation_vector(lip.rotation)
+        now = distance(
+            self._envelope, (*lip.shift, *vector), (*lip.linear, *lip.angular), self._mass)
+        if self._distance is None or now.value > self._distance.value:
+            self._distance = now
+
+    def take(self) -> tuple[float | None, Distance | None, float]:
+        """Return margin, distance and largest bending (rad) since the last call."""
+        margin = self._margin if math.isfinite(self._margin) else None
+        found = margin, self._distance, self._bending
+        self._clear()
+        return found
+
+
+def _rotation_vector(R: Matrix) -> Vector:
+    """Return the logarithm of a rotation."""
+    x, y, z = log_so3(np.reshape(R, (3, 3))).tolist()
+    return x, y, z

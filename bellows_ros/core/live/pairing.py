@@ -1,0 +1,218 @@
+"""
+Bring the tool's twists to the stamps of its poses, whichever comes first and at whatever rates.
+
+A twist of the same stamp is taken as it is; between two twists it is interpolated; where neither
+is to be had without waiting long, the pose goes on alone and its twist is estimated elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+
+from bellows_ros.core.live.samples import PoseSample, TwistSample
+from bellows_ros.core.tuples import add, scale, Vector
+
+PAIRING_TOLERANCE_NS = 100_000
+"""Stamps of a pose and a twist that differ by no more belong to one instant."""
+
+LONGEST_WAIT_NS = 20_000_000
+"""A pose does not wait longer for its twist, counted in stamps."""
+
+LONGEST_QUEUE = 256
+"""So many poses wait at most, however near their stamps are."""
+
+LONGEST_BRACKET_NS = 30_000_000
+"""Between twists further apart nothing is interpolated."""
+
+FARTHEST_AHEAD_NS = 500_000_000
+"""A twist whose stamp is further ahead of the newest pose is of no use, and would block others."""
+
+TWISTS_KEPT = 32
+
+LOST_RUN = 3
+"""After so many poses in a row whose twists were lost, twists are not waited for any more."""
+
+SMOOTHING = 0.1
+"""Part of a new period in the mean of the periods: one lost twist does not make them seldom."""
+
+SPARSE = 1.5
+"""Twists whose period is longer than this many periods of the poses are not waited for."""
+
+Pair = tuple[PoseSample, TwistSample | None]
+
+
+class Pairing:
+    """
+    Queues of poses and twists, and the rule which pose may go on.
+
+    Attributes
+    ----------
+    expect : bool
+        Whether a pose waits for its twist. Set by whoever knows that somebody sends twists, and by
+        the pairs themselves.
+    unpaired : int
+        Twists that served no pose.
+    interpolated : int
+        Poses whose twist lies between two that came.
+
+    """
+
+    def __init__(self) -> None:
+        """Start with empty queues; poses do not wait."""
+        self.expect = False
+        self.unpaired = self.interpolated = 0
+        self.clear()
+
+    def clear(self) -> None:
+        """Drop all that waits."""
+        self._poses: deque[PoseSample] = deque()
+        self._twists: deque[TwistSample] = deque(maxlen=TWISTS_KEPT)
+        self._before: TwistSample | None = None
+        self._before_served = True
+        self._newest_ns = self._gone_ns = -1
+        self._pose_period_ns = self._twist_period_ns = 0.0
+        self._newest_twist_ns = -1
+        self._pairs_in_a_row = self._lost_in_a_row = self._late_in_a_row = 0
+        self._last_paired = False
+        self._without_twist: deque[int] = deque(maxlen=16)  # stamps that went on alone
+
+    @property
+    def waiting(self) -> int:
+        """Number of poses that wait for their twist."""
+        return len(self._poses)
+
+    def add_pose(self, pose: PoseSample) -> None:
+        """Queue a pose; stamps increase."""
+        if self._newest_ns >= 0:
+            self._pose_period_ns = smoothed(self._pose_period_ns, pose.stamp_ns - self._newest_ns)
+        self._newest_ns = pose.stamp_ns
+        self._poses.append(pose)
+
+    def add_twist(self, twist: TwistSample) -> None:
+        """Queue a twist, or note that it came behind its pose."""
+        stamp_ns = twist.stamp_ns
+        if self._is_out_of_order(stamp_ns):
+            self.unpaired += 1
+            return
+        if self._newest_twist_ns >= 0 and stamp_ns > self._newest_twist_ns:
+            self._twist_period_ns = smoothed(
+                self._twist_period_ns, stamp_ns - self._newest_twist_ns)
+        self._newest_twist_ns = max(self._newest_twist_ns, stamp_ns)
+        if abs(stamp_ns - self._gone_ns) <= PAIRING_TOLERANCE_NS:
+            if not self._last_paired:  # it came after its pose had gone on without it
+                self._count_pair()
+            self._set_before(twist, served=True)
+        elif stamp_ns < self._gone_ns:
+            self._note_late(stamp_ns)
+            if self._before is None or stamp_ns > self._before.stamp_ns:
+                self._set_before(twist)
+            else:
+                self.unpaired += 1
+        else:
+            self.unpaired += len(self._twists) == TWISTS_KEPT  # the oldest falls out
+            self._twists.append(twist)
+
+    def _is_out_of_order(self, stamp_ns: int) -> bool:
+        """Return whether a twist stands far ahead of the poses, or not behind the last twist."""
+        far = 0 <= self._newest_ns < stamp_ns - FARTHEST_AHEAD_NS
+        return far or (bool(self._twists) and stamp_ns <= self._twists[-1].stamp_ns)
+
+    def give_up_waiting(self) -> None:
+        """Let all poses go on that wait, without their twists."""
+        if self._poses:
+            self.expect = False
+            self._pairs_in_a_row = 0
+
+    def ready(self) -> Iterator[Pair]:
+        """Yield the poses that may go on, oldest first, with their twists."""
+        while self._poses:
+            pose = self._poses[0]
+            twist = self._twist_of(pose.stamp_ns)
+            if twist is None and self.expect and not self._is_sparse():
+                overdue = (
+                    self._newest_ns - pose.stamp_ns > LONGEST_WAIT_NS
+                    or len(self._poses) > LONGEST_QUEUE
+                )
+                if not (overdue or self._twists):  # a newer twist says that this one is lost
+                    return
+                self._lost_in_a_row += 1
+                self.expect = not overdue and self._lost_in_a_row < LOST_RUN
+            self._poses.popleft()
+            self._note_gone(pose.stamp_ns, twist is not None)
+            yield pose, twist
+
+    def _is_sparse(self) -> bool:
+        """Return whether twists come so seldom that waiting for them only costs time."""
+        return self._twist_period_ns > SPARSE * self._pose_period_ns > 0
+
+    def _note_gone(self, stamp_ns: int, paired: bool) -> None:
+        """Remember how a pose went on."""
+        if not self._last_paired:
+            self._pairs_in_a_row = 0
+        self._gone_ns, self._last_paired = stamp_ns, False
+        if paired:
+            self._count_pair()
+        else:
+            self._without_twist.append(stamp_ns)
+
+    def _twist_of(self, stamp_ns: int) -> TwistSample | None:
+        """Return the twist of that instant, measured or interpolated."""
+        while self._twists:
+            difference = self._twists[0].stamp_ns - stamp_ns
+            if difference > PAIRING_TOLERANCE_NS:
+                return self._interpolated(stamp_ns)
+            twist = self._twists.popleft()
+            paired = difference >= -PAIRING_TOLERANCE_NS
+            self._set_before(twist, served=paired)
+            if paired:
+                return twist
+        return None
+
+    def _interpolated(self, stamp_ns: int) -> TwistSample | None:
+        """Return the twist between the last one before an instant and the first one behind it."""
+        before, behind = self._before, self._twists[0]
+        if before is None or before.stamp_ns >= stamp_ns:
+            return None
+        span = behind.stamp_ns - before.stamp_ns
+        if span > LONGEST_BRACKET_NS:
+            return None
+        self._before_served = True
+        self.interpolated += 1
+        s = (stamp_ns - before.stamp_ns) / span
+        return TwistSample(
+            stamp_ns, between(s, before.linear, behind.linear),
+            between(s, before.angular, behind.angular),
+        )  # fmt: skip
+
+    def _set_before(self, twist: TwistSample, served: bool = False) -> None:
+        """Keep the last twist before the poses that wait."""
+        if not self._before_served:
+            self.unpaired += 1
+        self._before, self._before_served = twist, served
+
+    def _note_late(self, stamp_ns: int) -> None:
+        """Wait for twists again when those of poses that went on alone come, only later."""
+        in_time = self._newest_ns - stamp_ns <= LONGEST_WAIT_NS
+        known = (abs(stamp_ns - other) <= PAIRING_TOLERANCE_NS for other in self._without_twist)
+        if in_time and any(known):
+            self._late_in_a_row += 1
+            self.expect = self.expect or self._late_in_a_row >= 2
+
+    def _count_pair(self) -> None:
+        """Note that the newest pose has a twist; after two in a row wait for them."""
+        self._last_paired = True
+        self._lost_in_a_row = self._late_in_a_row = 0
+        self._pairs_in_a_row += 1
+        if self._pairs_in_a_row >= 2:
+            self.expect = True
+
+
+def smoothed(mean: float, value: float) -> float:
+    """Return a running mean with a new value; the first value is the mean."""
+    return mean + SMOOTHING * (value - mean) if mean else value
+
+
+def between(s: float, a: Vector, b: Vector) -> Vector:
+    """Return (1 - s) a + s b."""
+    return add(scale(1.0 - s, a), scale(s, b))

@@ -1,0 +1,350 @@
+"""
+The live predictor without ROS: tool messages in, predicted package states out.
+
+The node and `bellows replay` run this very code. Nothing here reads a clock: the time of motion
+is in the stamps, and whoever calls says when a message came.
+"""
+
+from __future__ import annotations
+
+from bellows_ros.core.kernels import ModelTuple, State
+from bellows_ros.core.live.held_package import HeldPackage
+from bellows_ros.core.live.pairing import Pairing
+from bellows_ros.core.live.samples import PoseSample, Prediction, TwistSample
+from bellows_ros.core.live.screening import (
+    finite,
+    LARGEST_RATE,
+    LARGEST_SPEED,
+    length,
+    LONGEST_GAP_NS,
+    Screen,
+)
+from bellows_ros.core.live.twist_check import in_tool_axes, TwistCheck
+from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.tool_twist import PoseHistory
+from bellows_ros.core.tuples import normalised, Quaternion, Vector
+
+COAST_AFTER_NS = 20_000_000
+"""Shorter pauses (ns) between poses are nothing to be said."""
+
+COAST_PERIODS = 4
+"""Nor are pauses shorter than so many periods of the poses."""
+
+COAST_LIMIT_NS = 100_000_000
+"""How long (ns) the tool is extrapolated unless told otherwise."""
+
+REFUSALS = (
+    'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
+    'future_stamp', 'frame_id', 'repeated_pose', 'jump', 'twist_nan', 'twist_too_fast',
+    'twist_frame_id', 'twist_unpaired',
+)  # fmt: skip
+RESTARTS = (
+    'gap', 'clock_set_back', 'clock_set_forward', 'clock_jump', 'frame_changed', 'moved',
+    'diverged', 'no_equilibrium',
+)  # fmt: skip
+
+
+class LivePredictor:
+    """
+    Predict the package from the tool's poses and twists as they come.
+
+    Every accepted pose gives exactly one prediction, at its stamp. A twist is paired with the
+    pose of the same stamp, whichever comes first, or interpolated; where that cannot be it is
+    estimated from the poses. What is refused is counted in `refused`, a fresh start from rest in
+    `restarts`.
+
+    Parameters
+    ----------
+    cup, package : Cup, Package
+    gravity : float
+        m/s^2, along -z of the world.
+    twist_frame : {'world', 'tool'}
+        Axes of the linear and angular velocity given to `on_twist`; the linear one is the
+        velocity of the tool point in either case.
+    history : int
+        Number of poses from which a missing twist is estimated.
+    coast_limit_ns : int
+        How long the tool is extrapolated when no pose comes, 0 for not at all.
+
+    Attributes
+    ----------
+    attached : bool
+        Whether the cup holds the package; without it nothing is predicted.
+    poses_in, twists_in, predictions, twists_estimated, coasted : int
+        Counts of what came, went out and was made up.
+
+    """
+
+    def __init__(
+        self,
+        cup: Cup,
+        package: Package,
+        gravity: float,
+        twist_frame: str = 'world',
+        history: int = 5,
+        coast_limit_ns: int = COAST_LIMIT_NS,
+    ) -> None:
+        """Prepare the model; nothing is predicted before the first pose."""
+        self._twist_in_world = twist_frame == 'world'
+        self._history = PoseHistory(history)
+        self._package = HeldPackage(cup, package, gravity)
+        self._screen = Screen()
+        self._pairing = Pairing()
+        self.twist_check = TwistCheck(self._twist_in_world)
+        self.coast_limit_ns = coast_limit_ns
+        self._counts = dict.fromkeys(REFUSALS, 0)
+        self.restarts = dict.fromkeys(RESTARTS, 0)
+        self.poses_in = self.twists_in = self.predictions = self.twists_estimated = 0
+        self.coasted = 0
+        self.attached = True
+        self._twist_frame_id: str | None = None
+        self._forget_arrivals()
+
+    def _forget_arrivals(self) -> None:
+        """Forget when poses came."""
+        self._arrival_ns: int | None = None
+        self._period_ns = 0
+
+    # ------------------------------------------------------------------ state
+
+    @property
+    def model(self) -> ModelTuple:
+        """The model as the kernels take it."""
+        return self._package.model
+
+    @property
+    def frame_id(self) -> str:
+        """Frame of the accepted poses, '' before the first."""
+        return self._screen.frame_id
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Counts of what was refused, by reason."""
+        return {**self._counts, 'twist_unpaired': self._pairing.unpaired}
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What came, went out and was made up since the beginning, and fresh starts."""
+        return {
+            'poses in': self.poses_in, 'twists in': self.twists_in,
+            'predictions': self.predictions, 'coasted': self.coasted,
+            'twists estimated': self.twists_estimated,
+            'twists interpolated': self.twists_interpolated,
+            'twists unpaired': self._pairing.unpaired,
+            **{f'fresh starts: {reason}': count for reason, count in self.restarts.items()},
+        }  # fmt: skip
+
+    @property
+    def twists_interpolated(self) -> int:
+        """Poses whose twist lies between two measured ones."""
+        return self._pairing.interpolated
+
+    @property
+    def expect_twists(self) -> bool:
+        """Whether a pose waits for its twist; set it where it is known that twists come."""
+        return self._pairing.expect
+
+    @expect_twists.setter
+    def expect_twists(self, expect: bool) -> None:
+        self._pairing.expect = expect
+
+    @property
+    def waiting(self) -> int:
+        """Number of poses that wait for their twist."""
+        return self._pairing.waiting
+
+    def phase(self, arrival_ns: int) -> str:
+        """
+        Return what is going on at a time on the clock of arrivals.
+
+        'detached', 'waiting' (no pose has come yet), 'predicting', 'coasting' (no pose has come
+        for a moment) or 'lost' (none for longer than can be bridged, or no prediction from it).
+        """
+        if not self.attached:
+            return 'detached'
+        if self._arrival_ns is None:
+            return 'waiting'
+        silent_ns = arrival_ns - self._arrival_ns
+        if silent_ns <= self._patience_ns():
+            return 'predicting' if self._package.is_held or self.waiting else 'lost'
+        return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
+
+    def _patience_ns(self) -> int:
+        """Return how long a pause (ns) between two poses is nothing to be said."""
+        return max(COAST_AFTER_NS, COAST_PERIODS * self._period_ns)
+
+    # ---------------------------------------------------------------- control
+
+    def set_model(self, cup: Cup, package: Package) -> None:
+        """Go on with another cup or package; pose and motion stay as they are."""
+        self._package.set_model(cup, package)
+
+    def reset(self) -> None:
+        """Start from rest at the next pose, whatever its stamp and frame."""
+        self._screen.reset()
+        self._forget_motion()
+
+    def start_afresh(self, reason: str) -> None:
+        """Start from rest at the next pose, whatever its stamp, for one of `RESTARTS`."""
+        self.restarts[reason] += 1
+        self._screen.forget_motion()
+        self._forget_motion()
+
+    def set_attached(self, attached: bool) -> list[Prediction]:
+        """Take up a package, from rest at the next pose, or let it go."""
+        predictions = self.flush() if self.attached and not attached else []
+        if attached != self.attached:
+            self._package.forget()
+        self.attached = attached
+        return predictions
+
+    def _forget_motion(self) -> None:
+        """Drop the package's state and all that waits, but not the frame."""
+        self._package.forget()
+        self._pairing.clear()
+        self._history.clear()
+        self.twist_check.clear()
+        self._twist_frame_id = None
+        self._forget_arrivals()
+
+    # ------------------------------------------------------------------ input
+
+    def on_pose(
+        self,
+        stamp_ns: int,
+        frame_id: str,
+        position: Vector,
+        quaternion_xyzw: Quaternion,
+        arrival_ns: int | None = None,
+    ) -> list[Prediction]:
+        """
+        Take a tool pose in the world and return the predictions that it makes possible.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Header stamp, ns.
+        frame_id : str
+            The first accepted pose sets the frame; poses in another are refused.
+        position : (x, y, z)
+            m.
+        quaternion_xyzw : (x, y, z, w)
+            Orientation; scaled to unit length where it is nearly so.
+        arrival_ns : int, optional
+            When it came, on a clock that nobody sets; None where messages do not come in time.
+
+        """
+        self.poses_in += 1
+        newest_ns = self._screen.newest_ns
+        verdict = self._screen.judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
+        if verdict.refused:
+            self._counts[verdict.refused] += 1
+            return []
+        predictions: list[Prediction] = []
+        if verdict.restart:
+            predictions = self.flush()
+            self.restarts[verdict.restart] += 1
+            self._forget_motion()
+        elif newest_ns >= 0:
+            self._period_ns = stamp_ns - newest_ns
+        self._arrival_ns = arrival_ns
+        self._pairing.add_pose(PoseSample(stamp_ns, position, normalised(quaternion_xyzw)))
+        return self._release(predictions)
+
+    def on_twist(
+        self, stamp_ns: int, linear: Vector, angular: Vector, frame_id: str | None = None
+    ) -> list[Prediction]:
+        """
+        Take the tool's twist (m/s, rad/s) and return the predictions that it makes possible.
+
+        Its frame_id says nothing about its axes, as drivers fill in what they like; but the
+        first one is kept, and twists in another are refused.
+        """
+        self.twists_in += 1
+        if not (finite(*linear) and finite(*angular)):
+            self._counts['twist_nan'] += 1
+            return []
+        if length(linear) > LARGEST_SPEED or length(angular) > LARGEST_RATE:
+            self._counts['twist_too_fast'] += 1
+            return []
+        if self._twist_frame_id is None:
+            self._twist_frame_id = frame_id
+        if frame_id != self._twist_frame_id:
+            self._counts['twist_frame_id'] += 1
+            return []
+        self._pairing.add_twist(TwistSample(stamp_ns, linear, angular))
+        return self._release([])
+
+    def flush(self) -> list[Prediction]:
+        """Predict for all poses that still wait, without their twists."""
+        self._pairing.give_up_waiting()
+        return self._release([])
+
+    def coast(self, arrival_ns: int) -> list[Prediction]:
+        """Return a prediction for a moment at which no pose came, while that is safe."""
+        if self._arrival_ns is None or self.phase(arrival_ns) != 'coasting':
+            return []
+        silent_ns = arrival_ns - self._arrival_ns
+        prediction = self._package.coast(self._screen.newest_ns + silent_ns)
+        if prediction is None:
+            return []
+        self.coasted += 1
+        return [prediction]
+
+    # ------------------------------------------------------------- prediction
+
+    def _release(self, predictions: list[Prediction]) -> list[Prediction]:
+        """Predict for the poses that need not wait any longer."""
+        for pose, twist in self._pairing.ready():
+            prediction = self._predict(pose, twist)
+            if prediction is not None:
+                predictions.append(prediction)
+        return predictions
+
+    def _predict(self, pose: PoseSample, twist: TwistSample | None) -> Prediction | None:
+        """Advance the package to a pose's stamp, or start it from rest there."""
+        self._history.append(*pose)
+        before: State | None = None
+        if twist is None:
+            self.twists_estimated += 1
+            self.twist_check.skip()
+            now = self._history.state()
+            if self._package.is_held:  # with a later pose known the slope before is known better
+                before = self._history.state(back=1)
+        else:
+            now = self._measured(pose, twist)
+        if not self.attached:
+            return None
+        prediction = self._package.follow(pose.stamp_ns, before, now)
+        if self._package.outcome:
+            self.restarts[self._package.outcome] += 1
+        if prediction is not None:
+            self.predictions += 1
+        return prediction
+
+    def _measured(self, pose: PoseSample, twist: TwistSample) -> State:
+        """Return the tool's state with the twist turned into tool axes."""
+        q = pose.quaternion_xyzw
+        if self.twist_check.is_due(pose.stamp_ns, q, twist.linear, twist.angular):
+            self.twist_check.compare(self._history.state(back=2))
+        if not self._twist_in_world:
+            return pose.position, q, twist.linear, twist.angular
+        return pose.position, q, *in_tool_axes(q, twist.linear, twist.angular)
+
+
+def warm_up(cup: Cup, package: Package, gravity: float, twist_frame: str) -> None:
+    """Predict on made-up data in a predictor that is thrown away: nothing compiles later."""
+    live = LivePredictor(cup, package, gravity, twist_frame)
+    still, upright, arrival_ns = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0
+    for arrival_ns in range(1_000_000, 13_000_000, 1_000_000):
+        live.on_pose(arrival_ns, 'world', still, upright, arrival_ns)
+        if arrival_ns > 6_000_000:  # first without twists, then with
+            live.on_twist(arrival_ns + 50_000, still, still)
+    live.on_twist(arrival_ns + 500_000, still, still)
+    live.on_twist(arrival_ns + 1_500_000, still, still)
+    live.on_pose(arrival_ns + 1_000_000, 'world', (1e-6, 0.0, 0.0), upright, arrival_ns)
+    live.flush()
+    live.coast(arrival_ns + COAST_AFTER_NS + 1_000_000)
+
+
+__all__ = ['LivePredictor', 'LONGEST_GAP_NS', 'REFUSALS', 'RESTARTS', 'warm_up']

@@ -1,0 +1,54 @@
+"""What goes into the live predictor and what comes out; SI units, stamps in nanoseconds."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from bellows_ros.core.kernels import State
+from bellows_ros.core.tuples import Quaternion, Vector
+
+ZERO: Vector = (0.0, 0.0, 0.0)
+ORIGIN: State = (ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, ZERO)
+
+
+class PoseSample(NamedTuple):
+    """A pose of the tool in the world that has been accepted."""
+
+    stamp_ns: int
+    position: Vector
+    quaternion_xyzw: Quaternion
+
+
+class TwistSample(NamedTuple):
+    """A twist of the tool in the axes its driver uses, m/s and rad/s."""
+
+    stamp_ns: int
+    linear: Vector
+    angular: Vector
+
+
+class Prediction(NamedTuple):
+    """The package at one stamp; SI units."""
+
+    stamp_ns: int
+    position: Vector
+    """Origin of B in the world, m."""
+    quaternion_xyzw: Quaternion
+    """Orientation of B in the world."""
+    linear: Vector
+    """Linear body twist, R^T do/dt, in B axes, m/s."""
+    angular: Vector
+    """Body rate in B axes, rad/s."""
+    force: Vector
+    """Force of the cup on the package, in lip axes, N."""
+    moment: Vector
+    """Moment of the cup on the package about the lip's centre, in lip axes, N m."""
+    tool: State = ORIGIN
+    """The tool's pose and body twist that the prediction was made with."""
+    coasting: bool = False
+    """True where no tool pose has come and the tool is extrapolated."""
+
+    @property
+    def body(self) -> State:
+        """Pose and body twist of the package, as the kernels take them."""
+        return self.position, self.quaternion_xyzw, self.linear, self.angular

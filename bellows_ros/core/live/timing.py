@@ -1,0 +1,100 @@
+"""Rates, jitter, age and computing times of messages, in a fixed amount of memory."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+KEPT = 2048
+
+
+class Quantiles(NamedTuple):
+    """Median, 99 % quantile and maximum of some numbers; NaN where there are none."""
+
+    p50: float
+    p99: float
+    largest: float
+
+
+class Window:
+    """The newest numbers of a series, at most `KEPT` of them since they were last taken."""
+
+    def __init__(self) -> None:
+        """Reserve the memory."""
+        self._values = [0.0] * KEPT
+        self.count = 0
+
+    def add(self, value: float) -> None:
+        """Keep a number."""
+        self._values[self.count % KEPT] = value
+        self.count += 1
+
+    def take(self) -> Quantiles:
+        """Return the quantiles since the last call, and begin again."""
+        kept = self._values[:min(self.count, KEPT)]
+        self.count = 0
+        if not kept:
+            return Quantiles(math.nan, math.nan, math.nan)
+        p50, p99 = np.percentile(kept, (50.0, 99.0))
+        return Quantiles(float(p50), float(p99), max(kept))
+
+
+class Rhythm(NamedTuple):
+    """How messages of one topic came; NaN where too few did."""
+
+    messages: int
+    rate_hz: float
+    jitter: float
+    """Standard deviation of the time between two arrivals, s."""
+    age: float
+    """Mean of arrival minus stamp on the node's clock, s."""
+
+
+class Arrivals:
+    """When messages of one topic came, summed up since last taken."""
+
+    def __init__(self) -> None:
+        """Know of none."""
+        self._last_ns = -1
+        self._clear()
+
+    def _clear(self) -> None:
+        """Begin to sum up again; the last arrival stays known."""
+        self._count = self._intervals = 0
+        self._sum = self._squares = 0.0
+        self._age = math.nan
+
+    @property
+    def last_ns(self) -> int:
+        """When the newest came, -1 before the first."""
+        return self._last_ns
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether none came since they were last taken."""
+        return self._count == 0
+
+    def add(self, arrival_ns: int) -> None:
+        """Note a message."""
+        if self._last_ns >= 0:
+            interval = (arrival_ns - self._last_ns) * 1e-9
+            self._intervals += 1
+            self._sum += interval
+            self._squares += interval * interval
+        self._last_ns = arrival_ns
+        self._count += 1
+
+    def note_age(self, age: float) -> None:
+        """Note how old (s) a message was when it came."""
+        self._age = age
+
+    def take(self) -> Rhythm:
+        """Return how messages came since the last call, and begin again."""
+        count, age, n = self._count, self._age, self._intervals
+        mean = self._sum / n if n else math.nan
+        variance = self._squares / n - mean * mean if n else math.nan
+        self._clear()
+        rate = 1.0 / mean if n and mean > 0.0 else math.nan
+        return Rhythm(count, rate, math.sqrt(variance) if variance > 0.0 else 0.0, age)

@@ -1,0 +1,120 @@
+"""Whether the twists that come fit the poses, and whether they would in other axes."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from bellows_ros.core.jit import kernel
+from bellows_ros.core.kernels import State
+from bellows_ros.core.tuples import (
+    apply_transposed,
+    dot,
+    Quaternion,
+    rotation_matrix,
+    subtract,
+    Vector,
+)
+
+PERIOD_NS = 20_000_000
+"""Time (ns) between two comparisons."""
+
+MEMORY = 0.98
+"""Weight of what is known against a new comparison: some 50 of them count, 1 s."""
+
+ENOUGH = 20
+"""Comparisons before anything is said."""
+
+MISFIT = 0.25
+"""Twists do not fit when this part of their mean square is not explained by the poses."""
+
+LEVER = 0.1
+"""Arm (m) by which rotations are weighed against translations."""
+
+LEAST = 1e-3
+"""Mean square speed (m^2/s^2) below which noise decides and nothing is said."""
+
+
+@kernel
+def misfits(
+    q: Quaternion, linear: Vector, angular: Vector, v: Vector, w: Vector
+) -> tuple[float, float, float]:
+    """
+    Return the mean squares of the body twist (v, w) and of what is left of it.
+
+    What is left with the measured twist (linear, angular) taken to be in world axes, and in tool
+    axes; rotations count with the lever.
+    """
+    R = rotation_matrix(q)
+    weight = LEVER * LEVER
+    dv, dw = subtract(apply_transposed(R, linear), v), subtract(apply_transposed(R, angular), w)
+    ev, ew = subtract(linear, v), subtract(angular, w)
+    return (
+        dot(v, v) + weight * dot(w, w),
+        dot(dv, dv) + weight * dot(dw, dw),
+        dot(ev, ev) + weight * dot(ew, ew),
+    )
+
+
+class TwistCheck:
+    """
+    Compare measured twists with the slopes of the poses, now and then.
+
+    Parameters
+    ----------
+    in_world : bool
+        True where the twists are said to be in world axes, False in tool axes.
+    back : int
+        How many poses lie behind the one whose slope is known well.
+
+    """
+
+    def __init__(self, in_world: bool, back: int = 2) -> None:
+        """Know nothing yet."""
+        self._in_world = in_world
+        self._back = back
+        self._recent: deque[tuple[int, Quaternion, Vector, Vector]] = deque(maxlen=back + 1)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all comparisons."""
+        self._recent.clear()
+        self._due_ns = -1
+        self._count = 0
+        self._energy = self._world = self._tool = 0.0
+
+    def skip(self) -> None:
+        """Note that a pose came without a measured twist."""
+        self._recent.clear()
+
+    def is_due(self, stamp_ns: int, q: Quaternion, linear: Vector, angular: Vector) -> bool:
+        """Keep a measured twist and return whether the one some poses before is to be compared."""
+        self._recent.append((stamp_ns, q, linear, angular))
+        return len(self._recent) > self._back and stamp_ns >= self._due_ns
+
+    def compare(self, state: State) -> None:
+        """Compare the twist of some poses before with the slope of the poses there."""
+        stamp_ns, q, linear, angular = self._recent[0]
+        self._due_ns = self._recent[-1][0] + PERIOD_NS
+        energy, world, tool = misfits(q, linear, angular, state[2], state[3])
+        self._energy = MEMORY * self._energy + energy
+        self._world = MEMORY * self._world + world
+        self._tool = MEMORY * self._tool + tool
+        self._count += 1
+
+    @property
+    def verdict(self) -> str:
+        """'unknown', 'fits', 'other_axes' or 'does_not_fit'."""
+        weight = (1.0 - MEMORY ** self._count) / (1.0 - MEMORY)
+        if self._count < ENOUGH or not LEAST * weight < self._energy < float('inf'):
+            return 'unknown'
+        ours, other = (self._world, self._tool) if self._in_world else (self._tool, self._world)
+        if not ours > MISFIT * self._energy:
+            return 'fits'
+        return 'other_axes' if other < 0.25 * ours else 'does_not_fit'
+
+
+@kernel
+def in_tool_axes(q: Quaternion, linear: Vector, angular: Vector) -> tuple[Vector, Vector]:
+    """Return a twist given in world axes in those of the tool."""
+    R = rotation_matrix(q)
+    return apply_transposed(R, linear), apply_transposed(R, angular)

@@ -1,0 +1,233 @@
+"""
+Covariance of a prediction from the uncertainty of K and P and from noise on the tool's pose.
+
+To first order, with the small motions about the package's rest under an upright tool:
+
+- each uncertain entry of K and P drives a sensitivity of the state along the real motion, as the
+  wrench is linear in it (4.67);
+- noise of the tool's pose, white from sample to sample, gives a constant part: that of a linear
+  system driven for a long time;
+- while the tool is extrapolated its unknown acceleration is added.
+
+Rotation of the axes during the motion is neglected. All in body axes: displacement, rotation,
+linear and angular twist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from typing import Any
+
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.kernels import (
+    cup_wrench,
+    CupTuple,
+    ModelTuple,
+    newton_euler,
+    State,
+    wrench_at_com,
+)
+from bellows_ros.core.lie import hat
+from bellows_ros.core.linearisation import linearise, resting_on_tool
+from bellows_ros.core.live.load import deflection
+from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
+from bellows_ros.core.model import unit_cups
+from bellows_ros.core.parameters import matrix
+from bellows_ros.core.tuples import rotation_matrix
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+Array = NDArray[np.float64]
+
+STEP_NS = 4_000_000
+"""Sensitivities go on in steps at least so long: the package's modes are slow against it."""
+
+DOUBLINGS = 15
+"""2^15 samples make the long time of the part due to noise."""
+
+COASTING_ACCELERATION = 5.0
+COASTING_ANGULAR_ACCELERATION = 25.0
+"""Standard deviations (m/s^2, rad/s^2) of what an arm may do while nobody sees it."""
+
+UNIT_ROTATION = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+
+class Uncertainty:
+    """
+    Follow predictions and give their covariance.
+
+    Parameters
+    ----------
+    model : tuple
+        As the kernels take it.
+    values : mapping
+        Parameters by name: cup.stiffness_std, cup.damping_std, tool_noise.*.
+
+    """
+
+    def __init__(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
+        """Linearise the model."""
+        self._model = model
+        self._noise = np.repeat(
+            [values['tool_noise.position'] ** 2, values['tool_noise.rotation'] ** 2], 3)
+        self._units, self._std = _uncertain_entries(
+            model, matrix(values['cup.stiffness_std']), matrix(values['cup.damping_std']))
+        slopes = linearise(model, ORIGIN, _rest(model))
+        self._A = np.block([[np.zeros((6, 6)), np.eye(6)], [slopes.body_pose, slopes.body_twist]])
+        self._tool_pose, self._tool_twist = slopes.tool_pose, slopes.tool_twist
+        self._step_of: dict[int, tuple[Array, Array]] = {}
+        self._noise_of: dict[int, Array] = {}
+        self.forget()
+
+    def forget(self) -> None:
+        """Start from rest at the next prediction."""
+        self._sensitivity: Array | None = None
+        self._last_ns = self._measured_ns = -1
+        self._period_ns = STEP_NS
+
+    def covariance(self, prediction: Prediction) -> Array:
+        """
+        Return how sure a prediction is (12, 12): pose, then twist, in body axes.
+
+        Of displacement (m), rotation (rad), linear and angular twist (m/s, rad/s). Predictions
+        are to be given in the order of their stamps.
+        """
+        if not prediction.coasting:
+            self._note_period(prediction.stamp_ns)
+        S = self._sensitivity_at(prediction)
+        total: Array = S @ S.T + self._noise_part()
+        if prediction.coasting:
+            total = total + _coasting_part((prediction.stamp_ns - self._measured_ns) * 1e-9)
+        own = _to_own_axes(prediction)
+        return own @ total @ own.T
+
+    def _note_period(self, stamp_ns: int) -> None:
+        """Remember the time between two poses, roughly: in powers of two of a microsecond."""
+        between = stamp_ns - self._measured_ns
+        if self._measured_ns >= 0 and 0 < between < 100_000_000:
+            self._period_ns = 1000 * 2 ** round(math.log2(max(between, 1000) / 1000))
+        self._measured_ns = stamp_ns
+
+    def _sensitivity_at(self, prediction: Prediction) -> Array:
+        """Return d state / d parameter times the parameters' standard deviations (12, n)."""
+        duration_ns = prediction.stamp_ns - self._last_ns
+        S = self._sensitivity
+        if S is not None and 0 <= duration_ns < STEP_NS:
+            return S
+        pushes = self._pushes(prediction)
+        if S is None or not 0 <= duration_ns < 500_000_000:
+            S = np.linalg.solve(self._A, -pushes)  # at rest
+        else:
+            transition, gain = self._step(duration_ns)
+            S = transition @ S + gain @ pushes
+        self._sensitivity, self._last_ns = S, prediction.stamp_ns
+        return S
+
+    def _pushes(self, prediction: Prediction) -> Array:
+        """Return the accelerations (12, n) due to one standard deviation of each parameter."""
+        lip = deflection(self._model, prediction)
+        o = (lip.shift[0], lip.shift[1], lip.shift[2] - self._model[0][1])
+        package = self._model[1]
+        pushes = np.zeros((12, len(self._units)))
+        for column, unit in enumerate(self._units):
+            f, m = cup_wrench(unit, o, lip.rotation, lip.linear, lip.angular)
+            f, m = wrench_at_com(package[1], f, m)
+            dv, dw = newton_euler(package, ZERO, UNIT_ROTATION, ZERO, ZERO, f, m)
+            pushes[6:, column] = (*dv, *dw)
+        return np.asarray(pushes * self._std)
+
+    def _step(self, duration_ns: int) -> tuple[Array, Array]:
+        """Return exp(A h) and its integral, for a duration rounded to 0.1 ms."""
+        key = max(1, round(duration_ns / 100_000))
+        if key not in self._step_of:
+            if len(self._step_of) > 64:
+                self._step_of.clear()
+            block = np.zeros((24, 24))
+            block[:12, :12], block[:12, 12:] = self._A, np.eye(12)
+            exponential = expm(block * key * 1e-4)
+            self._step_of[key] = exponential[:12, :12], exponential[:12, 12:]
+        return self._step_of[key]
+
+    def _noise_part(self) -> Array:
+        """Return the covariance due to white noise of the tool's pose at the samples' period."""
+        if self._period_ns not in self._noise_of:
+            self._noise_of[self._period_ns] = self._driven_by_noise(self._period_ns * 1e-9)
+        return self._noise_of[self._period_ns]
+
+    def _driven_by_noise(self, period: float) -> Array:
+        """
+        Return the covariance after many samples e of noise, each held for a period.
+
+        The tool's twist is the derivative of e. Integrated by parts, its slope B_v acts like the
+        slope A B_v of e, and B_v e remains.
+        """
+        direct = np.vstack([np.zeros((6, 6)), self._tool_twist])
+        drive = np.vstack([np.zeros((6, 6)), self._tool_pose]) + self._A @ direct
+        block = np.zeros((24, 24))
+        block[:12, :12], block[:12, 12:] = self._A, np.eye(12)
+        exponential = expm(block * period)
+        transition, gain = exponential[:12, :12], exponential[:12, 12:] @ drive
+        total: Array = gain * self._noise @ gain.T
+        for _ in range(DOUBLINGS):
+            total = total + transition @ total @ transition.T
+            transition = transition @ transition
+        return np.asarray(total + direct * self._noise @ direct.T)
+
+
+def warm_up_uncertainty(model: ModelTuple, values: Mapping[str, Any]) -> None:
+    """Compile all that a covariance needs."""
+    exact = {**values, 'cup.stiffness_std': (1.0,) * 36, 'cup.damping_std': (1.0,) * 36}
+    o, q, v, w = _rest(model)
+    still = Prediction(1, o, q, v, w, ZERO, ZERO)
+    Uncertainty(model, exact).covariance(still)
+
+
+def _rest(model: ModelTuple) -> State:
+    """Return the package at rest under an upright tool, or unloaded if it cannot rest there."""
+    try:
+        return static_equilibrium(model, ORIGIN)
+    except BellowsError:
+        return resting_on_tool(model, ORIGIN)
+
+
+def _uncertain_entries(
+    model: ModelTuple, stiffness_std: Array, damping_std: Array
+) -> tuple[list[CupTuple], Array]:
+    """Return a unit cup and a standard deviation for each uncertain entry of K and P."""
+    pairs = [(i, j) for i in range(6) for j in range(i, 6)]
+    units = unit_cups(model[0][1], [_unit(i, j) for i, j in pairs])
+    std = [part[i, j] for part in (stiffness_std, damping_std) for i, j in pairs]
+    kept = [k for k, value in enumerate(std) if value > 0.0]
+    return [units[k] for k in kept], np.array([std[k] for k in kept])
+
+
+def _unit(i: int, j: int) -> Array:
+    """Return the symmetric matrix (6, 6) with ones in an entry and its mirror image."""
+    unit = np.zeros((6, 6))
+    unit[i, j] = unit[j, i] = 1.0
+    return unit
+
+
+def _to_own_axes(prediction: Prediction) -> Array:
+    """Return the matrix that lets a twist's error follow the error phi of its axes: v x phi."""
+    turn = np.eye(12)
+    turn[6:9, 3:6], turn[9:, 3:6] = hat(prediction.linear), hat(prediction.angular)
+    return turn
+
+
+def _coasting_part(seconds: float) -> Array:
+    """Return the covariance due to what the tool may have done since it was last seen."""
+    acceleration = np.repeat([COASTING_ACCELERATION, COASTING_ANGULAR_ACCELERATION], 3)
+    pose, twist = 0.5 * acceleration * seconds ** 2, acceleration * seconds
+    return np.diag(np.concatenate([pose, twist]) ** 2)
+
+
+def in_world_axes(covariance: Array, quaternion_xyzw: tuple[float, float, float, float]) -> Array:
+    """Return a pose covariance (6, 6) about fixed world axes (REP-103) from one in body axes."""
+    R = np.reshape(rotation_matrix(quaternion_xyzw), (3, 3))
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = R
+    return np.asarray(turn @ covariance @ turn.T)

@@ -1,0 +1,44 @@
+"""Whether a vacuum signal says that the package is held."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from typing import Any
+
+from bellows_ros.errors import BellowsError
+
+
+class PressureSwitch:
+    """
+    A switch with hysteresis on the absolute pressure in the cup.
+
+    Parameters
+    ----------
+    attach_below, detach_above : float
+        Pa; between them nothing changes.
+
+    """
+
+    def __init__(self, attach_below: float, detach_above: float) -> None:
+        """Take the thresholds."""
+        self._attach_below = attach_below
+        self._detach_above = detach_above
+
+    def held(self, pressure: float, held: bool) -> bool:
+        """Return whether the package is held now, from a pressure (Pa) and what was before."""
+        if not math.isfinite(pressure) or pressure < 0.0:
+            return held  # no measurement
+        if pressure < self._attach_below:
+            return True
+        return held and pressure <= self._detach_above
+
+
+def check_thresholds(values: Mapping[str, Any]) -> None:
+    """Raise BellowsError where the pressure for attaching lies above that for detaching."""
+    low, high = values['vacuum.attach_below'], values['vacuum.detach_above']
+    if low > high:
+        raise BellowsError(
+            f'vacuum.attach_below is {low:g} Pa, above vacuum.detach_above, {high:g} Pa. The '
+            'pressure falls when a package is sucked on: give the lower one to attach_below.'
+        )

@@ -1,0 +1,126 @@
+"""Whatever comes, in whatever order: finite answers, counts, bounded memory, recovery."""
+
+from collections import Counter
+import math
+
+from bellows_ros.core.live import LivePredictor, REFUSALS
+from bellows_ros.core.live.pairing import LONGEST_QUEUE
+from bellows_ros.core.model import Cup, Package
+from hypothesis import given, HealthCheck, Phase, settings
+from hypothesis import strategies as st
+import numpy as np
+
+START = 1_760_000_000_000_000_000
+MS = 1_000_000
+PERIOD = 2 * MS
+PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
+HEAVY = Package(25.0, np.diag([1.0, 1.0, 1.0]), (0.02, 0.0, -0.2))
+SOFT = Cup(0.1 * Cup.thesis().stiffness, 0.1 * Cup.thesis().damping, 0.0481)
+UPRIGHT, ZERO = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+SEQUENCES, LENGTH = 200, 150  # 30,000, a third of them no messages
+sent = Counter()
+
+numbers = st.floats(-2.0, 2.0) | st.floats() | st.sampled_from(
+    [0.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e150])
+vectors = st.tuples(numbers, numbers, numbers)
+calm_vectors = st.tuples(*[st.floats(-0.5, 0.5)] * 3)
+quaternions = (
+    st.just(UPRIGHT) | st.just((0.0, 0.0, 0.0, -1.0)) | st.just((0.0, 0.0, 0.0, 0.0))
+    | st.tuples(numbers, numbers, numbers, numbers)
+    | st.tuples(*[st.floats(-1.0, 1.0)] * 4).map(
+        lambda q: tuple(x / (math.hypot(*q) or 1.0) for x in q)))
+leaps = st.sampled_from(
+    [PERIOD] * 6 + [0, 1, -1, -PERIOD, 10, 50 * MS, 400 * MS, 600 * MS, 10**10, -10**10, 10**15,
+                    -10**18, 9 * 10**18, -40 * MS])  # fmt: skip
+frames = st.sampled_from(['base'] * 5 + ['map', '', 'b\x00ad', 'a' * 1000])
+poses = st.tuples(st.just('pose'), leaps, frames, vectors | calm_vectors, quaternions)
+twists = st.tuples(st.just('twist'), leaps, frames, vectors | calm_vectors, vectors | calm_vectors)
+others = st.tuples(
+    st.sampled_from(['flush', 'reset', 'attach', 'detach', 'coast', 'model', 'expect', 'wait']),
+    leaps)
+sequences = st.lists(poses | poses | twists | others, min_size=LENGTH, max_size=LENGTH)
+
+
+class Attack:
+    """A predictor, a clock, and a count of what was sent."""
+
+    def __init__(self):
+        self.live = LivePredictor(Cup.thesis(), PLATE, 9.81)
+        self.stamp, self.arrival = START, 10**12
+        self.poses = 0
+
+    def send(self, message):
+        """Send one message, and return the predictions."""
+        kind, leap = message[:2]
+        live = self.live
+        if kind in ('pose', 'twist'):
+            sent[kind] += 1
+            stamp = self.stamp + leap
+            self.arrival += PERIOD
+            if abs(leap) < 10**11:
+                self.stamp = max(stamp, 1)
+            if kind == 'twist':
+                return live.on_twist(stamp, message[3], message[4], message[2])
+            self.poses += 1
+            return live.on_pose(stamp, message[2], message[3], message[4], self.arrival)
+        return self.control(kind, leap)
+
+    def control(self, kind, leap):
+        """Do what a user, a timer or a vacuum switch does."""
+        live = self.live
+        if kind in ('attach', 'detach'):
+            return live.set_attached(kind == 'attach')
+        if kind == 'coast':
+            return live.coast(self.arrival + abs(leap) % 10**10)
+        if kind == 'flush':
+            return live.flush()
+        if kind == 'reset':
+            live.reset()
+        elif kind == 'model':
+            live.set_model(*((SOFT, HEAVY) if leap > PERIOD else (Cup.thesis(), PLATE)))
+        elif kind == 'expect':
+            live.expect_twists = leap > 0
+        else:
+            self.arrival += abs(leap) % 10**10
+        return []
+
+
+def check(live, predictions):
+    """All numbers finite, orientations rotations, queues bounded."""
+    for p in predictions:
+        numbers = [x for part in (*p.body, p.force, p.moment, *p.tool) for x in part]
+        assert all(map(math.isfinite, numbers))
+        assert abs(math.hypot(*p.quaternion_xyzw) - 1.0) < 1e-9
+    assert live.waiting <= LONGEST_QUEUE
+    assert len(live._pairing._twists) <= 32
+
+
+@given(sequences)
+@settings(max_examples=SEQUENCES, suppress_health_check=list(HealthCheck), database=None,
+          phases=[Phase.explicit, Phase.generate])
+def test_nothing_breaks_the_predictor_and_it_comes_back(sequence):
+    attack = Attack()
+    live, answered = attack.live, 0
+    for message in sequence:
+        predictions = attack.send(message)
+        check(live, predictions)
+        answered += sum(not p.coasting for p in predictions)
+        assert set(live.refused) == set(REFUSALS)
+        refused = sum(n for name, n in live.refused.items() if not name.startswith('twist'))
+        assert answered == live.predictions
+        assert live.predictions + refused + live.waiting <= live.poses_in == attack.poses
+    live.set_model(Cup.thesis(), PLATE)
+    live.set_attached(True)
+    stamp = attack.stamp + 20 * MS
+    good = [live.on_pose(stamp + k * PERIOD, 'base', (1e-5 * k, 0.0, 0.0), UPRIGHT,
+                         attack.arrival + (k + 1) * PERIOD) for k in range(300)]  # fmt: skip
+    times = [k for k, out in enumerate(good) if out]
+    words = str((dict(live.refused), live.restarts, live.frame_id[:9]))
+    assert times and times[0] * PERIOD <= 200 * MS, words
+    assert len(times) >= 300 - times[0] - 15  # poses may wait 20 ms for twists that stopped
+    for out in good:
+        check(live, out)
+
+
+def test_so_many_messages_were_sent():
+    assert sent['pose'] + sent['twist'] >= 20_000, sent

@@ -1,0 +1,174 @@
+"""What is watched for the diagnostics: timing, load, vacuum, and the words and levels of it."""
+
+import math
+
+from bellows_ros.core.cups import with_chosen_cup
+from bellows_ros.core.inertia import box_inertia
+from bellows_ros.core.live import health
+from bellows_ros.core.live.health import InputSeen, Level, PredictionSeen
+from bellows_ros.core.live.load import deflection, equivalent_box, lip_position, Load
+from bellows_ros.core.live.samples import ORIGIN, Prediction
+from bellows_ros.core.live.timing import Arrivals, KEPT, Quantiles, Rhythm, Window
+from bellows_ros.core.live.vacuum import check_thresholds, PressureSwitch
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.parameters import resolve
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+MS = 1_000_000
+ZERO = (0.0, 0.0, 0.0)
+PACKAGE = {
+    'package.mass': 2.0, 'package.inertia': (0.01, 0.02, 0.025, 0.0, 0.0, 0.0),
+    'package.com': (0.0, 0.0, -0.03)}
+GOOD = Rhythm(500, 500.0, 1e-5, 1e-3)
+SILENT = Rhythm(0, math.nan, 0.0, math.nan)
+
+
+def test_window_keeps_the_newest_and_begins_again():
+    window = Window()
+    for value in range(KEPT + 1000):
+        window.add(float(value))
+    p50, p99, largest = window.take()
+    assert largest == KEPT + 999
+    assert_allclose((p50, p99), (1000 + 0.5 * KEPT, 1000 + 0.99 * KEPT), rtol=1e-3)
+    assert all(map(math.isnan, window.take()))
+
+
+def test_rate_jitter_and_age():
+    arrivals, rng = Arrivals(), np.random.default_rng(1)
+    times = np.cumsum(rng.normal(2 * MS, 0.2 * MS, 2000)).astype(int)
+    for time in times:
+        arrivals.add(int(time))
+    arrivals.note_age(0.25)
+    rhythm = arrivals.take()
+    assert rhythm.messages == 2000
+    assert_allclose(rhythm.rate_hz, 500.0, rtol=0.01)
+    assert_allclose(rhythm.jitter, 0.2e-3, rtol=0.1)
+    assert rhythm.age == 0.25
+    assert arrivals.take().messages == 0 and arrivals.last_ns == times[-1]
+
+
+def test_pressure_switch_has_hysteresis():
+    switch, held, seen = PressureSwitch(60e3, 80e3), False, []
+    for pressure in (101e3, 70e3, 59e3, 70e3, math.nan, -1.0, 79e3, 81e3, 70e3):
+        held = switch.held(pressure, held)
+        seen.append(held)
+    assert seen == [False, False, True, True, True, True, True, False, False]
+    with pytest.raises(BellowsError, match='lower one'):
+        check_thresholds({'vacuum.attach_below': 2.0, 'vacuum.detach_above': 1.0})
+
+
+def prediction(force=(0.0, 0.0, 20.0), moment=ZERO, tilt=0.0):
+    """Return a package that hangs below the origin, tilted about x."""
+    q = (math.sin(tilt / 2), 0.0, 0.0, math.cos(tilt / 2))
+    return Prediction(1, (0.0, 0.0, -0.08), q, ZERO, ZERO, force, moment, ORIGIN)
+
+
+MODEL = model_tuple(Cup.thesis(), Package(2.0, np.diag([0.01, 0.02, 0.025]), (0, 0, -0.03)), 9.81)
+
+
+def test_deflection_is_that_of_the_lip():
+    lip = deflection(MODEL, prediction())
+    assert_allclose(lip.shift, (0.0, 0.0, 0.0481 - 0.05), atol=1e-15)
+    assert_allclose(lip_position(MODEL, prediction()), (0.0, 0.0, -0.05), atol=1e-15)
+
+
+def test_smallest_margin_and_largest_distance_are_kept():
+    values = resolve({
+        **PACKAGE, 'cup.max_force': 40.0, 'cup.max_moment': 2.0,
+        'envelope.deflection_low': [-1e-3] * 6, 'envelope.deflection_high': [1e-3] * 6,
+        'envelope.rates': [1.0] * 6, 'envelope.frequencies': [0.0, 9.0, 0.0, 9.0],
+        'envelope.mass': [2.0, 2.0]})
+    load = Load(values)
+    assert load.limits_known and load.envelope_known
+    for case in (prediction(), prediction((0.0, 0.0, 30.0)), prediction(moment=(0.0, 1.2, 0.0))):
+        load.watch_force(case)
+    load.watch_deflection(MODEL, prediction(tilt=0.2))
+    margin, away, bending = load.take()
+    assert_allclose(margin, 0.25)
+    assert away.value > 1.0 and 'bending about x' in away.words
+    assert_allclose(bending, 0.2)
+    assert load.take() == (None, None, 0.0)
+    unknown = Load(resolve(PACKAGE))
+    unknown.watch_force(prediction())
+    assert not unknown.limits_known and not unknown.envelope_known and unknown.take()[0] is None
+
+
+def test_box_of_an_inertia_is_the_box():
+    inertia = box_inertia(3.0, 0.2, 0.3, 0.1)
+    values = {'package.mass': 3.0, 'package.inertia': (*np.diag(inertia), 0.0, 0.0, 0.0)}
+    assert_allclose(equivalent_box(values), (0.2, 0.3, 0.1))
+
+
+@pytest.mark.parametrize(('seen', 'level', 'words'), [
+    ({}, Level.OK, '500 Hz.'),
+    ({'publishers': 0, 'rhythm': SILENT}, Level.ERROR, 'Nobody publishes /tool'),
+    ({'rhythm': SILENT}, Level.ERROR, 'silent: no message for 3.0 s. Is the driver'),
+    ({'rhythm': SILENT, 'silent': math.inf}, Level.ERROR, 'silent: no message so far'),
+    ({'rhythm': SILENT, 'mismatch': 'reliability'}, Level.ERROR,
+     'Set qos_overrides./tool.subscription.reliability'),
+    ({'refused': {'nan': 3, 'jump': 0}}, Level.WARN, '3 of 500 messages refused: 3 nan.'),
+    ({'refused': {'frame_id': 500}}, Level.ERROR, '500 of 500'),
+    ({'rhythm': GOOD._replace(age=5.0)}, Level.WARN, '5 s behind the clock'),
+    ({'rhythm': GOOD._replace(age=-2.0)}, Level.WARN, '2 s ahead of the clock'),
+    ({'rhythm': GOOD._replace(age=math.nan)}, Level.OK, 'Hz'),
+])
+def test_words_on_an_input(seen, level, words):
+    base = InputSeen('/tool', 1, '', GOOD, 3.0, {}, {'nan': 7})
+    status = health.input_status('predictor: tool pose', base._replace(**seen))
+    assert status.level == level
+    assert words in status.message
+    assert status.values['refused: nan'] == '7'
+
+
+def test_an_optional_input_may_be_absent():
+    absent = InputSeen('/twist', 0, '', SILENT, math.inf, {}, {})
+    assert health.input_status('x', absent, optional=True).level == Level.OK
+    assert health.input_status('x', absent._replace(publishers=1), True).level == Level.WARN
+
+
+@pytest.mark.parametrize(('seen', 'level', 'words'), [
+    ({}, Level.OK, 'Predicting.'),
+    ({'state': 'inactive'}, Level.OK, 'Inactive: nothing is published.'),
+    ({'phase': 'detached'}, Level.OK, 'Detached'),
+    ({'phase': 'coasting'}, Level.WARN, 'Coasting'),
+    ({'phase': 'lost'}, Level.ERROR, 'Lost'),
+    ({'restarts': {'gap': 2}}, Level.WARN, '2 gap'),
+    ({'restarts': {'no_equilibrium': 1}}, Level.ERROR, 'cannot hold'),
+    ({'twist_verdict': 'other_axes'}, Level.WARN, 'tool_twist.frame'),
+])
+def test_words_on_the_prediction(seen, level, words):
+    base = PredictionSeen(
+        'active', 'predicting', 'cup.*', Quantiles(1e-4, 2e-4, 3e-4), {}, {'gap': 0}, 'fits')
+    status = health.prediction_status('x', base._replace(**seen))
+    assert status.level == level
+    assert words in status.message
+    assert status.values['compute time p99 (us)'] == '200'
+
+
+@pytest.mark.parametrize(('margin', 'bending', 'level', 'words'), [
+    (None, 0.1, Level.OK, 'No limits are known'), (0.5, 0.1, Level.OK, 'Within'),
+    (0.1, 0.1, Level.WARN, '10%'), (-0.2, 0.1, Level.ERROR, '20% above'),
+    (0.5, 0.7, Level.WARN, 'bends by 0.7 rad'),
+])
+def test_words_on_the_load(margin, bending, level, words):
+    status = health.load_status('x', margin, None, bending, margin is not None, False)
+    assert status.level == level
+    assert words in status.message
+    assert status.values['distance from envelope'] == 'not known'
+
+
+def test_cup_is_chosen_by_name():
+    soft = tuple(np.eye(6).ravel())
+    values = resolve({
+        **PACKAGE, 'cups.soft.stiffness': soft, 'cups.soft.length': 0.03, 'cup.name': 'soft'})
+    chosen = with_chosen_cup(values)
+    assert chosen['cup.stiffness'] == soft and chosen['cup.length'] == 0.03
+    assert chosen['cup.damping'] == values['cup.damping']
+    assert with_chosen_cup({**values, 'cup.name': ''}) == {**values, 'cup.name': ''}
+    with pytest.raises(BellowsError, match="Did you mean 'soft'"):
+        with_chosen_cup({**values, 'cup.name': 'sofd'})
+    with pytest.raises(BellowsError, match='cups.soft.stiffness is not positive definite'):
+        resolve({**PACKAGE, 'cups.soft.stiffness': [0.0] * 36})

@@ -1,0 +1,184 @@
+"""Which poses are refused, and after which faults everything starts afresh by itself."""
+
+import math
+
+from bellows_ros.core.live import screening
+from bellows_ros.core.live.screening import Screen, Verdict
+import pytest
+
+START = 1_760_000_000_000_000_000
+MS = 1_000_000
+PERIOD = 2 * MS
+STILL = (0.0, 0.0, 0.0)
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+RECOVERED_WITHIN_NS = 200 * MS
+
+
+class Driver:
+    """Poses of a tool that moves at a given speed, with their arrivals."""
+
+    def __init__(self, speed=0.0, period_ns=PERIOD):
+        self.screen = Screen()
+        self.speed, self.period_ns = speed, period_ns
+        self.k = 0
+
+    def send(self, count=1, *, offset_ns=0, frame='base', position=None, xyzw=UPRIGHT):
+        """Send poses that arrive in time, and return what was said about each."""
+        verdicts = []
+        for _ in range(count):
+            t = self.k * self.period_ns
+            o = (self.speed * t * 1e-9, 0.0, 0.0) if position is None else position
+            verdicts.append(self.screen.judge(START + t + offset_ns, frame, o, xyzw, START + t))
+            self.k += 1
+        return verdicts
+
+
+def time_to_recover(driver, verdicts):
+    """Return after how many nanoseconds of poses the first was accepted."""
+    return next(i for i, v in enumerate(verdicts) if not v.refused) * driver.period_ns
+
+
+GOOD = Verdict('', '')
+SPEEDS = pytest.mark.parametrize('period_ns', [MS, 2 * MS, 8 * MS, 20 * MS])
+
+
+def test_good_poses_are_accepted():
+    assert Driver(speed=2.0).send(1000) == [GOOD] * 1000
+    assert Driver().send(1000) == [GOOD] * 1000  # a robot that stands still repeats its pose
+
+
+@pytest.mark.parametrize('reason, fault', [
+    ('nan', {'position': (math.nan, 0.0, 0.0)}),
+    ('zero_quaternion', {'xyzw': (0.0, 0.0, 0.0, 0.0)}),
+    ('not_unit', {'xyzw': (0.0, 0.0, 0.0, 1.02)}),
+    ('frame_id', {'frame': 'map'}),
+    ('zero_stamp', {'offset_ns': -2 * START}),
+    ('future_stamp', {'offset_ns': 3_600_000 * MS}),
+    ('jump', {'position': (0.5, 0.0, 0.0)}),
+])
+def test_one_bad_pose_costs_itself_only(reason, fault):
+    driver = Driver(speed=0.5)
+    driver.send(100)
+    assert driver.send(1, **fault) == [Verdict(reason, '')]
+    assert driver.send(100) == [GOOD] * 100
+
+
+def test_bad_poses_in_turn_with_good_ones_cost_themselves_only():
+    driver = Driver(speed=0.5)
+    driver.send(10)
+    for _ in range(50):
+        for fault in ({'frame': 'map'}, {'offset_ns': 10**12}, {'position': (9.0, 9.0, 9.0)}):
+            assert driver.send(1, **fault)[0].refused
+            assert driver.send(1) == [GOOD]
+
+
+@SPEEDS
+@pytest.mark.parametrize('offset_ns', [-100 * MS, -10_000 * MS])
+def test_clock_set_back_is_believed_in_time(period_ns, offset_ns):
+    driver = Driver(period_ns=period_ns)
+    driver.send(100)
+    verdicts = driver.send(30, offset_ns=offset_ns)
+    assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
+    assert {v.refused for v in verdicts} <= {'backward_stamp', 'duplicate_stamp', ''}
+    caught_up = -offset_ns <= screening.BACKWARD_RUN * period_ns  # sooner than it was believed
+    assert [v.restart for v in verdicts if v.restart] == ['clock_set_back'] * (not caught_up)
+
+
+@SPEEDS
+def test_clock_set_forward_is_told_from_one_stamp_in_the_future(period_ns):
+    driver = Driver(period_ns=period_ns)
+    driver.send(100)
+    verdicts = driver.send(30, offset_ns=10**10)
+    assert verdicts[:2] == [Verdict('future_stamp', ''), Verdict('', 'clock_set_forward')]
+    assert verdicts[2:] == [GOOD] * 28
+
+
+def test_pause_of_the_driver_is_a_gap_and_costs_no_pose():
+    driver = Driver()
+    driver.send(100)
+    driver.k += 500
+    assert driver.send(2) == [Verdict('', 'gap'), GOOD]
+
+
+def test_without_arrivals_a_late_stamp_is_a_gap():
+    screen = Screen()
+    for stamp, expected in ((START, GOOD), (START + 10**10, Verdict('', 'gap'))):
+        assert screen.judge(stamp, 'base', STILL, UPRIGHT) == expected
+
+
+def test_poses_that_are_played_fast_lose_one_at_most():
+    screen = Screen()  # a second of stamps every 20 ms
+    verdicts = [
+        screen.judge(START + k * 1000 * MS, 'base', STILL, UPRIGHT, k * 20 * MS)
+        for k in range(50)]
+    assert sum(bool(v.refused) for v in verdicts) == 1
+
+
+@SPEEDS
+def test_new_frame_is_believed_when_nothing_else_comes(period_ns):
+    driver = Driver(period_ns=period_ns)
+    driver.send(100)
+    verdicts = driver.send(300, frame='map')
+    assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
+    assert [v.restart for v in verdicts if v.restart] == ['frame_changed']
+    assert driver.screen.frame_id == 'map'
+
+
+def test_bogus_stamp_in_a_new_frame_does_not_keep_it_out():
+    driver = Driver()
+    driver.send(10)
+    driver.send(1, frame='map', offset_ns=10**10)
+    verdicts = driver.send(300, frame='map')
+    assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
+
+
+def test_two_drivers_in_two_frames_never_mix():
+    driver = Driver(speed=0.5)
+    driver.send(10)
+    for _ in range(300):
+        assert driver.send(1) == [GOOD]
+        assert driver.send(1, frame='map') == [Verdict('frame_id', '')]
+
+
+@pytest.mark.parametrize('repeats', [1, 3, 200])
+def test_repeated_pose_of_a_moving_tool_is_lost_tracking(repeats):
+    driver = Driver(speed=0.5)
+    driver.send(100)
+    frozen = (0.5 * 99 * PERIOD * 1e-9, 0.0, 0.0)
+    assert driver.send(repeats, position=frozen) == [Verdict('repeated_pose', '')] * repeats
+    assert driver.send(10) == [GOOD] * 10
+
+
+def test_tool_that_comes_to_rest_may_repeat_its_pose():
+    screen, o, v = Screen(), 0.0, 0.5
+    for k in range(200):  # stops with 5 m/s^2, as arms do
+        assert screen.judge(START + k * PERIOD, 'base', (o, 0.0, 0.0), UPRIGHT) == GOOD
+        o, v = o + v * PERIOD * 1e-9, max(0.0, v - 5.0 * PERIOD * 1e-9)
+
+
+@SPEEDS
+def test_new_place_is_believed_after_a_few_poses(period_ns):
+    driver = Driver(period_ns=period_ns)
+    driver.send(100)
+    verdicts = driver.send(30, position=(3.0, 0.0, 0.0))
+    assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
+    assert [v.restart for v in verdicts if v.restart] == ['moved']
+
+
+def test_scattered_places_are_never_believed():
+    driver = Driver()
+    driver.send(10)
+    for k in range(50):
+        assert driver.send(1, position=(3.0 + k % 7, 0.0, 0.0)) == [Verdict('jump', '')]
+    assert driver.send(1) == [GOOD]
+
+
+def test_sign_of_a_quaternion_is_no_jump():
+    driver = Driver(speed=0.5)
+    for _ in range(20):
+        assert driver.send(1) + driver.send(1, xyzw=(0.0, 0.0, 0.0, -1.0)) == [GOOD] * 2
+
+
+def test_limits_leave_room_for_every_arm():
+    assert screening.LARGEST_SPEED >= 10.0  # m/s; fast arms reach 4
+    assert screening.HARDEST_STOP >= 2 * 9.81

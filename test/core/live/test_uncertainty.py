@@ -1,0 +1,121 @@
+"""The covariance against what happens when K, P and the tool's poses are drawn at random."""
+
+import math
+
+from bellows_ros.core.lie import log_so3, quaternion_to_rotation
+from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.live.uncertainty import in_world_axes, Uncertainty
+from bellows_ros.core.model import Cup, Package
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+START = 1_760_000_000_000_000_000
+PERIOD = 2_777_778
+THESIS = Cup.thesis()
+PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
+COUNT = 900
+NO_STD = (0.0,) * 36
+DRAWS = 25
+
+
+def values(stiffness_std=NO_STD, damping_std=NO_STD, position=0.0, rotation=0.0):
+    """Return parameters of the uncertainty."""
+    return {
+        'cup.stiffness_std': tuple(np.ravel(stiffness_std)), 'tool_noise.rotation': rotation,
+        'cup.damping_std': tuple(np.ravel(damping_std)), 'tool_noise.position': position}
+
+
+def tool_poses():
+    """Return a gentle motion, slower than the package's modes: position and bending."""
+    for k in range(COUNT):
+        t = k * PERIOD * 1e-9
+        fade = min(1.0, t)
+        angle = 0.1 * fade * math.sin(5.0 * t)
+        yield (
+            START + k * PERIOD, (0.03 * fade * math.sin(7.0 * t), 0.02 * fade * math.sin(4.0 * t),
+                                 0.0),
+            (0.0, math.sin(angle / 2), 0.0, math.cos(angle / 2)))
+
+
+def predict(cup=THESIS, rng=None, position=0.0, rotation=0.0):
+    """Return predictions, with noise on the poses where a generator is given."""
+    live, out = LivePredictor(cup, PLATE, 9.81), []
+    for stamp, o, q in tool_poses():
+        if rng is not None:
+            o = tuple((o + rng.normal(0.0, position, 3)).tolist())
+            half = rng.normal(0.0, 0.5 * rotation, 3)
+            q = np.array(q) + [*half, 0.0]
+            q = tuple((q / np.linalg.norm(q)).tolist())
+        out += live.on_pose(stamp, 'world', o, q)
+    return live, out
+
+
+def errors(out, base):
+    """Return the differences (N, 12) in body axes: pose, then twist."""
+    def arrays(predictions):
+        return (np.array([p.position for p in predictions]),
+                quaternion_to_rotation(np.array([p.quaternion_xyzw for p in predictions])),
+                np.array([[*p.linear, *p.angular] for p in predictions]))
+    (o, R, v), (o0, R0, v0) = arrays(out), arrays(base)
+    shift = np.einsum('nji,nj->ni', R0, o - o0)
+    return np.hstack([shift, log_so3(np.swapaxes(R0, 1, 2) @ R), v - v0])
+
+
+def rms(array):
+    """Return the root mean square over all but the last axis."""
+    return np.sqrt(np.mean(np.square(array), axis=tuple(range(np.ndim(array) - 1))))
+
+
+@pytest.mark.parametrize('what', ['stiffness', 'damping'])
+def test_uncertain_cup(what):
+    rng = np.random.default_rng(5)
+    part = 0.02 if what == 'stiffness' else 0.1
+    std = part * getattr(THESIS, what)
+    live, base = predict()
+    drawn = []
+    for _ in range(DRAWS):
+        change = np.diag(rng.standard_normal(6)) * std
+        K = THESIS.stiffness + change * (what == 'stiffness')
+        P = THESIS.damping + change * (what == 'damping')
+        drawn.append(errors(predict(Cup(K, P, 0.0481))[1], base))
+    uncertainty = Uncertainty(live.model, values(**{f'{what}_std': std}))
+    said = np.sqrt([np.diag(uncertainty.covariance(p)) for p in base])
+    got, said = rms(np.array(drawn)), rms(said)
+    # To first order, where motion couples the axes: right within a factor of two in each.
+    assert_allclose(np.log2(said / got), 0.0, atol=1.0)
+
+
+def test_noise_of_the_tool_pose():
+    live, base = predict()
+    drawn = [errors(predict(rng=np.random.default_rng(k), position=1e-4, rotation=5e-4)[1], base)
+             for k in range(10)]
+    uncertainty = Uncertainty(live.model, values(position=1e-4, rotation=5e-4))
+    said = np.sqrt([np.diag(uncertainty.covariance(p)) for p in base])
+    assert_allclose(rms(said[300:]) / rms(np.array(drawn)[:, 300:]), 1.0, atol=0.5)
+
+
+def test_covariance_is_symmetric_and_positive_and_grows_while_coasting():
+    live, base = predict()
+    uncertainty = Uncertainty(live.model, values(0.1 * THESIS.stiffness, position=1e-4))
+    before = [uncertainty.covariance(p) for p in base][-1]
+    last = base[-1]
+    later = [uncertainty.covariance(last._replace(
+        stamp_ns=last.stamp_ns + ms * 1_000_000, coasting=True)) for ms in (20, 50, 100)]
+    sizes = [np.trace(C[:6, :6]) for C in (before, *later)]
+    assert sizes == sorted(sizes) and sizes[-1] > 10 * sizes[0]
+    for C in (before, *later):
+        assert_allclose(C, C.T, atol=1e-12 * np.abs(C).max())
+        assert np.linalg.eigvalsh(C).min() > -1e-9 * np.abs(C).max()
+
+
+def test_exact_knowledge_has_no_covariance():
+    live, base = predict()
+    uncertainty = Uncertainty(live.model, values())
+    assert not uncertainty.covariance(base[100]).any()
+
+
+def test_pose_covariance_is_turned_into_fixed_axes():
+    quarter = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))  # about z: body x is world y
+    turned = in_world_axes(np.diag([1.0, 4.0, 9.0, 16.0, 25.0, 36.0]), quarter)
+    assert_allclose(np.diag(turned), [4.0, 1.0, 9.0, 25.0, 16.0, 36.0], atol=1e-12)
