@@ -6,9 +6,12 @@ the normal equations of the raw data are never formed, memory does not grow with
 and the triangles of several recordings can be joined.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
+from bellows_ros.core.identification.moments import joined, Moments
 from bellows_ros.core.identification.result import definiteness_warnings, Fit
 from bellows_ros.core.identification.structure import Structure
 from bellows_ros.core.identification.wrenches import lip_relative, needed_wrench
@@ -28,6 +31,9 @@ LARGEST_CONDITION = 1e6
 
 CLUSTER_WINDOWS = 4
 """Residuals this many filter windows apart are taken as independent for standard errors."""
+
+QR_ROWS = 512
+"""Rows that are reduced to a triangle at a time: they stay in the processor's cache."""
 
 SMALLEST_SHARE = 1e-3
 """Least part of a direction that other clusters must tell, for a cluster's residual to count."""
@@ -102,16 +108,46 @@ def least_squares(recordings: list[Samples], cup_length: float, structure: Struc
 
     """
     count = sum(samples.count for samples in recordings)
+    rejected = sum(len(samples.tool) for samples in recordings) - count
+    require_enough(count, structure)
+    whitening = whitening_of(wrench_covariance(recordings, structure))
+    rows = partial(_rows, recordings, cup_length, structure, whitening)
+    return solved(rows, structure, whitening, count, rejected)
+
+
+class Rows(NamedTuple):
+    """Whitened rows of the problem: A (N, 6, p), b (N, 6), and which of the N are a cluster."""
+
+    A: Array
+    b: Array
+    clusters: list[slice]
+
+
+def require_enough(count: int, structure: Structure) -> None:
+    """Raise BellowsError if there are fewer equations than parameters."""
     if 6 * count <= 2 * structure.size:
         raise BellowsError(
             f'{count} valid samples are too few for {2 * structure.size} parameters. Record '
             'longer, or see in the report why samples were rejected.'
         )
-    whitening = np.linalg.inv(np.linalg.cholesky(wrench_covariance(recordings, structure)))
-    problem = _Problem(recordings, cup_length, structure, whitening)
-    triangle = problem.triangle()
-    x, inverse, condition = _solve(triangle, structure)
-    covariance, residual_rms = problem.uncertainty(x, inverse)
+
+
+def whitening_of(covariance: Array) -> Array:
+    """Return the root of the weight W that makes a covariance (6, 6) the identity."""
+    whitening: Array = np.linalg.inv(np.linalg.cholesky(covariance))
+    return whitening
+
+
+def solved(
+    rows: Callable[[], Iterable[Rows]],
+    structure: Structure,
+    whitening: Array,
+    used: int,
+    rejected: int,
+) -> Fit:
+    """Return the fit of whitened rows, which are made anew whenever they are needed."""
+    x, inverse, condition = _solve(_triangle(rows(), 2 * structure.size + 1), structure)
+    covariance, squares = _uncertainty(rows(), whitening, x, inverse)
     stiffness, damping = structure.matrices(x)
     stiffness_std, damping_std = structure.matrices(np.sqrt(np.diag(covariance)))
     return Fit(
@@ -123,83 +159,87 @@ def least_squares(recordings: list[Samples], cup_length: float, structure: Struc
         damping_std=damping_std,
         covariance=covariance,
         labels=structure.labels,
-        samples_used=count,
-        samples_rejected=sum(len(samples.tool) for samples in recordings) - count,
+        samples_used=used,
+        samples_rejected=rejected,
         condition_number=condition,
         weight=whitening.T @ whitening,
-        residual_rms=residual_rms,
+        residual_rms=np.sqrt(squares / used),
         warnings=definiteness_warnings(stiffness, damping, structure.name),
     )
 
 
 def wrench_covariance(recordings: list[Samples], structure: Structure) -> Array:
-    """
-    Return Q (6, 6) of the needed wrenches: full (4.69), or pooled variances otherwise (4.80).
+    """Return Q (6, 6) of the needed wrenches (4.69), (4.80); see `Moments.covariance`."""
+    return joined(wrench_moments(r) for r in recordings).covariance(structure)
 
-    Both lateral forces share a variance, and both lateral moments, when the structure ties them.
-    """
-    c = np.concatenate(
-        [needed_wrench(s.held, s.package, s.gravity) for r in recordings for s in r.blocks()]
+
+def wrench_moments(recording: Samples) -> Moments:
+    """Return the moments of the wrenches that a recording needs."""
+    return joined(
+        Moments.of(needed_wrench(b.held, b.package, b.gravity)) for b in recording.blocks()
     )
-    if structure.name == 'full':
-        return np.cov(c.T)
-    if structure.name == 'diagonal':
-        return np.diag(np.var(c, axis=0, ddof=1))
-    force, moment = np.var(c[:, :2], ddof=1), np.var(c[:, 3:5], ddof=1)
-    return np.diag([
-        force, force, np.var(c[:, 2], ddof=1), moment, moment, np.var(c[:, 5], ddof=1),
-    ])  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """The whitened rows of the problem, made block by block whenever they are needed."""
+def equations(
+    block: Samples, cup_length: float, structure: Structure
+) -> tuple[Array, Array, list[slice]]:
+    """Return a block's L (N, 6, p) and c (N, 6) of (4.67), (4.68), and its clusters."""
+    o_E_S, R_E_S, twist = lip_relative(block.tool, block.package, block.held.com)
+    L = regressor(cup_length, structure.basis, o_E_S, R_E_S, twist)
+    return L, needed_wrench(block.held, block.package, block.gravity), _clusters(block)
 
-    recordings: list[Samples]
-    cup_length: float
-    structure: Structure
-    whitening: Array
 
-    def rows(self) -> Iterator[tuple[Samples, Array, Array]]:
-        """Yield blocks with their whitened regressor (N, 6, p) and needed wrench (N, 6)."""
-        for recording in self.recordings:
-            for block in recording.blocks():
-                o_E_S, R_E_S, twist = lip_relative(block.tool, block.package, block.held.com)
-                L = regressor(self.cup_length, self.structure.basis, o_E_S, R_E_S, twist)
-                c = needed_wrench(block.held, block.package, block.gravity)
-                yield block, self.whitening @ L, c @ self.whitening.T
+def _rows(
+    recordings: list[Samples], cup_length: float, structure: Structure, whitening: Array
+) -> Iterator[Rows]:
+    """Yield the whitened rows of recordings, block by block."""
+    for recording in recordings:
+        for block in recording.blocks():
+            L, c, clusters = equations(block, cup_length, structure)
+            yield Rows(whitening @ L, c @ whitening.T, clusters)
 
-    def triangle(self) -> Array:
-        """Return R of the QR factorisation of [A b] (p + 1, p + 1) (4.71, 4.72)."""
-        size = 2 * self.structure.size + 1
-        R: Array = np.zeros((0, size))
-        for _, A, b in self.rows():
-            rows = np.hstack([A.reshape(-1, size - 1), b.reshape(-1, 1)])
-            R = np.asarray(np.linalg.qr(np.vstack([R, rows]), mode='r'))
-        return R
 
-    def uncertainty(self, x: Array, inverse: Array) -> tuple[Array, Array]:
-        """
-        Return the covariance (p, p) of x and the RMS (6,) of the wrench residuals.
+def _triangle(rows: Iterable[Rows], size: int) -> Array:
+    """Return R of the QR factorisation of [A b] (size, size) (4.71, 4.72)."""
+    R: Array = np.zeros((size, size))
+    for A, b, _ in rows:
+        R = triangle_of(np.concatenate([R, np.dstack([A, b]).reshape(-1, size)]))
+    return R
 
-        The covariance needs no independence of residuals that are less than a cluster apart, and
-        no equal noise (the cluster-robust estimator; with Z = A R^-1 it is
-        R^-1 (sum of u u^T) R^-T, u = (I - Z_j^T Z_j)^-1/2 Z_j^T r_j for cluster j, in which the
-        root makes up for residuals that the fit itself has shrunk).
-        """
-        meat, squares, count = np.zeros_like(inverse), np.zeros(6), 0
-        colour = np.linalg.inv(self.whitening)
-        for block, A, b in self.rows():
-            r = b - A @ x
-            squares += np.sum((r @ colour.T) ** 2, axis=0)
-            count += len(r)
-            for part in _clusters(block):
-                Z = A[part].reshape(-1, len(x)) @ inverse
-                share, V = np.linalg.eigh(np.eye(len(x)) - Z.T @ Z)
-                root = V / np.sqrt(np.maximum(share, SMALLEST_SHARE))
-                u = root @ (V.T @ (Z.T @ r[part].ravel()))
-                meat += np.outer(u, u)
-        return inverse @ meat @ inverse.T, np.sqrt(squares / count)
+
+def triangle_of(rows: Array) -> Array:
+    """Return R (q, q) of the QR factorisation of rows (N, q), N at least q."""
+    whole = len(rows) // QR_ROWS * QR_ROWS
+    size = rows.shape[1]
+    # Triangles of small parts, then of these: four times faster than at once.
+    parts = np.asarray(np.linalg.qr(rows[:whole].reshape(-1, QR_ROWS, size), mode='r'))
+    left = np.concatenate([parts.reshape(-1, size), rows[whole:]])
+    return np.asarray(np.linalg.qr(left, mode='r'))
+
+
+def _uncertainty(
+    rows: Iterable[Rows], whitening: Array, x: Array, inverse: Array
+) -> tuple[Array, Array]:
+    """
+    Return the covariance (p, p) of x and the sum of squares (6,) of the wrench residuals.
+
+    The covariance needs no independence of residuals that are less than a cluster apart, and
+    no equal noise (the cluster-robust estimator; with Z = A R^-1 it is
+    R^-1 (sum of u u^T) R^-T, u = (I - Z_j^T Z_j)^-1/2 Z_j^T r_j for cluster j, in which the
+    root makes up for residuals that the fit itself has shrunk).
+    """
+    meat, squares = np.zeros_like(inverse), np.zeros(6)
+    colour = np.linalg.inv(whitening)
+    for A, b, clusters in rows:
+        r = b - A @ x
+        squares += np.sum((r @ colour.T) ** 2, axis=0)
+        for part in clusters:
+            Z = A[part].reshape(-1, len(x)) @ inverse
+            share, V = np.linalg.eigh(np.eye(len(x)) - Z.T @ Z)
+            root = V / np.sqrt(np.maximum(share, SMALLEST_SHARE))
+            u = root @ (V.T @ (Z.T @ r[part].ravel()))
+            meat += np.outer(u, u)
+    return inverse @ meat @ inverse.T, squares
 
 
 def _clusters(block: Samples) -> list[slice]:

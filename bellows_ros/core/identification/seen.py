@@ -1,0 +1,68 @@
+"""The envelope of recordings: what a fit to them has seen of the cup."""
+
+from collections.abc import Sequence
+
+from bellows_ros.core.identification.envelope import Envelope
+from bellows_ros.core.identification.excitation import displacement
+from bellows_ros.core.identification.least_squares import Samples
+from bellows_ros.core.identification.whiteness import Spectrum, spectrum
+from bellows_ros.core.trajectory import uniform_rate_hz
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+BAND = 0.95
+"""Part of the deflection's power that the frequency bands hold."""
+
+
+def envelope(recordings: Sequence[Samples], cup_length: float) -> Envelope:
+    """
+    Return the envelope of the recordings of a fit.
+
+    Parameters
+    ----------
+    recordings : sequence of Samples
+        As they went into the fit; samples that are not valid are left out.
+    cup_length : float
+        Nominal length l0, m.
+
+    Raises
+    ------
+    BellowsError
+        Without a recording, or without valid samples in one.
+
+    """
+    if not recordings:
+        raise BellowsError('An envelope needs at least one recording.')
+    seen = [_seen(samples, cup_length) for samples in recordings]
+    deflection, rates = (np.concatenate([part[i] for part in seen]) for i in range(2))
+    bands = np.array([part[2] for part in seen])
+    masses = [samples.held.mass for samples in recordings]
+    return Envelope(
+        deflection_low=deflection.min(axis=0),
+        deflection_high=deflection.max(axis=0),
+        rates=np.abs(rates).max(axis=0),
+        frequencies=np.column_stack([bands[:, :, 0].min(axis=0), bands[:, :, 1].max(axis=0)]),
+        mass=np.array([min(masses), max(masses)]),
+    )
+
+
+def _seen(samples: Samples, cup_length: float) -> tuple[Array, Array, Array]:
+    """Return deflections (N, 6), twists (N, 6) and frequency bands (2, 2) of a recording."""
+    valid = samples.tool.valid & samples.package.valid
+    if not valid.any():
+        raise BellowsError('A recording without valid samples has no envelope.')
+    deflection, twist = displacement(samples, cup_length)
+    with_gaps = np.where(valid[:, None], deflection, np.nan)
+    rate_hz = uniform_rate_hz(samples.package.stamps_ns)
+    return deflection[valid], twist[valid], _bands(with_gaps, rate_hz)
+
+
+def _bands(deflection: Array, rate_hz: float) -> Array:
+    """Return the frequency bands (2, 2) of shift and rotation."""
+    densities = spectrum(deflection, rate_hz)
+    both = np.column_stack([densities.density[:, i:i + 3].sum(axis=1) for i in (0, 3)])
+    low, high = Spectrum(densities.frequency, both).band(BAND)
+    return np.nan_to_num(np.column_stack([low, high]))

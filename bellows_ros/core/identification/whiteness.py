@@ -1,0 +1,178 @@
+"""
+Is a residual white, and if not, where is it coloured: portmanteau test and power spectrum.
+
+Residuals with samples missing (NaN) are taken as they are: pairs and powers of the samples there.
+"""
+
+from dataclasses import dataclass
+
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+from scipy.stats import chi2
+
+Array = NDArray[np.float64]
+
+LAGS = 20
+"""Lags of the portmanteau test."""
+
+SEGMENT_S = 2.0
+"""Length of the segments of a spectrum, s: lines half a hertz apart are told apart."""
+
+CONFIDENT = 0.01
+"""Probability below which a residual is called coloured."""
+
+SMALL = 0.1
+"""Autocorrelation below which a colour does not matter: it tells 1 % of the next residual."""
+
+
+@dataclass(frozen=True, eq=False)
+class Whiteness:
+    """
+    The portmanteau test of Ljung and Box on C channels.
+
+    Parameters
+    ----------
+    samples : int
+        Samples of each channel.
+    autocorrelation : ndarray (L, C)
+        At lags 1 to L, without unit.
+    statistic : ndarray (C,)
+        Q = n (n + 2) sum of r_k^2 / n_k over the lags k, with n_k pairs of samples k apart; for a
+        white channel distributed as chi^2 with L degrees of freedom. NaN for a constant channel.
+    p_value : ndarray (C,)
+        Probability of at least this Q for a white channel.
+
+    """
+
+    samples: int
+    autocorrelation: Array
+    statistic: Array
+    p_value: Array
+
+    @property
+    def lags(self) -> int:
+        """Number of lags."""
+        return len(self.autocorrelation)
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """'white', 'nearly white' or 'coloured' for each channel."""
+        small = self.largest < SMALL
+        return tuple(
+            'white' if white else 'nearly white' if little else 'coloured'
+            for white, little in zip(self.white.tolist(), small.tolist(), strict=True)
+        )
+
+    @property
+    def white(self) -> NDArray[np.bool_]:
+        """Where nothing speaks against whiteness (C,)."""
+        return ~(self.p_value < CONFIDENT)
+
+    @property
+    def largest(self) -> Array:
+        """Largest autocorrelation of any lag (C,): how coloured, however many the samples are."""
+        return np.asarray(np.abs(self.autocorrelation).max(axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """
+    One-sided power spectral densities of C channels.
+
+    Parameters
+    ----------
+    frequency : ndarray (F,)
+        Hz.
+    density : ndarray (F, C)
+        Square of the channel's unit per Hz; its integral is the channel's mean square.
+
+    """
+
+    frequency: Array
+    density: Array
+
+    @property
+    def peak(self) -> Array:
+        """Frequency (Hz) of the largest density of each channel (C,)."""
+        return np.asarray(self.frequency[np.argmax(self.density, axis=0)])
+
+    def band(self, part: float) -> tuple[Array, Array]:
+        """
+        Return the bands (C,), (C,) in Hz that hold the middle part of each channel's power.
+
+        The rest is left out in equal shares below and above. NaN where there is no power.
+        """
+        total = np.cumsum(self.density, axis=0)
+        share = np.full_like(total, np.nan)
+        np.divide(total, total[-1], out=share, where=total[-1] > 0.0)
+        outside = 0.5 * (1.0 - part)
+        edges = [
+            np.array([self._reached(column, level) for column in share.T])
+            for level in (outside, 1.0 - outside)
+        ]
+        return edges[0], edges[1]
+
+    def _reached(self, share: Array, level: float) -> float:
+        """Return the frequency at which a cumulated share reaches a level."""
+        if not np.isfinite(share[-1]):
+            return float('nan')
+        return float(self.frequency[np.argmax(share >= level)])
+
+
+def portmanteau(residuals: Array, lags: int = LAGS) -> Whiteness:
+    """
+    Test whether residuals are white.
+
+    Parameters
+    ----------
+    residuals : ndarray (N, C)
+        At a uniform rate, about zero; NaN where a sample is missing.
+    lags : int
+        How many lags count.
+
+    Raises
+    ------
+    BellowsError
+        If there are too few samples for the lags.
+
+    """
+    there = np.asarray(np.isfinite(residuals).all(axis=1))
+    count = int(np.count_nonzero(there))
+    pairs = np.array([np.count_nonzero(there[k:] & there[:-k]) for k in range(1, lags + 1)])
+    if count <= lags or len(residuals) <= lags or pairs.min() == 0:
+        raise BellowsError(
+            f'{count} residuals are too few to test whether they are white over {lags} lags.'
+        )
+    e = np.where(there[:, None], residuals, 0.0)
+    power = np.sum(e**2, axis=0)
+    products = np.array([np.sum(e[k:] * e[:-k], axis=0) for k in range(1, lags + 1)])
+    r = np.full_like(products, np.nan)
+    np.divide(products, power, out=r, where=power > 0.0)
+    Q = count * (count + 2) * np.sum(r**2 / pairs[:, None], axis=0)
+    return Whiteness(count, r, Q, chi2.sf(Q, lags))
+
+
+def spectrum(values: Array, rate_hz: float) -> Spectrum:
+    """
+    Return power spectral densities by Welch's method: Hann windows that overlap by half.
+
+    Parameters
+    ----------
+    values : ndarray (N, C)
+        At a uniform rate; their mean is taken out. NaN where a sample is missing: it counts as
+        zero, and the density is made up for the power that is missing so.
+    rate_hz : float
+        Samples per second.
+
+    """
+    there = np.asarray(np.isfinite(values).all(axis=1))
+    if not there.any():
+        raise BellowsError('There is no sample of which to take a spectrum.')
+    mean = values[there].mean(axis=0)
+    filled = np.where(there[:, None], values - mean, 0.0)
+    length = min(len(values), round(SEGMENT_S * rate_hz))
+    frequency, density = welch(
+        filled, rate_hz, window='hann', nperseg=length, detrend=False, axis=0)
+    return Spectrum(frequency, density * (len(values) / np.count_nonzero(there)))

@@ -1,0 +1,76 @@
+"""Simulated recordings for the tests of identification, prepared as a user's would be."""
+
+import functools
+
+from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.recording.preparation import prepare, PrepareSettings
+from bellows_ros.core.simulation import simulate
+from bellows_ros.core.synthetic.motion import Oscillation, Pose, Segment, Waypoints
+from bellows_ros.core.synthetic.sensing import sample_stamps
+from bellows_ros.core.trajectory import PoseStream
+import numpy as np
+
+GRAVITY = 9.81
+CUP = Cup.thesis()
+HELD = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
+NO_NOISE = (0.0, 0.0)
+
+# Amplitude (m, rad) and frequency (Hz) of the lines of each axis.
+LINES = (
+    ((0.03, 0.6), (0.004, 2.3)), ((0.03, 0.7), (0.004, 2.6)), ((0.03, 0.8), (0.006, 3.7)),
+    ((0.08, 0.5), (0.02, 2.1)), ((0.08, 0.9), (0.02, 2.4)), ((0.20, 0.4), (0.10, 1.9)),
+)
+
+
+@functools.cache
+def shake(axes=(0, 1, 2, 3, 4, 5), duration=10.0, seed=1):
+    """Return a tool motion that drives some axes."""
+    parts = [(axis, *line) for axis in axes for line in LINES[axis]]
+    axis, amplitude, frequency = (np.array(column) for column in zip(*parts, strict=True))
+    phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(axis))
+    return Oscillation(
+        Pose(np.zeros(3), np.eye(3)), 0.5, 1.0, duration, amplitude, axis,
+        np.stack([frequency, frequency], 1), phase)
+
+
+def holds(rotation_vectors, hold=2.0):
+    """Return a tool motion from pose to pose, each held still."""
+    segments = tuple(
+        Segment(Pose(np.zeros(3), exp_so3(np.array(phi, float))), 0.8, hold)
+        for phi in rotation_vectors)
+    return Waypoints(Pose(np.zeros(3), np.eye(3)), hold, segments)
+
+
+@functools.cache
+def truth_of(motion, cup_and_held, rate_hz):
+    """Return the true motions of tool and package."""
+    tool = motion.trajectory(sample_stamps(rate_hz, motion.duration, 0), 0)
+    return tool, simulate(*cup_and_held.both, tool, gravity=GRAVITY)
+
+
+class Pair:
+    """A cup and a package as one key: the same object is the same pair."""
+
+    known = {}
+
+    def __init__(self, cup, held):
+        self.both = cup, held
+
+    @classmethod
+    def of(cls, cup, held):
+        """Return the pair of these very objects, which it keeps alive."""
+        return cls.known.setdefault((id(cup), id(held)), cls(cup, held))
+
+
+def record(motion, cup=CUP, held=HELD, tool=NO_NOISE, package=NO_NOISE, rate_hz=120.0, seed=1):
+    """Return the prepared recording of a motion, with white noise (m, rad per axis)."""
+    truth, moved = truth_of(motion, Pair.of(cup, held), rate_hz)
+    draw = np.random.default_rng((seed, 2))
+    streams = [
+        PoseStream(
+            name, 'world', body.stamps_ns,
+            body.position + noise[0] * draw.standard_normal((len(body), 3)),
+            body.rotation @ exp_so3(noise[1] * draw.standard_normal((len(body), 3))))
+        for name, body, noise in (('tool', truth, tool), ('package', moved, package))]
+    return prepare(*streams, PrepareSettings(com=tuple(held.com)))
