@@ -82,6 +82,13 @@ def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
         If the file cannot be read, is not JSON, or lacks something.
 
     """
+    content = read_json(path)
+    _require_complete(f"Result '{Path(path)}'", content)
+    return dict(content)
+
+
+def read_json(path: str | os.PathLike[str]) -> Any:
+    """Return what a JSON file holds; raise BellowsError if it cannot be read or is none."""
     file = Path(path)
     try:
         with file.open('rb') as stream:
@@ -95,8 +102,7 @@ def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise BellowsError(f"Result '{file}' is nested too deeply to be read.") from None
     except ValueError as error:
         raise BellowsError(f"Result '{file}' is not JSON: {error}.") from None
-    _require_complete(f"Result '{file}'", content)
-    return dict(content)
+    return content
 
 
 def _refuse_constant(name: str) -> None:

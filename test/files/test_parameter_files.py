@@ -108,7 +108,9 @@ def test_deep_nesting_is_refused(file):
 
 
 def test_all_values_come_back(tmp_path):
-    values = {**resolve(PACKAGE), 'bags': ('a', "b's: #{}[]", '-', 'true', '1.0', ' x ', 'ü')}
+    values = {
+        **resolve(PACKAGE), 'package.files': ('c',),
+        'bags': ('a', "b's: #{}[]", '-', 'true', '1.0', ' x ', 'ü')}
     for node in ('/**', 'predictor', '/cell/predictor'):
         write_parameters(tmp_path / 'p.yaml', values, ['A cup'], ['from a recording'], node)
         assert read_parameters(tmp_path / 'p.yaml') == values
@@ -158,7 +160,8 @@ def test_a_value_that_is_not_allowed_is_not_written(tmp_path):
 
 
 def test_every_parameter_is_written_with_its_sentence_and_unit():
-    text = ' '.join(format_parameters({**resolve(PACKAGE), 'bags': ('a',)}).split())
+    values = {**resolve(PACKAGE), 'bags': ('a',), 'package.files': ('b',)}
+    text = ' '.join(format_parameters(values).split())
     for parameter in PARAMETERS.values():
         sentence = ' # '.join(parameter.description.split())
         assert sentence.replace(' # ', ' ') in text.replace(' # ', ' ')

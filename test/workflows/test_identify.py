@@ -4,12 +4,13 @@ import json
 
 from bellows_ros.core.parameters import resolve
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import read_result
 from bellows_ros.workflows.identify import identify, save
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
+import yaml
 
 CLEAN = {
     'topics.tool_pose': '/tool_arm/pose', 'topics.tool_twist': '/tool_arm/twist',
@@ -139,3 +140,47 @@ def test_mistakes_are_named(shipped, change, word):
     values = {name: value for name, value in values.items() if value is not None}
     with pytest.raises(BellowsError, match=word):
         identify(values)
+
+
+@pytest.fixture(scope='module')
+def two_packages(tmp_path_factory, root):
+    """Return recordings of one cup with two packages, and a parameter file of each package."""
+    from bellows_ros.workflows.simulate import simulate_recording
+    folder = tmp_path_factory.mktemp('packages')
+    cup = read_parameters(root / 'bags/cup.yaml')
+    motion = yaml.safe_load((root / 'bags/identification.yaml').read_text())
+    motion['duration'] = 12.0
+    bags, files = [], []
+    for number, (mass, inertia) in enumerate((
+            (1.8, [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0]),
+            (1.2, [0.003, 0.0045, 0.0068, 0.0, 0.0, 0.0]))):
+        held = {'package.mass': mass, 'package.inertia': inertia, 'package.com': [0, 0, -0.03]}
+        bags.append(str(folder / f'bag{number}'))
+        simulate_recording({**cup, **held}, {**motion, 'seed': number}, folder / f'bag{number}')
+        files.append(str(folder / f'package{number}.yaml'))
+        write_parameters(files[-1], resolve(held), [])
+    return bags, files
+
+
+@pytest.mark.parametrize('method', ['least_squares', 'prediction_error'])
+def test_each_recording_may_have_its_own_package(two_packages, root, method):
+    bags, files = two_packages
+    truth = read_parameters(root / 'bags/cup.yaml')
+    result = identify({
+        'bags': bags, 'package.files': files, 'cup.length': truth['cup.length'],
+        'topics.tool_pose': '/tool_arm/pose', 'topics.package_pose': '/package/pose',
+        'fit.method': method, 'fit.compare_recordings': True})
+    K = np.diag(np.reshape(truth['cup.stiffness'], (6, 6)))
+    assert_allclose(np.diag(result.fit.stiffness), K, rtol=0.03)
+    assert [package.mass for package in result.held] == [1.8, 1.2]
+    assert result.consistency is not None
+    assert result.consistency.verdict in result.warnings
+    if method == 'prediction_error':
+        assert result.consistency.probability > 1e-3
+        assert 0.9 < result.fit.chi2 < 1.1
+
+
+def test_package_files_must_be_one_for_each_recording(two_packages):
+    bags, files = two_packages
+    with pytest.raises(BellowsError, match='1 files for 2 recordings'):
+        identify({'bags': bags, 'package.files': files[:1]})

@@ -1,0 +1,219 @@
+"""
+Cups for simulators: MuJoCo (MJCF), Drake and SDF, and what each cannot say.
+
+All put a spring with the diagonals of K and P between the tool tip and the package, in the middle
+of the cup. None has the energy (3.17) of the thesis, off-diagonal entries, or a damper of (3.35).
+"""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from bellows_ros.core.model import Cup, Package
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Massless links between the single joints of SDF are not allowed; theirs is this part of the
+# package's mass and inertia.
+DUMMY = 1e-3
+AXES = ('x', 'y', 'z')
+
+
+class Target(NamedTuple):
+    """A simulator's format: what writes it, and what it cannot express."""
+
+    name: str
+    write: Callable[[Cup, Package], str]
+    limits: tuple[str, ...]
+
+
+def limits(target: Target, cup: Cup) -> list[str]:
+    """Return what is lost on the way to a format, with what of this cup is left out."""
+    lost = list(target.limits)
+    for name, matrix in (('K', cup.stiffness), ('P', cup.damping)):
+        coupling = _coupling(matrix)
+        if coupling > 0.0:
+            lost.insert(0, f'The off-diagonal entries of {name} are left out; the largest couples '
+                           f'two axes by {100 * coupling:.2g} %.')  # fmt: skip
+    return lost
+
+
+def _coupling(matrix: Array) -> float:
+    """Return the largest off-diagonal entry in parts of the root of its two diagonal ones."""
+    diagonal = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = np.abs(matrix) / np.outer(diagonal, diagonal)
+    return float(np.max(scaled - np.diag(np.diag(scaled))))
+
+
+def _numbers(values: Array | tuple[float, ...]) -> str:
+    """Return numbers with blanks between, every digit kept."""
+    return ' '.join(repr(float(x)) for x in values)
+
+
+def _com(cup: Cup, package: Package) -> Array:
+    """Return the centre of mass seen from the middle of the cup, m."""
+    com: Array = package.com + np.array([0.0, 0.0, -cup.length / 2.0])
+    return com
+
+
+def _inertia(package: Package) -> tuple[float, ...]:
+    """Return ixx, iyy, izz, ixy, ixz, iyz."""
+    tensor = package.inertia
+    return tuple(float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+
+
+def mjcf(cup: Cup, package: Package) -> str:
+    """Return a MuJoCo model (XML)."""
+    stiffness, damping = (np.diag(m).tolist() for m in (cup.stiffness, cup.damping))
+    joints = [
+        f'        <joint name="cup_{kind}_{axis}" type="{kind}" axis="{_unit(i % 3)}" '
+        f'stiffness="{stiffness[i]!r}" damping="{damping[i]!r}"/>'
+        for i, (kind, axis) in enumerate((k, a) for k in ('slide', 'hinge') for a in AXES)
+    ]
+    return '\n'.join([
+        '<mujoco model="bellows_cup">',
+        '  <!-- Six joints in the middle of the cup. Put the body "tool" where your arm ends. -->',
+        '  <compiler angle="radian" balanceinertia="false"/>',
+        '  <option timestep="0.0005" integrator="RK4"/>',
+        '  <worldbody>',
+        '    <body name="tool" pos="0 0 1">',
+        '      <site name="E"/>',
+        f'      <body name="package" pos="0 0 {-cup.length / 2.0!r}">',
+        *joints,
+        f'        <inertial pos="{_numbers(_com(cup, package))}" mass="{package.mass!r}" '
+        f'fullinertia="{_numbers(_inertia(package))}"/>',
+        f'        <site name="S" pos="0 0 {-cup.length / 2.0!r}"/>',
+        f'        <site name="B" pos="{_numbers(_com(cup, package))}"/>',
+        '      </body>',
+        '    </body>',
+        '  </worldbody>',
+        '</mujoco>',
+        '',
+    ])
+
+
+def _unit(axis: int) -> str:
+    """Return a unit vector."""
+    return ' '.join('1' if i == axis else '0' for i in range(3))
+
+
+def drake(cup: Cup, package: Package) -> str:
+    """Return a model for Drake: SDF with its roll-pitch-yaw bushing."""
+    stiffness, damping = np.diag(cup.stiffness), np.diag(cup.damping)
+    half = f'0 0 {-cup.length / 2.0!r} 0 0 0'
+    return '\n'.join([
+        '<?xml version="1.0"?>',
+        '<sdf version="1.7" xmlns:drake="http://drake.mit.edu">',
+        '  <model name="bellows_cup">',
+        '    <!-- Weld the frame of "tool" to the end of your arm. -->',
+        '    <link name="tool"/>',
+        *_package_link(cup, package, half),
+        f'    <frame name="middle_tool" attached_to="tool"><pose>{half}</pose></frame>',
+        '    <frame name="middle_package" attached_to="package"/>',
+        '    <drake:linear_bushing_rpy>',
+        '      <drake:bushing_frameA>middle_tool</drake:bushing_frameA>',
+        '      <drake:bushing_frameC>middle_package</drake:bushing_frameC>',
+        f'      <drake:bushing_torque_stiffness>{_numbers(stiffness[3:])}'
+        '</drake:bushing_torque_stiffness>',
+        f'      <drake:bushing_torque_damping>{_numbers(damping[3:])}'
+        '</drake:bushing_torque_damping>',
+        f'      <drake:bushing_force_stiffness>{_numbers(stiffness[:3])}'
+        '</drake:bushing_force_stiffness>',
+        f'      <drake:bushing_force_damping>{_numbers(damping[:3])}'
+        '</drake:bushing_force_damping>',
+        '    </drake:linear_bushing_rpy>',
+        '  </model>',
+        '</sdf>',
+        '',
+    ])
+
+
+def sdf(cup: Cup, package: Package) -> str:
+    """Return a model in SDF: six joints in a row, with dummy links between them."""
+    half = f'0 0 {-cup.length / 2.0!r} 0 0 0'
+    links = [f'between_{i}' for i in range(1, 6)]
+    chain = ['tool', *links, 'package']
+    lines = [
+        '<?xml version="1.0"?>',
+        '<sdf version="1.9">',
+        '  <model name="bellows_cup">',
+        '    <!-- Fix "tool" to the end of your arm. -->',
+        '    <link name="tool"/>',
+    ]
+    for link in links:
+        lines += [f'    <link name="{link}"><pose>{half}</pose>', *_dummy(package), '    </link>']
+    lines += _package_link(cup, package, half)
+    for i, (parent, child) in enumerate(zip(chain, chain[1:], strict=False)):
+        lines += _joint(cup, i, parent, child)
+    return '\n'.join([*lines, '  </model>', '</sdf>', ''])
+
+
+def _package_link(cup: Cup, package: Package, pose: str) -> list[str]:
+    """Return the link of the package, whose frame is in the middle of the cup."""
+    return [
+        f'    <link name="package"><pose>{pose}</pose>',
+        f'      <inertial><pose>{_numbers(_com(cup, package))} 0 0 0</pose>',
+        f'        <mass>{package.mass!r}</mass>',
+        f'        {_tensor(_inertia(package))}',
+        '      </inertial>',
+        '    </link>',
+    ]
+
+
+def _tensor(values: tuple[float, ...]) -> str:
+    """Return the inertia in SDF."""
+    names = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
+    inner = ''.join(f'<{n}>{x!r}</{n}>' for n, x in zip(names, values, strict=True))
+    return f'<inertia>{inner}</inertia>'
+
+
+def _dummy(package: Package) -> list[str]:
+    """Return the inertial of a link that should have none."""
+    moment = DUMMY * float(np.min(np.linalg.eigvalsh(package.inertia)))
+    return [
+        f'      <inertial><mass>{DUMMY * package.mass!r}</mass>',
+        f'        {_tensor((moment,) * 3 + (0.0,) * 3)}',
+        '      </inertial>',
+    ]
+
+
+def _joint(cup: Cup, number: int, parent: str, child: str) -> list[str]:
+    """Return one of the six joints."""
+    kind = 'prismatic' if number < 3 else 'revolute'
+    return [
+        f'    <joint name="cup_{kind}_{AXES[number % 3]}" type="{kind}">',
+        f'      <parent>{parent}</parent><child>{child}</child>',
+        f'      <axis><xyz>{_unit(number % 3)}</xyz>',
+        f'        <dynamics><damping>{float(cup.damping[number, number])!r}</damping>'
+        f'<spring_reference>0</spring_reference>'
+        f'<spring_stiffness>{float(cup.stiffness[number, number])!r}</spring_stiffness>'
+        '</dynamics>',
+        '      </axis>',
+        '    </joint>',
+    ]
+
+
+_ANGLES = (
+    'Rotation angles are taken one after the other and springs are linear in them; (3.17) '
+    'has the sine of one rotation. The difference is below 5 % up to 15 degrees.'
+)
+
+TARGETS: Mapping[str, Target] = {
+    'mjcf': Target('MuJoCo (MJCF)', mjcf, (
+        _ANGLES,
+        'Springs and dampers along x, y, z are in axes of the tool, not halfway to the package.',
+        'A tool that is a mocap body has no velocity in MuJoCo, so the damper would act against '
+        'the world: move the tool with joints.',
+    )),
+    'drake': Target('Drake (SDF with linear_bushing_rpy)', drake, (
+        'Roll, pitch and yaw are linear springs of their angles; (3.17) has the sine of one '
+        'rotation. The difference is below 5 % up to 15 degrees.',
+    )),
+    'sdf': Target('SDF', sdf, (
+        _ANGLES,
+        f'Five dummy links, each with {100 * DUMMY:g} % of the mass of the package, stand between '
+        'the joints; they need time steps of 0.1 ms or less.',
+        'Springs and dampers along x, y, z are in axes of the tool, not halfway to the package.',
+    )),
+}  # fmt: skip

@@ -1,0 +1,192 @@
+"""What a fit says: K and P with their intervals, what it has seen, how it was found."""
+
+from collections.abc import Mapping, Sequence
+import math
+from typing import Any
+
+from bellows_ros.core.identification.excitation import Excitation
+from bellows_ros.core.identification.structure import AXES, structure_named
+from bellows_ros.core.identification.whiteness import Spectrum
+import numpy as np
+from numpy.typing import NDArray
+
+from .page import bullets, figures, folded, heading, paragraph, table
+from .svg import Curve, interval_chart, line_chart
+
+Array = NDArray[np.float64]
+
+NORMAL_95 = 1.959963984540054
+"""Half width of the 95 % interval in standard errors."""
+
+LOWEST_HZ = 0.2
+"""Lower end of spectra on a logarithmic axis."""
+
+WIDE = 3.0
+"""Ratio of numbers from which an axis is logarithmic."""
+
+UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}
+NAMES = {'K': ('stiffness', 'Stiffness K'), 'P': ('damping', 'Damping P')}
+
+
+def cup_content(content: Mapping[str, Any]) -> list[str]:
+    """Return table and intervals of K and P of a result."""
+    rows = entry_rows(content)
+    parts = [
+        table(
+            ('entry', 'value', 'standard error', '95 % interval', 'unit'),
+            [_shown(*row) for row in rows], (0, 4)),
+        figures([(NAMES[m][1], _intervals(m, rows)) for m in 'KP']),
+        paragraph(
+            '95 % intervals, in percent of the entry; off the diagonal in percent of the root of '
+            'the two diagonal entries. Dashed where the recordings say nothing.', 'quiet'),
+        bullets(_facts(content)),
+    ]  # fmt: skip
+    for matrix, (key, title) in NAMES.items():
+        unit = ', '.join(UNITS[matrix])
+        cells = [[name, *(f'{x:.6g}' for x in row)]
+                 for name, row in zip(AXES, content[key], strict=True)]  # fmt: skip
+        parts.append(folded(f'{title} ({unit})', table(['', *AXES], cells)))
+    return parts
+
+
+def entry_rows(content: Mapping[str, Any]) -> list[tuple[str, float, float, float, str]]:
+    """Return label, value, standard error (NaN: not told), scale and unit of each parameter."""
+    structure = structure_named(content['structure'])
+    rows = []
+    for matrix, (key, _) in NAMES.items():
+        values = np.array(content[key], dtype=float)
+        errors = np.array(
+            [[math.nan if x is None else x for x in row] for row in content[f'{key}_std']])
+        labels = [label for label in structure.labels if label.startswith(matrix)]
+        for label, ((i, j), *_) in zip(labels, structure.entries, strict=True):
+            scale = math.sqrt(abs(values[i, i] * values[j, j]))
+            unit = UNITS[matrix][(i > 2) + (j > 2)]
+            rows.append((label, float(values[i, j]), float(errors[i, j]), scale, unit))
+    return rows
+
+
+def _shown(label: str, value: float, error: float, scale: float, unit: str) -> tuple[str, ...]:
+    """Return a row of the table."""
+    if not math.isfinite(error):
+        return label, f'{value:.5g}', 'not told', 'not told', unit
+    low, high = value - NORMAL_95 * error, value + NORMAL_95 * error
+    digits = max(0, 1 - math.floor(math.log10(error))) if error > 0.0 else 6
+    numbers = [f'{number:.{digits}f}' for number in (value, error, low, high)]
+    return label, numbers[0], numbers[1], f'{numbers[2]} to {numbers[3]}', unit
+
+
+def _intervals(
+    matrix: str, rows: Sequence[tuple[str, float, float, float, str]]
+) -> str:
+    """Return the intervals of one matrix."""
+    items = []
+    for label, value, error, scale, _ in rows:
+        if not label.startswith(matrix):
+            continue
+        half = 100.0 * NORMAL_95 * error / scale if scale else math.nan
+        diagonal = '-' not in label
+        centre = 0.0 if diagonal else 100.0 * value / scale if scale else math.nan
+        text = f'±{half:.2g} %' if math.isfinite(half) else 'not told'
+        items.append((label, centre, half, text))
+    return interval_chart(items, '% of the entry', f'Intervals of {NAMES[matrix][1]}')
+
+
+def _facts(content: Mapping[str, Any]) -> list[str]:
+    """Return what else is known about a fit."""
+    found = [
+        f'{content["samples_used"]} samples used, {content["samples_rejected"]} left out.',
+        f'Condition number {content["condition_number"]:.3g}.'
+        if content['condition_number'] is not None else 'Condition number not finite.',
+    ]  # fmt: skip
+    if content.get('chi2') is not None:
+        found.append(f'Chi² per degree of freedom of the fit {content["chi2"]:.4f}.')
+    if not content.get('usable', True):
+        found.append('K or P is not as a cup can be: the predictor refuses it.')
+    return found
+
+
+def envelope_content(content: Mapping[str, Any]) -> list[str]:
+    """Return the ranges that the fit has seen, of the result's envelope."""
+    seen = content['envelope']
+    rows = []
+    for i, name in enumerate(seen['directions']):
+        unit, rate = ('mm', 'm/s') if i < 3 else ('mrad', 'rad/s')
+        low, high = (1e3 * seen[f'deflection_{end}'][i] for end in ('low', 'high'))
+        rows.append((name, f'{low:.3g} to {high:.3g} {unit}', f'{seen["rates"][i]:.3g} {rate}'))
+    bands = [f'{low:.3g} to {high:.3g} Hz' for low, high in seen['frequencies']]
+    mass = ' to '.join(f'{m:.4g}' for m in sorted(set(seen['mass'])))
+    return [
+        paragraph(
+            'Ranges of the lip in the tool. A prediction outside of them is an extrapolation.',
+            'quiet'),
+        table(('lip in the tool', 'seen', 'fastest'), rows),
+        bullets([f'95 % of the power of the shift lies in {bands[0]}, of the rotation in '
+                 f'{bands[1]}.', f'Mass: {mass} kg.']),
+    ]  # fmt: skip
+
+
+def excitation_content(found: Excitation, names: Sequence[str]) -> list[str]:
+    """Return what the recordings can tell."""
+    rows = []
+    for i, axis in enumerate(found.axes):
+        unit, milli = ('mm', 'mm/s') if i < 3 else ('mrad', 'mrad/s')
+        rows.append(
+            (axis.name, f'{1e3 * axis.motion:.3g} {unit}', f'{1e3 * axis.strain_noise:.2g} {unit}',
+             f'{1e3 * axis.twist:.4g} {milli}', f'{1e3 * axis.twist_noise:.2g} {milli}',
+             f'{axis.band_hz[0]:.3g} to {axis.band_hz[1]:.3g} Hz'))  # fmt: skip
+    told = [
+        (p.label, f'{100.0 * p.noise_share:.2g} %' if math.isfinite(p.noise_share) else '-',
+         'not told' if p.untold else 'weakly told' if p.weak else 'well told')
+        for p in found.parameters
+    ]  # fmt: skip
+    return [
+        paragraph(f'{found.rank} of {found.size} combinations of parameters are told; scaled '
+                  f'condition number {found.condition_number:.3g}.'),
+        bullets(found.warnings, 'warning'),
+        table(('lip in the tool', 'RMS motion', 'of noise', 'RMS rate', 'of noise', 'band'), rows),
+        folded('Each parameter', table(('parameter', 'noise in what tells it', ''), told, (0, 2))),
+        *(part for name, spectra in zip(names, found.spectra, strict=True)
+          for part in (heading(name), figures([
+              ('Rate of the shift', _rates(spectra.twist, 0, 'm²/s²/Hz')),
+              ('Rate of the rotation', _rates(spectra.twist, 3, 'rad²/s²/Hz'))]))),
+    ]  # fmt: skip
+
+
+def _rates(spectrum: Spectrum, first: int, unit: str) -> str:
+    """Return the spectra of three rates."""
+    shown = spectrum.frequency >= LOWEST_HZ
+    kinds = ('predicted', 'error', 'other')
+    curves = [
+        Curve(spectrum.frequency[shown], spectrum.density[shown, first + i], kind,
+              AXES[first + i])
+        for i, kind in enumerate(kinds)
+    ]  # fmt: skip
+    return line_chart(curves, 'frequency (Hz)', unit, log=(True, True),
+                      description='Spectra of the excitation')  # fmt: skip
+
+
+def iteration_content(iterations: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return how the minimum was found."""
+    number = np.arange(1.0, len(iterations) + 1.0)
+    chi2 = np.array([float(step['chi2']) for step in iterations])
+    charts = [('Chi² per degree of freedom', line_chart(
+        [Curve(number, chi2, 'predicted')], 'step', 'chi²',
+        log=(False, bool(chi2.max() > WIDE * chi2.min() > 0.0)),
+        description='Chi squared over the steps'))]  # fmt: skip
+    for key in ('stiffness', 'damping'):
+        diagonals = np.array([np.diag(np.array(step[key], dtype=float)) for step in iterations])
+        last = np.where(diagonals[-1] != 0.0, diagonals[-1], 1.0)
+        kinds = ('predicted', 'error', 'other', 'measured', 'quiet', 'other dashed')
+        curves = [
+            Curve(number, diagonals[:, i] / last[i], kind, AXES[i])
+            for i, kind in enumerate(kinds) if not _tied(diagonals, i)
+        ]  # fmt: skip
+        charts.append((f'{key.capitalize()}, diagonal over its final value', line_chart(
+            curves, 'step', 'ratio', description=f'{key} over the steps')))  # fmt: skip
+    stages = [int(step.get('stage', 0)) for step in iterations]
+    return [paragraph(f'{len(iterations)} steps in {len(set(stages))} stages.'), figures(charts)]
+
+
+def _tied(diagonals: Array, axis: int) -> bool:
+    """Tell whether a direction has the numbers of the one before it, step for step."""
+    return axis in (1, 4) and bool(np.all(diagonals[:, axis] == diagonals[:, axis - 1]))

@@ -1,0 +1,189 @@
+"""What a free simulation of a recording shows: motion, residuals, spectra, whiteness."""
+
+from bellows_ros.core.identification.validation import LIMIT, Validation
+from bellows_ros.core.identification.whiteness import CONFIDENT, Spectrum, Whiteness
+from bellows_ros.core.score import AXES
+from bellows_ros.core.trajectory import NS_PER_S
+from bellows_ros.workflows.validate import Validated
+import numpy as np
+from numpy.typing import NDArray
+
+from .page import figures, heading, paragraph, table, warnings
+from .svg import Curve, line_chart
+
+Array = NDArray[np.float64]
+
+MILLI = 1e3
+UNITS = ('mm',) * 3 + ('mrad',) * 3
+LEAST_SPAN = 2.0
+"""mm or mrad; an axis that hardly moves is not blown up beyond this."""
+
+ERROR_SIZE = (540.0, 110.0)
+LOWEST_HZ = 0.4
+"""Lower end of spectra on a logarithmic axis."""
+
+
+def motion_content(validated: Validated) -> list[str]:
+    """Return tables and figures of a recording that was simulated freely."""
+    found = validated.validation
+    start = 'static equilibrium' if found.start == 'equilibrium' else 'the measured state'
+    return [
+        warnings(validated.warnings),
+        paragraph(
+            f'The model ran freely from {start} to the end: it saw the motion of the tool, and '
+            f'nothing of the package. {found.scores.samples} samples are compared. Coordinates '
+            'are those of the centre of mass B in the axes of the tool E: position, and rotation '
+            'vector.'
+        ),
+        _score_table(found),
+        paragraph(_verdict(found)),
+        heading('Measured and simulated, and the difference'),
+        figures(_motion_figures(found)),
+        heading('Spectra'),
+        paragraph(
+            'Power spectral densities of the motion, of the error of the free simulation, and of '
+            'the one-step prediction errors: the model is corrected at every sample there, and '
+            'what is left is flat if nothing but noise is.', 'quiet'),
+        figures([(AXES[i], _spectrum(found, i)) for i in range(6)]),
+        heading('Whiteness'),
+        *_whiteness(found),
+    ]  # fmt: skip
+
+
+def _score_table(found: Validation) -> str:
+    """Return errors per axis."""
+    head = ('axis', 'RMS error', 'of noise alone', 'largest', 'motion', 'NRMSE',
+            'model error', 'judged')  # fmt: skip
+    rows = []
+    for i, name in enumerate(AXES):
+        numbers = (found.scores.rms[i], found.noise[i], found.scores.largest[i],
+                   found.scores.motion[i])  # fmt: skip
+        rows.append(
+            (
+                name,
+                *(f'{MILLI * value:.3g} {UNITS[i]}' for value in numbers),
+                _percent(found.scores.nrmse[i]),
+                _percent(found.model_error[i]),
+                _judged(found, i),
+            )
+        )
+    return table(head, rows, (0, 7))
+
+
+def _judged(found: Validation, axis: int) -> str:
+    """Return a word on an axis."""
+    if not found.moves[axis]:
+        return 'moves too little'
+    return 'good' if found.scores.nrmse[axis] <= LIMIT else f'above {100 * LIMIT:g} %'
+
+
+def _percent(ratio: float) -> str:
+    """Return a ratio in percent, or a dash."""
+    return f'{100.0 * ratio:.2f} %' if np.isfinite(ratio) else '-'
+
+
+def _verdict(found: Validation) -> str:
+    """Return what the table says, in words."""
+    text = (
+        'NRMSE is the RMS error over the RMS motion, noise included; the model error is what is '
+        'left of it without the noise. '
+    )
+    failing = found.failing()
+    if failing:
+        return f'{text}Above {100 * LIMIT:g} %: {", ".join(failing)}.'
+    if not found.moves.any():
+        return f'{text}No axis moves enough to be judged.'
+    return f'{text}All axes that move are within {100 * LIMIT:g} %.'
+
+
+def _motion_figures(found: Validation) -> list[tuple[str, str]]:
+    """Return two charts per axis, both of an axis below each other."""
+    seconds = (found.stamps_ns - found.stamps_ns[0]) / NS_PER_S
+    items = []
+    for first in range(3):
+        for i in (first, first + 3):
+            measured, predicted = (MILLI * part[:, i] for part in (found.measured,
+                                                                   found.predicted))  # fmt: skip
+            motion = line_chart(
+                [Curve(seconds, measured, 'measured', 'measured'),
+                 Curve(seconds, predicted, 'predicted', 'simulated')],
+                '', f'{AXES[i]} ({UNITS[i]})', least_span=LEAST_SPAN,
+                description=f'Measured and simulated {AXES[i]} over time',
+            )  # fmt: skip
+            error = line_chart(
+                [Curve(seconds, predicted - measured, 'error', 'simulated minus measured')],
+                'time (s)', f'error ({UNITS[i]})', ERROR_SIZE,
+                description=f'Error of {AXES[i]} over time',
+            )  # fmt: skip
+            items.append(('', motion + error))
+    return items
+
+
+def _spectrum(found: Validation, axis: int) -> str:
+    """Return the spectra of an axis."""
+    curves = [
+        _density(found.motion, axis, 'measured', 'motion'),
+        _density(found.spectrum, axis, 'error', 'error'),
+    ]
+    if found.one_step:
+        curves.append(_density(found.one_step.spectrum, axis, 'predicted', 'one-step error'))
+    return line_chart(
+        curves, 'frequency (Hz)', f'{UNITS[axis]}²/Hz', log=(True, True),
+        description=f'Spectra of {AXES[axis]}',
+    )  # fmt: skip
+
+
+def _density(found: Spectrum, axis: int, kind: str, label: str) -> Curve:
+    """Return a spectrum in mm or mrad as a curve."""
+    shown = found.frequency >= LOWEST_HZ
+    return Curve(found.frequency[shown], MILLI**2 * found.density[shown, axis], kind, label)
+
+
+def _whiteness(found: Validation) -> list[str]:
+    """Return table and figures of the portmanteau tests."""
+    tests = [('free run', found.whiteness)]
+    if found.one_step:
+        tests.append(('one step', found.one_step.whiteness))
+    content = [
+        paragraph(
+            f'Portmanteau test of Ljung and Box over {found.whiteness.lags} lags; a probability '
+            f'below {CONFIDENT:g} says coloured. Errors of a free run are always coloured by '
+            "what the tool's noise does to the cup's modes; one-step prediction errors are white "
+            'where the model explains all but noise.', 'quiet'),
+        table(
+            ('errors', 'axis', 'Q', 'probability', 'largest autocorrelation', 'verdict'),
+            [row for name, test in tests for row in _test_rows(name, test)], (0, 1, 5)),
+    ]  # fmt: skip
+    if found.one_step:
+        content.append(paragraph(
+            f'Chi² per degree of freedom of the one-step errors: {found.one_step.chi2:.4f}; 1 '
+            'where the model and the noise explain all.'))  # fmt: skip
+    shown = found.one_step.whiteness if found.one_step else found.whiteness
+    content.append(figures([(AXES[i], _correlation(shown, i)) for i in range(6)]))
+    return content
+
+
+def _test_rows(name: str, test: Whiteness) -> list[tuple[str, ...]]:
+    """Return a row of the table per axis."""
+    return [
+        (name, AXES[i], f'{test.statistic[i]:.1f}', _probability(float(test.p_value[i])),
+         f'{test.largest[i]:.3f}', test.words[i])
+        for i in range(6)
+    ]  # fmt: skip
+
+
+def _probability(p: float) -> str:
+    """Return a probability."""
+    return f'{p:.3f}' if p >= 1e-3 else 'below 0.001'
+
+
+def _correlation(test: Whiteness, axis: int) -> str:
+    """Return the autocorrelation of an axis with the band in which white noise stays."""
+    lags = np.arange(1.0, test.lags + 1.0)
+    band = np.full(test.lags, 1.96 / np.sqrt(test.samples))
+    return line_chart(
+        [Curve(lags, band, 'quiet', '95 % of white noise'), Curve(lags, -band, 'quiet'),
+         Curve(lags, test.autocorrelation[:, axis], 'error')],
+        'lag (samples)', 'autocorrelation', ERROR_SIZE,
+        description=f'Autocorrelation of {AXES[axis]}',
+    )  # fmt: skip

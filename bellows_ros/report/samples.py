@@ -1,0 +1,61 @@
+"""Which samples of a recording were used, and what was wrong with the others."""
+
+from bellows_ros.core.recording.preparation import Recording, StreamReport
+from bellows_ros.core.trajectory import NS_PER_S
+import numpy as np
+from numpy.typing import NDArray
+
+from .page import bullets, figure, table
+from .svg import strip_chart
+
+
+def samples_content(recording: Recording) -> list[str]:
+    """Return a strip of time and a table."""
+    report = recording.report
+    seconds = recording.package.seconds
+    step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
+    rows = [
+        ('used', 'used', recording.valid),
+        ('tool poses lost', 'lost', ~recording.measured_tool.valid),
+        ('package poses lost', 'lost', ~recording.measured_package.valid),
+    ]
+    strips = [(name, kind, spans(mask, seconds, step)) for name, kind, mask in rows]
+    return [
+        figure(
+            f'{report.valid} of {report.samples} samples are used; where a pose is lost, all '
+            'samples whose filter window touches it are left out',
+            strip_chart(
+                strips, (0.0, float(seconds[-1]) + step), 'time (s)', 'Used and lost samples')),
+        table(
+            ('topic', 'poses', 'rate', 'refused', 'outliers', 'gaps', 'left out by the filter'),
+            [_stream_row(stream) for stream in (report.tool, report.package)]),
+        bullets(report.warnings, 'warning'),
+    ]  # fmt: skip
+
+
+def spans(
+    mask: NDArray[np.bool_], seconds: NDArray[np.float64], step: float
+) -> list[tuple[float, float]]:
+    """Return start and end (s) of the stretches of samples in a mask; each lasts a step."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [
+        (float(seconds[first]), float(seconds[end - 1]) + step)
+        for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    ]
+
+
+def _stream_row(stream: StreamReport) -> tuple[str, ...]:
+    """Return what became of a topic's poses."""
+    refused = [f'{len(where)} {reason.replace("_", " ")}'
+               for reason, where in stream.refused.items() if where]  # fmt: skip
+    longest = max((gap.duration_s for gap in stream.timing.gaps), default=0.0)
+    gaps = f'{len(stream.timing.gaps)}, longest {longest:.3g} s' if longest else '0'
+    return (
+        stream.name, str(stream.samples), f'{stream.timing.rate_hz:.6g} Hz',
+        ', '.join(refused) or '0', str(stream.marked), gaps, str(stream.touched),
+    )  # fmt: skip
+
+
+def start_words(recording: Recording) -> str:
+    """Return when a recording began, by its own stamps."""
+    return f'{recording.package.stamps_ns[0] / NS_PER_S:.3f} s'

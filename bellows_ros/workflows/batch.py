@@ -1,0 +1,373 @@
+"""
+Identify a cup from many recordings: on many cores, on many machines, or piece by piece.
+
+Every recording is reduced where it is read to a summary of what least squares needs; summaries are
+small, and adding them gives the fit of all recordings (`core.identification.summaries`). A
+recording that cannot be used is reported and left out.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+import importlib
+import os
+from typing import Any
+
+from bellows_ros import __version__
+from bellows_ros.core.identification.consistency import Consistency, same_cup
+from bellows_ros.core.identification.envelope import Envelope
+from bellows_ros.core.identification.methods import samples_of
+from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.identification.seen import envelope
+from bellows_ros.core.identification.structure import structure_named
+from bellows_ros.core.identification.summaries import (
+    fit_summaries,
+    joined_envelopes,
+    summarise,
+    Summary,
+)
+from bellows_ros.core.model import package_of
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.recording.preparation import Report
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import write_parameters
+from bellows_ros.files.results import write_result
+from bellows_ros.files.summary_files import read_summary, SummaryFile, write_summary
+from bellows_ros.workflows.identify import Identification, NOT_OF_THE_CUP, values_of_each
+from bellows_ros.workflows.recordings import load
+from bellows_ros.workflows.result_json import fit_json, recording_json
+
+Progress = Callable[[str, float], None]
+Work = tuple[int, str, dict[str, Any]]
+"""Place in the parameter `bags`, recording, and its parameters."""
+
+
+@dataclass(frozen=True, eq=False)
+class Done:
+    """A recording that was summarised: its place in the parameter `bags`, and what it tells."""
+
+    number: int
+    summary: Summary
+    envelope: Envelope
+    report: Report
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A recording that cannot be used, and why."""
+
+    number: int
+    bag: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class BatchIdentification(Identification):
+    """
+    A cup identified from summaries.
+
+    Parameters
+    ----------
+    kept : tuple of Report
+        What became of each recording that was used; `values['bags']` names them.
+    failed : tuple of Failed
+        The others.
+    envelopes : tuple of Envelope
+        What each of those that were used has seen.
+
+    Notes
+    -----
+    The prepared recordings stay where they were made: `recordings` is empty.
+
+    """
+
+    kept: tuple[Report, ...] = ()
+    failed: tuple[Failed, ...] = ()
+    envelopes: tuple[Envelope, ...] = ()
+
+    @property
+    def envelope(self) -> Envelope:
+        """What the fit has seen."""
+        return joined_envelopes(self.envelopes)
+
+    @property
+    def reports(self) -> tuple[Report, ...]:
+        """What became of each recording that was used."""
+        return self.kept
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user must know, the recordings left out included."""
+        left_out = tuple(f"Recording '{f.bag}' was left out: {f.reason}" for f in self.failed)
+        return left_out + super().warnings
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of the JSON file."""
+        failed = [{'bag': f.bag, 'error': f.reason} for f in self.failed]
+        return {**super().as_json(), 'failed': failed}
+
+
+def identify_many(
+    settings: Mapping[str, object],
+    jobs: int = 1,
+    dask: str = '',
+    progress: Progress | None = None,
+    parameter_files: Sequence[str | os.PathLike[str]] = (),
+) -> BatchIdentification:
+    """
+    Identify a cup from many recordings at a time.
+
+    Parameters
+    ----------
+    settings : mapping
+        Parameters by name; `bags` are the recordings.
+    jobs : int
+        Processes on this machine, -1 for one per core.
+    dask : str
+        Address of a Dask scheduler whose workers see the recordings at the same paths, used
+        instead of processes here; '' for none.
+    progress : callable, optional
+        Called with what is being done and the part (0 to 1) that is done.
+    parameter_files : sequence of path, optional
+        Files that the settings are from, for the provenance.
+
+    Raises
+    ------
+    BellowsError
+        If a parameter is not usable, the extra package is missing, the scheduler does not answer,
+        no recording is usable, or all together do not determine the cup.
+
+    """
+    required = () if settings.get('package.files') else PACKAGE_PARAMETERS
+    values: dict[str, Any] = resolve(settings, required)
+    _require_least_squares(values)
+    bags = [os.fspath(bag) for bag in values['bags']]
+    if not bags:
+        raise BellowsError('No recording to identify from: the parameter bags is empty.')
+    each = values_of_each(values)
+    tell = progress or (lambda what, part: None)
+    tell(f'reading {len(bags)} recordings', 0.0)
+    work = [(n, bag, dict(own)) for n, (bag, own) in enumerate(zip(bags, each, strict=True))]
+    results = _on_dask(work, dask) if dask else _on_cores(work, jobs)
+    done, failed = _gathered(results, bags, tell)
+    used = {**values, 'bags': tuple(bags[item.number] for item in done)}
+    result = BatchIdentification(
+        fit=fit_summaries([item.summary for item in done]),
+        values=used,
+        recordings=(),
+        held=tuple(package_of(each[item.number]) for item in done),
+        parameter_files=tuple(parameter_files),
+        consistency=_consistency(done, used),
+        kept=tuple(item.report for item in done),
+        failed=tuple(failed),
+        envelopes=tuple(item.envelope for item in done),
+    )
+    tell('done', 1.0)
+    return result
+
+
+def _gathered(
+    results: Iterator[Done | Failed], bags: Sequence[str], tell: Progress
+) -> tuple[list[Done], list[Failed]]:
+    """Return the results in the order of the recordings; at least one must be usable."""
+    done: list[Done] = []
+    failed: list[Failed] = []
+    for count, result in enumerate(results, 1):
+        if isinstance(result, Done):
+            done.append(result)
+        else:
+            failed.append(replace(result, bag=bags[result.number]))
+        tell(f'reading {len(bags)} recordings', count / (len(bags) + 1))
+    done.sort(key=lambda item: item.number)
+    failed.sort(key=lambda item: item.number)
+    if not done:
+        raise BellowsError(
+            f'None of {len(failed)} recordings can be used. The first, '
+            f"'{failed[0].bag}': {failed[0].reason}"
+        )
+    return done, failed
+
+
+def _consistency(done: Sequence[Done], values: Mapping[str, Any]) -> Consistency | None:
+    """Return whether the recordings are of one cup, where that is asked for."""
+    if not values['fit.compare_recordings'] or len(done) < 2:
+        return None
+    return same_cup([fit_summaries([item.summary]) for item in done], values['bags'])
+
+
+def summarise_bag(number: int, bag: str, values: Mapping[str, Any]) -> Done | Failed:
+    """Return a recording's summary, or why there is none; the work of one process."""
+    try:
+        recording = load(bag, values).recording
+        samples = samples_of(recording, package_of(values), values['gravity'])
+        length = values['cup.length']
+        summary = summarise(samples, length, structure_named(values['fit.structure']))
+        return Done(number, summary, envelope([samples], length), recording.report)
+    except BellowsError as error:
+        return Failed(number, bag, str(error))
+
+
+def _require_least_squares(values: Mapping[str, Any]) -> None:
+    """Refuse other methods, whose residuals are not additive."""
+    if values['fit.method'] != 'least_squares':
+        raise BellowsError(
+            f"Recordings can be worked on apart only with fit.method 'least_squares', not "
+            f"'{values['fit.method']}'. Set it, or leave --jobs and --dask out."
+        )
+
+
+def _on_cores(work: Sequence[Work], jobs: int) -> Iterator[Done | Failed]:
+    """Yield the results of processes on this machine, as they come."""
+    if jobs == 1 or len(work) == 1:
+        return (summarise_bag(*item) for item in work)
+    joblib = _imported('joblib', 'parallel', '--jobs')
+    parallel = joblib.Parallel(n_jobs=jobs, return_as='generator_unordered')
+    results: Iterator[Done | Failed] = parallel(
+        joblib.delayed(summarise_bag)(*item) for item in work
+    )
+    return results
+
+
+def _on_dask(work: Sequence[Work], address: str) -> Iterator[Done | Failed]:
+    """Yield the results of a Dask cluster's workers."""
+    distributed = _imported('distributed', 'dask', '--dask')
+    try:
+        client = distributed.Client(address, timeout='10s', set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise BellowsError(
+            f"No Dask scheduler answers at '{address}': {error}. Start one with 'dask scheduler', "
+            'and give the address that it prints.'
+        ) from None
+    with client:
+        futures = [
+            client.submit(summarise_bag, number, os.path.abspath(bag), own, pure=False)
+            for number, bag, own in work
+        ]
+        for future in futures:
+            yield future.result()
+            future.release()
+
+
+def _imported(module: str, extra: str, option: str) -> Any:
+    """Return an optional module, or say how to get it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise BellowsError(
+            f"{option} needs '{module}', which is not installed: pip install "
+            f"'bellows_ros[{extra}]'."
+        ) from None
+
+
+def summarise_to_file(
+    bag: str | os.PathLike[str], settings: Mapping[str, object], out: str | os.PathLike[str]
+) -> SummaryFile:
+    """
+    Write the summary of one recording.
+
+    Raises
+    ------
+    BellowsError
+        If a parameter or the recording is not usable, or the file cannot be written.
+
+    """
+    values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
+    _require_least_squares(values)
+    result = summarise_bag(0, os.fspath(bag), values)
+    if isinstance(result, Failed):
+        raise BellowsError(result.reason)
+    content = SummaryFile(
+        result.summary,
+        result.envelope,
+        os.fspath(bag),
+        {name: value for name, value in values.items() if name not in NOT_OF_THE_CUP},
+        recording_json(os.fspath(bag), result.report),
+    )
+    write_summary(out, content)
+    return content
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """
+    A cup identified from files of summaries.
+
+    Parameters
+    ----------
+    fit : Fit
+        K and P with their uncertainty.
+    files : tuple of SummaryFile
+        That were added.
+
+    """
+
+    fit: Fit
+    files: tuple[SummaryFile, ...]
+
+    @property
+    def bags(self) -> tuple[str, ...]:
+        """The recordings."""
+        return tuple(file.bag for file in self.files)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user must know: of the fit, then of the recordings."""
+        of_bags = (f"'{f.bag}': {w}" for f in self.files for w in f.report.get('warnings', ()))
+        return (*self.fit.warnings, *of_bags)
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the parameters of the cup file; a package only if it is that of all."""
+        first = self.files[0].settings
+        common = {
+            name: value for name, value in first.items()
+            if all(file.settings.get(name) == value for file in self.files)
+        }  # fmt: skip
+        return {
+            **common,
+            'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
+            'cup.damping': tuple(self.fit.damping.ravel().tolist()),
+            **joined_envelopes([file.envelope for file in self.files]).parameters(),
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of the JSON file."""
+        return {
+            **fit_json(self.fit),
+            'warnings': self.warnings,
+            'cup_length': self.files[0].summary.cup_length,
+            'recordings': [dict(file.report) for file in self.files],
+            'version': __version__,
+        }
+
+
+def merge(paths: Sequence[str | os.PathLike[str]]) -> Merged:
+    """
+    Return the fit of all recordings whose summaries are in files.
+
+    Raises
+    ------
+    BellowsError
+        If a file is not usable or a recording is there twice, they are not of one cup, or all
+        together do not determine it.
+
+    """
+    files = tuple(read_summary(path) for path in paths)
+    twice = [bag for bag, count in Counter(file.bag for file in files).items() if count > 1]
+    if twice:
+        raise BellowsError(
+            f"Recording '{twice[0]}' is in more than one summary and would count twice. Give each "
+            'summary once.'
+        )
+    return Merged(fit_summaries([file.summary for file in files]), files)
+
+
+def save_merged(result: Merged, parameters_path: str, json_path: str) -> None:
+    """Write the cup file, if the cup is usable, and the JSON file; '' for none."""
+    if json_path:
+        write_result(json_path, result.as_json())
+    if parameters_path:
+        bags = ', '.join(result.bags)
+        write_parameters(
+            parameters_path, result.parameters(),
+            [f'Identified by bellows_ros {__version__} from summaries of {bags}'],
+        )  # fmt: skip

@@ -1,0 +1,190 @@
+"""Compare two fits of a cup by their result files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import os
+from typing import Any
+
+from bellows_ros.core.identification.comparison import (
+    Change,
+    compare_fits,
+    FitComparison,
+    Fitted,
+)
+from bellows_ros.core.identification.structure import structure_named
+from bellows_ros.core.model import Cup, package_of
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.results import read_result
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Path = str | os.PathLike[str]
+
+NOT_COMPARED = ('output.', 'predictor', 'exit_when_done', 'envelope.', 'cup.stiffness',
+                'cup.damping')  # fmt: skip
+"""Settings that say nothing about how the fit was made."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A setting or a version that differs; None where a fit does not have it."""
+
+    name: str
+    before: Any
+    after: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """
+    Two result files compared.
+
+    Parameters
+    ----------
+    paths : tuple of two str
+        The files.
+    fits : FitComparison
+        What differs in numbers.
+    settings : tuple of Difference
+        What differs in settings, method, recordings and versions.
+    shared : tuple of str
+        Recordings that both fits have used: they are not independent then.
+
+    """
+
+    paths: tuple[str, str]
+    fits: FitComparison
+    settings: tuple[Difference, ...]
+    shared: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of the JSON file."""
+        fits = self.fits
+        return {
+            'before': self.paths[0],
+            'after': self.paths[1],
+            'matters': fits.matters,
+            'significant': fits.significant,
+            'p_value': fits.p_value,
+            'parameters': [_change_json(change) for change in fits.parameters],
+            'effects': [_change_json(change) for change in fits.effects],
+            'shake_rms': fits.shake_rms,
+            'settings': [vars(difference) for difference in self.settings],
+            'shared_recordings': self.shared,
+        }
+
+
+def compare_files(before: Path, after: Path) -> Comparison:
+    """
+    Compare two result files of identifications.
+
+    Parameters
+    ----------
+    before, after : path
+        JSON files that `bellows identify` has written. The package of the first is held in both
+        predictions.
+
+    Raises
+    ------
+    BellowsError
+        If a file is not such a result, or a cup cannot hold the package.
+
+    """
+    contents = read_result(before), read_result(after)
+    values = _settings(before, contents[0])
+    fits = compare_fits(
+        _fitted(before, contents[0]), _fitted(after, contents[1]), package_of(values),
+        values['gravity'],
+    )  # fmt: skip
+    return Comparison(
+        paths=(os.fspath(before), os.fspath(after)),
+        fits=fits,
+        settings=tuple(_differences(*contents)),
+        shared=_shared(*contents),
+    )
+
+
+def _fitted(path: Path, content: Mapping[str, Any]) -> Fitted:
+    """Return what a comparison needs of a result file."""
+    try:
+        structure = structure_named(content['structure'])
+        labels = list(content['parameters']['labels'])
+        rows = content['parameters']['covariance']
+        covariance = np.array(
+            [[np.inf if x is None else float(x) for x in row] for row in rows], dtype=float)
+        order = [labels.index(label) for label in structure.labels]
+        cup = Cup(
+            np.array(content['stiffness'], dtype=float), np.array(content['damping'], dtype=float),
+            float(content['cup_length']),
+        )  # fmt: skip
+        return Fitted(structure, cup, covariance[np.ix_(order, order)])
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise BellowsError(
+            f"Result '{os.fspath(path)}' lacks what a comparison needs ({error}). Identify the "
+            'cup again with this version.'
+        ) from None
+
+
+def _settings(path: Path, content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the checked settings of a result file."""
+    settings = content.get('settings')
+    if not isinstance(settings, dict):
+        raise BellowsError(
+            f"Result '{os.fspath(path)}' has no settings, so its package is not known. Identify "
+            'the cup again with this version.'
+        )
+    return dict(resolve(settings, PACKAGE_PARAMETERS))
+
+
+def _differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Difference]:
+    """Return what differs in how the fits were made."""
+    sides = [_described(content) for content in (before, after)]
+    names = sorted(set(sides[0]) | set(sides[1]))
+    return [
+        Difference(name, sides[0].get(name), sides[1].get(name))
+        for name in names if sides[0].get(name) != sides[1].get(name)
+    ]  # fmt: skip
+
+
+def _described(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return by name all that says how a fit was made."""
+    settings = content.get('settings') or {}
+    found = {k: v for k, v in settings.items() if not k.startswith(NOT_COMPARED)}
+    found |= {name: content.get(name) for name in ('method', 'structure', 'samples_used')}
+    origin = content.get('provenance') or {}
+    versions = origin.get('versions') or {'bellows_ros': content.get('version')}
+    found |= {f'version of {name}': version for name, version in versions.items()}
+    for recording in origin.get('recordings') or ():
+        digests = [file['sha256'][:12] for file in recording['files']]
+        found[f'content of {recording["path"]}'] = ' '.join(digests)
+    return found
+
+
+def _shared(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the recordings of the second fit that the first has used too."""
+    seen, files = _contents(before), _contents(after)
+    return tuple(name for name, content in files.items() if content in seen.values())
+
+
+def _contents(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the recordings of a fit by name: digests of what is in them, or the names again."""
+    origin = (content.get('provenance') or {}).get('recordings')
+    if origin is None:
+        return {bag: bag for bag in (content.get('settings') or {}).get('bags', ())}
+    return {
+        recording['path']: tuple(sorted(file['sha256'] for file in recording['files']))
+        for recording in origin
+    }
+
+
+def _change_json(change: Change) -> dict[str, Any]:
+    """Return a change with what follows from it."""
+    return {
+        **vars(change),
+        'percent': change.percent,
+        'standard_errors': change.standard_errors,
+        'p_value': change.p_value,
+        'significant': change.significant,
+    }

@@ -1,0 +1,202 @@
+"""Poses from Motive exports, TUM and EuRoC files to recordings, and from recordings to TUM."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+import os
+from pathlib import Path
+import re
+from typing import Any
+
+from bellows_ros import __version__
+from bellows_ros.core.lie import rotation_to_quaternion
+from bellows_ros.core.trajectory import PoseStream
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bags import accepted_types, read_streams, topics
+from bellows_ros.files.motive import FEWEST_MARKERS, is_motive, read_motive
+from bellows_ros.files.trajectory_files import read_euroc, read_tum, write_tum
+import numpy as np
+
+POSE = 'geometry_msgs/msg/PoseStamped'
+MOTIVE_FRAME = 'motive'
+WORLD_FRAME = 'world'
+TEXT_ENDINGS = ('.tum', '.txt')
+
+
+@dataclass(frozen=True)
+class Converted:
+    """
+    What came of one body's poses.
+
+    Parameters
+    ----------
+    topic : str
+    source : str
+        File, and body where it has several.
+    poses : int
+        Written.
+    left_out : mapping of str to int
+        Reason to number of frames that were not.
+
+    """
+
+    topic: str
+    source: str
+    poses: int
+    left_out: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """
+    A conversion.
+
+    Parameters
+    ----------
+    out : str
+    bodies : tuple of Converted
+    world : str
+        Value of recording.world for what was written.
+
+    """
+
+    out: str
+    bodies: tuple[Converted, ...]
+    world: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of the JSON file."""
+        return asdict(self) | {'version': __version__}
+
+
+def to_bag(
+    sources: Sequence[str | os.PathLike[str]],
+    out: str | os.PathLike[str],
+    names: Sequence[str] = (),
+    storage: str = 'mcap',
+    fewest_markers: int = FEWEST_MARKERS,
+    replace: bool = False,
+) -> Conversion:
+    """
+    Write a recording of PoseStamped from trajectory files.
+
+    Parameters
+    ----------
+    sources : sequence of path
+        Motive CSV exports, whose every rigid body becomes a topic, or TUM or EuRoC files, each a
+        topic.
+    out : path
+        Folder to make.
+    names : sequence of str, optional
+        Topics, in the order of files and bodies; by default '/NAME/pose'.
+    storage : str
+        'mcap' or 'sqlite3'.
+    fewest_markers : int
+        Poses of Motive with fewer markers seen are left out.
+    replace : bool
+        Whether a recording that is there may be replaced.
+
+    Raises
+    ------
+    BellowsError
+        If a source cannot be read, or two bodies would have one topic.
+
+    """
+    found = [item for source in sources for item in _read(Path(source), fewest_markers)]
+    if names and len(names) != len(found):
+        raise BellowsError(
+            f'{len(names)} topics are named for {len(found)} bodies: '
+            f'{", ".join(converted.source for converted, _ in found)}. Name one for each, in this '
+            'order.'
+        )
+    named = [_renamed(*pair) for pair in zip(found, names, strict=True)] if names else found
+    chosen = [converted.topic for converted, _ in named]
+    if len(set(chosen)) < len(chosen):
+        raise BellowsError(
+            f'Several bodies would be written to one topic, of {", ".join(chosen)}. '
+            'Name a topic for each.'
+        )
+    write_bag(out, [recorded for _, recorded in named], storage, replace=replace)
+    motive = any(recorded.frame_id == MOTIVE_FRAME for _, recorded in named)
+    return Conversion(
+        os.fspath(out), tuple(converted for converted, _ in named),
+        'motive_y_up' if motive else 'z_up',
+    )  # fmt: skip
+
+
+def _renamed(item: tuple[Converted, Recorded], topic: str) -> tuple[Converted, Recorded]:
+    """Return a body under another topic."""
+    converted, recorded = item
+    topic = topic if topic.startswith('/') else f'/{topic}'
+    return (
+        Converted(topic, converted.source, converted.poses, converted.left_out),
+        Recorded(topic, POSE, recorded.stamps_ns, recorded.values, recorded.frame_id),
+    )
+
+
+def _read(source: Path, fewest_markers: int) -> list[tuple[Converted, Recorded]]:
+    """Return the bodies in a file, with what was left out."""
+    if not source.is_file():
+        raise BellowsError(
+            f"'{source}' is not a file. Give a Motive CSV export, or a TUM or EuRoC file."
+        )
+    if source.suffix.lower() == '.csv' and is_motive(source):
+        return [
+            _item(body.name, f'{source} ({body.name})', body.stamps_ns, body.values, MOTIVE_FRAME,
+                  {'not tracked': body.missing, 'too few markers': body.unseen})
+            for body in read_motive(source, fewest_markers)
+        ]
+    read = read_euroc if source.suffix.lower() == '.csv' else read_tum
+    stamps, values = read(source)
+    return [_item(source.stem, str(source), stamps, values, WORLD_FRAME, {})]
+
+
+def _item(
+    name: str, source: str, stamps: Any, values: Any, frame: str, left_out: Mapping[str, int]
+) -> tuple[Converted, Recorded]:
+    """Return a body and its messages."""
+    word = re.sub(r'[^A-Za-z0-9_]+', '_', name).strip('_').lower() or 'body'
+    topic = f'/{word}/pose' if not word[0].isdigit() else f'/body_{word}/pose'
+    some = {reason: count for reason, count in left_out.items() if count}
+    recorded = Recorded(topic, POSE, stamps, values, frame)
+    return Converted(topic, source, len(stamps), some), recorded
+
+
+def to_tum(
+    bag: str | os.PathLike[str], out: str | os.PathLike[str], topic: str = ''
+) -> Conversion:
+    """
+    Write the poses of a topic of a recording as a TUM file.
+
+    Parameters
+    ----------
+    bag : path
+        rosbag2 folder, or a bare .mcap or .db3 file.
+    out : path
+        Text file.
+    topic : str, optional
+        May be left out where the recording has poses on one topic only.
+
+    Raises
+    ------
+    BellowsError
+        If the recording cannot be read, or several topics could be meant.
+
+    """
+    if not topic:
+        types = accepted_types('pose')
+        fitting = [t.name for t in topics(bag) if t.type_name in types]
+        if len(fitting) != 1:
+            raise BellowsError(
+                f"Recording '{bag}' has {len(fitting)} topics with poses"
+                f'{": " + ", ".join(fitting) if fitting else ""}. Name one with --topic.'
+            )
+        topic = fitting[0]
+    stream = read_streams(bag, {'tool_pose': topic})['tool_pose']
+    if not isinstance(stream, PoseStream):
+        raise BellowsError(f"Topic '{topic}' has no poses.")
+    values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
+    write_tum(out, stream.stamps_ns, values)
+    left_out = {reason: len(where) for reason, where in stream.refused.items() if where}
+    converted = Converted(stream.name, os.fspath(bag), len(stream), left_out)
+    return Conversion(os.fspath(out), (converted,), 'z_up')

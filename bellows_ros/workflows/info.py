@@ -1,0 +1,353 @@
+"""What is in a recording, how good it is, and how it would be read: topics, rates, gaps, roles."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+import os
+from pathlib import Path
+from typing import Any
+
+from bellows_ros import __version__
+from bellows_ros.core.lie import exp_so3, log_so3
+from bellows_ros.core.recording.alignment import in_world
+from bellows_ros.core.recording.grid import timing
+from bellows_ros.core.recording.outliers import find_outliers
+from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bags import accepted_types, read_streams, topics
+from bellows_ros.workflows.roles import (
+    Guess,
+    likely_alone,
+    likely_pair,
+    likely_twist,
+    Pair,
+    TwistGuess,
+)
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Stream = PoseStream | TwistStream
+
+START_SECONDS = 0.2  # over which the pose at rest is averaged
+STILL_POSITION, STILL_ROTATION = 1e-3, 5e-3  # m and rad; more, beyond the noise, is motion
+STILL_DEVIATIONS = 6.0
+SHORTEST_REST = 0.5  # s, for an alignment at rest
+REST_USED = 0.9  # of the standstill that was found
+TURNED = np.deg2rad(1.5)  # marker frames turned by more than this need alignment
+LOW_RATE_HZ = 100.0
+JITTER_SAID = 0.1  # of the period
+
+
+@dataclass(frozen=True)
+class Motion:
+    """
+    How far a body moves.
+
+    Parameters
+    ----------
+    position, rotation : tuple of 3 floats
+        Largest minus smallest coordinate, m, and largest minus smallest rotation vector from the
+        start, rad, in recorded axes.
+
+    """
+
+    position: tuple[float, ...]
+    rotation: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """
+    A topic, and the quality of its messages where they can be read.
+
+    Parameters
+    ----------
+    name, type_name : str
+    messages : int
+    kind : str
+        'pose', 'twist', 'pose and twist', or '' where it is none that can be used.
+    problem : str
+        Why it cannot be read, though its type fits; else ''.
+    frame_id : str
+    start_ns : int
+        First stamp.
+    duration_s, rate_hz, jitter_s : float
+        Last minus first stamp; rate where nothing is missing; robust deviation of the steps.
+    gaps : tuple of (float, float)
+        Start, from the first stamp, and length of each, s.
+    refused : mapping of str to int
+        Reason to number of messages that would be left out.
+    outliers : int
+        Poses that look like lost tracking: jumps, steps, repeats.
+    noise : mapping of str to float
+        Standard deviation of 'position' (m) and 'rotation' (rad) in each axis.
+    motion : Motion or None
+        Of poses.
+
+    """
+
+    name: str
+    type_name: str
+    messages: int
+    kind: str = ''
+    problem: str = ''
+    frame_id: str = ''
+    start_ns: int = 0
+    duration_s: float = 0.0
+    rate_hz: float = float('nan')
+    jitter_s: float = float('nan')
+    gaps: tuple[tuple[float, float], ...] = ()
+    refused: Mapping[str, int] = field(default_factory=dict)
+    outliers: int = 0
+    noise: Mapping[str, float] = field(default_factory=dict)
+    motion: Motion | None = None
+
+
+@dataclass(frozen=True)
+class Info:
+    """
+    A recording.
+
+    Parameters
+    ----------
+    path : str
+    topics : tuple of TopicInfo
+        By name.
+    tool, package : Guess or None
+    twist : TwistGuess or None
+    rest_s : float or None
+        How long both stand still at the beginning.
+    settings : mapping
+        Parameters with which to read it, by name.
+    notes : tuple of str
+        What to know before identifying from it.
+
+    """
+
+    path: str
+    topics: tuple[TopicInfo, ...]
+    tool: Guess | None
+    package: Guess | None
+    twist: TwistGuess | None
+    rest_s: float | None
+    settings: Mapping[str, Any]
+    notes: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of the JSON file."""
+        content = asdict(self)
+        content['settings'] = dict(self.settings)
+        return content | {'version': __version__}
+
+
+def info(path: str | os.PathLike[str]) -> Info:
+    """
+    Look into a recording.
+
+    Parameters
+    ----------
+    path : path
+        rosbag2 folder, or a bare .mcap or .db3 file.
+
+    Raises
+    ------
+    BellowsError
+        If there is no such recording, or it is damaged.
+
+    """
+    found = topics(path)
+    pose_types, twist_types = accepted_types('pose'), accepted_types('twist')
+    wanted = {
+        f'{topic.name} {kind}': topic.name
+        for topic in found if topic.messages
+        for kind, types in (('pose', pose_types), ('twist', twist_types))
+        if topic.type_name in types
+    }  # fmt: skip
+    streams, problems = _read(path, wanted)
+    described = tuple(
+        _topic(topic.name, topic.type_name, topic.messages, streams, problems) for topic in found
+    )
+    poses = {s.name: s for s in streams.values() if isinstance(s, PoseStream) and len(s) > 2}
+    twists = {s.name: s for s in streams.values() if isinstance(s, TwistStream) and len(s) > 2}
+    return _assigned(path, described, poses, twists)
+
+
+def _read(
+    path: str | os.PathLike[str], wanted: Mapping[str, str]
+) -> tuple[dict[str, Stream], dict[str, str]]:
+    """Return the streams that can be read, and why the others cannot."""
+    if not wanted:
+        return {}, {}
+    try:
+        return read_streams(path, wanted), {}
+    except BellowsError:
+        pass  # one of them; which one is found one by one
+    streams: dict[str, Stream] = {}
+    problems: dict[str, str] = {}
+    for role, topic in wanted.items():
+        try:
+            streams |= read_streams(path, {role: topic})
+        except BellowsError as error:
+            problems[topic] = str(error)
+    return streams, problems
+
+
+def _topic(
+    name: str, type_name: str, messages: int, streams: Mapping[str, Stream],
+    problems: Mapping[str, str],
+) -> TopicInfo:  # fmt: skip
+    """Return what is known of a topic."""
+    mine = {kind: streams[f'{name} {kind}'] for kind in ('pose', 'twist')
+            if f'{name} {kind}' in streams}  # fmt: skip
+    if not mine:
+        return TopicInfo(name, type_name, messages, problem=problems.get(name, ''))
+    stream = next(iter(mine.values()))
+    quality = _quality(stream) if len(stream) > 2 else {}
+    return TopicInfo(
+        name, type_name, messages, ' and '.join(mine), frame_id=stream.frame_id,
+        start_ns=int(stream.stamps_ns[0]),
+        duration_s=float(stream.stamps_ns[-1] - stream.stamps_ns[0]) / NS_PER_S,
+        refused={reason: len(where) for reason, where in stream.refused.items()}, **quality,
+    )  # fmt: skip
+
+
+def _quality(stream: Stream) -> dict[str, Any]:
+    """Return rate, gaps, and of poses outliers, noise and motion."""
+    time = timing(stream.stamps_ns)
+    first = int(stream.stamps_ns[0])
+    quality: dict[str, Any] = {
+        'rate_hz': time.rate_hz,
+        'jitter_s': time.jitter_s,
+        'gaps': tuple(((gap.start_ns - first) / NS_PER_S, gap.duration_s) for gap in time.gaps),
+    }
+    if isinstance(stream, PoseStream):
+        poses = stream.trajectory()
+        outliers = find_outliers(poses, time.longest_step_ns)
+        quality['outliers'] = int(np.count_nonzero(~outliers.good))
+        quality['noise'] = {name: float(x) for name, x in outliers.noise.items()}
+        quality['motion'] = _motion(poses.select(outliers.good))
+    return quality
+
+
+def _motion(poses: Trajectory) -> Motion | None:
+    """Return how far a body moves."""
+    if not len(poses):
+        return None
+    turned = log_so3(poses.rotation[0].T @ poses.rotation)
+    return Motion(*(tuple(np.ptp(x, axis=0).tolist()) for x in (poses.position, turned)))
+
+
+def _assigned(
+    path: str | os.PathLike[str], described: tuple[TopicInfo, ...],
+    poses: Mapping[str, PoseStream], twists: Mapping[str, TwistStream],
+) -> Info:  # fmt: skip
+    """Return the recording with roles, settings and notes."""
+    pair = likely_pair(poses)
+    tool, package = (pair.tool, pair.package) if pair else likely_alone(poses)
+    twist = likely_twist(poses[tool.topic], twists) if tool else None
+    settings: dict[str, Any] = {'bags': (os.fspath(path),)}
+    settings |= {f'topics.{role}': guess.topic for role, guess in
+                 (('tool_pose', tool), ('package_pose', package)) if guess}  # fmt: skip
+    settings['topics.tool_twist'] = twist.topic if twist else ''
+    if twist:
+        settings['tool_twist.frame'] = twist.frame
+    notes = [*_quality_notes(described, tool, package, twist)]
+    rest_s = None
+    if pair:
+        rest_s, at_rest, more = _at_rest(poses, pair)
+        settings |= {'recording.world': pair.world, **at_rest}
+        notes += more
+    return Info(
+        str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes)
+    )
+
+
+def _quality_notes(
+    described: tuple[TopicInfo, ...], *guesses: Guess | None
+) -> list[str]:
+    """Return what is wrong with the topics that would be used."""
+    used = {guess.topic for guess in guesses if guess}
+    notes = [f'{topic.name} cannot be used: {topic.problem}' for topic in described
+             if topic.problem]  # fmt: skip
+    for topic in described:
+        if topic.name not in used:
+            continue
+        if topic.rate_hz < LOW_RATE_HZ:
+            notes.append(
+                f'{topic.name} has only {topic.rate_hz:.0f} Hz; axial and bending modes of a cup '
+                f'lie at several Hz: record at {LOW_RATE_HZ:.0f} Hz or more.'
+            )
+        if topic.jitter_s * topic.rate_hz > JITTER_SAID:
+            notes.append(
+                f'The stamps of {topic.name} jitter by {topic.jitter_s * 1e3:.2g} ms; are they '
+                'arrival times? Stamps of the sensor give better accelerations.'
+            )
+    if len([guess for guess in guesses[:2] if guess]) < 2:
+        notes.append(
+            'An identification needs the poses of tool and package; only a simulation or a '
+            'prediction does with the tool alone.'
+        )
+    return notes
+
+
+def _at_rest(
+    poses: Mapping[str, PoseStream], pair: Pair
+) -> tuple[float, dict[str, Any], list[str]]:
+    """Return how long both stand still, the settings that follow, and what to know."""
+    bodies = [in_world(poses[guess.topic].trajectory(), pair.world)
+              for guess in (pair.tool, pair.package)]  # fmt: skip
+    begin = max(int(body.stamps_ns[0]) for body in bodies)
+    bodies = [body.select(body.stamps_ns >= begin) for body in bodies]
+    rest_s = min(_standstill(body) for body in bodies)
+    tool, package = (_start_rotation(body) for body in bodies)
+    tilts = [float(np.arccos(np.clip(R[2, 2], -1.0, 1.0))) for R in (tool, package)]
+    turned = float(np.linalg.norm(log_so3(tool.T @ package)))
+    notes = [
+        f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool: about '
+        'cup.length if its poses are those of the lip (recording.package_frame: lip), cup.length '
+        'and the depth of package.com together if they are those of the centre of mass (com).'
+    ]
+    if rest_s < SHORTEST_REST:
+        notes.append(
+            f'It stands still for only {rest_s:.1f} s at the beginning; begin with 2 s of rest '
+            'to make out turned marker frames.'
+        )
+    aligned = max(*tilts, turned) > TURNED
+    if aligned:
+        tool_deg, package_deg = np.rad2deg(tilts)
+        notes.append(
+            f'At rest the z axis of the tool is {tool_deg:.1f} and that of the package '
+            f'{package_deg:.1f} degrees off the vertical, and the two frames are turned by '
+            f'{np.rad2deg(turned):.1f} degrees: if the tool was upright then, set '
+            'recording.align_at_rest.'
+        )
+    rest = max(0.1, np.floor(10.0 * REST_USED * rest_s) / 10.0)
+    settings = {
+        'recording.align_at_rest': bool(aligned and rest_s >= SHORTEST_REST),
+        'recording.rest_duration': float(rest),
+    }
+    return rest_s, settings, notes
+
+
+def _start_rotation(body: Trajectory) -> Array:
+    """Return the median orientation (3, 3) of the first moments."""
+    start = body.select(body.seconds <= START_SECONDS)
+    middle = start.rotation[len(start) // 2]
+    turn: Array = np.median(log_so3(middle.T @ start.rotation), axis=0)
+    rotation: Array = middle @ exp_so3(turn)
+    return rotation
+
+
+def _standstill(body: Trajectory) -> float:
+    """Return how long a body stays where it starts, s."""
+    start = body.select(body.seconds <= START_SECONDS)
+    reference = _start_rotation(body)
+    middle = np.median(start.position, axis=0)
+    way = np.linalg.norm(body.position - middle, axis=1)
+    turn = np.linalg.norm(log_so3(reference.T @ body.rotation), axis=1)
+    moves = np.zeros(len(body), dtype=bool)
+    for size, least in ((way, STILL_POSITION), (turn, STILL_ROTATION)):
+        moves |= size > least + STILL_DEVIATIONS * np.median(size[: len(start)])
+    # A jump of tracking is over at once, a motion is not.
+    lasting = moves & np.roll(moves, -max(1, len(start) // 4))
+    return float(body.seconds[int(np.argmax(lasting))] if lasting.any() else body.seconds[-1])

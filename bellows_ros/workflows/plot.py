@@ -1,0 +1,276 @@
+"""What pictures of a recording show: motion, spectra, loads against deflections, predictions."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import os
+from typing import Any
+
+from bellows_ros.core.identification.wrenches import lip_relative, needed_wrench
+from bellows_ros.core.kernels import spring_frames
+from bellows_ros.core.lie import apply, exp_so3, log_so3, wrench_transform
+from bellows_ros.core.live.load import equivalent_box
+from bellows_ros.core.model import Cup, cup_of, package_of, regressor
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.recording.preparation import Recording
+from bellows_ros.core.score import relative_coordinates
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.errors import BellowsError
+from bellows_ros.workflows.recordings import load
+from bellows_ros.workflows.replay import Replay, replay
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+SPECTRUM_SECONDS = 4.0  # of a segment: lines of 0.25 Hz
+MOST_POINTS = 4000  # of a scatter
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """
+    Tool and package as measured, at common times.
+
+    Parameters
+    ----------
+    seconds : array (N,)
+        From the beginning, s.
+    tool_position, package_position : array (N, 3)
+        Of E and B in the world, m.
+    tool_rotation, package_rotation : array (N, 3, 3)
+        R_world_E and R_world_B.
+    relative : array (N, 6)
+        Position (m) and rotation vector (rad) of B in E.
+    valid : bool array (N,)
+        False where a pose is missing or wrong.
+
+    """
+
+    seconds: Array
+    tool_position: Array
+    tool_rotation: Array
+    package_position: Array
+    package_rotation: Array
+    relative: Array
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """
+    Amplitude spectral densities of the tool-relative coordinates.
+
+    Parameters
+    ----------
+    frequency_hz : array (F,)
+    measured : array (F, 6)
+        m/sqrt(Hz) and rad/sqrt(Hz).
+    error : array (F, 6) or None
+        Of predicted minus measured.
+
+    """
+
+    frequency_hz: Array
+    measured: Array
+    error: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """
+    What the cup carries, and how it is deflected: at S1, in axes halfway between tool and lip.
+
+    In these axes a bent cup's load and deflection belong together; in those of tool or lip the
+    weight would seem to push sideways as soon as the cup bends.
+
+    Parameters
+    ----------
+    seconds : array (N,)
+        From the beginning, s.
+    deflection : array (N, 6)
+        Position of S1 in S2 (m), and rotation vector (rad).
+    load : array (N, 6)
+        Wrench of the package on the cup that its motion needs, N and N m.
+    residual : array (N, 6)
+        Load minus that of the cup of the parameters.
+    stiffness : array (6,)
+        Diagonal of that cup's K.
+    valid : bool array (N,)
+
+    """
+
+    seconds: Array
+    deflection: Array
+    load: Array
+    residual: Array
+    stiffness: Array
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """
+    A replayed recording, with the poses of all bodies.
+
+    Parameters
+    ----------
+    seconds : array (N,)
+        From the beginning, s.
+    replay : Replay
+    motion : Motion
+        Measured, at the same times.
+    position, rotation : array (N, 3), (N, 3, 3)
+        Of B in the world, predicted.
+    cup_length : float
+        m.
+    com, box : array (3,)
+        B in S, and depth, width and height of the box that has the package's inertia, m.
+
+    """
+
+    seconds: Array
+    replay: Replay
+    motion: Motion
+    position: Array
+    rotation: Array
+    cup_length: float
+    com: Array
+    box: Array
+
+
+def motion(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Motion:
+    """Return tool and package of a recording as measured; raises what reading raises."""
+    values = resolve(settings, PACKAGE_PARAMETERS)
+    return _motion(load(bag, values).recording)
+
+
+def _motion(recording: Recording) -> Motion:
+    """Return tool and package as measured."""
+    tool, package = recording.measured_tool, recording.measured_package
+    return Motion(
+        tool.seconds, tool.position, tool.rotation, package.position, package.rotation,
+        relative_coordinates(tool, package), tool.valid & package.valid,
+    )  # fmt: skip
+
+
+def spectra(bag: str | os.PathLike[str], settings: Mapping[str, object], cup: bool) -> Spectra:
+    """
+    Return the spectra of a recording, and with a cup also of what a prediction leaves over.
+
+    Samples that are missing are interpolated linearly, which matters only above the motion.
+    """
+    values = resolve(settings, PACKAGE_PARAMETERS)
+    recording = load(bag, values).recording
+    moved = _motion(recording)
+    rate_hz = uniform_rate_hz(recording.measured_package.stamps_ns)
+    frequency, measured = _density(_filled(moved.seconds, moved.relative, moved.valid), rate_hz)
+    error = None
+    if cup:
+        result = replay(bag, settings)
+        start = int(recording.measured_package.stamps_ns[0])
+        known = (result.stamps_ns - start) / NS_PER_S
+        difference = result.predicted - result.measured
+        inside = (moved.seconds >= known[0]) & (moved.seconds <= known[-1])
+        error = _density(_at(moved.seconds[inside], known, difference), rate_hz, len(frequency))[1]
+    return Spectra(frequency, measured, error)
+
+
+def _filled(seconds: Array, values: Array, valid: NDArray[np.bool_]) -> Array:
+    """Return values with those that are not valid interpolated."""
+    if np.count_nonzero(valid) < 2:
+        raise BellowsError('The recording has no two usable samples of tool and package.')
+    return _at(seconds, seconds[valid], values[valid])
+
+
+def _at(seconds: Array, known: Array, values: Array) -> Array:
+    """Return values (N, 6) between known times."""
+    return np.stack([np.interp(seconds, known, column) for column in values.T], axis=1)
+
+
+def _density(values: Array, rate_hz: float, lines: int = 0) -> tuple[Array, Array]:
+    """Return frequencies and amplitude spectral densities of columns (Welch's method)."""
+    length = 2 * (lines - 1) if lines else min(len(values), round(SPECTRUM_SECONDS * rate_hz))
+    frequency, power = welch(
+        values, rate_hz, nperseg=min(length, len(values)), nfft=length, axis=0
+    )
+    return np.asarray(frequency, dtype=np.float64), np.sqrt(power)
+
+
+def loads(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Loads:
+    """Return what the cup carried in a recording, by inverse dynamics, and its deflection."""
+    values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
+    recording = load(bag, values).recording
+    cup, package = cup_of(values), package_of(values)
+    o, R, v = lip_relative(recording.tool, recording.package, package.com)
+    at_lip = needed_wrench(package, recording.package, values['gravity'])
+    T_middle_lip = np.eye(4)
+    T_middle_lip[2, 3] = -cup.length / 2.0
+    to_middle = wrench_transform(T_middle_lip)
+    bending = log_so3(R)
+    halfway = exp_so3(0.5 * bending)
+    moved = apply(np.swapaxes(halfway, 1, 2), _middle(cup, o, R))
+    return Loads(
+        seconds=recording.package.seconds,
+        deflection=np.hstack([moved, bending]),
+        load=_turned(halfway, -at_lip @ to_middle.T),
+        residual=_turned(halfway, (_given(cup, o, R, v) - at_lip) @ to_middle.T),
+        stiffness=np.diag(cup.stiffness),
+        valid=recording.valid,
+    )
+
+
+def _turned(R: Array, wrenches: Array) -> Array:
+    """Return wrenches (N, 6) in turned axes."""
+    return np.hstack([apply(R, wrenches[:, :3]), apply(R, wrenches[:, 3:])])
+
+
+def _middle(cup: Cup, o: Array, R: Array) -> Array:
+    """Return the position of S1 in S2 (N, 3) (3.13)."""
+    flat: Any = R.reshape(len(R), 9).tolist()
+    return np.array([
+        spring_frames(cup.as_tuple, tuple(position), tuple(rotation))
+        for position, rotation in zip(o.tolist(), flat, strict=True)
+    ])
+
+
+def _given(cup: Cup, o: Array, R: Array, v: Array) -> Array:
+    """Return the wrenches (N, 6) that a cup gives, at the lip: two columns of the regressor."""
+    columns = regressor(cup.length, [cup.stiffness, cup.damping], o, R, v)
+    wrench: Array = columns[:, :, 0] + columns[:, :, 3]  # K as stiffness, P as damping
+    return wrench
+
+
+def replayed(
+    bag: str | os.PathLike[str],
+    settings: Mapping[str, object],
+    progress: Progress | None = None,
+) -> Replayed:
+    """Return a replay with the poses of all bodies; raises what `replay` raises."""
+    values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
+    result = replay(bag, settings, progress)
+    recording = load(bag, values).recording
+    stamps = recording.measured_package.stamps_ns
+    index = np.searchsorted(stamps, result.stamps_ns)
+    measured = _motion(_selected(recording, index))
+    package = package_of(values)
+    position = measured.tool_position + apply(measured.tool_rotation, result.predicted[:, :3])
+    return Replayed(
+        (result.stamps_ns - stamps[0]) / NS_PER_S, result, measured,
+        position, measured.tool_rotation @ exp_so3(result.predicted[:, 3:]),
+        cup_of(values).length, package.com, np.array(equivalent_box(values)),
+    )  # fmt: skip
+
+
+def _selected(recording: Recording, index: NDArray[np.int64]) -> Any:
+    """Return the measured poses at some samples."""
+    from types import SimpleNamespace
+
+    def pick(poses: Trajectory) -> Trajectory:
+        return poses.select(index)
+
+    return SimpleNamespace(
+        measured_tool=pick(recording.measured_tool),
+        measured_package=pick(recording.measured_package),
+    )

@@ -1,0 +1,260 @@
+"""
+Which topic of a recording is the tool, and which the package: guessed from the poses themselves.
+
+The package hangs below the tool, at a distance that hardly changes while both move; that is seen
+in any recording. The names of the topics are asked only where the poses leave a choice.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import permutations
+import re
+
+from bellows_ros.core.lie import apply
+from bellows_ros.core.recording.alignment import in_world, WORLDS
+from bellows_ros.core.trajectory import NS_PER_S, PoseStream, resample, Trajectory, TwistStream
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+TOOL_WORDS = frozenset({'tool', 'tcp', 'ee', 'eef', 'effector', 'flange', 'arm', 'robot',
+                        'gripper', 'tip'})  # fmt: skip
+PACKAGE_WORDS = frozenset({'package', 'packet', 'parcel', 'box', 'carton', 'object', 'item',
+                           'payload', 'load', 'plate', 'workpiece'})  # fmt: skip
+
+LONGEST_DISTANCE = 1.0  # m, between tool and package
+LARGEST_CHANGE = 0.25  # of the distance, between its quartiles, of a package that is held
+BELOW_WITHIN = np.deg2rad(40.0)  # of straight down, for what hangs below
+FIRST_SECONDS = 0.2  # in which both are taken to be where they start
+SAMPLES = 2000  # at which two streams are compared
+STRIDE = 0.05  # s, over which a twist is compared with the way its body goes
+WAY = 2e-3  # m, over that time: less is too little to compare with
+SAME_WITHIN = 0.3  # relative difference between the two, at most, to belong together
+
+
+@dataclass(frozen=True)
+class Guess:
+    """
+    A topic for a role.
+
+    Parameters
+    ----------
+    topic : str
+    why : tuple of str
+        What speaks for it.
+
+    """
+
+    topic: str
+    why: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """
+    A tool and the package it holds.
+
+    Parameters
+    ----------
+    tool, package : Guess
+    world : str
+        Value of recording.world under which the package hangs below the tool; 'z_up' where neither
+        shows it.
+    distance : float
+        Between the two at the start, m.
+    score : float
+        The more, the likelier.
+
+    """
+
+    tool: Guess
+    package: Guess
+    world: str
+    distance: float
+    score: float
+
+
+@dataclass(frozen=True)
+class TwistGuess(Guess):
+    """
+    A topic with the tool's twist.
+
+    Parameters
+    ----------
+    frame : str
+        Value of tool_twist.frame that agrees with the poses.
+
+    """
+
+    frame: str
+
+
+def likely_pair(poses: Mapping[str, PoseStream]) -> Pair | None:
+    """Return the likeliest tool and package among the topics with poses; None without two."""
+    found = [_pair(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
+    pairs = [pair for pair in found if pair is not None]
+    return max(pairs, key=lambda pair: pair.score, default=None)
+
+
+def likely_alone(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess | None]:
+    """Return tool and package by name only, each None where no name says so."""
+    guesses = []
+    for words, others in ((TOOL_WORDS, PACKAGE_WORDS), (PACKAGE_WORDS, TOOL_WORDS)):
+        named = [name for name in poses if _said(name, words) and not _said(name, others)]
+        guesses.append(Guess(named[0], (_by_name(named[0], words),)) if named else None)
+    return guesses[0], guesses[1]
+
+
+def _words(topic: str) -> set[str]:
+    """Return the words a topic's name is made of."""
+    return set(re.findall(r'[a-z]+', topic.lower()))
+
+
+def _said(topic: str, words: frozenset[str]) -> set[str]:
+    """Return which of some words are in a topic's name."""
+    return _words(topic) & words
+
+
+def _by_name(topic: str, words: frozenset[str]) -> str:
+    """Return the reason that is a name."""
+    return "its name says '" + "' and '".join(sorted(_said(topic, words))) + "'"
+
+
+def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
+    """Return two topics as tool and package, with what speaks for that; None where nothing can."""
+    apart = _from_tool_to_package(tool, package)
+    if apart is None:
+        return None
+    distances = np.linalg.norm(apart, axis=1)
+    start = apart[: max(1, int(len(apart) * 0.01))].mean(axis=0)
+    world, below = _hanging(tool, start)
+    why_tool: list[str] = []
+    why_package: list[str] = []
+    score = 0.0
+    spread = float(np.subtract(*np.percentile(distances, (75, 25))))
+    distance = float(np.linalg.norm(start))
+    if below:
+        axis = '-z' if world == 'z_up' else '-y'
+        why_package.append(f"it starts {distance * 1e3:.0f} mm from '{tool.name}', along {axis}")
+        score += 3.0
+    if distance < LONGEST_DISTANCE and spread < LARGEST_CHANGE * distance:
+        why_package.append(
+            f'it stays {_range_mm(distances)} mm from it'
+        )
+        score += 2.0
+    for name, words, why in ((tool.name, TOOL_WORDS, why_tool),
+                             (package.name, PACKAGE_WORDS, why_package)):  # fmt: skip
+        if _said(name, words):
+            why.append(_by_name(name, words))
+            score += 1.5
+    if below:
+        why_tool.append(f"'{package.name}' hangs below it")
+    return Pair(
+        Guess(tool.name, tuple(why_tool)), Guess(package.name, tuple(why_package)), world,
+        distance, score,
+    )  # fmt: skip
+
+
+def _range_mm(distances: Array) -> str:
+    """Return the range of nearly all distances, mm; a few jumps of tracking do not count."""
+    low, high = 1e3 * np.percentile(distances, (1, 99))
+    return f'{low:.1f} to {high:.1f}'
+
+
+def _from_tool_to_package(tool: PoseStream, package: PoseStream) -> Array | None:
+    """Return the vectors (N, 3) between two bodies in recorded axes, m; None without overlap."""
+    first = max(tool.stamps_ns[0], package.stamps_ns[0])
+    last = min(tool.stamps_ns[-1], package.stamps_ns[-1])
+    if last <= first:
+        return None
+    stamps = np.unique(np.linspace(first, last, SAMPLES).astype(np.int64))
+    stamps = stamps[(stamps >= first) & (stamps <= last)]
+    ends = [resample(stream.trajectory(), stamps).position for stream in (package, tool)]
+    result: Array = ends[0] - ends[1]
+    return result
+
+
+def _hanging(tool: PoseStream, apart: Array) -> tuple[str, bool]:
+    """Return the world in which what is so far from the tool is lowest, and whether it hangs."""
+    still = Trajectory(tool.stamps_ns[:1], apart[None], np.eye(3)[None])
+    down = {world: -float(in_world(still, world).position[0, 2]) for world in WORLDS}
+    world = max(down, key=lambda name: down[name])
+    reach = float(np.linalg.norm(apart))
+    below = reach > 0.0 and down[world] > reach * np.cos(BELOW_WITHIN)
+    return (world if below else 'z_up'), bool(below)
+
+
+def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> TwistGuess | None:
+    """
+    Return the topic whose linear velocity moves the tool as its poses say; None without any.
+
+    Where the tool hardly moves, the one with the stamps of the tool's poses.
+    """
+    compared = {name: _compared(tool, twist) for name, twist in twists.items()}
+    fitting = {name: found for name, found in compared.items() if found and found[0] < SAME_WITHIN}
+    if fitting:
+        name = min(fitting, key=lambda name: fitting[name][0])
+        error, frame = fitting[name]
+        why = f'in {frame} axes it moves the tool as the poses do, to {100 * error:.1f} %'
+        return TwistGuess(name, (why,), frame)
+    for name, twist in twists.items():
+        if compared[name] is None and _share_stamps(tool, twist):
+            why = 'its stamps are those of the tool, which moves too little to tell its axes'
+            return TwistGuess(name, (why,), 'world')
+    return None
+
+
+def _compared(tool: PoseStream, twist: TwistStream) -> tuple[float, str] | None:
+    """Return how much a twist disagrees with the poses, and in which axes; None if unknown."""
+    ways = _ways(tool, twist)
+    if ways is None:
+        return None
+    errors = {frame: _relative(ways[frame], ways['poses']) for frame in ('world', 'tool')}
+    # Where the tool does not turn both agree; then the usual one is meant.
+    frame = 'world' if errors['world'] <= 1.2 * errors['tool'] else 'tool'
+    return errors[frame], frame
+
+
+def _share_stamps(tool: PoseStream, twist: TwistStream) -> bool:
+    """Tell whether most twists have the stamp of a pose."""
+    return bool(np.mean(np.isin(twist.stamps_ns, tool.stamps_ns)) > 0.5)
+
+
+def _relative(way: Array, expected: Array) -> float:
+    """Return the RMS difference over the RMS expected."""
+    return float(np.sqrt(np.mean((way - expected) ** 2) / np.mean(expected**2)))
+
+
+def _ways(tool: PoseStream, twist: TwistStream) -> dict[str, Array] | None:
+    """Return how far the tool goes in each short time: by its poses, and by its twists."""
+    poses = tool.trajectory()
+    inside = (twist.stamps_ns >= tool.stamps_ns[0]) & (twist.stamps_ns <= tool.stamps_ns[-1])
+    stamps = twist.stamps_ns[inside]
+    if len(stamps) < 10:
+        return None
+    try:
+        body = resample(poses, stamps)
+    except BellowsError:
+        return None
+    seconds = (stamps - stamps[0]) / NS_PER_S
+    linear = twist.linear[inside]
+    stride = max(1, round(STRIDE / float(np.median(np.diff(seconds)))))
+    if len(stamps) <= 2 * stride:
+        return None
+    ways = {
+        'poses': body.position,
+        'world': _integrated(seconds, linear),
+        'tool': _integrated(seconds, apply(body.rotation, linear)),
+    }
+    steps = {name: way[stride:] - way[:-stride] for name, way in ways.items()}
+    moved = np.sqrt(np.mean(np.sum(steps['poses'] ** 2, axis=1)))
+    return steps if moved > WAY else None
+
+
+def _integrated(seconds: Array, velocity: Array) -> Array:
+    """Return the way (N, 3) that velocities lead, by the trapezoidal rule."""
+    steps = np.diff(seconds)[:, None] * 0.5 * (velocity[1:] + velocity[:-1])
+    way: Array = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    return way

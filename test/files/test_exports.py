@@ -1,0 +1,102 @@
+"""Cups for simulators: well-formed, with the right numbers in the right places."""
+
+from xml.etree import ElementTree
+
+from bellows_ros.core.model import Cup, Package
+from bellows_ros.files.exports import limits, TARGETS
+import numpy as np
+import pytest
+
+CUP = Cup.thesis()
+PACKAGE = Package(2.17, np.diag([0.0087, 0.0088, 0.0173]), (0.0, 0.001, -0.03))
+K, P = (np.diag(m).tolist() for m in (CUP.stiffness, CUP.damping))
+
+
+def parsed(name: str) -> ElementTree.Element:
+    """Return a model's root."""
+    return ElementTree.fromstring(TARGETS[name].write(CUP, PACKAGE))
+
+
+def numbers(text: str | None) -> list[float]:
+    """Return the numbers in a text."""
+    return [float(word) for word in (text or '').split()]
+
+
+def test_mjcf_has_six_joints_in_the_middle_of_the_cup() -> None:
+    """Slide before turning, each with its own spring and damper."""
+    body = parsed('mjcf').find("worldbody/body/body[@name='package']")
+    assert body is not None
+    joints = body.findall('joint')
+    assert [j.get('type') for j in joints] == ['slide'] * 3 + ['hinge'] * 3
+    assert [float(j.get('stiffness', 0)) for j in joints] == K
+    assert [float(j.get('damping', 0)) for j in joints] == P
+    inertial = body.find('inertial')
+    assert inertial is not None
+    np.testing.assert_allclose(numbers(body.get('pos')), [0.0, 0.0, -CUP.length / 2])
+    np.testing.assert_allclose(
+        numbers(inertial.get('pos')), [0.0, 0.001, -0.03 - CUP.length / 2])
+
+
+def test_drake_has_one_bushing_between_frames_that_meet() -> None:
+    """Hang the package's frame on the tool's, in the middle of the cup."""
+    root = parsed('drake')
+    space = '{http://drake.mit.edu}'
+    bushing = root.find(f'model/{space}linear_bushing_rpy')
+    assert bushing is not None
+    assert numbers(bushing.findtext(f'{space}bushing_force_stiffness')) == K[:3]
+    assert numbers(bushing.findtext(f'{space}bushing_torque_damping')) == P[3:]
+    poses = [root.findtext("model/frame[@name='middle_tool']/pose"),
+             root.findtext("model/link[@name='package']/pose")]
+    assert numbers(poses[0]) == numbers(poses[1])
+
+
+def test_sdf_is_a_chain_of_six_joints() -> None:
+    """Lead from the tool to the package without a gap."""
+    model = parsed('sdf').find('model')
+    assert model is not None
+    joints = model.findall('joint')
+    ends = [(j.findtext('parent'), j.findtext('child')) for j in joints]
+    assert ends[0][0] == 'tool' and ends[-1][1] == 'package'
+    assert all(a[1] == b[0] for a, b in zip(ends, ends[1:], strict=False))
+    springs = [float(j.findtext('axis/dynamics/spring_stiffness') or 0) for j in joints]
+    assert springs == K
+
+
+@pytest.mark.parametrize('name', TARGETS)
+def test_what_is_lost_is_said(name: str) -> None:
+    """Name off-diagonal entries only where there are some, with their size."""
+    assert not any('off-diagonal' in sentence for sentence in limits(TARGETS[name], CUP))
+    coupled = np.array(CUP.stiffness)
+    coupled[0, 1] = coupled[1, 0] = 0.2 * coupled[0, 0]
+    lost = limits(TARGETS[name], Cup(coupled, CUP.damping, CUP.length))
+    assert 'off-diagonal entries of K' in lost[0] and '20 %' in lost[0]
+
+
+def test_mujoco_lets_the_package_sag_as_far_as_it_should() -> None:
+    """Load the model where MuJoCo is installed, and wait until it hangs still."""
+    mujoco = pytest.importorskip('mujoco', reason='no MuJoCo here (pip install mujoco)')
+    model = mujoco.MjModel.from_xml_string(
+        TARGETS['mjcf'].write(CUP, Package(2.17, PACKAGE.inertia, (0.0, 0.0, -0.03))))
+    data = mujoco.MjData(model)
+    for _ in range(10000):
+        mujoco.mj_step(model, data)
+    np.testing.assert_allclose(data.qpos[2], -2.17 * 9.81 / K[2], rtol=1e-3)
+
+
+@pytest.mark.parametrize('name', ['drake', 'sdf'])
+def test_drake_lets_the_package_sag_as_far_as_it_should(name: str) -> None:
+    """Load both kinds of SDF where Drake is installed, and wait until the package hangs still."""
+    drake = pytest.importorskip('pydrake.all', reason='no Drake here (pip install drake)')
+    builder = drake.DiagramBuilder()
+    plant, _ = drake.AddMultibodyPlantSceneGraph(builder, 0.0)
+    still = Package(2.17, PACKAGE.inertia, (0.0, 0.0, -0.03))
+    drake.Parser(plant).AddModelsFromString(TARGETS[name].write(CUP, still), 'sdf')
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName('tool'))
+    plant.Finalize()
+    simulator = drake.Simulator(builder.Build())
+    simulator.AdvanceTo(2.0)
+    context = plant.GetMyContextFromRoot(simulator.get_context())
+    pose = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName('package'))
+    sag = 2.17 * plant.gravity_field().gravity_vector()[2] / K[2]
+    # The dummy links of plain SDF weigh something too.
+    np.testing.assert_allclose(pose.translation()[2], -CUP.length / 2 + sag, atol=1.5e-5)

@@ -1,0 +1,54 @@
+"""Digests of files and versions of tools."""
+
+import hashlib
+from importlib import metadata
+import sys
+
+from bellows_ros import __version__
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.provenance import digests, provenance, versions
+import pytest
+
+
+def test_digest_of_a_file(tmp_path):
+    """Meet the well-known SHA-256 of 'abc'."""
+    file = tmp_path / 'a.txt'
+    file.write_bytes(b'abc')
+    assert digests(file) == [{
+        'name': 'a.txt', 'bytes': 3,
+        'sha256': 'ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad'}]
+
+
+def test_a_folder_gives_every_file_in_order(tmp_path):
+    """Sort by name, leave folders in it out, and read files larger than one chunk whole."""
+    (tmp_path / 'inner').mkdir()
+    large = bytes(range(256)) * 10_000
+    (tmp_path / 'b').write_bytes(large)
+    (tmp_path / 'a').write_bytes(b'')
+    found = digests(tmp_path)
+    assert [entry['name'] for entry in found] == ['a', 'b']
+    assert found[1]['sha256'] == hashlib.sha256(large).hexdigest()
+    assert found[1]['bytes'] == len(large)
+
+
+def test_versions_are_those_in_use():
+    """Name this package, Python and NumPy."""
+    found = versions()
+    assert found['bellows_ros'] == __version__
+    assert found['python'] == '.'.join(map(str, sys.version_info[:3]))
+    assert found['numpy'] == metadata.version('numpy')
+
+
+def test_provenance_names_paths_as_given(tmp_path):
+    """Keep recordings and parameter files apart."""
+    file = tmp_path / 'cup.yaml'
+    file.write_text('gravity: 9.81\n')
+    found = provenance([], [file])
+    assert found['recordings'] == []
+    assert found['parameter_files'][0]['path'] == str(file)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    """Say which one."""
+    with pytest.raises(BellowsError, match='nowhere'):
+        digests(tmp_path / 'nowhere')

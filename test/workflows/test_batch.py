@@ -1,0 +1,157 @@
+"""Many recordings: on cores, on a cluster and piece by piece the same answer as one big fit."""
+
+from pathlib import Path
+import shutil
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.summary_files import read_summary
+from bellows_ros.workflows.batch import identify_many, merge, save_merged, summarise_to_file
+from bellows_ros.workflows.identify import identify
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+NAMES = ('identification', 'validation')
+FIGURES = ('stiffness', 'damping', 'stiffness_std', 'damping_std', 'covariance', 'weight',
+           'residual_rms', 'condition_number')
+
+
+@pytest.fixture(scope='module')
+def settings(root):
+    """Return the parameters of two recordings, without noise of the tests' order."""
+    bags = [str(root / 'bags' / name) for name in NAMES]
+    return {**read_parameters(root / 'bags/package.yaml'), 'bags': bags}
+
+
+@pytest.fixture(scope='module')
+def one_fit(settings):
+    """Return a function that gives the fit of both recordings at once, by structure."""
+    known = {}
+
+    def fit(structure):
+        if structure not in known:
+            known[structure] = identify({**settings, 'fit.structure': structure}).fit
+        return known[structure]
+
+    return fit
+
+
+def assert_same(fit, wanted):
+    """Check that all figures agree to 1e-9 of their largest entry."""
+    for name in FIGURES:
+        value = np.asarray(getattr(wanted, name))
+        assert_allclose(
+            getattr(fit, name), value, rtol=0, atol=1e-9 * np.abs(value).max(), err_msg=name)
+    assert fit.samples_used == wanted.samples_used
+    assert fit.samples_rejected == wanted.samples_rejected
+
+
+@pytest.mark.parametrize('structure', ['axisymmetric', 'diagonal', 'full'])
+def test_merged_summaries_are_one_fit(settings, one_fit, structure, tmp_path):
+    files = []
+    for bag in settings['bags']:
+        files.append(tmp_path / f'{Path(bag).name}.npz')
+        summarise_to_file(bag, {**settings, 'fit.structure': structure}, files[-1])
+    merged = merge(reversed(files))
+    assert_same(merged.fit, one_fit(structure))
+    assert merged.bags == tuple(reversed(settings['bags']))
+
+
+def test_merged_cup_file_is_that_of_identify(settings, one_fit, tmp_path):
+    files = [tmp_path / f'{number}.npz' for number in range(2)]
+    for file, bag in zip(files, settings['bags'], strict=True):
+        summarise_to_file(bag, settings, file)
+    save_merged(merge(files), str(tmp_path / 'cup.yaml'), str(tmp_path / 'fit.json'))
+    merged = read_parameters(tmp_path / 'cup.yaml')
+    wanted = identify(settings).parameters()
+    assert_allclose(merged['cup.stiffness'], wanted['cup.stiffness'], rtol=1e-9, atol=1e-9)
+    assert merged['package.mass'] == wanted['package.mass']
+    seen = {name: value for name, value in wanted.items() if name.startswith('envelope.')}
+    assert seen
+    for name, value in seen.items():
+        assert_allclose(merged[name], value, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+def test_one_process_after_the_other(settings, one_fit):
+    said = []
+    result = identify_many(settings, 1, progress=lambda what, part: said.append(part))
+    assert_same(result.fit, one_fit('axisymmetric'))
+    assert said[0] == 0.0 and said[-1] == 1.0 and said == sorted(said)
+
+
+def test_bad_recording_is_reported_and_not_fatal(settings, one_fit, tmp_path):
+    pytest.importorskip('joblib', reason='extra parallel')
+    broken = tmp_path / 'broken'
+    shutil.copytree(settings['bags'][0], broken)
+    file = next(broken.glob('*.mcap'))
+    file.write_bytes(file.read_bytes()[:5000])
+    first, second = settings['bags']
+    result = identify_many({**settings, 'bags': [first, str(broken), 'nowhere', second]}, 2)
+    assert_same(result.fit, one_fit('axisymmetric'))
+    assert [failed.bag for failed in result.failed] == [str(broken), 'nowhere']
+    content = result.as_json()
+    assert [failure['bag'] for failure in content['failed']] == [str(broken), 'nowhere']
+    assert [recording['bag'] for recording in content['recordings']] == settings['bags']
+    assert sum('was left out' in warning for warning in result.warnings) == 2
+
+
+def test_nothing_usable(settings):
+    with pytest.raises(BellowsError, match="None of 2 recordings can be used. The first, 'a'"):
+        identify_many({**settings, 'bags': ['a', 'b']}, 1)
+
+
+def test_dask_cluster_gives_the_same(settings, one_fit, tmp_path):
+    distributed = pytest.importorskip('distributed', reason='extra dask')
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, host='127.0.0.1', scheduler_port=0,
+        dashboard_address=None, local_directory=tmp_path,
+    ) as cluster:
+        address = cluster.scheduler_address
+        assert address.startswith('tcp://127.0.0.1')
+        bags = [*settings['bags'], 'nowhere']
+        result = identify_many({**settings, 'bags': bags}, dask=address)
+    assert_same(result.fit, one_fit('axisymmetric'))
+    assert [failed.bag for failed in result.failed] == ['nowhere']
+
+
+def test_no_scheduler(settings):
+    pytest.importorskip('distributed', reason='extra dask')
+    with pytest.raises(BellowsError, match='scheduler'):
+        identify_many(settings, dask='nonsense://127.0.0.1:1')
+
+
+def test_missing_extra_is_said(settings, monkeypatch):
+    monkeypatch.setitem(__import__('sys').modules, 'joblib', None)
+    with pytest.raises(BellowsError, match=r"--jobs needs 'joblib'.*bellows_ros\[parallel\]"):
+        identify_many(settings, 2)
+
+
+def test_only_least_squares_is_additive(settings):
+    with pytest.raises(BellowsError, match='leave --jobs and --dask out'):
+        identify_many({**settings, 'fit.method': 'prediction_error'}, 2)
+
+
+def test_summaries_of_two_kinds_are_refused(settings, tmp_path):
+    files = [tmp_path / 'a.npz', tmp_path / 'b.npz']
+    for file, bag, structure in zip(
+            files, settings['bags'], ('axisymmetric', 'diagonal'), strict=True):
+        summarise_to_file(bag, {**settings, 'fit.structure': structure}, file)
+    with pytest.raises(BellowsError, match='axisymmetric with .* diagonal with'):
+        merge(files)
+    with pytest.raises(BellowsError, match='count twice'):
+        merge([files[0], files[0]])
+
+
+@pytest.mark.parametrize('damage', ['text', 'empty', 'cut', 'missing', 'flipped'])
+def test_damaged_summary(settings, tmp_path, damage):
+    file = tmp_path / 'a.npz'
+    if damage in ('cut', 'flipped'):
+        summarise_to_file(settings['bags'][1], settings, file)
+        data = bytearray(file.read_bytes())
+        data[len(data) // 2] ^= 0xff
+        file.write_bytes(data[: len(data) // 2] if damage == 'cut' else data)
+    elif damage != 'missing':
+        file.write_text('' if damage == 'empty' else 'no summary')
+    with pytest.raises(BellowsError, match='summar|Summar'):
+        read_summary(file)

@@ -1,0 +1,78 @@
+"""Comparison of result files."""
+
+import json
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.workflows.compare import compare_files
+from bellows_ros.workflows.identify import identify, save
+import pytest
+
+
+@pytest.fixture(scope='module')
+def files(root, tmp_path_factory):
+    """Give a result of the shipped recording, and one of the shipped validation recording."""
+    folder = tmp_path_factory.mktemp('fits')
+    known = read_parameters(root / 'bags/package.yaml')
+    for name in ('identification', 'validation'):
+        result = identify({**known, 'bags': [str(root / 'bags' / name)]})
+        save(result, None, folder / f'{name}.json')
+    return folder / 'identification.json', folder / 'validation.json'
+
+
+def changed(path, folder, **change):
+    """Return a copy of a result file with other content."""
+    content = {**json.loads(path.read_text()), **change}
+    file = folder / 'changed.json'
+    file.write_text(json.dumps(content))
+    return file
+
+
+def test_a_file_and_itself(files):
+    """Differ in nothing, and tell that both are of one recording."""
+    found = compare_files(files[0], files[0])
+    assert not found.fits.matters and found.fits.p_value == 1.0
+    assert found.settings == ()
+    assert len(found.shared) == 1
+
+
+def test_two_recordings_of_one_cup(files):
+    """Find the same cup, from independent recordings whose digests differ."""
+    found = compare_files(*files)
+    assert found.shared == ()
+    assert not found.fits.shake_matters
+    stiffness = [c for c in found.fits.parameters if c.name.startswith('K')]
+    assert all(abs(change.percent) < 2.0 for change in stiffness)
+    names = {difference.name for difference in found.settings}
+    assert 'bags' in names and any(name.startswith('content of') for name in names)
+    json.dumps(found.as_json()['parameters'])
+
+
+def test_a_softer_cup_matters(files, tmp_path):
+    """See it in parameters and motion."""
+    stiffness = json.loads(files[0].read_text())['stiffness']
+    stiffness[3][3] *= 0.8
+    stiffness[4][4] *= 0.8
+    found = compare_files(files[0], changed(files[0], tmp_path, stiffness=stiffness))
+    change = {c.name: c for c in found.fits.parameters}['K rx']
+    assert change.percent == pytest.approx(-20.0)
+    assert found.fits.matters and found.fits.significant
+
+
+def test_other_settings_are_listed(files, tmp_path):
+    """Name what was set differently, with both values."""
+    settings = {**json.loads(files[0].read_text())['settings'], 'filter.tool.order': 4}
+    found = compare_files(files[0], changed(files[0], tmp_path, settings=settings))
+    assert [vars(d) for d in found.settings] == [
+        {'name': 'filter.tool.order', 'before': 6, 'after': 4}]
+
+
+@pytest.mark.parametrize(('change', 'word'), [
+    ({'parameters': {}}, 'labels'), ({'settings': None}, 'no settings'),
+    ({'structure': 'round'}, 'round'), ({'cup_length': None}, 'needs'),
+    ({'parameters': {'labels': ['K x'], 'covariance': [[1.0]]}}, 'lacks'),
+])
+def test_incomplete_results_are_refused(files, tmp_path, change, word):
+    """Say what is missing."""
+    with pytest.raises(BellowsError, match=word):
+        compare_files(changed(files[0], tmp_path, **change), files[0])

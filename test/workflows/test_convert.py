@@ -1,0 +1,67 @@
+"""Trajectory files to recordings and back."""
+
+from pathlib import Path
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bags import read_streams, topics
+from bellows_ros.files.trajectory_files import read_tum, write_tum
+from bellows_ros.workflows.convert import to_bag, to_tum
+import numpy as np
+import pytest
+
+from ..files.test_motive import export
+
+STAMPS = 1_700_000_000_000_000_000 + np.arange(20) * 2_000_000
+VALUES = np.hstack([np.arange(60.0).reshape(20, 3), np.tile([0.0, 0.0, 0.6, 0.8], (20, 1))])
+
+
+def test_a_take_becomes_topics_of_its_bodies(tmp_path: Path) -> None:
+    """Write what can be used, and say what was not and how the world lies."""
+    done = to_bag([export(tmp_path / 'take.csv')], tmp_path / 'bag')
+    assert [body.topic for body in done.bodies] == ['/tool/pose', '/plate/pose']
+    assert done.bodies[0].left_out == {'too few markers': 1}
+    assert done.bodies[1].left_out == {'not tracked': 1}
+    assert done.world == 'motive_y_up'
+    assert [(t.name, t.messages) for t in topics(tmp_path / 'bag')] == [
+        ('/plate/pose', 3), ('/tool/pose', 3)]
+
+
+def test_tum_to_bag_to_tum_changes_nothing(tmp_path: Path) -> None:
+    """Keep stamps exactly, and numbers to the digits of a TUM file."""
+    write_tum(tmp_path / 'tool.tum', STAMPS, VALUES)
+    to_bag([tmp_path / 'tool.tum'], tmp_path / 'bag', ['tool_arm/pose'], 'sqlite3')
+    done = to_tum(tmp_path / 'bag', tmp_path / 'again.tum')
+    assert done.bodies[0].topic == '/tool_arm/pose'
+    stamps, values = read_tum(tmp_path / 'again.tum')
+    np.testing.assert_array_equal(stamps, STAMPS)
+    np.testing.assert_allclose(values, VALUES, rtol=1e-8, atol=1e-12)
+
+
+def test_euroc_is_told_from_motive(tmp_path: Path) -> None:
+    """Look into a .csv, not at its name."""
+    (tmp_path / 'data.csv').write_text('#t\n1000000000,1,2,3,1,0,0,0\n2000000000,1,2,3,1,0,0,0\n')
+    to_bag([tmp_path / 'data.csv'], tmp_path / 'bag')
+    stream = read_streams(tmp_path / 'bag', {'tool_pose': '/data/pose'})['tool_pose']
+    np.testing.assert_array_equal(stream.stamps_ns, [10**9, 2 * 10**9])
+
+
+def test_topics_must_differ_and_be_as_many_as_bodies(tmp_path: Path) -> None:
+    """Refuse both before anything is written."""
+    for folder in ('a', 'b'):
+        (tmp_path / folder).mkdir()
+        write_tum(tmp_path / folder / 'x.tum', STAMPS, VALUES)
+    sources = [tmp_path / 'a' / 'x.tum', tmp_path / 'b' / 'x.tum']
+    with pytest.raises(BellowsError, match='one topic'):
+        to_bag(sources, tmp_path / 'bag')
+    with pytest.raises(BellowsError, match='1 topics are named for 2 bodies'):
+        to_bag(sources, tmp_path / 'bag', ['/one'])
+    assert not (tmp_path / 'bag').exists()
+
+
+def test_which_topic_must_be_clear(tmp_path: Path) -> None:
+    """List those that could be meant."""
+    to_bag([export(tmp_path / 'take.csv')], tmp_path / 'bag')
+    with pytest.raises(BellowsError, match='/plate/pose, /tool/pose. Name one'):
+        to_tum(tmp_path / 'bag', tmp_path / 'a.tum')
+    with pytest.raises(BellowsError, match='is not a file'):
+        to_bag([tmp_path / 'none.csv'], tmp_path / 'other')

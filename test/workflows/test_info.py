@@ -1,0 +1,163 @@
+"""What is said about a recording: roles, axes, rates and flaws, against recordings made for it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from bellows_ros.core.lie import apply, exp_so3, rotation_to_quaternion
+from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.workflows.info import info, TopicInfo
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+
+Array = NDArray[np.float64]
+
+POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
+RATE_HZ, SECONDS, REST = 200.0, 6.0, 1.0
+START_NS = 1_700_000_000_000_000_000
+
+
+def motion(hanging: float = 0.08) -> dict[str, Array]:
+    """Return a tool that rests and then moves and turns, and a package that swings below it."""
+    t = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
+    s = np.maximum(t - REST, 0.0)[:, None]
+    way = np.array([0.1, 0.08, 0.05])
+    position = np.array([0.4, 0.1, 0.9]) + way * (1.0 - np.cos(3.0 * s))
+    velocity = way * 3.0 * np.sin(3.0 * s) * (s > 0)
+    rotation = exp_so3(np.array([0.2, 0.1, 1.2]) * (1.0 - np.cos(2.0 * s)))
+    swing = rotation @ exp_so3(0.1 * np.sin(9.0 * s) * np.array([1.0, 0.5, 0.0]))
+    package = position + apply(swing, np.array([0.0, 0.0, -hanging]))
+    return {'t': t, 'o': position, 'v': velocity, 'R': rotation, 'R_p': swing, 'o_p': package}
+
+
+def poses(topic: str, t: Array, position: Array, rotation: Array) -> Recorded:
+    """Return poses to record."""
+    stamps = START_NS + np.rint(t * 1e9).astype(np.int64)
+    return Recorded(topic, POSE, stamps, np.hstack([position, rotation_to_quaternion(rotation)]))
+
+
+def twists(topic: str, t: Array, linear: Array) -> Recorded:
+    """Return twists to record."""
+    stamps = START_NS + np.rint(t * 1e9).astype(np.int64)
+    return Recorded(topic, TWIST, stamps, np.hstack([linear, np.zeros_like(linear)]))
+
+
+def by_name(topics: tuple[TopicInfo, ...]) -> Mapping[str, TopicInfo]:
+    """Return topics by name."""
+    return {topic.name: topic for topic in topics}
+
+
+def test_names_say_nothing_but_poses_do(tmp_path: Path) -> None:
+    """Find what hangs below, even where names have been chosen to mislead."""
+    m = motion()
+    write_bag(tmp_path / 'bag', [poses('/a', m['t'], m['o_p'], m['R_p']),
+                                 poses('/b', m['t'], m['o'], m['R']),
+                                 poses('/c', m['t'], 0.0 * m['o'] + 5.0, m['R'])])  # fmt: skip
+    found = info(tmp_path / 'bag')
+    assert found.tool and found.tool.topic == '/b'
+    assert found.package and found.package.topic == '/a'
+    assert found.settings['recording.world'] == 'z_up'
+    assert found.settings['recording.align_at_rest'] is False
+    assert found.rest_s == pytest.approx(REST, abs=0.2)
+
+
+@pytest.mark.parametrize('frame', ['world', 'tool'])
+def test_axes_of_the_twist_are_found(frame: str, tmp_path: Path) -> None:
+    """Tell world from tool axes by integrating the twist."""
+    m = motion()
+    inside = apply(np.swapaxes(m['R'], 1, 2), m['v'])
+    linear = m['v'] if frame == 'world' else inside
+    write_bag(tmp_path / 'bag', [
+        poses('/tcp/pose', m['t'], m['o'], m['R']), poses('/box/pose', m['t'], m['o_p'], m['R_p']),
+        twists('/other', m['t'], -linear[::-1]), twists('/tcp/twist', m['t'], linear)])
+    found = info(tmp_path / 'bag')
+    assert found.twist is not None
+    assert (found.twist.topic, found.twist.frame) == ('/tcp/twist', frame)
+    assert found.settings['tool_twist.frame'] == frame
+
+
+def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(tmp_path: Path) -> None:
+    """Say that the axes are not known then."""
+    m = {name: np.repeat(x[:1], 400, axis=0) for name, x in motion().items()}
+    t = np.arange(400) / RATE_HZ
+    write_bag(tmp_path / 'bag', [
+        poses('/tcp', t, m['o'], m['R']), poses('/box', t, m['o_p'], m['R_p']),
+        twists('/speed', t, 0.0 * m['v'])])
+    found = info(tmp_path / 'bag')
+    assert found.twist and found.twist.topic == '/speed' and 'too little' in found.twist.why[0]
+
+
+def test_y_up_and_turned_markers_are_noticed(tmp_path: Path) -> None:
+    """Propose Motive's world and the alignment, with a rest that the recording has."""
+    m = motion()
+    turn, up = exp_so3(np.array([0.0, 0.1, 0.8])), R_WORLD_MOTIVE.T
+    write_bag(tmp_path / 'bag', [
+        poses('/arm', m['t'], apply(up, m['o']), up @ m['R']),
+        poses('/plate', m['t'], apply(up, m['o_p']), up @ m['R_p'] @ turn)])
+    found = info(tmp_path / 'bag')
+    assert found.settings['recording.world'] == 'motive_y_up'
+    assert found.settings['recording.align_at_rest'] is True
+    assert 0.6 <= found.settings['recording.rest_duration'] <= REST
+    assert any('align_at_rest' in note for note in found.notes)
+
+
+def test_gaps_jitter_and_repeats_are_counted(tmp_path: Path) -> None:
+    """Report per topic what would be left out."""
+    m = motion()
+    rng = np.random.default_rng(3)
+    jitter = m['t'] + rng.uniform(-1e-3, 1e-3, len(m['t']))
+    kept = (m['t'] < 3.0) | (m['t'] > 3.1)
+    again = np.sort(np.append(np.flatnonzero(kept), 30))
+    write_bag(tmp_path / 'bag', [
+        poses('/tcp', jitter, m['o'], m['R']),
+        poses('/box', m['t'][again], m['o_p'][again], m['R_p'][again])])
+    found = by_name(info(tmp_path / 'bag').topics)
+    assert found['/tcp'].jitter_s == pytest.approx(8.5e-4, rel=0.3)  # of the steps
+    ((start, length),) = found['/box'].gaps
+    assert (start, length) == (pytest.approx(2.995, abs=0.006), pytest.approx(0.105, abs=0.006))
+    assert found['/box'].refused == {'duplicate_stamp': 1}
+    assert found['/box'].rate_hz == pytest.approx(RATE_HZ, rel=1e-6)
+
+
+def test_one_body_alone_is_named_and_said_to_be_too_little(tmp_path: Path) -> None:
+    """Use the name where there is nothing to compare with."""
+    m = motion()
+    write_bag(tmp_path / 'bag', [poses('/ur/tcp_pose', m['t'], m['o'], m['R'])])
+    found = info(tmp_path / 'bag')
+    assert found.tool and found.tool.topic == '/ur/tcp_pose'
+    assert found.package is None
+    assert any('needs the poses of tool and package' in note for note in found.notes)
+
+
+def test_one_unreadable_topic_does_not_hide_the_others(tmp_path: Path) -> None:
+    """Say what is wrong with it."""
+    m = motion()
+    broken = poses('/broken', m['t'], np.full_like(m['o'], np.nan), m['R'])
+    write_bag(tmp_path / 'bag', [poses('/tcp', m['t'], m['o'], m['R']), broken])
+    found = info(tmp_path / 'bag')
+    assert 'no usable message' in by_name(found.topics)['/broken'].problem
+    assert found.tool and found.tool.topic == '/tcp'
+
+
+def test_a_missing_recording_is_an_error(tmp_path: Path) -> None:
+    """Refuse what is not there."""
+    with pytest.raises(BellowsError, match='does not exist'):
+        info(tmp_path / 'none')
+
+
+@pytest.mark.parametrize(
+    ('name', 'expected'),
+    [('clean', ('/tool_arm/pose', '/package/pose', 'z_up', False)),
+     ('lab', ('/mocap/tool_arm/pose', '/mocap/plate/pose', 'motive_y_up', True))],
+)  # fmt: skip
+def test_recordings_with_known_truth_are_read_right(
+    name: str, expected: tuple[Any, ...], rig: Path
+) -> None:
+    """Propose the settings with which these are identified."""
+    settings = info(rig / name).settings
+    keys = ('topics.tool_pose', 'topics.package_pose', 'recording.world',
+            'recording.align_at_rest')  # fmt: skip
+    assert tuple(settings[key] for key in keys) == expected

@@ -1,0 +1,58 @@
+"""What pictures are made of, against the cup that a recording was simulated with."""
+
+from pathlib import Path
+from typing import Any
+
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.workflows.plot import loads, motion, replayed, spectra
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope='module')
+def settings(root: Path) -> dict[str, Any]:
+    """Give the true cup, and how the recordings in bags/ are to be read."""
+    known = read_parameters(root / 'bags' / 'package.yaml')
+    return {**known, **read_parameters(root / 'bags' / 'cup.yaml')}
+
+
+def test_loads_lie_on_the_cups_stiffness(root: Path, settings: dict[str, Any]) -> None:
+    """Find K again as the slope of load over deflection, where damping averages out."""
+    found = loads(root / 'bags' / 'identification', settings)
+    x, y = found.deflection[found.valid], found.load[found.valid]
+    slope = [np.polyfit(a, b, 1)[0] for a, b in zip(x.T, y.T, strict=True)]
+    # Damping, noise and the sine in the strain leave some percent.
+    np.testing.assert_allclose(slope, found.stiffness, rtol=0.04)
+    np.testing.assert_allclose(
+        found.stiffness, np.diag(np.reshape(settings['cup.stiffness'], (6, 6))))
+    assert np.all(np.std(found.residual[found.valid], axis=0) < 0.08 * np.std(y, axis=0))
+
+
+def test_a_replay_has_the_poses_it_was_scored_with(root: Path, settings: dict[str, Any]) -> None:
+    """Give predicted poses in the world that are the predicted coordinates."""
+    found = replayed(root / 'bags' / 'validation', settings)
+    assert len(found.position) == len(found.seconds) == found.replay.scores.samples
+    apart = np.linalg.norm(found.position - found.motion.package_position, axis=1)
+    errors = np.linalg.norm(
+        (found.replay.predicted - found.replay.measured)[:, :3], axis=1)
+    np.testing.assert_allclose(apart, errors, atol=1e-12)
+    np.testing.assert_allclose(found.motion.relative, found.replay.measured, atol=1e-12)
+    np.testing.assert_allclose(found.box, [0.2, 0.16, 0.06], rtol=1e-6)
+
+
+def test_spectra_show_the_noise_floor(root: Path, settings: dict[str, Any]) -> None:
+    """Hold the density of white noise of 0.1 mm at 360 Hz, and a prediction error at it."""
+    found = spectra(root / 'bags' / 'validation', settings, cup=True)
+    floor = 1e-4 / np.sqrt(180.0)
+    high = found.frequency_hz > 60.0
+    np.testing.assert_allclose(np.median(found.measured[high, :3], axis=0), floor, rtol=0.15)
+    assert found.error is not None
+    low = (found.frequency_hz > 0.5) & (found.frequency_hz < 5.0)
+    assert np.all(found.error[low, :3] < 0.2 * found.measured[low, :3].max(axis=0))
+
+
+def test_missing_poses_are_not_valid(root: Path, settings: dict[str, Any]) -> None:
+    """Mark what was lost."""
+    found = motion(root / 'bags' / 'identification', settings)
+    assert 0 < np.count_nonzero(~found.valid) < 200
+    assert len(found.seconds) == len(found.relative)

@@ -1,0 +1,120 @@
+"""Static recordings of a known cup: its length and its spring, from bags on disk."""
+
+import json
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import format_json
+from bellows_ros.workflows.simulate import simulate_recording
+from bellows_ros.workflows.static import read_list, save_length, static_check, StaticBag
+from numpy.testing import assert_allclose
+import pytest
+
+MASSES = (0.5, 0.9, 1.4, 1.9, 2.4)
+MOTION = {
+    'kind': 'static', 'rest_duration': 1.5,
+    'static': {'move': 0.5, 'hold': 1.0, 'poses': [{'position': [0.0, 0.0, 0.01]}]},
+    'tool': {'rate_hz': 100.0, 'noise': {'position': 5e-5, 'rotation': 1e-4},
+             'twist': {'publish': False}},
+    'package': {'rate_hz': 100.0, 'noise': {'position': 1e-4, 'rotation': 5e-4}},
+}
+
+
+@pytest.fixture(scope='module')
+def truth(root):
+    """Return the parameters of the cup that recordings are simulated with."""
+    return {**read_parameters(root / 'bags/cup.yaml'), 'topics.tool_pose': '/tool_arm/pose',
+            'topics.package_pose': '/package/pose'}
+
+
+@pytest.fixture(scope='module')
+def weights(truth, tmp_path_factory):
+    """Return static recordings of several masses."""
+    folder = tmp_path_factory.mktemp('weights')
+    bags = []
+    for number, mass in enumerate(MASSES):
+        bag = folder / f'm{number}'
+        simulate_recording({**truth, 'package.mass': mass}, {**MOTION, 'seed': number}, bag)
+        bags.append(StaticBag(str(bag), mass))
+    return bags
+
+
+def known(truth):
+    """Return what a user knows: all but the cup."""
+    return {name: value for name, value in truth.items() if not name.startswith('cup.')}
+
+
+def test_length_of_several_masses_is_right_to_a_tenth_of_a_millimetre(weights, truth):
+    result = static_check(weights, known(truth))
+    assert_allclose(result.length.length, truth['cup.length'], rtol=0, atol=1e-4)
+    assert result.spring is None
+    assert [len(r.holds) for r in result.recordings] == [2] * len(MASSES)
+    assert_allclose(result.length.loads[::2], 9.81 * result.length.loads[::2] / 9.81)
+    assert_allclose(sorted(set(result.length.loads)), [9.81 * mass for mass in MASSES])
+
+
+def test_the_spring_is_checked_with_the_length_that_was_found(weights, truth):
+    given = {name: value for name, value in truth.items() if name != 'cup.length'}
+    result = static_check(weights, given)
+    assert result.spring.passed
+    assert result.cup_length == result.length.length
+
+
+def test_a_wrong_length_is_warned_about(weights, truth):
+    result = static_check(weights, {**truth, 'cup.length': 0.044})
+    assert not result.spring.passed
+    assert any('cup.length is 44.00 mm' in warning for warning in result.warnings)
+
+
+def test_poses_of_the_shipped_recording(root, truth):
+    result = static_check([StaticBag(str(root / 'bags/static'))], truth)
+    assert result.spring.passed and len(result.spring.poses) == 7
+    assert result.length is None and 'two different masses' in result.no_length
+    softer = [0.8 * k for k in truth['cup.stiffness']]
+    wrong = static_check([StaticBag(str(root / 'bags/static'))], {
+        **truth, 'cup.stiffness': softer})
+    assert not wrong.spring.passed
+
+
+def test_files(weights, truth, tmp_path):
+    result = static_check(weights, known(truth))
+    save_length(result, tmp_path / 'found.yaml', known(truth))
+    values = read_parameters(tmp_path / 'found.yaml')
+    assert values['cup.length'] == result.length.length
+    assert values['package.mass'] == truth['package.mass']
+    content = json.loads(format_json(result.as_json()))
+    assert content['cup_length']['length'] == result.length.length
+    assert [r['mass'] for r in content['recordings']] == list(MASSES)
+    assert len(content['recordings'][0]['standstills']) == 2
+
+
+def test_a_list_of_recordings(weights, tmp_path):
+    lines = [f'  - {{bag: {bag.bag}, mass: {bag.mass}}}' for bag in weights[:2]]
+    lines.append('  - {bag: other, mass: 2, com: [0.0, 0.0, -0.1]}')
+    (tmp_path / 'list.yaml').write_text('\n'.join(['recordings:', *lines]))
+    found = read_list(tmp_path / 'list.yaml')
+    assert found[:2] == weights[:2]
+    assert found[2] == StaticBag(str(tmp_path / 'other'), 2.0, (0.0, 0.0, -0.1))
+
+
+@pytest.mark.parametrize(('text', 'word'), [
+    ('- a', 'must hold recordings'), ('recordings: []', 'recordings'),
+    ('recordings: [{bag: a}]', 'mass'), ('recordings: [{bag: a, mass: -1}]', 'mass'),
+    ('recordings: [{bag: a, mass: 1, colour: red}]', 'colour')])
+def test_mistakes_in_a_list_are_named(text, word, tmp_path):
+    (tmp_path / 'list.yaml').write_text(text)
+    with pytest.raises(BellowsError, match=word):
+        read_list(tmp_path / 'list.yaml')
+
+
+def test_mistakes_are_named(weights, truth, root):
+    with pytest.raises(BellowsError, match='No static recording'):
+        static_check([], known(truth))
+    with pytest.raises(BellowsError, match='package.mass'):
+        static_check([StaticBag(weights[0].bag)], {
+            name: value for name, value in known(truth).items() if name != 'package.mass'})
+    with pytest.raises(BellowsError, match=r'give its cup.stiffness'):
+        static_check(weights[:1], known(truth))
+    moving = static_check([StaticBag(str(root / 'bags/static'))], truth)
+    with pytest.raises(BellowsError, match='two different masses'):
+        save_length(moving, 'nowhere.yaml', known(truth))
