@@ -1,6 +1,7 @@
 """
 Start one predictor: it publishes where the held package is, from the motion of the tool arm.
 
+A managed node: it configures and activates itself unless `autostart:=false`.
 Starts the node `predictor` of bellows_ros, and nothing else. The driver that publishes the pose
 (and twist) of the tool arm runs elsewhere; name its topics with `tool_pose` and `tool_twist`:
 
@@ -16,6 +17,7 @@ ARGUMENTS = {
     'namespace': ('', 'Namespace of the node and its relative topics.'),
     'tool_pose': ('tool_arm/pose', "Topic of the tool arm's pose (PoseStamped)."),
     'tool_twist': ('tool_arm/twist', "Topic of the tool arm's twist (TwistStamped); optional."),
+    'autostart': ('true', 'Whether it activates itself, or waits for a lifecycle manager.'),
     'log_level': ('info', 'Least severe log level shown: debug, info, warn, error.'),
 }
 
@@ -61,7 +63,10 @@ def start_predictor(context):
         executable='predictor',
         name='predictor',
         namespace=value['namespace'],
-        parameters=[file for file in (value['params_file'], value['cup_file']) if file],
+        parameters=[
+            *(file for file in (value['params_file'], value['cup_file']) if file),
+            {'autostart': value['autostart'].lower() == 'true'},
+        ],
         remappings=[
             ('tool_arm/pose', value['tool_pose']),
             ('tool_arm/twist', value['tool_twist']),

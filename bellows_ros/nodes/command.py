@@ -17,6 +17,7 @@ from typing import Any
 from .help_text import help_text, Interface
 from .. import __version__
 from ..errors import BellowsError
+from ..threads import keep_linear_algebra_single
 
 NO_ROS = (
     "ROS 2 is not here (this Python has no 'rclpy'). Source an installation, for instance "
@@ -70,6 +71,7 @@ def run(
     """
     arguments = list(sys.argv[1:] if args is None else args)
     own = _own_arguments(arguments)
+    keep_linear_algebra_single()
     if {'-h', '--help'} & set(own):
         print(help_text(interface), end='')
         return 0

@@ -7,9 +7,16 @@ Stamps are integer nanoseconds; a round trip through them changes nothing.
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped, WrenchStamped
+from nav_msgs.msg import Odometry
+import numpy as np
 
+from ..core.kernels import ModelTuple
 from ..core.live import Prediction
+from ..core.live.health import Status
+from ..core.live.load import deflection, deflection_rotation
+from ..core.live.uncertainty import in_world_axes
 from ..core.tuples import Quaternion, Vector
 
 NANOSECONDS = 1_000_000_000
@@ -74,3 +81,59 @@ def write_wrench(message: WrenchStamped, frame_id: str, prediction: Prediction) 
     message.header.frame_id = frame_id
     write_vector(message.wrench.force, prediction.force)
     write_vector(message.wrench.torque, prediction.moment)
+
+
+def write_odometry(
+    message: Odometry, frame_id: str, child_frame_id: str, prediction: Prediction,
+    covariance: np.ndarray,
+) -> None:  # fmt: skip
+    """
+    Write pose and twist of the package with their covariances (REP-103: row-major, xyz first).
+
+    The covariance (12, 12) is in body axes; that of the pose is turned into the world's, that of
+    the twist stays in those of the child frame.
+    """
+    write_pose_in(message, frame_id, prediction)
+    message.child_frame_id = child_frame_id
+    write_vector(message.twist.twist.linear, prediction.linear)
+    write_vector(message.twist.twist.angular, prediction.angular)
+    in_world = in_world_axes(covariance[:6, :6], prediction.quaternion_xyzw)
+    message.pose.covariance = in_world.ravel()
+    message.twist.covariance = covariance[6:, 6:].ravel()
+
+
+def write_pose_in(message: Odometry, frame_id: str, prediction: Prediction) -> None:
+    """Write stamp, frame and pose of an Odometry."""
+    write_stamp(message.header.stamp, prediction.stamp_ns)
+    message.header.frame_id = frame_id
+    write_vector(message.pose.pose.position, prediction.position)
+    write_quaternion(message.pose.pose.orientation, prediction.quaternion_xyzw)
+
+
+def write_deflection(
+    message: PoseStamped, frame_id: str, model: ModelTuple, prediction: Prediction
+) -> None:
+    """Write the pose of the lip relative to where it is without load."""
+    write_stamp(message.header.stamp, prediction.stamp_ns)
+    message.header.frame_id = frame_id
+    write_vector(message.pose.position, deflection(model, prediction).shift)
+    write_quaternion(message.pose.orientation, deflection_rotation(prediction))
+
+
+def write_transform(
+    message: TransformStamped, frame_id: str, child_frame_id: str, prediction: Prediction
+) -> None:
+    """Write the package's pose as a transform."""
+    write_stamp(message.header.stamp, prediction.stamp_ns)
+    message.header.frame_id, message.child_frame_id = frame_id, child_frame_id
+    write_vector(message.transform.translation, prediction.position)
+    write_quaternion(message.transform.rotation, prediction.quaternion_xyzw)
+
+
+def diagnostic(status: Status, hardware_id: str) -> DiagnosticStatus:
+    """Return a line of the diagnostics as a message."""
+    return DiagnosticStatus(
+        level=bytes([status.level]), name=status.name, message=status.message,
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=value) for key, value in status.values.items()],
+    )  # fmt: skip

@@ -22,7 +22,7 @@ Values = dict[str, Any]
 """Dotted names to values as `core.parameters.validate` returns them."""
 
 QOS_PREFIX = 'qos_overrides.'
-TOGETHER = ('cup.', 'package.')
+TOGETHER = ('cup.', 'cups.', 'package.')
 """Parameters whose names begin so change together or not at all within one call."""
 
 _TYPES = {
@@ -113,6 +113,9 @@ class TableNode(Node):
             for parameter in table.parameters_of(user):
                 if parameter.name not in results:
                     self.declare_from_table(parameter.name, self.values[parameter.name])
+            for name in self.values:
+                if table.NAMED_CUP.fullmatch(name) and user in table.lookup(name).used_by:
+                    self.declare_from_table(name, self.values[name])
         except BellowsError:
             self.destroy_node()
             raise
@@ -247,7 +250,7 @@ def _refused(reason: str) -> SetParametersResult:
 
 def _is_ours(parameter: Parameter) -> bool:
     """Return whether a parameter stands in the table; others belong to ROS."""
-    return parameter.name in table.PARAMETERS
+    return parameter.name in table.PARAMETERS or bool(table.NAMED_CUP.fullmatch(parameter.name))
 
 
 def _why_unknown(name: str, node: str) -> str:
@@ -256,6 +259,8 @@ def _why_unknown(name: str, node: str) -> str:
         users = table.lookup(name).used_by
     except BellowsError as error:
         return str(error)
+    if table.NAMED_CUP.fullmatch(name):
+        return f"'{name}' was not there when '{node}' started: give it in a file then."
     return f"The node '{node}' has no parameter '{name}': it belongs to the {users[0]}."
 
 

@@ -1,54 +1,62 @@
 """The node that publishes where the held package is: convert, predict, convert back."""
 
 from collections.abc import Iterable
+import time
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from rclpy.clock import Clock
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.clock import Clock, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle.node import LifecycleNodeMixin
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from .conversions import (
-    quaternion_xyzw,
-    stamp_to_ns,
-    vector,
-    write_pose,
-    write_twist,
-    write_wrench,
-)
+from .attachment import Attachment
+from .conversions import quaternion_xyzw, stamp_to_ns, vector
+from .diagnostics import Diagnostics
+from .outputs import Outputs
 from .parameters import TableNode, Values
-from .reports import InputReport, summary
+from .reports import summary
+from .tool_inputs import SensorInput
+from ..core.cups import with_chosen_cup
 from ..core.live import LivePredictor, Prediction, warm_up
+from ..core.live.uncertainty import warm_up_uncertainty
+from ..core.live.vacuum import check_thresholds
 from ..core.model import cup_of, package_of
+from ..errors import BellowsError
 
-QUEUE = 100
-"""Messages kept on each topic: bursts and pauses of the machine of 0.1 s at 1 kHz."""
-
-FLUSH_PERIOD = 0.02
-IDLE_TICKS = 2
+TICK = 0.01
+IDLE_TICKS = 4
 """
-After so many periods (s) in a row without a message no pose waits for its twist any longer.
+After so many ticks (s) in a row without a message no pose waits for its twist any longer.
 
 One would not do: after a pause of the machine the timer comes before the messages that wait.
 """
 
+LOAD_TICKS = 5
+"""Every so many ticks the cup's deflection is compared with what its identification has seen."""
+
 REPORT_PERIOD = 1.0
+BACKWARD = Duration(nanoseconds=-1)
 
 FROM_THESIS = {
     'cup.stiffness': 'cup.stiffness K of (4.78)',
     'cup.damping': 'cup.damping P of (4.79)',
     'cup.length': 'cup.length l0 = 0.0481 m',
 }
+IN_NAMED_CUP = ('cup.stiffness', 'cup.damping', 'cup.length')
+
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
-class PredictorNode(TableNode):
+class PredictorNode(LifecycleNodeMixin, TableNode):
     """
     Predict the package's pose and twist and the cup's wrench from the tool arm's messages.
+
+    A managed node: configured it has its model and its topics, active it predicts. With the
+    parameter autostart it goes there by itself.
 
     Parameters
     ----------
@@ -63,173 +71,278 @@ class PredictorNode(TableNode):
     """
 
     def __init__(self, **options: Any) -> None:
-        """Prepare the model, compile all it needs, and only then subscribe."""
-        super().__init__('predictor', **options)
+        """Check the parameters, and start unless told not to."""
+        TableNode.__init__(self, 'predictor', **options)
+        LifecycleNodeMixin.__init__(self)
         self.finished: Future = Future()
-        values = self.values
-        cup, package = cup_of(values), package_of(values)
-        gravity, frame = values['gravity'], values['tool_twist.frame']
-        warm_up(cup, package, gravity, frame)
-        self._live = LivePredictor(cup, package, gravity, frame)
-        self._report = InputReport(self._live)
-        self._twists_exist = False
-        self._inputs_at_last_tick = self._idle_ticks = 0
-        self._say_model()
-        self._advertise()
-        self._listen()
+        self._live: LivePredictor | None = None
+        self._active = self._twists_exist = False
+        self._inputs_at_last_tick = self._idle_ticks = self._ticks = 0
+        self._last: Prediction | None = None
+        self._said_refusal = ''
+        self._diagnostics = Diagnostics(self)
+        self._jumps = self.get_clock().create_jump_callback(
+            JumpThreshold(min_forward=None, min_backward=BACKWARD, on_clock_change=True),
+            post_callback=self._on_clock_jump,
+        )  # fmt: skip
         self._start_timers()
+        if self.values['autostart']:
+            self._start()
+        else:
+            self.get_logger().info('Unconfigured: waits for its lifecycle manager (autostart).')
+
+    def _start(self) -> None:
+        """Configure and activate, or raise what stands against it."""
+        for step in (self.trigger_configure, self.trigger_activate):
+            if step() != SUCCESS:
+                self.destroy_node()
+                raise BellowsError(self._said_refusal or 'The node could not be started.')
+
+    def _start_timers(self) -> None:
+        """Look after lost twists and the reports, on the clock that nobody sets."""
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(TICK, self._tick, clock=steady)
+        self.create_timer(REPORT_PERIOD, self._say_report, clock=steady)
+
+    # -------------------------------------------------------------- lifecycle
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Prepare the model, compile all it needs, and only then make the topics."""
+        try:
+            self._configure()
+        except BellowsError as error:
+            self._said_refusal = str(error)
+            self.get_logger().error(f'Cannot be configured: {error}')
+            return FAILURE
+        return super().on_configure(state)
+
+    def _configure(self) -> None:
+        """Make all that needs the parameters."""
+        values = with_chosen_cup(self.values)
+        model = (cup_of(values), package_of(values), values['gravity'], values['tool_twist.frame'])
+        warm_up(*model)
+        live = LivePredictor(*model)
+        warm_up_uncertainty(live.model, values)
+        self._outputs = Outputs(self, values)
+        self._pose_in = SensorInput(self, PoseStamped, 'tool_arm/pose', self._on_pose)
+        self._twist_in = SensorInput(
+            self, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
+        self._attachment = Attachment(self, values, self._attach)
+        self._reset = self.create_service(Trigger, '~/reset', self._on_reset)
+        self._live = live
+        self._apply(values)
+        self._diagnostics.watch(live, self._pose_in, self._twist_in, values)
+        self._say_model(values)
         for name in self.unmatched_qos_overrides():
             self.get_logger().warning(f"No topic of this node takes the QoS override '{name}'.")
 
-    # ------------------------------------------------------------------ start
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start from rest at the next tool pose."""
+        self._live.reset()
+        self._live.set_attached(self._attachment.held)
+        self._live.expect_twists = self._twists_exist
+        result = super().on_activate(state)
+        self._active = True
+        self._say_state()
+        return result
 
-    def _say_model(self) -> None:
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Fall silent."""
+        self._outputs.say_state('inactive')
+        self._active, self._last = False, None
+        self._live.reset()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give back all that was made."""
+        result = super().on_cleanup(state)
+        self._clean_up()
+        return result
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Fall silent for good."""
+        if self._active:
+            self.on_deactivate(state)
+        result = super().on_shutdown(state)
+        self._clean_up()
+        return result
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give up what there is, so that the node can be configured again."""
+        self.get_logger().error('A transition failed; the node is unconfigured now.')
+        self._active = False
+        self._clean_up()
+        return SUCCESS
+
+    def _clean_up(self) -> None:
+        """Give back the model and the topics."""
+        if self._live is None:
+            return
+        self.get_logger().info(summary(self._live))
+        self._diagnostics.forget()
+        self._live = None
+        for part in (self._outputs, self._pose_in, self._twist_in, self._attachment):
+            part.destroy()
+        self.destroy_service(self._reset)
+
+    @property
+    def lifecycle_state(self) -> str:
+        """Name of the state: unconfigured, inactive, active or finalized."""
+        return str(self._state_machine.current_state[1])
+
+    def _say_model(self, values: Values) -> None:
         """Log the cup and the package that are used."""
         log = self.get_logger().info
-        thesis = [text for name, text in FROM_THESIS.items() if name not in self.given]
-        if thesis:
+        name = values['cup.name']
+        thesis = [text for key, text in FROM_THESIS.items() if key not in self.given]
+        if name:
+            log(f"Using the cup '{name}'.")
+        elif thesis:
             log(
                 f"Not set, so using the cup of the thesis: {', '.join(thesis)}. "
                 "Identify your own with 'bellows identify'."
             )
-        log(f"Package of {self.values['package.mass']:g} kg.")
-
-    def _advertise(self) -> None:
-        """Publish what is predicted; twist and wrench only while somebody listens."""
-        self._pose, self._twist, self._wrench = PoseStamped(), TwistStamped(), WrenchStamped()
-        self._twist_wanted = self._wrench_wanted = False
-        self._pose_out = self._publisher(PoseStamped, 'package/pose')
-        self._twist_out = self._publisher(
-            TwistStamped, 'package/twist', PublisherEventCallbacks(matched=self._on_twist_readers)
-        )
-        self._wrench_out = self._publisher(
-            WrenchStamped, 'cup/wrench', PublisherEventCallbacks(matched=self._on_wrench_readers)
-        )
-
-    def _publisher(
-        self, kind: type, topic: str, events: PublisherEventCallbacks | None = None
-    ) -> Publisher:
-        """Return a reliable publisher whose QoS can be overridden."""
-        return self.create_publisher(
-            kind, topic, QoSProfile(depth=QUEUE), event_callbacks=events,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )  # fmt: skip
-
-    def _listen(self) -> None:
-        """Subscribe to the tool arm, and serve `~/reset`."""
-        self._subscribe(PoseStamped, 'tool_arm/pose', self._on_pose)
-        self._subscribe(
-            TwistStamped, 'tool_arm/twist', self._on_twist,
-            SubscriptionEventCallbacks(matched=self._on_twist_writers),
-        )  # fmt: skip
-        self.create_service(Trigger, '~/reset', self._on_reset)
-
-    def _subscribe(self, kind: type, topic: str, callback: Any, events: Any = None) -> None:
-        """Listen as to any sensor, without asking for lost messages; QoS can be overridden."""
-        qos = QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT)  # is written to
-        self.create_subscription(
-            kind, topic, callback, qos, event_callbacks=events,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )  # fmt: skip
-
-    def _start_timers(self) -> None:
-        """Look after lost twists and the report, on the clock that nobody sets."""
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(FLUSH_PERIOD, self._flush_lost_twists, clock=steady)
-        self.create_timer(REPORT_PERIOD, self._say_report, clock=steady)
+        log(f"Package of {values['package.mass']:g} kg.")
 
     # --------------------------------------------------------------- messages
 
     def _on_pose(self, message: PoseStamped) -> None:
         """Predict with a pose of the tool."""
-        header, pose = message.header, message.pose
+        if not self._active:
+            return
+        header, pose, arrival_ns = message.header, message.pose, time.monotonic_ns()
+        stamp_ns = stamp_to_ns(header.stamp)
+        self._pose_in.note(arrival_ns, stamp_ns)
         self._publish(
             self._live.on_pose(
-                stamp_to_ns(header.stamp), header.frame_id,
-                vector(pose.position), quaternion_xyzw(pose.orientation),
+                stamp_ns, header.frame_id, vector(pose.position),
+                quaternion_xyzw(pose.orientation), arrival_ns,
             )
         )  # fmt: skip
+        self._diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
 
     def _on_twist(self, message: TwistStamped) -> None:
         """Predict with a twist of the tool."""
-        twist = message.twist
+        if not self._active:
+            return
+        header, twist, arrival_ns = message.header, message.twist, time.monotonic_ns()
+        stamp_ns = stamp_to_ns(header.stamp)
+        self._twist_in.note(arrival_ns, stamp_ns)
         self._publish(
             self._live.on_twist(
-                stamp_to_ns(message.header.stamp), vector(twist.linear), vector(twist.angular)
-            )
+                stamp_ns, vector(twist.linear), vector(twist.angular), header.frame_id)
         )
+        self._diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
 
     def _publish(self, predictions: Iterable[Prediction]) -> None:
-        """Send predictions; a message is serialised at once and can be used again."""
+        """Send predictions, and watch what the cup carries."""
         for prediction in predictions:
-            write_pose(self._pose, self._live.frame_id, prediction)
-            self._pose_out.publish(self._pose)
-            if self._twist_wanted:
-                write_twist(self._twist, self.values['frames.package'], prediction)
-                self._twist_out.publish(self._twist)
-            if self._wrench_wanted:
-                write_wrench(self._wrench, self.values['frames.lip'], prediction)
-                self._wrench_out.publish(self._wrench)
+            self._outputs.publish(prediction, self._live.frame_id)
+            self._diagnostics.load.watch_force(prediction)
+            self._last = prediction
 
     # ----------------------------------------------------------------- events
 
-    def _on_twist_readers(self, matched: Any) -> None:
-        """Publish twists while somebody listens."""
-        self._twist_wanted = matched.current_count > 0
-
-    def _on_wrench_readers(self, matched: Any) -> None:
-        """Publish wrenches while somebody listens."""
-        self._wrench_wanted = matched.current_count > 0
-
-    def _on_twist_writers(self, matched: Any) -> None:
+    def _on_twist_publishers(self, count: int) -> None:
         """Let poses wait for their twists while somebody sends some."""
-        self._twists_exist = matched.current_count > 0
+        self._twists_exist = count > 0
+        if self._live is None:
+            return
         self._live.expect_twists = self._twists_exist
-        if not self._twists_exist:
+        if self._active and not self._twists_exist:
             self._publish(self._live.flush())
 
-    def _flush_lost_twists(self) -> None:
-        """Predict for poses that wait, when nothing comes any more."""
-        inputs = self._live.poses_in + self._live.twists_in
-        self._idle_ticks = self._idle_ticks + 1 if inputs == self._inputs_at_last_tick else 0
-        self._inputs_at_last_tick = inputs
-        if self._live.waiting and self._idle_ticks >= IDLE_TICKS:
-            self._publish(self._live.flush())
+    def _on_clock_jump(self, jump: TimeJump) -> None:
+        """Start afresh where simulated time was set back, or was switched on or off."""
+        if self._active:
+            self._live.start_afresh('clock_jump')
+            self._last = None
 
     def _on_reset(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         """Start again from static equilibrium."""
-        self._publish(self._live.flush())
-        self._live.reset()
-        self._live.expect_twists = self._twists_exist
-        response.success = True
-        response.message = 'Starts from static equilibrium at the next tool pose.'
+        response.success = self._active
+        response.message = 'The node is not active.'
+        if self._active:
+            self._publish(self._live.flush())
+            self._live.reset()
+            self._live.expect_twists = self._twists_exist
+            response.message = 'Starts from static equilibrium at the next tool pose.'
         return response
+
+    def _attach(self, held: bool, why: str) -> bool:
+        """Take up or let go the package; return whether the node is active."""
+        if not self._active:
+            return False
+        self._publish(self._live.set_attached(held))
+        self._last = None
+        self.get_logger().info(f'{"Attached" if held else "Detached"} ({why}).')
+        self._say_state()
+        return True
+
+    def _tick(self) -> None:
+        """Predict for poses that wait when nothing comes any more, and bridge a pause."""
+        if not self._active:
+            return
+        self._ticks += 1
+        live = self._live
+        inputs = live.poses_in + live.twists_in
+        self._idle_ticks = self._idle_ticks + 1 if inputs == self._inputs_at_last_tick else 0
+        self._inputs_at_last_tick = inputs
+        if live.waiting and self._idle_ticks >= IDLE_TICKS:
+            self._publish(live.flush())
+        if self._idle_ticks:  # else messages wait, and it is this process that was late
+            self._publish(live.coast(time.monotonic_ns()))
+        if self._last is not None and self._ticks % LOAD_TICKS == 0:
+            self._diagnostics.load.watch_deflection(live.model, self._last)
+        self._say_state()
+
+    def _say_state(self) -> None:
+        """Say what is going on when it has changed."""
+        self._outputs.say_state(self._live.phase(time.monotonic_ns()))
 
     # ------------------------------------------------------------- parameters
 
     def check_values(self, values: Values) -> None:
-        """Refuse what no cup or package can be."""
-        cup_of(values)
-        package_of(values)
+        """Refuse what no cup or package can be, and what would have no effect."""
+        name = values['cup.name']
+        idle = [key for key in IN_NAMED_CUP if name and values[key] != self.values[key]]
+        if idle:
+            raise BellowsError(
+                f"{idle[0]} is not in use while cup.name is '{name}'. Set "
+                f"cups.{name}.{idle[0].removeprefix('cup.')}, or set cup.name to ''."
+            )
+        chosen = with_chosen_cup(values)
+        cup_of(chosen)
+        package_of(chosen)
+        check_thresholds(values)
 
     def on_values(self, names: list[str]) -> None:
         """Go on with the new cup and package; the package keeps its motion."""
         self.get_logger().info(f"Set while running: {', '.join(names)}.")
-        self._live.set_model(cup_of(self.values), package_of(self.values))
+        if self._live is None:
+            return
+        values = with_chosen_cup(self.values)
+        self._live.set_model(cup_of(values), package_of(values))
+        self._attachment.set_values(values)
+        self._diagnostics.set_values(values)
+        self._apply(values)
+
+    def _apply(self, values: Values) -> None:
+        """Hand values to what uses them between two messages."""
+        self._live.coast_limit_ns = round(values['coast.limit'] * 1e9)
+        self._outputs.set_model(self._live.model, values)
 
     # ---------------------------------------------------------------- reports
 
     def _say_report(self) -> None:
-        """Warn about what was refused, and why the package was taken to be at rest."""
-        warnings, errors = self._report.take(self._twists_exist)
-        for sentence in warnings:
-            self.get_logger().warning(sentence)
-        for sentence in errors:
-            self.get_logger().error(sentence)
+        """Say how the node is, to the log where something is wrong."""
+        self._diagnostics.log(self._twists_exist)
+        self._diagnostics.publish(self.lifecycle_state)
 
     def close(self) -> None:
         """Say what came and went, and end."""
-        self.get_logger().info(summary(self._live))
+        self._active = False
+        self._clean_up()
         self.destroy_node()

@@ -11,15 +11,24 @@ _REFUSED_POSES = {
     'zero_stamp': 'no valid stamp',
     'duplicate_stamp': 'repeated stamp',
     'backward_stamp': 'backward stamp',
+    'future_stamp': 'stamp in the future',
+    'repeated_pose': 'the very same pose although the tool moves (tracking lost?)',
+    'jump': 'too far from the pose before (tracking lost?)',
     'frame_id': "frame_id is not '{frame}'",
 }
 _REFUSED_TWISTS = {
     'twist_nan': 'nan (a number in it is not finite)',
-    'twist_unpaired': 'no pose of the same stamp',
+    'twist_too_fast': 'faster than any arm',
+    'twist_frame_id': 'frame_id has changed',
+    'twist_unpaired': 'no pose near its stamp',
 }
 _RESTARTS = {
     'gap': f'no pose came for more than {LONGEST_GAP_NS * 1e-9:g} s',
     'clock_set_back': 'the stamps went back (a clock was set, or a recording started again)',
+    'clock_set_forward': 'the stamps went ahead of the time that has passed',
+    'clock_jump': 'the clock of the simulation was set, or switched on or off',
+    'frame_changed': "the tool's poses are in another frame now, '{frame}'",
+    'moved': "the tool's poses are at another place than it could have reached",
     'diverged': 'the prediction diverged; check cup.stiffness, cup.damping and the package',
 }
 NO_EQUILIBRIUM = (
@@ -71,10 +80,12 @@ class InputReport:
 
     def _refusals(self) -> Iterator[str]:
         """Yield how many poses and twists were refused, and why."""
+        refused = self._live.refused
+        alone = self._live.twists_estimated > self._estimated
         for thing, table in (('pose', _REFUSED_POSES), ('twist', _REFUSED_TWISTS)):
             for reason, words in table.items():
-                count = self._live.refused[reason] - self._refused[reason]
-                if count:
+                count = refused[reason] - self._refused[reason]
+                if count and (alone or reason != 'twist_unpaired'):  # else it was not needed
                     why = words.format(frame=self._live.frame_id)
                     yield f'{_many(count, thing)} refused: {why}.'
 
@@ -84,7 +95,8 @@ class InputReport:
             count = self._live.restarts[reason] - self._restarts[reason]
             if count:
                 times = '' if count == 1 else f' {count} times'
-                yield f'Started again from static equilibrium{times}: {words}.'
+                why = words.format(frame=self._live.frame_id)
+                yield f'Started again from static equilibrium{times}: {why}.'
 
 
 def summary(live: LivePredictor) -> str:

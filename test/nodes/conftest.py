@@ -10,8 +10,8 @@ import pytest
 if importlib.util.find_spec('rclpy') is None:  # the report's header says so
     collect_ignore = [
         f'test_{name}.py'
-        for name in ('conversions', 'identifier_node', 'parameters', 'predictor_node',
-                     'predictor_recording')]
+        for name in ('conversions', 'health', 'identifier_node', 'lifecycle', 'parameters',
+                     'predictor_node', 'predictor_recording', 'security')]
 
 PACKAGE = {
     'package.mass': 2.17,

@@ -141,6 +141,7 @@ def test_process_predicts_and_ends_in_order(
     assert found, 'the predictor did not come up'
 
     message = PoseStamped()
+    message.header.stamp.sec = 1_700_000_000
     message.pose.orientation.w = 1.0
     node.create_timer(0.02, lambda: send(writer, message))
     assert ros.spin_until(lambda: len(answers) > 3)
@@ -153,6 +154,8 @@ def test_process_predicts_and_ends_in_order(
 
 
 def send(writer: Any, message: Any) -> None:
-    """Send the pose of a tool that stands still, one second after the other."""
-    message.header.stamp.sec += 1
+    """Send the pose of a tool that stands still, with a stamp 20 ms after the last."""
+    message.header.stamp.nanosec += 20_000_000
+    message.header.stamp.sec += message.header.stamp.nanosec // 1_000_000_000
+    message.header.stamp.nanosec %= 1_000_000_000
     writer.publish(message)

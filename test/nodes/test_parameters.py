@@ -65,7 +65,7 @@ def cup(node: Any) -> Sequence[Any]:
 
 def used(node: Any) -> tuple[Any, Any]:
     """Return the blocks of K and P that the prediction is made with."""
-    blocks: tuple[Any, Any] = node._live._model[0][2:]
+    blocks: tuple[Any, Any] = node._live.model[0][2:]
     return blocks
 
 
@@ -115,7 +115,7 @@ def test_package_changes_live_and_whole_numbers_will_do(
     node = make_predictor()
     assert caller.set_parameters(package__mass=3, package__com=[0, 0, -1]) == [(True, '')] * 2
     assert node.get_parameter('package.mass').value == 3.0
-    assert node._live._model[1][:2] == (3.0, (0.0, 0.0, -1.0))
+    assert node._live.model[1][:2] == (3.0, (0.0, 0.0, -1.0))
 
 
 def test_what_does_not_belong_together_is_set_one_by_one(

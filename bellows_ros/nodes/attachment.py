@@ -1,0 +1,95 @@
+"""What takes up and lets go the package: two services, and a vacuum signal where there is one."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rclpy.node import Node
+from sensor_msgs.msg import FluidPressure
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from .tool_inputs import SensorInput
+from ..core.live.vacuum import PressureSwitch
+
+
+class Attachment:
+    """
+    Ask to attach and to detach.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Serves and subscribes.
+    values : mapping
+        Parameters by name.
+    change : callable
+        Takes True to attach, False to detach, and why; returns whether it is done.
+
+    Attributes
+    ----------
+    held : bool
+        Whether the cup holds the package, as far as is known.
+
+    """
+
+    def __init__(
+        self, node: Node, values: Mapping[str, Any], change: Callable[[bool, str], bool]
+    ) -> None:
+        """Serve, and listen to the vacuum where the parameters say so."""
+        self._node, self._change = node, change
+        self.set_values(values)
+        signal = values['vacuum.signal']
+        self.held = values['package.attached'] and signal == 'none'
+        self._services = [
+            node.create_service(Trigger, 'package/attach', self._on_attach),
+            node.create_service(Trigger, 'package/detach', self._on_detach),
+        ]
+        self._signal: SensorInput | None = None
+        if signal == 'bool':
+            self._signal = SensorInput(node, Bool, 'vacuum/held', self._on_held)
+        elif signal == 'pressure':
+            self._signal = SensorInput(
+                node, FluidPressure, 'vacuum/pressure', self._on_pressure)
+
+    def set_values(self, values: Mapping[str, Any]) -> None:
+        """Take other thresholds."""
+        self._switch = PressureSwitch(values['vacuum.attach_below'], values['vacuum.detach_above'])
+
+    def _on_attach(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Take up the package."""
+        return self._answer(response, True, 'Attached: starts from rest at the next tool pose.')
+
+    def _on_detach(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Let the package go."""
+        return self._answer(response, False, 'Detached: nothing is predicted.')
+
+    def _answer(self, response: Trigger.Response, held: bool, words: str) -> Trigger.Response:
+        """Do what a service was asked for."""
+        response.success = self._set(held, 'service')
+        response.message = words if response.success else 'The node is not active.'
+        return response
+
+    def _on_held(self, message: Bool) -> None:
+        """Follow a vacuum switch."""
+        if message.data != self.held:
+            self._set(message.data, 'vacuum')
+
+    def _on_pressure(self, message: FluidPressure) -> None:
+        """Follow the pressure in the cup."""
+        held = self._switch.held(message.fluid_pressure, self.held)
+        if held != self.held:
+            self._set(held, 'vacuum')
+
+    def _set(self, held: bool, why: str) -> bool:
+        """Attach or detach, and remember it if it is done."""
+        done = self._change(held, why)
+        if done:
+            self.held = held
+        return done
+
+    def destroy(self) -> None:
+        """Serve and listen no more."""
+        for service in self._services:
+            self._node.destroy_service(service)
+        if self._signal:
+            self._signal.destroy()

@@ -1,0 +1,77 @@
+"""What RViz shows: the package as a box of its mass and inertia, the cup, and the cup's force."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from geometry_msgs.msg import Point
+from visualization_msgs.msg import Marker, MarkerArray
+
+from .conversions import write_quaternion, write_stamp, write_vector
+from ..core.kernels import ModelTuple
+from ..core.live import Prediction
+from ..core.live.load import equivalent_box, lip_position
+from ..core.tuples import add_scaled, apply, rotation_matrix, Vector
+
+NAMESPACE = 'bellows_ros'
+PERIOD_NS = 40_000_000
+"""Time (ns) between two pictures."""
+
+METRES_PER_NEWTON = 0.005
+CUP_WIDTH = 0.04
+ARROW_WIDTH = (0.006, 0.012, 0.015)
+CARDBOARD = (0.76, 0.6, 0.42, 0.8)
+RUBBER = (0.2, 0.3, 0.8, 0.9)
+FORCE = (0.9, 0.2, 0.1, 1.0)
+COASTING = (0.6, 0.6, 0.6, 0.5)
+
+
+class Picture:
+    """Markers that are filled in again for each picture."""
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        """Size the box."""
+        self._box = _marker(0, Marker.CUBE, equivalent_box(values))
+        self._cup = _marker(1, Marker.LINE_STRIP, (CUP_WIDTH, 0.0, 0.0))
+        self._force = _marker(2, Marker.ARROW, ARROW_WIDTH)
+        self._array = MarkerArray(markers=[self._box, self._cup, self._force])
+        self._last_ns = 0
+
+    def is_due(self, stamp_ns: int) -> bool:
+        """Return whether it is time for another picture."""
+        return not 0 <= stamp_ns - self._last_ns < PERIOD_NS
+
+    def of(self, frame_id: str, model: ModelTuple, prediction: Prediction) -> MarkerArray:
+        """Return the markers of a prediction; grey while the tool is extrapolated."""
+        self._last_ns = prediction.stamp_ns
+        lip = lip_position(model, prediction)
+        R_world_package = rotation_matrix(prediction.quaternion_xyzw)
+        tip = add_scaled(lip, METRES_PER_NEWTON, apply(R_world_package, prediction.force))
+        write_vector(self._box.pose.position, prediction.position)
+        write_quaternion(self._box.pose.orientation, prediction.quaternion_xyzw)
+        self._cup.points = [_point(prediction.tool[0]), _point(lip)]
+        self._force.points = [_point(lip), _point(tip)]
+        for marker, colour in ((self._box, CARDBOARD), (self._cup, RUBBER), (self._force, FORCE)):
+            write_stamp(marker.header.stamp, prediction.stamp_ns)
+            marker.header.frame_id = frame_id
+            rgba = COASTING if prediction.coasting else colour
+            marker.color.r, marker.color.g, marker.color.b, marker.color.a = rgba
+        return self._array
+
+
+def gone() -> MarkerArray:
+    """Return what takes all markers away."""
+    return MarkerArray(markers=[Marker(ns=NAMESPACE, action=Marker.DELETEALL)])
+
+
+def _marker(number: int, kind: int, scale: Vector) -> Marker:
+    """Return a marker of a kind and size (m)."""
+    marker = Marker(ns=NAMESPACE, id=number, type=kind, action=Marker.ADD)
+    marker.scale.x, marker.scale.y, marker.scale.z = scale
+    marker.lifetime.nanosec = 500_000_000
+    return marker
+
+
+def _point(position: Vector) -> Point:
+    """Return a position as a message."""
+    x, y, z = position
+    return Point(x=x, y=y, z=z)

@@ -1,0 +1,170 @@
+"""What the predictor publishes; beside the pose each topic only while somebody listens."""
+
+from collections.abc import Callable, Mapping
+import importlib.util
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped, WrenchStamped
+from nav_msgs.msg import Odometry
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+from .conversions import (
+    write_deflection,
+    write_odometry,
+    write_pose,
+    write_transform,
+    write_twist,
+    write_wrench,
+)
+from .markers import gone, Picture
+from ..core.kernels import ModelTuple
+from ..core.live import Prediction
+from ..core.live.uncertainty import Uncertainty
+
+QUEUE = 100
+NOMINAL = '_nominal'
+"""Added to the name of the lip's frame: where the lip is without load."""
+
+
+class Topic:
+    """
+    A publisher that knows whether somebody listens.
+
+    Parameters
+    ----------
+    node : rclpy.lifecycle.LifecycleNode
+    kind : type
+        Of the message.
+    name : str
+        Relative name.
+    qos : QoSProfile, optional
+        Reliable with a queue unless given; it can be overridden.
+
+    """
+
+    def __init__(self, node: Any, kind: type, name: str, qos: QoSProfile | None = None) -> None:
+        """Advertise."""
+        self.wanted = False
+        self._publisher = node.create_lifecycle_publisher(
+            kind, name, qos or QoSProfile(depth=QUEUE),
+            event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )  # fmt: skip
+        self._destroy = lambda: node.destroy_lifecycle_publisher(self._publisher)
+        self.publish: Callable[[Any], None] = self._publisher.publish
+
+    def _on_matched(self, matched: Any) -> None:
+        """Note whether somebody listens."""
+        self.wanted = matched.current_count > 0
+
+    def destroy(self) -> None:
+        """Advertise no more."""
+        self._destroy()
+
+
+class Outputs:
+    """
+    All that is published about the package.
+
+    Parameters
+    ----------
+    node : rclpy.lifecycle.LifecycleNode
+        Makes the publishers.
+    values : mapping
+        Parameters by name.
+
+    """
+
+    def __init__(self, node: Any, values: Mapping[str, Any]) -> None:
+        """Advertise all topics; messages are made once and filled in again."""
+        self._pose = Topic(node, PoseStamped, 'package/pose')
+        self._twist = Topic(node, TwistStamped, 'package/twist')
+        self._odometry = Topic(node, Odometry, 'package/odometry')
+        self._wrench = Topic(node, WrenchStamped, 'cup/wrench')
+        self._deflection = Topic(node, PoseStamped, 'cup/deflection')
+        self._markers = Topic(node, MarkerArray, 'package/markers')
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._state = Topic(node, String, 'package/state', latched)
+        self._topics = [
+            self._pose, self._twist, self._odometry, self._wrench, self._deflection,
+            self._markers, self._state,
+        ]  # fmt: skip
+        self._tf = self._tf_topic(node) if values['frames.tf'] else None
+        self._messages = PoseStamped(), TwistStamped(), WrenchStamped()
+        self._said = ''
+
+    def _tf_topic(self, node: Any) -> Topic | None:
+        """Return the topic for tf where its messages are installed."""
+        if importlib.util.find_spec('tf2_msgs') is None:
+            node.get_logger().info('No tf2_msgs here: the package is not sent to tf.')
+            return None
+        from tf2_msgs.msg import TFMessage
+
+        self._tf_message = TFMessage(transforms=[TransformStamped()])
+        self._topics.append(Topic(node, TFMessage, '/tf'))
+        return self._topics[-1]
+
+    def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
+        """Go on with another cup or package."""
+        self._model, self._values = model, values
+        self._uncertainty: Uncertainty | None = None  # made when somebody wants to know
+        self._picture = Picture(values)
+
+    def publish(self, prediction: Prediction, frame_id: str) -> None:
+        """Send a prediction; a message is serialised at once and can be used again."""
+        if not prediction.coasting or self._values['coast.poses']:
+            self._publish_plain(prediction, frame_id)
+        if self._odometry.wanted:
+            self._publish_odometry(prediction, frame_id)
+        if self._deflection.wanted:
+            message = PoseStamped()
+            write_deflection(
+                message, self._values['frames.lip'] + NOMINAL, self._model, prediction)
+            self._deflection.publish(message)
+        if self._markers.wanted and self._picture.is_due(prediction.stamp_ns):
+            self._markers.publish(self._picture.of(frame_id, self._model, prediction))
+        if self._tf and self._tf.wanted:
+            write_transform(
+                self._tf_message.transforms[0], frame_id, self._values['frames.package'],
+                prediction)  # fmt: skip
+            self._tf.publish(self._tf_message)
+
+    def _publish_plain(self, prediction: Prediction, frame_id: str) -> None:
+        """Send what cannot show how sure it is."""
+        pose, twist, wrench = self._messages
+        write_pose(pose, frame_id, prediction)
+        self._pose.publish(pose)
+        if self._twist.wanted:
+            write_twist(twist, self._values['frames.package'], prediction)
+            self._twist.publish(twist)
+        if self._wrench.wanted:
+            write_wrench(wrench, self._values['frames.lip'], prediction)
+            self._wrench.publish(wrench)
+
+    def _publish_odometry(self, prediction: Prediction, frame_id: str) -> None:
+        """Send pose and twist with their covariance."""
+        if self._uncertainty is None:
+            self._uncertainty = Uncertainty(self._model, self._values)
+        message = Odometry()
+        write_odometry(
+            message, frame_id, self._values['frames.package'], prediction,
+            self._uncertainty.covariance(prediction),
+        )  # fmt: skip
+        self._odometry.publish(message)
+
+    def say_state(self, state: str) -> None:
+        """Send what is going on when it has changed; a late listener gets it too."""
+        if state != self._said:
+            self._said = state
+            self._state.publish(String(data=state))
+            if state in ('detached', 'lost', 'inactive') and self._markers.wanted:
+                self._markers.publish(gone())
+
+    def destroy(self) -> None:
+        """Advertise nothing any more."""
+        for topic in self._topics:
+            topic.destroy()

@@ -1,0 +1,261 @@
+"""What a predictor says about bad company: diagnostics, coasting, floods, clocks; real DDS."""
+
+from collections.abc import Callable
+import math
+from pathlib import Path
+from threading import Event, Thread
+import time
+from typing import Any
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from .conftest import PACKAGE
+
+MS = 1_000_000
+START = 1_700_000_000_000_000_000
+OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
+
+
+class Listener:
+    """Keeps the newest diagnostics."""
+
+    def __init__(self, ros: Any) -> None:
+        """Subscribe."""
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.node import Node
+
+        self.ros, self.node = ros, Node('monitor', context=ros.context)
+        ros.executor.add_node(self.node)
+        self.lines: dict[str, Any] = {}
+        self.reader = self.node.create_subscription(
+            DiagnosticArray, '/diagnostics', self._take, 10)
+
+    def _take(self, message: Any) -> None:
+        """Keep each line by its name."""
+        self.lines.update({status.name: status for status in message.status})
+
+    def sees(self, name: str, level: bytes, words: str) -> bool:
+        """Wait until a line has this level and words."""
+        def there() -> bool:
+            line = self.lines.get(f'predictor: {name}')
+            return line is not None and line.level == level and words in line.message
+
+        return bool(self.ros.spin_until(there))
+
+    def value(self, name: str, key: str) -> str:
+        """Return a value of a line."""
+        return {v.key: v.value for v in self.lines[f'predictor: {name}'].values}[key]
+
+
+@pytest.fixture
+def listener(ros: Any) -> Listener:
+    """Give a monitor."""
+    return Listener(ros)
+
+
+def now_ns() -> int:
+    """Return the time of day."""
+    return time.time_ns()
+
+
+def send_for(partner: Any, count: int, period: float = 0.002, **options: Any) -> Thread:
+    """Send poses from a thread, as a driver does."""
+    def work() -> None:
+        clock, begin = Event(), time.monotonic()
+        for k in range(count):
+            clock.wait(begin + k * period - time.monotonic())
+            partner.send_pose(now_ns(), **options)
+
+    thread = Thread(target=work, daemon=True)
+    thread.start()
+    return thread
+
+
+def test_nobody_silent_and_good(make_partner: Callable[..., Any], listener: Listener) -> None:
+    """Name an absent and a silent driver in words, then the rate of a good one."""
+    partner = make_partner(with_twists=False)
+    assert listener.sees('tool pose', ERROR, 'is silent: no message so far')
+    assert listener.sees('prediction', OK, 'Waiting for the first pose')
+    sending = send_for(partner, 1200)
+    assert listener.sees('tool pose', OK, 'Hz.')
+    assert listener.sees('prediction', OK, 'Predicting.')
+    assert float(listener.value('prediction', 'compute time p99 (us)')) > 0.0
+    assert float(listener.value('tool pose', 'age (s)')) < 1.0
+    sending.join()
+    assert listener.sees('prediction', ERROR, 'Lost')
+    assert listener.sees('load', OK, 'No limits are known')
+    partner.node.destroy_publisher(partner.pose_writer)
+    assert listener.sees('tool pose', ERROR, 'Nobody publishes /tool_arm/pose')
+
+
+def test_qos_mismatch_is_named(
+        make_predictor: Callable[..., Any], listener: Listener) -> None:
+    """Say which policy does not match and what to set."""
+    from geometry_msgs.msg import PoseStamped
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+    make_predictor({
+        **PACKAGE, 'qos_overrides./tool_arm/pose.subscription.reliability': 'reliable'})
+    listener.node.create_publisher(PoseStamped, 'tool_arm/pose', QoSProfile(
+        depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    assert listener.sees(
+        'tool pose', ERROR, 'Set qos_overrides./tool_arm/pose.subscription.reliability')
+
+
+def test_refused_messages_are_counted_in_the_diagnostics(
+        make_partner: Callable[..., Any], listener: Listener) -> None:
+    """Count NaN poses, which drivers do publish."""
+    partner = make_partner(with_twists=False)
+    sending = [send_for(partner, 900), send_for(partner, 90, 0.02, position=(math.nan, 0.0, 0.0))]
+    assert listener.sees('tool pose', WARN, ' nan.')
+    for thread in sending:
+        thread.join()
+    assert int(listener.value('tool pose', 'refused: nan')) > 0
+
+
+def test_margin_warns(make_partner: Callable[..., Any], listener: Listener) -> None:
+    """Warn when less than a fifth of the holding force is left."""
+    partner = make_partner({**PACKAGE, 'cup.max_force': 22.0}, with_twists=False)
+    sending = send_for(partner, 900)
+    assert listener.sees('load', WARN, 'Only 3% of what the cup can hold is left.')
+    sending.join()
+
+
+def test_pause_is_bridged_by_odometry_and_then_nothing_comes(
+        make_partner: Callable[..., Any]) -> None:
+    """Go on for coast.limit with growing covariance; package/pose stays one for one."""
+    from nav_msgs.msg import Odometry
+    from std_msgs.msg import String
+
+    partner = make_partner({**PACKAGE, 'coast.limit': 0.3}, with_twists=False)
+    odometry: list[Any] = []
+    states: list[str] = []
+    reader = partner.node.create_subscription(
+        Odometry, 'package/odometry', odometry.append, 1000)
+    partner.node.create_subscription(
+        String, 'package/state', lambda m: states.append(m.data), 10)
+    assert partner.ros.spin_until(reader.get_publisher_count)
+    sending = send_for(partner, 200)
+    assert partner.ros.spin_until(lambda: 'lost' in states)
+    sending.join()
+
+    assert states[-2:] == ['coasting', 'lost']
+    assert len(partner.poses) <= 200 < len(odometry) + len(partner.poses)
+    last_pose = partner.poses[-1].header.stamp
+    beyond = [m for m in odometry if (m.header.stamp.sec, m.header.stamp.nanosec) > (
+        last_pose.sec, last_pose.nanosec)]
+    assert 1 <= len(beyond) <= 40
+    seconds = (beyond[-1].header.stamp.sec - last_pose.sec) + 1e-9 * (
+        beyond[-1].header.stamp.nanosec - last_pose.nanosec)
+    assert seconds <= 0.3
+    variances = [m.pose.covariance[0] for m in beyond]
+    assert variances == sorted(variances) and variances[-1] > odometry[100].pose.covariance[0]
+    assert all(np.isfinite(m.pose.covariance).all() for m in odometry)
+
+
+def test_all_outputs_agree(make_partner: Callable[..., Any]) -> None:
+    """Find the same package in odometry, deflection and markers as in the pose."""
+    from geometry_msgs.msg import PoseStamped
+    from nav_msgs.msg import Odometry
+    from visualization_msgs.msg import MarkerArray
+
+    partner = make_partner(with_twists=False)
+    got: dict[str, list[Any]] = {'odometry': [], 'deflection': [], 'markers': []}
+    kinds = {'odometry': (Odometry, 'package/odometry'), 'markers': (
+        MarkerArray, 'package/markers'), 'deflection': (PoseStamped, 'cup/deflection')}
+    for name, (kind, topic) in kinds.items():
+        reader = partner.node.create_subscription(kind, topic, got[name].append, 1000)
+        assert partner.ros.spin_until(reader.get_publisher_count)
+    assert partner.ros.spin_until(lambda: all(
+        topic.wanted for topic in partner.predictor._outputs._topics[:6]))
+    for k in range(5):
+        partner.send_pose(START + k * 50 * MS)
+    assert partner.ros.spin_until(
+        lambda: len(got['odometry']) == len(got['deflection']) == 5 and got['markers'])
+
+    pose, odometry = partner.poses[-1].pose, got['odometry'][-1]
+    assert odometry.pose.pose == pose
+    assert (odometry.header.frame_id, odometry.child_frame_id) == ('world', 'package')
+    covariance = np.reshape(odometry.pose.covariance, (6, 6))
+    assert (np.diag(covariance) > 0.0).all()
+    shift = got['deflection'][-1].pose.position
+    assert_allclose((shift.x, shift.y, shift.z), (0.0, 0.0, -2.17 * 9.81 / 11530.0), atol=1e-9)
+    assert got['deflection'][-1].header.frame_id == 'cup_lip_nominal'
+    box = got['markers'][-1].markers[0]
+    assert box.pose == pose and box.header.frame_id == 'world'
+
+
+def resident_kib() -> int:
+    """Return this process's memory."""
+    pages = int(Path('/proc/self/statm').read_text().split()[1])
+    return pages * 4
+
+
+@pytest.mark.parametrize('kind', ['valid', 'malformed', 'standing stamp'])
+def test_flood_neither_kills_nor_grows_nor_leaves_a_trace(
+        kind: str, make_partner: Callable[..., Any]) -> None:
+    """Survive messages at 20 kHz for a second, then answer each pose again."""
+    partner = make_partner(with_twists=False)
+    before, count = resident_kib(), 20_000
+
+    def flood() -> None:
+        position = (math.nan, 0.0, 0.0) if kind == 'malformed' else (0.0, 0.0, 0.0)
+        begin = time.monotonic()
+        for k in range(count):
+            if k % 100 == 0:
+                Event().wait(begin + k / 20_000 - time.monotonic())
+            stamp = START if kind == 'standing stamp' else START + k * 50_000
+            partner.send_pose(stamp, position)
+
+    thread = Thread(target=flood, daemon=True)
+    thread.start()
+    assert partner.ros.spin_until(lambda: not thread.is_alive(), 60.0)
+    live = partner.predictor._live
+    assert partner.ros.spin_until(lambda: live.waiting == 0)
+    grown = resident_kib() - before
+    answered = len(partner.poses)
+    assert grown < 20_000 + 3 * answered, f'{grown} KiB'  # the partner keeps the answers
+    stamp, last = START + 2_000 * MS, START + 2_098 * MS
+    for k in range(50):
+        partner.send_pose(stamp + k * 2 * MS)
+        partner.ros.executor.spin_once(timeout_sec=0.0)
+
+    def back_to_normal() -> bool:
+        stamps = (message.header.stamp for message in partner.poses[-1:])
+        return any(stamp.sec * 10**9 + stamp.nanosec == last for stamp in stamps)
+
+    assert partner.ros.spin_until(back_to_normal)
+
+
+def test_simulated_time_that_goes_back_starts_afresh(
+        make_partner: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+    """Notice that a recording begins again, by its clock."""
+    from rosgraph_msgs.msg import Clock
+
+    partner = make_partner({**PACKAGE, 'use_sim_time': True}, with_twists=False)
+    writer = partner.node.create_publisher(Clock, '/clock', 10)
+    assert partner.ros.spin_until(writer.get_subscription_count)
+    for second in (100, 101):
+        writer.publish(Clock(clock=_time(second)))
+    assert partner.ros.spin_until(
+        lambda: partner.predictor.get_clock().now().nanoseconds == 101 * 10**9)
+    before = partner.predictor._live.restarts['clock_jump']
+    for k in range(5):
+        partner.send_pose(101 * 10**9 + k * 2 * MS)
+    partner.wait_for_poses(5)
+    writer.publish(Clock(clock=_time(50)))
+    assert partner.ros.spin_until(
+        lambda: partner.predictor._live.restarts['clock_jump'] > before)
+    partner.send_pose(50 * 10**9)
+    partner.wait_for_poses(6)
+    partner.predictor._say_report()
+    assert 'the clock of the simulation was set' in capfd.readouterr().err
+
+
+def _time(second: int) -> Any:
+    """Return a time message."""
+    from builtin_interfaces.msg import Time
+
+    return Time(sec=second)

@@ -1,0 +1,207 @@
+"""The predictor as a managed node: transitions over services, and silence unless active."""
+
+from collections.abc import Callable
+from typing import Any
+
+from bellows_ros.errors import BellowsError
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+import pytest
+from std_srvs.srv import Trigger
+
+from .conftest import PACKAGE
+
+MS = 1_000_000
+START = 1_700_000_000_000_000_000
+ALL = ('package/pose', 'package/twist', 'package/odometry', 'cup/wrench', 'cup/deflection',
+       'package/markers')  # fmt: skip
+
+
+class Manager:
+    """A lifecycle manager: another node that calls services and listens to everything."""
+
+    def __init__(self, ros: Any) -> None:
+        """Join the graph."""
+        from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+        from nav_msgs.msg import Odometry
+        from rclpy.node import Node
+        from std_msgs.msg import String
+        from visualization_msgs.msg import MarkerArray
+
+        self.ros, self.node = ros, Node('manager', context=ros.context)
+        ros.executor.add_node(self.node)
+        kinds = (PoseStamped, TwistStamped, Odometry, WrenchStamped, PoseStamped, MarkerArray)
+        self.heard: list[str] = []
+        self.states: list[str] = []
+        self.readers = [
+            self.node.create_subscription(
+                kind, topic, lambda _, topic=topic: self.heard.append(topic), 1000)
+            for topic, kind in zip(ALL, kinds, strict=True)]
+        self.node.create_subscription(
+            String, 'package/state', lambda m: self.states.append(m.data), 10)
+        self.writer = self.node.create_publisher(PoseStamped, 'tool_arm/pose', 1000)
+        self._stamp = START
+
+    def call(self, service: str, kind: Any, request: Any) -> Any:
+        """Call a service and return its answer."""
+        client = self.node.create_client(kind, service)
+        assert self.ros.spin_until(client.service_is_ready), service
+        future = client.call_async(request)
+        assert self.ros.spin_until(future.done), service
+        return future.result()
+
+    def change(self, transition: int) -> bool:
+        """Ask for a transition."""
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(self.call('/predictor/change_state', ChangeState, request).success)
+
+    def state(self) -> str:
+        """Ask for the state."""
+        answer = self.call('/predictor/get_state', GetState, GetState.Request())
+        return str(answer.current_state.label)
+
+    def trigger(self, service: str) -> Any:
+        """Call a trigger."""
+        return self.call(service, Trigger, Trigger.Request())
+
+    def send(self, count: int = 20) -> None:
+        """Send poses of a tool that stands still."""
+        from geometry_msgs.msg import PoseStamped
+
+        for _ in range(count):
+            self._stamp += 2 * MS
+            message = PoseStamped()
+            message.header.frame_id = 'world'
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(self._stamp, 10**9)
+            message.pose.orientation.w = 1.0
+            self.writer.publish(message)
+
+    def is_connected(self) -> bool:
+        """Tell whether every topic has found its other end."""
+        return bool(self.writer.get_subscription_count()) and all(
+            reader.get_publisher_count() for reader in self.readers)
+
+    def hears(self) -> bool:
+        """Send poses and tell whether all topics answer."""
+        self.heard.clear()
+        assert self.ros.spin_until(self.is_connected)
+        self.send()
+        return bool(self.ros.spin_until(lambda: set(self.heard) == set(ALL)))
+
+
+@pytest.fixture
+def manager(ros: Any) -> Manager:
+    """Give a lifecycle manager."""
+    return Manager(ros)
+
+
+def test_starts_itself(make_predictor: Callable[..., Any], manager: Manager) -> None:
+    """Be active without being asked."""
+    make_predictor()
+    assert manager.state() == 'active'
+    assert manager.hears()
+
+
+def test_every_transition(make_predictor: Callable[..., Any], manager: Manager) -> None:
+    """Go through all states twice; publish only while active."""
+    node = make_predictor({**PACKAGE, 'autostart': False})
+    assert manager.state() == 'unconfigured'
+    for _ in range(2):
+        assert manager.change(Transition.TRANSITION_CONFIGURE)
+        assert manager.state() == 'inactive'
+        assert manager.ros.spin_until(manager.is_connected)
+        manager.send()
+        assert not manager.trigger('/predictor/reset').success
+        assert not manager.trigger('/package/detach').success
+        assert manager.heard == [] and node._live.poses_in == 0
+        assert manager.change(Transition.TRANSITION_ACTIVATE)
+        assert manager.hears()
+        assert manager.change(Transition.TRANSITION_DEACTIVATE)
+        assert manager.ros.spin_until(lambda: manager.states[-1:] == ['inactive'])
+        manager.heard.clear()
+        manager.send()
+        assert manager.change(Transition.TRANSITION_CLEANUP)
+        assert manager.state() == 'unconfigured' and manager.heard == []
+    assert manager.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+    assert manager.state() == 'finalized'
+
+
+def test_shutdown_while_active(make_predictor: Callable[..., Any], manager: Manager) -> None:
+    """Fall silent for good."""
+    make_predictor()
+    assert manager.hears()
+    assert manager.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert manager.state() == 'finalized'
+    assert manager.ros.spin_until(lambda: not manager.node.count_publishers('/package/pose'))
+
+
+def test_configuring_checks_what_has_been_set_since(
+        make_predictor: Callable[..., Any], manager: Manager) -> None:
+    """Use the parameters as they stand when it is configured."""
+    from rclpy.parameter import Parameter
+
+    node = make_predictor({**PACKAGE, 'autostart': False})
+    assert node.set_parameters([Parameter('package.mass', value=1.0)])[0].successful
+    assert manager.change(Transition.TRANSITION_CONFIGURE)
+    assert node._live.model[1][0] == 1.0
+
+
+def test_package_comes_and_goes(make_predictor: Callable[..., Any], manager: Manager) -> None:
+    """Predict only while it is attached, and say so."""
+    make_predictor()
+    assert manager.hears()
+    assert manager.trigger('/package/detach').success
+    assert manager.ros.spin_until(lambda: manager.states[-1] == 'detached')
+    manager.heard.clear()
+    manager.send()
+    answer = manager.trigger('/package/attach')
+    assert answer.success and set(manager.heard) <= {'package/markers'}  # that takes them away
+    assert manager.hears()
+    assert manager.ros.spin_until(lambda: manager.states[-1] != 'detached')
+
+
+@pytest.mark.parametrize('signal', ['bool', 'pressure'])
+def test_vacuum_attaches_and_detaches(
+        signal: str, make_predictor: Callable[..., Any], manager: Manager) -> None:
+    """Follow the switch or the pressure; without a signal nothing is held."""
+    from sensor_msgs.msg import FluidPressure
+    from std_msgs.msg import Bool
+
+    node = make_predictor({**PACKAGE, 'vacuum.signal': signal})
+    kind, topic = (Bool, 'vacuum/held') if signal == 'bool' else (FluidPressure, 'vacuum/pressure')
+    writer = manager.node.create_publisher(kind, topic, 10)
+    assert manager.ros.spin_until(writer.get_subscription_count)
+    assert node._live.attached is False
+    for held in (True, False, True):
+        writer.publish(Bool(data=held) if signal == 'bool' else FluidPressure(
+            fluid_pressure=30e3 if held else 101e3))
+        assert manager.ros.spin_until(lambda held=held: node._live.attached is held)
+    assert manager.hears()
+
+
+def test_named_cups(make_predictor: Callable[..., Any]) -> None:
+    """Choose a cup of the file, change it live, and refuse one that is not there."""
+    from rclpy.parameter import Parameter
+
+    soft = [0.5 * x for x in node_stiffness()]
+    node = make_predictor({
+        **PACKAGE, 'cups.soft.stiffness': soft, 'cups.hard.stiffness': node_stiffness(),
+        'cup.name': 'soft'})
+    assert node._live.model[0][2][0][0] == soft[0]
+    result = node.set_parameters([Parameter('cup.name', value='hard')])[0]
+    assert result.successful and node._live.model[0][2][0][0] == 2 * soft[0]
+    for name, value, words in (
+            ('cup.name', 'hart', "Did you mean 'hard'"),
+            ('cup.stiffness', soft, "not in use while cup.name is 'hard'"),
+            ('cups.new.stiffness', soft, 'give it in a file')):
+        result = node.set_parameters([Parameter(name, value=value)])[0]
+        assert not result.successful and words in result.reason
+    with pytest.raises(BellowsError, match='no parameters cups.blue'):
+        make_predictor({**PACKAGE, 'cup.name': 'blue'})
+
+
+def node_stiffness() -> list[float]:
+    """Return the stiffness of the thesis as a parameter."""
+    from bellows_ros.core.model import Cup
+
+    return [float(x) for x in Cup.thesis().stiffness.ravel()]

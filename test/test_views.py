@@ -1,0 +1,40 @@
+"""The layouts of RViz and Foxglove: they load, and show topics that are there."""
+
+import json
+from pathlib import Path
+import re
+from typing import Any
+
+import pytest
+import yaml
+
+
+def topics_of(content: Any) -> set[str]:
+    """Return all topics in a layout."""
+    return set(re.findall(r'/(?:tool_arm|package|cup)/\w+', json.dumps(content)))
+
+
+@pytest.mark.parametrize('name', ['predictor.rviz', 'predictor.foxglove.json'])
+def test_layouts_show_topics_of_the_predictor(name: str, root: Path) -> None:
+    """Name no topic that no node has."""
+    text = (root / 'config' / name).read_text()
+    content = yaml.safe_load(text) if name.endswith('.rviz') else json.loads(text)
+    shown = topics_of(content)
+    nodes = ''.join(path.read_text() for path in (root / 'bellows_ros' / 'nodes').glob('*.py'))
+    assert {'/tool_arm/pose', '/package/pose'} <= shown
+    assert [topic for topic in shown if f"'{topic[1:]}'" not in nodes] == []
+
+
+def test_every_panel_of_the_foxglove_layout_is_placed(root: Path) -> None:
+    """Put each configured panel into the layout once."""
+    content = json.loads((root / 'config' / 'predictor.foxglove.json').read_text())
+    placed = re.findall(r'"(\w+!\w+)"', json.dumps(content['layout']))
+    assert sorted(placed) == sorted(content['configById'])
+
+
+def test_every_display_of_rviz_has_a_class_and_a_topic(root: Path) -> None:
+    """Give each display what RViz asks for."""
+    content = yaml.safe_load((root / 'config' / 'predictor.rviz').read_text())
+    for display in content['Visualization Manager']['Displays']:
+        assert display['Class'].startswith('rviz_default_plugins/') and display['Enabled']
+        assert 'Topic' in display or display['Name'] == 'Grid'
