@@ -1,0 +1,117 @@
+"""The node predictor between processes, against a bare node that sends every pose back."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+import importlib.util
+import json
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import tempfile
+from typing import Any
+
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+from .timing import package_root, TIMEOUT
+
+RATES = {False: (125, 360, 500, 1000), True: (125,)}
+SECONDS = {False: 10.0, True: 1.0}
+LONG = 60.0
+"""Of the run at the highest rate in which nothing may be lost, s."""
+ROUNDS = {False: 3, True: 1}
+END_TIMEOUT = 10.0
+
+PARAMETERS = (
+    '-p', 'package.mass:=2.17',
+    '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
+    '-p', 'package.com:=[0.0, 0.0, -0.03]',
+)  # fmt: skip
+NODES: Mapping[str, tuple[str, ...]] = {
+    'bare': ('bellows_ros.nodes.bench_echo',),
+    'predictor': ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
+}
+
+
+def run(short: bool) -> dict[str, Any]:
+    """Return latencies (s), processor time per pose (s) and memory (bytes)."""
+    if importlib.util.find_spec('rclpy') is None:
+        return {'missing': "ROS 2 is not here; pip install 'bellows_ros[ros]'"}
+    cases = [(rate, twists) for rate in RATES[short] for twists in (False, True)]
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        for rate, twists in cases:
+            parts: dict[str, list[dict[str, Any]]] = {name: [] for name in NODES}
+            for _ in range(ROUNDS[short]):
+                for name in NODES:
+                    parts[name].append(_measured(name, rate, SECONDS[short], twists, Path(folder)))
+            found += [_figures(name, rate, twists, runs) for name, runs in parts.items()]
+        if not short:
+            runs = [_measured('predictor', max(RATES[short]), LONG, True, Path(folder))]
+            found.append(_figures('predictor, for a minute', max(RATES[short]), True, runs))
+    return {'runs': found}
+
+
+def _measured(name: str, rate: int, seconds: float, twists: bool, folder: Path) -> dict[str, Any]:
+    """Return what the probe finds of one node."""
+    environment = {
+        **os.environ, 'PYTHONPATH': os.pathsep.join(
+            filter(None, [str(package_root()), os.environ.get('PYTHONPATH', '')])
+        ),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_LOG_DIR': str(folder),
+        'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
+    }  # fmt: skip
+    with _process(NODES[name], environment, folder / f'{name}.log') as pid:
+        arguments = [str(rate), str(seconds), 'twists' if twists else 'poses', str(pid)]
+        probe = subprocess.run(
+            [sys.executable, '-P', '-m', 'bellows_ros.nodes.bench_probe', *arguments],
+            env=environment, capture_output=True, text=True, timeout=TIMEOUT, check=False,
+        )  # fmt: skip
+    if probe.returncode:
+        log = (folder / f'{name}.log').read_text(errors='replace')[-400:]
+        raise BellowsError(f'Measuring {name} failed: {probe.stderr.strip()[-400:]} {log}')
+    result: dict[str, Any] = json.loads(probe.stdout.splitlines()[-1])
+    return result
+
+
+@contextmanager
+def _process(
+    module: tuple[str, ...], environment: Mapping[str, str], log: Path
+) -> Iterator[int]:
+    """Run a node and yield its process id."""
+    with log.open('wb') as output:
+        process = subprocess.Popen(
+            [sys.executable, '-P', '-m', *module], env=dict(environment),
+            stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+    try:
+        yield process.pid
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(END_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _figures(name: str, rate: int, twists: bool, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the figures of repeated runs: medians of each run's percentiles."""
+    percentiles = np.array([np.percentile(run['latency'], [50.0, 99.0, 99.9]) for run in runs])
+    p50, p99, p999 = np.median(percentiles, axis=0).tolist()
+    per_pose = [run['processor_seconds'] / max(run['answered'], 1) for run in runs]
+    return {
+        'node': name,
+        'rate_hz': rate,
+        'twists': twists,
+        'p50': p50,
+        'p99': p99,
+        'p99.9': p999,
+        'processor_per_pose': float(np.median(per_pose)),
+        'memory': max(run['memory'] for run in runs),
+        'sent': sum(run['sent'] for run in runs),
+        'lost': sum(run['sent'] - run['answered'] for run in runs),
+        'runs': len(runs),
+    }

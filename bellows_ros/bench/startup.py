@@ -1,0 +1,66 @@
+"""How long commands and the predictor take to start, with a warm and with a cold cache."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from typing import Any
+
+from .timing import Figures, figures, in_process, package_root
+
+HELP = 'from bellows_ros.cli import main; import sys; sys.argv = ["bellows", "--help"]; main()'
+
+# From the start of the interpreter to the first prediction that could be made.
+READY = """
+import json, sys, time
+from bellows_ros.bench.step_case import CUP, PACKAGE
+if sys.argv[1] == 'ros':
+    import bellows_ros.nodes.predictor_node
+    import rclpy
+    rclpy.init()
+from bellows_ros.core.live import warm_up
+warm_up(CUP, PACKAGE, 9.81, 'world')
+print(json.dumps({'done': time.monotonic()}))
+"""
+
+
+def run(short: bool) -> dict[str, Any]:
+    """Return seconds."""
+    rounds = 2 if short else 9
+    kind = 'ros' if _has_ros() else 'core'
+    with tempfile.TemporaryDirectory() as folder:
+        cache = {'NUMBA_CACHE_DIR': folder}
+        cold = _ready(kind, cache)
+        warm = [_ready(kind, cache) for _ in range(rounds)]
+    return {
+        'help': _help(rounds),
+        'predictor_warm': figures(warm),
+        'predictor_cold': cold,
+        'with_ros': kind == 'ros',
+    }
+
+
+def _help(rounds: int) -> Figures:
+    """Return the time of `bellows --help`."""
+    environment = {**os.environ, 'PYTHONPATH': str(package_root())}
+    seconds = []
+    for _ in range(rounds):
+        start = time.perf_counter()
+        subprocess.run(
+            [sys.executable, '-P', '-c', HELP], env=environment, check=True, capture_output=True
+        )
+        seconds.append(time.perf_counter() - start)
+    return figures(seconds)
+
+
+def _ready(kind: str, environment: dict[str, str]) -> float:
+    """Return the time until the predictor's code could predict."""
+    start = time.monotonic()
+    return float(in_process(READY, kind, environment=environment)['done']) - start
+
+
+def _has_ros() -> bool:
+    """Tell whether the nodes can run here."""
+    code = 'import json\ntry:\n import rclpy\nexcept ImportError:\n print(0)\nelse:\n print(1)'
+    return bool(in_process(code))

@@ -1,0 +1,149 @@
+"""Measurements as tables: for the terminal, and as Markdown for the documentation."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from .step import OURS
+
+Table = list[tuple[str, ...]]
+"""Rows of cells; the first is the head."""
+
+MEBI = 2**20
+C_LIMIT = 'C, gcc -O3'
+
+
+def tables(found: Mapping[str, Any]) -> dict[str, Table]:
+    """Return the tables of what was measured, by name."""
+    result: dict[str, Table] = {}
+    for name, make in _TABLES.items():
+        section = found.get(name.partition('.')[0])
+        if section and ('missing' not in section or not isinstance(section['missing'], str)):
+            result[name] = make(section)
+    return result
+
+
+def markdown(table: Table) -> str:
+    """Return a table in Markdown."""
+    head, *rows = table
+    lines = [head, ('---',) * len(head), *rows]
+    return '\n'.join('| ' + ' | '.join(cells) + ' |' for cells in lines)
+
+
+def _step(section: Mapping[str, Any]) -> Table:
+    """Return the time of a step, and how many times ours it is."""
+    steps = section['seconds_per_step']
+    ours = steps.get('bellows_ros, compiled') or steps[OURS]
+    rows: Table = [('one step', 'median', 'lowest to highest', 'this package takes')]
+    for name, figures in steps.items():
+        rows.append((
+            name, _time(figures['median']),
+            f'{_time(figures["lowest"])} to {_time(figures["highest"])}',
+            f'{ours["median"] / figures["median"]:.3g} of it',
+        ))  # fmt: skip
+    rows += [(name, f'missing: {why}', '', '') for name, why in section['missing'].items()]
+    return rows
+
+
+def _accuracy(section: Mapping[str, Any]) -> Table:
+    """Return error against cost."""
+    rows: Table = [
+        ('method', 'rate or tolerance', 'per simulated second', 'position error', 'rotation error')
+    ]
+    for row in section['accuracy']:
+        setting = row['setting']
+        rows.append((
+            row['method'], f'{setting:g} Hz' if setting > 1 else f'rtol {setting:g}',
+            _time(row['seconds_per_simulated_second']),
+            f'{row["position_error"]:.1e} m', f'{row["rotation_error"]:.1e} rad',
+        ))  # fmt: skip
+    return rows
+
+
+def _node(section: Mapping[str, Any]) -> Table:
+    """Return latencies by rate."""
+    rows: Table = [
+        ('node', 'rate', 'twists', 'p50', 'p99', 'p99.9', 'CPU per pose', 'memory', 'lost')
+    ]
+    for run in section['runs']:
+        rows.append((
+            run['node'], f'{run["rate_hz"]} Hz', 'yes' if run['twists'] else 'no',
+            *(_time(run[name]) for name in ('p50', 'p99', 'p99.9', 'processor_per_pose')),
+            _memory(run['memory']), f'{run["lost"]} of {run["sent"]}',
+        ))  # fmt: skip
+    return rows
+
+
+def _offline(section: Mapping[str, Any]) -> Table:
+    """Return identification and replay of a long recording."""
+    plain, fit = section['plain_loop']['median'], section['least_squares']['median']
+    recording, error = section['recording'], section['prediction_error']
+    about = f'{recording["seconds"]:g} s, {recording["messages"]} messages'
+    return [
+        ('offline', about, ''),
+        ('rosbags, read and decode', _time(plain), _memory(section['peak_plain_loop'])),
+        ('least squares, end to end', f'{_time(fit)}, {fit / plain:.2f} times that',
+         _memory(section['peak_least_squares'])),
+        ('replay', f'{section["replay_factor"]:.0f} times real time', ''),
+        ('prediction-error fit', f'{_time(error["per_recorded_second"])} per recorded second', ''),
+    ]  # fmt: skip
+
+
+def _filter(section: Mapping[str, Any]) -> Table:
+    """Return the time of the filter per sample."""
+    rows: Table = [('filter, 61 samples, order 6', 'per sample')]
+    rows += [(name, _time(figures['median'])) for name, figures in section['filter'].items()]
+    return rows
+
+
+def _startup(section: Mapping[str, Any]) -> Table:
+    """Return times to start."""
+    return [
+        ('start', 'median'),
+        ('bellows --help', _time(section['help']['median'])),
+        ('predictor ready, compiled before', _time(section['predictor_warm']['median'])),
+        ('predictor ready, nothing compiled', _time(section['predictor_cold'])),
+    ]
+
+
+def _batch(section: Mapping[str, Any]) -> Table:
+    """Return many recordings on one and two cores."""
+    each = f'{section["recordings"]} recordings of {section["recorded_seconds_each"]:g} s'
+    return [
+        ('bellows identify --jobs', each),
+        ('1', _time(section['seconds_one_job'])),
+        ('2', f'{_time(section["seconds_two_jobs"])}, {section["speedup"]:.2f} times faster'),
+        ('overhead of a recording', _time(section['overhead_per_recording'])),
+    ]
+
+
+_TABLES: Mapping[str, Callable[[Mapping[str, Any]], Table]] = {
+    'step': _step,
+    'step.accuracy': _accuracy,
+    'node': _node,
+    'offline': _offline,
+    'offline.filter': _filter,
+    'startup': _startup,
+    'batch': _batch,
+}
+
+
+def _time(seconds: float) -> str:
+    """Return a time in a unit that fits."""
+    for unit, size in (('s', 1.0), ('ms', 1e-3), ('us', 1e-6)):
+        if seconds >= size:
+            return f'{seconds / size:.3g} {unit}'
+    return f'{seconds / 1e-9:.3g} ns'
+
+
+def _memory(size: float) -> str:
+    """Return a size of memory."""
+    return f'{size / MEBI:.0f} MiB'
+
+
+def columns(table: Sequence[tuple[str, ...]]) -> list[str]:
+    """Return a table as lines for a terminal."""
+    widths = [max(map(len, cells)) for cells in zip(*table, strict=True)]
+    return [
+        '  '.join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in table
+    ]

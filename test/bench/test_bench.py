@@ -1,0 +1,75 @@
+"""The short form of all measurements runs, without a word on how long it took."""
+
+import json
+
+from bellows_ros.bench import timing
+from bellows_ros.bench.page import renewed
+from bellows_ros.bench.run import run, SECTIONS
+from bellows_ros.bench.tables import columns, markdown, tables
+from bellows_ros.cli import main
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.results import format_json
+import pytest
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize('section', SECTIONS)
+def test_short_form_measures_and_shows(section):
+    found = json.loads(format_json(run([section], short=True)))
+    assert set(found) == {'machine', 'short', section}
+    made = tables(found)
+    if 'missing' not in found[section] or section == 'step':
+        assert made
+    for table in made.values():
+        assert len({len(row) for row in table}) == 1
+        assert all(len(line) for line in columns(table))
+
+
+def test_steps_are_measured_from_the_shell(tmp_path, capsys):
+    out = tmp_path / 'bench.json'
+    assert main(['bench', '--short', '--only', 'step', '--json', str(out)]) == 0
+    steps = json.loads(out.read_text())['step']['seconds_per_step']
+    assert all(0.0 < figures['lowest'] <= figures['median'] for figures in steps.values())
+    assert 'one step' in capsys.readouterr().out
+    page = tmp_path / 'page.md'
+    page.write_text('a\n<!-- bench: step -->\nold\n<!-- end -->\nb\n')
+    assert main(['bench', '--from', str(out), '--page', str(page)]) == 0
+    text = page.read_text()
+    assert text.startswith('a\n<!-- bench: step -->\n| one step |')
+    assert text.endswith('|\n<!-- end -->\nb\n')
+
+
+def test_unknown_section(capsys):
+    assert main(['bench', '--only', 'stp']) == 2
+    assert "There is no section 'stp'" in capsys.readouterr().err
+
+
+def test_page_keeps_what_was_not_measured():
+    page = '<!-- bench: node -->\nkept\n<!-- end -->'
+    machine = {'date': '', 'cores': 1, 'processor': '', 'load': 0.0, 'system': '', 'python': '',
+               'versions': {}}
+    assert renewed(page, {'machine': machine}) == page
+    with pytest.raises(BellowsError, match='bench: NAME'):
+        renewed('nothing', {'machine': machine})
+
+
+def test_interleaved_takes_turns():
+    order = []
+
+    def work(name):
+        order.append(name)
+        return 2
+
+    found = timing.interleaved({'a': lambda: work('a'), 'b': lambda: work('b')}, 2)
+    assert order == ['a', 'b', 'a', 'b', 'a', 'b']
+    assert found['a']['runs'] == 2
+
+
+def test_failed_process_is_said():
+    with pytest.raises(BellowsError, match='boom'):
+        timing.in_process('raise SystemExit("boom")')
+
+
+def test_markdown():
+    assert markdown([('a', 'b'), ('1', '2')]) == '| a | b |\n| --- | --- |\n| 1 | 2 |'
