@@ -36,6 +36,10 @@ test: .venv/ready  ## run the whole suite
 test-oldest: .venv-oldest/ready  ## run it on what Ubuntu 24.04 has, without numba
 	@$(OLDEST)/python -m pytest $(ARGS)
 
+.PHONY: soak
+soak: .venv/ready  ## predict for 5 minutes at 1 kHz; fails on a loss or a growing memory
+	@$(BIN)/python -m test.soak $(ARGS)
+
 .PHONY: lint
 lint: .venv/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict
 	@$(BIN)/ruff check --quiet .
@@ -46,6 +50,23 @@ lint: .venv/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict
 .PHONY: fix
 fix: .venv/ready  ## repair what ruff can repair
 	@$(BIN)/ruff check --fix .
+
+.PHONY: docs
+docs: .venv/docs-ready  ## build the pages in docs/ with Sphinx; warnings are errors
+	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
+	@echo 'docs: build/docs/index.html'
+
+.PHONY: reference
+reference: .venv/ready  ## write docs/reference/ from the declarations
+	@$(BIN)/python docs/tools/reference.py
+
+.PHONY: figures
+figures: .venv/ready  ## draw docs/images/ again (the demo's plot from demo_output/)
+	@for script in docs/figures/*.py; do $(BIN)/python $$script || exit; done
+
+.PHONY: pages
+pages: .venv/ready  ## run the commands on all pages, and write what they print into them
+	@$(BIN)/python docs/tools/pages.py
 
 .PHONY: bags
 bags: .venv/ready  ## make the recordings in bags/ again
@@ -70,7 +91,11 @@ clean:  ## remove the environments and all that was built
 .venv/ready: setup.py
 	@python=$${PYTHON:-$$(.ci/find-python 3.11 3.12)} && echo "making .venv with $$python" && \
 	$$python -m venv .venv
-	@$(BIN)/python $(PIP) --editable '.[ros,fast,plot,test,lint]'
+	@$(BIN)/python $(PIP) --editable '.[ros,fast,plot,parallel,dask,test,lint]'
+	@touch $@
+
+.venv/docs-ready: .venv/ready
+	@$(BIN)/python $(PIP) --editable '.[docs]'
 	@touch $@
 
 .venv-oldest/ready: setup.py .ci/oldest.txt

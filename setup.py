@@ -12,6 +12,12 @@ EXTRAS = {
     # Compiles the integration step; without it the same source is interpreted.
     'fast': ['numba>=0.59'],
     'plot': ['matplotlib>=3.8'],
+    'docs': ['sphinx>=7.2', 'myst-parser>=3', 'furo>=2024.1'],
+    # Many recordings at a time, on the cores of this machine or on those of a cluster.
+    'parallel': ['joblib>=1.3'],
+    'dask': ['distributed>=2024.1'],
+    # What `bellows bench` compares with; what is missing is left out.
+    'bench': ['mujoco>=3.1', 'drake>=1.30', 'joblib>=1.3'],
     'test': [
         'pytest>=7.4',
         'pytest-timeout>=2.2',
@@ -57,7 +63,7 @@ setup(
         'Topic :: Scientific/Engineering',
     ],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
-    package_data={PACKAGE: ['py.typed']},
+    package_data={PACKAGE: ['py.typed', 'bench/*.c']},
     python_requires='>=3.11',
     # rosbags 0.11.7 is the first that brings lz4 and backports.zstd, which files/ uses too.
     install_requires=['numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'PyYAML>=6.0'],
@@ -66,7 +72,9 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
         (f'share/{PACKAGE}/launch', sorted(glob('launch/*.launch.py'))),
-        (f'share/{PACKAGE}/config', sorted(glob('config/*.yaml'))),
+        (f'share/{PACKAGE}/security', ['security/policies.xml']),
+        (f'share/{PACKAGE}/config', sorted(
+            glob('config/*.yaml') + glob('config/*.rviz') + glob('config/*.json'))),
     ],
     entry_points={
         'console_scripts': [

@@ -19,8 +19,11 @@ import tempfile
 import time
 from typing import Any
 
+from bellows_ros.threads import keep_linear_algebra_single
 import hypothesis
 import pytest
+
+keep_linear_algebra_single()
 
 ROOT = Path(__file__).resolve().parents[1]
 BOOTSTRAPPED = '_ROS_WHEELS_BOOTSTRAP_COMPLETE'

@@ -12,13 +12,18 @@ import pytest
 # What each room may import of this package beside itself; every room may use errors.
 ALLOWED = {
     'errors': set(),
+    'threads': set(),
     'core': {'errors'},
     'files': {'errors', 'core'},
     'workflows': {'errors', 'core', 'files'},
-    'nodes': {'errors', 'core', 'files', 'workflows'},
+    'nodes': {'errors', 'threads', 'core', 'files', 'workflows'},
     'plots': {'errors', 'core', 'files'},
-    'cli': {'errors', 'core', 'files', 'workflows', 'plots'},
-    'demo': {'errors', 'core', 'files', 'workflows', 'nodes', 'cli', 'plots'},
+    'report': {'errors', 'core', 'files', 'workflows', 'plots'},
+    'bench': {'errors', 'core', 'files', 'workflows'},
+    'cli': {
+        'errors', 'threads', 'core', 'files', 'workflows', 'plots', 'report', 'bench'},
+    'demo': {
+        'errors', 'threads', 'core', 'files', 'workflows', 'nodes', 'cli', 'plots'},
 }
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'launch',
        'message_filters', 'rosbag2_py', 'std_srvs', 'tf2_')

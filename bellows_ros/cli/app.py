@@ -12,6 +12,7 @@ from typing import NoReturn
 
 from bellows_ros import __version__
 from bellows_ros.errors import BellowsError
+from bellows_ros.threads import keep_linear_algebra_single
 
 from .commands import COMMANDS, EXIT_CODES, INTERRUPTED, PIPE_CLOSED, USER_ERROR
 from .console import Console
@@ -74,6 +75,7 @@ def _run(arguments: list[str], console: Console) -> int:
     if not arguments or arguments[0] not in COMMANDS:
         _refuse(arguments)
     name, *rest = arguments
+    keep_linear_algebra_single()
     module = importlib.import_module(f'{__package__}.{name}')
     code: int = module.run(_command_parser(name, module).parse_args(rest), console)
     console.flush()

@@ -16,10 +16,23 @@ from types import MappingProxyType
 
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
+        'info': 'list the topics of a recording, and tell tool from package',
         'identify': "find a cup's stiffness and damping in recordings",
+        'ladder': 'say what recordings can tell of a cup, and which structure to take',
+        'static': "find the cup's nominal length at rest, and check its spring alone",
+        'validate': 'judge a cup by a recording that it was not identified from',
+        'compare': 'say what differs between two fits, and whether it matters',
+        'report': 'write a page with plots on a fit',
         'replay': 'predict a recording with a cup, and score the prediction',
         'simulate': 'make a recording of a known cup',
+        'plot': 'draw recordings, fits and predictions',
+        'convert': 'make recordings of Motive, TUM or EuRoC files, and TUM files of recordings',
+        'export': 'write a cup for MuJoCo, Drake or SDF',
         'parameters': 'list all parameters, or write a parameter file to fill in',
+        'summarize': 'reduce a recording to what a fit needs of it',
+        'merge': 'identify a cup from summaries of recordings',
+        'bench': 'measure the speed of this package on this machine',
+        'completion': 'complete commands and options in the shell',
     }
 )
 
@@ -32,7 +45,8 @@ PIPE_CLOSED = 141
 
 EXIT_CODES = """exit codes:
   0    done
-  1    the fit has finished, but its result cannot be used
+  1    finished, but: the fit cannot be used (identify), an axis is above the
+       limit (validate --limit), two fits differ where it matters (compare)
   2    something to put right: the message says what; nothing was written
   130  interrupted with Ctrl-C; nothing is half done
 """

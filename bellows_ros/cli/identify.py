@@ -4,7 +4,7 @@ import argparse
 from typing import Any, TYPE_CHECKING
 
 from .commands import NOT_USABLE, OK
-from .console import Console
+from .console import Console, Progress
 from .options import (
     add_json_option,
     add_parameter_options,
@@ -28,6 +28,8 @@ EXAMPLES = (
      'identify a cup; cup.yaml is what the predictor takes, fit.json has all figures'),
     ('bellows identify first second --params my_cell.yaml --set fit.structure=full',
      'from two recordings, without the symmetry of a round cup; only show the result'),
+    ('bellows identify recordings/* --params my_cell.yaml --jobs -1 --out cup.yaml',
+     'from hundreds of recordings, on all cores'),
     ('bellows identify recording --params my_cell.yaml --json - | jq .stiffness',
      'use the result in a script'),
 )  # fmt: skip
@@ -45,23 +47,58 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='write the cup as a parameter file, for the predictor and bellows replay',
     )  # fmt: skip
     add_json_option(parser, 'the result with its uncertainties')
+    parser.add_argument(
+        '--report', metavar='FILE', default='', help='write a page with plots (HTML)'
+    )
+    parser.add_argument(
+        '--jobs', metavar='N', type=int, default=None,
+        help='read N recordings at a time, -1 for one per core (extra parallel); one that cannot '
+        'be used is then reported and left out',
+    )  # fmt: skip
+    parser.add_argument(
+        '--dask', metavar='ADDRESS', default='',
+        help='let the workers of a Dask scheduler read them instead (extra dask), for example '
+        'tcp://host:8786; they must see the recordings under the same paths',
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Identify, write, report."""
     settings = _settings(arguments)
     cup_file, json_file = (str(settings[f'output.{name}']) for name in ('parameters', 'json'))
-    require_outputs(cup_file, json_file)
-    from bellows_ros.workflows.identify import identify
-
+    require_outputs(cup_file, json_file, arguments.report)
     with console.progress() as progress:
-        result = identify(settings, progress)
+        result = _identified(arguments, settings, progress)
     usable = result.fit.usable
     _write(result, cup_file if usable else '', json_file, console)
+    if arguments.report:
+        _write_report(result, arguments.report)
     with console.results_to_stderr(json_file == STDOUT):
         _say(result, settings, console)
         _say_files(usable, cup_file, json_file, console)
+        if arguments.report:
+            console.say(f'Wrote {arguments.report}.')
     return OK if usable else NOT_USABLE
+
+
+def _identified(
+    arguments: argparse.Namespace, settings: dict[str, Any], progress: Progress
+) -> 'Identification':
+    """Return the result, of one process or of many."""
+    from bellows_ros.errors import BellowsError
+
+    if arguments.jobs is None and not arguments.dask:
+        from bellows_ros.workflows.identify import identify
+
+        return identify(settings, progress, arguments.params)
+    from bellows_ros.workflows.batch import identify_many
+
+    if arguments.report:
+        raise BellowsError(
+            '--report needs the recordings themselves, which --jobs and --dask do not keep. '
+            'Leave one of them out.'
+        )
+    return identify_many(settings, arguments.jobs or 1, arguments.dask, progress, arguments.params)
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -97,12 +134,24 @@ def _write(result: 'Identification', cup_file: str, json_file: str, console: Con
         console.raw(format_json(result.as_json()))
 
 
+def _write_report(result: 'Identification', path: str) -> None:
+    """Write the page with plots."""
+    import json
+
+    from bellows_ros.files.atomic import write_text
+    from bellows_ros.files.results import format_json
+    from bellows_ros.report.build import identification_report
+
+    content = json.loads(format_json(result.as_json()))
+    write_text(path, identification_report(content, result.recordings))
+
+
 def _say(result: 'Identification', settings: dict[str, Any], console: Console) -> None:
     """Print the cup and what it rests on."""
     from .words import cup_table, listed, sample_lines
 
     fit = result.fit
-    bags = listed([str(bag) for bag in settings['bags']])
+    bags = listed([str(bag) for bag in result.values['bags']])
     console.say(f'Cup identified from {bags}', 'bold')
     console.say(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     console.say()

@@ -1,12 +1,13 @@
 """`bellows parameters`: all parameters with unit, default and meaning."""
 
 import argparse
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import textwrap
 from typing import TYPE_CHECKING
 
 from .commands import OK
 from .console import Console, WIDTH
+from .options import add_json_option, STDOUT
 
 if TYPE_CHECKING:
     from bellows_ros.core.parameters import Parameter
@@ -32,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--yaml', action='store_true', help='as a parameter file with the defaults, to fill in'
     )
+    add_json_option(parser, 'the table')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -40,11 +42,28 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.yaml:
         console.raw(template(chosen))
         return OK
+    if arguments.json:
+        _write_json(chosen, arguments.json, console)
+        return OK
     for parameter in chosen:
         console.say(parameter.name, 'bold')
         for line in _entry(parameter):
             console.say(line)
     return OK
+
+
+def _write_json(parameters: 'list[Parameter]', path: str, console: Console) -> None:
+    """Write the table as JSON."""
+    from dataclasses import asdict
+
+    from bellows_ros.files.results import format_json, write_json
+
+    content = {p.name: {**asdict(p), 'constraint': p.constraint} for p in parameters}
+    if path == STDOUT:
+        console.raw(format_json(content))
+    else:
+        write_json(path, content)
+        console.say(f'Wrote {path}.')
 
 
 def _chosen(prefixes: list[str]) -> 'list[Parameter]':
@@ -77,6 +96,8 @@ def _default(parameter: 'Parameter') -> str:
     if default is None:
         return 'must be given'
     if isinstance(default, tuple):
+        if default and not any(default):
+            return 'default all 0'
         return f'default {"that of the thesis" if default else NOTHING}'
     if isinstance(default, bool):
         return f'default {str(default).lower()}'
@@ -91,12 +112,19 @@ def template(parameters: 'Iterable[Parameter]') -> str:
 
     What has no default, or an empty list, which ROS files do not know, stands there as a comment.
     """
-    from bellows_ros.files.parameter_files import format_parameters
-
     parameters = list(parameters)
     open_ones = [p for p in parameters if p.default in (None, ())]
     values = {p.name: p.default for p in parameters if p not in open_ones}
-    text = format_parameters(values, ['Parameters of bellows_ros at their defaults.'])
+    return template_with(open_ones, values, ['Parameters of bellows_ros at their defaults.'])
+
+
+def template_with(
+    open_ones: 'list[Parameter]', values: Mapping[str, object], header: Sequence[str]
+) -> str:
+    """Return a parameter file with values, and what is to be filled in as comments above them."""
+    from bellows_ros.files.parameter_files import format_parameters
+
+    text = format_parameters(values, header)
     head, body = text.split(SECTION, 1)
     return head + SECTION + ''.join(_to_fill_in(open_ones)) + (body if values else '')
 
@@ -112,4 +140,12 @@ def _to_fill_in(parameters: 'list[Parameter]') -> 'Iterator[str]':
         ):
             yield f'{line}\n'
         unit = f'  # {parameter.unit}' if parameter.unit else ''
-        yield f'{INDENT}#{parameter.name}: {parameter.example or EXAMPLE_LIST}{unit}\n'
+        yield f'{INDENT}#{parameter.name}: {_example(parameter)}{unit}\n'
+
+
+def _example(parameter: 'Parameter') -> str:
+    """Return what could stand as the value of a parameter."""
+    if parameter.example or not parameter.default:
+        return parameter.example or EXAMPLE_LIST
+    quote = "'" if isinstance(parameter.default, str) else ''
+    return f'{quote}{parameter.default}{quote}'

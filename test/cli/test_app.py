@@ -62,7 +62,7 @@ def test_version(bellows: Run) -> None:
     ('arguments', 'words'),
     [
         (['indentify'], "'indentify' is no command. Did you mean 'identify'?"),
-        (['xyz'], "'xyz' is no command. There are: identify, replay"),
+        (['xyz'], "'xyz' is no command. There are: "),
         (['--colour'], "'--colour' is no command."),
         (['replay'], 'the following arguments are required: BAG'),
         (['replay', 'bag', '--jsn', 'x'], 'unrecognized arguments: --jsn'),

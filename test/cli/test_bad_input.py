@@ -267,7 +267,7 @@ def test_a_missing_parameter_file(bellows: Run, workshop: Path, outputs: Path) -
     [
         ('fit.structure', ["--set takes NAME=VALUE, got 'fit.structure'"]),
         ('fit.structur=full', ['--set fit.structur: Unknown parameter', "'fit.structure'"]),
-        ('fit.structure=round', ['one of axisymmetric, full', "'round'"]),
+        ('fit.structure=round', ['one of axisymmetric, diagonal, full', "'round'"]),
         ('package.mass=-1', ['package.mass must be a number, above 0', '(kg)', 'got -1']),
         ('package.mass=1,8', ['package.mass must be a number', '1,8']),
         ('package.com=[0, 0]', ['package.com must be a list of 3 numbers', 'got 2']),

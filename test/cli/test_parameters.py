@@ -1,5 +1,6 @@
 """`bellows parameters`: the table, and a parameter file to fill in."""
 
+import json
 from pathlib import Path
 
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, PARAMETERS, resolve
@@ -56,4 +57,10 @@ def test_the_template_of_some_is_a_parameter_file(bellows: Run, tmp_path: Path) 
     """Write only those asked for."""
     file = tmp_path / 'some.yaml'
     file.write_text(bellows('parameters', '--yaml', 'fit').stdout)
-    assert set(read_parameters(file)) == {'fit.method', 'fit.structure'}
+    assert set(read_parameters(file)) == {name for name in PARAMETERS if name.startswith('fit')}
+
+
+def test_the_table_is_there_as_json(bellows: Run) -> None:
+    """Give scripts unit, default and constraint."""
+    content = json.loads(bellows('parameters', 'package', '--json', '-').stdout)
+    assert content['package.mass']['unit'] == 'kg' and content['package.mass']['default'] is None

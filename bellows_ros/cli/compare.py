@@ -1,0 +1,167 @@
+"""`bellows compare`: what differs between two fits, and whether it matters."""
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .commands import NOT_USABLE, OK
+from .console import Console
+from .options import add_json_option, require_outputs, STDOUT
+
+if TYPE_CHECKING:
+    from bellows_ros.core.identification.comparison import Change, FitComparison
+    from bellows_ros.workflows.compare import Comparison
+
+DESCRIPTION = (
+    'Compare two results of bellows identify: what has changed, in percent and in standard '
+    'errors, whether that can be chance, and what it changes in the predicted motion. Ends with '
+    '0 if nothing has changed that matters, and with 1 if something has.'
+)
+EXAMPLES = (
+    ('bellows compare monday.json friday.json', 'has the cup aged?'),
+    ('bellows compare small.json large.json --json comparison.json',
+     'with all figures in a file'),
+)  # fmt: skip
+SHOWN = 60  # characters of a setting
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        'before', metavar='FIT_A', type=Path, help='result file, as bellows identify --json writes'
+    )
+    parser.add_argument('after', metavar='FIT_B', type=Path, help='the other one')
+    add_json_option(parser, 'the comparison')
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Compare, write, report."""
+    require_outputs(arguments.json)
+    from bellows_ros.files.results import format_json, write_json
+    from bellows_ros.workflows.compare import compare_files
+
+    result = compare_files(arguments.before, arguments.after)
+    if arguments.json == STDOUT:
+        console.raw(format_json(result.as_json()))
+    elif arguments.json:
+        write_json(arguments.json, result.as_json())
+    with console.results_to_stderr(arguments.json == STDOUT):
+        _say(result, console)
+        if arguments.json not in ('', STDOUT):
+            console.say(f'Wrote {arguments.json}.')
+    return NOT_USABLE if result.fits.matters else OK
+
+
+def _say(result: 'Comparison', console: Console) -> None:
+    """Print the tables and the verdict."""
+    console.say(f'{result.paths[0]} (A) and {result.paths[1]} (B)', 'bold')
+    for title, changes in (
+        ('Parameters', result.fits.parameters),
+        ('What the cup does with the package of A', result.fits.effects),
+    ):
+        console.say()
+        console.say(f'{title}:')
+        for line in change_table(changes):
+            console.say(f'  {line}')
+    console.say()
+    for line in verdict(result):
+        console.paragraph(line)
+    if result.settings:
+        console.say()
+        console.say('Made differently:')
+        for difference in result.settings:
+            console.paragraph(
+                f'  {difference.name}: {_short(difference.before)} -> {_short(difference.after)}')
+
+
+def change_table(changes: 'tuple[Change, ...]') -> list[str]:
+    """Return both values, the change, and how many standard errors it is, a line each."""
+    from .words import aligned
+
+    rows = [('', 'A', 'B', 'unit', 'change', 'std. errors')]
+    for change in changes:
+        scale, unit = _shown_unit(change.unit)
+        rows.append(
+            (
+                change.name,
+                _with_error(scale * change.before, scale * change.before_std),
+                _with_error(scale * change.after, scale * change.after_std),
+                unit,
+                f'{change.percent:+.2f} %' if math.isfinite(change.percent) else '-',
+                f'{change.standard_errors:+.1f}' + ('*' if change.significant else ' ')
+                if math.isfinite(change.standard_errors) else '- ',
+            )
+        )  # fmt: skip
+    return aligned(rows)
+
+
+def _shown_unit(unit: str) -> tuple[float, str]:
+    """Return how a quantity is shown: poses in mm and mrad."""
+    return (1e3, f'm{unit}') if unit in ('m', 'rad') else (1.0, unit)
+
+
+def _with_error(value: float, error: float) -> str:
+    """Return a value with its standard error, where that is known."""
+    from .words import with_error
+
+    return with_error(value, error) if math.isfinite(error) else f'{value:.3g} (not told)'
+
+
+def verdict(result: 'Comparison') -> list[str]:
+    """Return in sentences what has changed and whether it matters."""
+    from .words import listed
+
+    fits = result.fits
+    lines = []
+    if result.shared:
+        lines.append(
+            f'Both fits have used {listed(list(result.shared))}: they are not independent, and '
+            'standard errors and probabilities do not hold.'
+        )
+    marked = [change.name for change in fits.parameters if change.significant]
+    chance = _probability(fits.p_value)
+    lines.append(
+        f'The parameters together differ by more than their standard errors explain ({chance}).'
+        if fits.significant else
+        f'The standard errors explain how the parameters together differ ({chance}).'
+    )  # fmt: skip
+    if marked:
+        lines.append(f'* More than chance for each alone: {listed(marked)}.')
+    shift, turn = 1e3 * fits.shake_rms[:3].max(), 1e3 * fits.shake_rms[3:].max()
+    lines.append(
+        'Under a shake of 3 Hz (5 mm, 50 mrad) the predicted motions differ by '
+        f'{shift:.2g} mm and {turn:.2g} mrad RMS.'
+    )
+    large = [e.name for e in fits.effects if e.matters and e.significant]
+    if large:
+        lines.append(f'Large enough to matter: {listed(large)}.')
+    if fits.open_effects:
+        lines.append(
+            f'Large enough to matter, but within the standard errors: '
+            f'{listed([e.name for e in fits.open_effects])}. Record a motion that excites it more.'
+        )
+    lines.append(_conclusion(fits))
+    return lines
+
+
+def _conclusion(fits: 'FitComparison') -> str:
+    """Return whether it matters."""
+    if not fits.matters:
+        return ('It does not matter: nothing has changed that can be told from chance and is '
+                'large enough to be seen.')  # fmt: skip
+    if fits.shake_matters:
+        return 'It matters: do not take one for the other.'
+    return ('It matters for motions that excite what is named; under the shake of 3 Hz it would '
+            'not be seen.')  # fmt: skip
+
+
+def _probability(p: float) -> str:
+    """Return a probability in words."""
+    return f'probability of chance {p:.2g}' if p >= 1e-4 else 'probability of chance below 1e-4'
+
+
+def _short(value: object) -> str:
+    """Return a setting, shortened."""
+    text = '-' if value is None else str(value)
+    return text if len(text) <= SHOWN else text[:SHOWN - 3] + '...'

@@ -1,0 +1,65 @@
+"""`bellows export`: a cup for a simulator, with a word on what gets lost."""
+
+import argparse
+from pathlib import Path
+
+from .commands import OK
+from .console import Console
+from .options import add_json_option, given_parameters, require_outputs, STDOUT
+
+DESCRIPTION = (
+    'Write a cup and its package as a model for MuJoCo (MJCF), Drake or any simulator that reads '
+    'SDF, and say what the format cannot express.'
+)
+EXAMPLES = (
+    ('bellows export cup.yaml --to mjcf --out cup.xml', 'six joints for MuJoCo'),
+    ('bellows export cup.yaml --to drake --out cup.sdf', 'a roll-pitch-yaw bushing for Drake'),
+)
+FORMATS = ('mjcf', 'drake', 'sdf')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        'cup', metavar='CUP', type=Path, help='parameter file with cup and package'
+    )
+    parser.add_argument(
+        '--set', metavar='NAME=VALUE', action='append', default=[], dest='overrides',
+        help='set one parameter, over those of the file; may be repeated',
+    )  # fmt: skip
+    parser.add_argument(
+        '--to', choices=FORMATS, required=True,
+        help='mjcf: MuJoCo; drake: SDF with a bushing of Drake; sdf: joints in a row',
+    )  # fmt: skip
+    parser.add_argument('--out', metavar='FILE', required=True, help='model to write')
+    add_json_option(parser, 'what the format cannot express')
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Write the model, and say what is lost."""
+    from bellows_ros.core.model import cup_of, package_of
+    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+    from bellows_ros.files.atomic import write_text
+    from bellows_ros.files.exports import limits, TARGETS
+    from bellows_ros.files.results import format_json, write_json
+
+    values = given_parameters([arguments.cup], arguments.overrides)
+    settings = resolve(values, PACKAGE_PARAMETERS)
+    require_outputs(arguments.out, arguments.json)
+    cup, package = cup_of(settings), package_of(settings)
+    target = TARGETS[arguments.to]
+    lost = limits(target, cup)
+    write_text(arguments.out, target.write(cup, package))
+    content = {'format': arguments.to, 'file': arguments.out, 'not_expressed': lost}
+    if arguments.json == STDOUT:
+        console.raw(format_json(content))
+    elif arguments.json:
+        write_json(arguments.json, content)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        if 'cup.stiffness' not in values:
+            console.warn('cup.stiffness is not set: this is the cup of the thesis, (4.78, 4.79).')
+        console.say(f'Wrote {arguments.out} for {target.name}.')
+        console.say('What it cannot express:')
+        for sentence in lost:
+            console.paragraph(f'  - {sentence}')
+    return OK

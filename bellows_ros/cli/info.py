@@ -1,0 +1,139 @@
+"""`bellows info`: what is in a recording, and how to read it."""
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+from .commands import OK
+from .console import Console
+from .options import add_json_option, require_outputs, STDOUT
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.info import Info, TopicInfo
+
+DESCRIPTION = (
+    'List the topics of a recording with their rates, gaps and jitter, say which one is probably '
+    'the tool and which the package, and why; write a parameter file for it.'
+)
+EXAMPLES = (
+    ('bellows info bags/identification', 'what is in a recording'),
+    ('bellows info recording --write-params my_cell.yaml',
+     'a parameter file with its topics; only the package is to be filled in'),
+    ('bellows info recording --json - | jq .settings', 'the same for a script'),
+)  # fmt: skip
+UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_frame',
+           'cup.length')  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        'bag', metavar='BAG', type=Path,
+        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
+    )  # fmt: skip
+    parser.add_argument(
+        '--write-params', metavar='FILE', default='',
+        help='write a parameter file for this recording, for bellows identify and the nodes',
+    )  # fmt: skip
+    add_json_option(parser, 'what was found')
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Look, write, report."""
+    require_outputs(arguments.json, arguments.write_params)
+    from bellows_ros.files.atomic import write_text
+    from bellows_ros.files.results import format_json, write_json
+    from bellows_ros.workflows.info import info
+
+    with console.progress() as progress:
+        progress(f'reading {arguments.bag}')
+        found = info(arguments.bag)
+    if arguments.json == STDOUT:
+        console.raw(format_json(found.as_json()))
+    elif arguments.json:
+        write_json(arguments.json, found.as_json())
+    if arguments.write_params:
+        write_text(arguments.write_params, parameter_file(found))
+    with console.results_to_stderr(arguments.json == STDOUT):
+        _say(found, console)
+        _say_files(arguments, console)
+    return OK
+
+
+def _say(found: 'Info', console: Console) -> None:
+    """Print the topics, the roles and what to know."""
+    console.say(f'Recording {found.path}', 'bold')
+    for line in _table(found):
+        console.say(line)
+    for topic in found.topics:
+        for line in _flaws(topic):
+            console.paragraph(f'  {topic.name}: {line}')
+    console.say()
+    for role, guess in (('tool', found.tool), ('package', found.package), ('twist', found.twist)):
+        why = f': {"; ".join(guess.why)}' if guess and guess.why else ''
+        name = f'probably {guess.topic}' if guess else 'not found'
+        console.paragraph(f'{role.capitalize():8} {name}{why}.')
+    if found.rest_s is not None:
+        console.say(f'Both stand still for the first {found.rest_s:.1f} s.')
+    for note in found.notes:
+        console.paragraph(note)
+
+
+def _table(found: 'Info') -> list[str]:
+    """Return a line per topic."""
+    from .words import aligned
+
+    starts = [topic.start_ns for topic in found.topics if topic.kind]
+    rows = [('topic', 'type', 'messages', 'rate', 'jitter', 'from', 'to', 'gaps')]
+    for topic in found.topics:
+        row = [topic.name, topic.type_name.replace('/msg/', '/'), str(topic.messages)]
+        rows.append((*row, *(_timing(topic, min(starts)) if topic.kind else [''] * 5)))
+    return [f'  {line}' for line in aligned(rows)]
+
+
+def _timing(topic: 'TopicInfo', start_ns: int) -> list[str]:
+    """Return rate, jitter, from, to and gaps of a topic."""
+    begin = (topic.start_ns - start_ns) * 1e-9
+    return [
+        f'{topic.rate_hz:.1f} Hz', f'{topic.jitter_s * 1e3:.2f} ms', f'{begin:.2f} s',
+        f'{begin + topic.duration_s:.2f} s', str(len(topic.gaps)),
+    ]  # fmt: skip
+
+
+def _flaws(topic: 'TopicInfo') -> Iterator[str]:
+    """Yield what is wrong with a topic's messages."""
+    from .words import many
+
+    found = [f'{count} {reason.replace("_", " ")}' for reason, count in topic.refused.items()]
+    if found:
+        yield f'messages left out: {", ".join(found)}'
+    if topic.outliers:
+        yield f'{many(topic.outliers, "pose looks", "poses look")} like lost tracking'
+    if topic.gaps:
+        longest = max(length for _, length in topic.gaps)
+        yield f'{many(len(topic.gaps), "gap", "gaps")}, the longest {longest * 1e3:.0f} ms'
+
+
+def _say_files(arguments: argparse.Namespace, console: Console) -> None:
+    """Print what was written, and what to do with it."""
+    if arguments.json not in ('', STDOUT):
+        console.say(f'Wrote {arguments.json}.')
+    if arguments.write_params:
+        console.say(f'Wrote {arguments.write_params}. Fill in the package there, then:')
+        console.say(f'  bellows identify --params {arguments.write_params} --out cup.yaml')
+
+
+def parameter_file(found: 'Info') -> str:
+    """
+    Return the text of a parameter file for a recording.
+
+    What the recording cannot tell stands there as a comment, to fill in.
+    """
+    from bellows_ros.core.parameters import PARAMETERS
+
+    from .parameters import template_with
+
+    open_ones: list[Any] = [PARAMETERS[name] for name in UNKNOWN]
+    header = [f'How to read {found.path}, as bellows info found it; look through it.']
+    return template_with(open_ones, found.settings, header)

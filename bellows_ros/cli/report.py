@@ -1,0 +1,80 @@
+"""`bellows report`: a page with plots on a fit that was made before."""
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from .commands import OK
+from .console import Console
+from .options import require_outputs
+
+DESCRIPTION = (
+    'Write one HTML file that needs no network: the cup with its intervals, measured and '
+    'simulated motion, residuals and their spectra, excitation, lost samples, and where all '
+    'numbers come from. The recordings of the fit are read again.'
+)
+EXAMPLES = (
+    ('bellows report fit.json --out report.html', 'a page on a fit made with --json fit.json'),
+    ('bellows report fit.json --validation bags/validation --out report.html',
+     'with another recording that the fit has not seen'),
+)  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        'fit', metavar='FIT', type=Path, help='result file, as bellows identify --json writes'
+    )
+    parser.add_argument('--out', metavar='FILE', required=True, help='the page to write')
+    parser.add_argument(
+        '--validation', metavar='BAG', action='append', default=[], type=Path,
+        help='recording that the fit has not seen, of the same cup and package; may be repeated',
+    )  # fmt: skip
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Read, simulate, write."""
+    require_outputs(arguments.out)
+    from bellows_ros.core.parameters import resolve
+    from bellows_ros.files.atomic import write_text
+    from bellows_ros.files.results import read_result
+    from bellows_ros.report.build import cup_values, identification_report
+    from bellows_ros.workflows.recordings import load
+    from bellows_ros.workflows.validate import validate
+
+    content = read_result(arguments.fit)
+    _require_settings(arguments.fit, content)
+    values = resolve(content['settings'])
+    bags = [str(bag) for bag in content['settings']['bags']]
+    with console.progress() as progress:
+        recordings = []
+        for number, bag in enumerate(bags):
+            progress(f'reading {bag}', number / (len(bags) + len(arguments.validation) + 1))
+            recordings.append(load(bag, values).recording)
+        validations = [validate(bag, cup_values(content)) for bag in arguments.validation]
+        write_text(arguments.out, identification_report(content, recordings, validations))
+    for bag in changed(content):
+        console.warn(f'{bag} is not what it was when the cup was identified from it.')
+    console.say(f'Wrote {arguments.out}.')
+    return OK
+
+
+def changed(content: Mapping[str, Any]) -> list[str]:
+    """Return the recordings whose content is not that of the time of the fit."""
+    from bellows_ros.files.provenance import digests
+
+    known = (content.get('provenance') or {}).get('recordings', ())
+    return [entry['path'] for entry in known if digests(entry['path']) != entry['files']]
+
+
+def _require_settings(path: Path, content: Mapping[str, Any]) -> None:
+    """Refuse a result that does not say how it was made."""
+    from bellows_ros.errors import BellowsError
+
+    settings = content.get('settings')
+    if not isinstance(settings, dict) or not settings.get('bags'):
+        raise BellowsError(
+            f"Result '{path}' does not say from which recordings it is. Identify the cup again "
+            'with --json.'
+        )

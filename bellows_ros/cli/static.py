@@ -1,0 +1,159 @@
+"""`bellows static`: the cup's nominal length, and its spring checked alone."""
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bellows_ros.errors import BellowsError
+
+from .commands import OK
+from .console import Console
+from .options import (
+    add_json_option,
+    add_parameter_options,
+    given_parameters,
+    require_outputs,
+    STDOUT,
+)
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.static import StaticBag, StaticResult
+
+DESCRIPTION = (
+    'Find the standstills in recordings. With two or more known masses held vertically, tell the '
+    "cup's nominal length, its length without load. With a stiffness in the parameter file, tell "
+    'in every pose whether the package hangs where the spring model says.'
+)
+EXAMPLES = (
+    ('bellows static m05 m10 m15 m20 --params my_cell.yaml \\\n'
+     '      --mass 0.5 --mass 1.0 --mass 1.5 --mass 2.0 --out my_cell_l0.yaml',
+     'the nominal length from four masses, written into a copy of the parameters'),
+    ('bellows static --list weights.yaml --params my_cell.yaml',
+     'the same with masses from a file: recordings: [{bag: m05, mass: 0.5}, ...]'),
+    ('bellows static bags/static --params bags/cup.yaml',
+     'check the spring of a cup in several orientations of the tool'),
+)  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        'bags', metavar='BAG', nargs='*',
+        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
+    )  # fmt: skip
+    parser.add_argument(
+        '--mass', metavar='KG', action='append', type=float, default=[], dest='masses',
+        help='mass held in a recording, once for each BAG in their order, over package.mass',
+    )  # fmt: skip
+    parser.add_argument(
+        '--list', metavar='FILE', type=Path, dest='listed',
+        help='YAML file with recordings: a list of bag, mass and, where it differs, com',
+    )  # fmt: skip
+    add_parameter_options(parser)
+    parser.add_argument(
+        '--out', metavar='FILE', default='',
+        help='write the parameters of --params and --set with the nominal length found',
+    )  # fmt: skip
+    add_json_option(parser, 'all that was found')
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Find, write, report."""
+    settings = given_parameters(arguments.params, arguments.overrides)
+    require_outputs(arguments.out, arguments.json)
+    from bellows_ros.files.results import format_json, write_json
+    from bellows_ros.workflows.static import save_length, static_check
+
+    bags = _bags(arguments)
+    with console.progress() as progress:
+        result = static_check(bags, settings, progress)
+    if arguments.out:
+        save_length(result, arguments.out, settings)
+    if arguments.json == STDOUT:
+        console.raw(format_json(result.as_json()))
+    elif arguments.json:
+        write_json(arguments.json, result.as_json())
+    with console.results_to_stderr(arguments.json == STDOUT):
+        _say(result, console)
+        for file in (arguments.out, arguments.json):
+            if file not in ('', STDOUT):
+                console.say(f'Wrote {file}.')
+    return OK
+
+
+def _bags(arguments: argparse.Namespace) -> 'list[StaticBag]':
+    """Return the recordings with their masses."""
+    from bellows_ros.workflows.static import read_list, StaticBag
+
+    masses = arguments.masses
+    if masses and len(masses) != len(arguments.bags):
+        raise BellowsError(
+            f'{len(masses)} masses are given for {len(arguments.bags)} recordings. Give --mass '
+            'once for each BAG, in their order, or not at all.'
+        )
+    listed = read_list(arguments.listed) if arguments.listed else []
+    named = [
+        StaticBag(bag, mass)
+        for bag, mass in zip(arguments.bags, masses or [None] * len(arguments.bags), strict=True)
+    ]
+    if not (named or listed):
+        raise BellowsError(
+            'No recording is given. Name one or more: bellows static BAG ... --params FILE, or '
+            'give a --list.'
+        )
+    return named + listed
+
+
+def _say(result: 'StaticResult', console: Console) -> None:
+    """Print standstills, length and spring."""
+    from .words import aligned
+
+    console.say('Standstills', 'bold')
+    for line in aligned(_hold_rows(result), right=True):
+        console.say(f'  {line}')
+    console.say()
+    _say_length(result, console)
+    if result.spring is not None:
+        console.say()
+        console.say(f'Spring, with a nominal length of {result.cup_length * 1e3:.2f} mm', 'bold')
+        for number, pose in enumerate(result.spring.poses, 1):
+            console.paragraph(f'  {number}: {pose.sentence}')
+        console.paragraph(result.spring.sentence, '' if result.spring.passed else 'red')
+    for warning in result.warnings:
+        console.warn(warning)
+
+
+def _hold_rows(result: 'StaticResult') -> list[tuple[str, ...]]:
+    """Return the standstills as rows of a table: the lip as seen from the tool."""
+    rows = [('pose', 'recording', 'mass', 'for', 'tilt', 'x', 'y', 'length', 'bending', 'turn')]
+    for recording in result.recordings:
+        for hold in recording.holds:
+            x, y, z, rx, ry, rz = hold.lip(recording.held.com).tolist()
+            rows.append((
+                str(len(rows)), Path(recording.bag).name, f'{recording.held.mass:.4g} kg',
+                f'{hold.duration:.1f} s', f'{math.degrees(hold.tilt):.1f} deg',
+                f'{x * 1e3:.2f} mm', f'{y * 1e3:.2f} mm', f'{-z * 1e3:.3f} mm',
+                f'{math.hypot(rx, ry) * 1e3:.1f} mrad', f'{rz * 1e3:.1f} mrad',
+            ))  # fmt: skip
+    return rows
+
+
+def _say_length(result: 'StaticResult', console: Console) -> None:
+    """Print the nominal length, or why there is none."""
+    length = result.length
+    if length is None:
+        console.paragraph(f'No nominal length: {result.no_length}')
+        return
+    console.say('Nominal length', 'bold')
+    console.say(f'  l0 {length.length * 1e3:.3f} ± {length.length_std * 1e3:.3f} mm')
+    console.paragraph(
+        f'  polynomial of order {len(length.coefficients) - 1} through {len(length.loads)} '
+        f'standstills; a straight line through the linear range gives '
+        f'{length.linear_length * 1e3:.3f} ± {length.linear_length_std * 1e3:.3f} mm.'
+    )
+    beyond = length.linear_load < float(length.loads.max())
+    console.paragraph(
+        f'  Axial stiffness {length.stiffness:.0f} N/m; linear up to '
+        f'{length.linear_load:.1f} N{"" if beyond else ", the largest load, at least"}.'
+    )

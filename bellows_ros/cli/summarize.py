@@ -1,0 +1,44 @@
+"""`bellows summarize`: reduce a recording to what a fit needs of it."""
+
+import argparse
+from pathlib import Path
+
+from .commands import OK
+from .console import Console
+from .options import add_parameter_options, given_parameters, require_outputs
+
+DESCRIPTION = (
+    'Reduce a recording to a small file with all that least squares needs of it. Summaries made '
+    'anywhere, by any scheduler, are added by bellows merge; together they give the fit of all '
+    'recordings at once.'
+)
+EXAMPLES = (
+    ('bellows summarize bags/identification --params bags/package.yaml --out 1.npz',
+     'one recording'),
+    ('parallel bellows summarize {} --params cell.yaml --out {/}.npz ::: bags/*',
+     'many, with GNU parallel'),
+)  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        'bag', metavar='BAG', type=Path,
+        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
+    )  # fmt: skip
+    add_parameter_options(parser)
+    parser.add_argument('--out', metavar='FILE', required=True, help='the summary, .npz')
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Summarise and write."""
+    values = given_parameters(arguments.params, arguments.overrides, 'identifier')
+    require_outputs(arguments.out)
+    from bellows_ros.workflows.batch import summarise_to_file
+
+    summary = summarise_to_file(arguments.bag, values, arguments.out).summary
+    console.say(
+        f'Wrote {arguments.out}: {summary.used} samples used, {summary.rejected} rejected, '
+        f'{summary.structure.name}.'
+    )
+    return OK

@@ -1,0 +1,235 @@
+"""A moving picture of tool, cup and package: predicted, with the measured package over it."""
+
+from collections.abc import Callable, Iterator
+import io
+import os
+from pathlib import Path
+import shutil
+import tempfile
+from typing import Any, Protocol
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.atomic import write_bytes
+import numpy as np
+from numpy.typing import NDArray
+
+from .recording import HasMotion
+from .style import drawing, Theme, THEMES
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+FRAMES_PER_SECOND = 12.0
+SIZE, DPI = (8.0, 4.5), 80
+CUP_RADIUS, RINGS, SIDES = 0.020, 25, 13  # m, and of the drawn cup
+CONVOLUTIONS = 2.5
+ARM = 0.10  # m, of the tool that is drawn above its tip
+VIEW = {'elev': 14.0, 'azim': -60.0}
+EDGES = ((0, 1), (1, 3), (3, 2), (2, 0), (4, 5), (5, 7), (7, 6), (6, 4), (0, 4), (1, 5), (2, 6),
+         (3, 7))  # fmt: skip
+
+
+class HasReplay(Protocol):
+    """A replay with the poses of all bodies; see `workflows.plot.Replayed`."""
+
+    seconds: Array
+    position: Array
+    rotation: Array
+    cup_length: float
+    com: Array
+    box: Array
+
+    @property
+    def motion(self) -> HasMotion:
+        """Measured poses at the same times."""
+        ...
+
+
+def write_animation(
+    path: str | os.PathLike[str], replayed: HasReplay, note: str, theme: str = 'light',
+    span: tuple[float, float] | None = None, progress: Progress | None = None,
+) -> None:  # fmt: skip
+    """
+    Write a replay as a GIF, or as an MP4 where ffmpeg is installed, at recorded speed.
+
+    Parameters
+    ----------
+    path : path
+        Ends in .gif or .mp4.
+    replayed : HasReplay
+        What is shown.
+    note : str
+        Which recording and cup.
+    theme : {'light', 'dark'}
+        For paper or for the dark.
+    span : (float, float), optional
+        First and last time shown, s from the beginning.
+    progress : callable, optional
+        Called with what is being done and the part (0 to 1) that is done.
+
+    Raises
+    ------
+    BellowsError
+        If the ending is another, ffmpeg is missing, or no sample is in the span.
+
+    """
+    ending = Path(path).suffix.lower()
+    if ending not in ('.gif', '.mp4'):
+        raise BellowsError(f"Animation '{path}' must end in .gif or .mp4.")
+    if ending == '.mp4' and shutil.which('ffmpeg') is None:
+        raise BellowsError('An .mp4 needs ffmpeg, which is not here. Install it, or write a .gif.')
+    chosen = _frames(replayed.seconds, span)
+    pictures = _drawn(replayed, chosen, note, THEMES[theme], progress or (lambda what, part: None))
+    write_bytes(path, _gif(pictures) if ending == '.gif' else _mp4(pictures))
+
+
+def _frames(seconds: Array, span: tuple[float, float] | None) -> NDArray[np.int64]:
+    """Return the samples to show."""
+    first, last = span or (float(seconds[0]), float(seconds[-1]))
+    first, last = max(first, float(seconds[0])), min(last, float(seconds[-1]))
+    if last <= first:
+        raise BellowsError(
+            f'No sample lies in the time asked for; the recording covers {seconds[0]:.1f} to '
+            f'{seconds[-1]:.1f} s.'
+        )
+    times = np.arange(first, last, 1.0 / FRAMES_PER_SECOND)
+    chosen: NDArray[np.int64] = np.minimum(np.searchsorted(seconds, times), len(seconds) - 1)
+    return chosen
+
+
+def _drawn(
+    replayed: HasReplay, chosen: NDArray[np.int64], note: str, colours: Theme, progress: Progress
+) -> Iterator[Any]:
+    """Yield each picture as an array (H, W, 3) of bytes."""
+    with drawing(colours) as figures:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        figure = figures.Figure(figsize=SIZE, dpi=DPI)
+        canvas = FigureCanvasAgg(figure)
+        spaces = _spaces(figure, replayed, note, colours)
+        for number, i in enumerate(chosen):
+            progress('drawing', number / len(chosen))
+            drawn = [_draw(space, replayed, int(i), colours, near) for space, near in spaces]
+            clock = figure.text(0.985, 0.03, f'{replayed.seconds[i]:.2f} s', ha='right',
+                                fontsize=11)  # fmt: skip
+            canvas.draw()
+            yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+            for artist in (clock, *drawn[0], *drawn[1]):
+                artist.remove()
+
+
+def _spaces(figure: Any, replayed: HasReplay, note: str, colours: Theme) -> list[tuple[Any, bool]]:
+    """Return the two panels: the whole way, and the cup from near, which moves with the tool."""
+    figure.text(0.03, 0.935, 'Predicted, and measured as an outline', fontsize=12,
+                fontweight='bold')  # fmt: skip
+    figure.text(0.03, 0.885, note, color=colours.quiet)
+    bodies = np.vstack([replayed.motion.tool_position, replayed.position])
+    low, high = bodies.min(axis=0), bodies.max(axis=0)
+    reach = 0.5 * float(np.max(high - low)) + 0.7 * float(np.max(replayed.box))
+    size = 0.8 * float(np.max(replayed.box)) + 0.2 * replayed.cup_length
+    panels = []
+    for left, near, centre, half, words in (
+        (-0.02, False, 0.5 * (low + high), reach, 'in the world'),
+        (0.48, True, np.array([0.0, 0.0, -0.15 * size]), size, 'moving with the tool tip'),
+    ):
+        space = figure.add_axes((left, -0.06, 0.54, 0.98), projection='3d',
+                                computed_zorder=False)  # fmt: skip
+        space.set_axis_off()
+        space.view_init(**VIEW)
+        for name, c in zip('xyz', centre, strict=True):
+            getattr(space, f'set_{name}lim')(c - half, c + half)
+        space.set_box_aspect((1.0, 1.0, 1.0), zoom=1.6)
+        figure.text(left + 0.27, 0.03, words, ha='center', color=colours.quiet)
+        panels.append((space, near))
+    return panels
+
+
+def _draw(space: Any, replayed: HasReplay, i: int, colours: Theme, near: bool) -> list[Any]:
+    """Draw one moment into a panel and return what was drawn."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+
+    tool_o, tool_R = replayed.motion.tool_position[i], replayed.motion.tool_rotation[i]
+    shift = tool_o if near else np.zeros(3)
+    body_o, body_R = replayed.position[i] - shift, replayed.rotation[i]
+    tool_o = tool_o - shift
+    lip_o = body_o - body_R @ replayed.com
+    faces = [_face(body_o, body_R, replayed.box, k) for k in range(6)]
+    package = Poly3DCollection(faces, facecolor=colours.predicted, alpha=0.55,
+                               edgecolor=colours.text, linewidth=0.8)  # fmt: skip
+    cup = Poly3DCollection(_cup(tool_o, tool_R, lip_o, body_R), facecolor=colours.measured,
+                           edgecolor=colours.quiet, linewidth=0.3)  # fmt: skip
+    arm = np.array([tool_o, tool_o + tool_R @ np.array([0.0, 0.0, ARM])])
+    corners = _corners(replayed.motion.package_position[i] - shift,
+                       replayed.motion.package_rotation[i], replayed.box)  # fmt: skip
+    outline = Line3DCollection([corners[list(edge)] for edge in EDGES], colors=colours.error,
+                               linewidths=1.3)  # fmt: skip
+    for order, thing in enumerate((package, cup, outline), 1):
+        thing.set_zorder(order)
+        space.add_collection3d(thing)
+    drawn = space.plot(*arm.T, color=colours.quiet, linewidth=7.0, solid_capstyle='butt',
+                       zorder=2)  # fmt: skip
+    return [package, cup, outline, *drawn]
+
+
+def _corners(o: Array, R: Array, box: Array) -> Array:
+    """Return the corners (8, 3) of a box."""
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners: Array = o + (0.5 * signs * box) @ R.T
+    return corners
+
+
+def _face(o: Array, R: Array, box: Array, number: int) -> Array:
+    """Return the corners (4, 3) of one face of a box."""
+    axis, side = number // 2, number % 2
+    corners = _corners(o, R, box).reshape(2, 2, 2, 3)
+    square = np.take(corners, side, axis=axis).reshape(4, 3)
+    return square[[0, 1, 3, 2]]
+
+
+def _cup(top_o: Array, top_R: Array, lip_o: Array, lip_R: Array) -> list[Array]:
+    """Return the faces of a bellows that leaves and arrives along the two z axes."""
+    s = np.linspace(0.0, 1.0, RINGS)[:, None]
+    reach = float(np.linalg.norm(lip_o - top_o))
+    rates = -reach * top_R[:, 2], -reach * lip_R[:, 2]
+    spine = ((2 * s**3 - 3 * s**2 + 1) * top_o + (s**3 - 2 * s**2 + s) * rates[0]
+             + (3 * s**2 - 2 * s**3) * lip_o + (s**3 - s**2) * rates[1])  # fmt: skip
+    radius = CUP_RADIUS * (0.75 + 0.2 * np.cos(2.0 * np.pi * CONVOLUTIONS * (s - 1.0)))
+    angle = np.linspace(0.0, 2.0 * np.pi, SIDES)
+    round_ = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(SIDES)])
+    rings = [o + r * (round_ @ ((1 - t) * top_R + t * lip_R).T)
+             for o, r, t in zip(spine, radius, s, strict=True)]  # fmt: skip
+    return [np.array([a[k], a[k + 1], b[k + 1], b[k]])
+            for a, b in zip(rings, rings[1:], strict=False) for k in range(SIDES - 1)]  # fmt: skip
+
+
+def _gif(pictures: Iterator[Any]) -> bytes:
+    """Return a GIF that runs for ever."""
+    from PIL import Image
+
+    images = [Image.fromarray(p).quantize(64, dither=Image.Dither.NONE) for p in pictures]
+    data = io.BytesIO()
+    images[0].save(
+        data, 'gif', save_all=True, append_images=images[1:], loop=0,
+        duration=round(1000.0 / FRAMES_PER_SECOND), optimize=False,
+    )  # fmt: skip
+    return data.getvalue()
+
+
+def _mp4(pictures: Iterator[Any]) -> bytes:
+    """Return an MP4, made by ffmpeg."""
+    import subprocess
+
+    first = next(pictures)
+    height, width = first.shape[:2]
+    with tempfile.TemporaryDirectory(prefix='bellows_') as folder:
+        target = Path(folder) / 'animation.mp4'
+        command = ['ffmpeg', '-loglevel', 'error', '-f', 'rawvideo', '-pix_fmt', 'rgb24', '-s',
+                   f'{width}x{height}', '-r', str(FRAMES_PER_SECOND), '-i', '-', '-pix_fmt',
+                   'yuv420p', str(target)]  # fmt: skip
+        with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
+            if process.stdin is not None:
+                for picture in (first, *pictures):
+                    process.stdin.write(picture.tobytes())
+        if process.returncode != 0:
+            raise BellowsError('ffmpeg could not make the animation. Write a .gif instead.')
+        return target.read_bytes()

@@ -1,0 +1,105 @@
+"""Pictures of what a cup carries: load against deflection, and what a fit leaves over."""
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .panels import broken, legend, MILLI, six
+from .style import drawing, THEMES
+
+Array = NDArray[np.float64]
+
+MOST_POINTS = 4000
+
+
+class HasLoads(Protocol):
+    """Loads and deflections in the middle of the cup; see `workflows.plot.Loads`."""
+
+    seconds: Array
+    deflection: Array
+    load: Array
+    residual: Array
+    stiffness: Array
+    valid: NDArray[np.bool_]
+
+
+def deflection_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
+    """
+    Draw the load that the motion needs against the deflection, and the cup's stiffness.
+
+    Parameters
+    ----------
+    loads : HasLoads
+        What is drawn.
+    note : str
+        Which recording and cup.
+    theme : {'light', 'dark'}
+        For paper or for the dark.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    colours = THEMES[theme]
+    usable = np.flatnonzero(loads.valid)
+    shown = usable[:: max(1, len(usable) // MOST_POINTS)]
+    with drawing(colours) as figures:
+        figure, panels = six(
+            figures, 'Load on the cup against its deflection', note, colours, ('N', 'N m'))
+        legend(figure, (('needed by the motion', colours.measured, 4.0),
+                        ('stiffness of the cup', colours.predicted, 1.4)))  # fmt: skip
+        for axis, panel in enumerate(panels):
+            x, y = loads.deflection[shown, axis], loads.load[shown, axis]
+            panel.plot(MILLI * x, y, '.', color=colours.measured, markersize=2.0, alpha=0.6,
+                       markeredgewidth=0.0)  # fmt: skip
+            ends = np.array([x.min(), x.max()])
+            panel.plot(MILLI * ends, loads.stiffness[axis] * ends, color=colours.predicted,
+                       linewidth=1.3)  # fmt: skip
+            panel.set_xlabel('mm' if axis < 3 else 'mrad', labelpad=1.0)
+    return figure
+
+
+def residual_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
+    """
+    Draw the load that the motion needs, and what of it the cup does not explain.
+
+    Parameters
+    ----------
+    loads : HasLoads
+        What is drawn.
+    note : str
+        Which recording and cup.
+    theme : {'light', 'dark'}
+        For paper or for the dark.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    colours = THEMES[theme]
+    load, residual = (broken(x, loads.valid) for x in (loads.load, loads.residual))
+    with drawing(colours) as figures:
+        figure, panels = six(
+            figures, 'Load on the cup, and what the cup leaves unexplained', note, colours,
+            ('N', 'N m'))
+        legend(figure, (('needed by the motion', colours.measured, 2.4),
+                        ('unexplained', colours.error, 1.0)))  # fmt: skip
+        for axis, panel in enumerate(panels):
+            mean = float(np.nanmean(load[:, axis]))
+            panel.plot(loads.seconds, load[:, axis], color=colours.measured, linewidth=1.8)
+            panel.plot(loads.seconds, residual[:, axis] + mean, color=colours.error,
+                       linewidth=0.7)  # fmt: skip
+            rms = float(np.sqrt(np.nanmean(residual[:, axis] ** 2)))
+            part = rms / max(float(np.nanstd(load[:, axis])), 1e-12)
+            unit = 'N' if axis < 3 else 'N m'
+            panel.set_title(f'unexplained RMS {rms:.2g} {unit}, {100 * part:.2g} % of the load',
+                            loc='right', fontsize=8.5, color=colours.quiet, pad=4.0)  # fmt: skip
+            panel.set_xlim(loads.seconds[0], loads.seconds[-1])
+            if axis % 3 == 2:
+                panel.set_xlabel('time (s)')
+            else:
+                panel.tick_params(labelbottom=False)
+    return figure

@@ -1,0 +1,68 @@
+"""Six panels, one per axis: what most pictures of this package are made of."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from bellows_ros.core.score import AXES
+import numpy as np
+from numpy.typing import NDArray
+
+from .style import Theme
+
+Array = NDArray[np.float64]
+
+SIZE = (11.0, 7.6)  # inches
+MILLI = 1e3
+
+
+def six(figures: Any, title: str, note: str, theme: Theme, units: Sequence[str]) -> Any:
+    """
+    Return a figure with a head, and six panels (3, 2): x, y, z on the left, rx, ry, rz beside.
+
+    Parameters
+    ----------
+    figures : module
+        matplotlib.figure.
+    title, note : str
+        What is shown, and under which conditions.
+    theme : Theme
+        Its colours.
+    units : sequence of str
+        Of x, y, z and of rx, ry, rz.
+
+    """
+    figure = figures.Figure(figsize=SIZE)
+    head(figure, title, note, theme)
+    panels = figure.subplots(
+        3, 2, gridspec_kw={'left': 0.085, 'right': 0.985, 'top': 0.87, 'bottom': 0.075,
+                           'hspace': 0.28, 'wspace': 0.2})
+    for axis, panel in enumerate(panels.T.ravel()):
+        panel.set_ylabel(f'{AXES[axis]}  ({units[axis // 3]})')
+        panel.yaxis.set_label_coords(-0.115, 0.5)
+        panel.tick_params(length=2.5, width=0.6)
+    return figure, list(panels.T.ravel())
+
+
+def head(figure: Any, title: str, note: str, theme: Theme) -> None:
+    """Write title and conditions above the panels."""
+    figure.text(0.085, 0.955, title, fontsize=13.5, fontweight='bold')
+    figure.text(0.085, 0.925, note, color=theme.quiet)
+
+
+def legend(figure: Any, entries: Sequence[tuple[str, str, float]]) -> None:
+    """Write a legend at the top right: (label, colour, line width) each."""
+    from matplotlib.lines import Line2D
+
+    lines = [Line2D([], [], color=colour, linewidth=width, label=label)
+             for label, colour, width in entries]  # fmt: skip
+    figure.legend(
+        handles=lines, loc='upper right', bbox_to_anchor=(0.992, 0.985), ncols=len(lines),
+        fontsize=9.5, handlelength=1.8, columnspacing=1.6,
+    )  # fmt: skip
+
+
+def broken(values: Array, valid: NDArray[np.bool_]) -> Array:
+    """Return values with NaN where they are not valid, so that lines are interrupted."""
+    shape = (len(values),) + (1,) * (values.ndim - 1)
+    result: Array = np.where(valid.reshape(shape), values, np.nan)
+    return result

@@ -1,0 +1,197 @@
+"""Pictures of what was recorded: motion on all axes, spectra, and the path in space."""
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .panels import broken, head, legend, MILLI, six
+from .style import drawing, Theme, THEMES
+
+Array = NDArray[np.float64]
+
+
+class HasMotion(Protocol):
+    """Tool and package at common times; see `workflows.plot.Motion`."""
+
+    seconds: Array
+    tool_position: Array
+    tool_rotation: Array
+    package_position: Array
+    package_rotation: Array
+    relative: Array
+    valid: NDArray[np.bool_]
+
+
+class HasSpectra(Protocol):
+    """Densities of the tool-relative coordinates; see `workflows.plot.Spectra`."""
+
+    frequency_hz: Array
+    measured: Array
+    error: Array | None
+
+
+def motion_figure(motion: HasMotion, note: str, theme: str = 'light') -> Any:
+    """
+    Draw tool and package against time, each axis, from where they start.
+
+    Parameters
+    ----------
+    motion : HasMotion
+        What is drawn.
+    note : str
+        Which recording.
+    theme : {'light', 'dark'}
+        For paper or for the dark.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    from bellows_ros.core.lie import log_so3
+
+    colours = THEMES[theme]
+    start = int(np.argmax(motion.valid))
+    with drawing(colours) as figures:
+        figure, panels = six(
+            figures, 'Motion in the world, from the start', note, colours, ('mm', 'mrad'))
+        legend(figure, (('tool', colours.measured, 3.0), ('package', colours.predicted, 1.0)))
+        for position, rotation, colour, width in (
+            (motion.tool_position, motion.tool_rotation, colours.measured, 3.0),
+            (motion.package_position, motion.package_rotation, colours.predicted, 0.9),
+        ):
+            turned = log_so3(rotation @ rotation[start].T)
+            values = MILLI * broken(np.hstack([position - position[start], turned]), motion.valid)
+            for axis, panel in enumerate(panels):
+                panel.plot(motion.seconds, values[:, axis], color=colour, linewidth=width)
+        _mark_invalid(panels, motion, colours)
+        _time_axes(panels, motion.seconds)
+    return figure
+
+
+def _mark_invalid(panels: list[Any], motion: HasMotion, colours: Theme) -> None:
+    """Mark the times without usable poses at the foot of each panel."""
+    wrong = motion.seconds[~motion.valid]
+    for panel in panels:
+        panel.plot(wrong, np.zeros_like(wrong), '|', color=colours.error, markersize=7.0,
+                   transform=panel.get_xaxis_transform(), clip_on=False)  # fmt: skip
+
+
+def _time_axes(panels: list[Any], seconds: Array) -> None:
+    """Label the time axes at the bottom, and show all of the time."""
+    for axis, panel in enumerate(panels):
+        panel.set_xlim(seconds[0], seconds[-1])
+        if axis % 3 == 2:
+            panel.set_xlabel('time (s)')
+        else:
+            panel.tick_params(labelbottom=False)
+
+
+def spectra_figure(spectra: HasSpectra, note: str, theme: str = 'light') -> Any:
+    """
+    Draw the spectra of the package's motion seen from the tool, and of a prediction's error.
+
+    Parameters
+    ----------
+    spectra : HasSpectra
+        What is drawn.
+    note : str
+        Which recording.
+    theme : {'light', 'dark'}
+        For paper or for the dark.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    colours = THEMES[theme]
+    keep = spectra.frequency_hz > 0.0
+    with drawing(colours) as figures:
+        figure, panels = six(
+            figures, 'Spectra of the package relative to the tool', note, colours,
+            ('mm/√Hz', 'mrad/√Hz'))
+        entries = [('measured', colours.measured, 3.0)]
+        if spectra.error is not None:
+            entries.append(('predicted minus measured', colours.error, 1.2))
+        legend(figure, entries)
+        for axis, panel in enumerate(panels):
+            panel.loglog(spectra.frequency_hz[keep], MILLI * spectra.measured[keep, axis],
+                         color=colours.measured, linewidth=2.2)  # fmt: skip
+            if spectra.error is not None:
+                panel.loglog(spectra.frequency_hz[keep], MILLI * spectra.error[keep, axis],
+                             color=colours.error, linewidth=1.1)  # fmt: skip
+            panel.set_xlim(spectra.frequency_hz[keep][0], spectra.frequency_hz[-1])
+            if axis % 3 == 2:
+                panel.set_xlabel('frequency (Hz)')
+            else:
+                panel.tick_params(labelbottom=False)
+    return figure
+
+
+def path_figure(motion: HasMotion, note: str, theme: str = 'light') -> Any:
+    """
+    Draw the paths of tool and package in space, with the axes of both now and then.
+
+    Parameters
+    ----------
+    motion : HasMotion
+        What is drawn.
+    note : str
+        Which recording.
+    theme : {'light', 'dark'}
+        For paper or for the dark.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    colours = THEMES[theme]
+    with drawing(colours) as figures:
+        figure = figures.Figure(figsize=(8.4, 8.0))
+        head(figure, 'Paths of tool tip and package', note, colours)
+        legend(figure, (('tool tip E', colours.measured, 3.0),
+                        ('package B', colours.predicted, 1.2)))  # fmt: skip
+        space = figure.add_axes((0.02, 0.04, 0.92, 0.86), projection='3d')
+        _paint_space(space, colours)
+        tool = broken(motion.tool_position, motion.valid)
+        package = broken(motion.package_position, motion.valid)
+        space.plot(*tool.T, color=colours.measured, linewidth=2.4)
+        space.plot(*package.T, color=colours.predicted, linewidth=1.0)
+        for i in _now_and_then(motion):
+            space.plot(*np.array([tool[i], package[i]]).T, color=colours.quiet, linewidth=0.6)
+        space.plot(*tool[int(np.argmax(motion.valid))][:, None], 'o', color=colours.text,
+                   markersize=4.0)  # fmt: skip
+        set_equal(space, np.vstack([tool, package]))
+        for name in 'xyz':
+            getattr(space, f'set_{name}label')(f'{name} (m)')
+    return figure
+
+
+def _now_and_then(motion: HasMotion) -> NDArray[np.int64]:
+    """Return some forty valid samples."""
+    usable = np.flatnonzero(motion.valid)
+    return usable[:: max(1, len(usable) // 40)]
+
+
+def _paint_space(space: Any, colours: Theme) -> None:
+    """Give a 3D panel the theme's colours."""
+    for name in 'xyz':
+        axis = getattr(space, f'{name}axis')
+        axis.set_pane_color(colours.background)
+        axis._axinfo['grid'].update(color=colours.grid, linewidth=0.6)
+        axis.line.set_color(colours.quiet)
+
+
+def set_equal(space: Any, points: Array) -> None:
+    """Show all points, with the same scale along x, y and z."""
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    middle, half = 0.5 * (low + high), 0.52 * float(np.max(high - low))
+    for name, centre in zip('xyz', middle, strict=True):
+        getattr(space, f'set_{name}lim')(centre - half, centre + half)
+        getattr(space, f'{name}axis').set_major_locator(MaxNLocator(nbins=5))
+    space.set_box_aspect((1.0, 1.0, 1.0), zoom=0.93)

@@ -1,0 +1,50 @@
+"""The commands summarize and merge, and identify on several cores, as a user calls them."""
+
+import json
+
+from bellows_ros.cli import main
+import pytest
+
+
+@pytest.fixture
+def call(root, monkeypatch):
+    """Return a function that runs a command in the repository's folder."""
+    monkeypatch.chdir(root)
+    return lambda *words: main([str(word) for word in words])
+
+
+def test_summaries_are_merged_to_a_cup(call, tmp_path, capsys):
+    files = []
+    for name in ('identification', 'validation'):
+        files.append(tmp_path / f'{name}.npz')
+        assert call('summarize', f'bags/{name}', '--params', 'bags/package.yaml',
+                    '--out', files[-1]) == 0
+    assert f'Wrote {files[0]}: ' in capsys.readouterr().out
+    cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
+    assert call('merge', *files, '--out', cup, '--json', fit) == 0
+    assert 'Cup identified from 2 summaries' in capsys.readouterr().out
+    assert json.loads(fit.read_text())['usable']
+    assert call('replay', 'bags/validation', '--params', cup) == 0
+
+
+def test_identify_on_two_cores_leaves_out_what_is_bad(call, tmp_path, capsys):
+    pytest.importorskip('joblib', reason='extra parallel')
+    cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
+    assert call('identify', 'bags/identification', 'bags/none', '--params', 'bags/package.yaml',
+                '--jobs', 2, '--out', cup, '--json', fit) == 0
+    out = capsys.readouterr().out
+    assert "Recording 'bags/none' was left out" in out.replace('\n  ', ' ')
+    assert json.loads(fit.read_text())['failed'][0]['bag'] == 'bags/none'
+    assert cup.exists()
+
+
+def test_merge_needs_summaries(call, tmp_path, capsys):
+    assert call('merge', tmp_path / 'none.npz', '--out', tmp_path / 'cup.yaml') == 2
+    assert 'cannot be read' in capsys.readouterr().err
+    assert not (tmp_path / 'cup.yaml').exists()
+
+
+def test_a_report_needs_the_recordings(call, tmp_path, capsys):
+    assert call('identify', 'bags/identification', '--params', 'bags/package.yaml', '--jobs', 1,
+                '--report', tmp_path / 'page.html') == 2
+    assert '--report needs the recordings' in capsys.readouterr().err

@@ -1,0 +1,58 @@
+"""`bellows compare`: what differs between two fits."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from .conftest import Run
+
+
+@pytest.fixture(scope='module')
+def fits(
+    bellows: Run, workshop: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Path]:
+    """Give a result, and one of a cup that bends more easily."""
+    folder = tmp_path_factory.mktemp('fits')
+    before, after = folder / 'before.json', folder / 'after.json'
+    done = bellows(
+        'identify', 'recording', '--params', 'package.yaml', '--json', before, cwd=workshop)
+    assert done.returncode == 0, done.stderr
+    content = json.loads(before.read_text())
+    for i in (3, 4):
+        content['stiffness'][i][i] *= 0.8
+    after.write_text(json.dumps(content))
+    return before, after
+
+
+def test_equal_fits_exit_with_0(bellows: Run, fits: tuple[Path, Path]) -> None:
+    """Say that nothing matters."""
+    done = bellows('compare', fits[0], fits[0])
+    assert (done.returncode, done.stderr) == (0, '')
+    assert 'It does not matter' in done.stdout
+    assert 'not independent' in done.stdout
+
+
+def test_what_matters_exits_with_1(bellows: Run, fits: tuple[Path, Path]) -> None:
+    """Name the parameter, the change and what it does."""
+    done = bellows('compare', *fits)
+    assert (done.returncode, done.stderr) == (1, '')
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith('  K rx')]
+    assert '-20.00 %' in line and '*' in line
+    assert 'It matters' in done.stdout
+
+
+def test_json_to_stdout(bellows: Run, fits: tuple[Path, Path]) -> None:
+    """Print JSON and nothing else on stdout."""
+    done = bellows('compare', *fits, '--json', '-')
+    assert done.returncode == 1
+    content = json.loads(done.stdout)
+    assert content['matters'] is True
+    assert 'It matters' in done.stderr
+
+
+def test_a_file_that_is_no_result_exits_with_2(bellows: Run, workshop: Path) -> None:
+    """Say what it is not."""
+    done = bellows('compare', workshop / 'cup.yaml', workshop / 'cup.yaml')
+    assert (done.returncode, done.stdout) == (2, '')
+    assert 'cup.yaml' in done.stderr

@@ -1,0 +1,59 @@
+"""`bellows convert` and `bellows export` as a user runs them."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Run = Any
+
+
+def test_a_recording_goes_out_as_text_and_comes_back(
+    bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Write both bodies as TUM, and make a recording of them that can be identified from."""
+    for name, topic in (('tool', '/tool_arm/pose'), ('box', '/package/pose')):
+        done = bellows('convert', 'recording', '--topic', topic, '--out', tmp_path / f'{name}.tum',
+                       cwd=workshop)
+        assert (done.returncode, done.stderr) == (0, '')
+    done = bellows('convert', 'tool.tum', 'box.tum', '--out', 'bag', cwd=tmp_path)
+    assert done.returncode == 0 and '/box/pose' in done.stdout
+    done = bellows(
+        'identify', 'bag', '--params', workshop / 'package.yaml', '--set',
+        'topics.tool_pose=/tool/pose', '--set', 'topics.package_pose=/box/pose', '--set',
+        'topics.tool_twist=', cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize('name', ['mjcf', 'drake', 'sdf'])
+def test_cups_go_out_with_a_word_on_what_is_lost(
+    name: str, bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Write the model, and the sentences as JSON too."""
+    done = bellows('export', 'cup.yaml', '--to', name, '--out', tmp_path / 'model', '--json', '-',
+                   cwd=workshop)
+    assert done.returncode == 0
+    assert json.loads(done.stdout)['not_expressed']
+    assert 'cannot express' in done.stderr
+    assert (tmp_path / 'model').read_text().endswith('>\n')
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (['convert', 'recording', '--out', 'x.tum'], 'Name one with --topic'),
+        (['convert', 'recording', '--out', 'x'], 'is a recording already'),
+        (['convert', 'none.csv', '--out', 'x'], 'is not a file'),
+        (['export', 'none.yaml', '--to', 'sdf', '--out', 'x'], 'none.yaml'),
+        (['export', 'motion.yaml', '--to', 'sdf', '--out', 'x'], 'Unknown parameter'),
+    ],
+)
+def test_bad_input_ends_with_2_and_writes_nothing(
+    arguments: list[str], words: str, bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Say what is wrong."""
+    arguments = [str(tmp_path / a) if a.startswith('x') else a for a in arguments]
+    done = bellows(*arguments, cwd=workshop)
+    assert done.returncode == 2 and words in done.stderr, done.stderr
+    assert 'Traceback' not in done.stderr and list(tmp_path.iterdir()) == []

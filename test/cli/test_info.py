@@ -1,0 +1,60 @@
+"""`bellows info` as a user runs it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from bellows_ros.files.parameter_files import read_parameters
+
+Run = Any
+
+
+def test_it_says_what_is_there(bellows: Run, workshop: Path) -> None:
+    """Print topics, roles and why."""
+    done = bellows('info', 'recording', cwd=workshop)
+    assert (done.returncode, done.stderr) == (0, '')
+    for words in ('/tool_arm/pose', '300.0 Hz', 'probably /package/pose', 'hangs below it',
+                  '1 gap, the longest', 'stand still for the first'):  # fmt: skip
+        assert words in done.stdout, done.stdout
+
+
+def test_the_parameter_file_serves_once_the_package_is_filled_in(
+    bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Lead from a recording to a cup without writing a topic's name."""
+    file = tmp_path / 'my_cell.yaml'
+    done = bellows('info', 'recording', '--write-params', file, cwd=workshop)
+    assert done.returncode == 0 and f'--params {file}' in done.stdout
+    refused = bellows('identify', '--params', file, cwd=workshop)
+    assert refused.returncode == 2 and 'package.mass' in refused.stderr
+
+    package = ('mass: 1.8', 'inertia: [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0]',
+               'com: [0.0, 0.0, -0.03]')  # fmt: skip
+    text = file.read_text()
+    for line in package:
+        name = line.partition(':')[0]
+        start = text.index(f'#package.{name}')
+        text = text[:start] + f'package.{line}' + text[text.index('\n', start):]
+    file.write_text(text.replace('#cup.length: 0.0481', 'cup.length: 0.046'))
+    done = bellows('identify', '--params', file, '--out', tmp_path / 'cup.yaml', cwd=workshop)
+    assert done.returncode == 0, done.stderr
+    assert read_parameters(tmp_path / 'cup.yaml')['topics.tool_pose'] == '/tool_arm/pose'
+
+
+def test_json_goes_to_stdout_alone(bellows: Run, workshop: Path) -> None:
+    """Leave the words to stderr."""
+    done = bellows('info', 'recording', '--json', '-', cwd=workshop)
+    content = json.loads(done.stdout)
+    assert content['tool']['topic'] == '/tool_arm/pose'
+    assert content['settings']['topics.package_pose'] == '/package/pose'
+    assert 'probably' in done.stderr
+
+
+def test_bad_input_ends_with_2_and_writes_nothing(
+    bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Refuse a recording that is not there."""
+    done = bellows('info', 'none', '--write-params', tmp_path / 'p.yaml', cwd=workshop)
+    assert done.returncode == 2 and 'does not exist' in done.stderr
+    assert 'Traceback' not in done.stderr
+    assert list(tmp_path.iterdir()) == []

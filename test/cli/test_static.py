@@ -1,0 +1,81 @@
+"""`bellows static`: standstills go in, a length and verdicts come out."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from bellows_ros.files.parameter_files import read_parameters
+import pytest
+
+from .conftest import PACKAGE, Run, write_yaml
+
+MASSES = (0.6, 1.2, 1.8, 2.4)
+STATIC: dict[str, Any] = {
+    'kind': 'static', 'rest_duration': 1.5,
+    'static': {'move': 0.5, 'hold': 3.0, 'poses': [{'rpy': [0.3, 0.0, 0.0]}]},
+    'tool': {'rate_hz': 100.0, 'noise': {'position': 2e-5, 'rotation': 5e-5}},
+    'package': {'rate_hz': 100.0, 'noise': {'position': 5e-5, 'rotation': 2e-4}},
+}
+
+
+@pytest.fixture(scope='module')
+def weights(bellows: Run, workshop: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a folder with recordings m0, m1, ... of several masses."""
+    folder = tmp_path_factory.mktemp('weights')
+    for number, mass in enumerate(MASSES):
+        motion = write_yaml(folder / 'motion.yaml', {**STATIC, 'seed': number})
+        done = bellows(
+            'simulate', '--params', workshop / 'cup.yaml', '--set', f'package.mass={mass}',
+            '--motion', motion, '--out', folder / f'm{number}')
+        assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_length_and_spring_in_words_and_files(
+    bellows: Run, workshop: Path, weights: Path, tmp_path: Path
+) -> None:
+    """Print both, and write the length and all figures."""
+    bags = [weights / f'm{number}' for number in range(len(MASSES))]
+    masses = [part for mass in MASSES for part in ('--mass', mass)]
+    done = bellows(
+        'static', *bags, *masses, '--params', workshop / 'cup.yaml',
+        '--out', tmp_path / 'l0.yaml', '--json', tmp_path / 'static.json')
+    assert (done.returncode, done.stderr) == (0, '')
+    for words in ('Standstills', '0.6 kg', '17.2 deg', 'Nominal length', 'l0 ',
+                  'Axial stiffness', 'The spring holds in all 8 poses.',
+                  f'Wrote {tmp_path / "l0.yaml"}', f'Wrote {tmp_path / "static.json"}'):
+        assert words in done.stdout
+    assert max(map(len, done.stdout.splitlines())) < 110
+    found = read_parameters(tmp_path / 'l0.yaml')['cup.length']
+    assert abs(found - PACKAGE['cup.length']) < 1e-4
+    assert json.loads((tmp_path / 'static.json').read_text())['spring']['passed'] is True
+
+
+def test_a_list_of_masses(bellows: Run, workshop: Path, weights: Path) -> None:
+    """Take masses from a file, and JSON to stdout."""
+    listed = write_yaml(weights / 'list.yaml', {
+        'recordings': [{'bag': f'm{n}', 'mass': mass} for n, mass in enumerate(MASSES)]})
+    done = bellows(
+        'static', '--list', listed, '--params', workshop / 'package.yaml', '--json', '-')
+    assert done.returncode == 0, done.stderr
+    content = json.loads(done.stdout)
+    assert abs(content['cup_length']['length'] - PACKAGE['cup.length']) < 1e-4
+    assert content['spring'] is None
+    assert 'Nominal length' in done.stderr
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    ([], 'No recording is given'),
+    (['m0', 'm1', '--mass', '1'], '1 masses are given for 2 recordings'),
+    (['m0', '--mass', '-1'], 'package.mass'),
+    (['m0', '--mass', '0.6'], 'two different masses'),
+    (['nothing', '--mass', '0.6'], 'nothing'),
+    (['--list', 'none.yaml'], 'none.yaml'),
+])
+def test_mistakes_are_explained(
+    arguments: list[str], words: str, bellows: Run, workshop: Path, weights: Path
+) -> None:
+    """Say what is wrong, and end with 2."""
+    done = bellows('static', *arguments, '--params', workshop / 'package.yaml', cwd=weights)
+    assert (done.returncode, done.stdout) == (2, '')
+    assert words in done.stderr and 'Traceback' not in done.stderr

@@ -1,0 +1,128 @@
+"""Pictures of recordings, loads and replays: what is drawn, and that words stay on the page."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from bellows_ros.core.lie import exp_so3
+from bellows_ros.errors import BellowsError
+from bellows_ros.plots.animation import FRAMES_PER_SECOND, write_animation
+from bellows_ros.plots.loads import deflection_figure, residual_figure
+from bellows_ros.plots.recording import motion_figure, path_figure, spectra_figure
+from bellows_ros.plots.style import THEMES
+import numpy as np
+import pytest
+
+pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
+
+COUNT = 300
+
+
+@pytest.fixture(scope='module')
+def motion() -> Any:
+    """Give a tool and a package that move, with ten poses missing."""
+    t = np.arange(COUNT) / 100.0
+    tool = 0.1 * np.column_stack([np.sin(t), np.cos(t), np.sin(2 * t)])
+    rotation = exp_so3(0.2 * np.sin(3 * t)[:, None] * np.array([1.0, 0.5, 0.2]))
+    return SimpleNamespace(
+        seconds=t, tool_position=tool, tool_rotation=rotation,
+        package_position=tool - np.array([0.0, 0.0, 0.08]), package_rotation=rotation,
+        relative=np.zeros((COUNT, 6)), valid=np.abs(t - 1.0) > 0.05)
+
+
+@pytest.fixture(scope='module')
+def loads() -> Any:
+    """Give loads of a spring with known stiffness."""
+    rng = np.random.default_rng(5)
+    deflection = rng.normal(size=(COUNT, 6)) * 1e-3
+    stiffness = np.array([6e3, 6e3, 1e4, 4.0, 4.0, 1.0])
+    return SimpleNamespace(
+        seconds=np.arange(COUNT) / 100.0, deflection=deflection, load=stiffness * deflection,
+        residual=0.1 * stiffness * deflection, stiffness=stiffness, valid=np.ones(COUNT, bool))
+
+
+def draw_all(motion: Any, loads: Any, theme: str) -> dict[str, Any]:
+    """Return every figure."""
+    frequency = np.linspace(0.0, 50.0, 40)
+    spectra = SimpleNamespace(
+        frequency_hz=frequency, measured=1e-5 + np.zeros((40, 6)), error=1e-6 + np.zeros((40, 6)))
+    return {
+        'motion': motion_figure(motion, 'note', theme),
+        'path': path_figure(motion, 'note', theme),
+        'spectra': spectra_figure(spectra, 'note', theme),
+        'deflection': deflection_figure(loads, 'note', theme),
+        'residual': residual_figure(loads, 'note', theme),
+    }
+
+
+@pytest.mark.parametrize('theme', THEMES)
+def test_words_stay_on_the_page_in_both_themes(theme: str, motion: Any, loads: Any) -> None:
+    """Let title, note, legend and labels fit."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.colors import to_hex
+
+    for name, figure in draw_all(motion, loads, theme).items():
+        renderer = FigureCanvasAgg(figure).get_renderer()
+        figure.draw(renderer)
+        width, height = figure.canvas.get_width_height()
+        boxes = [text.get_window_extent(renderer) for text in figure.texts]
+        boxes += [legend.get_window_extent(renderer) for legend in figure.legends]
+        boxes += [axes.yaxis.label.get_window_extent(renderer) for axes in figure.axes]
+        for box in boxes:
+            assert 0 <= box.x0 and box.x1 <= width and 0 <= box.y0 and box.y1 <= height, name
+        assert to_hex(figure.get_facecolor()) == THEMES[theme].background
+
+
+def test_motion_is_drawn_from_the_start_and_interrupted(motion: Any, loads: Any) -> None:
+    """Draw mm and mrad against the first pose, with nothing where nothing is valid."""
+    figure = draw_all(motion, loads, 'light')['motion']
+    panels = {panel.get_ylabel()[:2].strip(): panel for panel in figure.axes}
+    tool, package, *_ = panels['x'].get_lines()
+    expected = 1e3 * (motion.tool_position[:, 0] - motion.tool_position[0, 0])
+    np.testing.assert_allclose(tool.get_ydata()[motion.valid], expected[motion.valid], atol=1e-9)
+    assert np.isnan(package.get_ydata()).sum() == np.count_nonzero(~motion.valid)
+
+
+def test_stiffness_is_the_line_through_the_loads(motion: Any, loads: Any) -> None:
+    """Draw the cup's line with its own slope."""
+    figure = draw_all(motion, loads, 'light')['deflection']
+    axes = {name: i for i, name in enumerate(('x', 'y', 'z', 'rx', 'ry', 'rz'))}
+    for panel in figure.axes:
+        axis = axes[panel.get_ylabel().split()[0]]
+        line = panel.get_lines()[1]
+        (x0, x1), (y0, y1) = line.get_xdata(), line.get_ydata()
+        assert (y1 - y0) / (x1 - x0) == pytest.approx(1e-3 * loads.stiffness[axis])
+
+
+def test_residuals_say_their_part_of_the_load(motion: Any, loads: Any) -> None:
+    """Name RMS and percent."""
+    figure = draw_all(motion, loads, 'light')['residual']
+    assert all('10 % of the load' in panel.get_title('right') for panel in figure.axes)
+
+
+@pytest.fixture(scope='module')
+def replayed(motion: Any) -> Any:
+    """Give a replay whose prediction is 5 mm beside the measurement."""
+    return SimpleNamespace(
+        seconds=motion.seconds, motion=motion, position=motion.package_position + 5e-3,
+        rotation=motion.package_rotation, cup_length=0.05, com=np.array([0.0, 0.0, -0.03]),
+        box=np.array([0.2, 0.16, 0.06]))
+
+
+def test_an_animation_runs_at_recorded_speed(replayed: Any, tmp_path: Path) -> None:
+    """Write as many pictures as the span has, all of one size."""
+    image = pytest.importorskip('PIL.Image', reason='Pillow comes with matplotlib')
+    write_animation(tmp_path / 'a.gif', replayed, 'note', 'dark', (0.5, 1.0))
+    with image.open(tmp_path / 'a.gif') as picture:
+        assert picture.n_frames == round(0.5 * FRAMES_PER_SECOND)
+        shown = picture.n_frames * picture.info['duration'] / 1e3
+        assert shown == pytest.approx(0.5, rel=0.05)  # GIF counts in hundredths of a second
+
+
+def test_an_animation_without_samples_is_refused(replayed: Any, tmp_path: Path) -> None:
+    """Say what the recording covers, and which endings there are."""
+    with pytest.raises(BellowsError, match='the recording covers'):
+        write_animation(tmp_path / 'a.gif', replayed, 'note', 'light', (50.0, 60.0))
+    with pytest.raises(BellowsError, match=r'\.gif or \.mp4'):
+        write_animation(tmp_path / 'a.png', replayed, 'note')
+    assert list(tmp_path.iterdir()) == []
