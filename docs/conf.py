@@ -1,0 +1,46 @@
+"""
+How Sphinx builds these pages: `make docs`.
+
+Formulas become MathML, so that the pages need nothing from the network.
+"""
+
+from typing import Any
+
+from bellows_ros import __version__
+from docutils.nodes import SkipNode
+from docutils.utils.math import latex2mathml
+
+project = 'bellows_ros'
+author = 'bellows_ros maintainers'
+copyright = author  # noqa: A001 (the name Sphinx reads)
+release = __version__
+
+extensions = ['myst_parser']
+exclude_patterns = ['_build', 'figures', 'tools']
+html_theme = 'furo'
+html_title = f'bellows_ros {release}'
+
+html_math_renderer = 'mathml'
+
+myst_enable_extensions = ['dollarmath']
+myst_heading_anchors = 3
+# Links that lead out of the pages, to files of the repository; test/docs/test_links.py checks all.
+suppress_warnings = ['myst.xref_missing']
+
+
+def setup(app: Any) -> None:
+    """Add the renderer of formulas."""
+    app.add_html_math_renderer('mathml', (inline_formula, None), (formula, None))
+
+
+def inline_formula(translator: Any, node: Any) -> None:
+    """Write a formula in a line of text."""
+    translator.body.append(str(latex2mathml.tex2mathml(node.astext())))
+    raise SkipNode
+
+
+def formula(translator: Any, node: Any) -> None:
+    """Write a formula in a line of its own."""
+    mathml = latex2mathml.tex2mathml(node.astext(), as_block=True)
+    translator.body.append(f'<div class="formula">{mathml}</div>')
+    raise SkipNode

@@ -1,0 +1,178 @@
+"""
+Write the reference pages from what the program itself declares; `make reference`.
+
+Parameters come from the one table, topics from the node, commands from the table of commands and
+their parsers, so that no page can say something else than the program does.
+"""
+
+import argparse
+from collections.abc import Callable, Iterator, Mapping
+import importlib
+from pathlib import Path
+
+from bellows_ros.cli.commands import COMMANDS, EXIT_CODES
+from bellows_ros.core.parameters import Parameter, PARAMETERS
+from bellows_ros.files.atomic import write_text
+from bellows_ros.nodes.predictor import INTERFACE
+
+FOLDER = Path(__file__).resolve().parents[1] / 'reference'
+GENERATED = '<!-- Made by docs/tools/reference.py; change the declarations and run it again. -->'
+
+
+def parameters() -> Iterator[str]:
+    """Yield the lines of the page of parameters."""
+    yield from (
+        '# Parameters', '', GENERATED, '',
+        'Of the nodes `identifier` and `predictor`, and of the command `bellows`: one table, so '
+        'one file serves all three. `bellows parameters` prints it, `bellows parameters --yaml` '
+        'writes a file to fill in, and `ros2 param describe` shows the same sentences.', '',
+        'Units are SI. A 6x6 matrix is 36 numbers, row by row; translations x, y, z come first, '
+        'then rotations x, y, z. In a parameter file for ROS every number of a real parameter '
+        'has a decimal point.', '',
+    )  # fmt: skip
+    groups = dict.fromkeys(_group(name) for name in PARAMETERS)
+    for group in groups:
+        yield f'## {group}'
+        yield ''
+        yield '| name | unit | default | allowed | used by | meaning |'
+        yield '|---|---|---|---|---|---|'
+        for parameter in PARAMETERS.values():
+            if _group(parameter.name) == group:
+                yield _parameter(parameter)
+        yield ''
+
+
+def _group(name: str) -> str:
+    """Return the heading a parameter stands under."""
+    return name.partition('.')[0] if '.' in name else 'single ones'
+
+
+def _parameter(parameter: Parameter) -> str:
+    """Return the row of a parameter."""
+    unit = f' ({parameter.unit})' if parameter.unit else ''
+    allowed = parameter.constraint.removesuffix(unit)
+    fixed = ' Cannot change while a node runs.' if parameter.read_only else ''
+    users = ', '.join(parameter.used_by)
+    return (f'| `{parameter.name}` | {parameter.unit} | {_default(parameter)} | {_cell(allowed)} '
+            f'| {users} | {_cell(parameter.description)}{fixed} |')  # fmt: skip
+
+
+def _default(parameter: Parameter) -> str:
+    """Return a default in words."""
+    if parameter.default is None:
+        return 'must be given'
+    if isinstance(parameter.default, tuple):
+        return _list_default(parameter.name, parameter.default)
+    if isinstance(parameter.default, bool):
+        return f'`{str(parameter.default).lower()}`'
+    if parameter.default == '':
+        return "`''`"
+    return f'`{parameter.default}`'
+
+
+def _list_default(name: str, default: tuple[object, ...]) -> str:
+    """Return the default of a list in words."""
+    if name in ('cup.stiffness', 'cup.damping'):
+        return 'that of the thesis'
+    if not default:
+        return 'none'
+    same = len(set(default)) == 1
+    return f'`{default[0]}` each' if same else f'`{list(default)}`'
+
+
+def _cell(text: str) -> str:
+    """Return a text that does not end its cell."""
+    return text.replace('|', '\\|')
+
+
+def topics() -> Iterator[str]:
+    """Yield the lines of the page of topics."""
+    yield from (
+        '# Topics and services', '', GENERATED, '',
+        'Of the node `predictor`. Names are relative: remap them with `-r FROM:=TO`, or put the '
+        'node into a namespace.', '',
+        '| name | type | meaning |', '|---|---|---|',
+    )  # fmt: skip
+    for name, kind, text in INTERFACE.topics:
+        yield f'| `{name}` | {_cell(kind)} | {_cell(text)} |'
+    yield from (
+        '',
+        '## QoS', '',
+        'Inputs are best effort with a queue of 100, which matches reliable and best-effort '
+        'drivers alike; outputs are reliable with a queue of 100. Each can be overridden in a '
+        'parameter file, under the resolved name of the topic:', '',
+        '```yaml',
+        '/predictor:',
+        '  ros__parameters:',
+        '    qos_overrides:',
+        '      /tool_arm/pose:',
+        '        subscription:',
+        '          reliability: reliable',
+        '          depth: 10',
+        '```', '',
+        '## Stamps', '',
+        'All times are those of message headers. A prediction has the stamp and the frame of the '
+        'tool pose it was made for. Pose and twist of one instant are paired by stamp, not by '
+        'arrival.', '',
+        'The node `identifier` has no topics: it reads recordings, and shows its result as its '
+        'parameters `cup.stiffness` and `cup.damping`.', '',
+    )  # fmt: skip
+
+
+def commands() -> Iterator[str]:
+    """Yield the lines of the page of commands."""
+    yield from ('# The command bellows', '', GENERATED, '',
+                'The work of the nodes from a shell, without ROS. Each command has `--help` with '
+                'examples; `source <(bellows completion)` completes commands, options and '
+                'parameters in bash.', '')  # fmt: skip
+    for name, text in COMMANDS.items():
+        module = importlib.import_module(f'bellows_ros.cli.{name}')
+        parser = argparse.ArgumentParser(add_help=False)
+        module.add_arguments(parser)
+        yield from (f'## bellows {name}', '', f'{text[0].upper()}{text[1:]}.', '',
+                    module.DESCRIPTION, '')  # fmt: skip
+        rows = [_argument(action) for action in parser._actions]
+        if rows:
+            yield from ('| argument | meaning |', '|---|---|', *rows, '')
+        for line, what in module.EXAMPLES:
+            yield from (f'{what[0].upper()}{what[1:]}:', '', '```text', line, '```', '')
+    yield from ('## Exit codes', '', '| code | meaning |', '|---|---|', *_exit_codes(), '')
+
+
+def _argument(action: argparse.Action) -> str:
+    """Return the row of an argument."""
+    names = ', '.join(action.option_strings) or str(action.metavar or action.dest)
+    value = f' {action.metavar}' if action.option_strings and action.metavar else ''
+    meaning = (action.help or '').replace('%(default)s', str(action.default))
+    return f'| `{names}{value}` | {_cell(meaning)} |'
+
+
+def _exit_codes() -> Iterator[str]:
+    """Yield the rows of the exit codes."""
+    for line in EXIT_CODES.splitlines()[1:]:
+        code, _, meaning = line.strip().partition(' ')
+        yield f'| {code} | {meaning.strip()} |'
+    yield '| 141 | whoever read the output has closed it |'
+
+
+PAGES: Mapping[str, Callable[[], Iterator[str]]] = {
+    'parameters.md': parameters,
+    'topics.md': topics,
+    'commands.md': commands,
+}
+
+
+def text_of(name: str) -> str:
+    """Return the text of a page."""
+    return '\n'.join(PAGES[name]()).rstrip() + '\n'
+
+
+def main() -> None:
+    """Write all pages."""
+    FOLDER.mkdir(exist_ok=True)
+    for name in PAGES:
+        write_text(FOLDER / name, text_of(name))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,26 @@
+"""What the tests of the pages share."""
+
+import importlib.util
+from pathlib import Path
+import sys
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+DOCS = Path(__file__).resolve().parents[2] / 'docs'
+
+
+def load(folder: str, name: str) -> ModuleType:
+    """Import a script of docs, which is no package."""
+    spec: Any = importlib.util.spec_from_file_location(name, DOCS / folder / f'{name}.py')
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope='session')
+def pages() -> ModuleType:
+    """Give the script that knows the commands on the pages."""
+    return load('tools', 'pages')

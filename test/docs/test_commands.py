@@ -1,0 +1,177 @@
+"""Every command on every page: run, with the output that the page shows, or at least checked."""
+
+import argparse
+from collections.abc import Iterator
+import importlib
+from pathlib import Path
+import re
+import shlex
+import subprocess
+from types import ModuleType
+from typing import Any
+
+from bellows_ros.cli.commands import COMMANDS
+from bellows_ros.core.parameters import PARAMETERS
+import pytest
+
+from .conftest import load
+
+PAGES = load('tools', 'pages')
+ALL = {str(page.relative_to(PAGES.ROOT)): page for page in PAGES.pages()}
+EXECUTABLES = ('predictor', 'identifier', 'bellows')
+NEEDED = {'predictor': 'rclpy', 'identifier': 'rclpy'}
+
+
+def with_mode(page: Path, *modes: str) -> list[Any]:
+    """Return the blocks of a page that are to be treated so."""
+    return [block for block in PAGES.blocks(page.read_text()) if block.mode in modes]
+
+
+def runnable() -> list[str]:
+    """Return the pages with commands that are run."""
+    return [name for name, page in ALL.items() if with_mode(page, 'run', 'fails')]
+
+
+@pytest.mark.parametrize('name', runnable())
+def test_commands_do_what_the_page_shows(
+    name: str, tmp_path: Path, user_environment: dict[str, str], pages: ModuleType
+) -> None:
+    """Run a page's commands in order, from a checkout's bags and config."""
+    pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
+    pages.make_folder(tmp_path)
+    variables = pages.environment(user_environment)
+    for block in with_mode(ALL[name], 'run', 'fails'):
+        for number, command in enumerate(block.commands, 1):
+            done = pages.run(command, tmp_path, variables)
+            where = f'{name}, line {block.line}: {command.text}\n'
+            failed = block.mode == 'fails' and number == len(block.commands)
+            assert (done.returncode != 0) == failed, where + done.stdout
+            assert 'Traceback' not in done.stdout, where + done.stdout
+            if command.output is not None:
+                assert pages.matches(command.output, done.stdout), where + done.stdout
+
+
+def words(text: str) -> Iterator[list[str]]:
+    """Yield the words of each command in a line, without assignments and comments."""
+    for part in re.split(r'&&|\|\||[;|\n]', text.replace('\\\n', ' ')):
+        try:
+            found = shlex.split(part, comments=True)
+        except ValueError:
+            continue
+        while found and re.match(r'\w+=', found[0]):
+            found = found[1:]
+        if found:
+            yield found
+
+
+def checked() -> list[Any]:
+    """Return all blocks of all pages, those that are run too."""
+    return [
+        pytest.param(block, id=f'{name}:{block.line}')
+        for name, page in ALL.items() for block in PAGES.blocks(page.read_text())
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize('block', checked())
+def test_commands_are_well_formed(block: Any, root: Path) -> None:
+    """Hold no syntax errors, and name only what is there: commands, options, targets."""
+    for command in block.commands:
+        done = subprocess.run(
+            ['bash', '-n', '-c', command.text], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        for found in words(command.text):
+            check_words(found, root)
+
+
+def check_words(found: list[str], root: Path) -> None:
+    """Check one command, as far as it is of this package."""
+    first, *rest = found
+    if first == 'make':
+        targets = re.findall(r'^([a-z-]+):', (root / 'Makefile').read_text(), re.MULTILINE)
+        assert {word for word in rest if '=' not in word} <= set(targets), found
+    elif found[:3] == ['ros2', 'run', 'bellows_ros']:
+        check_words(found[3:], root)
+    elif found[:3] == ['ros2', 'launch', 'bellows_ros']:
+        assert (root / 'launch' / found[3]).is_file(), found
+    elif found[:2] == ['ros2', 'param'] and found[2] in ('set', 'get', 'describe'):
+        assert found[4] in PARAMETERS, found
+    elif first == 'bellows':
+        check_bellows(rest)
+    elif first in EXECUTABLES:
+        check_node(rest)
+
+
+def check_bellows(rest: list[str]) -> None:
+    """Check a command line of `bellows` with its own parser."""
+    if not rest or rest[0].startswith('-'):
+        return
+    assert rest[0] in COMMANDS, rest
+    module = importlib.import_module(f'bellows_ros.cli.{rest[0]}')
+    parser = argparse.ArgumentParser(exit_on_error=False, allow_abbrev=False)
+    module.add_arguments(parser)
+    redirected = [i for i, word in enumerate(rest) if re.match(r'\d?[<>]', word)]
+    arguments = rest[1:min(redirected, default=len(rest))]
+    if '--help' not in arguments:
+        parser.parse_args(arguments)
+
+
+def check_node(rest: list[str]) -> None:
+    """Check the parameters a node is given."""
+    for option, value in zip(rest, rest[1:], strict=False):
+        if option == '-p':
+            name = value.partition(':=')[0]
+            assert name in PARAMETERS or name.startswith('qos_overrides.'), value
+
+
+def test_pages_are_found_and_hold_commands() -> None:
+    """Look at the README first, and at more than that."""
+    assert next(iter(ALL)) == 'README.md'
+    assert len(runnable()) >= 2
+
+
+@pytest.mark.parametrize(
+    ('shown', 'printed', 'same'),
+    [
+        ('K 5395 ± 11 N/m', 'K  5401.5 ± 9 N/m', True),
+        ('Wrote cup.yaml.', 'Wrote fit.json.', False),
+        ('first\n...\nlast 3', 'first\nsecond\nthird\nlast 4', True),
+        ('first\n...\nlast', 'second\nlast', False),
+        ('1e-3 s', '2.5e+4 s', True),
+    ],
+)
+def test_outputs_are_compared_but_for_numbers(
+    shown: str, printed: str, same: bool, pages: ModuleType
+) -> None:
+    """Let numbers and blanks differ, and nothing else."""
+    assert pages.matches(shown, printed) is same
+
+
+def test_blocks_are_found_with_their_marks(pages: ModuleType) -> None:
+    """Let a mark hold for the block that follows at once, and for no other."""
+    text = (
+        'Words\n\n<!-- test: parse, a robot -->\n```bash\none \\\n  more\n# no command\ntwo\n```\n'
+        '```yaml\n$ none\n```\n```console\n$ three\nout\n\n$ four\n```\n')
+    first, second = pages.blocks(text)
+    assert (first.mode, [c.text for c in first.commands]) == ('parse', ['one \\\n  more', 'two'])
+    assert second.mode == 'run'
+    assert [(c.text, c.output) for c in second.commands] == [('three', 'out\n'), ('four', '')]
+
+
+def test_nothing_is_installed_or_started_by_accident(pages: ModuleType) -> None:
+    """Leave pip and ROS alone on pages that forget to say so."""
+    text = '```bash\nbellows --help\npip install x\n```\n```bash\nros2 topic list\n```\n'
+    assert [block.mode for block in pages.blocks(text)] == ['parse', 'parse']
+
+
+def test_parameter_files_on_the_pages_are_right(tmp_path: Path) -> None:
+    """Read every YAML block with parameters as a node would."""
+    from bellows_ros.files.parameter_files import read_parameters
+
+    found, yaml = 0, re.compile(r'^```yaml\n(.*?)^```', re.DOTALL | re.MULTILINE)
+    for page in ALL.values():
+        for block in yaml.findall(page.read_text()):
+            if 'ros__parameters' in block:
+                (tmp_path / 'block.yaml').write_text(block)
+                read_parameters(tmp_path / 'block.yaml')
+                found += 1
+    assert found > 0

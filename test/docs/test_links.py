@@ -1,0 +1,85 @@
+"""Links on the pages lead somewhere, pictures are there, and generated pages are current."""
+
+from pathlib import Path
+import re
+import subprocess
+import sys
+from types import ModuleType
+
+import pytest
+
+from .conftest import load
+
+PAGES = load('tools', 'pages')
+LINK = re.compile(r'\]\(([^)\s]+)\)|(?:src|srcset)="([^"]+)"')
+# Pages on what was measured; the others link to them, and are right without them too.
+MEASURED = ('performance.md', 'static_recordings.md', 'validation.md')
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors that GitHub and Sphinx make of a page's headings."""
+    heads = re.findall(r'^#+ (.*)$', page.read_text(), re.MULTILINE)
+    return {re.sub(r'[^\w\- ]', '', head.lower()).replace(' ', '-') for head in heads}
+
+
+@pytest.mark.parametrize('page', PAGES.pages(), ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    """Find every file and heading that a page links to."""
+    text = re.sub(r'```.*?```', '', page.read_text(), flags=re.DOTALL)
+    for found in LINK.finditer(text):
+        link = found[1] or found[2]
+        if link.startswith(('http://', 'https://')):
+            continue
+        name, _, anchor = link.partition('#')
+        target = (page.parent / name).resolve() if name else page
+        if name in MEASURED and not target.exists():
+            continue
+        assert target.exists(), link
+        if anchor:
+            assert anchor in anchors(target), link
+
+
+def test_every_picture_is_shown(root: Path) -> None:
+    """Keep no picture that no page shows."""
+    text = ''.join(page.read_text() for page in PAGES.pages())
+    unused = [path.name for path in (root / 'docs' / 'images').iterdir() if path.name not in text]
+    assert unused == []
+
+
+@pytest.mark.parametrize('name', ['parameters.md', 'topics.md', 'commands.md'])
+def test_reference_is_current(name: str, root: Path) -> None:
+    """Say what the declarations say; `make reference` writes the pages."""
+    reference: ModuleType = load('tools', 'reference')
+    page = root / 'docs' / 'reference' / name
+    assert page.read_text() == reference.text_of(name), 'run: make reference'
+
+
+def test_figures_are_drawn_by_their_scripts(root: Path, tmp_path: Path) -> None:
+    """Draw the pictures that need no data, in both themes where there are two."""
+    pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
+    for script in ('overview', 'model', 'architecture'):
+        module = load('figures', script)
+        module.IMAGES = tmp_path
+        module.main()
+    drawn = {path.name for path in tmp_path.iterdir()}
+    assert drawn and all((root / 'docs' / 'images' / name).is_file() for name in drawn)
+
+
+def test_pages_mention_every_command(root: Path) -> None:
+    """Describe in the reference what `bellows --help` lists."""
+    from bellows_ros.cli.commands import COMMANDS
+
+    text = (root / 'docs' / 'reference' / 'commands.md').read_text()
+    assert all(f'## bellows {name}\n' in text for name in COMMANDS)
+
+
+def test_pages_are_built_without_a_warning(root: Path, tmp_path: Path) -> None:
+    """Build the HTML as `make docs` does, and find a formula and a picture in it."""
+    pytest.importorskip('sphinx', reason="no Sphinx here (pip install '.[docs]')")
+    pytest.importorskip('furo', reason="no Sphinx theme here (pip install '.[docs]')")
+    done = subprocess.run(
+        [sys.executable, '-m', 'sphinx', '-W', '--keep-going', '-q', '-b', 'html', 'docs',
+         str(tmp_path)], cwd=root, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, '')
+    model = (tmp_path / 'model.html').read_text()
+    assert '<math' in model and '_images/frames.svg' in model
