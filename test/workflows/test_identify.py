@@ -2,6 +2,7 @@
 
 import json
 
+from bellows_ros.core.jit import COMPILED
 from bellows_ros.core.parameters import resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
@@ -162,7 +163,9 @@ def two_packages(tmp_path_factory, root):
     return bags, files
 
 
-@pytest.mark.parametrize('method', ['least_squares', 'prediction_error'])
+@pytest.mark.parametrize('method', ['least_squares', pytest.param(
+    'prediction_error', marks=pytest.mark.skipif(
+        not COMPILED, reason='numba is not installed: the fit takes minutes interpreted'))])
 def test_each_recording_may_have_its_own_package(two_packages, root, method):
     bags, files = two_packages
     truth = read_parameters(root / 'bags/cup.yaml')

@@ -11,12 +11,12 @@ from bellows_ros.core.jit import kernel
 from bellows_ros.core.kernels import held_wrench, ModelTuple, State, Wrench
 from bellows_ros.core.linearisation import largest_step, substeps_for
 from bellows_ros.core.live.samples import Prediction, ZERO
-from bellows_ros.core.live.screening import finite
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.tuples import (
     add_scaled,
     apply,
     apply_transposed,
+    dot,
     exp_quaternion,
     quaternion_product,
     rotation_matrix,
@@ -34,10 +34,14 @@ RETRY_NS = 100_000_000
 @kernel
 def advance_and_hold(
     model: ModelTuple, body: State, before: State, now: State, duration: float, substeps: int
-) -> tuple[State, Wrench]:
-    """Return the package's state at the newest tool sample and the cup's wrench there."""
+) -> tuple[State, Wrench, bool]:
+    """Return the package at the newest tool sample, the cup's wrench, and if all are finite."""
     body = advance(model, body, before, now, duration, substeps)
-    return body, held_wrench(model, now, body)
+    wrench = held_wrench(model, now, body)
+    o, q, v, w = body
+    f, m = wrench
+    total = dot(o, o) + dot(v, v) + dot(w, w) + dot(f, f) + dot(m, m) + q[0] + q[3]
+    return body, wrench, total - total == 0.0
 
 
 @kernel
@@ -160,12 +164,10 @@ class HeldPackage:
         if substeps > MOST_SUBSTEPS:
             return None
         try:
-            body, wrench = advance_and_hold(self._model, body, start, end, duration, substeps)
+            body, wrench, sound = advance_and_hold(
+                self._model, body, start, end, duration, substeps)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             return None
-        o, q, v, w = body
-        sound = finite(*o) and finite(*v) and finite(*w) and math.isfinite(q[0] + q[3])
-        sound = sound and finite(*wrench[0]) and finite(*wrench[1])
         return (body, wrench) if sound else None
 
     def _start(self, stamp_ns: int, tool: State) -> Prediction | None:

@@ -3,6 +3,7 @@
 from bellows_ros.core.identification.consistency import same_cup
 from bellows_ros.core.identification.prediction_error import prediction_error
 from bellows_ros.core.identification.structure import STRUCTURES
+from bellows_ros.core.jit import COMPILED
 from bellows_ros.core.model import Cup
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
@@ -18,6 +19,10 @@ AXISYMMETRIC = STRUCTURES['axisymmetric']
 MOVING = [0, 1, 3, 4, 5]  # the axial damping is hardly visible
 
 
+needs_speed = pytest.mark.skipif(
+    not COMPILED, reason='numba is not installed: a fit of this size takes minutes interpreted')
+
+
 def off(factors):
     """Return the true cup with its entries off by factors (12,)."""
     return Cup(
@@ -31,6 +36,13 @@ def ratios(fit, cup=TRUTH):
             np.diag(fit.damping) / np.diag(cup.damping))
 
 
+def test_a_short_recording():
+    (recording,) = stretches(9, 5.0, tool_noise=(2e-5, 1e-4), rate_hz=100.0)
+    fit = prediction_error([recording], TRUTH.length, AXISYMMETRIC, TRUTH)
+    assert_allclose(ratios(fit)[0], 1.0, atol=0.05)
+    assert 0.85 < fit.chi2 < 1.15
+
+
 @pytest.fixture(scope='module')
 def exact_tool():
     """Return the fit of a recording with an exact tool, from the truth."""
@@ -38,6 +50,7 @@ def exact_tool():
     return recordings, prediction_error(recordings, TRUTH.length, AXISYMMETRIC, TRUTH)
 
 
+@needs_speed
 def test_exact_tool_and_noisy_package(exact_tool):
     _, fit = exact_tool
     stiffness, damping = ratios(fit)
@@ -48,6 +61,7 @@ def test_exact_tool_and_noisy_package(exact_tool):
     assert fit.usable
 
 
+@needs_speed
 @pytest.mark.parametrize('seed', [0, 1])
 def test_starts_half_off_end_at_the_same_optimum(exact_tool, seed):
     recordings, reference = exact_tool
@@ -58,6 +72,7 @@ def test_starts_half_off_end_at_the_same_optimum(exact_tool, seed):
     assert_allclose(np.diag(fit.damping), np.diag(reference.damping), rtol=1e-3)
 
 
+@needs_speed
 def test_errors_are_of_the_size_that_is_told(exact_tool):
     _, fit = exact_tool
     for found, std, true in (
@@ -68,6 +83,7 @@ def test_errors_are_of_the_size_that_is_told(exact_tool):
         assert np.all(np.diag(std) > 0.0)
 
 
+@needs_speed
 def test_iterations_are_told_and_kept(exact_tool):
     recordings, reference = exact_tool
     told = []
@@ -78,6 +94,7 @@ def test_iterations_are_told_and_kept(exact_tool):
     assert_allclose(fit.covariance, reference.covariance, rtol=0, atol=0)
 
 
+@needs_speed
 def test_noise_on_both_bodies_with_outliers_and_dropouts():
     def damage(tool, package):
         position, valid = package.position.copy(), package.valid.copy()
@@ -99,6 +116,7 @@ def test_noise_on_both_bodies_with_outliers_and_dropouts():
     assert 0.9 < fit.chi2 < 1.1
 
 
+@needs_speed
 def test_full_matrices_with_an_exact_tool():
     cup = random_cup(np.random.default_rng(21))
     recordings = stretches(3, 12.0, package_noise=(1e-4, 5e-4), cup=cup)
@@ -110,6 +128,7 @@ def test_full_matrices_with_an_exact_tool():
     assert np.linalg.eigvalsh(fit.damping)[0] >= 0.0
 
 
+@needs_speed
 def test_time_offset_of_the_streams():
     recordings = stretches(4, tool_noise=(2e-5, 1e-4), later=-0.0123, margin=0.05)
     fit = prediction_error(
@@ -119,6 +138,7 @@ def test_time_offset_of_the_streams():
     assert_allclose(ratios(fit)[0], 1.0, atol=0.02)
 
 
+@needs_speed
 def test_several_packages_are_one_cup_or_not():
     both = [
         *stretches(5, tool_noise=(5e-5, 2e-4)),
@@ -139,6 +159,7 @@ def test_several_packages_are_one_cup_or_not():
     assert 'not of one cup' in differ.verdict
 
 
+@needs_speed
 def test_a_wrong_mass_is_noticed():
     heavier = type(PLATE)(2.0, np.diag([0.012, 0.012, 0.0173]), (0.0, 0.0, -0.05))
     recordings = stretches(7, 8.0)
