@@ -72,7 +72,7 @@ def machine() -> dict[str, Any]:
         'processor': _processor(),
         'cores': os.cpu_count(),
         'load': os.getloadavg()[0],
-        'system': platform.platform(),
+        'system': f'{platform.system()} {platform.machine()}',
         'python': platform.python_version(),
         'bellows_ros': __version__,
         'versions': versions,

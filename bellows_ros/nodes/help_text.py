@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 import textwrap
 
-from ..core import parameters as table
+from ..core import parameter_table as table
 
 WIDTH = 96
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, wrench_at_lip
-from bellows_ros.core.parameters import THESIS_STIFFNESS
+from bellows_ros.core.parameter_table import THESIS_STIFFNESS
 from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
 import numpy as np
 

@@ -54,7 +54,7 @@ def exact_tool():
 def test_exact_tool_and_noisy_package(exact_tool):
     _, fit = exact_tool
     stiffness, damping = ratios(fit)
-    assert_allclose(stiffness, 1.0, atol=0.02)  # 12 s; the issue of 30 s is in the benchmark
+    assert_allclose(stiffness, 1.0, atol=0.02)  # 12 s only
     assert_allclose(damping[MOVING], 1.0, atol=0.06)
     assert 0.95 < fit.chi2 < 1.05
     assert fit.warnings == ()
