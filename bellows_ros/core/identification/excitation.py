@@ -16,8 +16,9 @@ from bellows_ros.core.identification.least_squares import (
     wrench_covariance,
 )
 from bellows_ros.core.identification.noise import Noise, noise_of
-from bellows_ros.core.identification.rows import rows_of, triangle
+from bellows_ros.core.identification.rows import rows_of
 from bellows_ros.core.identification.structure import AXES, Structure
+from bellows_ros.core.identification.triangles import triangle
 from bellows_ros.core.identification.whiteness import Spectrum, spectrum
 from bellows_ros.core.identification.wrenches import lip_relative
 from bellows_ros.core.lie import apply, exp_so3, log_so3

@@ -26,8 +26,9 @@ from bellows_ros.core.identification.least_squares import (
     wrench_covariance,
 )
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.identification.rows import rows_of, triangle
+from bellows_ros.core.identification.rows import rows_of
 from bellows_ros.core.identification.structure import Structure, STRUCTURES
+from bellows_ros.core.identification.triangles import triangle
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.model import Cup
 from bellows_ros.core.score import relative_coordinates

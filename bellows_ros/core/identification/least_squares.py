@@ -14,6 +14,7 @@ from typing import NamedTuple
 from bellows_ros.core.identification.moments import joined, Moments
 from bellows_ros.core.identification.result import definiteness_warnings, Fit
 from bellows_ros.core.identification.structure import Structure
+from bellows_ros.core.identification.triangles import triangle
 from bellows_ros.core.identification.wrenches import lip_relative, needed_wrench
 from bellows_ros.core.model import Package, regressor
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
@@ -31,9 +32,6 @@ LARGEST_CONDITION = 1e6
 
 CLUSTER_WINDOWS = 4
 """Residuals this many filter windows apart are taken as independent for standard errors."""
-
-QR_ROWS = 512
-"""Rows that are reduced to a triangle at a time: they stay in the processor's cache."""
 
 SMALLEST_SHARE = 1e-3
 """Least part of a direction that other clusters must tell, for a cluster's residual to count."""
@@ -146,7 +144,7 @@ def solved(
     rejected: int,
 ) -> Fit:
     """Return the fit of whitened rows, which are made anew whenever they are needed."""
-    x, inverse, condition = _solve(_triangle(rows(), 2 * structure.size + 1), structure)
+    x, inverse, condition = _solve(_triangle(rows(), structure), structure)
     covariance, squares = _uncertainty(rows(), whitening, x, inverse)
     stiffness, damping = structure.matrices(x)
     stiffness_std, damping_std = structure.matrices(np.sqrt(np.diag(covariance)))
@@ -199,22 +197,10 @@ def _rows(
             yield Rows(whitening @ L, c @ whitening.T, clusters)
 
 
-def _triangle(rows: Iterable[Rows], size: int) -> Array:
-    """Return R of the QR factorisation of [A b] (size, size) (4.71, 4.72)."""
-    R: Array = np.zeros((size, size))
-    for A, b, _ in rows:
-        R = triangle_of(np.concatenate([R, np.dstack([A, b]).reshape(-1, size)]))
-    return R
-
-
-def triangle_of(rows: Array) -> Array:
-    """Return R (q, q) of the QR factorisation of rows (N, q), N at least q."""
-    whole = len(rows) // QR_ROWS * QR_ROWS
-    size = rows.shape[1]
-    # Triangles of small parts, then of these: four times faster than at once.
-    parts = np.asarray(np.linalg.qr(rows[:whole].reshape(-1, QR_ROWS, size), mode='r'))
-    left = np.concatenate([parts.reshape(-1, size), rows[whole:]])
-    return np.asarray(np.linalg.qr(left, mode='r'))
+def _triangle(rows: Iterable[Rows], structure: Structure) -> Array:
+    """Return R of the QR factorisation of [A b] (4.71, 4.72)."""
+    size = 2 * structure.size + 1
+    return triangle((np.dstack([A, b]).reshape(-1, size) for A, b, _ in rows), size)
 
 
 def _uncertainty(

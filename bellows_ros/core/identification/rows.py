@@ -1,8 +1,8 @@
-"""The whitened equations of a fit as rows, and the small triangle that holds all they tell."""
+"""The whitened equations of a fit as rows."""
 
 from collections.abc import Iterable, Iterator
 
-from bellows_ros.core.identification.least_squares import equations, Samples, triangle_of
+from bellows_ros.core.identification.least_squares import equations, Samples
 from bellows_ros.core.identification.structure import Structure
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,3 @@ def rows_of(
             L, c, _ = equations(block, cup_length, structure)
             rows = np.dstack([whitening @ L, c @ whitening.T])
             yield rows.reshape(-1, rows.shape[2])
-
-
-def triangle(parts: Iterable[Array], columns: int) -> Array:
-    """Return R (columns, columns) of the QR factorisation of stacked parts (4.71, 4.72)."""
-    R: Array = np.zeros((columns, columns))
-    for rows in parts:
-        R = triangle_of(np.vstack([R, rows]))
-    return R
