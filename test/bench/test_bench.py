@@ -7,6 +7,7 @@ from bellows_ros.bench.page import renewed
 from bellows_ros.bench.run import run, SECTIONS
 from bellows_ros.bench.tables import columns, markdown, tables
 from bellows_ros.cli import main
+from bellows_ros.core.jit import COMPILED
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 import pytest
@@ -16,6 +17,8 @@ import pytest
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize('section', SECTIONS)
 def test_short_form_measures_and_shows(section):
+    if not COMPILED and section in ('offline', 'batch'):
+        pytest.skip('numba is not installed: measuring this takes minutes interpreted')
     found = json.loads(format_json(run([section], short=True)))
     assert set(found) == {'machine', 'short', section}
     made = tables(found)
