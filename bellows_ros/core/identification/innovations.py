@@ -36,7 +36,17 @@ CLIPPED_AT = 4.0
 """Standard deviations of an innovation beyond which it corrects the state no further."""
 
 
+LAGS = 2 * TWIST_HALF_WINDOW + 1
+"""Innovations that act on the next prediction: one for each pose that makes a tool twist."""
+
+ZERO = (0.0, 0.0, 0.0)
+NO_INNOVATION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_INNOVATIONS = (NO_INNOVATION,) * LAGS
+
 MOST_DOUBLINGS = 60
+
+Change = tuple[Vector, Vector, Vector, Vector]
+"""Of position (m), rotation (rad), velocity (m/s) and rate (rad/s), in body axes."""
 
 _DIFFERENCE = 1e-6  # m, rad, m/s and rad/s, of central differences
 
@@ -45,8 +55,9 @@ class Observer(NamedTuple):
     """
     The steady-state Kalman filter of small motions about the rest under the first tool pose.
 
-    Gain (12, 6): displacement and twist of B in its own axes, per innovation; covariance (6, 6)
-    of the innovations, m and rad.
+    Gain (LAGS, 12, 6): displacement and twist of B in its own axes that the innovations of this
+    sample and of those before it add to the next prediction; covariance (6, 6) of the innovations,
+    m and rad.
     """
 
     gain: Array
@@ -66,48 +77,80 @@ def observer(
     Return the observer for package poses a period (s) apart, tool poses another.
 
     About the package's rest under the tool, one step is x' = F x + sum_j B_j n_j, with n_j the
-    noise of the tool's pose j steps later: the tool's twists are differences of its poses. A step
-    at which all of these act as one, sum_j F^j B_j n, leaves the same motion but for a direct
-    part, which the poses see as more measurement noise. Noise of another rate than the package's
-    counts by its density.
+    noise of the tool's pose j steps later: the tool's twists are differences of its poses, so one
+    pose acts in several steps. The filter estimates these noises beside x. Noise of another rate
+    than the package's counts by its density.
     """
-    zero = (0.0, 0.0, 0.0)
-    still = (tool[0], tool[1], zero, zero)
+    still = (tool[0], tool[1], ZERO, ZERO)
     F, inputs = _one_step(model, still, rest, period)
-    drive, direct = _collected(F, inputs)
-    variances = np.array(_variances(tool_noise)) * tool_period / period
-    process = drive * variances @ drive.T
-    noise = np.diag(_variances(package_noise))
-    noise += sum(part[:6] * variances @ part[:6].T for part in direct)
+    process = np.array(_variances(tool_noise)) * tool_period / period
+    noise = np.array(_variances(package_noise))
     # in units in which all noises are near one
-    scale = np.sqrt(np.concatenate([np.diag(noise), np.diag(noise) / period**2]))
-    unit = np.outer(scale, scale)
-    H = np.eye(6, 12)
-    X = unit * _stationary_covariance(
-        F * scale / scale[:, None], H.T @ np.linalg.inv(noise / unit[:6, :6]) @ H, process / unit
-    )
-    covariance = X[:6, :6] + noise
-    return Observer(X[:, :6] @ np.linalg.inv(covariance), covariance)
+    scale = np.sqrt(np.concatenate([noise, noise / period**2]))
+    A, drive = _with_tool_noise(
+        F * scale / scale[:, None], [B * np.sqrt(process) / scale[:, None] for B in inputs])
+    size = len(A)
+    information = np.diag(np.concatenate([np.ones(6), np.zeros(size - 6)]))
+    X = _stationary_covariance(A, information, drive @ drive.T)
+    covariance = X[:6, :6] + np.eye(6)
+    kalman = X[:, :6] @ np.linalg.inv(covariance)
+    unit = scale[:6]
+    gain = _lagged(A[:12], kalman) * scale[:, None] / unit
+    return Observer(gain, covariance * np.outer(unit, unit))
+
+
+def _with_tool_noise(F: Array, inputs: list[Array]) -> tuple[Array, Array]:
+    """
+    Return the transition and the drive of the state with the tool's noises that act on it.
+
+    The state is followed by the noises that have acted and will act again, oldest first; the
+    newest is the drive.
+    """
+    known = len(inputs) - 1
+    size = 12 + 6 * known
+    A, drive = np.zeros((size, size)), np.zeros((size, 6))
+    A[:12, :12] = F
+    A[:12, 12:] = np.hstack(inputs[:-1])
+    A[12:-6, 18:] = np.eye(size - 18)
+    drive[:12], drive[-6:] = inputs[-1], np.eye(6)
+    return A, drive
+
+
+def _lagged(A: Array, kalman: Array) -> Array:
+    """
+    Return what innovations of now and before add to the next state.
+
+    A noise is estimated from the innovations since it first acted: an innovation changes the
+    estimates of all noises known at its time, and these act until they have shifted out.
+    """
+    gain = np.zeros((LAGS, 12, 6))
+    estimates = kalman.copy()
+    for lag in range(LAGS):
+        gain[lag] = A @ estimates
+        estimates[:12] = 0.0
+        estimates[12:-6] = estimates[18:]
+        estimates[-6:] = 0.0
+    return gain
 
 
 def _one_step(
     model: ModelTuple, tool: State, body: State, period: float
-) -> tuple[Array, dict[int, Array]]:
+) -> tuple[Array, list[Array]]:
     """
     Return the transition (12, 12) of one step, and the effects B_j (12, 6) of the tool's poses.
 
-    By central differences of the integrator itself about a rest.
+    By central differences of the integrator itself about a rest; the first of the poses lies half
+    a window of the twists before the step, the last one as much behind it.
     """
     slopes = np.empty((3, 12, 12))
     substeps = substeps_for(period, largest_step(model))
     _step_slopes(model, tool, body, period, substeps, slopes)
     F, first, last = slopes
-    slope = weights(TWIST_HALF_WINDOW, TWIST_ORDER, 1.0 / period)[1]
-    inputs = {j: np.zeros((12, 6)) for j in range(-TWIST_HALF_WINDOW, TWIST_HALF_WINDOW + 2)}
+    value, slope, _ = weights(TWIST_HALF_WINDOW, TWIST_ORDER, 1.0 / period)
+    inputs = [np.zeros((12, 6)) for _ in range(LAGS + 1)]
     for offset, effect in ((0, first), (1, last)):
-        inputs[offset] += effect[:, :6]
-        for j, weight in enumerate(slope, start=offset - TWIST_HALF_WINDOW):
-            inputs[j] += weight * effect[:, 6:]
+        for j in range(LAGS):
+            inputs[j + offset] += value[j] * effect[:, :6] + slope[j] * effect[:, 6:]
     return F, inputs
 
 
@@ -119,67 +162,52 @@ def _step_slopes(
     for slot in range(3):
         for column in range(12):
             size = _DIFFERENCE
-            ahead = changed(body, column, size if slot == 0 else 0.0)
-            behind = changed(body, column, -size if slot == 0 else 0.0)
-            now = changed(tool, column, size if slot == 1 else 0.0)
-            before = changed(tool, column, -size if slot == 1 else 0.0)
-            then = changed(tool, column, size if slot == 2 else 0.0)
-            instead = changed(tool, column, -size if slot == 2 else 0.0)
+            ahead = moved(body, unit(column, size if slot == 0 else 0.0))
+            behind = moved(body, unit(column, -size if slot == 0 else 0.0))
+            now = moved(tool, unit(column, size if slot == 1 else 0.0))
+            before = moved(tool, unit(column, -size if slot == 1 else 0.0))
+            then = moved(tool, unit(column, size if slot == 2 else 0.0))
+            instead = moved(tool, unit(column, -size if slot == 2 else 0.0))
             ahead = advance(model, ahead, now, then, period, substeps)
             behind = advance(model, behind, before, instead, period, substeps)
             difference = between(behind, ahead)
-            for row in range(12):
-                out[slot, row, column] = difference[row] / (2.0 * size)
+            for part in range(4):
+                for row in range(3):
+                    out[slot, 3 * part + row, column] = difference[part][row] / (2.0 * size)
 
 
 @kernel
-def changed(state: State, column: int, size: float) -> State:
-    """Return a state displaced in its own axes, or with its twist changed, in one direction."""
+def unit(column: int, size: float) -> Change:
+    """Return a change of one of the twelve coordinates."""
     a, b, c = (
         size if column % 3 == 0 else 0.0,
         size if column % 3 == 1 else 0.0,
         size if column % 3 == 2 else 0.0,
     )
     part = column // 3
-    zero = (0.0, 0.0, 0.0)
-    o, q, v, w = state
-    if part == 0:
-        o, q, _, _ = displaced(state, (a, b, c), zero)
-    if part == 1:
-        o, q, _, _ = displaced(state, zero, (a, b, c))
-    if part == 2:
-        v = add(v, (a, b, c))
-    if part == 3:
-        w = add(w, (a, b, c))
-    return o, q, v, w
+    return (
+        (a, b, c) if part == 0 else ZERO,
+        (a, b, c) if part == 1 else ZERO,
+        (a, b, c) if part == 2 else ZERO,
+        (a, b, c) if part == 3 else ZERO,
+    )
 
 
 @kernel
-def between(
-    first: State, second: State
-) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:
-    """Return the displacement in the first's axes and the change of twist between two states."""
-    d = apply_transposed(rotation_matrix(first[1]), subtract(second[0], first[0]))
-    r = log_quaternion(quaternion_product(quaternion_conjugate(first[1]), second[1]))
-    v, w = subtract(second[2], first[2]), subtract(second[3], first[3])
-    return (d[0], d[1], d[2], r[0], r[1], r[2], v[0], v[1], v[2], w[0], w[1], w[2])
+def moved(state: State, change: Change) -> State:
+    """Return a state moved and turned along its own axes, with its twist changed."""
+    o, q, _, _ = displaced(state, change[0], change[1])
+    return o, q, add(state[2], change[2]), add(state[3], change[3])
 
 
-def _collected(F: Array, inputs: dict[int, Array]) -> tuple[Array, list[Array]]:
-    """
-    Return sum_j F^j B_j, and the direct effects that remain.
-
-    (z - F)^-1 sum_j B_j z^j = (z - F)^-1 sum_j F^j B_j + a polynomial in z and 1/z.
-    """
-    power = {j: np.linalg.matrix_power(F, j) for j in range(-4, 5)}
-    drive = np.sum([power[j] @ B for j, B in inputs.items()], axis=0)
-    direct: dict[int, Array] = {}
-    for j, B in inputs.items():
-        for lead in range(j):
-            direct[lead] = direct.get(lead, 0.0) + power[j - 1 - lead] @ B
-        for lead in range(j, 0):
-            direct[lead] = direct.get(lead, 0.0) - power[j - 1 - lead] @ B
-    return drive, list(direct.values())
+@kernel
+def between(first: State, second: State) -> Change:
+    """Return the change that moves one state to another."""
+    return (
+        apply_transposed(rotation_matrix(first[1]), subtract(second[0], first[0])),
+        log_quaternion(quaternion_product(quaternion_conjugate(first[1]), second[1])),
+        subtract(second[2], first[2]), subtract(second[3], first[3]),
+    )  # fmt: skip
 
 
 def _variances(noise: Noise) -> list[float]:
@@ -255,29 +283,43 @@ def _innovations(
 ) -> None:  # fmt: skip
     """Predict, compare and correct from row to row."""
     now = row_state(tool[0])
+    recent = NO_INNOVATIONS
     for k in range(len(tool)):
+        newest = NO_INNOVATION
         if valid[k]:
             row = package[k]
-            q = (row[3], row[4], row[5], row[6])
-            e = apply_transposed(
-                rotation_matrix(body[1]), subtract((row[0], row[1], row[2]), body[0]))
-            phi = log_quaternion(quaternion_product(quaternion_conjugate(body[1]), q))
+            seen = ((row[0], row[1], row[2]), (row[3], row[4], row[5], row[6]), ZERO, ZERO)
+            e, phi, _, _ = between(body, seen)
             out[k, 0], out[k, 1], out[k, 2] = e
             out[k, 3], out[k, 4], out[k, 5] = phi
-            body = corrected(body, gain, (
+            newest = (
                 clipped(e[0], limit[0]), clipped(e[1], limit[1]), clipped(e[2], limit[2]),
                 clipped(phi[0], limit[3]), clipped(phi[1], limit[4]), clipped(phi[2], limit[5]),
-            ))
+            )
+        recent = (newest,) + recent[:-1]
         if k + 1 < len(tool):
             later = row_state(tool[k + 1])
             body = advance(model, body, now, later, durations[k], substeps[k])
             now = later
+            body = moved(body, correction(gain, recent))
 
 
 @kernel
 def clipped(value: float, limit: float) -> float:
     """Return the value, held between -limit and limit."""
     return min(max(value, -limit), limit)
+
+
+@kernel
+def correction(gain: Any, recent: Any) -> Change:
+    """Return what the last innovations, the newest first, change in the next state."""
+    d, r, v, w = ZERO, ZERO, ZERO, ZERO
+    for lag in range(len(recent)):
+        d = add(d, rows_product(gain[lag], 0, recent[lag]))
+        r = add(r, rows_product(gain[lag], 3, recent[lag]))
+        v = add(v, rows_product(gain[lag], 6, recent[lag]))
+        w = add(w, rows_product(gain[lag], 9, recent[lag]))
+    return d, r, v, w
 
 
 @kernel
@@ -294,12 +336,3 @@ def row_product(gain: Any, i: int, e: Any) -> Any:
 def rows_product(gain: Any, i: int, e: Any) -> Vector:
     """Return rows i to i + 2 of the gain times the innovation."""
     return row_product(gain, i, e), row_product(gain, i + 1, e), row_product(gain, i + 2, e)
-
-
-@kernel
-def corrected(body: State, gain: Any, e: Any) -> State:
-    """Return the state moved by the gain times the innovation."""
-    o, q, _, _ = displaced(body, rows_product(gain, 0, e), rows_product(gain, 3, e))
-    return (
-        o, q, add(body[2], rows_product(gain, 6, e)), add(body[3], rows_product(gain, 9, e))
-    )  # fmt: skip

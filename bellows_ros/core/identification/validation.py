@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from bellows_ros.core.equilibrium import static_equilibrium
 from bellows_ros.core.identification.innovations import innovations, observer
-from bellows_ros.core.identification.noise import Noise, noise_of
+from bellows_ros.core.identification.noise import Noise, noise_of, TWIST_HALF_WINDOW, TWIST_ORDER
 from bellows_ros.core.identification.whiteness import portmanteau, Spectrum, spectrum, Whiteness
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.lie import apply, exp_so3, rotation_to_quaternion
@@ -365,17 +365,14 @@ def _shaken(tool: Trajectory, noise: Noise, rng: np.random.Generator) -> Traject
 
 
 def _sharp(measured: Trajectory, tool: Trajectory) -> Trajectory:
-    """Return the tool as measured, with twists of quartics through five poses; gaps as bridged."""
-    quartic = savgol(measured, LIGHT_ORDER // 2, LIGHT_ORDER)
-    quartic_there = quartic.select(_span(quartic, tool))
-    known = quartic_there.valid
-    rows, smooth = tool_rows(quartic_there), tool_rows(tool)
-    return Trajectory(
-        tool.stamps_ns,
-        np.where(known[:, None], quartic_there.position, tool.position),
-        np.where(known[:, None, None], quartic_there.rotation, tool.rotation),
-        np.where(known[:, None], rows[:, 7:], smooth[:, 7:]),
-    )
+    """Return the tool smoothed as the observer takes it to be; gaps as bridged."""
+    smoothed = savgol(measured, TWIST_HALF_WINDOW, TWIST_ORDER)
+    known = smoothed.select(smoothed.valid)
+    known = known.select(np.isin(known.stamps_ns, tool.stamps_ns))
+    at = np.searchsorted(tool.stamps_ns, known.stamps_ns)
+    position, rotation, twist = tool.position.copy(), tool.rotation.copy(), tool_rows(tool)[:, 7:]
+    position[at], rotation[at], twist[at] = known.position, known.rotation, known.twist
+    return Trajectory(tool.stamps_ns, position, rotation, twist)
 
 
 def _one_step(
@@ -388,7 +385,7 @@ def _one_step(
     """
     Return the one-step prediction errors, or None without noise to weigh.
 
-    The tool's poses are as measured, so that their noise is white, as the observer takes it.
+    The tool is smoothed as the observer takes it to be.
     """
     if any(noise.position < LEAST_NOISE or noise.rotation < LEAST_NOISE for noise in noises):
         return None
