@@ -5,7 +5,8 @@ How well each method of identification finds a known cup.
 
 Recordings are simulated with noise on tool and package, many for each noise, and every method fits
 each of them. The table says by how much the parameters are off on average (bias), how they spread,
-and how often the told 95 % interval holds the truth.
+how often the told 95 % interval holds the truth, and with an exact tool how much wider the spread
+is than the Cramer-Rao bound.
 """
 
 import argparse
@@ -15,6 +16,8 @@ from dataclasses import replace
 from bellows_ros.core.identification.least_squares import least_squares, Samples
 from bellows_ros.core.identification.measured import Measured, measured_stretches
 from bellows_ros.core.identification.noise import Noise
+from bellows_ros.core.identification.objective import Objective, Stretch
+from bellows_ros.core.identification.parametrisation import Parametrisation
 from bellows_ros.core.identification.prediction_error import prediction_error
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.structure import structure_named
@@ -123,6 +126,23 @@ def ratios(fit: Fit) -> tuple[Array, Array]:
     return found / truth, np.sqrt(np.diag(fit.covariance)) / truth
 
 
+def cramer_rao(seed: int, duration: float, noise: Noise) -> Array:
+    """Return the least relative errors of any unbiased method with an exact tool."""
+    silent = Noise(0.0, 0.0)
+    truth = Cup.thesis()
+    chart = Parametrisation(STRUCTURE, np.diag(truth.stiffness), np.diag(truth.damping))
+    stretches = [
+        Stretch(replace(part, package_noise=noise), truth)
+        for part in measured_stretches(
+            *recorded(seed, duration, silent, silent), PLATE, GRAVITY)
+    ]  # fmt: skip
+    objective = Objective(stretches, truth.length, chart, 0)
+    theta = np.zeros(objective.size)
+    theta[:chart.size] = chart.numbers(truth.stiffness, truth.damping)
+    J = objective.jacobian(theta)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(J.T @ J)))[:chart.size])
+
+
 def rows(
     noise: tuple[float, float], runs: int, duration: float, exact_tool: bool, methods: list[str]
 ) -> list[str]:
@@ -143,6 +163,10 @@ def rows(
         spread = 100 * x.std(axis=0, ddof=1) if runs > 1 else np.zeros(x.shape[1])
         lines.append(_line(['', '', 'spread %', *(f'{s:.2f}' for s in spread)]))
         lines.append(_line(['', '', 'covered %', *(f'{100 * c:.0f}' for c in inside)]))
+        if exact_tool and runs > 1:
+            bounds = [cramer_rao(seed, duration, of_package) for seed in range(runs)]
+            over = np.std((x - 1.0) / bounds, axis=0, ddof=1)
+            lines.append(_line(['', '', 'spread / bound', *(f'{r:.2f}' for r in over)]))
     return lines
 
 

@@ -1,6 +1,7 @@
-"""Free numbers from which K is positive definite and P positive semidefinite by construction."""
+"""Free numbers of K and P: definite by construction to search among, linear to judge by."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from bellows_ros.core.identification.structure import Structure
 import numpy as np
@@ -10,6 +11,45 @@ Array = NDArray[np.float64]
 
 SMALLEST_FACTOR = 1e-3
 """Eigenvalues of a start below this part of the largest, in scaled units, are lifted to it."""
+
+
+class Chart(Protocol):
+    """What turns free numbers into K and P."""
+
+    @property
+    def size(self) -> int:
+        """Number of free numbers, of K and P together."""
+
+    def matrices(self, theta: Array) -> tuple[Array, Array]:
+        """Return K and P (6, 6) of the free numbers (size,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbourhood:
+    """
+    K and P near given ones, linear in the parameters of a structure.
+
+    Parameters
+    ----------
+    structure : Structure
+        Which entries are free.
+    origin, scale : ndarray (size,)
+        The given parameters, and what one unit of a free number is.
+
+    """
+
+    structure: Structure
+    origin: Array
+    scale: Array
+
+    @property
+    def size(self) -> int:
+        """Number of free numbers, of K and P together."""
+        return 2 * self.structure.size
+
+    def matrices(self, theta: Array) -> tuple[Array, Array]:
+        """Return K and P (6, 6) of the free numbers (size,)."""
+        return self.structure.matrices(self.origin + self.scale * theta)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +95,14 @@ class Parametrisation:
             ]
         )
 
-    def entry_slopes(self, theta: Array) -> Array:
-        """Return the derivatives (72, size) of all entries of K and P, by central differences."""
-        h = 1e-5
-        columns = []
-        for step in np.eye(len(theta)) * h:
-            ends = [np.concatenate([m.ravel() for m in self.matrices(theta + side)])
-                    for side in (step, -step)]
-            columns.append((ends[0] - ends[1]) / (2.0 * h))
-        return np.array(columns).T
+    def near(self, theta: Array) -> Neighbourhood:
+        """Return the linear neighbourhood of the free numbers, in units of the scales."""
+        units = [
+            [np.sqrt(scale[i] * scale[j]) for ((i, j), *_) in self.structure.entries]
+            for scale in (self.stiffness_scale, self.damping_scale)
+        ]
+        origin = self.structure.parameters(*self.matrices(theta))
+        return Neighbourhood(self.structure, origin, np.concatenate(units))
 
     def _matrix(self, theta: Array, scale: Array) -> Array:
         if self.structure.name != 'full':
@@ -87,3 +126,13 @@ class Parametrisation:
         C = np.linalg.cholesky((vectors * lifted) @ vectors.T)
         C[np.diag_indices(6)] = np.log(np.diag(C))
         return np.asarray(C[np.tril_indices(6)])
+
+
+def semidefinite(matrix: Array) -> Array:
+    """Return the nearest symmetric matrix without negative eigenvalues, in units of its scale."""
+    scale = np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
+    unit = np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(matrix / unit)
+    if values[0] >= 0.0:
+        return matrix
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T * unit)

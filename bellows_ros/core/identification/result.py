@@ -1,7 +1,10 @@
 """The outcome of a fit, frozen, with its uncertainty and what must be said about it."""
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
+from bellows_ros.core.identification.structure import structure_named
+from bellows_ros.core.identification.unknown import without
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +24,34 @@ class Iteration:
 
 
 @dataclass(frozen=True, eq=False)
+class Rest:
+    """
+    What standstills have added to a fit.
+
+    Parameters
+    ----------
+    holds : int
+        How many.
+    chi2 : float
+        Squares of their whitened equations that the result leaves, per degree of freedom; 1 where
+        the errors of the mean poses explain all. Above 1 the equations count by as much less.
+    narrowed : ndarray (2 n,)
+        Standard error of each parameter with the standstills over that without; 0 where they alone
+        tell it, 1 where they tell nothing.
+    length, length_std : float
+        The cup's nominal length that belongs to the fit, and its standard error, m; 0 where the
+        length was given as exact.
+
+    """
+
+    holds: int
+    chi2: float
+    narrowed: Array
+    length: float
+    length_std: float
+
+
+@dataclass(frozen=True, eq=False)
 class Fit:
     """
     K and P found from recordings.
@@ -34,9 +65,11 @@ class Fit:
     stiffness, damping : ndarray (6, 6)
         K (3.17) and P (3.33) in SI units, linear first.
     stiffness_std, damping_std : ndarray (6, 6)
-        Standard errors; 0 for entries that the structure fixes at zero.
+        Standard errors; 0 for entries that the structure fixes at zero, inf for those of which
+        the recordings tell nothing.
     covariance : ndarray (2 n, 2 n)
-        Of the free parameters, in the order of the labels.
+        Of the free parameters, in the order of the labels; what is not told has inf on the
+        diagonal and 0 beside it.
     labels : tuple of str
         Names of the free parameters: those of K, then those of P.
     samples_used, samples_rejected : int
@@ -55,6 +88,8 @@ class Fit:
         How the minimum was found; empty for least squares.
     delays : tuple of float
         Times (s) by which each recording's tool stamps are behind the package's, where wanted.
+    rest : Rest or None
+        What standstills have added, where there were any.
 
     """
 
@@ -75,6 +110,18 @@ class Fit:
     chi2: float | None = None
     iterations: tuple[Iteration, ...] = ()
     delays: tuple[float, ...] = ()
+    rest: Rest | None = None
+
+    def without(self, labels: Collection[str]) -> 'Fit':
+        """Return the fit with infinite standard errors of some parameters."""
+        untold = np.array([label in labels for label in self.labels])
+        if not untold.any():
+            return self
+        covariance = without(self.covariance, untold)
+        errors = structure_named(self.structure).spread(np.sqrt(np.diag(covariance)))
+        return replace(
+            self, covariance=covariance, stiffness_std=errors[0], damping_std=errors[1]
+        )
 
     @property
     def usable(self) -> bool:

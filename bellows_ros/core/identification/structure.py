@@ -63,6 +63,15 @@ class Structure:
             np.tensordot(x[self.size:], basis, axes=1),
         )
 
+    def spread(self, errors: Array) -> tuple[Array, Array]:
+        """Return errors (2 n,) of the parameters, which may be infinite, as those of K and P."""
+        both = np.zeros((2, 6, 6))
+        for number, error in enumerate(errors.tolist()):
+            matrix, parameter = divmod(number, self.size)
+            for row, column in self.entries[parameter]:
+                both[matrix, row, column] = both[matrix, column, row] = error
+        return both[0], both[1]
+
     def parameters(self, stiffness: Array, damping: Array) -> Array:
         """Return the parameters x (2 n,) nearest to K and P: the mean of tied entries."""
         return np.array(

@@ -52,10 +52,10 @@ def noisy(poses, position, rotation, rng):
 
 def stretches(
         seed, duration=12.0, tool_noise=(0.0, 0.0), package_noise=(1e-4, 5e-4), cup=None,
-        held=PLATE, rate_hz=250.0, recording=0, later=0.0, margin=0.0, damage=None):
+        held=PLATE, rate_hz=250.0, recording=0, later=0.0, margin=0.0, damage=None, motion=Shake):
     """Return a simulated recording as the prediction-error method takes it."""
     cup = cup or Cup.thesis()
-    motion = Shake(seed)
+    motion = motion(seed)
     tool = motion.trajectory(duration, rate_hz)
     body = simulate(cup, held, tool, gravity=GRAVITY)
     rng = np.random.default_rng(1000 + seed)

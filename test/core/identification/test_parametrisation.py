@@ -1,6 +1,6 @@
-"""The charts of K and P: definite by construction, and their derivatives."""
+"""The charts of K and P: definite by construction, and linear near a point."""
 
-from bellows_ros.core.identification.parametrisation import Parametrisation
+from bellows_ros.core.identification.parametrisation import Parametrisation, semidefinite
 from bellows_ros.core.identification.structure import STRUCTURES
 from bellows_ros.core.model import Cup
 import numpy as np
@@ -44,10 +44,26 @@ def test_an_indefinite_start_is_lifted():
 
 
 @pytest.mark.parametrize('name', list(STRUCTURES))
-def test_slopes_are_those_of_the_entries(name):
-    rng = np.random.default_rng(3)
-    c = chart(name, Cup.thesis())
-    theta, d = 0.3 * rng.standard_normal(c.size), 1e-6 * rng.standard_normal(c.size)
-    ahead, behind = (
-        np.concatenate([m.ravel() for m in c.matrices(theta + s * d)]) for s in (1, -1))
-    assert_allclose(c.entry_slopes(theta) @ d, (ahead - behind) / 2, rtol=1e-5, atol=1e-10)
+def test_a_neighbourhood_is_linear_in_the_parameters(name):
+    cup = random_cup(np.random.default_rng(4)) if name == 'full' else Cup.thesis()
+    c = chart(name, cup)
+    near = c.near(c.numbers(cup.stiffness, cup.damping))
+    assert_allclose(near.matrices(np.zeros(near.size))[0], cup.stiffness, rtol=1e-9, atol=1e-9)
+    for j, label in enumerate(STRUCTURES[name].labels):
+        K, P = near.matrices(0.5 * np.eye(near.size)[j])
+        changed = K - cup.stiffness if label[0] == 'K' else P - cup.damping
+        where = STRUCTURES[name].entries[j % STRUCTURES[name].size][0]
+        assert_allclose(changed[where], 0.5 * near.scale[j], rtol=1e-6)
+        assert_allclose(near.matrices(np.eye(near.size)[j])[0] - cup.stiffness,
+                        2.0 * (K - cup.stiffness), rtol=1e-6, atol=1e-9)
+
+
+def test_the_nearest_semidefinite_matrix():
+    P = np.diag([60.0, 60.0, -3.0, 0.05, 0.05, 0.1])
+    assert_allclose(semidefinite(P), np.diag([60.0, 60.0, 0.0, 0.05, 0.05, 0.1]), atol=1e-12)
+    P[2, 2] = 3.0
+    assert semidefinite(P) is P
+    P[0, 2] = P[2, 0] = 20.0  # more than the root of 60 * 3
+    values = np.linalg.eigvalsh(semidefinite(P))
+    assert values[0] > -1e-9
+    assert_allclose(semidefinite(semidefinite(P)), semidefinite(P), atol=1e-9)
