@@ -6,11 +6,11 @@ A 6x6 matrix is 36 numbers, row-major; an inertia is [ixx, iyy, izz, ixy, ixz, i
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-import difflib
 import re
 from types import MappingProxyType
 from typing import Literal
 
+from bellows_ros.core.nearest_name import hint
 from bellows_ros.errors import BellowsError
 
 Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_array']
@@ -184,6 +184,24 @@ _TABLE = (
         _IDENTIFIER,
     ),
     Parameter(
+        'static.bags', 'string_array', (), '',
+        'Recordings of standstills of the same cup, whose balance counts in the fit beside the '
+        'motion of the recordings in bags.',
+        _IDENTIFIER,
+    ),
+    Parameter(
+        'static.files', 'string_array', (), '',
+        'Parameter files with package.mass, and package.com where it differs, one for each of '
+        'static.bags; none where these held what package.* says.',
+        _IDENTIFIER,
+    ),
+    Parameter(
+        'static.length', 'bool', False, '',
+        'Whether cup.length is found from static.bags, which must then hold two or more masses '
+        'with the tool upright, section 4.2.',
+        _IDENTIFIER,
+    ),
+    Parameter(
         'cup.length', 'double', THESIS_LENGTH, 'm',
         'Length l0 of the cup from E to S under vacuum and without load.',
         _BOTH, above=0.0, maximum=1.0,
@@ -205,12 +223,14 @@ _TABLE = (
     ),
     Parameter(
         'cup.stiffness_std', 'double_array', (0.0,) * 36, 'N/m, N, N m/rad',
-        'Standard deviations of the entries of K, 6x6 row-major; 0 where an entry is exact.',
+        'Standard deviations of the entries of K, 6x6 row-major; 0 where an entry is exact, '
+        '1e9 where nothing is known of it.',
         _PREDICTOR, minimum=0.0, maximum=1e9, length=36,
     ),
     Parameter(
         'cup.damping_std', 'double_array', (0.0,) * 36, 'N s/m, N s, N m s/rad',
-        'Standard deviations of the entries of P, 6x6 row-major; 0 where an entry is exact.',
+        'Standard deviations of the entries of P, 6x6 row-major; 0 where an entry is exact, '
+        '1e9 where nothing is known of it.',
         _PREDICTOR, minimum=0.0, maximum=1e9, length=36,
     ),
     Parameter(
@@ -296,6 +316,12 @@ _TABLE = (
         _IDENTIFIER,
     ),
     Parameter(
+        'fit.compare_structures', 'bool', False, '',
+        'Whether the structures of K and P are compared by AIC, BIC and held-out parts, and one '
+        'is advised, as the command ladder does.',
+        _IDENTIFIER,
+    ),
+    Parameter(
         'fit.time_offset', 'bool', False, '',
         'Whether the time by which the stamps of the tool are behind those of the package is '
         'estimated too, for every recording; for the prediction error.',
@@ -305,6 +331,12 @@ _TABLE = (
         'gravity', 'double', 9.81, 'm/s^2',
         'Magnitude of gravity, along -z of the world.',
         _BOTH, minimum=0.0, maximum=100.0, read_only=True,
+    ),
+    Parameter(
+        'tool_pose.type', 'string', 'pose', '',
+        'What tool_arm/pose brings: PoseStamped, TransformStamped or Odometry, whose twist is not '
+        'read.',
+        _PREDICTOR, choices=('pose', 'transform', 'odometry'), read_only=True,
     ),
     Parameter(
         'tool_twist.frame', 'string', 'world', '',
@@ -369,6 +401,12 @@ _TABLE = (
         _PREDICTOR, minimum=0.0, maximum=1e6,
     ),
     Parameter(
+        'validation.bags', 'string_array', (), '',
+        'Recordings of the same cup and package, not in bags, on which the result is validated '
+        'by free simulation.',
+        _IDENTIFIER,
+    ),
+    Parameter(
         'output.parameters', 'string', '', '',
         "Parameter file to write the identified cup to, for the predictor; '' for none.",
         _IDENTIFIER,
@@ -376,6 +414,11 @@ _TABLE = (
     Parameter(
         'output.json', 'string', '', '',
         "File to write the result of the fit to, as JSON; '' for none.",
+        _IDENTIFIER,
+    ),
+    Parameter(
+        'output.report', 'string', '', '',
+        "File to write a page with plots to, as HTML; '' for none.",
         _IDENTIFIER,
     ),
     Parameter(
@@ -419,9 +462,18 @@ def lookup(name: str) -> Parameter:
     named = NAMED_CUP.fullmatch(name)
     if named and named[2] != 'name' and f'cup.{named[2]}' in PARAMETERS:
         return replace(PARAMETERS[f'cup.{named[2]}'], name=name)
-    near = difflib.get_close_matches(name, PARAMETERS, n=1, cutoff=0.5)
-    hint = f"Did you mean '{near[0]}'?" if near else 'Known are: ' + ', '.join(PARAMETERS) + '.'
-    raise BellowsError(f"Unknown parameter '{short(name)}'. {hint}")
+    raise BellowsError(f"Unknown parameter '{short(name)}'. {_hint(name, named)}")
+
+
+def _hint(name: str, named: re.Match[str] | None) -> str:
+    """Return what helps to find the right name."""
+    if named:
+        of_cups = [f'cups.{named[1]}.{key[4:]}' for key in PARAMETERS if key.startswith('cup.')]
+        return hint(name, [key for key in of_cups if key != f'cups.{named[1]}.name'])
+    if name.startswith('cups.'):
+        return ("A cup's parameters are cups.NAME.stiffness and so on; NAME has letters, digits "
+                'and underscores.')  # fmt: skip
+    return hint(name, PARAMETERS)
 
 
 def short(value: object) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 from bellows_ros.core.identification.excitation import Excitation
 from bellows_ros.core.identification.structure import AXES, structure_named
 from bellows_ros.core.identification.whiteness import Spectrum
+from bellows_ros.workflows.result_json import NORMAL_95
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,9 +15,6 @@ from .page import bullets, figures, folded, heading, paragraph, table
 from .svg import Curve, interval_chart, line_chart
 
 Array = NDArray[np.float64]
-
-NORMAL_95 = 1.959963984540054
-"""Half width of the 95 % interval in standard errors."""
 
 LOWEST_HZ = 0.2
 """Lower end of spectra on a logarithmic axis."""

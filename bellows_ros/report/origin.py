@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from bellows_ros.core.identification.excitation import SEED as EXCITATION_SEED
+from bellows_ros.core.identification.added_noise import SEED as EXCITATION_SEED
 from bellows_ros.core.identification.validation import SEED
 
 from .page import folded, table

@@ -16,9 +16,10 @@ from typing import Any
 from bellows_ros import __version__
 from bellows_ros.core.identification.consistency import Consistency, same_cup
 from bellows_ros.core.identification.envelope import Envelope
-from bellows_ros.core.identification.methods import samples_of
+from bellows_ros.core.identification.methods import filtered_samples
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.seen import envelope
+from bellows_ros.core.identification.static_rows import joined_with_rest, Length
 from bellows_ros.core.identification.structure import structure_named
 from bellows_ros.core.identification.summaries import (
     fit_summaries,
@@ -26,16 +27,24 @@ from bellows_ros.core.identification.summaries import (
     summarise,
     Summary,
 )
-from bellows_ros.core.model import package_of
+from bellows_ros.core.model import cup_of, Package, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.preparation import Report
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.results import write_result
 from bellows_ros.files.summary_files import read_summary, SummaryFile, write_summary
-from bellows_ros.workflows.identify import Identification, NOT_OF_THE_CUP, values_of_each
-from bellows_ros.workflows.recordings import load
+from bellows_ros.workflows.identify import (
+    errors_of,
+    Identification,
+    NOT_OF_THE_CUP,
+    resolved,
+    rest_of,
+)
+from bellows_ros.workflows.recordings import load, names_of, values_of_each
 from bellows_ros.workflows.result_json import fit_json, recording_json
+from bellows_ros.workflows.static import AtRest
+import numpy as np
 
 Progress = Callable[[str, float], None]
 Work = tuple[int, str, dict[str, Any]]
@@ -88,7 +97,7 @@ class BatchIdentification(Identification):
     @property
     def envelope(self) -> Envelope:
         """What the fit has seen."""
-        return joined_envelopes(self.envelopes)
+        return self._with_rest(joined_envelopes(self.envelopes))
 
     @property
     def reports(self) -> tuple[Report, ...]:
@@ -138,26 +147,28 @@ def identify_many(
         no recording is usable, or all together do not determine the cup.
 
     """
-    required = () if settings.get('package.files') else PACKAGE_PARAMETERS
-    values: dict[str, Any] = resolve(settings, required)
-    _require_least_squares(values)
-    bags = [os.fspath(bag) for bag in values['bags']]
-    if not bags:
-        raise BellowsError('No recording to identify from: the parameter bags is empty.')
-    each = values_of_each(values)
     tell = progress or (lambda what, part: None)
+    values = resolved(settings)
+    _require_least_squares(values)
+    _require_nothing_whole(values)
+    at_rest = rest_of(values, tell)
+    bags = [os.fspath(bag) for bag in values['bags']]
+    each = values_of_each(values)
     tell(f'reading {len(bags)} recordings', 0.0)
     work = [(n, bag, dict(own)) for n, (bag, own) in enumerate(zip(bags, each, strict=True))]
     results = _on_dask(work, dask) if dask else _on_cores(work, jobs)
     done, failed = _gathered(results, bags, tell)
     used = {**values, 'bags': tuple(bags[item.number] for item in done)}
+    if values['package.files']:
+        used['package.files'] = tuple(values['package.files'][item.number] for item in done)
     result = BatchIdentification(
-        fit=fit_summaries([item.summary for item in done]),
+        fit=_fit(done, used, at_rest),
         values=used,
         recordings=(),
         held=tuple(package_of(each[item.number]) for item in done),
         parameter_files=tuple(parameter_files),
-        consistency=_consistency(done, used),
+        consistency=_consistency(done, used, [package_of(each[item.number]) for item in done]),
+        at_rest=at_rest,
         kept=tuple(item.report for item in done),
         failed=tuple(failed),
         envelopes=tuple(item.envelope for item in done),
@@ -188,18 +199,32 @@ def _gathered(
     return done, failed
 
 
-def _consistency(done: Sequence[Done], values: Mapping[str, Any]) -> Consistency | None:
+def _fit(done: Sequence[Done], values: Mapping[str, Any], at_rest: AtRest | None) -> Fit:
+    """Return the fit of all summaries, and of standstills where there are any."""
+    fit = fit_summaries([item.summary for item in done])
+    if at_rest is None:
+        return fit
+    exact = Length(values['cup.length'], 0.0, np.zeros(len(fit.labels)))
+    return joined_with_rest(
+        fit, at_rest.holds, exact, values['gravity'], cup_of(values).stiffness
+    )
+
+
+def _consistency(
+    done: Sequence[Done], values: Mapping[str, Any], held: Sequence[Package]
+) -> Consistency | None:
     """Return whether the recordings are of one cup, where that is asked for."""
     if not values['fit.compare_recordings'] or len(done) < 2:
         return None
-    return same_cup([fit_summaries([item.summary]) for item in done], values['bags'])
+    alone = [fit_summaries([item.summary]) for item in done]
+    return same_cup(alone, names_of(values['bags'], held))
 
 
 def summarise_bag(number: int, bag: str, values: Mapping[str, Any]) -> Done | Failed:
     """Return a recording's summary, or why there is none; the work of one process."""
     try:
         recording = load(bag, values).recording
-        samples = samples_of(recording, package_of(values), values['gravity'])
+        samples = filtered_samples(recording, package_of(values), values)
         length = values['cup.length']
         summary = summarise(samples, length, structure_named(values['fit.structure']))
         return Done(number, summary, envelope([samples], length), recording.report)
@@ -213,6 +238,24 @@ def _require_least_squares(values: Mapping[str, Any]) -> None:
         raise BellowsError(
             f"Recordings can be worked on apart only with fit.method 'least_squares', not "
             f"'{values['fit.method']}'. Set it, or leave --jobs and --dask out."
+        )
+
+
+def _require_nothing_whole(values: Mapping[str, Any]) -> None:
+    """Refuse what needs all recordings at one place."""
+    if values['fit.compare_structures']:
+        raise BellowsError(
+            'fit.compare_structures needs the recordings themselves, which --jobs and --dask do '
+            'not keep. Leave it out, and take the command ladder on some of them.'
+        )
+    if values['static.length']:
+        raise BellowsError(
+            'static.length is not for --jobs and --dask: find the length first, with the command '
+            'static and its --out.'
+        )
+    if values['validation.bags']:
+        raise BellowsError(
+            'validation.bags is not for --jobs and --dask. Take the command validate afterwards.'
         )
 
 
@@ -326,6 +369,7 @@ class Merged:
             **common,
             'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
             'cup.damping': tuple(self.fit.damping.ravel().tolist()),
+            **errors_of(self.fit),
             **joined_envelopes([file.envelope for file in self.files]).parameters(),
         }
 

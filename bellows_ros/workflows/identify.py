@@ -1,37 +1,59 @@
 """Identify a cup from recordings: files in, K and P with all that is known about them out."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 import os
 from typing import Any
 
 from bellows_ros import __version__
+from bellows_ros.core.identification.added_noise import FilterNoise
 from bellows_ros.core.identification.consistency import Consistency, same_cup
 from bellows_ros.core.identification.envelope import Envelope
-from bellows_ros.core.identification.excitation import (
-    describe_excitation,
-    Excitation,
-    FilterNoise,
-)
+from bellows_ros.core.identification.excitation import describe_excitation, Excitation
+from bellows_ros.core.identification.ladder import Ladder, structure_ladder
 from bellows_ros.core.identification.methods import filtered_samples, fitted, samples_of
+from bellows_ros.core.identification.package_check import CentreOfMass, check_centre_of_mass
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.identification.seen import envelope
+from bellows_ros.core.identification.seen import envelope, with_rest
+from bellows_ros.core.identification.static import check_spring, SpringCheck
 from bellows_ros.core.identification.structure import structure_named
-from bellows_ros.core.model import Package, package_of
+from bellows_ros.core.model import Cup, Package, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.preparation import Recording, Report
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.parameter_files import read_parameters, write_parameters
+from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.provenance import provenance
 from bellows_ros.files.results import write_result
-from bellows_ros.workflows.recordings import load
-from bellows_ros.workflows.result_json import excitation_json, fit_json, recording_json
+from bellows_ros.workflows.findings import findings
+from bellows_ros.workflows.recordings import load, names_of, values_of_each
+from bellows_ros.workflows.result_json import (
+    centre_json,
+    consistency_json,
+    excitation_json,
+    fit_json,
+    ladder_json,
+    measured_json,
+    package_json,
+    recording_json,
+)
+from bellows_ros.workflows.static import AtRest, recorded_at_rest
+from bellows_ros.workflows.validate import validate, Validated
+import numpy as np
 
 Progress = Callable[[str, float], None]
 
-NOT_OF_THE_CUP = ('bags', 'output.parameters', 'output.json', 'predictor', 'exit_when_done')
+NOT_OF_THE_CUP = (
+    'bags', 'package.files', 'static.bags', 'static.files', 'static.length', 'validation.bags',
+    'output.parameters', 'output.json', 'output.report', 'predictor', 'exit_when_done',
+)  # fmt: skip
 """Parameters that belong to one run and not into the file of the cup."""
+
+UNKNOWN_STD = 1e9
+"""Stands in parameter files for the standard error of an entry of which nothing is known."""
+
+FIT_BEGINS, FIT_ENDS = 0.2, 0.9
+"""Parts of the whole work at which fitting begins and ends, for the progress."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +66,7 @@ class Identification:
     fit : Fit
         K and P with their uncertainty.
     values : mapping
-        All parameters of the run.
+        All parameters of the run, with the cup.length that was found where that was asked for.
     recordings : tuple of Recording
         The prepared recordings, in the order of the parameter `bags`.
     held : tuple of Package
@@ -55,6 +77,14 @@ class Identification:
         Whether the recordings are of one cup, where that was asked for.
     excitation : Excitation or None
         What the recordings can tell.
+    at_rest : AtRest or None
+        The recordings of standstills, where there are any.
+    ladder : Ladder or None
+        The structures of K and P compared, where that was asked for.
+    validations : tuple of Validated
+        Recordings that the fit has not seen, simulated with its cup.
+    centres : tuple of (CentreOfMass or None)
+        Where each recording wants the centre of mass; None where it cannot say.
 
     """
 
@@ -65,6 +95,10 @@ class Identification:
     parameter_files: tuple[str | os.PathLike[str], ...] = ()
     consistency: Consistency | None = None
     excitation: Excitation | None = None
+    at_rest: AtRest | None = None
+    ladder: Ladder | None = None
+    validations: tuple[Validated, ...] = ()
+    centres: tuple[CentreOfMass | None, ...] = ()
 
     @property
     def reports(self) -> tuple[Report, ...]:
@@ -78,49 +112,97 @@ class Identification:
             samples_of(recording, package, self.values['gravity'])
             for recording, package in zip(self.recordings, self.held, strict=True)
         ]
-        return envelope(samples, self.values['cup.length'])
+        return self._with_rest(envelope(samples, self.values['cup.length']))
+
+    def _with_rest(self, moving: Envelope) -> Envelope:
+        """Return an envelope with that of the standstills."""
+        if self.at_rest is None:
+            return moving
+        return with_rest(moving, self.at_rest.holds, self.values['cup.length'])
+
+    @cached_property
+    def spring(self) -> SpringCheck | None:
+        """Whether the cup's spring holds in the standstills; None without these."""
+        if self.at_rest is None:
+            return None
+        cup = Cup(self.fit.stiffness, self.fit.damping, self.values['cup.length'])
+        return check_spring(cup, self.at_rest.holds, self.values['gravity'])
+
+    def cup_values(self) -> dict[str, Any]:
+        """Return the parameters of the run with K and P in them."""
+        return {
+            **self.values,
+            'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
+            'cup.damping': tuple(self.fit.damping.ravel().tolist()),
+        }
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters of the cup file: those of the run with K and P in them."""
-        kept = {name: v for name, v in self.values.items() if name not in NOT_OF_THE_CUP}
-        return {
-            **kept,
-            'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
-            'cup.damping': tuple(self.fit.damping.ravel().tolist()),
-            'cup.stiffness_std': tuple(self.fit.stiffness_std.ravel().tolist()),
-            'cup.damping_std': tuple(self.fit.damping_std.ravel().tolist()),
-            **self.envelope.parameters(),
-        }
+        kept = {name: v for name, v in self.cup_values().items() if name not in NOT_OF_THE_CUP}
+        return {**kept, **errors_of(self.fit), **self.envelope.parameters()}
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What was found beside the cup, in sentences."""
+        return findings(self)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the user must know: of the fit, then of the recordings."""
         told = self.excitation.warnings if self.excitation else ()
         verdict = (self.consistency.verdict,) if self.consistency else ()
+        resting = self.at_rest.warnings(self.values['cup.length']) if self.at_rest else ()
         of_recordings = tuple(w for report in self.reports for w in report.warnings)
-        return (*self.fit.warnings, *told, *verdict, *of_recordings)
+        return (
+            *self.fit.warnings, *self._wrong_centres(), *told, *verdict, *resting, *of_recordings)
+
+    def _wrong_centres(self) -> tuple[str, ...]:
+        """Return what is to be said of centres of mass."""
+        bags = self.values['bags'] if self.centres else ()
+        return tuple(
+            text for bag, centre in zip(bags, self.centres, strict=True) if centre is not None
+            for text in centre.warning(os.fspath(bag))
+        )  # fmt: skip
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         return {
             **fit_json(self.fit),
             'warnings': self.warnings,
+            'findings': self.findings,
             'cup_length': self.values['cup.length'],
-            'recordings': [
-                recording_json(str(bag), report)
-                for bag, report in zip(self.values['bags'], self.reports, strict=True)
-            ],
-            'one_cup': self.consistency and {
-                'probability': self.consistency.probability,
-                'verdict': self.consistency.verdict,
-                'deviations': self.consistency.deviations,
-            },
-            'excitation': excitation_json(self.excitation) if self.excitation else None,
+            'recordings': self._recordings_json(),
+            'at_rest': self.at_rest and self.at_rest.as_json(),
+            'one_cup': self.consistency and consistency_json(self.consistency),
+            'excitation': self.excitation and excitation_json(self.excitation),
+            'ladder': self.ladder and ladder_json(self.ladder),
+            'validations': [validated.as_json() for validated in self.validations],
             'envelope': self.envelope.as_json(),
             'settings': dict(self.values),
-            'provenance': provenance(self.values['bags'], self.parameter_files),
+            'provenance': provenance(
+                [*self.values['bags'], *self.values['static.bags']], self.parameter_files),
             'version': __version__,
         }
+
+    def _recordings_json(self) -> list[dict[str, Any]]:
+        """Return what became of each recording, with what it held, its noise and its offsets."""
+        found = [
+            {**recording_json(str(bag), report), 'package': package_json(package)}
+            for bag, report, package in zip(
+                self.values['bags'], self.reports, self.held, strict=True)
+        ]  # fmt: skip
+        for entry, recording, centre in zip(found, self.recordings, self.centres, strict=False):
+            entry.update(measured_json(recording))
+            entry['centre_of_mass'] = centre and centre_json(centre)
+        return found
+
+
+def errors_of(fit: Fit) -> dict[str, tuple[float, ...]]:
+    """Return the standard errors of a fit as parameters; of what is not known `UNKNOWN_STD`."""
+    return {
+        f'cup.{name}': tuple(np.minimum(getattr(fit, name), UNKNOWN_STD).ravel().tolist())
+        for name in ('stiffness_std', 'damping_std')
+    }
 
 
 def identify(
@@ -146,34 +228,156 @@ def identify(
         If a parameter or a recording is not usable, or the recordings do not determine the cup.
 
     """
+    tell = progress or (lambda what, part: None)
+    values = resolved(settings)
+    at_rest = rest_of(values, tell)
+    if at_rest and at_rest.length and values['static.length']:
+        values['cup.length'] = at_rest.length.length
+    recordings, held = _read(values, tell)
+    tell('looking at the excitation', FIT_BEGINS)
+    excitation = _excitation(recordings, held, values)
+    fit = _fit(recordings, held, values, excitation, at_rest, tell)
+    if fit.rest is not None:
+        values['cup.length'] = fit.rest.length
+    result = Identification(
+        fit, values, tuple(recordings), tuple(held), tuple(parameter_files),
+        _consistency(recordings, held, values, tell), excitation, at_rest,
+        _ladder(recordings, held, values, tell), centres=_centres(recordings, held, values),
+    )  # fmt: skip
+    result = replace(result, validations=tuple(_validated(result, tell)))
+    tell('done', 1.0)
+    return result
+
+
+def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
+    """Return all parameters of a run, or raise BellowsError where something is missing."""
     required = () if settings.get('package.files') else PACKAGE_PARAMETERS
     values: dict[str, Any] = resolve(settings, required)
-    bags = values['bags']
-    if not bags:
+    if not values['bags']:
         raise BellowsError(
             'No recording to identify from: the parameter bags is empty. Name at least one '
             'rosbag2 folder, or a .mcap or .db3 file.'
         )
-    recordings, held = [], []
+    if values['static.length'] and not values['static.bags']:
+        raise BellowsError(
+            'static.length is set, but static.bags is empty: the length is found from standstills '
+            'with two or more masses. Name their recordings in static.bags.'
+        )
+    used = {os.path.realpath(bag) for bag in values['bags']}
+    seen = [bag for bag in values['validation.bags'] if os.path.realpath(bag) in used]
+    if seen:
+        raise BellowsError(
+            f"'{seen[0]}' is both in bags and in validation.bags: a cup is validated on what it "
+            'has not seen. Take it out of one.'
+        )
+    if values['validation.bags'] and values['package.files']:
+        values = {**values, **_common_package(values)}
+    return values
+
+
+def _common_package(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the package of the recordings for validation, which must be known."""
+    missing = [name for name in PACKAGE_PARAMETERS if name not in values]
+    if missing:
+        raise BellowsError(
+            f'Which package validation.bags held is not known: set {", ".join(missing)} beside '
+            'package.files.'
+        )
+    return {name: values[name] for name in PACKAGE_PARAMETERS}
+
+
+def rest_of(values: Mapping[str, Any], tell: Progress) -> AtRest | None:
+    """Return the recordings of standstills, where there are any."""
+    return recorded_at_rest(values, tell) if values['static.bags'] else None
+
+
+def _read(
+    values: Mapping[str, Any], tell: Progress
+) -> tuple[list[Recording], list[Package]]:
+    """Return the prepared recordings, and what was held in each."""
+    recordings, held, bags = [], [], values['bags']
     for number, (bag, own) in enumerate(zip(bags, values_of_each(values), strict=True)):
-        _tell(progress, f'reading {os.fspath(bag)}', number / (len(bags) + 1))
+        tell(f'reading {os.fspath(bag)}', FIT_BEGINS * number / len(bags))
         recordings.append(load(bag, own).recording)
         held.append(package_of(own))
-    _tell(progress, 'fitting', len(bags) / (len(bags) + 1))
-    excitation = _excitation(recordings, held, values)
-    fit = fitted(recordings, held, values, progress)
-    consistency = None
-    if values['fit.compare_recordings'] and len(bags) > 1:
-        alone = [
-            fitted([recording], [package], values, progress)
-            for recording, package in zip(recordings, held, strict=True)
-        ]
-        consistency = same_cup(alone, bags)
-    _tell(progress, 'done', 1.0)
-    return Identification(
-        fit, values, tuple(recordings), tuple(held), tuple(parameter_files), consistency,
-        excitation,
+    return recordings, held
+
+
+def _fit(
+    recordings: Sequence[Recording], held: Sequence[Package], values: Mapping[str, Any],
+    excitation: Excitation, at_rest: AtRest | None, tell: Progress,
+) -> Fit:
+    """Return the fit to all recordings."""
+    tell('fitting', FIT_BEGINS)
+    untold = [told.label for told in excitation.parameters if told.untold]
+    holds = at_rest.holds if at_rest else ()
+    length = at_rest.length if at_rest and values['static.length'] else None
+    error = length.length_std if length else 0.0
+    return fitted(recordings, held, values, _within(tell), untold, holds, error)
+
+
+def _within(tell: Progress) -> Progress:
+    """Return what tells the progress of a fit as a part of the whole."""
+    return lambda what, part: tell(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part)
+
+
+def _consistency(
+    recordings: Sequence[Recording], held: Sequence[Package], values: Mapping[str, Any],
+    tell: Progress,
+) -> Consistency | None:
+    """Return whether each recording alone finds the same cup, where that is asked for."""
+    if not values['fit.compare_recordings'] or len(recordings) < 2:
+        return None
+    names = names_of(values['bags'], held)
+    alone = []
+    for name, recording, package in zip(names, recordings, held, strict=True):
+        alone.append(fitted([recording], [package], values, _of(name, tell)))
+    return same_cup(alone, names)
+
+
+def _of(name: str, tell: Progress) -> Progress:
+    """Return what tells the progress of the fit to one recording."""
+    return lambda what, part: tell(f'{name} alone, {what}', FIT_ENDS)
+
+
+def _centres(
+    recordings: Sequence[Recording], held: Sequence[Package], values: Mapping[str, Any]
+) -> tuple[CentreOfMass | None, ...]:
+    """Return where each recording wants the centre of mass of its package."""
+    structure = structure_named(values['fit.structure'])
+    lip = values['recording.package_frame'] == 'lip'
+    return tuple(
+        check_centre_of_mass(
+            filtered_samples(recording, package, values), values['cup.length'], structure, lip,
+            FilterNoise.of(recording),
+        )
+        for recording, package in zip(recordings, held, strict=True)
     )  # fmt: skip
+
+
+def _ladder(
+    recordings: Sequence[Recording], held: Sequence[Package], values: Mapping[str, Any],
+    tell: Progress,
+) -> Ladder | None:
+    """Return the structures compared, where that is asked for."""
+    if not values['fit.compare_structures']:
+        return None
+    tell('comparing structures', FIT_ENDS)
+    samples = [filtered_samples(r, p, values) for r, p in zip(recordings, held, strict=True)]
+    noises = [FilterNoise.of(recording) for recording in recordings]
+    return structure_ladder(samples, values['cup.length'], noises)
+
+
+def _validated(result: Identification, tell: Progress) -> list[Validated]:
+    """Return the free simulations of the recordings for validation, if the cup can hold them."""
+    if not result.fit.usable:
+        return []
+    settings = {**result.cup_values(), **result.envelope.parameters()}
+    found = []
+    for bag in result.values['validation.bags']:
+        tell(f'validating on {bag}', FIT_ENDS)
+        found.append(validate(bag, settings))
+    return found
 
 
 def _excitation(
@@ -187,26 +391,6 @@ def _excitation(
     return describe_excitation(
         samples, values['cup.length'], structure, noises if by_least_squares else ()
     )
-
-
-def values_of_each(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the parameters for each recording, with the package that it held."""
-    files, bags = values['package.files'], values['bags']
-    if not files:
-        return [values] * len(bags)
-    if len(files) != len(bags):
-        raise BellowsError(
-            f'package.files has {len(files)} files for {len(bags)} recordings. Name one for each '
-            'recording in bags, in the same order, or none.'
-        )
-    each: list[Mapping[str, Any]] = []
-    for file in files:
-        own = {n: v for n, v in read_parameters(file).items() if n in PACKAGE_PARAMETERS}
-        missing = [name for name in PACKAGE_PARAMETERS if name not in own]
-        if missing:
-            raise BellowsError(f"Parameter file '{file}' lacks {', '.join(missing)}.")
-        each.append({**values, **own})
-    return each
 
 
 def save(
@@ -242,9 +426,3 @@ def header(result: Identification) -> list[str]:
         f'{fit.method}, {fit.structure}; {fit.samples_used} samples used, '
         f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
     ]
-
-
-def _tell(progress: Progress | None, what: str, part: float) -> None:
-    """Report progress where somebody wants to know."""
-    if progress is not None:
-        progress(what, part)

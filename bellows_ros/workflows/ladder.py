@@ -6,21 +6,17 @@ import os
 from typing import Any
 
 from bellows_ros import __version__
-from bellows_ros.core.identification.excitation import (
-    describe_excitation,
-    Excitation,
-    FilterNoise,
-)
-from bellows_ros.core.identification.ladder import Ladder, Rung, structure_ladder
+from bellows_ros.core.identification.added_noise import FilterNoise
+from bellows_ros.core.identification.excitation import describe_excitation, Excitation
+from bellows_ros.core.identification.ladder import Ladder, structure_ladder
 from bellows_ros.core.identification.methods import filtered_samples
 from bellows_ros.core.identification.structure import structure_named
 from bellows_ros.core.model import package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.preparation import Report
 from bellows_ros.errors import BellowsError
-from bellows_ros.workflows.identify import values_of_each
-from bellows_ros.workflows.recordings import load
-from bellows_ros.workflows.result_json import excitation_json, known, recording_json
+from bellows_ros.workflows.recordings import load, values_of_each
+from bellows_ros.workflows.result_json import excitation_json, ladder_json, recording_json
 
 Progress = Callable[[str, float], None]
 
@@ -57,13 +53,7 @@ class Climb:
         """Return the content of the JSON file, in SI units."""
         return {
             'excitation': excitation_json(self.excitation),
-            'ladder': {
-                'rungs': [_rung_json(rung) for rung in self.ladder.rungs],
-                'samples': self.ladder.samples,
-                'effective_samples': self.ladder.effective_samples,
-                'advised': self.ladder.advised,
-                'advice': self.ladder.advice,
-            },
+            'ladder': ladder_json(self.ladder),
             'recordings': [
                 recording_json(str(bag), report)
                 for bag, report in zip(self.values['bags'], self.reports, strict=True)
@@ -112,18 +102,3 @@ def climb(settings: Mapping[str, object], progress: Progress | None = None) -> C
     ladder = structure_ladder(samples, values['cup.length'], noises)
     tell('done', 1.0)
     return Climb(excitation, ladder, tuple(r.report for r in recordings), values)
-
-
-def _rung_json(rung: Rung) -> dict[str, Any]:
-    """Return one structure's marks."""
-    return {
-        'structure': rung.structure,
-        'parameters': rung.parameters,
-        'usable': rung.usable,
-        'refused': rung.refused,
-        'aic': rung.aic,
-        'bic': rung.bic,
-        'held_out_wrench': rung.held_out_wrench,
-        'held_out': known(rung.held_out),
-        'simulated': [known(float(error)) for error in rung.simulated],
-    }

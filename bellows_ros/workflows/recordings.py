@@ -1,14 +1,21 @@
 """Reading a recording and preparing it as its parameters say."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import os
 from pathlib import Path
 from typing import Any
 
+from bellows_ros.core.model import Package
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS
 from bellows_ros.core.recording.preparation import prepare, PrepareSettings, Recording
 from bellows_ros.core.trajectory import PoseStream, TwistStream
+from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams
+from bellows_ros.files.parameter_files import read_parameters
+
+NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
+"""Stands for the inertia (kg m^2) of what hangs at rest, where it takes no part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +54,71 @@ def load(path: str | os.PathLike[str], values: Mapping[str, Any]) -> Loaded:
     twist = streams.get('tool_twist')
     recording = prepare(tool, package, _settings(values), twist)
     return Loaded(Path(path), tool, package, twist, recording)
+
+
+def values_of_each(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """
+    Return the parameters for each of `bags`, with the package that it held.
+
+    Raises
+    ------
+    BellowsError
+        If there are not as many package.files, or one of them lacks something.
+
+    """
+    return _each(values, 'bags', 'package.files', PACKAGE_PARAMETERS)
+
+
+def values_at_rest(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """
+    Return the parameters for each of `static.bags`, with what hung there.
+
+    Raises
+    ------
+    BellowsError
+        If there are not as many static.files, or a mass or a centre of mass is not known.
+
+    """
+    filled = {'package.inertia': NO_INERTIA, **values}
+    each = _each(filled, 'static.bags', 'static.files', ('package.mass',))
+    missing = [n for n in PACKAGE_PARAMETERS if any(n not in own for own in each)]
+    if missing:
+        raise BellowsError(f'Not set for the recordings in static.bags: {", ".join(missing)}.')
+    return each
+
+
+def packages_differ(held: Sequence[Package]) -> bool:
+    """Tell whether the packages of recordings have different masses."""
+    return len({package.mass for package in held}) > 1
+
+
+def names_of(bags: Sequence[object], held: Sequence[Package]) -> list[str]:
+    """Return the names of recordings, with masses where these tell them apart."""
+    if not packages_differ(held):
+        return [str(bag) for bag in bags]
+    return [f'{bag} ({package.mass:.4g} kg)' for bag, package in zip(bags, held, strict=True)]
+
+
+def _each(
+    values: Mapping[str, Any], bags_in: str, files_in: str, needed: Sequence[str]
+) -> list[Mapping[str, Any]]:
+    """Return the parameters for each recording; every file of a package has what is needed."""
+    files, bags = values[files_in], values[bags_in]
+    if not files:
+        return [values] * len(bags)
+    if len(files) != len(bags):
+        raise BellowsError(
+            f'{files_in} has {len(files)} files for {len(bags)} recordings. Name one for each '
+            f'recording in {bags_in}, in the same order, or none.'
+        )
+    each: list[Mapping[str, Any]] = []
+    for file in files:
+        own = {n: v for n, v in read_parameters(file).items() if n in PACKAGE_PARAMETERS}
+        missing = [name for name in needed if name not in own]
+        if missing:
+            raise BellowsError(f"Parameter file '{file}' lacks {', '.join(missing)}.")
+        each.append({**values, **own})
+    return each
 
 
 def _settings(values: Mapping[str, Any]) -> PrepareSettings:

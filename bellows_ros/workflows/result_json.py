@@ -1,11 +1,22 @@
-"""Results as plain mappings, for JSON files."""
+"""Results as plain mappings, for JSON files; what is not known is not finite, and null there."""
 
 from typing import Any
 
+from bellows_ros.core.identification.added_noise import FilterNoise
+from bellows_ros.core.identification.consistency import Consistency
 from bellows_ros.core.identification.excitation import Axis, Excitation
+from bellows_ros.core.identification.ladder import Ladder, Rung
+from bellows_ros.core.identification.package_check import CentreOfMass
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.recording.preparation import Report, StreamReport
+from bellows_ros.core.model import Package
+from bellows_ros.core.recording.preparation import Recording, Report, StreamReport
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+NORMAL_95 = 1.959963984540054
+"""Half width of a 95 % interval in standard errors."""
 
 
 def fit_json(fit: Fit) -> dict[str, Any]:
@@ -17,6 +28,10 @@ def fit_json(fit: Fit) -> dict[str, Any]:
         'damping': fit.damping,
         'stiffness_std': fit.stiffness_std,
         'damping_std': fit.damping_std,
+        'intervals_95': {
+            name: _interval(getattr(fit, name), getattr(fit, f'{name}_std'))
+            for name in ('stiffness', 'damping')
+        },
         'samples_used': fit.samples_used,
         'samples_rejected': fit.samples_rejected,
         'condition_number': fit.condition_number,
@@ -30,6 +45,55 @@ def fit_json(fit: Fit) -> dict[str, Any]:
             {'stage': i.stage, 'chi2': i.chi2, 'stiffness': i.stiffness, 'damping': i.damping}
             for i in fit.iterations
         ],
+        'static': fit.rest and {
+            'standstills': fit.rest.holds,
+            'chi2': fit.rest.chi2,
+            'cup_length': fit.rest.length,
+            'cup_length_std': fit.rest.length_std,
+            'narrowed': dict(zip(fit.labels, fit.rest.narrowed.tolist(), strict=True)),
+        },
+    }
+
+
+def _interval(value: Array, error: Array) -> dict[str, Array]:
+    """Return both ends of the 95 % intervals of a matrix's entries."""
+    return {'low': value - NORMAL_95 * error, 'high': value + NORMAL_95 * error}
+
+
+def consistency_json(found: Consistency) -> dict[str, Any]:
+    """Return whether recordings are of one cup, for the JSON file."""
+    return {
+        'probability': found.probability,
+        'probability_stiffness': found.of_stiffness,
+        'probability_damping': found.of_damping,
+        'verdict': found.verdict,
+        'deviations': found.deviations,
+    }
+
+
+def ladder_json(ladder: Ladder) -> dict[str, Any]:
+    """Return structures compared, for the JSON file."""
+    return {
+        'rungs': [_rung_json(rung) for rung in ladder.rungs],
+        'samples': ladder.samples,
+        'effective_samples': ladder.effective_samples,
+        'advised': ladder.advised,
+        'advice': ladder.advice,
+    }
+
+
+def _rung_json(rung: Rung) -> dict[str, Any]:
+    """Return one structure's marks."""
+    return {
+        'structure': rung.structure,
+        'parameters': rung.parameters,
+        'usable': rung.usable,
+        'refused': rung.refused,
+        'aic': rung.aic,
+        'bic': rung.bic,
+        'held_out_wrench': rung.held_out_wrench,
+        'held_out': known(rung.held_out),
+        'simulated': [known(float(error)) for error in rung.simulated],
     }
 
 
@@ -42,6 +106,25 @@ def recording_json(bag: str, report: Report) -> dict[str, Any]:
         'tool_pose': _stream_json(report.tool),
         'package_pose': _stream_json(report.package),
         'warnings': report.warnings,
+    }
+
+
+def package_json(package: Package) -> dict[str, Any]:
+    """Return what a recording held: kg, kg m^2, m."""
+    return {'mass': package.mass, 'inertia': package.inertia, 'com': package.com}
+
+
+def centre_json(centre: CentreOfMass) -> dict[str, Any]:
+    """Return where a recording wants the centre of mass, m from where it was said to be."""
+    return {'shift': centre.shift, 'shift_std': centre.shift_std, 'off': centre.off}
+
+
+def measured_json(recording: Recording) -> dict[str, Any]:
+    """Return the noise (m, rad) of a recording's poses and its pick-up offset (m)."""
+    noise = FilterNoise.of(recording)
+    return {
+        'noise': {'tool': noise.tool._asdict(), 'package': noise.package._asdict()},
+        'lateral_offset': recording.alignment.lateral_offset,
     }
 
 

@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from bellows_ros import __version__
+from bellows_ros.core.identification.standstills import Hold, holds_of, unsettled
 from bellows_ros.core.identification.static import (
     check_spring,
-    Hold,
-    holds_of,
     nominal_length,
     NominalLength,
     SpringCheck,
-    unsettled,
 )
 from bellows_ros.core.model import Cup, cup_of, Package, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve, validate
@@ -23,7 +21,7 @@ from bellows_ros.core.synthetic.settings import Settings
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import write_parameters
-from bellows_ros.workflows.recordings import load
+from bellows_ros.workflows.recordings import load, values_at_rest
 from bellows_ros.workflows.result_json import recording_json
 import numpy as np
 
@@ -51,6 +49,44 @@ class StaticRecording:
     holds: tuple[Hold, ...]
     unsettled: int
     report: Report
+
+
+@dataclass(frozen=True, eq=False)
+class AtRest:
+    """
+    The recordings that the parameter `static.bags` names.
+
+    Parameters
+    ----------
+    recordings : tuple of StaticRecording
+        In that order.
+    length : NominalLength or None
+        The cup's length without load, where there are masses enough.
+    no_length : str
+        Why there is none, or ''.
+
+    """
+
+    recordings: tuple[StaticRecording, ...]
+    length: NominalLength | None
+    no_length: str
+
+    @property
+    def holds(self) -> list[tuple[Hold, Package]]:
+        """All standstills, with what was held."""
+        return [(hold, r.held) for r in self.recordings for hold in r.holds]
+
+    def warnings(self, cup_length: float) -> tuple[str, ...]:
+        """Return what the user must know, with the length (m) that the cup is taken to have."""
+        return tuple(_warnings(self.length, cup_length, self.recordings))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content for a JSON file."""
+        return {
+            'cup_length': None if self.length is None else _length_json(self.length),
+            'no_cup_length': self.no_length,
+            'recordings': [_recording_json(recording) for recording in self.recordings],
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +142,42 @@ class StaticResult:
             'settings': dict(self.values),
             'version': __version__,
         }  # fmt: skip
+
+
+def recorded_at_rest(values: Mapping[str, Any], tell: Progress) -> AtRest:
+    """
+    Return what the recordings of standstills tell that the parameter `static.bags` names.
+
+    Parameters
+    ----------
+    values : mapping
+        All parameters.
+    tell : callable
+        Called with what is being done and the part (0 to 1) that is done.
+
+    Raises
+    ------
+    BellowsError
+        If a recording is not usable, or static.length asks for a length that they do not tell.
+
+    """
+    recordings = []
+    for bag, own in zip(values['static.bags'], values_at_rest(values), strict=True):
+        tell(f'reading {bag}', 0.0)
+        recordings.append(_recording(StaticBag(os.fspath(bag)), own))
+    pairs = [(hold, r.held) for r in recordings for hold in r.holds]
+    length, no_length = _length(pairs, values['gravity'])
+    if length is None and values['static.length']:
+        raise BellowsError(f'static.length is set, but: {no_length}')
+    return AtRest(tuple(recordings), length, no_length)
+
+
+def static_bags(values: Mapping[str, Any]) -> list[StaticBag]:
+    """Return the recordings that the parameter `static.bags` names, with what hung there."""
+    return [
+        StaticBag(os.fspath(bag), own['package.mass'], tuple(own['package.com']))
+        for bag, own in zip(values['static.bags'], values_at_rest(values), strict=True)
+    ]
 
 
 def static_check(
@@ -227,8 +299,8 @@ def _resolved(bags: Sequence[StaticBag], settings: Mapping[str, object]) -> dict
 
 
 def _recording(bag: StaticBag, values: Mapping[str, Any]) -> StaticRecording:
-    """Return a recording's standstills."""
-    own = dict(values)
+    """Return a recording's standstills; a twist, which is none at rest, is not looked for."""
+    own = {**values, 'topics.tool_twist': ''}
     for name, value in (('package.mass', bag.mass), ('package.com', bag.com)):
         if value is not None:
             own[name] = validate(name, value)

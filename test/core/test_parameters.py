@@ -99,11 +99,50 @@ def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
     assert 'package.com' not in message
 
 
+@pytest.mark.parametrize('wrong, meant', [
+    ('package.wieght', 'package.mass'),
+    ('weight', 'package.mass'),
+    ('cup.weight', 'package.mass'),
+    ('mass', 'package.mass'),
+    ('cup.lenght', 'cup.length'),
+    ('envelop.mass', 'envelope.mass'),
+    ('tool_noise.pos', 'tool_noise.position'),
+    ('cups.soft.stifness', 'cups.soft.stiffness'),
+    ('filter.tol.order', 'filter.tool.order'),
+])
+def test_a_wrong_name_is_told_the_one_that_was_meant(wrong, meant):
+    with pytest.raises(BellowsError, match=rf"Did you mean '{meant}'\?"):
+        lookup(wrong)
+
+
+def test_a_letter_left_out_of_any_name_finds_it_again():
+    wrong = {(name[:k] + name[k + 1:], name) for name in PARAMETERS for k in range(len(name))}
+    missed = []
+    for typo, name in wrong:
+        with pytest.raises(BellowsError) as error:
+            lookup(typo)
+        if f"Did you mean '{name}'?" not in str(error.value):
+            missed.append(typo)
+    assert missed in ([], ['envelopemass'])  # which has lost its dot
+
+
+@pytest.mark.parametrize('name, known', [
+    ('package.xyzzy', 'Known there are: package.mass, package.inertia, package.com'),
+    ('package', 'Known there are: package.mass, package.inertia, package.com'),
+    ('cups.soft.xyzzy', 'Known there are: cups.soft.length, cups.soft.stiffness'),
+])
+def test_a_wrong_name_in_a_group_is_shown_the_group(name, known):
+    with pytest.raises(BellowsError, match=known):
+        lookup(name)
+
+
 def test_unknown_names_are_refused_with_the_nearest_known():
     with pytest.raises(BellowsError, match=r"'package.mas'.*mean 'package.mass'"):
         resolve({'package.mas': 1.0})
     with pytest.raises(BellowsError, match='Known are: bags, topics.tool_pose'):
         lookup('zzzzzzzzzz')
+    with pytest.raises(BellowsError, match='letters, digits and underscores'):
+        lookup('cups.my-cup.stiffness')
     with pytest.raises(BellowsError) as error:
         lookup('q' * 10_000 + '\x1b[2J')
     assert len(str(error.value)) < 2000

@@ -155,3 +155,28 @@ def test_damaged_summary(settings, tmp_path, damage):
         file.write_text('' if damage == 'empty' else 'no summary')
     with pytest.raises(BellowsError, match='summar|Summar'):
         read_summary(file)
+
+
+def test_standstills_join_summaries_as_they_join_recordings(settings, root, tmp_path):
+    rest = {'static.bags': [str(root / 'bags/static')]}
+    whole, apart = identify({**settings, **rest}), identify_many({**settings, **rest}, 1)
+    assert apart.fit.rest.holds == whole.fit.rest.holds > 3
+    assert_allclose(apart.fit.stiffness, whole.fit.stiffness, rtol=1e-7, atol=1e-6)
+    assert_allclose(apart.fit.stiffness_std, whole.fit.stiffness_std, rtol=1e-5, atol=1e-9)
+    assert apart.as_json()['at_rest']['recordings'][0]['mass'] == 1.8
+
+
+@pytest.mark.parametrize(('change', 'word'), [
+    ({'fit.compare_structures': True}, 'command ladder'),
+    ({'validation.bags': ['other']}, 'command validate'),
+    ({'static.length': True, 'static.bags': ['other']}, 'command static'),
+])
+def test_what_needs_all_recordings_at_one_place_is_refused(settings, change, word):
+    with pytest.raises(BellowsError, match=word):
+        identify_many({**settings, **change}, 1)
+
+
+def test_relative_filtering_is_a_setting(settings):
+    one = {**settings, 'bags': settings['bags'][1:]}
+    relative = {**one, 'filter.relative': True}
+    assert_same(identify_many(relative, 1).fit, identify(relative).fit)

@@ -1,5 +1,6 @@
 """Trajectory files to recordings and back."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from bellows_ros.errors import BellowsError
@@ -9,7 +10,7 @@ from bellows_ros.workflows.convert import to_bag, to_tum
 import numpy as np
 import pytest
 
-from ..files.test_motive import export
+from ..files.test_motive import export, layout, pose, V24
 
 STAMPS = 1_700_000_000_000_000_000 + np.arange(20) * 2_000_000
 VALUES = np.hstack([np.arange(60.0).reshape(20, 3), np.tile([0.0, 0.0, 0.6, 0.8], (20, 1))])
@@ -24,6 +25,21 @@ def test_a_take_becomes_topics_of_its_bodies(tmp_path: Path) -> None:
     assert done.world == 'motive_y_up'
     assert [(t.name, t.messages) for t in topics(tmp_path / 'bag')] == [
         ('/plate/pose', 3), ('/tool/pose', 3)]
+
+
+def test_what_is_odd_about_a_take_is_said(tmp_path: Path) -> None:
+    """Name a body that was never tracked and a take without a date; refuse one without poses."""
+    never = [replace(column, cells=('', '')) for column in pose('Plate')]
+    undated = V24.replace('Capture Start Time', 'Started')
+    file = layout(tmp_path / 'take.csv', pose('Tool') + never, undated)
+    done = to_bag([file], tmp_path / 'bag')
+    assert [body.poses for body in done.bodies] == [2, 0]
+    assert done.notes == (
+        f'{file} (Plate) was tracked in no frame; its topic is empty.',
+        f'{file} (Tool): no date is said; the stamps count from about zero.',
+    )
+    with pytest.raises(BellowsError, match=r'take.csv \(Plate\): 2 not tracked'):
+        to_bag([layout(file, never, V24)], tmp_path / 'other')
 
 
 def test_tum_to_bag_to_tum_changes_nothing(tmp_path: Path) -> None:

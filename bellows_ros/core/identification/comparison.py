@@ -21,7 +21,7 @@ from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtr
 
 Array = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ class Change:
     @property
     def p_value(self) -> float:
         """Probability of so large a change by chance."""
-        return float(2.0 * norm.sf(abs(self.standard_errors)))
+        return float(2.0 * ndtr(-abs(self.standard_errors)))
 
     @property
     def significant(self) -> bool:
@@ -300,7 +300,7 @@ def _together(difference: Array, covariance: Array) -> float:
     d = difference[known] / std[known]
     values, vectors = np.linalg.eigh(scaled)
     kept = values > 1e-9 * values[-1]
-    return float(chi2.sf(np.sum((vectors.T @ d)[kept] ** 2 / values[kept]), np.sum(kept)))
+    return float(chdtrc(np.sum(kept), np.sum((vectors.T @ d)[kept] ** 2 / values[kept])))
 
 
 def _effects(
@@ -353,6 +353,7 @@ def _predicted_std(fit: Fitted, package: Package, gravity: float) -> list[float]
     x = fit.structure.parameters(fit.cup.stiffness, fit.cup.damping)
 
     def values(at: Array) -> Array:
+        """Return what a cup of these parameters does."""
         cup = Cup(*fit.structure.matrices(at), fit.cup.length)
         return np.array([value for *_, value in _predicted(cup, package, gravity)])
 

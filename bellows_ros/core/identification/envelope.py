@@ -28,6 +28,9 @@ LEAST_DEFLECTION = np.array([5e-4] * 3 + [5e-3] * 3)
 LEAST_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
 """Ranges are taken as at least that wide: m, rad and m/s, rad/s. Noise is not an excursion."""
 
+LEAST_FREQUENCY, FREQUENCY_MARGIN = 1.0, 1.25
+"""Bands reach at least so far (Hz); theirs is left where the upper end is so many times higher."""
+
 MASS_MARGIN = 0.1
 """A mass this part above or below those seen is not called another one."""
 
@@ -132,6 +135,9 @@ def distance(
     """
     Return how far a state is from what a fit has seen.
 
+    A state has no frequency: a motion that is faster than any seen shows by its rates. Bands are
+    compared in `beyond`.
+
     Parameters
     ----------
     known : Envelope
@@ -163,6 +169,7 @@ def beyond(known: Envelope, other: Envelope) -> tuple[str, ...]:
         here, seen = (_range(each, i) for each in (other, known))
         found.append((part, f'{DIRECTIONS[i]} is {here}, seen {seen}'))
     found += _rates(known, other.rates)
+    found += _frequencies(known, other.frequencies)
     found += max(_mass(known, float(other.mass[0])), _mass(known, float(other.mass[1]))),
     found.sort(key=lambda item: -item[0])
     return tuple(words for part, words in found if part > 1.0)
@@ -200,6 +207,22 @@ def _rates(known: Envelope, value: Array) -> list[tuple[float, str]]:
         (part, f'the rate of {DIRECTIONS[i]} is {abs(value[i]):.3g} '
                f'{"m/s" if i < 3 else "rad/s"}, seen up to {known.rates[i]:.3g}')
         for i, part in enumerate(parts.tolist())
+    ]  # fmt: skip
+
+
+def _frequencies(known: Envelope, bands: Array) -> list[tuple[float, str]]:
+    """
+    Return distance and words for the upper ends of frequency bands.
+
+    Slower than seen is no extrapolation: the spring is the same at rest.
+    """
+    tops = np.maximum(known.frequencies[:, 1], LEAST_FREQUENCY)
+    if not known.frequencies.any():  # not known
+        return []
+    return [
+        (top / seen / FREQUENCY_MARGIN, f'the {name} goes up to {top:.3g} Hz, seen {seen:.3g} Hz')
+        for name, top, seen in zip(
+            ('shift', 'rotation'), bands[:, 1].tolist(), tops.tolist(), strict=True)
     ]  # fmt: skip
 
 

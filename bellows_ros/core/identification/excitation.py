@@ -10,28 +10,27 @@ same kind once more.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from bellows_ros.core.identification.added_noise import FilterNoise, SEED, with_noise
 from bellows_ros.core.identification.least_squares import (
+    column_sizes,
+    regular,
     Samples,
     whitening_of,
     wrench_covariance,
 )
-from bellows_ros.core.identification.noise import Noise, noise_of
 from bellows_ros.core.identification.rows import rows_of
 from bellows_ros.core.identification.structure import AXES, Structure
+from bellows_ros.core.identification.told import advice, Told
 from bellows_ros.core.identification.triangles import triangle
 from bellows_ros.core.identification.whiteness import Spectrum, spectrum
 from bellows_ros.core.identification.wrenches import lip_relative
-from bellows_ros.core.lie import apply, exp_so3, log_so3
-from bellows_ros.core.recording.preparation import Recording
-from bellows_ros.core.trajectory import Trajectory, uniform_rate_hz
+from bellows_ros.core.lie import log_so3
+from bellows_ros.core.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
-SEED = 20210801
-"""Of the noise that is added; the same recording always gets the same answer."""
 
 SMALLEST_RATIO = 0.5
 """An estimate that noise of the same size shrinks by more than this is off by its own size."""
@@ -48,59 +47,8 @@ IN_NULL_SPACE = 0.05
 CORRELATED = 0.95
 """Parameters with estimates correlated by more than this can hardly be told apart."""
 
-SHARE_UNTOLD, SHARE_WEAK = 0.5, 0.05
-"""Part of noise in a parameter's equations beyond which it is not told, and is weakly told."""
-
 BAND = 0.9
 """Part of the power of a velocity that its frequency band holds."""
-
-PAIRS_SHOWN = 3
-
-DIRECTIONS = {
-    'x': ('Sideways motion along x', 'move the tool along x, or tilt it about y, at 1-3 Hz'),
-    'y': ('Sideways motion along y', 'move the tool along y, or tilt it about x, at 1-3 Hz'),
-    'z': ('Axial motion', 'move the tool up and down at 3-8 Hz'),
-    'rx': ('Bending about x', 'tilt the tool about x, or move it along y, at 1-3 Hz'),
-    'ry': ('Bending about y', 'tilt the tool about y, or move it along x, at 1-3 Hz'),
-    'rz': ('Torsion', 'turn the tool about z at 1-3 Hz'),
-}
-"""What moves, and what would make it move."""
-
-
-@dataclass(frozen=True, eq=False)
-class FilterNoise:
-    """
-    Noise of a recording's poses and the filters that it went through.
-
-    Parameters
-    ----------
-    tool, package : Noise
-        White noise of the measured poses, m and rad per axis.
-    tool_weights, package_weights : ndarray (3, 2n+1)
-        Weights of the filters (see `trajectory.Filtered`).
-
-    """
-
-    tool: Noise
-    package: Noise
-    tool_weights: Array
-    package_weights: Array
-
-    @classmethod
-    def of(cls, recording: Recording) -> 'FilterNoise':
-        """Return that of a prepared recording, estimated from its unfiltered poses."""
-        return cls(
-            noise_of(recording.measured_tool),
-            noise_of(recording.measured_package),
-            recording.tool_weights,
-            recording.package_weights,
-        )
-
-    def times(self, factor: float) -> 'FilterNoise':
-        """Return so many times the noise, through the same filters."""
-        tool, package = (Noise(factor * n.position, factor * n.rotation)
-                         for n in (self.tool, self.package))
-        return FilterNoise(tool, package, self.tool_weights, self.package_weights)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,50 +95,6 @@ class Axis:
     band_hz: tuple[float, float]
     strain_noise: float
     twist_noise: float
-
-
-@dataclass(frozen=True, eq=False)
-class Told:
-    """
-    What is told about one parameter.
-
-    Parameters
-    ----------
-    label : str
-        'K x', 'P rz', ...
-    value : float
-        A first estimate, SI; nan where nothing is told.
-    noise_share : float
-        Part (0 to 1) of what is told about it by nothing but measurement noise; nan where the
-        noise is not known, 1 where nothing is told.
-    bias : float
-        Expected error of least squares that comes from noise, as a part of the value.
-
-    """
-
-    label: str
-    value: float
-    noise_share: float
-    bias: float
-
-    @property
-    def signal_to_noise(self) -> float:
-        """Amplitude of what is told by motion over that of noise."""
-        if not self.noise_share > 0.0:
-            return np.inf if self.noise_share == 0.0 else np.nan
-        return float(np.sqrt(max(1.0 / self.noise_share - 1.0, 0.0)))
-
-    @property
-    def untold(self) -> bool:
-        """Whether the recordings do not tell it."""
-        return bool(np.isnan(self.value) or self.noise_share > SHARE_UNTOLD)
-
-    @property
-    def weak(self) -> bool:
-        """Whether it is told, but least squares will be noticeably off."""
-        return not self.untold and bool(
-            self.noise_share > SHARE_WEAK or abs(self.bias) > SHARE_WEAK
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,8 +176,8 @@ def describe_excitation(
         raise BellowsError('No valid sample is left of which to say what it tells.')
     if noises and len(noises) != len(recordings):
         raise BellowsError(f'{len(recordings)} recordings need as many noises, not {len(noises)}.')
-    whitening = whitening_of(_regular(wrench_covariance(recordings, structure)))
-    solved = _solve(_triangle(recordings, cup_length, structure, whitening))
+    whitening = whitening_of(regular(wrench_covariance(recordings, structure)))
+    solved = _solve(_triangle(recordings, cup_length, structure, whitening), structure)
     shares, bias = _noise_effects(recordings, cup_length, structure, whitening, noises, solved)
     parameters = tuple(
         Told(label, float(x), 1.0 if np.isnan(x) else float(share), float(off))
@@ -285,7 +189,7 @@ def describe_excitation(
     source = 'this recording' if len(recordings) == 1 else 'these recordings'
     return Excitation(
         structure.name, axes, parameters, solved.rank, len(solved.x), solved.condition_number,
-        pairs, spectra, tuple(_warnings(parameters, structure, solved, pairs, source)),
+        pairs, spectra, tuple(advice(parameters, structure, solved.rank, pairs, source)),
     )  # fmt: skip
 
 
@@ -299,15 +203,6 @@ def displacement(samples: Samples, cup_length: float) -> tuple[Array, Array]:
     return np.hstack([o + [0.0, 0.0, cup_length], log_so3(R)]), twist
 
 
-def _regular(covariance: Array) -> Array:
-    """Return a covariance that has a root even where nothing moves in some direction."""
-    floor = 1e-12 * np.trace(covariance) / len(covariance)
-    if not floor > 0.0:
-        return np.eye(len(covariance))
-    regular: Array = covariance + floor * np.eye(len(covariance))
-    return regular
-
-
 def _triangle(
     recordings: Sequence[Samples], cup_length: float, structure: Structure, whitening: Array
 ) -> Array:
@@ -316,10 +211,9 @@ def _triangle(
     return triangle(rows, 2 * structure.size + 1)
 
 
-def _solve(R: Array) -> _Solved:
+def _solve(R: Array, structure: Structure) -> _Solved:
     """Solve the equations of a triangle as far as they tell something."""
-    scale = np.linalg.norm(R[:-1, :-1], axis=0)
-    unit = np.where(scale > 0.0, scale, 1.0)
+    unit = column_sizes(R[:-1, :-1], structure)
     U, singular, Vt = np.linalg.svd(R[:-1, :-1] / unit)
     told = singular > RANK_WITHIN * singular[0]
     inverse = (Vt[told].T / singular[told]) @ U[:, told].T
@@ -366,52 +260,11 @@ def _noise_effects(
             strict=True,
         )
         energy += sum(np.sum((b - a)[:, :-1] ** 2, axis=0) for a, b in pairs) / DRAWS
-        again = _solve(_triangle(noisy, cup_length, structure, whitening))
+        again = _solve(_triangle(noisy, cup_length, structure, whitening), structure)
         later += again.x / DRAWS
     with np.errstate(divide='ignore', invalid='ignore'):
         share = np.minimum(energy / solved.norm**2, 1.0)
         return share, 1.0 - 1.0 / np.maximum(later / solved.x, SMALLEST_RATIO)
-
-
-def with_noise(samples: Samples, noise: FilterNoise, draw: np.random.Generator) -> Samples:
-    """Return samples as they would be if the poses had as much noise once more."""
-    return Samples(
-        _noisy(samples.tool, noise.tool, noise.tool_weights, draw),
-        _noisy(samples.package, noise.package, noise.package_weights, draw),
-        samples.held, samples.gravity, samples.window,
-    )  # fmt: skip
-
-
-def _noisy(
-    motion: Trajectory, noise: Noise, weights: Array, draw: np.random.Generator
-) -> Trajectory:
-    """
-    Return a filtered motion with filtered white noise added to its value and derivatives.
-
-    Noise of one sample is as the filter makes it, correlated between value and derivatives; that
-    of neighbours is independent, which no mean square and no mean product notices.
-    """
-    root = np.linalg.cholesky(weights @ weights.T)
-    o, phi = (
-        sigma * np.einsum('ij,jnk->ink', root, draw.standard_normal((3, len(motion), 3)))
-        for sigma in noise
-    )
-    if motion.twist is None:
-        raise BellowsError('Samples need twists; filter the recording first.')
-    R, v, w = motion.rotation, motion.twist[:, :3], motion.twist[:, 3:]
-    R_new = exp_so3(phi[0]) @ R
-    R_inverse = np.swapaxes(R_new, -1, -2)
-    v_new = apply(R_inverse, apply(R, v) + o[1])
-    w_new = apply(R_inverse, apply(R, w) + phi[1])
-    acceleration = None
-    if motion.acceleration is not None:
-        dv, dw = motion.acceleration[:, :3], motion.acceleration[:, 3:]
-        linear = apply(R_inverse, apply(R, dv + np.cross(w, v)) + o[2]) - np.cross(w_new, v_new)
-        acceleration = np.hstack([linear, apply(R_inverse, apply(R, dw) + phi[2])])
-    return Trajectory(
-        motion.stamps_ns, motion.position + o[0], R_new, np.hstack([v_new, w_new]),
-        acceleration, motion.valid,
-    )  # fmt: skip
 
 
 def _axes(
@@ -489,67 +342,3 @@ def _pairs(solved: _Solved, labels: Sequence[str]) -> Iterator[tuple[str, str, f
         if upper[i, j] <= CORRELATED:
             return
         yield labels[i], labels[j], float(solved.correlation[i, j])
-
-
-def _warnings(
-    parameters: Sequence[Told],
-    structure: Structure,
-    solved: _Solved,
-    pairs: Sequence[tuple[str, str, float]],
-    source: str,
-) -> Iterator[str]:
-    """Yield what the user should know and do."""
-    size = structure.size
-    coupled_untold = []
-    for number, entries in enumerate(structure.entries):
-        own = (parameters[number], parameters[size + number])
-        if all(row == column for row, column in entries):
-            yield from _direction_warnings([AXES[row] for row, _ in entries], own, source)
-        else:
-            coupled_untold += [told.label for told in own if told.untold]
-    if coupled_untold:
-        yield (
-            f'{len(coupled_untold)} couplings of directions ({_some(coupled_untold)}) cannot be '
-            f'told from {source}; take a simpler fit.structure, or move all axes at once, '
-            'each with frequencies of its own.'
-        )
-    if solved.rank < len(solved.x):
-        yield (
-            f'Only {solved.rank} of {len(solved.x)} combinations of parameters are told at all. '
-            'Excite all six directions, or take a simpler fit.structure.'
-        )
-    for one, other, correlation in pairs[:PAIRS_SHOWN]:
-        yield (
-            f'{one} and {other} can hardly be told apart (correlation {correlation:+.2f}): their '
-            'directions always move together. Move them one without the other.'
-        )
-
-
-def _direction_warnings(
-    axes: list[str], own: tuple[Told, Told], source: str
-) -> Iterator[str]:
-    """Yield what is to be said about a direction's stiffness and damping."""
-    what = ('stiffness', 'damping')
-    untold = [name for name, told in zip(what, own, strict=True) if told.untold]
-    weak = [(name, told) for name, told in zip(what, own, strict=True) if told.weak]
-    title, advice = DIRECTIONS[axes[0]]
-    if len(axes) > 1:
-        title += f' and {axes[1][-1]}'
-    if untold:
-        yield (
-            f'{title} is hardly excited: its {" and ".join(untold)} cannot be told from '
-            f'{source}; {advice}.'
-        )
-    for name, told in weak:
-        yield (
-            f'{title} is weakly excited: noise makes up {told.noise_share:.0%} of what tells its '
-            f'{name}, and least squares will find it some {abs(told.bias):.0%} too '
-            f'{"small" if told.bias < 0.0 else "large"}. Take fit.method: prediction_error, or '
-            f'{advice}.'
-        )
-
-
-def _some(labels: list[str]) -> str:
-    """Return the first few labels."""
-    shown = ', '.join(labels[:PAIRS_SHOWN])
-    return shown + (', ...' if len(labels) > PAIRS_SHOWN else '')

@@ -15,7 +15,7 @@ is extrapolated to no noise at all.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from bellows_ros.core.identification.excitation import FilterNoise, SEED, with_noise
+from bellows_ros.core.identification.added_noise import FilterNoise, SEED, with_noise
 from bellows_ros.core.identification.least_squares import (
     BLOCK,
     equations,

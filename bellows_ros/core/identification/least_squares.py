@@ -6,7 +6,7 @@ the normal equations of the raw data are never formed, memory does not grow with
 and the triangles of several recordings can be joined.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -15,6 +15,7 @@ from bellows_ros.core.identification.moments import joined, Moments
 from bellows_ros.core.identification.result import definiteness_warnings, Fit
 from bellows_ros.core.identification.structure import Structure
 from bellows_ros.core.identification.triangles import triangle
+from bellows_ros.core.identification.unknown import IN_NULL_SPACE, Mask, without
 from bellows_ros.core.identification.wrenches import lip_relative, needed_wrench
 from bellows_ros.core.model import Package, regressor
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
@@ -28,10 +29,24 @@ BLOCK = 4096
 """Samples whose regressor is in memory at a time."""
 
 LARGEST_CONDITION = 1e6
-"""Scaled condition number above which the data do not determine the parameters."""
+"""Combinations of parameters that are told by less than this part of the best are not told."""
+
+UNTOLD_SHOWN = 4
+
+NO_EFFECT = 1e-8
+"""A parameter whose column is smaller than this part of those of its kind has no effect."""
+
+LEVER = 0.01
+"""Moments are taken to be at least forces at such a lever, m, where they are compared."""
+
+NO_WRENCH, FLOOR = 1e-10, 1e-8
+"""Variances of a wrench (parts of their mean) that are none, and what is then added."""
 
 CLUSTER_WINDOWS = 4
 """Residuals this many filter windows apart are taken as independent for standard errors."""
+
+CLUSTERS_PER_PARAMETER = 2
+"""Clusters that it takes at least to tell correlations of the estimates."""
 
 SMALLEST_SHARE = 1e-3
 """Least part of a direction that other clusters must tell, for a cluster's residual to count."""
@@ -96,19 +111,19 @@ def least_squares(recordings: list[Samples], cup_length: float, structure: Struc
     -------
     Fit
         K and P with standard errors that allow for the correlation that the filter's window puts
-        into the residuals. A result that is not positive definite is returned as it is, with a
-        warning that says so.
+        into the residuals, and are infinite where the recordings tell nothing. A result that is
+        not positive definite is returned as it is, with a warning that says so.
 
     Raises
     ------
     BellowsError
-        If there are too few samples, or they do not determine all parameters.
+        If there are too few samples, or they tell nothing at all.
 
     """
     count = sum(samples.count for samples in recordings)
     rejected = sum(len(samples.tool) for samples in recordings) - count
     require_enough(count, structure)
-    whitening = whitening_of(wrench_covariance(recordings, structure))
+    whitening = whitening_of(regular(wrench_covariance(recordings, structure)))
     rows = partial(_rows, recordings, cup_length, structure, whitening)
     return solved(rows, structure, whitening, count, rejected)
 
@@ -130,6 +145,19 @@ def require_enough(count: int, structure: Structure) -> None:
         )
 
 
+def regular(covariance: Array) -> Array:
+    """Return a covariance (6, 6) of wrenches that has a root where none act in some direction."""
+    force, moment = (float(np.mean(np.diag(covariance)[part]))
+                     for part in (slice(0, 3), slice(3, 6)))
+    scale = np.repeat([max(force, moment), max(moment, LEVER**2 * force)], 3)
+    if not scale[0] > 0.0:
+        return np.eye(6)
+    unit = np.sqrt(np.outer(scale, scale))
+    if np.linalg.eigvalsh(covariance / unit)[0] > NO_WRENCH:
+        return covariance
+    return np.asarray(covariance + FLOOR * np.diag(scale))
+
+
 def whitening_of(covariance: Array) -> Array:
     """Return the root of the weight W that makes a covariance (6, 6) the identity."""
     whitening: Array = np.linalg.inv(np.linalg.cholesky(covariance))
@@ -144,10 +172,11 @@ def solved(
     rejected: int,
 ) -> Fit:
     """Return the fit of whitened rows, which are made anew whenever they are needed."""
-    x, inverse, condition = _solve(_triangle(rows(), structure), structure)
+    x, inverse, condition, untold = _solve(_triangle(rows(), structure), structure)
     covariance, squares = _uncertainty(rows(), whitening, x, inverse)
+    covariance = without(covariance, untold)
     stiffness, damping = structure.matrices(x)
-    stiffness_std, damping_std = structure.matrices(np.sqrt(np.diag(covariance)))
+    stiffness_std, damping_std = structure.spread(np.sqrt(np.diag(covariance)))
     return Fit(
         method='least_squares',
         structure=structure.name,
@@ -162,7 +191,10 @@ def solved(
         condition_number=condition,
         weight=whitening.T @ whitening,
         residual_rms=np.sqrt(squares / used),
-        warnings=definiteness_warnings(stiffness, damping, structure.name),
+        warnings=(
+            *definiteness_warnings(stiffness, damping, structure.name),
+            *untold_warnings(structure.labels, untold),
+        ),
     )
 
 
@@ -212,20 +244,31 @@ def _uncertainty(
     The covariance needs no independence of residuals that are less than a cluster apart, and
     no equal noise (the cluster-robust estimator; with Z = A R^-1 it is
     R^-1 (sum of u u^T) R^-T, u = (I - Z_j^T Z_j)^-1/2 Z_j^T r_j for cluster j, in which the
-    root makes up for residuals that the fit itself has shrunk).
+    root makes up for residuals that the fit itself has shrunk). Too few clusters cannot tell the
+    correlations of many parameters; these are then those of the equations.
     """
-    meat, squares = np.zeros_like(inverse), np.zeros(6)
+    meat, squares, count = np.zeros((len(x), len(x))), np.zeros(6), 0
     colour = np.linalg.inv(whitening)
     for A, b, clusters in rows:
         r = b - A @ x
         squares += np.sum((r @ colour.T) ** 2, axis=0)
+        count += len(clusters)
         for part in clusters:
             Z = A[part].reshape(-1, len(x)) @ inverse
             share, V = np.linalg.eigh(np.eye(len(x)) - Z.T @ Z)
             root = V / np.sqrt(np.maximum(share, SMALLEST_SHARE))
             u = root @ (V.T @ (Z.T @ r[part].ravel()))
             meat += np.outer(u, u)
-    return inverse @ meat @ inverse.T, squares
+    covariance = inverse @ meat @ inverse.T
+    if count < CLUSTERS_PER_PARAMETER * len(x):
+        covariance = _with_correlations_of(inverse @ inverse.T, covariance)
+    return covariance, squares
+
+
+def _with_correlations_of(one: Array, other: Array) -> Array:
+    """Return a covariance with the correlations of one and the variances of another."""
+    size = np.sqrt(np.diag(other) / np.maximum(np.diag(one), np.finfo(float).tiny))
+    return np.asarray(one * np.outer(size, size))
 
 
 def _clusters(block: Samples) -> list[slice]:
@@ -236,30 +279,48 @@ def _clusters(block: Samples) -> list[slice]:
     return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(stamps)], strict=True)]
 
 
-def _solve(triangle: Array, structure: Structure) -> tuple[Array, Array, float]:
-    """Return x, the inverse of R, and the condition number of the scaled problem (4.74)."""
+def _solve(triangle: Array, structure: Structure) -> tuple[Array, Array, float, Mask]:
+    """
+    Return x, the inverse of R, the scaled problem's condition number, and what is not told (4.74).
+
+    Of parameters that are not told, x holds the smallest that fit as well as any.
+    """
     R, d = triangle[:-1, :-1], triangle[:-1, -1]
-    scale = np.linalg.norm(R, axis=0)
-    _refuse_unseen(scale, structure)
-    U, singular, Vt = np.linalg.svd(R / scale)
+    unit = column_sizes(R, structure)
+    U, singular, Vt = np.linalg.svd(R / unit)
+    told = singular > singular[0] / LARGEST_CONDITION
+    untold = np.any(np.abs(Vt[~told]) > IN_NULL_SPACE, axis=0)
+    if untold.all():
+        raise BellowsError(
+            f'The recording tells nothing about {", ".join(structure.labels[:UNTOLD_SHOWN])} and '
+            'all others: nothing moves. Excite all six directions.'
+        )
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf
-    if condition > LARGEST_CONDITION:
-        weak = [structure.labels[i] for i in np.argsort(-np.abs(Vt[-1]))[:3]]
-        raise BellowsError(
-            f'The recording does not tell all {len(scale)} parameters apart (scaled condition '
-            f'number {condition:.2g}, at most {LARGEST_CONDITION:.0g} can be solved); the weakest '
-            f'combination holds {", ".join(weak)}. Excite all six directions, or take a simpler '
-            'fit.structure.'
-        )
-    inverse = (Vt.T / singular) @ U.T / scale[:, None]
-    return inverse @ d, inverse, condition
+    inverse = (Vt[told].T / singular[told]) @ U[:, told].T / unit[:, None]
+    return inverse @ d, inverse, condition, untold
 
 
-def _refuse_unseen(scale: Array, structure: Structure) -> None:
-    """Raise BellowsError for parameters that have no effect at all on the recording."""
-    unseen = [label for label, size in zip(structure.labels, scale, strict=True) if size == 0.0]
-    if unseen:
-        raise BellowsError(
-            f'The recording tells nothing about {", ".join(unseen)}: nothing moves in that '
-            'direction. Excite all six directions, or take a simpler fit.structure.'
-        )
+def column_sizes(R: Array, structure: Structure) -> Array:
+    """
+    Return by what the columns (p,) of equations are divided, infinite where they are rounding.
+
+    Those of K or P of the same units are compared with each other.
+    """
+    sizes = np.linalg.norm(R, axis=0)
+    angular = [(row > 2) + (column > 2) for (row, column), *_ in structure.entries]
+    kinds = np.array([*angular, *(3 + kind for kind in angular)])
+    largest = np.array([sizes[kinds == kind].max() for kind in kinds])
+    return np.where(sizes > NO_EFFECT * largest, sizes, np.inf)
+
+
+def untold_warnings(labels: Sequence[str], untold: Mask) -> tuple[str, ...]:
+    """Return a sentence that names the parameters that are not told, or none."""
+    names = [label for label, is_untold in zip(labels, untold, strict=True) if is_untold]
+    if not names:
+        return ()
+    more = f' and {len(names) - UNTOLD_SHOWN} more' if len(names) > UNTOLD_SHOWN else ''
+    return (
+        f'The recordings tell nothing about {", ".join(names[:UNTOLD_SHOWN])}{more}, alone: the '
+        'standard errors are infinite, and the values say nothing. Excite all six directions, or '
+        'take a simpler fit.structure.',
+    )

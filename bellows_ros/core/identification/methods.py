@@ -1,19 +1,27 @@
 """The methods of fitting, by the names of the parameter `fit.method`."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from bellows_ros.core.identification.least_squares import least_squares, Samples
 from bellows_ros.core.identification.measured import measured_stretches
-from bellows_ros.core.identification.prediction_error import FEWEST_STAGES, prediction_error
+from bellows_ros.core.identification.pace import in_words, TYPICAL_STEPS
+from bellows_ros.core.identification.prediction_error import prediction_error
 from bellows_ros.core.identification.relative_filter import relative_samples
 from bellows_ros.core.identification.result import Fit, Iteration
+from bellows_ros.core.identification.static_rows import Holds, joined_with_rest, Length
 from bellows_ros.core.identification.structure import Structure, structure_named
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.model import Cup, cup_of, Package
 from bellows_ros.core.recording.preparation import Recording
 from bellows_ros.core.trajectory import uniform_rate_hz
+import numpy as np
+from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
+
+LENGTH_STEP = 1e-5
+"""Change of cup.length (m) for derivatives."""
 
 LARGEST_OFFSET = 0.05
 """Time offsets of the streams are looked for up to this, s."""
@@ -24,6 +32,9 @@ def fitted(
     held: Sequence[Package],
     values: Mapping[str, Any],
     progress: Progress | None = None,
+    untold: Collection[str] = (),
+    holds: Holds = (),
+    length_std: float = 0.0,
 ) -> Fit:
     """
     Fit a cup to prepared recordings as the parameters say.
@@ -35,9 +46,15 @@ def fitted(
     held : sequence of Package
         The package in each of them.
     values : mapping
-        Parameters by name: fit.*, cup.length, gravity.
+        Parameters by name: fit.*, cup.*, gravity.
     progress : callable, optional
         Called with what is being done and the part (0 to 1) that is done.
+    untold : collection of str
+        Labels of parameters that nothing but noise tells: least squares cannot know.
+    holds : sequence of (Hold, Package)
+        Standstills of the same cup, whose balance counts, too.
+    length_std : float
+        Standard error of cup.length, m.
 
     Raises
     ------
@@ -45,6 +62,37 @@ def fitted(
         If the recordings do not determine the cup.
 
     """
+    moving = _of_motion(recordings, held, values, progress).without(untold)
+    if not holds:
+        return moving
+    slopes = np.zeros(len(moving.labels))
+    if length_std > 0.0:
+        slopes = _length_slopes(recordings, held, values)
+    length = Length(values['cup.length'], length_std, slopes)
+    return joined_with_rest(moving, holds, length, values['gravity'], cup_of(values).stiffness)
+
+
+def _length_slopes(
+    recordings: Sequence[Recording], held: Sequence[Package], values: Mapping[str, Any]
+) -> Array:
+    """Return the derivatives (2 n,) of the parameters that least squares finds by cup.length."""
+    structure = structure_named(values['fit.structure'])
+    samples = [filtered_samples(r, p, values) for r, p in zip(recordings, held, strict=True)]
+    ends = [
+        least_squares(samples, values['cup.length'] + side, structure)
+        for side in (LENGTH_STEP, -LENGTH_STEP)
+    ]
+    first, second = (structure.parameters(fit.stiffness, fit.damping) for fit in ends)
+    return np.asarray((first - second) / (2.0 * LENGTH_STEP))
+
+
+def _of_motion(
+    recordings: Sequence[Recording],
+    held: Sequence[Package],
+    values: Mapping[str, Any],
+    progress: Progress | None,
+) -> Fit:
+    """Return the fit to recordings of motions."""
     length, gravity = values['cup.length'], values['gravity']
     samples = [
         filtered_samples(recording, package, values)
@@ -53,7 +101,7 @@ def fitted(
     structure = structure_named(values['fit.structure'])
     if values['fit.method'] == 'least_squares':
         return least_squares(samples, length, structure)
-    start = _start(samples, length, structure)
+    start = _start(samples, structure, cup_of(values))
     margin = LARGEST_OFFSET if values['fit.time_offset'] else 0.0
     stretches = [
         stretch
@@ -82,22 +130,34 @@ def samples_of(recording: Recording, held: Package, gravity: float) -> Samples:
     return Samples(recording.tool, recording.package, held, gravity, window)
 
 
-def _start(samples: list[Samples], length: float, structure: Structure) -> Cup:
-    """Return the cup that the prediction error starts from: few parameters are found safely."""
+def _start(samples: list[Samples], structure: Structure, known: Cup) -> Cup:
+    """
+    Return the cup that the prediction error starts from: few parameters are found safely.
+
+    What the samples do not tell is that of a known cup.
+    """
     simple = structure if structure.name != 'full' else structure_named('diagonal')
-    fit = least_squares(samples, length, simple)
-    return Cup(fit.stiffness, fit.damping, length)
+    fit = least_squares(samples, known.length, simple)
+    stiffness, damping = (
+        np.where(np.isfinite(error), found, instead)
+        for found, error, instead in (
+            (fit.stiffness, fit.stiffness_std, known.stiffness),
+            (fit.damping, fit.damping_std, known.damping),
+        )
+    )
+    return Cup(stiffness, damping, known.length)
 
 
 def _teller(progress: Progress | None) -> Callable[[Iteration], None] | None:
     """Return what tells an iteration in words."""
     if progress is None:
         return None
+    iterations: list[Iteration] = []
 
     def tell(iteration: Iteration) -> None:
-        part = iteration.number / (iteration.number + FEWEST_STAGES)
-        progress(
-            f'iteration {iteration.number}: chi^2 {iteration.chi2:.4g}, '
-            f'K x {iteration.stiffness[0, 0]:.5g} N/m', part)
+        """Tell it with those before, which say how long it takes."""
+        iterations.append(iteration)
+        done = len(iterations)
+        progress(in_words(iterations), done / (done + TYPICAL_STEPS))
 
     return tell

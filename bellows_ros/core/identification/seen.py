@@ -1,11 +1,14 @@
 """The envelope of recordings: what a fit to them has seen of the cup."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from bellows_ros.core.identification.envelope import Envelope
 from bellows_ros.core.identification.excitation import displacement
 from bellows_ros.core.identification.least_squares import Samples
+from bellows_ros.core.identification.standstills import Hold
 from bellows_ros.core.identification.whiteness import Spectrum, spectrum
+from bellows_ros.core.model import Package
 from bellows_ros.core.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -46,6 +49,19 @@ def envelope(recordings: Sequence[Samples], cup_length: float) -> Envelope:
         rates=np.abs(rates).max(axis=0),
         frequencies=np.column_stack([bands[:, :, 0].min(axis=0), bands[:, :, 1].max(axis=0)]),
         mass=np.array([min(masses), max(masses)]),
+    )
+
+
+def with_rest(
+    known: Envelope, holds: Sequence[tuple[Hold, Package]], cup_length: float
+) -> Envelope:
+    """Return an envelope with the deflections of standstills in it; rest has no rates."""
+    nominal = np.array([0.0, 0.0, -cup_length, 0.0, 0.0, 0.0])
+    deflections = np.array([hold.lip(held.com) - nominal for hold, held in holds])
+    return replace(
+        known,
+        deflection_low=np.minimum(known.deflection_low, deflections.min(axis=0)),
+        deflection_high=np.maximum(known.deflection_high, deflections.max(axis=0)),
     )
 
 

@@ -15,6 +15,7 @@ from functools import partial
 from bellows_ros.core.identification.envelope import Envelope
 from bellows_ros.core.identification.least_squares import (
     equations,
+    regular,
     require_enough,
     Rows,
     Samples,
@@ -119,13 +120,14 @@ def fit_summaries(summaries: Sequence[Summary]) -> Fit:
     ------
     BellowsError
         If there is none, they differ in structure or length, there are too few samples, or they
-        do not determine all parameters.
+        tell nothing at all.
 
     """
     structure = _same(summaries)
     used = sum(summary.used for summary in summaries)
     require_enough(used, structure)
-    whitening = whitening_of(joined(s.moments for s in summaries).covariance(structure))
+    covariance = joined(s.moments for s in summaries).covariance(structure)
+    whitening = whitening_of(regular(covariance))
     rejected = sum(summary.rejected for summary in summaries)
     return solved(partial(_rows, summaries, whitening), structure, whitening, used, rejected)
 

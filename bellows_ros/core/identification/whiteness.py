@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 Array = NDArray[np.float64]
 
@@ -151,7 +150,7 @@ def portmanteau(residuals: Array, lags: int = LAGS) -> Whiteness:
     r = np.full_like(products, np.nan)
     np.divide(products, power, out=r, where=power > 0.0)
     Q = count * (count + 2) * np.sum(r**2 / pairs[:, None], axis=0)
-    return Whiteness(count, r, Q, chi2.sf(Q, lags))
+    return Whiteness(count, r, Q, chdtrc(lags, Q))
 
 
 def spectrum(values: Array, rate_hz: float) -> Spectrum:
@@ -167,6 +166,8 @@ def spectrum(values: Array, rate_hz: float) -> Spectrum:
         Samples per second.
 
     """
+    from scipy.signal import welch  # late: it takes 15 MB
+
     there = np.asarray(np.isfinite(values).all(axis=1))
     if not there.any():
         raise BellowsError('There is no sample of which to take a spectrum.')

@@ -1,8 +1,12 @@
 """What a fit has seen, against motions made by hand."""
 
+from dataclasses import replace
+
 from bellows_ros.core.identification.envelope import beyond, distance, Envelope, known_envelope
 from bellows_ros.core.identification.least_squares import Samples
-from bellows_ros.core.identification.seen import envelope
+from bellows_ros.core.identification.noise import Noise
+from bellows_ros.core.identification.seen import envelope, with_rest
+from bellows_ros.core.identification.standstills import Hold
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Package
 from bellows_ros.core.parameters import resolve
@@ -128,3 +132,28 @@ def test_what_is_no_range_is_refused(change):
     """Check on construction."""
     with pytest.raises(BellowsError, match='Envelope'):
         Envelope(**{**vars(KNOWN), **change})
+
+
+def test_faster_motions_than_seen_are_beyond_and_slower_ones_are_not():
+    """Compare bands, of motions whose rates and deflections are the same or less."""
+    slow, fast = envelope([samples(frequency=2.0)], LENGTH), envelope([samples()], LENGTH)
+    frequencies = fast.frequencies.copy()
+    frequencies[1] = [5.0, 9.0]
+    faster = replace(fast, frequencies=frequencies)
+    phrases = beyond(slow, faster)
+    assert len(phrases) == 1 and 'the rotation goes up to 9 Hz, seen' in phrases[0]
+    assert beyond(faster, slow) == ()
+    unknown = replace(slow, frequencies=np.zeros((2, 2)))
+    assert beyond(unknown, faster) == ()
+
+
+def test_standstills_widen_deflections_and_nothing_else():
+    known = envelope([samples()], LENGTH)
+    at = np.array([0])
+    tool = Trajectory(at, np.zeros((1, 3)), np.eye(3)[None])
+    package = Trajectory(at, np.array([[0.0, 0.0, -LENGTH - 0.002]]) + COM, np.eye(3)[None])
+    hold = Hold(0, 1.0, tool, package, 100, Noise(1e-6, 1e-6))
+    wide = with_rest(known, [(hold, Package(2.0, np.eye(3) * 0.01, COM))], LENGTH)
+    assert_allclose(wide.deflection_low[2], -0.002, atol=1e-12)
+    assert_allclose(wide.deflection_high, np.maximum(known.deflection_high, 0.0))
+    assert_allclose(wide.rates, known.rates)

@@ -1,11 +1,7 @@
 """What recordings can tell, against recordings that tell it and recordings that do not."""
 
-from bellows_ros.core.identification.excitation import (
-    describe_excitation,
-    displacement,
-    FilterNoise,
-    with_noise,
-)
+from bellows_ros.core.identification.added_noise import FilterNoise, with_noise
+from bellows_ros.core.identification.excitation import describe_excitation, displacement
 from bellows_ros.core.identification.least_squares import (
     least_squares,
     Samples,

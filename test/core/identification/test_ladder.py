@@ -1,6 +1,6 @@
 """The ladder of structures: the right one is advised, whichever it is."""
 
-from bellows_ros.core.identification.excitation import FilterNoise
+from bellows_ros.core.identification.added_noise import FilterNoise
 from bellows_ros.core.identification.ladder import effective_samples, structure_ladder
 from bellows_ros.core.identification.least_squares import (
     equations,

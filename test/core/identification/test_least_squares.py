@@ -6,7 +6,7 @@ from bellows_ros.core.identification.structure import structure_named, STRUCTURE
 from bellows_ros.core.identification.wrenches import lip_relative, needed_wrench
 from bellows_ros.core.kernels import held_wrench, lip_relative_to_tool
 from bellows_ros.core.lie import rotation_to_quaternion
-from bellows_ros.core.model import Cup, model_tuple, regressor
+from bellows_ros.core.model import Cup, model_tuple, Package, regressor
 from bellows_ros.core.savgol import savgol
 from bellows_ros.core.simulation import simulate, state_row
 from bellows_ros.core.trajectory import Trajectory
@@ -197,9 +197,40 @@ def test_a_standstill_tells_nothing_about_damping(exact):
     moved = Trajectory(
         body.stamps_ns, body.position, body.rotation, np.zeros((len(still), 6)),
         1e-6 * rng.standard_normal((len(still), 6)))
-    with pytest.raises(BellowsError, match='tells nothing about P x'):
-        least_squares([Samples(still, moved, package, GRAVITY, 0.02)], cup.length,
-                      STRUCTURES['axisymmetric'])
+    fit = least_squares(
+        [Samples(still, moved, package, GRAVITY, 0.02)], cup.length, STRUCTURES['axisymmetric'])
+    assert np.all(np.isinf(np.diag(fit.damping_std)))
+    assert np.all(np.isinf(np.diag(fit.covariance)[4:]))
+    assert np.all(fit.damping_std[~np.eye(6, dtype=bool)] == 0.0)
+    assert any('P x, P z, P rx, P rz' in warning for warning in fit.warnings)
+
+
+@pytest.mark.parametrize('name', ['axisymmetric', 'diagonal', 'full'])
+def test_what_nothing_moves_is_not_told(name):
+    """Move a cup that hangs straight along x and about y only: nothing turns about z."""
+    cup, package = Cup.thesis(), Package(2.0, np.diag([0.01, 0.01, 0.02]), (0.0, 0.0, -0.03))
+    t = np.arange(1500) / 250
+    stamps = np.round(t * 1e9).astype(np.int64)
+    x = 0.02 * np.sin(9.0 * t) * (1.0 - np.exp(-(t**2)))
+    zero = np.zeros_like(t)
+    v = np.gradient(x, t)
+    tool = Trajectory(
+        stamps, np.column_stack([x, zero, zero]), np.tile(np.eye(3), (len(t), 1, 1)),
+        np.column_stack([v, *[zero] * 5]))
+    body = simulate(cup, package, tool, gravity=GRAVITY)
+    moved = savgol(Trajectory(stamps, body.position, body.rotation), 6, 4)
+    inner = tool.select(slice(6, -6))
+    samples = Samples(inner, moved, package, GRAVITY, 13 / 250)
+    structure = STRUCTURES[name]
+    fit = least_squares([samples], cup.length, structure)
+    untold = {label for label, variance in zip(
+        structure.labels, np.diag(fit.covariance), strict=True) if np.isinf(variance)}
+    assert {'K rz', 'P rz'} <= untold
+    assert 'K z' not in untold  # gravity loads the axis
+    if name == 'axisymmetric':
+        assert_allclose(fit.stiffness[0, 0], cup.stiffness[0, 0], rtol=0.05)
+        assert_allclose(fit.stiffness[3, 3], cup.stiffness[3, 3], rtol=0.05)
+    assert not fit.usable
 
 
 def test_not_positive_definite_is_said_and_not_mended(exact):

@@ -1,17 +1,8 @@
-"""Recordings at rest: standstills, nominal length, the spring alone, samples for a fit."""
+"""Recordings at rest: standstills, nominal length, the spring alone."""
 
-from bellows_ros.core.identification.least_squares import equations, least_squares, Samples
-from bellows_ros.core.identification.methods import samples_of
 from bellows_ros.core.identification.noise import Noise
-from bellows_ros.core.identification.static import (
-    check_spring,
-    Hold,
-    holds_of,
-    nominal_length,
-    static_samples,
-    unsettled,
-)
-from bellows_ros.core.identification.structure import STRUCTURES
+from bellows_ros.core.identification.standstills import Hold, holds_of, unsettled
+from bellows_ros.core.identification.static import check_spring, nominal_length
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
@@ -166,43 +157,3 @@ def test_a_length_known_badly_is_said_to_be():
     found = nominal_length(holds, G)
     assert found.length_std > 1e-4
     assert any('only known to' in warning for warning in found.warnings)
-
-
-def test_static_samples_are_in_balance_with_the_true_spring():
-    """Use poses without noise: the wrench that they need is that of the true spring."""
-    holds = holds_of(simulated.record(simulated.holds(TILTS, hold=4.0)))
-    samples = static_samples(holds, simulated.HELD, G)
-    assert samples.count == sum(hold.samples for hold in holds)
-    structure = STRUCTURES['axisymmetric']
-    L, c, clusters = equations(samples, simulated.CUP.length, structure)
-    x = structure.parameters(simulated.CUP.stiffness, simulated.CUP.damping)
-    # What is left of the swinging: small beside 21 N and the moments of a tilted package.
-    assert_allclose(L @ x, c, rtol=0, atol=0.05)
-    assert_allclose(L[:, :, 4:], 0.0, atol=1e-12)  # dampers do nothing at rest
-    assert len(clusters) == len(holds)  # each hold is one measurement
-
-
-def test_static_samples_join_a_dynamic_fit(tilted):
-    """Find a stiffness nearer the truth than noise lets the motion alone."""
-    noisy = {'tool': (3e-4, 1e-3), 'package': (3e-4, 1e-3)}
-    motion = samples_of(
-        simulated.record(simulated.shake(), **noisy), simulated.HELD, simulated.GRAVITY)
-    rest = static_samples(holds_of(tilted), simulated.HELD, G, weight=3.0)
-    structure, truth = STRUCTURES['axisymmetric'], np.diag(simulated.CUP.stiffness)
-    alone, joined = (
-        least_squares(parts, simulated.CUP.length, structure) for parts in (
-            [motion], [motion, rest]))
-    off = [np.abs(np.diag(fit.stiffness) / truth - 1.0) for fit in (alone, joined)]
-    assert off[0][0] > 0.03  # what noise does to the lateral stiffness
-    assert off[1][0] < 0.6 * off[0][0]
-    assert joined.samples_used == alone.samples_used + rest.count
-
-
-def test_weights_count_samples():
-    holds = [upright(0.049, 2.17)[0], upright(0.049, 2.17, tilt=0.1)[0]]
-    for factor in (0.25, 1.0, 2.0):
-        samples = static_samples(holds, simulated.HELD, G, factor)
-        assert isinstance(samples, Samples) and samples.count == 200 * factor
-    for arguments in (([], 1.0), (holds, 0.0), (holds, np.nan)):
-        with pytest.raises(BellowsError, match='weight above 0'):
-            static_samples(arguments[0], simulated.HELD, G, arguments[1])
