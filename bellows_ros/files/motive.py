@@ -1,16 +1,26 @@
 """
-Motive's CSV exports (format 1.2x): poses of rigid bodies, with what was not tracked left out.
+Motive's CSV exports (formats 1.2 to 1.25): poses of rigid bodies, without what was not tracked.
 
 A pose is left out where its cells are blank, and where fewer markers of its body are seen than a
-rigid body needs; a marker is seen where its quality is at least 0.99 (appendix H).
+rigid body needs. A marker is seen where its quality is at least 0.99 (appendix H); in an export
+without qualities, where its measured position is not blank. (The positions of a 'Rigid Body
+Marker' say nothing about that: they are where the body expects its markers, and always there.)
+
+The layout: a row of settings, name and value in turn; a blank row; rows for Type, Name, ID, since
+format 1.25 Parent, and quantity; the row of axes, which begins with Frame and Time (Seconds) and,
+where the take has one, TimeCode; then a row per frame. Columns are found by these heads, so their
+order does not matter.
 """
 
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
 import csv
 from dataclasses import dataclass
 from datetime import datetime, UTC
 import os
 from pathlib import Path
+import re
+from typing import TextIO
 
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -18,12 +28,17 @@ from numpy.typing import NDArray
 
 SEEN_QUALITY = 0.99  # appendix H
 FEWEST_MARKERS = 3  # of a rigid body, for a pose
-UNITS = {'Meters': 1.0, 'Centimeters': 0.01, 'Millimeters': 0.001}  # m
-TIME_FORMATS = ('%Y-%m-%d %I.%M.%S.%f %p', '%Y-%m-%d %H.%M.%S.%f')
+UNITS = {'meters': 1.0, 'centimeters': 0.01, 'millimeters': 0.001, 'inches': 0.0254}  # m
+# 2021-05-11 02.31.05.250 PM, in some languages of Windows with P.M. or without.
+START = re.compile(
+    r'(\d{4})-(\d\d)-(\d\d) (\d{1,2})[.:](\d\d)[.:](\d\d)(?:[.,](\d{1,6}))?\s*([AaPp]?)')
+SETTINGS = ('Format Version', 'Rotation Type', 'Coordinate Space', 'Length Units',
+            'Capture Start Time')  # fmt: skip
 LARGEST_FILE = 2**31
 HEAD_ROWS = 12  # in which the table must begin
 POSE = ('Rotation X', 'Rotation Y', 'Rotation Z', 'Rotation W', 'Position X', 'Position Y',
         'Position Z')  # fmt: skip
+TIME = 1  # column
 NS_PER_S = 1e9
 
 Array = NDArray[np.float64]
@@ -56,6 +71,15 @@ class MotiveBody:
     unseen: int
 
 
+@dataclass(frozen=True)
+class _Columns:
+    """Where the poses of a body are, and what tells how many of its markers were seen."""
+
+    pose: list[int]
+    qualities: list[int]
+    positions: list[int]
+
+
 def read_motive(
     path: str | os.PathLike[str], fewest_markers: int = FEWEST_MARKERS
 ) -> tuple[MotiveBody, ...]:
@@ -75,62 +99,86 @@ def read_motive(
         If it is no such file, or was exported in another way.
 
     """
-    rows = _rows(Path(path))
-    about, heads, start = _head(Path(path), rows)
-    table = _numbers(Path(path), rows[start:], len(heads['axis']))
-    scale = _scale(Path(path), about)
-    stamps = _start_ns(about) + np.rint(table[:, 1] * NS_PER_S).astype(np.int64)
-    names = dict.fromkeys(name for kind, name in zip(heads['Type'], heads['Name'], strict=True)
-                          if kind == 'Rigid Body')  # fmt: skip
-    if not names:
-        raise BellowsError(
-            f"'{path}' has no rigid bodies. Export the take again with rigid bodies switched on."
-        )
-    return tuple(
-        _body(Path(path), name, heads, table, stamps, scale, fewest_markers) for name in names
-    )
-
-
-def is_motive(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a file begins as Motive's exports do."""
-    with Path(path).open('rb') as file:
-        return file.read(200).lstrip(b'\xef\xbb\xbf').startswith(b'Format Version')
-
-
-def _rows(path: Path) -> list[list[str]]:
-    """Return the cells of a file."""
+    file = Path(path)
     try:
-        if path.stat().st_size > LARGEST_FILE:
+        if file.stat().st_size > LARGEST_FILE:
             raise BellowsError(f"'{path}' is larger than {LARGEST_FILE} bytes. Export a part.")
-        with path.open(encoding='utf-8-sig', newline='') as file:
-            return list(csv.reader(file))
+        with file.open(encoding='utf-8-sig', newline='') as stream:
+            return _bodies(file, stream, fewest_markers)
     except OSError as error:
         raise BellowsError(f"'{path}' cannot be read: {error.strerror}.") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise BellowsError(f"'{path}' is no CSV file: {error}.") from None
 
 
-def _head(path: Path, rows: list[list[str]]) -> tuple[dict[str, str], Heads, int]:
-    """Return what the file says about itself, its column heads, and where the numbers begin."""
-    first = rows[0] if rows else []
-    about = dict(zip(first[::2], first[1::2], strict=False))
-    found = [i for i, row in enumerate(rows[:HEAD_ROWS]) if row[:1] == ['Frame']]
-    if 'Format Version' not in about or not found:
+def is_motive(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a file begins as Motive's exports do."""
+    with Path(path).open('rb') as file:
+        return file.read(200).lstrip(b'\xef\xbb\xbf"').startswith(b'Format Version')
+
+
+def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody, ...]:
+    """Return the bodies in an open file."""
+    rows = csv.reader(stream)
+    about, heads = _head(path, rows)
+    scale = _scale(path, about)
+    columns = _body_columns(path, heads)
+    needed = sorted({TIME}.union(*(c.pose + c.qualities + c.positions for c in columns.values())))
+    table = _numbers(path, rows, needed)
+    place = {column: number for number, column in enumerate(needed)}
+    seconds = table[:, place[TIME]]
+    if not len(table) or not np.all(np.isfinite(seconds)):
+        raise BellowsError(f"'{path}' has no frames, or frames without a time.")
+    stamps = _start_ns(about) + _whole_ns(seconds)
+    found = []
+    for name, of_body in columns.items():
+        pose, seen = _pose_and_seen(table, place, of_body)
+        there = np.isfinite(pose).all(axis=1)
+        enough = seen >= fewest_markers
+        kept = there & enough
+        found.append(MotiveBody(
+            name, stamps[kept], np.hstack([scale * pose[kept, 4:], pose[kept, :4]]),
+            int(np.count_nonzero(~there)), int(np.count_nonzero(there & ~enough)),
+        ))  # fmt: skip
+    return tuple(found)
+
+
+def _whole_ns(seconds: Array) -> NDArray[np.int64]:
+    """Return times in whole ns."""
+    return np.rint(seconds * NS_PER_S).astype(np.int64)
+
+
+def _head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]:
+    """Return what the file says about itself, and its column heads, as wide as the axes' row."""
+    first = next(rows, [])
+    if first and first[0].startswith('Format Version;'):
         raise BellowsError(
-            f"'{path}' is no CSV export of Motive with its header. Export it again, with 'Header "
-            "Information' switched on."
+            f"'{path}' has semicolons between its cells: a spreadsheet has saved it again. Take "
+            'the file that Motive has written.'
         )
-    width = len(rows[found[0]])
-    heads: dict[str, Sequence[str]] = {'axis': rows[found[0]]}
-    for row in rows[1:found[0]]:
-        if len(row) > 1:
-            label = row[1] or 'Quantity'
-            heads[label] = row + [''] * (width - len(row))
+    # By name, as a take's own name or notes may hold commas.
+    about = {name: first[first.index(name) + 1] for name in SETTINGS if name in first[:-1]}
+    above: dict[str, list[str]] = {}
+    for _, row in zip(range(HEAD_ROWS), rows, strict=False):
+        if row[:1] == ['Frame'] and 'Format Version' in about:
+            width = len(row)
+            heads = {label: (cells + [''] * width)[:width] for label, cells in above.items()}
+            _require_heads(path, heads)
+            _require_settings(path, about)
+            return about, {**heads, 'axis': row}
+        if any(row):
+            above[row[1] if len(row) > 1 and row[1] else 'Quantity'] = row
+    raise BellowsError(
+        f"'{path}' is no CSV export of Motive with its header. Export it again, with 'Header "
+        "Information' switched on."
+    )
+
+
+def _require_heads(path: Path, heads: Heads) -> None:
+    """Refuse a header without what tells the columns apart."""
     lacking = [name for name in ('Type', 'Name', 'Quantity') if name not in heads]
     if lacking:
         raise BellowsError(f"'{path}' lacks the header row {lacking[0]}. Export it again.")
-    _require_settings(path, about)
-    return about, heads, found[0] + 1
 
 
 def _require_settings(path: Path, about: Mapping[str, str]) -> None:
@@ -138,81 +186,93 @@ def _require_settings(path: Path, about: Mapping[str, str]) -> None:
     for name, wanted in (('Rotation Type', 'Quaternion'), ('Coordinate Space', 'Global')):
         if about.get(name, wanted) != wanted:
             raise BellowsError(
-                f"'{path}' has {name} {about[name]}; {wanted} is needed. Export it again."
+                f"'{path}' has {name} {about[name]}; {wanted} is needed. Export it again with "
+                f'{name} set to {wanted}.'
             )
 
 
 def _scale(path: Path, about: Mapping[str, str]) -> float:
     """Return the file's unit of length, m."""
-    unit = about.get('Length Units', 'Meters')
-    if unit not in UNITS:
-        raise BellowsError(f"'{path}' has lengths in {unit}; known are {', '.join(UNITS)}.")
-    return UNITS[unit]
+    unit = about.get('Length Units', 'an unknown unit')
+    if unit.lower() not in UNITS:
+        raise BellowsError(
+            f"'{path}' has lengths in {unit}; expected are {', '.join(UNITS)}. Export it again.")
+    return UNITS[unit.lower()]
 
 
 def _start_ns(about: Mapping[str, str]) -> int:
-    """Return when the take began, ns; one second after 1970 where the file does not say."""
-    text = about.get('Capture Start Time', '')
-    for form in TIME_FORMATS:
-        try:
-            start = datetime.strptime(text, form).replace(tzinfo=UTC)
-        except ValueError:
-            continue
-        return round(start.timestamp() * 1e3) * 1_000_000
-    return int(NS_PER_S)
+    """Return when the capture began, ns (its clock is taken for UTC); 1 s where it is not said."""
+    match = START.match(about.get('Capture Start Time', ''))
+    if match is None:
+        return int(NS_PER_S)
+    year, month, day, hour, minute, second = map(int, match.groups()[:6])
+    if match[8]:
+        hour = hour % 12 + (12 if match[8] in 'Pp' else 0)
+    try:
+        start = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
+    except ValueError:
+        return int(NS_PER_S)
+    return int(start.timestamp()) * 10**9 + int((match[7] or '0').ljust(9, '0'))
 
 
-def _numbers(path: Path, rows: list[list[str]], width: int) -> Array:
-    """Return the table (N, width); blank cells are NaN."""
-    kept = [row for row in rows if row]
-    table = np.full((len(kept), width), np.nan)
-    for number, row in enumerate(kept):
-        try:
-            cells = [float(cell) if cell.strip() else np.nan for cell in row[:width]]
-        except ValueError as error:
-            raise BellowsError(f"'{path}', row {number + 1} of the table: {error}.") from None
-        table[number, :len(cells)] = cells
-    if not len(table) or not np.all(np.isfinite(table[:, 1])):
-        raise BellowsError(f"'{path}' has no frames, or frames without a time.")
-    return table
-
-
-def _body(
-    path: Path, name: str, heads: Heads, table: Array, stamps: NDArray[np.int64], scale: float,
-    fewest_markers: int,
-) -> MotiveBody:  # fmt: skip
-    """Return the usable poses of a body."""
-    columns = {f'{quantity} {axis}'.strip(): number
-               for number, (kind, owner, quantity, axis) in enumerate(_columns(heads))
-               if kind == 'Rigid Body' and owner == name}  # fmt: skip
-    lacking = [column for column in POSE if column not in columns]
-    if lacking:
+def _body_columns(path: Path, heads: Heads) -> dict[str, _Columns]:
+    """Return the columns of each rigid body."""
+    pairs = zip(heads['Type'], heads['Name'], strict=True)
+    names = list(dict.fromkeys(name for kind, name in pairs if kind == 'Rigid Body'))
+    if not names:
         raise BellowsError(
-            f"'{path}': rigid body '{name}' lacks the column {lacking[0]}. Export it again."
+            f"'{path}' has no rigid bodies. Export the take again with rigid bodies switched on."
         )
-    pose = table[:, [columns[column] for column in POSE]]
-    there = np.isfinite(pose).all(axis=1)
-    seen = _markers_seen(name, heads, table)
-    enough = np.ones(len(table), dtype=bool) if seen is None else seen >= fewest_markers
-    kept = there & enough
-    values = np.hstack([scale * pose[kept, 4:], pose[kept, :4]])
-    return MotiveBody(
-        name, stamps[kept], values, int(np.count_nonzero(~there)),
-        int(np.count_nonzero(there & ~enough)),
-    )  # fmt: skip
+    poses: dict[str, dict[str, int]] = {name: {} for name in names}
+    found = {name: _Columns([], [], []) for name in names}
+    for number, (kind, owner, quantity, axis) in enumerate(zip(
+            heads['Type'], heads['Name'], heads['Quantity'], heads['axis'], strict=True)):
+        body = owner if kind == 'Rigid Body' else _body_of(owner, names)
+        if kind == 'Rigid Body':
+            poses[body].setdefault(f'{quantity} {axis}'.strip(), number)
+        elif body and kind == 'Rigid Body Marker' and quantity == 'Marker Quality':
+            found[body].qualities.append(number)
+        elif body and kind == 'Marker' and (quantity, axis) == ('Position', 'X'):
+            found[body].positions.append(number)
+    for name, of_body in found.items():
+        lacking = [column for column in POSE if column not in poses[name]]
+        if lacking:
+            raise BellowsError(
+                f"'{path}': rigid body '{name}' lacks the column {lacking[0]}. Export it again."
+            )
+        of_body.pose.extend(poses[name][column] for column in POSE)
+    return found
 
 
-def _columns(heads: Heads) -> Iterator[tuple[str, str, str, str]]:
-    """Yield type, name, quantity and axis of each column."""
-    return zip(heads['Type'], heads['Name'], heads['Quantity'], heads['axis'], strict=True)
+def _body_of(marker: str, names: Sequence[str]) -> str:
+    """Return the body that a marker's name (BODY:Marker1, BODY_1) begins with; '' if none."""
+    fitting = [name for name in names if marker.startswith((f'{name}:', f'{name}_'))]
+    return max(fitting, key=len, default='')
 
 
-def _markers_seen(name: str, heads: Heads, table: Array) -> NDArray[np.int64] | None:
-    """Return how many markers of a body are seen in each frame; None where it is not said."""
-    quality = [number for number, (kind, owner, quantity, _) in enumerate(_columns(heads))
-               if kind == 'Rigid Body Marker' and quantity == 'Marker Quality'
-               and owner.startswith((f'{name}:', f'{name}_'))]  # fmt: skip
-    if not quality:
-        return None
-    seen: NDArray[np.int64] = np.count_nonzero(table[:, quality] >= SEEN_QUALITY, axis=1)
-    return seen
+def _numbers(path: Path, rows: Iterator[list[str]], columns: Sequence[int]) -> Array:
+    """Return some columns of the table (N, columns); blank cells are NaN."""
+    values, last = array('d'), columns[-1]
+    for number, row in enumerate(rows, 1):
+        if not any(row):
+            continue
+        cells = row if len(row) > last else row + [''] * (last + 1 - len(row))
+        try:
+            values.extend([float(cells[c]) if cells[c].strip() else np.nan for c in columns])
+        except ValueError as error:
+            raise BellowsError(f"'{path}', row {number} of the table: {error}.") from None
+    return np.array(values).reshape(-1, len(columns))
+
+
+def _pose_and_seen(
+    table: Array, place: Mapping[int, int], columns: _Columns
+) -> tuple[Array, NDArray[np.float64]]:
+    """Return a body's poses (N, 7), and how many of its markers are seen (infinite if unsaid)."""
+    pose = table[:, [place[c] for c in columns.pose]]
+    if columns.qualities:
+        seen = table[:, [place[c] for c in columns.qualities]] >= SEEN_QUALITY
+    elif len(columns.positions) >= FEWEST_MARKERS:
+        seen = np.isfinite(table[:, [place[c] for c in columns.positions]])
+    else:
+        return pose, np.full(len(table), np.inf)
+    return pose, np.count_nonzero(seen, axis=1).astype(np.float64)

@@ -21,6 +21,7 @@ POSE = 'geometry_msgs/msg/PoseStamped'
 MOTIVE_FRAME = 'motive'
 WORLD_FRAME = 'world'
 TEXT_ENDINGS = ('.tum', '.txt')
+EARLIEST_NS = 86_400 * 10**9  # a stamp in the first day of 1970 is no date
 
 
 @dataclass(frozen=True)
@@ -57,12 +58,15 @@ class Conversion:
     bodies : tuple of Converted
     world : str
         Value of recording.world for what was written.
+    notes : tuple of str
+        What else there is to know.
 
     """
 
     out: str
     bodies: tuple[Converted, ...]
     world: str
+    notes: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
@@ -116,12 +120,36 @@ def to_bag(
             f'Several bodies would be written to one topic, of {", ".join(chosen)}. '
             'Name a topic for each.'
         )
+    _require_poses([converted for converted, _ in named])
     write_bag(out, [recorded for _, recorded in named], storage, replace=replace)
     motive = any(recorded.frame_id == MOTIVE_FRAME for _, recorded in named)
     return Conversion(
         os.fspath(out), tuple(converted for converted, _ in named),
-        'motive_y_up' if motive else 'z_up',
+        'motive_y_up' if motive else 'z_up', _notes(named),
     )  # fmt: skip
+
+
+def _require_poses(bodies: Sequence[Converted]) -> None:
+    """Refuse to make a recording without a pose."""
+    if any(body.poses for body in bodies):
+        return
+    lost = {body.source: ', '.join(f'{n} {reason}' for reason, n in body.left_out.items())
+            for body in bodies}  # fmt: skip
+    raise BellowsError(
+        'No pose can be used: ' + '; '.join(f'{name}: {why}' for name, why in lost.items())
+        + '. Fewer markers are enough with --markers N.'
+    )
+
+
+def _notes(items: Sequence[tuple[Converted, Recorded]]) -> tuple[str, ...]:
+    """Return what is odd about the bodies: never tracked, or without a date."""
+    notes = [f'{converted.source} was tracked in no frame; its topic is empty.'
+             for converted, _ in items if not converted.poses]  # fmt: skip
+    undated = [c.source for c, r in items if len(r.stamps_ns) and r.stamps_ns[0] < EARLIEST_NS]
+    if undated:
+        notes.append(
+            f'{", ".join(undated)}: no date is said; the stamps count from about zero.')
+    return tuple(notes)
 
 
 def _renamed(item: tuple[Converted, Recorded], topic: str) -> tuple[Converted, Recorded]:

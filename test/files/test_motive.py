@@ -1,5 +1,7 @@
-"""Motive's CSV exports, against files written as Motive writes them."""
+"""Motive's CSV exports, against files laid out as formats 1.22 to 1.25 are."""
 
+import csv
+from dataclasses import dataclass
 from pathlib import Path
 
 from bellows_ros.errors import BellowsError
@@ -51,6 +53,108 @@ def export(path: Path, about: str = ABOUT, scale: float = 1.0, quality: bool = T
     return path
 
 
+@dataclass(frozen=True)
+class Column:
+    """A column of a table as Motive lays it out, with a cell for each frame."""
+
+    kind: str
+    name: str
+    quantity: str
+    axis: str
+    cells: tuple[str, ...]
+    parent: str = ''
+
+
+def layout(path: Path, columns: list[Column], settings: str, timecode: bool = False) -> Path:
+    """Write a file with the rows that formats 1.22 to 1.25 have, as Motive and editors save it."""
+    version = settings.split(',')[1]
+    extra = [''] if timecode else []
+    labels = [('Type', 'kind'), ('Name', 'name'), ('ID', 'name')]
+    labels += [('Parent', 'parent')] if version >= '1.25' else []
+    rows = [settings.split(','), [''] * 4]  # spreadsheets fill the blank row with commas
+    rows += [['', label, *extra, *(getattr(c, field) for c in columns)] for label, field in labels]
+    rows.append(['', '', *extra, *(c.quantity for c in columns)])
+    rows.append(['Frame', 'Time (Seconds)', *(['TimeCode'] if timecode else []),
+                 *(c.axis for c in columns)])  # fmt: skip
+    for frame in range(len(columns[0].cells)):
+        rows.append([str(frame), f'{frame / RATE:.6f}', *(['15:26:46:12.02'] if timecode else []),
+                     *(c.cells[frame] for c in columns)])  # fmt: skip
+    with path.open('w', newline='', encoding='utf-8') as file:
+        csv.writer(file, lineterminator='\r\n').writerows(rows)
+    return path
+
+
+def pose(name: str, kind: str = 'Rigid Body') -> list[Column]:
+    """Return the columns of a body that stands still in two frames, with its mean marker error."""
+    found = [Column(kind, name, 'Rotation', axis, (value, value))
+             for axis, value in zip('XYZW', ('0', '0.6', '0', '-0.8'), strict=True)]  # fmt: skip
+    found += [Column(kind, name, 'Position', axis, (value, value))
+              for axis, value in zip('XYZ', ('100', '1200', '5'), strict=True)]  # fmt: skip
+    return [*found, Column(kind, name, 'Mean Marker Error', '', ('0.02', '0.02'))]
+
+
+def marker(kind: str, name: str, cells: tuple[str, str], quality: bool = False) -> list[Column]:
+    """Return the columns of a marker: position, and in some exports its quality."""
+    found = [Column(kind, name, 'Position', axis, cells, 'Tool') for axis in 'XYZ']
+    quantity = [Column(kind, name, 'Marker Quality', '', cells, 'Tool')] if quality else []
+    return found + quantity
+
+
+V22 = ('Format Version,1.22,Take Name,Take 2018-10-04 01.43.11 PM_001,Capture Frame Rate,360,'
+       'Export Frame Rate,360,Capture Start Time,2018-10-05 12.05.03.445 A.M.,Total Frames in '
+       'Take,2,Total Exported Frames,2,Rotation Type,Quaternion,Length Units,Millimeters,'
+       'Coordinate Space,Global')
+V24 = ('Format Version,1.24,Take Name,sweep,Take Notes,,Capture Frame Rate,360.000000,Export Frame'
+       ' Rate,360.000000,Capture Start Time,2023-06-02 12.09.45.344 PM,Capture Start Frame,246045,'
+       'Total Frames in Take,2,Total Exported Frames,2,Rotation Type,Quaternion,Length Units,'
+       'Millimeters,Coordinate Space,Global')
+
+
+@pytest.mark.parametrize(
+    ('settings', 'timecode', 'start'),
+    [
+        (V22, False, '2018-10-05T00:05:03.445'),
+        (V24.replace('1.24', '1.23'), False, '2023-06-02T12:09:45.344'),
+        (V24, True, '2023-06-02T12:09:45.344'),
+        (V24.replace('1.24', '1.25'), False, '2023-06-02T12:09:45.344'),
+    ],
+)
+def test_all_layouts_are_read(settings: str, timecode: bool, start: str, tmp_path: Path) -> None:
+    """Find poses by their heads, among skeletons, markers and time codes, in millimetres."""
+    columns = [*pose('Hip', 'Bone'), *pose('Tool'), *marker('Marker', 'Unlabeled 1', ('1', ''))]
+    (tool,) = read_motive(layout(tmp_path / 'take.csv', columns, settings, timecode))
+    np.testing.assert_allclose(tool.values[0], [0.1, 1.2, 0.005, 0.0, 0.6, 0.0, -0.8])
+    assert tool.stamps_ns[0] == np.datetime64(start, 'ns').astype(int)
+
+
+def test_markers_belong_to_the_body_with_the_longest_name(tmp_path: Path) -> None:
+    """Do not count the markers of Tool_2 for Tool."""
+    columns = pose('Tool') + pose('Tool_2')
+    for number in range(3):
+        columns += marker('Rigid Body Marker', f'Tool:Marker{number}', ('0.5', '1.0'), True)
+        columns += marker('Rigid Body Marker', f'Tool_2:Marker{number}', ('1.0', '1.0'), True)
+    tool, second = read_motive(layout(tmp_path / 'take.csv', columns, V24))
+    assert (tool.unseen, second.unseen) == (1, 0)
+
+
+def test_measured_markers_tell_where_there_is_no_quality(tmp_path: Path) -> None:
+    """Count positions that are not blank; where a body expects its markers says nothing."""
+    columns = pose('Tool')
+    for number in range(3):
+        columns += marker('Rigid Body Marker', f'Tool:Marker{number}', ('7', '7'))
+        columns += marker('Marker', f'Tool:Marker{number}', ('7', '' if number else '7'))
+    (tool,) = read_motive(layout(tmp_path / 'take.csv', columns, V24.replace('1.24', '1.25')))
+    assert (tool.unseen, len(tool.stamps_ns)) == (1, 1)
+
+
+def test_a_spreadsheet_with_semicolons_is_told_so(tmp_path: Path) -> None:
+    """Ask for the file that Motive has written."""
+    file = export(tmp_path / 'take.csv')
+    file.write_text(file.read_text().replace(',', ';'))
+    with pytest.raises(BellowsError, match='a spreadsheet has saved it again'):
+        read_motive(file)
+
+
 def test_bodies_are_read_and_bad_frames_left_out(tmp_path: Path) -> None:
     """Count missing poses and such with too few markers apart (appendix H)."""
     file = export(tmp_path / 'take.csv')
@@ -77,8 +181,8 @@ def test_without_marker_quality_all_poses_count(tmp_path: Path) -> None:
 
 
 def test_millimetres_become_metres(tmp_path: Path) -> None:
-    """Scale positions by the unit that the header names."""
-    about = ABOUT.replace('Meters', 'Millimeters')
+    """Scale positions by the unit that the header names, whatever the take is called."""
+    about = ABOUT.replace('Meters', 'Millimeters').replace('shake', 'shake, first try')
     tool, _ = read_motive(export(tmp_path / 'take.csv', about, scale=1000.0))
     np.testing.assert_allclose(tool.values[0, :3], [0.1, 1.2, 0.0])
 
@@ -89,6 +193,7 @@ def test_millimetres_become_metres(tmp_path: Path) -> None:
         (('Quaternion', 'XYZ'), 'Rotation Type XYZ; Quaternion is needed'),
         (('Global', 'Local'), 'Coordinate Space Local'),
         (('Length Units,Meters', 'Length Units,Feet'), 'lengths in Feet'),
+        (('Length Units,Meters,', ''), 'lengths in an unknown unit'),
         (('Format Version', 'Version'), 'no CSV export of Motive'),
     ],
 )
