@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Massless links between the single joints of SDF are not allowed; theirs is this part of the
-# package's mass and inertia.
+# A link of SDF without a mass weighs 1 kg. The tool and the links between single joints have this
+# part of the package's mass and inertia instead.
 DUMMY = 1e-3
 AXES = ('x', 'y', 'z')
 
@@ -107,7 +107,7 @@ def drake(cup: Cup, package: Package) -> str:
         '<sdf version="1.7" xmlns:drake="http://drake.mit.edu">',
         '  <model name="bellows_cup">',
         '    <!-- Weld the frame of "tool" to the end of your arm. -->',
-        '    <link name="tool"/>',
+        '    <link name="tool">', *_dummy(package), '    </link>',
         *_package_link(cup, package, half),
         f'    <frame name="middle_tool" attached_to="tool"><pose>{half}</pose></frame>',
         '    <frame name="middle_package" attached_to="package"/>',
@@ -139,7 +139,7 @@ def sdf(cup: Cup, package: Package) -> str:
         '<sdf version="1.9">',
         '  <model name="bellows_cup">',
         '    <!-- Fix "tool" to the end of your arm. -->',
-        '    <link name="tool"/>',
+        '    <link name="tool">', *_dummy(package), '    </link>',
     ]
     for link in links:
         lines += [f'    <link name="{link}"><pose>{half}</pose>', *_dummy(package), '    </link>']
@@ -189,6 +189,7 @@ def _joint(cup: Cup, number: int, parent: str, child: str) -> list[str]:
         f'<spring_reference>0</spring_reference>'
         f'<spring_stiffness>{float(cup.stiffness[number, number])!r}</spring_stiffness>'
         '</dynamics>',
+        '        <limit><lower>-1e16</lower><upper>1e16</upper></limit>',
         '      </axis>',
         '    </joint>',
     ]
@@ -199,21 +200,27 @@ _ANGLES = (
     'has the sine of one rotation. The difference is below 5 % up to 15 degrees.'
 )
 
+_TOOL_AXES = (
+    'Springs and dampers along x, y, z are in axes of the tool, not halfway to the package. With '
+    'its weight on them a swing differs by some percent.'
+)
+
 TARGETS: Mapping[str, Target] = {
     'mjcf': Target('MuJoCo (MJCF)', mjcf, (
         _ANGLES,
-        'Springs and dampers along x, y, z are in axes of the tool, not halfway to the package.',
+        _TOOL_AXES,
         'A tool that is a mocap body has no velocity in MuJoCo, so the damper would act against '
         'the world: move the tool with joints.',
     )),
     'drake': Target('Drake (SDF with linear_bushing_rpy)', drake, (
         'Roll, pitch and yaw are linear springs of their angles; (3.17) has the sine of one '
         'rotation. The difference is below 5 % up to 15 degrees.',
+        f'The tool weighs {100 * DUMMY:g} % of the package.',
     )),
     'sdf': Target('SDF', sdf, (
         _ANGLES,
-        f'Five dummy links, each with {100 * DUMMY:g} % of the mass of the package, stand between '
-        'the joints; they need time steps of 0.1 ms or less.',
-        'Springs and dampers along x, y, z are in axes of the tool, not halfway to the package.',
+        f'Five dummy links stand between the joints. They and the tool weigh {100 * DUMMY:g} % of '
+        'the package each, and need time steps of 0.1 ms or less.',
+        _TOOL_AXES,
     )),
 }  # fmt: skip

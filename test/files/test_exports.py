@@ -3,6 +3,8 @@
 from xml.etree import ElementTree
 
 from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.simulation import simulate
+from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.files.exports import limits, TARGETS
 import numpy as np
 import pytest
@@ -62,6 +64,35 @@ def test_sdf_is_a_chain_of_six_joints() -> None:
     assert springs == K
 
 
+# What SDFormat 1.9 says of the elements used: their children, and those that are required.
+SDF = {
+    'sdf': 'model*', 'model': 'link* joint frame', 'link': 'pose inertial', 'frame': 'pose',
+    'inertial': 'pose mass* inertia*', 'inertia': 'ixx* iyy* izz* ixy* ixz* iyz*',
+    'joint': 'parent* child* axis', 'axis': 'xyz* dynamics limit*',
+    'dynamics': 'damping spring_reference* spring_stiffness*', 'limit': 'lower* upper*',
+}  # fmt: skip
+
+
+@pytest.mark.parametrize('name', ['drake', 'sdf'])
+def test_sdf_holds_its_schema(name: str) -> None:
+    """Use elements where SDFormat has them, with all that it requires, and name things once."""
+    root = parsed(name)
+    for element in root.iter():
+        if element.tag.startswith('{'):
+            continue  # Drake's own
+        words = SDF.get(element.tag, '').split()
+        children = [child.tag for child in element if not child.tag.startswith('{')]
+        assert set(children) <= {word.rstrip('*') for word in words}, element.tag
+        assert {word[:-1] for word in words if word.endswith('*')} <= set(children), element.tag
+        if not children and element.tag not in ('parent', 'child', 'link', 'frame'):
+            assert len(numbers(element.text)) == {'pose': 6, 'xyz': 3}.get(element.tag, 1)
+    names = [element.get('name') for element in root.iter() if element.get('name')]
+    assert len(set(names)) == len(names)
+    masses = [float(mass.text or 0) for mass in root.iter('mass')]
+    assert len(masses) == len(list(root.iter('link'))) and min(masses) > 0.0
+    assert max(masses) == PACKAGE.mass
+
+
 @pytest.mark.parametrize('name', TARGETS)
 def test_what_is_lost_is_said(name: str) -> None:
     """Name off-diagonal entries only where there are some, with their size."""
@@ -81,6 +112,31 @@ def test_mujoco_lets_the_package_sag_as_far_as_it_should() -> None:
     for _ in range(10000):
         mujoco.mj_step(model, data)
     np.testing.assert_allclose(data.qpos[2], -2.17 * 9.81 / K[2], rtol=1e-3)
+
+
+def test_mujoco_swings_as_the_model_does() -> None:
+    """Pull the package 2 mm aside without gravity, let go, and compare half a second."""
+    mujoco = pytest.importorskip('mujoco', reason='no MuJoCo here (pip install mujoco)')
+    package = Package(2.17, PACKAGE.inertia, (0.0, 0.0, -0.03))
+    model = mujoco.MjModel.from_xml_string(TARGETS['mjcf'].write(CUP, package))
+    model.opt.gravity[:] = 0.0
+    data = mujoco.MjData(model)
+    count, step = round(0.5 / model.opt.timestep), round(1e9 * model.opt.timestep)
+    tool = Trajectory(
+        np.arange(1, count + 1) * step, np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1)),
+        np.zeros((count, 6)))
+    zero = (0.0, 0.0, 0.0)
+    start = (2e-3, 0.0, package.com[2] - CUP.length), (0.0, 0.0, 0.0, 1.0), zero, zero
+    ours = simulate(CUP, package, tool, start, 0.0)
+    data.qpos[0] = 2e-3
+    theirs = []
+    for _ in range(count):
+        mujoco.mj_kinematics(model, data)
+        theirs.append(data.site('B').xpos - [0.0, 0.0, 1.0])
+        mujoco.mj_step(model, data)
+    assert np.ptp(ours.position[:, 0]) > 2e-3
+    # 0.5 % of the amplitude: what `limits` names is of second order in it.
+    np.testing.assert_allclose(theirs, ours.position, atol=1e-5)
 
 
 @pytest.mark.parametrize('name', ['drake', 'sdf'])
