@@ -1,8 +1,8 @@
 """
 Output that is written whole or not at all: beside its place, then renamed into it.
 
-A process that is killed leaves the old output, or none, and at most a hidden file or folder whose
-name begins with '.bellows-' beside it.
+A process that is killed leaves the old output or the new one, and at most a hidden file or folder
+whose name begins with '.bellows-' beside it.
 """
 
 from collections.abc import Iterator
@@ -14,6 +14,9 @@ import shutil
 import stat
 
 from bellows_ros.errors import BellowsError
+
+# Of renameat2(2): names are relative to the working folder; both files exist and change places.
+_HERE, _EXCHANGE = -100, 2
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
@@ -123,13 +126,29 @@ def _folder_target(path: str | os.PathLike[str], replace: bool) -> Path:
 
 
 def _move_into_place(work: Path, target: Path, replace: bool) -> None:
-    """Rename the finished folder; one that is replaced is moved away just before."""
+    """Rename the finished folder, or exchange it with the one that it replaces."""
+    finished = work / target.name
     if replace and target.exists():
-        os.rename(target, work / 'replaced')
+        if not _exchange(finished, target):  # then there is a moment without either
+            os.rename(target, work / 'replaced')
+            os.rename(finished, target)
     elif os.path.lexists(target):
         raise FileExistsError(f"'{target}' has appeared in the meantime")
-    os.rename(work / target.name, target)
+    else:
+        os.rename(finished, target)
     _sync(target.parent)
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Give two folders each other's names in one step, and tell whether the system can."""
+    import ctypes
+
+    try:
+        rename = ctypes.CDLL(None).renameat2
+    except AttributeError:  # not Linux
+        return False
+    names = (_HERE, os.fsencode(one), _HERE, os.fsencode(other))
+    return bool(rename(*names, _EXCHANGE) == 0)
 
 
 def _no_folder(path: str | os.PathLike[str], target: Path) -> BellowsError:

@@ -6,14 +6,22 @@ names may be nested or dotted. Written files are read by ROS as they are: every 
 decimal point.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 import os
 from pathlib import Path
 import textwrap
 from typing import Any
 
-from bellows_ros.core.parameters import Parameter, PARAMETERS, validate, Value
+from bellows_ros.core.cups import cup_names
+from bellows_ros.core.parameters import (
+    lookup,
+    NAMED_CUP,
+    Parameter,
+    PARAMETERS,
+    validate,
+    Value,
+)
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, safe_yaml
 
@@ -34,6 +42,8 @@ _ROW_UNITS = {
 _AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
 Found = tuple[str, Any, int]
+Group = dict[str, Any]
+"""Names below a common one: parameters, and further groups."""
 
 
 def read_parameters(path: str | os.PathLike[str], node: str | None = None) -> dict[str, Value]:
@@ -97,7 +107,8 @@ def write_parameters(
     path : path
         YAML file.
     values : mapping
-        Dotted names to values; they are checked, and written in the order of the parameter table.
+        Dotted names to values; they are checked, and written in the order of the parameter table,
+        behind them the cups that have names.
     header : sequence of str
         Comment lines at the top.
     provenance : sequence of str
@@ -191,17 +202,39 @@ def _checked(file: Path, name: str, value: object, line: int) -> Value:
 
 def _body(values: Mapping[str, Value]) -> Iterator[str]:
     """Yield the lines of the values, nested by the parts of their names."""
-    open_groups: list[str] = []
-    for parameter in PARAMETERS.values():
-        if parameter.name not in values or values[parameter.name] == ():
-            continue  # ROS has no empty lists
-        *groups, leaf = parameter.name.split('.')
-        for depth, group in enumerate(groups):
-            if open_groups[depth:depth + 1] != [group]:
-                open_groups[depth:] = [group]
-                yield f'{_INDENT * (2 + depth)}{group}:'
-        open_groups[len(groups):] = []
-        yield from _entry(parameter, leaf, values[parameter.name], _INDENT * (2 + len(groups)))
+    groups: Group = {}
+    for name in _in_order(values):
+        if values[name] != ():  # ROS has no empty lists
+            *path, leaf = name.split('.')
+            group = groups
+            for part in path:
+                group = group.setdefault(part, {})
+            group[leaf] = lookup(name)
+    yield from _lines_of(groups, values, _INDENT * 2)
+
+
+def _in_order(names: Iterable[str]) -> list[str]:
+    """Return names in the order of the table, and behind them those of named cups, by cup."""
+    order = {name: k for k, name in enumerate(PARAMETERS)}
+    cups = {cup: len(order) + k for k, cup in enumerate(cup_names(names))}
+
+    def place(name: str) -> tuple[int, int]:
+        named = NAMED_CUP.fullmatch(name)
+        if named is None:
+            return order[name], 0
+        return cups[named[1]], order[f'cup.{named[2]}']
+
+    return sorted(names, key=place)
+
+
+def _lines_of(group: Group, values: Mapping[str, Value], indent: str) -> Iterator[str]:
+    """Yield the lines of a group: each parameter or group below it at this indent."""
+    for leaf, held in group.items():
+        if isinstance(held, Parameter):
+            yield from _entry(held, leaf, values[held.name], indent)
+        else:
+            yield f'{indent}{leaf}:'
+            yield from _lines_of(held, values, indent + _INDENT)
 
 
 def _entry(parameter: Parameter, leaf: str, value: Value, indent: str) -> Iterator[str]:
@@ -229,8 +262,9 @@ def _rows(parameter: Parameter, value: tuple[Any, ...], indent: str) -> Iterator
 
 def _row_unit(parameter: Parameter, row: int) -> str:
     """Return the comment with the units of a row."""
-    if parameter.name in _ROW_UNITS:
-        return f'  # {_AXES[row]}: {_ROW_UNITS[parameter.name][row // 3]}'
+    units = _ROW_UNITS.get(NAMED_CUP.sub(r'cup.\2', parameter.name))
+    if units:
+        return f'  # {_AXES[row]}: {units[row // 3]}'
     return f'  # {parameter.unit}' if parameter.unit else ''
 
 

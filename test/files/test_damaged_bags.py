@@ -4,9 +4,12 @@ Damaged and hostile recordings: each is an error that can be told, or a loss tha
 Nothing here may end in another exception, take long, or fill the memory.
 """
 
+from collections import Counter
+from copy import deepcopy
 import io
 import struct
 import sys
+import time
 import tracemalloc
 import zlib
 
@@ -19,6 +22,7 @@ import lz4.frame
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
+import yaml
 
 from . import recordings as made
 
@@ -33,6 +37,10 @@ FORMS = [
 ]
 COUNT = 60
 WANTED = {'p': '/a'}
+PATIENCE = 5.0  # s, for what takes milliseconds
+MEMORY = 2**24  # bytes, for what takes a hundredth
+Dumper = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
+read = Counter()  # damaged recordings by how they ended
 
 
 @pytest.fixture(params=FORMS, ids='-'.join)
@@ -45,12 +53,17 @@ def bag(request, tmp_path):
 
 def outcome(path):
     """Return the stream of a recording, which must add up, or None if it is refused."""
+    begin = time.monotonic()
     try:
         stream = read_streams(path, WANTED)['p']
     except BellowsError as error:
         assert len(str(error)) < 2000
         assert str(path) in str(error)
+        read['refused'] += 1
         return None
+    finally:
+        assert time.monotonic() - begin < PATIENCE
+    read['read'] += 1
     assert np.all(np.isfinite(stream.position)) and np.all(np.diff(stream.stamps_ns) > 0)
     lost = [i for indices in stream.refused.values() for i in indices]
     assert len(set(lost)) == len(lost)
@@ -69,6 +82,20 @@ def test_a_file_truncated_anywhere_is_refused(bag):
         assert outcome(bag) is None, f'truncated to {size} of {len(whole)} bytes'
     file.write_bytes(whole)
     assert len(outcome(bag)) == COUNT
+
+
+def test_a_file_truncated_at_every_place_is_refused(tmp_path):
+    content = {('/a', made.POSE): made.poses(3)}
+    for storage, step in (('mcap', 1), ('sqlite3', 64)):
+        file = made.storage_file(made.write(tmp_path / storage, content, storage))
+        whole = file.read_bytes()
+        for size in range(0, len(whole), step):
+            with file.open('r+b') as left:
+                left.truncate(size)
+                assert outcome(file) is None, f'truncated to {size} of {len(whole)} bytes'
+                left.seek(0)
+                left.write(whole)
+        assert len(outcome(file)) == 3
 
 
 def test_metadata_truncated_anywhere_is_an_error_or_enough(bag):
@@ -107,7 +134,7 @@ def test_overwritten_blocks_are_an_error_or_counted(bag):
             at = int(rng.integers(0, len(whole)))
             block = rng.bytes(size) if fill is None else fill * size
             file.write_bytes(whole[:at] + block + whole[at + size:])
-            outcome(bag)
+            assert peak_memory(lambda: outcome(bag)) < MEMORY
 
 
 def test_flipped_bits_in_metadata_are_an_error_or_do_no_harm(bag):
@@ -120,6 +147,41 @@ def test_flipped_bits_in_metadata_are_an_error_or_do_no_harm(bag):
         file.write_bytes(damaged.tobytes())
         stream = outcome(bag)
         assert stream is None or len(stream) == COUNT
+
+
+HOSTILE = (
+    None, True, -1, 0, 10**30, 2**63, 1e308, float('nan'), float('inf'), '', 'x', '/', '../..',
+    '.', '/etc/passwd', 'a\nb', '\x1b[2J', 'a' * 5000, [], [[[]]], {}, {'a': {}}, [None],
+    ['../bag.mcap'], 'sqlite3', 'mcap', 'zstd', 'FILE', 'message', '2026-11-20', [1] * 500,
+)  # fmt: skip
+
+
+def places(part):
+    """Yield every container of a tree with each of its keys."""
+    for key in part if isinstance(part, dict) else range(len(part)):
+        yield part, key
+        if isinstance(part[key], dict | list):
+            yield from places(part[key])
+
+
+def test_altered_metadata_is_an_error_or_does_no_harm(bag):
+    file = bag / 'metadata.yaml'
+    original = yaml.safe_load(file.read_text())
+    rng = np.random.default_rng(5)
+    refused = 0
+    for _ in range(60):
+        content = deepcopy(original)
+        there = list(places(content))
+        part, key = there[rng.integers(len(there))]
+        if rng.random() < 0.2:
+            del part[key]
+        else:
+            part[key] = HOSTILE[rng.integers(len(HOSTILE))]
+        file.write_text(yaml.dump(content, Dumper=Dumper))
+        stream = outcome(bag)
+        refused += stream is None
+        assert stream is None or len(stream) == COUNT
+    assert 0 < refused < 60
 
 
 def test_a_message_cut_short_in_its_recording_is_counted(tmp_path):
@@ -310,3 +372,8 @@ def test_any_bytes_after_the_magic_are_refused():
         file = io.BytesIO(mcap.MAGIC + rng.bytes(int(rng.integers(200))))
         with pytest.raises(DamagedError):
             list(mcap.scan(file, lambda topic: True, {}))
+
+
+def test_so_many_recordings_were_damaged():
+    assert sum(read.values()) >= 2000, read
+    assert read['refused'] >= 1000 and read['read'] >= 300

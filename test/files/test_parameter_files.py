@@ -1,7 +1,9 @@
 """Parameter files: what is read from them, and that what is written reads back the same."""
 
+from bellows_ros.core.model import Cup
 from bellows_ros.core.parameters import PARAMETERS, resolve
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import parameter_files
 from bellows_ros.files.parameter_files import (
     format_parameters,
     read_parameters,
@@ -17,6 +19,7 @@ PACKAGE = {
     'package.inertia': (0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0),
     'package.com': (0.0, 0.0, -0.03),
 }
+LISTS = {p.name: ('a', 'b') for p in PARAMETERS.values() if p.kind == 'string_array'}
 
 
 @pytest.fixture
@@ -109,11 +112,51 @@ def test_deep_nesting_is_refused(file):
 
 def test_all_values_come_back(tmp_path):
     values = {
-        **resolve(PACKAGE), 'package.files': ('c',),
+        **resolve(PACKAGE), **LISTS,
         'bags': ('a', "b's: #{}[]", '-', 'true', '1.0', ' x ', 'ü')}
     for node in ('/**', 'predictor', '/cell/predictor'):
         write_parameters(tmp_path / 'p.yaml', values, ['A cup'], ['from a recording'], node)
         assert read_parameters(tmp_path / 'p.yaml') == values
+
+
+STIFF = tuple(Cup.thesis().stiffness.ravel().tolist())
+SOFT = tuple(0.5 * x for x in STIFF)
+NAMED = {
+    'cups.soft.stiffness': SOFT, 'cups.hard.length': 0.05, 'cup.name': 'soft',
+    'cups.hard.stiffness': STIFF, 'cups.soft.max_force': 80.0, 'package.mass': 2.0,
+    'cups.soft.damping': tuple(Cup.thesis().damping.ravel().tolist()),
+    'cups.hard.stiffness_std': (0.0,) * 36,
+}
+
+
+def test_named_cups_come_back(tmp_path):
+    path = tmp_path / 'p.yaml'
+    write_parameters(path, NAMED)
+    assert read_parameters(path) == NAMED
+    text = path.read_text()
+    assert [text.count(f'{name}:') for name in ('cups', 'soft', 'hard')] == [1, 1, 1]
+    assert text.count('# ry: N, N m/rad') == 2  # units stand beside the rows of each K
+    write_parameters(path, {**resolve({**PACKAGE, **NAMED})})
+    assert read_parameters(path) == {
+        name: value for name, value in resolve({**PACKAGE, **NAMED}).items() if value != ()}
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_the_order_of_values_and_of_the_table_does_not_matter(tmp_path, monkeypatch, seed):
+    values = {**resolve({**PACKAGE, **NAMED}), **LISTS}
+    rng = np.random.default_rng(seed)
+    shuffled = [str(name) for name in rng.permutation(list(PARAMETERS))]
+    monkeypatch.setattr(
+        parameter_files, 'PARAMETERS', {name: PARAMETERS[name] for name in shuffled})
+    names = [str(name) for name in rng.permutation(list(values))]
+    write_parameters(tmp_path / 'p.yaml', {name: values[name] for name in names})
+    assert read_parameters(tmp_path / 'p.yaml') == values
+
+
+def test_no_parameter_has_the_name_of_a_group():
+    groups = {name.rsplit('.', depth)[0] for name in PARAMETERS for depth in range(1, 4)
+              if name.count('.') >= depth}  # fmt: skip
+    assert not groups & set(PARAMETERS)
 
 
 def test_every_line_reads_well():
@@ -160,7 +203,7 @@ def test_a_value_that_is_not_allowed_is_not_written(tmp_path):
 
 
 def test_every_parameter_is_written_with_its_sentence_and_unit():
-    values = {**resolve(PACKAGE), 'bags': ('a',), 'package.files': ('b',)}
+    values = {**resolve(PACKAGE), **LISTS}
     text = ' '.join(format_parameters(values).split())
     for parameter in PARAMETERS.values():
         sentence = ' # '.join(parameter.description.split())

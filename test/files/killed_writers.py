@@ -1,0 +1,171 @@
+"""
+Kill processes while they write, and say what they leave.
+
+    python -m test.files.killed_writers FOLDER SEED
+
+A process of its own that forks the writers: what they write is made before, so that the kills
+fall into the writing. Prints for each kind of output how many kills left nothing, the old or the
+new content, and anything else.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+import json
+import os
+from pathlib import Path
+import shutil
+import signal
+import sys
+import time
+
+from bellows_ros.core.model import Cup
+from bellows_ros.files.atomic import write_bytes, write_text
+from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.parameter_files import write_parameters
+from bellows_ros.files.results import write_json
+from bellows_ros.files.trajectory_files import write_tum
+import numpy as np
+
+KILLS = 30  # of each kind
+LONG = 3.0  # durations of a write in which it is killed
+HIDDEN = '.bellows-'
+POSE = 'geometry_msgs/msg/PoseStamped'
+STAMPS = 10**18 + 10**7 * np.arange(400)
+VALUES = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (len(STAMPS), 1))
+
+Content = dict[str, bytes] | None
+Write = Callable[[Path, int], None]
+"""Writes the old content, 0, or the new, 1, to a path."""
+
+
+def yaml(path: Path, number: int) -> None:
+    """Write a parameter file."""
+    stiffness = (1.0 + number) * Cup.thesis().stiffness
+    write_parameters(path, {'cup.stiffness': tuple(stiffness.ravel().tolist())}, ['A cup.'])
+
+
+def result(path: Path, number: int) -> None:
+    """Write JSON."""
+    write_json(path, {'number': number, 'values': VALUES[:200]})
+
+
+def page(path: Path, number: int) -> None:
+    """Write a page."""
+    write_text(path, f'<!DOCTYPE html>{number}' + '<p>line</p>' * 50_000)
+
+
+def picture(path: Path, number: int) -> None:
+    """Write a picture; without matplotlib the bytes of one."""
+    try:
+        from bellows_ros.plots.style import write_figure
+        from matplotlib.figure import Figure
+    except ImportError:
+        write_bytes(path, bytes([number]) * 500_000)
+        return
+    figure = Figure(figsize=(1.0, 1.0))
+    figure.text(0.0, 0.0, str(number))
+    write_figure(path, figure)
+
+
+def table(path: Path, number: int) -> None:
+    """Write numbers in columns."""
+    write_tum(path, STAMPS, VALUES + number)
+
+
+def recording(storage: str, compression: str) -> Write:
+    """Return what writes a recording."""
+    def write(path: Path, number: int) -> None:
+        recorded = Recorded('/pose', POSE, STAMPS, VALUES + number)
+        write_bag(path, [recorded], storage, compression, replace=True)
+
+    return write
+
+
+def carelessly(path: Path, number: int) -> None:
+    """Write as this package does not: what the kills are to find."""
+    with path.open('wb', buffering=0) as file:
+        for _ in range(200):
+            file.write(bytes([number]) * 1000)
+
+
+WRITERS: dict[str, Write] = {
+    'cup.yaml': yaml,
+    'fit.json': result,
+    'report.html': page,
+    'picture.png': picture,
+    'package.tum': table,
+    'mcap': recording('mcap', 'none'),
+    'sqlite3': recording('sqlite3', 'file'),
+    'careless': carelessly,
+}
+
+
+def content(path: Path) -> Content:
+    """Return all files of an output by name, or None where there is none."""
+    if path.is_dir():
+        return {file.name: file.read_bytes() for file in path.iterdir()}
+    return {path.name: path.read_bytes()} if path.exists() else None
+
+
+def whole(folder: Path, name: str) -> tuple[list[Content], float]:
+    """Return both contents, and how long (s) writing takes."""
+    contents: list[Content] = []
+    seconds = 1.0
+    for number in (0, 1, 0, 1):
+        begin = time.monotonic()
+        WRITERS[name](folder / name, number)
+        seconds = min(seconds, time.monotonic() - begin)
+        contents.append(content(folder / name))
+    assert contents[:2] == contents[2:] and contents[0] != contents[1], name
+    return contents[:2], seconds
+
+
+def kill_one(path: Path, write: Write, after: float) -> None:
+    """Fork a process that writes the new and the old content in turn; kill it after a time (s)."""
+    child = os.fork()
+    if child == 0:
+        try:
+            for number in range(1, 100_000):
+                write(path, number % 2)
+        finally:
+            os._exit(1)
+    time.sleep(after)  # the moment is the point, nothing is awaited
+    os.kill(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    assert os.WIFSIGNALED(status), path
+
+
+def kill_many(folder: Path, name: str, rng: np.random.Generator) -> Counter[str]:
+    """Kill writers of one kind of output, and count what they leave."""
+    folder.mkdir()
+    contents, seconds = whole(folder, name)
+    found: Counter[str] = Counter()
+    for k in range(KILLS):
+        shutil.rmtree(folder)
+        folder.mkdir()
+        old = k % 2  # every other time there is nothing yet
+        if old:
+            WRITERS[name](folder / name, 0)
+        kill_one(folder / name, WRITERS[name], rng.uniform(0.0, LONG * seconds))
+        found[judged(content(folder / name), contents, bool(old))] += 1
+        left = [path.name for path in folder.iterdir() if path.name != name]
+        found['hidden'] += len(left)
+        found['in the way'] += sum(not entry.startswith(HIDDEN) for entry in left)
+    return found
+
+
+def judged(now: Content, contents: list[Content], old: bool) -> str:
+    """Return what a kill has left."""
+    if now is None:
+        return 'lost' if old else 'nothing'
+    return ('old', 'new')[contents.index(now)] if now in contents else 'torn'
+
+
+def main() -> None:
+    """Kill writers of every kind."""
+    folder, rng = Path(sys.argv[1]), np.random.default_rng(int(sys.argv[2]))
+    print(json.dumps({name: kill_many(folder / f'of_{name}', name, rng) for name in WRITERS}))
+
+
+if __name__ == '__main__':
+    main()
