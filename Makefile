@@ -68,6 +68,10 @@ figures: .venv/ready  ## draw docs/images/ again (the demo's plot from demo_outp
 pages: .venv/ready  ## run the commands on all pages, and write what they print into them
 	@$(BIN)/python docs/tools/pages.py
 
+.PHONY: notebooks
+notebooks: .venv/extras-ready  ## run the notebooks, and write what they give into them
+	@$(BIN)/python docs/tools/notebooks.py
+
 .PHONY: bags
 bags: .venv/ready  ## make the recordings in bags/ again
 	@for bag in $(BAGS); do \
@@ -79,6 +83,9 @@ bags: .venv/ready  ## make the recordings in bags/ again
 
 .PHONY: venv
 venv: .venv/ready  ## only make the environment
+
+.PHONY: extras
+extras: .venv/extras-ready  ## add the viewer Rerun, ffmpeg, a notebook kernel and MuJoCo for their tests
 
 .PHONY: clean
 clean:  ## remove the environments and all that was built
@@ -96,6 +103,12 @@ clean:  ## remove the environments and all that was built
 
 .venv/docs-ready: .venv/ready
 	@$(BIN)/python $(PIP) --editable '.[docs]'
+	@touch $@
+
+# What only some tests need, and is too heavy for everyone: a viewer, ffmpeg, a notebook
+# kernel, a simulator.
+.venv/extras-ready: .venv/ready
+	@$(BIN)/python $(PIP) --editable '.[notebook,video,view]' 'mujoco>=3.1'
 	@touch $@
 
 .venv-oldest/ready: setup.py .ci/oldest.txt

@@ -12,6 +12,12 @@ EXTRAS = {
     # Compiles the integration step; without it the same source is interpreted.
     'fast': ['numba>=0.59'],
     'plot': ['matplotlib>=3.8'],
+    # The program ffmpeg, for animations as .mp4 where the system has none (170 MB).
+    'video': ['imageio-ffmpeg>=0.5'],
+    # The viewer Rerun, for `bellows view` (600 MB with what it needs).
+    'view': ['rerun-sdk>=0.41'],
+    # What runs notebooks/; open them with any Jupyter.
+    'notebook': ['ipykernel>=6.29', 'nbclient>=0.10', 'matplotlib>=3.8'],
     'docs': ['sphinx>=7.2', 'myst-parser>=3', 'furo>=2024.1'],
     # Many recordings at a time, on the cores of this machine or on those of a cluster.
     'parallel': ['joblib>=1.3'],

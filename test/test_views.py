@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 import yaml
 
+DISPLAYS = ('Grid', 'Pose', 'MarkerArray')  # of the plugins that come with RViz
+
 
 def topics_of(content: Any) -> set[str]:
     """Return all topics in a layout."""
@@ -32,9 +34,31 @@ def test_every_panel_of_the_foxglove_layout_is_placed(root: Path) -> None:
     assert sorted(placed) == sorted(content['configById'])
 
 
+def test_every_plot_of_the_foxglove_layout_is_of_fields_that_messages_have(root: Path) -> None:
+    """Name panels and paths as Foxglove saves them, with fields of the messages' own types."""
+    geometry = pytest.importorskip(
+        'geometry_msgs.msg', reason="no ROS messages here (pip install '.[ros]')")
+    types = {'/cup/wrench': geometry.WrenchStamped, '/cup/deflection': geometry.PoseStamped}
+    content = json.loads((root / 'config' / 'predictor.foxglove.json').read_text())
+    for name, panel in content['configById'].items():
+        assert panel['foxglovePanelTitle'] and 'title' not in panel
+        for path in panel.get('paths', ()):
+            topic, *fields = path['value'].split('.')
+            value = types[topic]()
+            for field in fields:
+                value = getattr(value, field)
+            assert isinstance(value, float), name
+            assert path['timestampMethod'] == 'headerStamp' and path['enabled']
+
+
 def test_every_display_of_rviz_has_a_class_and_a_topic(root: Path) -> None:
-    """Give each display what RViz asks for."""
+    """Give each display what RViz asks for, with policies as RViz spells them."""
     content = yaml.safe_load((root / 'config' / 'predictor.rviz').read_text())
     for display in content['Visualization Manager']['Displays']:
-        assert display['Class'].startswith('rviz_default_plugins/') and display['Enabled']
-        assert 'Topic' in display or display['Name'] == 'Grid'
+        assert display['Class'] in {f'rviz_default_plugins/{name}' for name in DISPLAYS}
+        assert display['Enabled'] and display['Value']
+        if display['Name'] != 'Grid':
+            topic = display['Topic']
+            assert topic['Reliability Policy'] in ('Best Effort', 'Reliable')
+            assert topic['Durability Policy'] in ('Volatile', 'Transient Local')
+            assert (topic['History Policy'], topic['Depth'] > 0) == ('Keep Last', True)

@@ -6,7 +6,7 @@ from typing import Any
 
 from .commands import OK
 from .console import Console
-from .options import add_json_option, require_outputs, STDOUT
+from .options import add_json_option, put_json, require_outputs, STDOUT
 
 DESCRIPTION = (
     'Measure this package against what one would use instead, and against a version of its kernel '
@@ -44,13 +44,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Measure, write, show."""
     require_outputs(arguments.json, arguments.page)
     from bellows_ros.bench.tables import columns, tables
-    from bellows_ros.files.results import format_json, write_json
 
     found = _found(arguments, console)
-    if arguments.json == STDOUT:
-        console.raw(format_json(found))
-    elif arguments.json:
-        write_json(arguments.json, found)
+    put_json(arguments.json, found, console)
     if arguments.page:
         _renew(Path(arguments.page), found)
     with console.results_to_stderr(arguments.json == STDOUT):

@@ -26,6 +26,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         'replay': 'predict a recording with a cup, and score the prediction',
         'simulate': 'make a recording of a known cup',
         'plot': 'draw recordings, fits and predictions',
+        'view': 'show a replay in the viewer Rerun, or write it for that',
         'convert': 'make recordings of Motive, TUM or EuRoC files, and TUM files of recordings',
         'export': 'write a cup for MuJoCo, Drake or SDF',
         'parameters': 'list all parameters, or write a parameter file to fill in',

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from .commands import NOT_USABLE, OK
 from .console import Console
-from .options import add_json_option, require_outputs, STDOUT
+from .options import add_json_option, put_json, require_outputs, STDOUT
 
 if TYPE_CHECKING:
     from bellows_ros.core.identification.comparison import Change, FitComparison
@@ -38,14 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Compare, write, report."""
     require_outputs(arguments.json)
-    from bellows_ros.files.results import format_json, write_json
     from bellows_ros.workflows.compare import compare_files
 
     result = compare_files(arguments.before, arguments.after)
-    if arguments.json == STDOUT:
-        console.raw(format_json(result.as_json()))
-    elif arguments.json:
-        write_json(arguments.json, result.as_json())
+    put_json(arguments.json, result.as_json(), console)
     with console.results_to_stderr(arguments.json == STDOUT):
         _say(result, console)
         if arguments.json not in ('', STDOUT):
@@ -77,7 +73,7 @@ def _say(result: 'Comparison', console: Console) -> None:
 
 def change_table(changes: 'tuple[Change, ...]') -> list[str]:
     """Return both values, the change, and how many standard errors it is, a line each."""
-    from .words import aligned
+    from .words import aligned, with_error
 
     rows = [('', 'A', 'B', 'unit', 'change', 'std. errors')]
     for change in changes:
@@ -85,8 +81,8 @@ def change_table(changes: 'tuple[Change, ...]') -> list[str]:
         rows.append(
             (
                 change.name,
-                _with_error(scale * change.before, scale * change.before_std),
-                _with_error(scale * change.after, scale * change.after_std),
+                with_error(scale * change.before, scale * change.before_std),
+                with_error(scale * change.after, scale * change.after_std),
                 unit,
                 f'{change.percent:+.2f} %' if math.isfinite(change.percent) else '-',
                 f'{change.standard_errors:+.1f}' + ('*' if change.significant else ' ')
@@ -99,13 +95,6 @@ def change_table(changes: 'tuple[Change, ...]') -> list[str]:
 def _shown_unit(unit: str) -> tuple[float, str]:
     """Return how a quantity is shown: poses in mm and mrad."""
     return (1e3, f'm{unit}') if unit in ('m', 'rad') else (1.0, unit)
-
-
-def _with_error(value: float, error: float) -> str:
-    """Return a value with its standard error, where that is known."""
-    from .words import with_error
-
-    return with_error(value, error) if math.isfinite(error) else f'{value:.3g} (not told)'
 
 
 def verdict(result: 'Comparison') -> list[str]:

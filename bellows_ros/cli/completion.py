@@ -87,11 +87,11 @@ def _options(name: str, actions: list[argparse.Action]) -> str:
 
 
 def _choices(name: str, actions: list[argparse.Action]) -> str:
-    """Return a line for each option of a command that knows all its values."""
+    """Return a line for each option or first argument of a command that knows all its values."""
     lines = ''
     for action in actions:
-        for option in action.option_strings if action.choices else ():
-            words = ' '.join(map(str, action.choices or ()))
-            lines += (f'        "{name} {option}") '
-                      f'COMPREPLY=($(compgen -W "{words}" -- "$word")); return ;;\n')  # fmt: skip
+        words = ' '.join(map(str, action.choices or ()))
+        for before in (action.option_strings or [name]) if words else ():
+            lines += (f'        "{name} {before}") if [[ $word != -* ]]; then '
+                      f'COMPREPLY=($(compgen -W "{words}" -- "$word")); return; fi ;;\n')
     return lines

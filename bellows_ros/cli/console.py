@@ -120,8 +120,9 @@ class Progress:
             return
         self._next, self._stage = now + AGAIN, stage
         width = shutil.get_terminal_size().columns - 1
-        line = progress_line(stage, fraction, now - self._start)[:width]
-        self._stream.write(CLEAR_LINE + line)
+        line = progress_line(stage, fraction, now - self._start)
+        shown = line if len(line) <= width else stage  # what is done matters more than the bar
+        self._stream.write(CLEAR_LINE + shown[:width])
         self._stream.flush()
 
     def clear(self) -> None:
@@ -132,12 +133,13 @@ class Progress:
 
 
 def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:
-    """Return a line with a bar and the time left (s), as far as they are known."""
+    """Return a line with a bar and the time left (s), as far as the stage does not tell it."""
     if fraction is None:
         return f'{stage} ...'
     done = min(max(fraction, 0.0), 1.0)
     full = round(done * BAR)
-    left = elapsed * (1.0 - done) / done if done > 0.05 and elapsed > 1.0 else None
+    known = done > 0.05 and elapsed > 1.0 and ' left' not in stage
+    left = elapsed * (1.0 - done) / done if known else None
     remaining = f', {left:.0f} s left' if left is not None else ''
     return f'[{"#" * full}{"-" * (BAR - full)}] {done:4.0%}  {stage}{remaining}'
 

@@ -8,7 +8,7 @@ from bellows_ros.errors import BellowsError
 
 from .commands import OK
 from .console import Console
-from .options import add_json_option, require_outputs, STDOUT
+from .options import add_json_option, put_json, require_outputs, STDOUT
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.convert import Conversion
@@ -58,7 +58,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Convert and report."""
     require_outputs(arguments.json)
-    from bellows_ros.files.results import format_json, write_json
     from bellows_ros.workflows.convert import TEXT_ENDINGS, to_bag, to_tum
 
     with console.progress() as progress:
@@ -71,12 +70,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             _require_text(arguments)
             done = to_bag(arguments.sources, arguments.out, arguments.topic, arguments.storage,
                           arguments.markers, arguments.force)  # fmt: skip
-    if arguments.json == STDOUT:
-        console.raw(format_json(done.as_json()))
-    elif arguments.json:
-        write_json(arguments.json, done.as_json())
+    put_json(arguments.json, done.as_json(), console)
     with console.results_to_stderr(arguments.json == STDOUT):
         _say(done, console)
+        if not done.out.lower().endswith(TEXT_ENDINGS):
+            console.say('Next, see what is in it:')
+            console.say(f'  bellows info {done.out} --write-params my_cell.yaml')
     return OK
 
 
@@ -106,3 +105,5 @@ def _say(done: 'Conversion', console: Console) -> None:
                     + (f'; left out: {left}' if left else ''))
     if done.world != 'z_up':
         console.say(f'Its world has y up: set recording.world to {done.world}.')
+    for note in done.notes:
+        console.warn(note)

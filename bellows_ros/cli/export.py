@@ -5,7 +5,14 @@ from pathlib import Path
 
 from .commands import OK
 from .console import Console
-from .options import add_json_option, given_parameters, require_outputs, STDOUT
+from .options import (
+    add_json_option,
+    given_parameters,
+    put_json,
+    require_outputs,
+    STDOUT,
+    THESIS_CUP,
+)
 
 DESCRIPTION = (
     'Write a cup and its package as a model for MuJoCo (MJCF), Drake or any simulator that reads '
@@ -41,7 +48,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
     from bellows_ros.files.atomic import write_text
     from bellows_ros.files.exports import limits, TARGETS
-    from bellows_ros.files.results import format_json, write_json
 
     values = given_parameters([arguments.cup], arguments.overrides)
     settings = resolve(values, PACKAGE_PARAMETERS)
@@ -51,13 +57,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     lost = limits(target, cup)
     write_text(arguments.out, target.write(cup, package))
     content = {'format': arguments.to, 'file': arguments.out, 'not_expressed': lost}
-    if arguments.json == STDOUT:
-        console.raw(format_json(content))
-    elif arguments.json:
-        write_json(arguments.json, content)
+    put_json(arguments.json, content, console)
     with console.results_to_stderr(arguments.json == STDOUT):
         if 'cup.stiffness' not in values:
-            console.warn('cup.stiffness is not set: this is the cup of the thesis, (4.78, 4.79).')
+            console.warn(THESIS_CUP)
         console.say(f'Wrote {arguments.out} for {target.name}.')
         console.say('What it cannot express:')
         for sentence in lost:

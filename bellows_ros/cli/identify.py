@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 DESCRIPTION = (
     'Find the stiffness K and the damping P of a cup in recordings of the tool arm and of the '
-    'package it holds, by weighted least squares. The parameter file says what is known: the '
-    "package, the cup's length, the topics."
+    "package it holds. The parameter file says what is known (the package, the cup's length, the "
+    'topics), how to fit, and what else to look at: recordings at rest, other recordings to '
+    'validate on, the structures compared.'
 )
 EXAMPLES = (
     ('bellows identify bags/identification --params bags/package.yaml \\\n'
@@ -30,9 +31,16 @@ EXAMPLES = (
      'from two recordings, without the symmetry of a round cup; only show the result'),
     ('bellows identify recordings/* --params my_cell.yaml --jobs -1 --out cup.yaml',
      'from hundreds of recordings, on all cores'),
+    ('bellows identify recording --params my_cell.yaml --set static.bags=m05,m10,m15 \\\n'
+     '      --set static.files=m05.yaml,m10.yaml,m15.yaml --set static.length=true',
+     'with standstills under three masses, from which the nominal length is found, too'),
     ('bellows identify recording --params my_cell.yaml --json - | jq .stiffness',
      'use the result in a script'),
 )  # fmt: skip
+
+
+MOST_ON_A_PAGE = 20
+"""Recordings of which one page is still read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,19 +73,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Identify, write, report."""
     settings = _settings(arguments)
-    cup_file, json_file = (str(settings[f'output.{name}']) for name in ('parameters', 'json'))
-    require_outputs(cup_file, json_file, arguments.report)
+    cup_file, json_file, page = (
+        str(settings[f'output.{name}']) for name in ('parameters', 'json', 'report'))
+    require_outputs(cup_file, json_file, page)
     with console.progress() as progress:
         result = _identified(arguments, settings, progress)
     usable = result.fit.usable
     _write(result, cup_file if usable else '', json_file, console)
-    if arguments.report:
-        _write_report(result, arguments.report)
+    if page:
+        from bellows_ros.report.build import write_page
+
+        write_page(result, page)
     with console.results_to_stderr(json_file == STDOUT):
         _say(result, settings, console)
         _say_files(usable, cup_file, json_file, console)
-        if arguments.report:
-            console.say(f'Wrote {arguments.report}.')
+        if page:
+            console.say(f'Wrote {page}.')
     return OK if usable else NOT_USABLE
 
 
@@ -93,10 +104,10 @@ def _identified(
         return identify(settings, progress, arguments.params)
     from bellows_ros.workflows.batch import identify_many
 
-    if arguments.report:
+    if settings['output.report'] and len(settings['bags']) > MOST_ON_A_PAGE:
         raise BellowsError(
-            '--report needs the recordings themselves, which --jobs and --dask do not keep. '
-            'Leave one of them out.'
+            f'A report shows every recording: of at most {MOST_ON_A_PAGE}, not of '
+            f'{len(settings["bags"])} as with --jobs and --dask. Leave the report out.'
         )
     return identify_many(settings, arguments.jobs or 1, arguments.dask, progress, arguments.params)
 
@@ -111,9 +122,11 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
         'bags': arguments.bags,
         'output.parameters': arguments.out,
         'output.json': arguments.json,
+        'output.report': arguments.report,
     }
+    required = () if values.get('package.files') else PACKAGE_PARAMETERS
     settings = resolve(
-        {**values, **{name: value for name, value in given.items() if value}}, PACKAGE_PARAMETERS
+        {**values, **{name: value for name, value in given.items() if value}}, required
     )
     if not settings['bags']:
         raise BellowsError(
@@ -134,18 +147,6 @@ def _write(result: 'Identification', cup_file: str, json_file: str, console: Con
         console.raw(format_json(result.as_json()))
 
 
-def _write_report(result: 'Identification', path: str) -> None:
-    """Write the page with plots."""
-    import json
-
-    from bellows_ros.files.atomic import write_text
-    from bellows_ros.files.results import format_json
-    from bellows_ros.report.build import identification_report
-
-    content = json.loads(format_json(result.as_json()))
-    write_text(path, identification_report(content, result.recordings))
-
-
 def _say(result: 'Identification', settings: dict[str, Any], console: Console) -> None:
     """Print the cup and what it rests on."""
     from .words import cup_table, listed, sample_lines
@@ -161,6 +162,8 @@ def _say(result: 'Identification', settings: dict[str, Any], console: Console) -
     for line in sample_lines(fit, result.reports):
         console.paragraph(line)
     console.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
+    for line in result.findings:
+        console.paragraph(line)
     for warning in result.warnings:
         console.warn(warning)
 

@@ -7,7 +7,7 @@ from typing import Any, TYPE_CHECKING
 
 from .commands import OK
 from .console import Console
-from .options import add_json_option, require_outputs, STDOUT
+from .options import add_json_option, put_json, require_outputs, STDOUT
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.info import Info, TopicInfo
@@ -43,16 +43,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Look, write, report."""
     require_outputs(arguments.json, arguments.write_params)
     from bellows_ros.files.atomic import write_text
-    from bellows_ros.files.results import format_json, write_json
     from bellows_ros.workflows.info import info
 
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         found = info(arguments.bag)
-    if arguments.json == STDOUT:
-        console.raw(format_json(found.as_json()))
-    elif arguments.json:
-        write_json(arguments.json, found.as_json())
+    put_json(arguments.json, found.as_json(), console)
     if arguments.write_params:
         write_text(arguments.write_params, parameter_file(found))
     with console.results_to_stderr(arguments.json == STDOUT):

@@ -10,6 +10,7 @@ from .options import (
     add_json_option,
     add_parameter_options,
     given_parameters,
+    put_json,
     require_outputs,
     STDOUT,
 )
@@ -49,15 +50,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.bags:
         settings['bags'] = arguments.bags
     require_outputs(arguments.json)
-    from bellows_ros.files.results import format_json, write_json
     from bellows_ros.workflows.ladder import climb
 
     with console.progress() as progress:
         result = climb(settings, progress)
-    if arguments.json == STDOUT:
-        console.raw(format_json(result.as_json()))
-    elif arguments.json:
-        write_json(arguments.json, result.as_json())
+    put_json(arguments.json, result.as_json(), console)
     with console.results_to_stderr(arguments.json == STDOUT):
         _say(result, console)
         if arguments.json not in ('', STDOUT):
@@ -103,7 +100,7 @@ def _axis_rows(result: 'Climb') -> list[tuple[str, ...]]:
         rows.append((
             axis.name, _milli(axis.strain, unit), _milli(axis.motion, unit),
             _milli(axis.strain_noise, unit), _milli(axis.twist, rate),
-            _milli(axis.twist_noise, rate), '{:.1f}-{:.1f} Hz'.format(*axis.band_hz),
+            _milli(axis.twist_noise, rate), _band(*axis.band_hz),
         ))  # fmt: skip
     return rows
 
@@ -133,6 +130,11 @@ def _rung_rows(result: 'Climb') -> list[tuple[str, ...]]:
             f'{error:.2%}' if math.isfinite(error) else '-', 'yes' if rung.usable else 'no',
         ))  # fmt: skip
     return rows
+
+
+def _band(low: float, high: float) -> str:
+    """Return a band of frequencies, or a dash where nothing moves."""
+    return f'{low:.1f}-{high:.1f} Hz' if math.isfinite(low) else '-'
 
 
 def _milli(value: float, unit: str) -> str:

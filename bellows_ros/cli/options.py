@@ -12,11 +12,14 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.errors import BellowsError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from bellows_ros.core.parameters import Parameter, Value
 
+    from .console import Console
+
 STDOUT = '-'
+THESIS_CUP = 'cup.stiffness is not set: this is the cup of the thesis, (4.78, 4.79).'
 
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +41,16 @@ def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
         '--json', metavar='FILE', default='',
         help=f"write {what} as JSON; '-' for stdout (the summary then goes to stderr)",
     )  # fmt: skip
+
+
+def put_json(target: str, content: 'Mapping[str, Any]', console: 'Console') -> None:
+    """Write a result where --json says: to a file, to stdout, or nowhere."""
+    from bellows_ros.files.results import format_json, write_json
+
+    if target == STDOUT:
+        console.raw(format_json(content))
+    elif target:
+        write_json(target, content)
 
 
 def given_parameters(

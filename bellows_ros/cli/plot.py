@@ -7,7 +7,15 @@ from typing import Any
 
 from .commands import OK
 from .console import Console
-from .options import add_parameter_options, given_parameters, require_outputs
+from .options import (
+    add_json_option,
+    add_parameter_options,
+    given_parameters,
+    put_json,
+    require_outputs,
+    STDOUT,
+    THESIS_CUP,
+)
 
 DESCRIPTION = (
     'Draw a picture of a recording (motion, spectra, path), of how a cup fits it (deflection, '
@@ -22,6 +30,8 @@ EXAMPLES = (
      'measured and predicted pose of the package'),
     ('bellows plot animation bags/validation --params cup.yaml --out replay.gif --from 3 --to 6',
      'tool, cup and package moving'),
+    ('bellows plot spectra recording --out spectra.svg --json spectra.json',
+     'with the numbers, for pictures of your own'),
 )  # fmt: skip
 
 WHAT = {
@@ -33,6 +43,8 @@ WHAT = {
     'prediction': 'predicted and measured pose of the package, and their difference',
     'animation': 'tool, cup and package moving (.gif; .mp4 with ffmpeg)',
 }
+
+OF_THE_RECORDING = ('motion', 'spectra', 'path')  # pictures that need no cup
 
 Settings = Mapping[str, Any]
 
@@ -52,6 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--out', metavar='FILE', required=True,
         help='picture to write: .png, .svg or .pdf; of an animation .gif or .mp4',
     )  # fmt: skip
+    add_json_option(parser, 'the numbers that are drawn, in SI units,')
     parser.add_argument(
         '--theme', choices=('light', 'dark'), default='light', help='for paper, or for the dark'
     )
@@ -71,19 +84,23 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     values = given_parameters(arguments.params, arguments.overrides)
     settings = resolve(values, PACKAGE_PARAMETERS)
-    require_outputs(arguments.out)
+    require_outputs(arguments.out, arguments.json)
     _require_ending(arguments.what, arguments.out)
     given = 'cup.stiffness' in values
-    note = f'{arguments.bag}' + ('' if given else '; cup of the thesis')
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
+        shown = _shown(arguments.what, arguments.bag, settings, given, progress)
+        note = f'{arguments.bag}' + ('' if given or arguments.what in OF_THE_RECORDING
+                                     else '; cup of the thesis')  # fmt: skip
         if arguments.what == 'animation':
-            _animate(arguments, settings, note, progress)
+            _animate(arguments, shown, note, progress)
         else:
-            _draw(arguments, settings, note, given)
-    if not given and arguments.what in ('deflection', 'residuals', 'prediction', 'animation'):
-        console.warn('cup.stiffness is not set: this is the cup of the thesis, (4.78, 4.79).')
-    console.say(f'Wrote {arguments.out}.')
+            _draw(arguments, shown, note)
+    _put_data(arguments, shown, console)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        if not given and arguments.what not in OF_THE_RECORDING:
+            console.warn(THESIS_CUP)
+        console.say(f'Wrote {arguments.out}.')
     return OK
 
 
@@ -99,84 +116,59 @@ def _require_ending(what: str, out: str) -> None:
         )
 
 
-def _draw(arguments: argparse.Namespace, settings: Settings, note: str, given: bool) -> None:
+def _shown(what: str, bag: Path, settings: Settings, given: bool, progress: Any) -> Any:
+    """Return what a picture shows."""
+    from bellows_ros.workflows.plot import loads, motion, replayed, spectra
+
+    if what in ('motion', 'path'):
+        return motion(bag, settings)
+    if what == 'spectra':
+        return spectra(bag, settings, given)
+    if what in ('deflection', 'residuals'):
+        return loads(bag, settings)
+    return replayed(bag, settings, progress)
+
+
+def _draw(arguments: argparse.Namespace, shown: Any, note: str) -> None:
     """Draw a picture and write it."""
+    from bellows_ros.plots.loads import deflection_figure, residual_figure
+    from bellows_ros.plots.recording import motion_figure, path_figure, spectra_figure
     from bellows_ros.plots.style import write_figure
 
-    figure = _FIGURES[arguments.what](arguments.bag, settings, note, arguments.theme, given)
-    write_figure(arguments.out, figure)
+    figures: Mapping[str, Callable[..., Any]] = {
+        'motion': motion_figure,
+        'spectra': spectra_figure,
+        'path': path_figure,
+        'deflection': deflection_figure,
+        'residuals': residual_figure,
+        'prediction': _prediction,
+    }
+    write_figure(arguments.out, figures[arguments.what](shown, note, arguments.theme))
 
 
-def _motion(bag: Path, settings: Settings, note: str, theme: str, given: bool) -> Any:
-    """Return the picture of motions."""
-    from bellows_ros.plots.recording import motion_figure
-    from bellows_ros.workflows.plot import motion
-
-    return motion_figure(motion(bag, settings), str(bag), theme)
-
-
-def _path(bag: Path, settings: Settings, note: str, theme: str, given: bool) -> Any:
-    """Return the picture of paths."""
-    from bellows_ros.plots.recording import path_figure
-    from bellows_ros.workflows.plot import motion
-
-    return path_figure(motion(bag, settings), str(bag), theme)
-
-
-def _spectra(bag: Path, settings: Settings, note: str, theme: str, given: bool) -> Any:
-    """Return the picture of spectra."""
-    from bellows_ros.plots.recording import spectra_figure
-    from bellows_ros.workflows.plot import spectra
-
-    return spectra_figure(spectra(bag, settings, given), str(bag), theme)
-
-
-def _deflection(bag: Path, settings: Settings, note: str, theme: str, given: bool) -> Any:
-    """Return the picture of loads against deflections."""
-    from bellows_ros.plots.loads import deflection_figure
-    from bellows_ros.workflows.plot import loads
-
-    return deflection_figure(loads(bag, settings), note, theme)
-
-
-def _residuals(bag: Path, settings: Settings, note: str, theme: str, given: bool) -> Any:
-    """Return the picture of what is unexplained."""
-    from bellows_ros.plots.loads import residual_figure
-    from bellows_ros.workflows.plot import loads
-
-    return residual_figure(loads(bag, settings), note, theme)
-
-
-def _prediction(bag: Path, settings: Settings, note: str, theme: str, given: bool) -> Any:
+def _prediction(shown: Any, note: str, theme: str) -> Any:
     """Return the picture of a replay."""
     from bellows_ros.plots.prediction import Comparison, prediction_figure
-    from bellows_ros.workflows.plot import replayed
 
-    shown = replayed(bag, settings)
     compared = Comparison(
         shown.seconds, shown.replay.measured, shown.replay.predicted, shown.replay.scores)
     title = 'Held package: predicted, and measured'
     return prediction_figure(compared, title, f'relative to the tool; {note}', theme)
 
 
-def _animate(
-    arguments: argparse.Namespace, settings: Settings, note: str, progress: Any
-) -> None:
+def _animate(arguments: argparse.Namespace, shown: Any, note: str, progress: Any) -> None:
     """Draw an animation and write it."""
     from bellows_ros.plots.animation import write_animation
-    from bellows_ros.workflows.plot import replayed
 
     write_animation(
-        arguments.out, replayed(arguments.bag, settings), note, arguments.theme,
-        (arguments.first, arguments.last), progress,
-    )  # fmt: skip
+        arguments.out, shown, note, arguments.theme, (arguments.first, arguments.last), progress
+    )
 
 
-_FIGURES: Mapping[str, Callable[..., Any]] = {
-    'motion': _motion,
-    'spectra': _spectra,
-    'path': _path,
-    'deflection': _deflection,
-    'residuals': _residuals,
-    'prediction': _prediction,
-}
+def _put_data(arguments: argparse.Namespace, shown: Any, console: Console) -> None:
+    """Write the numbers that a picture is drawn from, where --json asks for them."""
+    from bellows_ros.workflows.plot import data_json
+
+    if arguments.json:
+        about = {'what': arguments.what, 'bag': str(arguments.bag), 'file': arguments.out}
+        put_json(arguments.json, {**about, **data_json(shown)}, console)

@@ -10,8 +10,10 @@ from .options import (
     add_json_option,
     add_parameter_options,
     given_parameters,
+    put_json,
     require_outputs,
     STDOUT,
+    THESIS_CUP,
 )
 
 if TYPE_CHECKING:
@@ -48,18 +50,14 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     values = given_parameters(arguments.params, arguments.overrides)
     settings = resolve(values, PACKAGE_PARAMETERS)
     require_outputs(arguments.json)
-    from bellows_ros.files.results import format_json, write_json
     from bellows_ros.workflows.replay import replay
 
     with console.progress() as progress:
         result = replay(arguments.bag, settings, progress)
-    if arguments.json == STDOUT:
-        console.raw(format_json(result.as_json()))
-    elif arguments.json:
-        write_json(arguments.json, result.as_json())
+    put_json(arguments.json, result.as_json(), console)
     with console.results_to_stderr(arguments.json == STDOUT):
         if 'cup.stiffness' not in values:
-            console.warn('cup.stiffness is not set: this is the cup of the thesis, (4.78, 4.79).')
+            console.warn(THESIS_CUP)
         _say(result, arguments, console)
     return OK
 

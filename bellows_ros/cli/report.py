@@ -7,7 +7,7 @@ from typing import Any
 
 from .commands import OK
 from .console import Console
-from .options import require_outputs
+from .options import add_json_option, put_json, require_outputs, STDOUT
 
 DESCRIPTION = (
     'Write one HTML file that needs no network: the cup with its intervals, measured and '
@@ -31,32 +31,45 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--validation', metavar='BAG', action='append', default=[], type=Path,
         help='recording that the fit has not seen, of the same cup and package; may be repeated',
     )  # fmt: skip
+    add_json_option(parser, 'how well the validations went')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, simulate, write."""
-    require_outputs(arguments.out)
+    require_outputs(arguments.out, arguments.json)
     from bellows_ros.core.parameters import resolve
     from bellows_ros.files.atomic import write_text
     from bellows_ros.files.results import read_result
-    from bellows_ros.report.build import cup_values, identification_report
+    from bellows_ros.report.build import (
+        cup_values,
+        identification_report,
+        values_of_recordings,
+    )
     from bellows_ros.workflows.recordings import load
     from bellows_ros.workflows.validate import validate
 
     content = read_result(arguments.fit)
     _require_settings(arguments.fit, content)
-    values = resolve(content['settings'])
     bags = [str(bag) for bag in content['settings']['bags']]
     with console.progress() as progress:
         recordings = []
-        for number, bag in enumerate(bags):
+        for number, (bag, own) in enumerate(zip(bags, values_of_recordings(content), strict=True)):
             progress(f'reading {bag}', number / (len(bags) + len(arguments.validation) + 1))
-            recordings.append(load(bag, values).recording)
-        validations = [validate(bag, cup_values(content)) for bag in arguments.validation]
+            recordings.append(load(bag, resolve(own)).recording)
+        validations = []
+        for number, bag in enumerate(arguments.validation, len(bags)):
+            progress(f'simulating {bag}', number / (len(bags) + len(arguments.validation) + 1))
+            validations.append(validate(bag, cup_values(content)))
         write_text(arguments.out, identification_report(content, recordings, validations))
-    for bag in changed(content):
-        console.warn(f'{bag} is not what it was when the cup was identified from it.')
-    console.say(f'Wrote {arguments.out}.')
+    others = changed(content)
+    put_json(arguments.json, {
+        'file': arguments.out, 'changed_recordings': others,
+        'validations': [validation.as_json() for validation in validations],
+    }, console)  # fmt: skip
+    with console.results_to_stderr(arguments.json == STDOUT):
+        for bag in others:
+            console.warn(f'{bag} is not what it was when the cup was identified from it.')
+        console.say(f'Wrote {arguments.out}.')
     return OK
 
 

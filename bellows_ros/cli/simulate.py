@@ -11,7 +11,14 @@ from bellows_ros.errors import BellowsError
 
 from .commands import OK
 from .console import Console
-from .options import add_json_option, add_parameter_options, given_parameters, STDOUT
+from .options import (
+    add_json_option,
+    add_parameter_options,
+    given_parameters,
+    put_json,
+    require_outputs,
+    STDOUT,
+)
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.simulate import SimulationReport
@@ -48,11 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Simulate, write and report."""
-    from bellows_ros.files.results import format_json, write_json
     from bellows_ros.files.safe_yaml import load
     from bellows_ros.workflows.simulate import simulate_recording
-
-    from .options import require_outputs
 
     values = given_parameters(arguments.params, arguments.overrides)
     require_outputs(arguments.json)
@@ -62,11 +66,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         report = simulate_recording(
             values, motion, arguments.out, progress, replace=arguments.force
         )
-    content = as_json(report)
-    if arguments.json == STDOUT:
-        console.raw(format_json(content))
-    elif arguments.json:
-        write_json(arguments.json, content)
+    put_json(arguments.json, as_json(report), console)
     with console.results_to_stderr(arguments.json == STDOUT):
         _say(report, console)
     return OK

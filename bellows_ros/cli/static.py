@@ -13,11 +13,15 @@ from .options import (
     add_json_option,
     add_parameter_options,
     given_parameters,
+    put_json,
     require_outputs,
     STDOUT,
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bellows_ros.core.parameters import Value
     from bellows_ros.workflows.static import StaticBag, StaticResult
 
 DESCRIPTION = (
@@ -40,7 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
         'bags', metavar='BAG', nargs='*',
-        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
+        help='recording: a rosbag2 folder, or a .mcap or .db3 file; over the parameter '
+        "'static.bags'",
     )  # fmt: skip
     parser.add_argument(
         '--mass', metavar='KG', action='append', type=float, default=[], dest='masses',
@@ -62,18 +67,14 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Find, write, report."""
     settings = given_parameters(arguments.params, arguments.overrides)
     require_outputs(arguments.out, arguments.json)
-    from bellows_ros.files.results import format_json, write_json
     from bellows_ros.workflows.static import save_length, static_check
 
-    bags = _bags(arguments)
+    bags = _bags(arguments, settings)
     with console.progress() as progress:
         result = static_check(bags, settings, progress)
     if arguments.out:
         save_length(result, arguments.out, settings)
-    if arguments.json == STDOUT:
-        console.raw(format_json(result.as_json()))
-    elif arguments.json:
-        write_json(arguments.json, result.as_json())
+    put_json(arguments.json, result.as_json(), console)
     with console.results_to_stderr(arguments.json == STDOUT):
         _say(result, console)
         for file in (arguments.out, arguments.json):
@@ -82,9 +83,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return OK
 
 
-def _bags(arguments: argparse.Namespace) -> 'list[StaticBag]':
-    """Return the recordings with their masses."""
-    from bellows_ros.workflows.static import read_list, StaticBag
+def _bags(
+    arguments: argparse.Namespace, settings: 'Mapping[str, Value]'
+) -> 'list[StaticBag]':
+    """Return the recordings with their masses; those of static.bags where none is named."""
+    from bellows_ros.core.parameters import resolve
+    from bellows_ros.workflows.static import read_list, static_bags, StaticBag
 
     masses = arguments.masses
     if masses and len(masses) != len(arguments.bags):
@@ -97,10 +101,12 @@ def _bags(arguments: argparse.Namespace) -> 'list[StaticBag]':
         StaticBag(bag, mass)
         for bag, mass in zip(arguments.bags, masses or [None] * len(arguments.bags), strict=True)
     ]
+    if not (named or listed) and settings.get('static.bags'):
+        return static_bags(resolve(settings))
     if not (named or listed):
         raise BellowsError(
             'No recording is given. Name one or more: bellows static BAG ... --params FILE, or '
-            'give a --list.'
+            'give a --list, or set static.bags.'
         )
     return named + listed
 

@@ -5,7 +5,14 @@ from pathlib import Path
 
 from .commands import OK
 from .console import Console
-from .options import add_parameter_options, given_parameters, require_outputs
+from .options import (
+    add_json_option,
+    add_parameter_options,
+    given_parameters,
+    put_json,
+    require_outputs,
+    STDOUT,
+)
 
 DESCRIPTION = (
     'Reduce a recording to a small file with all that least squares needs of it. Summaries made '
@@ -28,17 +35,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add_parameter_options(parser)
     parser.add_argument('--out', metavar='FILE', required=True, help='the summary, .npz')
+    add_json_option(parser, 'what became of the recording')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Summarise and write."""
     values = given_parameters(arguments.params, arguments.overrides, 'identifier')
-    require_outputs(arguments.out)
+    require_outputs(arguments.out, arguments.json)
     from bellows_ros.workflows.batch import summarise_to_file
 
-    summary = summarise_to_file(arguments.bag, values, arguments.out).summary
-    console.say(
-        f'Wrote {arguments.out}: {summary.used} samples used, {summary.rejected} rejected, '
-        f'{summary.structure.name}.'
-    )
+    written = summarise_to_file(arguments.bag, values, arguments.out)
+    summary = written.summary
+    content = {'file': arguments.out, 'structure': summary.structure.name,
+               'samples_used': summary.used, 'samples_rejected': summary.rejected,
+               'recording': written.report}  # fmt: skip
+    put_json(arguments.json, content, console)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        console.say(
+            f'Wrote {arguments.out}: {summary.used} samples used, {summary.rejected} rejected, '
+            f'{summary.structure.name}.'
+        )
     return OK

@@ -10,8 +10,10 @@ from .options import (
     add_json_option,
     add_parameter_options,
     given_parameters,
+    put_json,
     require_outputs,
     STDOUT,
+    THESIS_CUP,
 )
 
 if TYPE_CHECKING:
@@ -59,22 +61,18 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     settings = resolve(values, PACKAGE_PARAMETERS)
     require_outputs(arguments.json, arguments.report)
     from bellows_ros.core.identification.validation import LIMIT
-    from bellows_ros.files.results import format_json, write_json
     from bellows_ros.workflows.validate import validate
 
     with console.progress() as progress:
         result = validate(arguments.bag, settings, progress)
     limit = LIMIT if arguments.limit is None else arguments.limit / PERCENT
     content = result.as_json(limit, arguments.params)
-    if arguments.json == STDOUT:
-        console.raw(format_json(content))
-    elif arguments.json:
-        write_json(arguments.json, content)
+    put_json(arguments.json, content, console)
     if arguments.report:
         _write_report(result, arguments)
     with console.results_to_stderr(arguments.json == STDOUT):
         if 'cup.stiffness' not in values:
-            console.warn('cup.stiffness is not set: this is the cup of the thesis, (4.78, 4.79).')
+            console.warn(THESIS_CUP)
         _say(result, limit, arguments, console)
     failing = result.validation.failing(limit)
     return NOT_USABLE if failing and arguments.limit is not None else OK

@@ -48,7 +48,13 @@ def _matrix(matrix: Array) -> list[str]:
 
 
 def with_error(value: float, error: float) -> str:
-    """Return a value to the decimal place of its standard error's second figure, and the error."""
+    """
+    Return a value to the decimal place of its standard error's second figure, and the error.
+
+    An infinite error is said: the value tells nothing.
+    """
+    if math.isinf(error):
+        return f'{value:.3g} (not told)'
     if not (math.isfinite(error) and error > 0.0 and math.isfinite(value)):
         return f'{value:.5g}'
     decimals = max(0, 1 - math.floor(math.log10(error)))

@@ -1,1 +1,1 @@
-"""Pictures, made with matplotlib (extra `plot`); nothing else in the package imports it."""
+"""Pictures, made with matplotlib (extra `plot`), and a view in Rerun (extra `view`)."""

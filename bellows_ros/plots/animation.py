@@ -1,10 +1,14 @@
 """A moving picture of tool, cup and package: predicted, with the measured package over it."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
 import io
+from itertools import chain
 import os
 from pathlib import Path
 import shutil
+import subprocess
 import tempfile
 from typing import Any, Protocol
 
@@ -14,15 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .recording import HasMotion
+from .shapes import bellows_rings, SIDES
 from .style import drawing, Theme, THEMES
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-FRAMES_PER_SECOND = 12.0
+FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
+NO_FFMPEG = (
+    'An .mp4 needs ffmpeg, which is not here. Install it (apt install ffmpeg, or pip install '
+    "'bellows_ros[video]'), or write a .gif."
+)
 SIZE, DPI = (8.0, 4.5), 80
-CUP_RADIUS, RINGS, SIDES = 0.020, 25, 13  # m, and of the drawn cup
-CONVOLUTIONS = 2.5
 ARM = 0.10  # m, of the tool that is drawn above its tip
 VIEW = {'elev': 14.0, 'azim': -60.0}
 EDGES = ((0, 1), (1, 3), (3, 2), (2, 0), (4, 5), (5, 7), (7, 6), (6, 4), (0, 4), (1, 5), (2, 6),
@@ -50,7 +57,7 @@ def write_animation(
     span: tuple[float, float] | None = None, progress: Progress | None = None,
 ) -> None:  # fmt: skip
     """
-    Write a replay as a GIF, or as an MP4 where ffmpeg is installed, at recorded speed.
+    Write a replay as a GIF, or as an MP4 where ffmpeg is there, at recorded speed.
 
     Parameters
     ----------
@@ -74,16 +81,31 @@ def write_animation(
 
     """
     ending = Path(path).suffix.lower()
-    if ending not in ('.gif', '.mp4'):
+    if ending not in FRAMES_PER_SECOND:
         raise BellowsError(f"Animation '{path}' must end in .gif or .mp4.")
-    if ending == '.mp4' and shutil.which('ffmpeg') is None:
-        raise BellowsError('An .mp4 needs ffmpeg, which is not here. Install it, or write a .gif.')
-    chosen = _frames(replayed.seconds, span)
+    rate_hz = FRAMES_PER_SECOND[ending]
+    encode = _gif if ending == '.gif' else partial(_mp4, ffmpeg=_ffmpeg())
+    chosen = _frames(replayed.seconds, span, rate_hz)
     pictures = _drawn(replayed, chosen, note, THEMES[theme], progress or (lambda what, part: None))
-    write_bytes(path, _gif(pictures) if ending == '.gif' else _mp4(pictures))
+    write_bytes(path, encode(pictures, rate_hz))
 
 
-def _frames(seconds: Array, span: tuple[float, float] | None) -> NDArray[np.int64]:
+def _ffmpeg() -> str:
+    """Return the program ffmpeg, that of the system or that of the extra."""
+    found = shutil.which('ffmpeg')
+    if found is None:
+        try:
+            from imageio_ffmpeg import get_ffmpeg_exe
+
+            found = get_ffmpeg_exe()
+        except (ImportError, RuntimeError):
+            raise BellowsError(NO_FFMPEG) from None
+    return str(found)
+
+
+def _frames(
+    seconds: Array, span: tuple[float, float] | None, rate_hz: float
+) -> NDArray[np.int64]:
     """Return the samples to show."""
     first, last = span or (float(seconds[0]), float(seconds[-1]))
     first, last = max(first, float(seconds[0])), min(last, float(seconds[-1]))
@@ -92,7 +114,7 @@ def _frames(seconds: Array, span: tuple[float, float] | None) -> NDArray[np.int6
             f'No sample lies in the time asked for; the recording covers {seconds[0]:.1f} to '
             f'{seconds[-1]:.1f} s.'
         )
-    times = np.arange(first, last, 1.0 / FRAMES_PER_SECOND)
+    times = np.arange(first, last, 1.0 / rate_hz)
     chosen: NDArray[np.int64] = np.minimum(np.searchsorted(seconds, times), len(seconds) - 1)
     return chosen
 
@@ -187,22 +209,13 @@ def _face(o: Array, R: Array, box: Array, number: int) -> Array:
 
 
 def _cup(top_o: Array, top_R: Array, lip_o: Array, lip_R: Array) -> list[Array]:
-    """Return the faces of a bellows that leaves and arrives along the two z axes."""
-    s = np.linspace(0.0, 1.0, RINGS)[:, None]
-    reach = float(np.linalg.norm(lip_o - top_o))
-    rates = -reach * top_R[:, 2], -reach * lip_R[:, 2]
-    spine = ((2 * s**3 - 3 * s**2 + 1) * top_o + (s**3 - 2 * s**2 + s) * rates[0]
-             + (3 * s**2 - 2 * s**3) * lip_o + (s**3 - s**2) * rates[1])  # fmt: skip
-    radius = CUP_RADIUS * (0.75 + 0.2 * np.cos(2.0 * np.pi * CONVOLUTIONS * (s - 1.0)))
-    angle = np.linspace(0.0, 2.0 * np.pi, SIDES)
-    round_ = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(SIDES)])
-    rings = [o + r * (round_ @ ((1 - t) * top_R + t * lip_R).T)
-             for o, r, t in zip(spine, radius, s, strict=True)]  # fmt: skip
+    """Return the faces of a bellows."""
+    rings = bellows_rings(top_o, top_R, lip_o, lip_R)
     return [np.array([a[k], a[k + 1], b[k + 1], b[k]])
             for a, b in zip(rings, rings[1:], strict=False) for k in range(SIDES - 1)]  # fmt: skip
 
 
-def _gif(pictures: Iterator[Any]) -> bytes:
+def _gif(pictures: Iterator[Any], rate_hz: float) -> bytes:
     """Return a GIF that runs for ever."""
     from PIL import Image
 
@@ -210,26 +223,25 @@ def _gif(pictures: Iterator[Any]) -> bytes:
     data = io.BytesIO()
     images[0].save(
         data, 'gif', save_all=True, append_images=images[1:], loop=0,
-        duration=round(1000.0 / FRAMES_PER_SECOND), optimize=False,
+        duration=round(1000.0 / rate_hz), optimize=False,
     )  # fmt: skip
     return data.getvalue()
 
 
-def _mp4(pictures: Iterator[Any]) -> bytes:
-    """Return an MP4, made by ffmpeg."""
-    import subprocess
-
+def _mp4(pictures: Iterator[Any], rate_hz: float, ffmpeg: str) -> bytes:
+    """Return an MP4, made by ffmpeg, that plays everywhere and before it is loaded to its end."""
     first = next(pictures)
     height, width = first.shape[:2]
     with tempfile.TemporaryDirectory(prefix='bellows_') as folder:
         target = Path(folder) / 'animation.mp4'
-        command = ['ffmpeg', '-loglevel', 'error', '-f', 'rawvideo', '-pix_fmt', 'rgb24', '-s',
-                   f'{width}x{height}', '-r', str(FRAMES_PER_SECOND), '-i', '-', '-pix_fmt',
-                   'yuv420p', str(target)]  # fmt: skip
-        with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
-            if process.stdin is not None:
-                for picture in (first, *pictures):
-                    process.stdin.write(picture.tobytes())
+        command = [ffmpeg, '-loglevel', 'error', '-f', 'rawvideo', '-pix_fmt', 'rgb24', '-s',
+                   f'{width}x{height}', '-r', f'{rate_hz:g}', '-i', '-', '-pix_fmt', 'yuv420p',
+                   '-movflags', '+faststart', str(target)]  # fmt: skip
+        with subprocess.Popen(command, stdin=subprocess.PIPE) as process, \
+                suppress(BrokenPipeError):  # it has ended early: its code tells
+            for picture in chain((first,), pictures):
+                process.stdin.write(picture.tobytes())  # type: ignore[union-attr]
         if process.returncode != 0:
-            raise BellowsError('ffmpeg could not make the animation. Write a .gif instead.')
+            raise BellowsError(
+                'ffmpeg could not make the animation; it says why above. Write a .gif instead.')
         return target.read_bytes()

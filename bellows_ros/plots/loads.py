@@ -52,7 +52,7 @@ def deflection_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
                         ('stiffness of the cup', colours.predicted, 1.4)))  # fmt: skip
         for axis, panel in enumerate(panels):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
-            panel.plot(MILLI * x, y, '.', color=colours.measured, markersize=2.0, alpha=0.6,
+            panel.plot(MILLI * x, y, '.', color=colours.measured, markersize=2.8, alpha=0.8,
                        markeredgewidth=0.0)  # fmt: skip
             ends = np.array([x.min(), x.max()])
             panel.plot(MILLI * ends, loads.stiffness[axis] * ends, color=colours.predicted,
@@ -83,7 +83,7 @@ def residual_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
     load, residual = (broken(x, loads.valid) for x in (loads.load, loads.residual))
     with drawing(colours) as figures:
         figure, panels = six(
-            figures, 'Load on the cup, and what the cup leaves unexplained', note, colours,
+            figures, 'Load on the cup, and the unexplained part', note, colours,
             ('N', 'N m'))
         legend(figure, (('needed by the motion', colours.measured, 2.4),
                         ('unexplained', colours.error, 1.0)))  # fmt: skip

@@ -11,7 +11,8 @@ from .style import Theme
 
 Array = NDArray[np.float64]
 
-SIZE = (11.0, 7.6)  # inches
+SIZE = (9.4, 6.9)  # inches
+LEFT = 0.095  # of the panels, in parts of the width
 MILLI = 1e3
 
 
@@ -34,19 +35,19 @@ def six(figures: Any, title: str, note: str, theme: Theme, units: Sequence[str])
     figure = figures.Figure(figsize=SIZE)
     head(figure, title, note, theme)
     panels = figure.subplots(
-        3, 2, gridspec_kw={'left': 0.085, 'right': 0.985, 'top': 0.87, 'bottom': 0.075,
-                           'hspace': 0.28, 'wspace': 0.2})
+        3, 2, gridspec_kw={'left': LEFT, 'right': 0.985, 'top': 0.87, 'bottom': 0.075,
+                           'hspace': 0.28, 'wspace': 0.26})
     for axis, panel in enumerate(panels.T.ravel()):
         panel.set_ylabel(f'{AXES[axis]}  ({units[axis // 3]})')
-        panel.yaxis.set_label_coords(-0.115, 0.5)
+        panel.yaxis.set_label_coords(-0.145, 0.5)
         panel.tick_params(length=2.5, width=0.6)
     return figure, list(panels.T.ravel())
 
 
 def head(figure: Any, title: str, note: str, theme: Theme) -> None:
     """Write title and conditions above the panels."""
-    figure.text(0.085, 0.955, title, fontsize=13.5, fontweight='bold')
-    figure.text(0.085, 0.925, note, color=theme.quiet)
+    figure.text(LEFT, 0.955, title, fontsize=13.5, fontweight='bold')
+    figure.text(LEFT, 0.925, note, color=theme.quiet)
 
 
 def legend(figure: Any, entries: Sequence[tuple[str, str, float]]) -> None:

@@ -123,6 +123,8 @@ class Replayed:
         Measured, at the same times.
     position, rotation : array (N, 3), (N, 3, 3)
         Of B in the world, predicted.
+    deflection : array (N, 6)
+        Of the predicted lip from its pose without load: shift (m) and rotation vector (rad) in E.
     cup_length : float
         m.
     com, box : array (3,)
@@ -135,6 +137,7 @@ class Replayed:
     motion: Motion
     position: Array
     rotation: Array
+    deflection: Array
     cup_length: float
     com: Array
     box: Array
@@ -254,12 +257,14 @@ def replayed(
     stamps = recording.measured_package.stamps_ns
     index = np.searchsorted(stamps, result.stamps_ns)
     measured = _motion(_selected(recording, index))
-    package = package_of(values)
+    package, length = package_of(values), cup_of(values).length
     position = measured.tool_position + apply(measured.tool_rotation, result.predicted[:, :3])
+    bent = exp_so3(result.predicted[:, 3:])
+    shift = result.predicted[:, :3] - bent @ package.com + np.array([0.0, 0.0, length])
     return Replayed(
         (result.stamps_ns - stamps[0]) / NS_PER_S, result, measured,
-        position, measured.tool_rotation @ exp_so3(result.predicted[:, 3:]),
-        cup_of(values).length, package.com, np.array(equivalent_box(values)),
+        position, measured.tool_rotation @ bent, np.hstack([shift, result.predicted[:, 3:]]),
+        length, package.com, np.array(equivalent_box(values)),
     )  # fmt: skip
 
 
@@ -274,3 +279,18 @@ def _selected(recording: Recording, index: NDArray[np.int64]) -> Any:
         measured_tool=pick(recording.measured_tool),
         measured_package=pick(recording.measured_package),
     )
+
+
+def data_json(shown: Motion | Spectra | Loads | Replayed) -> dict[str, Any]:
+    """Return the numbers that a picture is drawn from, for a JSON file; SI units."""
+    if not isinstance(shown, Replayed):
+        return dict(vars(shown))
+    return {
+        'seconds': shown.seconds,
+        'measured': shown.replay.measured,
+        'predicted': shown.replay.predicted,
+        'deflection': shown.deflection,
+        'position': shown.position,
+        'rotation': shown.rotation,
+        'scores': shown.replay.as_json(),
+    }

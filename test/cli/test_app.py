@@ -33,6 +33,7 @@ def test_every_command_has_help_with_examples(name: str, bellows: Run) -> None:
     assert f'examples:\n  bellows {name}' in done.stdout
     assert 'exit codes' in done.stdout
     assert max(map(len, done.stdout.splitlines())) < 100
+    assert '--json' in done.stdout or name == 'completion'
 
 
 @pytest.mark.parametrize('arguments', [['--help'], ['--version'], *([n, '-h'] for n in COMMANDS)])

@@ -18,8 +18,10 @@ def test_summaries_are_merged_to_a_cup(call, tmp_path, capsys):
     for name in ('identification', 'validation'):
         files.append(tmp_path / f'{name}.npz')
         assert call('summarize', f'bags/{name}', '--params', 'bags/package.yaml',
-                    '--out', files[-1]) == 0
-    assert f'Wrote {files[0]}: ' in capsys.readouterr().out
+                    '--out', files[-1], '--json', '-') == 0
+        said = capsys.readouterr()
+        assert f'Wrote {files[-1]}: ' in said.err
+        assert json.loads(said.out)['samples_used'] > 1000
     cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
     assert call('merge', *files, '--out', cup, '--json', fit) == 0
     assert 'Cup identified from 2 summaries' in capsys.readouterr().out

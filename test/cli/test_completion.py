@@ -40,6 +40,12 @@ def test_parameters_are_offered_behind_set() -> None:
     assert complete('bellows', 'identify', '--set', 'fit.st') == ['fit.structure=']
 
 
+def test_known_values_are_offered() -> None:
+    """Complete the kinds of pictures, and the values of an option."""
+    assert complete('bellows', 'plot', 'sp') == ['spectra']
+    assert complete('bellows', 'export', 'cup.yaml', '--to', 'm') == ['mjcf']
+
+
 def test_files_are_offered_elsewhere(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Complete recordings and parameter files."""
     (tmp_path / 'my_cell.yaml').touch()

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+import shutil
 
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import KEYS
@@ -122,3 +123,60 @@ def test_a_cup_that_cannot_be_is_not_written(
     assert 'Warning: The stiffness K is not positive definite' in text
     assert 'was not written' in text and f'Wrote {fit}' in text
     assert 'Traceback' not in done.stderr
+
+
+def test_packages_of_files_need_no_other(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+    """Give package.files, and no package.* beside them; write a page of both recordings."""
+    known = tmp_path / 'known.yaml'
+    known.write_text('cup: {length: 0.046}\ntopics: {tool_pose: /tool_arm/pose, '
+                     'tool_twist: /tool_arm/twist, package_pose: /package/pose}\n')
+    done = bellows(
+        'identify', 'recording', 'recording', '--params', known, '--set',
+        'package.files=package.yaml,package.yaml', '--set', 'fit.compare_recordings=true',
+        '--report', tmp_path / 'page.html', '--json', tmp_path / 'fit.json', cwd=workshop)
+    assert (done.returncode, done.stderr) == (0, '')
+    text = ' '.join(done.stdout.split())
+    assert 'K and P are the same for recording and recording' in text
+    assert (tmp_path / 'page.html').read_text().count('The model ran freely') == 2
+    again = bellows('report', tmp_path / 'fit.json', '--out', tmp_path / 'again.html',
+                    cwd=workshop)
+    assert (again.returncode, again.stderr) == (0, '')
+    assert 'The model ran freely' in (tmp_path / 'again.html').read_text()
+
+
+def test_structures_validation_and_page_by_parameters_alone(
+    bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Ask for everything in a parameter file, as for the node."""
+    other = shutil.copytree(workshop / 'recording', tmp_path / 'other')
+    more = tmp_path / 'more.yaml'
+    more.write_text(
+        f"identifier:\n  ros__parameters:\n    bags: ['{workshop / 'recording'}']\n"
+        '    fit: {compare_structures: true}\n'
+        f"    validation: {{bags: ['{other}']}}\n"
+        f"    output: {{report: '{tmp_path / 'page.html'}'}}\n")
+    done = bellows('identify', '--params', workshop / 'package.yaml', '--params', more)
+    assert (done.returncode, done.stderr) == (0, '')
+    text = ' '.join(done.stdout.split())
+    for words in ('Take fit.structure: axisymmetric', 'error over motion: x ', 'all within 5 %',
+                  f'Wrote {tmp_path / "page.html"}.'):
+        assert words in text
+    page = (tmp_path / 'page.html').read_text()
+    assert 'Structures</h2>' in page and 'Not used in the fit' in page
+
+
+def test_a_page_of_many_recordings_is_refused_at_once(bellows: Run, workshop: Path) -> None:
+    """Say how many it can show, before any work."""
+    bags = ['recording'] * 21
+    done = bellows('identify', *bags, '--params', 'package.yaml', '--jobs', '1', '--report',
+                   'page.html', cwd=workshop)
+    assert (done.returncode, done.stdout) == (2, '')
+    assert 'at most 20, not of 21' in ' '.join(done.stderr.split())
+
+
+def test_a_page_of_recordings_read_apart(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+    """Read them again for the page."""
+    done = bellows('identify', 'recording', '--params', 'package.yaml', '--jobs', '1',
+                   '--report', tmp_path / 'page.html', cwd=workshop)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert 'The model ran freely' in (tmp_path / 'page.html').read_text()

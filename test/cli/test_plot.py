@@ -1,5 +1,6 @@
 """`bellows plot` as a user runs it."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,18 @@ def test_pictures_are_written(
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout == f'Wrote {tmp_path / name}.\n'
     assert (tmp_path / name).read_bytes().startswith(start)
+
+
+def test_the_numbers_of_a_picture_are_given(
+    bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Write what is drawn as JSON to stdout, and words to stderr."""
+    done = bellows('plot', 'deflection', 'recording', '--params', 'cup.yaml', '--json', '-',
+                   '--out', tmp_path / 'a.svg', cwd=workshop)
+    assert (done.returncode, done.stderr) == (0, f'Wrote {tmp_path / "a.svg"}.\n')
+    content = json.loads(done.stdout)
+    assert content['what'] == 'deflection'
+    assert len(content['seconds']) == len(content['deflection']) == len(content['load']) > 1000
 
 
 @pytest.mark.parametrize(

@@ -54,8 +54,9 @@ def test_json_and_page_are_written(bellows: Run, workshop: Path, tmp_path: Path)
 def test_the_report_can_be_made_again(bellows: Run, workshop: Path, fitted: Path) -> None:
     """Give the same bytes from the result file as when it was fitted."""
     done = bellows(
-        'report', fitted / 'fit.json', '--out', fitted / 'again.html', cwd=workshop)
-    assert (done.returncode, done.stderr) == (0, '')
+        'report', fitted / 'fit.json', '--out', fitted / 'again.html', '--json', '-', cwd=workshop)
+    assert (done.returncode, done.stderr) == (0, f'Wrote {fitted / "again.html"}.\n')
+    assert json.loads(done.stdout)['changed_recordings'] == []
     assert (fitted / 'again.html').read_bytes() == (fitted / 'report.html').read_bytes()
 
 

@@ -1,11 +1,14 @@
 """Pictures of recordings, loads and replays: what is drawn, and that words stay on the page."""
 
 from pathlib import Path
+import subprocess
+import sys
 from types import SimpleNamespace
 from typing import Any
 
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.errors import BellowsError
+from bellows_ros.plots.animation import _ffmpeg as ffmpeg
 from bellows_ros.plots.animation import FRAMES_PER_SECOND, write_animation
 from bellows_ros.plots.loads import deflection_figure, residual_figure
 from bellows_ros.plots.recording import motion_figure, path_figure, spectra_figure
@@ -67,6 +70,9 @@ def test_words_stay_on_the_page_in_both_themes(theme: str, motion: Any, loads: A
         width, height = figure.canvas.get_width_height()
         boxes = [text.get_window_extent(renderer) for text in figure.texts]
         boxes += [legend.get_window_extent(renderer) for legend in figure.legends]
+        assert not any(
+            a.get_window_extent(renderer).overlaps(b.get_window_extent(renderer))
+            for a in figure.texts for b in figure.legends), name
         boxes += [axes.yaxis.label.get_window_extent(renderer) for axes in figure.axes]
         for box in boxes:
             assert 0 <= box.x0 and box.x1 <= width and 0 <= box.y0 and box.y1 <= height, name
@@ -114,7 +120,7 @@ def test_an_animation_runs_at_recorded_speed(replayed: Any, tmp_path: Path) -> N
     image = pytest.importorskip('PIL.Image', reason='Pillow comes with matplotlib')
     write_animation(tmp_path / 'a.gif', replayed, 'note', 'dark', (0.5, 1.0))
     with image.open(tmp_path / 'a.gif') as picture:
-        assert picture.n_frames == round(0.5 * FRAMES_PER_SECOND)
+        assert picture.n_frames == round(0.5 * FRAMES_PER_SECOND['.gif'])
         shown = picture.n_frames * picture.info['duration'] / 1e3
         assert shown == pytest.approx(0.5, rel=0.05)  # GIF counts in hundredths of a second
 
@@ -126,3 +132,37 @@ def test_an_animation_without_samples_is_refused(replayed: Any, tmp_path: Path) 
     with pytest.raises(BellowsError, match=r'\.gif or \.mp4'):
         write_animation(tmp_path / 'a.png', replayed, 'note')
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_film_has_every_frame(replayed: Any, tmp_path: Path) -> None:
+    """Write an MP4 at recorded speed, and decode it again."""
+    try:
+        program = ffmpeg()
+    except BellowsError:
+        pytest.skip("no ffmpeg here (apt install ffmpeg, or pip install '.[video]')")
+    write_animation(tmp_path / 'a.mp4', replayed, 'note', 'light', (0.5, 1.5))
+    done = subprocess.run(
+        [program, '-loglevel', 'error', '-i', tmp_path / 'a.mp4', '-f', 'rawvideo', '-pix_fmt',
+         'gray', '-'], capture_output=True, check=True)
+    assert len(done.stdout) == FRAMES_PER_SECOND['.mp4'] * 640 * 360
+    assert b'ftyp' in (tmp_path / 'a.mp4').read_bytes()[:16]
+
+
+@pytest.mark.parametrize(
+    ('script', 'words'),
+    [(None, "pip install 'bellows_ros\\[video\\]'"), ('exit 3', 'could not make the animation')])
+def test_without_a_working_ffmpeg_nothing_is_written(
+    script: str | None, words: str, replayed: Any, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Say what to install, or that it failed."""
+    folder = tmp_path / 'programs'
+    folder.mkdir()
+    if script:
+        (folder / 'ffmpeg').write_text(f'#!/bin/sh\n{script}\n')
+        (folder / 'ffmpeg').chmod(0o755)
+    monkeypatch.setenv('PATH', str(folder))
+    monkeypatch.setitem(sys.modules, 'imageio_ffmpeg', None)
+    with pytest.raises(BellowsError, match=words):
+        write_animation(tmp_path / 'a.mp4', replayed, 'note', 'light', (0.5, 0.7))
+    assert [path.name for path in tmp_path.iterdir()] == ['programs']

@@ -1,0 +1,76 @@
+"""`bellows view`: a replay in the viewer Rerun."""
+
+import argparse
+from pathlib import Path
+
+from .commands import OK
+from .console import Console
+from .options import (
+    add_json_option,
+    add_parameter_options,
+    given_parameters,
+    put_json,
+    require_outputs,
+    STDOUT,
+    THESIS_CUP,
+)
+
+DESCRIPTION = (
+    'Replay a recording and show tool, cup and package (predicted, and measured as an outline), '
+    'the deflection of the cup and the errors in the viewer Rerun, or write what it shows to a '
+    'file. For those without RViz, and for recordings; needs the extra view.'
+)
+EXAMPLES = (
+    ('bellows view bags/validation --params cup.yaml', 'open a window, until it is closed'),
+    ('bellows view bags/validation --params cup.yaml --out replay.rrd',
+     "write a file, for 'rerun replay.rrd' on any machine"),
+)  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        'bag', metavar='BAG', type=Path,
+        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
+    )  # fmt: skip
+    add_parameter_options(parser)
+    parser.add_argument(
+        '--out', metavar='FILE', default='', help='write an .rrd file and open no window'
+    )
+    add_json_option(parser, 'the scores')
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Replay, then show or write."""
+    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+    from bellows_ros.plots.viewer import open_view, require_viewer, write_view
+    from bellows_ros.workflows.plot import replayed
+
+    values = given_parameters(arguments.params, arguments.overrides)
+    settings = resolve(values, PACKAGE_PARAMETERS)
+    require_outputs(arguments.out, arguments.json)
+    _require_ending(arguments.out)
+    require_viewer()
+    with console.progress() as progress:
+        shown = replayed(arguments.bag, settings, progress)
+        if arguments.out:
+            progress('writing')
+            write_view(arguments.out, shown, str(arguments.bag))
+    put_json(arguments.json, shown.replay.as_json(), console)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        if 'cup.stiffness' not in values:
+            console.warn(THESIS_CUP)
+        if arguments.out:
+            console.say(f'Wrote {arguments.out}. Open it with:')
+            console.say(f'  rerun {arguments.out}')
+    if not arguments.out:
+        open_view(shown, str(arguments.bag))
+    return OK
+
+
+def _require_ending(out: str) -> None:
+    """Refuse a name that is none of Rerun's, before any work."""
+    from bellows_ros.errors import BellowsError
+
+    if out and not out.lower().endswith('.rrd'):
+        raise BellowsError(f"--out '{out}' must end in .rrd.")

@@ -1,0 +1,261 @@
+"""
+A replay in Rerun's viewer (extra `view`): tool, cup and package in space, and their time series.
+
+Rerun has a timeline for it to be played, and every quantity under a path:
+
+    world/tool, world/cup, world/predicted, world/measured    poses, in m
+    package/AXIS/predicted, package/AXIS/measured             B in the tool, mm and mrad
+    error/AXIS, deflection/AXIS                               mm and mrad
+
+The deflection is that of the predicted lip from where it is without load.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import os
+from pathlib import Path
+import subprocess
+import sys
+import tempfile
+from types import SimpleNamespace
+from typing import Any, Protocol
+
+from bellows_ros.core.lie import rotation_to_quaternion
+from bellows_ros.core.score import AXES
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.atomic import write_bytes
+import numpy as np
+from numpy.typing import NDArray
+
+from .animation import HasReplay
+from .panels import MILLI
+from .prediction import UNITS
+from .shapes import bellows_rings, RINGS, SIDES
+from .style import THEMES
+
+Array = NDArray[np.float64]
+
+NO_RERUN = (
+    "The view needs Rerun, which is not here. Install it: pip install 'bellows_ros[view]'. For a "
+    "picture that moves, there is also 'bellows plot animation'."
+)
+ENDING = '.rrd'
+TIMELINE = 'time'
+CUPS_PER_SECOND = 60.0
+ARM, AXES_LENGTH = 0.10, 0.04  # m, of what is drawn
+EYE = np.array([0.5, -1.0, 0.35])  # from what is seen, in parts of its size
+COLOURS = THEMES['dark']
+XYZ_COLOURS = ((232, 88, 88), (86, 190, 96), (92, 138, 255))
+
+
+class HasView(HasReplay, Protocol):
+    """A replay with its coordinates; see `workflows.plot.Replayed`."""
+
+    deflection: Array
+
+    @property
+    def replay(self) -> Any:
+        """Replay with `measured` and `predicted` coordinates (N, 6) of B in the tool."""
+        ...
+
+
+def write_view(path: str | os.PathLike[str], replayed: HasView, note: str) -> None:
+    """
+    Write a replay as a recording of Rerun, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Ends in .rrd.
+    replayed : HasView
+        What is shown.
+    note : str
+        Which recording and cup.
+
+    Raises
+    ------
+    BellowsError
+        If the ending is another, or Rerun is missing.
+
+    """
+    if Path(path).suffix.lower() != ENDING:
+        raise BellowsError(f"View '{path}' must end in {ENDING}.")
+    rr = _rerun()
+    with _recording(rr, note) as recording:
+        stream = recording.binary_stream()
+        _fill(rr, recording, replayed)
+        data = stream.read(flush=True)
+    write_bytes(path, data)
+
+
+def open_view(replayed: HasView, note: str) -> None:
+    """
+    Show a replay in a window of Rerun, until it is closed.
+
+    Parameters
+    ----------
+    replayed : HasView
+        What is shown.
+    note : str
+        Which recording and cup.
+
+    Raises
+    ------
+    BellowsError
+        If Rerun is missing, or ends with an error, as it does without a display.
+
+    """
+    with tempfile.TemporaryDirectory(prefix='bellows_') as folder:
+        path = Path(folder) / f'view{ENDING}'
+        write_view(path, replayed, note)
+        done = subprocess.run([sys.executable, '-m', 'rerun', '--hide-welcome-screen', str(path)])
+    if done.returncode != 0:
+        raise BellowsError(
+            f'The viewer Rerun ended with {done.returncode}; it says why above. Where no window '
+            "can be opened, write a file with --out view.rrd, and open it elsewhere: 'rerun "
+            "view.rrd'."
+        )
+
+
+def require_viewer() -> None:
+    """Raise BellowsError where Rerun is missing, before any work."""
+    _rerun()
+
+
+def _rerun() -> Any:
+    """Return Rerun's module, with its blueprints."""
+    try:
+        import rerun
+        import rerun.blueprint
+    except ImportError:
+        raise BellowsError(NO_RERUN) from None
+    return rerun
+
+
+@contextmanager
+def _recording(rr: Any, note: str) -> Iterator[Any]:
+    """Provide a recording with a name of its own, without settings of the whole process."""
+    recording = rr.RecordingStream('bellows_ros', send_properties=True)
+    recording.send_recording_name(note)
+    try:
+        yield recording
+    finally:
+        recording.disconnect()
+
+
+def _fill(rr: Any, recording: Any, replayed: HasView) -> None:
+    """Send all that is shown."""
+    recording.send_blueprint(_blueprint(rr, replayed))
+    recording.log('world', rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    moved = replayed.motion
+    times = [rr.TimeColumn(TIMELINE, duration=replayed.seconds)]
+    for name, position, rotation in (
+        ('tool', moved.tool_position, moved.tool_rotation),
+        ('predicted', replayed.position, replayed.rotation),
+        ('measured', moved.package_position, moved.package_rotation),
+    ):
+        recording.send_columns(f'world/{name}', times, rr.Transform3D.columns(
+            translation=position, quaternion=rotation_to_quaternion(rotation)))
+    _send_bodies(rr, recording, replayed)
+    _send_cup(rr, recording, replayed)
+    _send_series(rr, recording, replayed, times)
+
+
+def _send_bodies(rr: Any, recording: Any, replayed: HasView) -> None:
+    """Send what hangs on the moving frames: the arm, axes, boxes."""
+    half = [0.5 * replayed.box]
+    axes = rr.Arrows3D(vectors=AXES_LENGTH * np.eye(3), radii=0.001, colors=XYZ_COLOURS)
+    for name in ('tool', 'predicted'):
+        recording.log(f'world/{name}/axes', axes, static=True)
+    recording.log('world/tool/arm', rr.LineStrips3D(
+        [[[0.0, 0.0, 0.0], [0.0, 0.0, ARM]]], radii=0.005, colors=[_rgb(COLOURS.quiet)]),
+        static=True)
+    recording.log('world/predicted/box', rr.Boxes3D(
+        half_sizes=half, fill_mode='solid', colors=[_rgb(COLOURS.predicted)]), static=True)
+    recording.log('world/measured/box', rr.Boxes3D(
+        half_sizes=half, fill_mode='majorwireframe', radii=0.001,
+        colors=[_rgb(COLOURS.error)]), static=True)
+
+
+def _send_cup(rr: Any, recording: Any, replayed: HasView) -> None:
+    """Send the cup between tool and predicted package, some times a second."""
+    step = max(1, round(1.0 / (CUPS_PER_SECOND * float(np.median(np.diff(replayed.seconds))))))
+    shown = np.arange(0, len(replayed.seconds), step)
+    lip = replayed.position - replayed.rotation @ replayed.com
+    moved = replayed.motion
+    rings = np.array([
+        bellows_rings(moved.tool_position[i], moved.tool_rotation[i], lip[i], replayed.rotation[i])
+        for i in shown
+    ])
+    outward = rings - rings[:, :, :-1].mean(axis=2, keepdims=True)
+    outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
+    count = RINGS * SIDES
+    recording.log('world/cup', rr.Mesh3D.from_fields(
+        triangle_indices=_triangles(), albedo_factor=_rgb(COLOURS.measured)), static=True)
+    recording.send_columns(
+        'world/cup', [rr.TimeColumn(TIMELINE, duration=replayed.seconds[shown])],
+        rr.Mesh3D.columns(
+            vertex_positions=rings.reshape(-1, 3), vertex_normals=outward.reshape(-1, 3),
+        ).partition([count] * len(shown)),
+    )  # fmt: skip
+
+
+def _triangles() -> NDArray[np.int64]:
+    """Return the corners (T, 3) of the triangles between the rings."""
+    ring, side = (x.ravel() for x in np.mgrid[:RINGS - 1, :SIDES - 1])
+    a = ring * SIDES + side
+    return np.concatenate([
+        np.column_stack([a, a + 1, a + SIDES]), np.column_stack([a + 1, a + SIDES + 1, a + SIDES]),
+    ])  # fmt: skip
+
+
+def _send_series(rr: Any, recording: Any, replayed: HasView, times: list[Any]) -> None:
+    """Send the time series, in mm and mrad."""
+    replay = replayed.replay
+    for axis, name in enumerate(AXES):
+        for path, label, colour, width, values in (
+            (f'package/{name}/measured', 'measured', _rgb(COLOURS.measured), 3.0, replay.measured),
+            (f'package/{name}/predicted', 'predicted', _rgb(COLOURS.predicted), 1.2,
+             replay.predicted),
+            (f'error/{name}', name, XYZ_COLOURS[axis % 3], 1.0,
+             replay.predicted - replay.measured),
+            (f'deflection/{name}', name, XYZ_COLOURS[axis % 3], 1.2, replayed.deflection),
+        ):
+            recording.log(path, rr.SeriesLines(
+                names=[f'{label} ({UNITS[axis]})'], widths=[width], colors=[colour]), static=True)
+            recording.send_columns(
+                path, times, rr.Scalars.columns(scalars=MILLI * values[:, axis]))
+
+
+def _blueprint(rr: Any, replayed: HasView) -> Any:
+    """Return how the viewer is laid out: space on the left, series on the right; it plays."""
+    rrb = rr.blueprint
+    bodies = np.vstack([replayed.motion.tool_position, replayed.position])
+    low, high = bodies.min(axis=0), bodies.max(axis=0)
+    centre, reach = 0.5 * (low + high), float(np.max(high - low)) + 2.0 * np.max(replayed.box)
+    eye = rrb.EyeControls3D(
+        position=centre + reach * EYE, look_target=centre, eye_up=(0.0, 0.0, 1.0))
+    axes = [rrb.TimeSeriesView(origin=f'package/{name}', name=f'{name} of B in the tool')
+            for name in AXES]  # fmt: skip
+    views = SimpleNamespace(
+        package=rrb.Grid(*axes, grid_columns=2, name='Package in the tool'),
+        **{what: rrb.Vertical(*(
+            rrb.TimeSeriesView(origin='/', name=f'{words} ({unit})',
+                               contents=[f'{what}/{name}' for name in names])
+            for unit, names in (('mm', AXES[:3]), ('mrad', AXES[3:]))), name=words)
+           for what, words in (('deflection', 'Deflection of the cup'),
+                               ('error', 'Predicted minus measured'))},
+    )  # fmt: skip
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(origin='world', name='Tool, cup, package', eye_controls=eye),
+            rrb.Tabs(views.package, views.deflection, views.error), column_shares=[2, 3]),
+        rrb.BlueprintPanel(state='collapsed'), rrb.SelectionPanel(state='collapsed'),
+        rrb.TimePanel(state='collapsed', timeline=TIMELINE, play_state='playing',
+                      loop_mode='all'),
+    )  # fmt: skip
+
+
+def _rgb(colour: str) -> tuple[int, ...]:
+    """Return red, green and blue of '#rrggbb'."""
+    return tuple(bytes.fromhex(colour.lstrip('#')))

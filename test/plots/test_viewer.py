@@ -1,0 +1,94 @@
+"""The view in Rerun, read back with Rerun's own reader."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.score import AXES
+from bellows_ros.errors import BellowsError
+from bellows_ros.plots.shapes import bellows_rings, RINGS, SIDES
+from bellows_ros.plots.viewer import write_view
+import numpy as np
+import pytest
+
+COUNT = 120
+
+
+@pytest.fixture
+def replayed() -> Any:
+    """Give a replay whose prediction is 5 mm beside the measurement."""
+    t = np.arange(COUNT) / 100.0
+    tool = 0.1 * np.column_stack([np.sin(t), np.cos(t), np.sin(2 * t)])
+    rotation = exp_so3(0.2 * np.sin(3 * t)[:, None] * np.array([1.0, 0.5, 0.2]))
+    measured = np.random.default_rng(3).normal(size=(COUNT, 6))
+    motion = SimpleNamespace(
+        tool_position=tool, tool_rotation=rotation,
+        package_position=tool - np.array([0.0, 0.0, 0.08]), package_rotation=rotation)
+    return SimpleNamespace(
+        seconds=t, motion=motion, position=motion.package_position + 5e-3, rotation=rotation,
+        deflection=2.0 * measured, cup_length=0.05, com=np.array([0.0, 0.0, -0.03]),
+        box=np.array([0.2, 0.16, 0.06]),
+        replay=SimpleNamespace(measured=measured, predicted=measured + 5e-3))
+
+
+def read(path: Path) -> dict[tuple[str, str], Any]:
+    """Return what a file of Rerun holds, by entity and component; the longest of each."""
+    chunk = pytest.importorskip('rerun.chunk', reason="no Rerun here (pip install '.[view]')")
+    found: dict[tuple[str, str], Any] = {}
+    for part in chunk.RrdReader(path).stream():
+        batch = part.to_record_batch()
+        for name in batch.schema.names:
+            column = batch.column(name)
+            if len(column) >= len(found.get((part.entity_path, name), [])):
+                found[part.entity_path, name] = column
+    return found
+
+
+def test_what_is_written_is_what_was_replayed(replayed: Any, tmp_path: Path) -> None:
+    """Hold every sample: poses in m, time series in mm and mrad, time in ns from the start."""
+    pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")
+    write_view(tmp_path / 'a.rrd', replayed, 'a recording')
+    found = read(tmp_path / 'a.rrd')
+    for axis, name in enumerate(AXES):
+        for path, values in (
+            (f'/package/{name}/measured', replayed.replay.measured),
+            (f'/package/{name}/predicted', replayed.replay.predicted),
+            (f'/error/{name}', np.full((COUNT, 6), 5e-3)),
+            (f'/deflection/{name}', replayed.deflection),
+        ):
+            (shown,) = zip(*found[path, 'Scalars:scalars'].to_pylist(), strict=True)
+            np.testing.assert_allclose(shown, 1e3 * values[:, axis])
+    position = np.array(found['/world/predicted', 'Transform3D:translation'].to_pylist())
+    np.testing.assert_allclose(position[:, 0], replayed.position, atol=1e-7)  # float32
+    times = found['/deflection/x', 'time'].cast('int64').to_pylist()
+    np.testing.assert_allclose(times, 1e9 * replayed.seconds, atol=1.0)
+
+
+def test_the_cup_is_drawn_sixty_times_a_second(replayed: Any, tmp_path: Path) -> None:
+    """Move the corners of a mesh that stays the same."""
+    pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")
+    write_view(tmp_path / 'a.rrd', replayed, 'a recording')
+    found = read(tmp_path / 'a.rrd')
+    corners = found['/world/cup', 'Mesh3D:vertex_positions']
+    assert [len(x) for x in corners.to_pylist()] == [RINGS * SIDES] * (COUNT // 2)
+    (triangles,) = found['/world/cup', 'Mesh3D:triangle_indices'].to_pylist()
+    assert len(triangles) == 2 * (RINGS - 1) * (SIDES - 1)
+    assert np.max(triangles) == RINGS * SIDES - 1
+
+
+def test_a_bellows_begins_at_the_tool_and_ends_at_the_lip() -> None:
+    """Leave along one z axis and arrive along the other."""
+    R = exp_so3([0.2, 0.1, 0.0])
+    lip = np.array([0.005, 0.0, -0.045])
+    rings = bellows_rings(np.zeros(3), np.eye(3), lip, R)
+    centres = rings[:, :-1].mean(axis=1)
+    np.testing.assert_allclose(centres[[0, -1]], [np.zeros(3), lip], atol=1e-12)
+    np.testing.assert_allclose((rings[-1] - lip) @ R[:, 2], 0.0, atol=1e-12)
+
+
+def test_another_ending_is_refused(replayed: Any, tmp_path: Path) -> None:
+    """Say which one there is."""
+    with pytest.raises(BellowsError, match=r'must end in \.rrd'):
+        write_view(tmp_path / 'a.png', replayed, 'a recording')
+    assert list(tmp_path.iterdir()) == []
