@@ -4,6 +4,7 @@ How Sphinx builds these pages: `make docs`.
 Formulas become MathML, so that the pages need nothing from the network.
 """
 
+import re
 from typing import Any
 
 from bellows_ros import __version__
@@ -16,9 +17,13 @@ copyright = author  # noqa: A001 (the name Sphinx reads)
 release = __version__
 
 extensions = ['myst_parser']
-exclude_patterns = ['_build', 'figures', 'tools']
+exclude_patterns = ['_build', 'figures', 'static', 'tools']
+smartquotes = False  # '' is an empty text, and --set an option
 html_theme = 'furo'
 html_title = f'bellows_ros {release}'
+
+html_static_path = ['static']
+html_css_files = ['pages.css']
 
 html_math_renderer = 'mathml'
 
@@ -26,6 +31,10 @@ myst_enable_extensions = ['dollarmath']
 myst_heading_anchors = 3
 # Links that lead out of the pages, to files of the repository; test/docs/test_links.py checks all.
 suppress_warnings = ['myst.xref_missing']
+
+
+# Brackets grow with a matrix only in fonts made for formulas; lines beside it do everywhere.
+BRACKETS = re.compile(r'<mo>\[</mo>\s*<mtable>(.*?)</mtable>\s*<mo>\]</mo>', re.DOTALL)
 
 
 def setup(app: Any) -> None:
@@ -42,5 +51,6 @@ def inline_formula(translator: Any, node: Any) -> None:
 def formula(translator: Any, node: Any) -> None:
     """Write a formula in a line of its own."""
     mathml = latex2mathml.tex2mathml(node.astext(), as_block=True)
+    mathml = BRACKETS.sub(r'<mtable class="matrix">\1</mtable>', mathml)
     translator.body.append(f'<div class="formula">{mathml}</div>')
     raise SkipNode

@@ -1,5 +1,6 @@
 """Draw the pictures of `bellows plot` that the pages show, from the recordings in bags/."""
 
+from contextlib import chdir
 import io
 from pathlib import Path
 import tempfile
@@ -10,22 +11,21 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / 'docs' / 'images'
-BAGS = ROOT / 'bags'
+CUP = ('--params', 'bags/package.yaml', '--params', 'bags/cup.yaml')
 COLOURS = 64
 
 
 def main() -> None:
-    """Write the pictures, with fewer colours."""
-    cup = ['--params', str(BAGS / 'package.yaml'), '--params', str(BAGS / 'cup.yaml')]
-    with tempfile.TemporaryDirectory() as folder:
+    """Write the pictures, with fewer colours; their captions name recordings as a reader would."""
+    with chdir(ROOT), tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / 'deflection.png'
-        bellows(['plot', 'deflection', str(BAGS / 'identification'), *cup, '--out', str(picture)])
-        small = Image.open(picture).convert('RGB').resize((1100, 760))
+        bellows(['plot', 'deflection', 'bags/identification', *CUP, '--out', str(picture)])
+        small = Image.open(picture).convert('RGB').resize((1100, 807))
         data = io.BytesIO()
         small.quantize(COLOURS, dither=Image.Dither.NONE).save(data, 'png', optimize=True)
         write_bytes(IMAGES / 'deflection.png', data.getvalue())
-    bellows(['plot', 'animation', str(BAGS / 'validation'), *cup, '--from', '3', '--to', '7',
-             '--out', str(IMAGES / 'replay.gif')])
+        bellows(['plot', 'animation', 'bags/validation', *CUP, '--from', '3', '--to', '7', '--out',
+                 str(IMAGES / 'replay.gif')])
 
 
 if __name__ == '__main__':

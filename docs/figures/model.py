@@ -19,7 +19,7 @@ PLATE = (-0.062, 0.062), (-0.040, 0.040)
 
 
 def frames(theme: Theme) -> Any:
-    """Return the figure with the frames: nominal on the left, deflected on the right."""
+    """Return the figure with the frames: nominal on the left, deflected on the right, world A."""
     with drawing(theme) as figures:
         figure = figures.Figure(figsize=(8.6, 4.8))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
@@ -34,6 +34,7 @@ def frames(theme: Theme) -> Any:
         _held(axes, tool, lip, theme)
         _measures(axes, nominal, theme)
         _middle(axes, tool, lip, theme)
+        draw_frame(axes, Frame((0.108, -0.146), 0.0), 'A', 0.026, theme, (-0.5, 0.2))
         for x, words in ((0.0, 'nominal: under vacuum, no load'), (0.215, 'deflected')):
             axes.text(x, -0.163, words, ha='center', color=theme.quiet, fontsize=10.5)
     return figure
@@ -46,7 +47,7 @@ def _held(axes: Any, tool: Frame, lip: Frame, theme: Theme) -> None:
     centre = lip.moved(0.0, -DEPTH)
     draw_box(axes, centre, *PLATE, theme.grid, theme.quiet)
     draw_frame(axes, tool, 'E', 0.026, theme, (-0.95, 0.25))
-    draw_frame(axes, lip, 'S', 0.016, theme, (-2.0, 0.45))
+    draw_frame(axes, lip, 'S', 0.028, theme, (-1.15, 0.25))
     draw_frame(axes, centre, 'B', 0.024, theme, (-0.55, -0.2))
 
 

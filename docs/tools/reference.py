@@ -9,6 +9,7 @@ import argparse
 from collections.abc import Callable, Iterator, Mapping
 import importlib
 from pathlib import Path
+import re
 
 from bellows_ros.cli.commands import COMMANDS, EXIT_CODES
 from bellows_ros.core.parameters import Parameter, PARAMETERS
@@ -81,8 +82,8 @@ def _list_default(name: str, default: tuple[object, ...]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return a text that does not end its cell."""
-    return text.replace('|', '\\|')
+    """Return a text that does not end its cell, and that shows its stars."""
+    return re.sub(r'([|*])', r'\\\1', text)
 
 
 def topics() -> Iterator[str]:
@@ -98,8 +99,8 @@ def topics() -> Iterator[str]:
     yield from (
         '',
         '## QoS', '',
-        'Inputs are best effort with a queue of 100, which matches reliable and best-effort '
-        'drivers alike; outputs are reliable with a queue of 100. Each can be overridden in a '
+        'Inputs are best effort with a queue of 500, which matches reliable and best-effort '
+        'drivers alike; outputs are reliable with a queue of 500. Each can be overridden in a '
         'parameter file, under the resolved name of the topic:', '',
         '```yaml',
         '/predictor:',
@@ -149,9 +150,9 @@ def _argument(action: argparse.Action) -> str:
 
 def _exit_codes() -> Iterator[str]:
     """Yield the rows of the exit codes."""
-    for line in EXIT_CODES.splitlines()[1:]:
-        code, _, meaning = line.strip().partition(' ')
-        yield f'| {code} | {meaning.strip()} |'
+    for entry in re.split(r'\n  (?=\d)', EXIT_CODES)[1:]:
+        code, *meaning = entry.split()
+        yield f'| {code} | {" ".join(meaning)} |'
     yield '| 141 | whoever read the output has closed it |'
 
 

@@ -1,0 +1,60 @@
+"""
+The notebooks: run from their first cell to their last, as a reader would, with what they print.
+
+`python docs/tools/notebooks.py` runs both and writes their outputs into them. What is stored is so
+what the code gives; test/docs/test_notebooks.py runs them again and compares.
+"""
+
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).resolve().parents[2] / 'notebooks'
+TIMEOUT = 100  # s, for one cell
+
+
+def notebooks() -> list[Path]:
+    """Return all notebooks."""
+    return sorted(FOLDER.glob('*.ipynb'))
+
+
+def executed(path: Path) -> Any:
+    """Return a notebook with the outputs of this run; raises where a cell fails."""
+    from nbclient import NotebookClient
+    import nbformat
+
+    book = nbformat.read(path, as_version=4)
+    where = {'metadata': {'path': str(path.parent)}}
+    NotebookClient(book, timeout=TIMEOUT, resources=where, record_timing=False).execute()
+    return book
+
+
+def printed(book: Any) -> list[str]:
+    """Return what each code cell prints."""
+    return [
+        ''.join(o.get('text', '') for o in cell.outputs if o.output_type == 'stream')
+        for cell in book.cells if cell.cell_type == 'code'
+    ]
+
+
+def pictures(book: Any) -> list[int]:
+    """Return how many pictures each code cell shows."""
+    return [
+        sum('image/png' in o.get('data', {}) for o in cell.outputs)
+        for cell in book.cells if cell.cell_type == 'code'
+    ]
+
+
+def main() -> None:
+    """Run all, and store their outputs."""
+    import nbformat
+
+    for path in notebooks():
+        book = executed(path)
+        book.metadata = {'kernelspec': book.metadata.kernelspec,
+                         'language_info': {'name': 'python'}}  # fmt: skip
+        nbformat.write(book, path)
+        print(f'ran {path.name}')
+
+
+if __name__ == '__main__':
+    main()

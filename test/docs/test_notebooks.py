@@ -1,0 +1,46 @@
+"""The notebooks run, and what is stored in them is what they give."""
+
+from pathlib import Path
+import re
+from types import ModuleType
+
+import pytest
+
+from .conftest import load
+
+NOTEBOOKS = load('tools', 'notebooks')
+
+
+@pytest.mark.parametrize('path', NOTEBOOKS.notebooks(), ids=lambda path: path.name)
+def test_a_notebook_gives_what_is_stored_in_it(path: Path, pages: ModuleType) -> None:
+    """Run every cell; compare what they print but for the numbers, and count the pictures."""
+    pytest.importorskip('nbclient', reason="no notebook runner here (pip install '.[notebook]')")
+    pytest.importorskip('ipykernel', reason="no notebook kernel here (pip install '.[notebook]')")
+    nbformat = pytest.importorskip('nbformat', reason='nbformat comes with nbclient')
+    stored, now = nbformat.read(path, as_version=4), NOTEBOOKS.executed(path)
+    for before, after in zip(NOTEBOOKS.printed(stored), NOTEBOOKS.printed(now), strict=True):
+        assert pages.matches(before, after), f'run: make notebooks\n{before}\n{after}'
+    assert NOTEBOOKS.pictures(stored) == NOTEBOOKS.pictures(now)
+    assert sum(NOTEBOOKS.pictures(now)) >= 2
+
+
+@pytest.mark.parametrize('path', NOTEBOOKS.notebooks(), ids=lambda path: path.name)
+def test_a_notebook_was_run_from_top_to_bottom(path: Path) -> None:
+    """Count the cells without a gap, keep no errors and warnings, and link to what is there."""
+    nbformat = pytest.importorskip('nbformat', reason='nbformat comes with nbclient')
+    book = nbformat.read(path, as_version=4)
+    nbformat.validate(book)
+    code = [cell for cell in book.cells if cell.cell_type == 'code']
+    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
+    for output in (output for cell in code for output in cell.outputs):
+        assert output.output_type != 'error' and output.get('name') != 'stderr', output
+    words = ''.join(cell.source for cell in book.cells if cell.cell_type == 'markdown')
+    for link in re.findall(r'\]\(([^)#\s]+)', words):
+        assert (path.parent / link).exists(), link
+
+
+def test_the_pages_lead_to_every_notebook(root: Path) -> None:
+    """Link each from the documentation's first page."""
+    text = (root / 'docs' / 'index.md').read_text()
+    assert NOTEBOOKS.notebooks()
+    assert all(f'../notebooks/{path.name}' in text for path in NOTEBOOKS.notebooks())
