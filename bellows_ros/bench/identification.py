@@ -13,12 +13,12 @@ import argparse
 from collections.abc import Callable
 from dataclasses import replace
 
-from bellows_ros.core.identification.least_squares import least_squares, Samples
-from bellows_ros.core.identification.measured import Measured, measured_stretches
 from bellows_ros.core.identification.noise import Noise
-from bellows_ros.core.identification.objective import Objective, Stretch
-from bellows_ros.core.identification.parametrisation import Parametrisation
-from bellows_ros.core.identification.prediction_error import prediction_error
+from bellows_ros.core.identification.prediction.measured import Measured, measured_stretches
+from bellows_ros.core.identification.prediction.objective import Objective, Stretch
+from bellows_ros.core.identification.prediction.parametrisation import Parametrisation
+from bellows_ros.core.identification.prediction.prediction_error import prediction_error
+from bellows_ros.core.identification.regression.least_squares import least_squares, Samples
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.structure import structure_named
 from bellows_ros.core.lie import exp_so3

@@ -9,9 +9,9 @@ seeded: the same numbers every time.
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from bellows_ros.core.identification.least_squares import least_squares, Samples
 from bellows_ros.core.identification.methods import samples_of
-from bellows_ros.core.identification.relative_filter import relative_samples
+from bellows_ros.core.identification.regression.least_squares import least_squares, Samples
+from bellows_ros.core.identification.regression.relative_filter import relative_samples
 from bellows_ros.core.identification.structure import STRUCTURES
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, Package

@@ -10,7 +10,7 @@ from .console import Console
 from .options import add_json_option, put_json, require_outputs, STDOUT
 
 if TYPE_CHECKING:
-    from bellows_ros.core.identification.comparison import Change, FitComparison
+    from bellows_ros.core.identification.judgement.comparison import Change, FitComparison
     from bellows_ros.workflows.compare import Comparison
 
 DESCRIPTION = (

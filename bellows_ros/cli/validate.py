@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     values = given_parameters(arguments.params, arguments.overrides)
     settings = resolve(values, PACKAGE_PARAMETERS)
     require_outputs(arguments.json, arguments.report)
-    from bellows_ros.core.identification.validation import LIMIT
+    from bellows_ros.core.identification.judgement.validation import LIMIT
     from bellows_ros.workflows.validate import validate
 
     with console.progress() as progress:

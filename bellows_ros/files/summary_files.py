@@ -2,7 +2,7 @@
 Summaries of recordings as files, so that any scheduler can make them anywhere.
 
 A file is a NumPy archive (.npz) without pickled objects: a JSON header, and the arrays of
-`core.identification.summaries.Summary`.
+`core.identification.regression.summaries.Summary`.
 """
 
 from collections.abc import Mapping
@@ -15,9 +15,9 @@ from typing import Any
 import zipfile
 
 from bellows_ros.core.identification.envelope import Envelope, known_envelope
-from bellows_ros.core.identification.moments import Moments
+from bellows_ros.core.identification.regression.moments import Moments
+from bellows_ros.core.identification.regression.summaries import Summary
 from bellows_ros.core.identification.structure import structure_named
-from bellows_ros.core.identification.summaries import Summary
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
 from bellows_ros.files.results import format_json

@@ -5,8 +5,8 @@ import json
 import os
 from typing import Any
 
-from bellows_ros.core.identification.added_noise import FilterNoise
-from bellows_ros.core.identification.excitation import describe_excitation
+from bellows_ros.core.identification.advice.added_noise import FilterNoise
+from bellows_ros.core.identification.advice.excitation import describe_excitation
 from bellows_ros.core.identification.methods import filtered_samples
 from bellows_ros.core.identification.structure import structure_named
 from bellows_ros.core.model import package_of

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 import math
 from typing import Any
 
-from bellows_ros.core.identification.excitation import Excitation
+from bellows_ros.core.identification.advice.excitation import Excitation
+from bellows_ros.core.identification.judgement.whiteness import Spectrum
 from bellows_ros.core.identification.structure import AXES, structure_named
-from bellows_ros.core.identification.whiteness import Spectrum
 from bellows_ros.workflows.result_json import NORMAL_95
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,7 @@
 """What a free simulation of a recording shows: motion, residuals, spectra, whiteness."""
 
-from bellows_ros.core.identification.validation import LIMIT, Validation
-from bellows_ros.core.identification.whiteness import CONFIDENT, Spectrum, Whiteness
+from bellows_ros.core.identification.judgement.validation import LIMIT, Validation
+from bellows_ros.core.identification.judgement.whiteness import CONFIDENT, Spectrum, Whiteness
 from bellows_ros.core.score import AXES
 from bellows_ros.core.trajectory import NS_PER_S
 from bellows_ros.workflows.validate import Validated

@@ -2,8 +2,9 @@
 Identify a cup from many recordings: on many cores, on many machines, or piece by piece.
 
 Every recording is reduced where it is read to a summary of what least squares needs; summaries are
-small, and adding them gives the fit of all recordings (`core.identification.summaries`). A
-recording that cannot be used is reported and left out.
+small, and adding them gives the fit of all recordings
+(`core.identification.regression.summaries`). A recording that cannot be used is reported and left
+out.
 """
 
 from collections import Counter
@@ -14,19 +15,19 @@ import os
 from typing import Any
 
 from bellows_ros import __version__
-from bellows_ros.core.identification.consistency import Consistency, same_cup
 from bellows_ros.core.identification.envelope import Envelope
+from bellows_ros.core.identification.judgement.consistency import Consistency, same_cup
 from bellows_ros.core.identification.methods import filtered_samples
-from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.identification.seen import envelope
-from bellows_ros.core.identification.static_rows import joined_with_rest, Length
-from bellows_ros.core.identification.structure import structure_named
-from bellows_ros.core.identification.summaries import (
+from bellows_ros.core.identification.regression.summaries import (
     fit_summaries,
     joined_envelopes,
     summarise,
     Summary,
 )
+from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.identification.seen import envelope
+from bellows_ros.core.identification.statics.static_rows import joined_with_rest, Length
+from bellows_ros.core.identification.structure import structure_named
 from bellows_ros.core.model import cup_of, Package, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.preparation import Report

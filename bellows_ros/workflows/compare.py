@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import os
 from typing import Any
 
-from bellows_ros.core.identification.comparison import (
+from bellows_ros.core.identification.judgement.comparison import (
     Change,
     compare_fits,
     FitComparison,

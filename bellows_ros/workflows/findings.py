@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+from bellows_ros.core.identification.judgement.validation import LIMIT
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.identification.validation import LIMIT
 from bellows_ros.core.score import AXES
 from bellows_ros.workflows.static import AtRest
 from bellows_ros.workflows.validate import Validated

@@ -7,16 +7,16 @@ import os
 from typing import Any
 
 from bellows_ros import __version__
-from bellows_ros.core.identification.added_noise import FilterNoise
-from bellows_ros.core.identification.consistency import Consistency, same_cup
+from bellows_ros.core.identification.advice.added_noise import FilterNoise
+from bellows_ros.core.identification.advice.excitation import describe_excitation, Excitation
+from bellows_ros.core.identification.advice.ladder import Ladder, structure_ladder
+from bellows_ros.core.identification.advice.package_check import CentreOfMass, check_centre_of_mass
 from bellows_ros.core.identification.envelope import Envelope
-from bellows_ros.core.identification.excitation import describe_excitation, Excitation
-from bellows_ros.core.identification.ladder import Ladder, structure_ladder
+from bellows_ros.core.identification.judgement.consistency import Consistency, same_cup
 from bellows_ros.core.identification.methods import filtered_samples, fitted, samples_of
-from bellows_ros.core.identification.package_check import CentreOfMass, check_centre_of_mass
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.seen import envelope, with_rest
-from bellows_ros.core.identification.static import check_spring, SpringCheck
+from bellows_ros.core.identification.statics.static import check_spring, SpringCheck
 from bellows_ros.core.identification.structure import structure_named
 from bellows_ros.core.model import Cup, Package, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve

@@ -2,11 +2,11 @@
 
 from typing import Any
 
-from bellows_ros.core.identification.added_noise import FilterNoise
-from bellows_ros.core.identification.consistency import Consistency
-from bellows_ros.core.identification.excitation import Axis, Excitation
-from bellows_ros.core.identification.ladder import Ladder, Rung
-from bellows_ros.core.identification.package_check import CentreOfMass
+from bellows_ros.core.identification.advice.added_noise import FilterNoise
+from bellows_ros.core.identification.advice.excitation import Axis, Excitation
+from bellows_ros.core.identification.advice.ladder import Ladder, Rung
+from bellows_ros.core.identification.advice.package_check import CentreOfMass
+from bellows_ros.core.identification.judgement.consistency import Consistency
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model import Package
 from bellows_ros.core.recording.preparation import Recording, Report, StreamReport

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from bellows_ros import __version__
-from bellows_ros.core.identification.standstills import Hold, holds_of, unsettled
-from bellows_ros.core.identification.static import (
+from bellows_ros.core.identification.statics.standstills import Hold, holds_of, unsettled
+from bellows_ros.core.identification.statics.static import (
     check_spring,
     nominal_length,
     NominalLength,

@@ -6,11 +6,11 @@ import os
 from typing import Any
 
 from bellows_ros.core.identification.envelope import beyond, known_envelope
+from bellows_ros.core.identification.judgement.validation import LIMIT, SEED, Validation
+from bellows_ros.core.identification.judgement.validation import validate as validate_recording
+from bellows_ros.core.identification.judgement.whiteness import Spectrum, Whiteness
 from bellows_ros.core.identification.methods import samples_of
 from bellows_ros.core.identification.seen import envelope
-from bellows_ros.core.identification.validation import LIMIT, SEED, Validation
-from bellows_ros.core.identification.validation import validate as validate_recording
-from bellows_ros.core.identification.whiteness import Spectrum, Whiteness
 from bellows_ros.core.model import cup_of, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.preparation import Recording

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
-from bellows_ros.core.identification.least_squares import least_squares, Samples
-from bellows_ros.core.identification.measured import measured_stretches
-from bellows_ros.core.identification.pace import in_words, TYPICAL_STEPS
-from bellows_ros.core.identification.prediction_error import prediction_error
-from bellows_ros.core.identification.relative_filter import relative_samples
+from bellows_ros.core.identification.prediction.measured import measured_stretches
+from bellows_ros.core.identification.prediction.pace import in_words, TYPICAL_STEPS
+from bellows_ros.core.identification.prediction.prediction_error import prediction_error
+from bellows_ros.core.identification.regression.least_squares import least_squares, Samples
+from bellows_ros.core.identification.regression.relative_filter import relative_samples
 from bellows_ros.core.identification.result import Fit, Iteration
-from bellows_ros.core.identification.static_rows import Holds, joined_with_rest, Length
+from bellows_ros.core.identification.statics.static_rows import Holds, joined_with_rest, Length
 from bellows_ros.core.identification.structure import Structure, structure_named
 from bellows_ros.core.model import Cup, cup_of, Package
 from bellows_ros.core.recording.preparation import Recording

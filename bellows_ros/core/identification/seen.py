@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from bellows_ros.core.identification.advice.excitation import displacement
 from bellows_ros.core.identification.envelope import Envelope
-from bellows_ros.core.identification.excitation import displacement
-from bellows_ros.core.identification.least_squares import Samples
-from bellows_ros.core.identification.standstills import Hold
-from bellows_ros.core.identification.whiteness import Spectrum, spectrum
+from bellows_ros.core.identification.judgement.whiteness import Spectrum, spectrum
+from bellows_ros.core.identification.regression.least_squares import Samples
+from bellows_ros.core.identification.statics.standstills import Hold
 from bellows_ros.core.model import Package
 from bellows_ros.core.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError

@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 from bellows_ros.core.identification.envelope import beyond, distance, Envelope, known_envelope
-from bellows_ros.core.identification.least_squares import Samples
 from bellows_ros.core.identification.noise import Noise
+from bellows_ros.core.identification.regression.least_squares import Samples
 from bellows_ros.core.identification.seen import envelope, with_rest
-from bellows_ros.core.identification.standstills import Hold
+from bellows_ros.core.identification.statics.standstills import Hold
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Package
 from bellows_ros.core.parameters import resolve

@@ -1,0 +1,1 @@
+"""What recordings can tell, before and beside a fit."""

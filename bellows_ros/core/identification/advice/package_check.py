@@ -1,0 +1,234 @@
+"""
+Whether a recording agrees with the centre of mass that was given for the package.
+
+A wrong centre of mass leaves a pattern in the wrenches that no stiffness and no damping of a round
+cup explains. The shift that explains it is found together with the cup, by Gauss and Newton, each
+step a linear problem. Noise looks like a shift along the cup's axis; by how much, is seen by
+adding as much noise again. The mass cannot be checked so: K and P scaled with mass and inertia
+make the same motion.
+"""
+
+from dataclasses import dataclass, replace
+
+from bellows_ros.core.identification.advice.added_noise import FilterNoise, SEED, with_noise
+from bellows_ros.core.identification.noise import Noise
+from bellows_ros.core.identification.regression.least_squares import (
+    equations,
+    least_squares,
+    Samples,
+    whitening_of,
+)
+from bellows_ros.core.identification.structure import Structure
+from bellows_ros.core.lie import apply
+from bellows_ros.core.model import Package
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+STEP = 1e-5
+"""Shift (m) for derivatives."""
+
+ROUNDS, HALVINGS = 8, 4
+LARGEST_STEP, SMALL_STEP = 0.01, 2e-5
+"""Metres that one round may go, and below which it is the last."""
+
+WORTH_A_WORD, ERRORS, NOISES = 2e-3, 6.0, 3.0
+"""A shift is told that is larger than this (m), so many standard errors, and noise effects."""
+
+ENOUGH = 2500
+"""Samples of a recording that are looked at, some more."""
+
+QUIET = Noise(1.5e-4, 7e-4)
+"""Noise (m, rad) of either body above which a shift along the cup's axis is not judged."""
+
+
+@dataclass(frozen=True, eq=False)
+class CentreOfMass:
+    """
+    Where the residuals want the centre of mass.
+
+    Parameters
+    ----------
+    shift, shift_std : ndarray (3,)
+        From where it was said to be, in axes of the lip, m, and its standard error.
+    noise_shift : ndarray (3,)
+        By how much as much noise again moves it, m; infinite where it cannot be judged.
+    residual : float
+        RMS of the whitened residuals with the shift over that without.
+
+    """
+
+    shift: Array
+    shift_std: Array
+    noise_shift: Array
+    residual: float
+
+    @property
+    def off(self) -> bool:
+        """Whether the recording contradicts what was given."""
+        return bool(np.any(self._told))
+
+    @property
+    def _told(self) -> NDArray[np.bool_]:
+        """Which coordinates of the shift are no chance and no effect of noise."""
+        least = np.maximum(ERRORS * self.shift_std, NOISES * np.abs(self.noise_shift))
+        return np.asarray(np.abs(self.shift) > np.maximum(WORTH_A_WORD, least))
+
+    def warning(self, name: str) -> tuple[str, ...]:
+        """Return a sentence about a recording, or nothing."""
+        if not self.off:
+            return ()
+        there = ', '.join(
+            f'{1e3 * value:+.1f} mm in {axis}'
+            for axis, value, told in zip('xyz', self.shift, self._told, strict=True) if told
+        )  # fmt: skip
+        return (
+            f'{name}: the wrenches fit better with the centre of mass {there} from package.com: '
+            f'the residuals are then {100.0 * self.residual:.0f} % as large. Check package.com, '
+            'recording.package_frame and the alignment.',
+        )
+
+
+def check_centre_of_mass(
+    samples: Samples, cup_length: float, structure: Structure, lip_recorded: bool,
+    noise: FilterNoise | None = None,
+) -> CentreOfMass | None:
+    """
+    Return where the residuals want the centre of mass; None where they cannot say.
+
+    Parameters
+    ----------
+    samples : Samples
+        A prepared recording.
+    cup_length : float
+        Nominal length l0, m.
+    structure : Structure
+        Of K and P, axisymmetric or diagonal: couplings of a full one explain a shift as well.
+    lip_recorded : bool
+        Whether the recorded poses are of the lip, so that a shift moves B, and not S.
+    noise : FilterNoise, optional
+        Of the recording.
+
+    """
+    if structure.name == 'full':
+        return None
+    samples = _thinned(samples)
+    try:
+        whitening = whitening_of(_covariance(samples, cup_length, structure))
+        found = _found(samples, cup_length, structure, lip_recorded, whitening)
+        if noise is None or not found.off:
+            return found
+        draw = np.random.default_rng(SEED)
+        noisy = shifted(with_noise(samples, noise, draw), found.shift, lip_recorded)
+        again = _found(noisy, cup_length, structure, lip_recorded, whitening)
+        moved = again.shift.copy()
+        loudest = np.maximum(noise.tool, noise.package)
+        if np.any(loudest > QUIET):
+            moved[2] = np.inf
+        return replace(found, noise_shift=moved)
+    except (BellowsError, np.linalg.LinAlgError):
+        return None
+
+
+def _thinned(samples: Samples) -> Samples:
+    """Return every so many of the samples: neighbours in a filter window tell the same."""
+    step = slice(None, None, max(len(samples.tool) // ENOUGH, 1))
+    return replace(
+        samples, tool=samples.tool.select(step), package=samples.package.select(step))
+
+
+def _covariance(samples: Samples, cup_length: float, structure: Structure) -> Array:
+    """Return the inverse of the weight that least squares gives the wrenches."""
+    return np.asarray(np.linalg.inv(least_squares([samples], cup_length, structure).weight))
+
+
+def _found(
+    samples: Samples, cup_length: float, structure: Structure, lip_recorded: bool, W: Array
+) -> CentreOfMass:
+    """Return the shift with the smallest residuals, found in steps that make these smaller."""
+    shift = np.zeros(3)
+    first = best = _solved(samples, cup_length, structure, W)[1]
+    std = np.full(3, np.inf)
+    for _ in range(ROUNDS):
+        here = shifted(samples, shift, lip_recorded)
+        step, std = _step(here, cup_length, structure, lip_recorded, W)
+        step *= min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), SMALL_STEP))
+        for _ in range(HALVINGS):
+            moved = shifted(samples, shift + step, lip_recorded)
+            size = _solved(moved, cup_length, structure, W)[1]
+            if size < best:
+                break
+            step = 0.5 * step
+        else:
+            break
+        shift, best = shift + step, size
+        if np.abs(step).max() < SMALL_STEP:
+            break
+    residual = float(np.sqrt(best / first)) if first > 0.0 else 1.0
+    return CentreOfMass(shift, std, np.zeros(3), residual)
+
+
+def shifted(samples: Samples, shift: Array, lip_recorded: bool) -> Samples:
+    """Return samples with the centre of mass (m, lip axes) elsewhere."""
+    held = Package(samples.held.mass, samples.held.inertia, samples.held.com + shift)
+    body = samples.package
+    if not lip_recorded or body.twist is None or body.acceleration is None:
+        return replace(samples, held=held)
+    (v, w), (dv, dw) = (np.split(part, 2, axis=1) for part in (body.twist, body.acceleration))
+    moved = Trajectory(
+        body.stamps_ns, body.position + apply(body.rotation, shift), body.rotation,
+        np.hstack([v + np.cross(w, shift), w]), np.hstack([dv + np.cross(dw, shift), dw]),
+        body.valid,
+    )  # fmt: skip
+    return replace(samples, package=moved, held=held)
+
+
+def _rows(
+    samples: Samples, cup_length: float, structure: Structure, W: Array
+) -> tuple[Array, Array, list[slice]]:
+    """Return the whitened A (6 N, p) and b (6 N,) of a recording, and its clusters of rows."""
+    A, b, clusters, count = [], [], [], 0
+    for block in samples.blocks():
+        L, c, parts = equations(block, cup_length, structure)
+        A.append((W @ L).reshape(-1, L.shape[2]))
+        b.append((c @ W.T).ravel())
+        clusters += [slice(6 * (count + p.start), 6 * (count + p.stop)) for p in parts]
+        count += len(c)
+    return np.concatenate(A), np.concatenate(b), clusters
+
+
+def _solved(
+    samples: Samples, cup_length: float, structure: Structure, W: Array
+) -> tuple[Array, float]:
+    """Return the parameters with the smallest residuals, and the sum of their squares."""
+    A, b, _ = _rows(samples, cup_length, structure, W)
+    scale = np.linalg.norm(A, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    x = np.linalg.lstsq(A / scale, b, rcond=None)[0] / scale
+    return x, float(np.sum((b - A @ x) ** 2))
+
+
+def _step(
+    samples: Samples, cup_length: float, structure: Structure, lip_recorded: bool, W: Array
+) -> tuple[Array, Array]:
+    """Return the shift (3,) that makes residuals smallest, to first order, and its error."""
+    x, _ = _solved(samples, cup_length, structure, W)
+    A, b, clusters = _rows(samples, cup_length, structure, W)
+    slopes = []
+    for direction in STEP * np.eye(3):
+        ends = [
+            _rows(shifted(samples, side * direction, lip_recorded), cup_length, structure, W)
+            for side in (1.0, -1.0)
+        ]
+        slopes.append(((ends[0][0] - ends[1][0]) @ x - ends[0][1] + ends[1][1]) / (2.0 * STEP))
+    Q, _ = np.linalg.qr(A)
+    D = np.array(slopes).T
+    D -= Q @ (Q.T @ D)  # what the cup explains as well
+    inverse = np.linalg.inv(D.T @ D)
+    step = inverse @ (D.T @ (b - A @ x))
+    left = b - A @ x - D @ step
+    scores = np.array([D[part].T @ left[part] for part in clusters])
+    return step, np.sqrt(np.diag(inverse @ scores.T @ scores @ inverse))

@@ -1,0 +1,1 @@
+"""Fits held against other recordings, and against each other."""

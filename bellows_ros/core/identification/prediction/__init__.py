@@ -1,0 +1,1 @@
+"""The prediction-error method: fits on poses."""

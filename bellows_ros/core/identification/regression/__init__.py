@@ -1,0 +1,1 @@
+"""Fits on wrenches: linear in K and P."""

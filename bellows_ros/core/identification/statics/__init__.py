@@ -1,0 +1,1 @@
+"""What standstills tell: the nominal length, and K alone."""

@@ -1,0 +1,300 @@
+"""
+What recordings at rest tell: the cup's nominal length (4.2), and whether its spring is right.
+
+The spring can be checked pose by pose, and the length of the cup under several loads, seen without
+noise, leads to its length under none.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.identification.noise import Noise
+from bellows_ros.core.identification.statics.standstills import Hold
+from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.simulation import state_row
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+UPRIGHT_WITHIN = np.radians(2.0)
+"""Nominal length is measured with the cup's axis within this of the vertical, rad."""
+
+SAME_MASS_WITHIN = 1e-3
+"""Masses (kg) closer than this are one load."""
+
+POLYNOMIAL = 3
+"""Degree of length against load (4.2), where there are loads enough."""
+
+LINEAR_WITHIN = 0.05
+"""The range is linear to where the polynomial leaves its tangent by this part of the stretch."""
+
+WANTED_LENGTH_ERROR = 1e-4
+"""Standard error of a nominal length (m) above which more loads or longer holds are asked for."""
+
+GOOD_WITHIN = 0.05
+"""An equilibrium is met if it is off by less than this part of the deflection, or by noise."""
+
+ERRORS_OF_NOISE = 3.0
+"""Standard errors of a mean that count as noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class NominalLength:
+    """
+    The cup's length without load (4.2).
+
+    Parameters
+    ----------
+    length, length_std : float
+        l0 and its standard error, m.
+    linear_length, linear_length_std : float
+        The same from a straight line through the loads in the linear range, m.
+    stiffness : float
+        Axial stiffness at no load, N/m.
+    linear_load : float
+        Load up to which the spring is linear, N; at most the largest load that was measured.
+    loads, lengths, errors : ndarray (N,)
+        Load (N), length (m) and its standard error (m) of every hold that was used.
+    coefficients : ndarray
+        Of the polynomial, m, m/N, m/N^2, m/N^3.
+    warnings : tuple of str
+        What the user should know, in sentences.
+
+    """
+
+    length: float
+    length_std: float
+    linear_length: float
+    linear_length_std: float
+    stiffness: float
+    linear_load: float
+    loads: Array
+    lengths: Array
+    errors: Array
+    coefficients: Array
+    warnings: tuple[str, ...]
+
+
+def nominal_length(
+    holds: Sequence[tuple[Hold, Package]], gravity: float
+) -> NominalLength:
+    """
+    Return the cup's length without load from holds of several masses (4.2).
+
+    Length against load is fitted by a polynomial of third order, or of lower order where there
+    are fewer loads; its value at no load is l0.
+
+    Parameters
+    ----------
+    holds : sequence of (Hold, Package)
+        Standstills and what was held; those with the cup's axis not vertical are left out.
+    gravity : float
+        m/s^2.
+
+    Raises
+    ------
+    BellowsError
+        If there are fewer than two different masses with the cup's axis vertical.
+
+    """
+    upright = [(hold, held) for hold, held in holds if hold.tilt <= UPRIGHT_WITHIN]
+    loads = np.array([held.mass * gravity for _, held in upright])
+    lengths = np.array([-hold.lip(held.com)[2] for hold, held in upright])
+    errors = np.array([max(hold.error.position, 1e-9) for hold, _ in upright])
+    different = _different([held.mass for _, held in upright])
+    if different < 2:
+        raise BellowsError(
+            f'The nominal length needs two different masses or more, held with the tool vertical, '
+            f'but there {"is" if different == 1 else "are"} {different}. Record standstills with '
+            'other known masses, and give each its own --mass.'
+        )
+    degree = min(POLYNOMIAL, different - 1)
+    coefficients, covariance = _polynomial(loads, lengths, errors, degree)
+    linear_load = _linear_range(coefficients, float(loads.max()))
+    line, line_covariance = _line(loads, lengths, errors, linear_load)
+    std = float(np.sqrt(covariance[0, 0]))
+    return NominalLength(
+        float(coefficients[0]), std, float(line[0]), float(np.sqrt(line_covariance[0, 0])),
+        float(1.0 / coefficients[1]), linear_load, loads, lengths, errors, coefficients,
+        tuple(_length_warnings(different, std, float(coefficients[1]), loads)),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class PoseCheck:
+    """
+    Predicted and measured equilibrium in one pose of the tool.
+
+    Parameters
+    ----------
+    hold : Hold
+        The standstill.
+    measured, predicted : ndarray (6,)
+        The lip in the tool: deflection from nominal, m and rad; predicted is nan where the cup
+        cannot carry the package.
+    verdict : str
+        'within noise', 'good', 'off' or 'falls'.
+    sentence : str
+        The verdict in words.
+
+    """
+
+    hold: Hold
+    measured: Array
+    predicted: Array
+    verdict: str
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False)
+class SpringCheck:
+    """
+    The spring model in several poses of the tool.
+
+    Parameters
+    ----------
+    poses : tuple of PoseCheck
+        Every standstill.
+    passed : bool
+        Whether none is off.
+    sentence : str
+        The verdict in words.
+
+    """
+
+    poses: tuple[PoseCheck, ...]
+    passed: bool
+    sentence: str
+
+
+def check_spring(
+    cup: Cup, holds: Sequence[tuple[Hold, Package]], gravity: float
+) -> SpringCheck:
+    """
+    Compare where the package hangs with where the spring model puts it (3.9).
+
+    Parameters
+    ----------
+    cup : Cup
+        Its damping takes no part.
+    holds : sequence of (Hold, Package)
+        Standstills and what was held.
+    gravity : float
+        m/s^2 along -z of the world.
+
+    """
+    poses = tuple(_check(cup, hold, held, gravity) for hold, held in holds)
+    off = [pose for pose in poses if pose.verdict in ('off', 'falls')]
+    if not off:
+        sentence = f'The spring holds in all {len(poses)} poses.'
+    else:
+        sentence = (
+            f'The spring is off in {len(off)} of {len(poses)} poses. If it is off in all of them '
+            'alike, check cup.length, package.mass and package.com; if only in some directions, '
+            'the stiffness of those, or alignment.'
+        )
+    return SpringCheck(poses, not off, sentence)
+
+
+def _different(masses: Sequence[float]) -> int:
+    """Return how many different masses there are."""
+    ordered = np.sort(np.asarray(masses, dtype=float))
+    return int(np.count_nonzero(np.diff(ordered) > SAME_MASS_WITHIN) + 1) if len(ordered) else 0
+
+
+def _polynomial(
+    loads: Array, lengths: Array, errors: Array, degree: int
+) -> tuple[Array, Array]:
+    """
+    Return a weighted polynomial's coefficients, lowest first, and their covariance.
+
+    The scatter about the polynomial counts where it is larger than the errors explain.
+    """
+    largest = float(loads.max())
+    powers = np.vander(loads / largest, degree + 1, increasing=True) / errors[:, None]
+    scale = 1.0 / largest ** np.arange(degree + 1)
+    found, *_ = np.linalg.lstsq(powers, lengths / errors, rcond=None)
+    spare = len(loads) - degree - 1
+    chi2 = float(np.sum((lengths / errors - powers @ found) ** 2)) / spare if spare > 0 else 1.0
+    covariance = max(chi2, 1.0) * np.linalg.inv(powers.T @ powers)
+    return found * scale, np.asarray(covariance * np.outer(scale, scale))
+
+
+def _linear_range(coefficients: Array, largest: float) -> float:
+    """Return the load (N) up to which a polynomial stays near its tangent at no load."""
+    loads = np.linspace(0.0, largest, 1001)[1:]
+    powers = np.vander(loads, len(coefficients), increasing=True)
+    tangent = coefficients[1] * loads
+    bent = np.abs(powers[:, 2:] @ coefficients[2:]) > LINEAR_WITHIN * np.abs(tangent)
+    return float(loads[int(np.argmax(bent))]) if bent.any() else largest
+
+
+def _line(
+    loads: Array, lengths: Array, errors: Array, linear_load: float
+) -> tuple[Array, Array]:
+    """Return the straight line through the loads in the linear range, or the lowest two."""
+    inside = loads <= linear_load * (1.0 + 1e-9)
+    if _different(list(loads[inside] / 10.0)) < 2:
+        second = np.unique(loads)[1]
+        inside = loads <= second
+    return _polynomial(loads[inside], lengths[inside], errors[inside], 1)
+
+
+def _length_warnings(different: int, std: float, slope: float, loads: Array) -> list[str]:
+    """Return what the user should know about a nominal length."""
+    found = []
+    if different <= POLYNOMIAL:
+        found.append(
+            f'With {different} different masses length against load is fitted by a polynomial of '
+            f'order {different - 1}; {POLYNOMIAL + 1} or more show where the cup stops being '
+            'linear.'
+        )
+    if std > WANTED_LENGTH_ERROR:
+        found.append(
+            f'The nominal length is only known to {std * 1e3:.2f} mm. Add lighter masses than '
+            f'{loads.min():.3g} N, or hold each for longer.'
+        )
+    if not slope > 0.0:
+        found.append(
+            'The cup gets shorter under load: check the masses, and that the poses are of E and S.'
+        )
+    return found
+
+
+def _check(cup: Cup, hold: Hold, held: Package, gravity: float) -> PoseCheck:
+    """Return predicted and measured equilibrium of one standstill."""
+    nominal = np.array([0.0, 0.0, -cup.length, 0.0, 0.0, 0.0])
+    measured = hold.lip(held.com) - nominal
+    quaternion = rotation_to_quaternion(hold.tool.rotation[0])
+    tool = state_row(hold.tool.position[0], quaternion, np.zeros(6))
+    try:
+        position, q, _, _ = static_equilibrium(model_tuple(cup, held, gravity), tool)
+    except BellowsError as error:
+        return PoseCheck(hold, measured, np.full(6, np.nan), 'falls', str(error))
+    there = Trajectory(
+        hold.package.stamps_ns, np.array([position]), quaternion_to_rotation(np.array([q]))
+    )
+    equilibrium = Hold(hold.start_ns, hold.duration, hold.tool, there, hold.samples, hold.error)
+    predicted = equilibrium.lip(held.com) - nominal
+    return PoseCheck(hold, measured, predicted, *_verdict(measured, predicted, hold.error))
+
+
+def _verdict(measured: Array, predicted: Array, error: Noise) -> tuple[str, str]:
+    """Return the verdict on a predicted deflection, and the words for it."""
+    worst, words = 'within noise', []
+    for part, unit, noise in (
+        (slice(0, 3), 'mm', error.position), (slice(3, 6), 'mrad', error.rotation),
+    ):  # fmt: skip
+        off = float(np.linalg.norm(predicted[part] - measured[part]))
+        size = float(np.linalg.norm(measured[part]))
+        within = off <= ERRORS_OF_NOISE * noise * np.sqrt(3.0)
+        if not within:
+            good = off <= GOOD_WITHIN * size
+            worst = 'off' if not good or worst == 'off' else 'good'
+        words.append(f'{off * 1e3:.2g} {unit} off a deflection of {size * 1e3:.3g} {unit}')
+    return worst, f'{", ".join(words)}: {worst}'

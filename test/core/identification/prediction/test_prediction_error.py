@@ -1,0 +1,179 @@
+"""The prediction-error method recovers the truth, from afar, through noise and outliers."""
+
+from bellows_ros.core.identification.judgement.consistency import same_cup
+from bellows_ros.core.identification.prediction.prediction_error import prediction_error
+from bellows_ros.core.identification.structure import STRUCTURES
+from bellows_ros.core.jit import COMPILED
+from bellows_ros.core.model import Cup
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from ..recordings import HEAVY, PLATE, stretches
+from ...cases import random_cup
+
+TRUTH = Cup.thesis()
+AXISYMMETRIC = STRUCTURES['axisymmetric']
+MOVING = [0, 1, 3, 4, 5]  # the axial damping is hardly visible
+
+
+needs_speed = pytest.mark.skipif(
+    not COMPILED, reason='numba is not installed: a fit of this size takes minutes interpreted')
+
+
+def off(factors):
+    """Return the true cup with its entries off by factors (12,)."""
+    return Cup(
+        np.diag(np.diag(TRUTH.stiffness) * factors[:6]),
+        np.diag(np.diag(TRUTH.damping) * factors[6:]), TRUTH.length)
+
+
+def ratios(fit, cup=TRUTH):
+    """Return found over true diagonal entries of K and P."""
+    return (np.diag(fit.stiffness) / np.diag(cup.stiffness),
+            np.diag(fit.damping) / np.diag(cup.damping))
+
+
+def test_a_short_recording():
+    (recording,) = stretches(9, 5.0, tool_noise=(2e-5, 1e-4), rate_hz=100.0)
+    fit = prediction_error([recording], TRUTH.length, AXISYMMETRIC, TRUTH)
+    assert_allclose(ratios(fit)[0], 1.0, atol=0.05)
+    assert 0.85 < fit.chi2 < 1.15
+
+
+@pytest.fixture(scope='module')
+def exact_tool():
+    """Return the fit of a recording with an exact tool, from the truth."""
+    recordings = stretches(1, package_noise=(3e-4, 1e-3))
+    return recordings, prediction_error(recordings, TRUTH.length, AXISYMMETRIC, TRUTH)
+
+
+@needs_speed
+def test_exact_tool_and_noisy_package(exact_tool):
+    _, fit = exact_tool
+    stiffness, damping = ratios(fit)
+    assert_allclose(stiffness, 1.0, atol=0.02)  # 12 s only
+    assert_allclose(damping[MOVING], 1.0, atol=0.06)
+    assert 0.95 < fit.chi2 < 1.05
+    assert fit.warnings == ()
+    assert fit.usable
+
+
+@needs_speed
+@pytest.mark.parametrize('seed', [0, 1])
+def test_starts_half_off_end_at_the_same_optimum(exact_tool, seed):
+    recordings, reference = exact_tool
+    factors = np.random.default_rng(seed).choice([0.5, 1.5], 12)
+    factors[[1, 4, 7, 10]] = factors[[0, 3, 6, 9]]
+    fit = prediction_error(recordings, TRUTH.length, AXISYMMETRIC, off(factors))
+    assert_allclose(np.diag(fit.stiffness), np.diag(reference.stiffness), rtol=1e-3)
+    assert_allclose(np.diag(fit.damping), np.diag(reference.damping), rtol=1e-3)
+
+
+@needs_speed
+def test_errors_are_of_the_size_that_is_told(exact_tool):
+    _, fit = exact_tool
+    for found, std, true in (
+            (fit.stiffness, fit.stiffness_std, TRUTH.stiffness),
+            (fit.damping, fit.damping_std, TRUTH.damping)):
+        z = (np.diag(found) - np.diag(true)) / np.diag(std)
+        assert np.all(np.abs(z) < 4.0)
+        assert np.all(np.diag(std) > 0.0)
+
+
+@needs_speed
+def test_iterations_are_told_and_kept(exact_tool):
+    recordings, reference = exact_tool
+    told = []
+    fit = prediction_error(recordings, TRUTH.length, AXISYMMETRIC, TRUTH, told.append)
+    assert tuple(told) == fit.iterations
+    assert [i.number for i in told] == list(range(len(told)))
+    assert_allclose(fit.stiffness, reference.stiffness, rtol=0, atol=0)  # and bit for bit again
+    assert_allclose(fit.covariance, reference.covariance, rtol=0, atol=0)
+
+
+@needs_speed
+def test_noise_on_both_bodies_with_outliers_and_dropouts():
+    def damage(tool, package):
+        position, valid = package.position.copy(), package.valid.copy()
+        position[500] += 0.05  # an outlier that nobody has marked
+        position[1500:1504] += 0.02
+        valid[800:830] = False
+        tool_valid = tool.valid.copy()
+        tool_valid[1200:1210] = False
+        return (
+            Trajectory(tool.stamps_ns, tool.position, tool.rotation, valid=tool_valid),
+            Trajectory(package.stamps_ns, position, package.rotation, valid=valid))
+
+    recordings = stretches(2, 16.0, tool_noise=(1e-4, 5e-4), damage=damage)
+    fit = prediction_error(recordings, TRUTH.length, AXISYMMETRIC, TRUTH)
+    stiffness, damping = ratios(fit)
+    assert_allclose(stiffness, 1.0, atol=0.02)
+    assert_allclose(damping[MOVING], 1.0, atol=0.06)
+    assert fit.samples_rejected >= 30
+    assert 0.9 < fit.chi2 < 1.1
+
+
+@needs_speed
+def test_full_matrices_with_an_exact_tool():
+    cup = random_cup(np.random.default_rng(21))
+    recordings = stretches(3, 12.0, package_noise=(1e-4, 5e-4), cup=cup)
+    start = Cup(np.diag(np.diag(cup.stiffness)), np.diag(np.diag(cup.damping)), cup.length)
+    fit = prediction_error(recordings, cup.length, STRUCTURES['full'], start)
+    assert np.linalg.norm(fit.stiffness - cup.stiffness) < 0.02 * np.linalg.norm(cup.stiffness)
+    assert 0.95 < fit.chi2 < 1.05
+    assert np.linalg.eigvalsh(fit.stiffness)[0] > 0.0
+    assert np.linalg.eigvalsh(fit.damping)[0] >= 0.0
+
+
+@needs_speed
+def test_time_offset_of_the_streams():
+    recordings = stretches(4, tool_noise=(2e-5, 1e-4), later=-0.0123, margin=0.05)
+    fit = prediction_error(
+        recordings, TRUTH.length, AXISYMMETRIC, TRUTH, estimate_delay=True)
+    # the tool's stamps are 12.3 ms too early: its motion is found at earlier stamps
+    assert_allclose(fit.delays, [-0.0123], atol=0.5e-3)
+    assert_allclose(ratios(fit)[0], 1.0, atol=0.02)
+
+
+@needs_speed
+def test_several_packages_are_one_cup_or_not():
+    both = [
+        *stretches(5, tool_noise=(5e-5, 2e-4)),
+        *stretches(6, tool_noise=(5e-5, 2e-4), held=HEAVY, recording=1)]
+    joint = prediction_error(both, TRUTH.length, AXISYMMETRIC, TRUTH)
+    assert_allclose(ratios(joint)[0], 1.0, atol=0.02)
+    apart = [
+        prediction_error([part], TRUTH.length, AXISYMMETRIC, TRUTH) for part in both]
+    same = same_cup(apart, ['2.17 kg', '2.9 kg'])
+    assert same.probability > 0.01
+    assert 'one cup' in same.verdict
+    softer = Cup(0.9 * TRUTH.stiffness, TRUTH.damping, TRUTH.length)
+    other = prediction_error(
+        stretches(6, tool_noise=(5e-5, 2e-4), held=HEAVY, cup=softer), TRUTH.length,
+        AXISYMMETRIC, TRUTH)
+    differ = same_cup([apart[0], other], ['2.17 kg', '2.9 kg'])
+    assert differ.probability < 1e-6
+    assert 'not of one cup' in differ.verdict
+
+
+@needs_speed
+def test_a_wrong_mass_is_noticed():
+    heavier = type(PLATE)(2.0, np.diag([0.012, 0.012, 0.0173]), (0.0, 0.0, -0.05))
+    recordings = stretches(7, 8.0)
+    wrong = [type(r)(r.tool, r.package, heavier, r.gravity, r.tool_noise, r.package_noise,
+                     r.tool_period) for r in recordings]
+    fit = prediction_error(wrong, TRUTH.length, AXISYMMETRIC, TRUTH)
+    assert fit.chi2 > 1.2
+    assert any('does not explain' in warning for warning in fit.warnings)
+
+
+def test_nothing_to_compare_is_an_error():
+    recordings = stretches(8, 4.0)
+    blind = [type(r)(r.tool, Trajectory(
+        r.package.stamps_ns, r.package.position, r.package.rotation, valid=False), r.held,
+        r.gravity, r.tool_noise, r.package_noise, r.tool_period) for r in recordings]
+    with pytest.raises(BellowsError, match='No valid package pose'):
+        prediction_error(blind, TRUTH.length, AXISYMMETRIC, TRUTH)
