@@ -62,6 +62,14 @@ def legend(figure: Any, entries: Sequence[tuple[str, str, float]]) -> None:
     )  # fmt: skip
 
 
+def label_abscissa(panel: Any, axis: int, label: str) -> None:
+    """Label the abscissa of one of six panels: only the lowest of a column shows it."""
+    if axis % 3 == 2:
+        panel.set_xlabel(label)
+    else:
+        panel.tick_params(labelbottom=False)
+
+
 def broken(values: Array, valid: NDArray[np.bool_]) -> Array:
     """Return values with NaN where they are not valid, so that lines are interrupted."""
     shape = (len(values),) + (1,) * (values.ndim - 1)

@@ -12,6 +12,7 @@ from bellows_ros.core.score import AXES, Scores
 import numpy as np
 from numpy.typing import NDArray
 
+from .panels import label_abscissa
 from .style import drawing, Theme, THEMES
 
 Array = NDArray[np.float64]
@@ -167,10 +168,7 @@ def _arrange(panels: Any, axis: int, seconds: Array, colours: Theme) -> None:
     lower.set_ylabel('error', color=colours.error, fontsize=8.5)
     for panel in panels:
         panel.yaxis.set_label_coords(-0.125, 0.5)
-    if axis % 3 == 2:
-        lower.set_xlabel('time (s)')
-    else:
-        lower.tick_params(labelbottom=False)
+    label_abscissa(lower, axis, 'time (s)')
 
 
 def with_gaps(seconds: Array, values: Array) -> Array:

@@ -5,7 +5,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .panels import broken, head, legend, MILLI, six
+from .panels import broken, head, label_abscissa, legend, MILLI, six
 from .style import drawing, Theme, THEMES
 
 Array = NDArray[np.float64]
@@ -82,10 +82,7 @@ def _time_axes(panels: list[Any], seconds: Array) -> None:
     """Label the time axes at the bottom, and show all of the time."""
     for axis, panel in enumerate(panels):
         panel.set_xlim(seconds[0], seconds[-1])
-        if axis % 3 == 2:
-            panel.set_xlabel('time (s)')
-        else:
-            panel.tick_params(labelbottom=False)
+        label_abscissa(panel, axis, 'time (s)')
 
 
 def spectra_figure(spectra: HasSpectra, note: str, theme: str = 'light') -> Any:
@@ -123,10 +120,7 @@ def spectra_figure(spectra: HasSpectra, note: str, theme: str = 'light') -> Any:
                 panel.loglog(spectra.frequency_hz[keep], MILLI * spectra.error[keep, axis],
                              color=colours.error, linewidth=1.1)  # fmt: skip
             panel.set_xlim(spectra.frequency_hz[keep][0], spectra.frequency_hz[-1])
-            if axis % 3 == 2:
-                panel.set_xlabel('frequency (Hz)')
-            else:
-                panel.tick_params(labelbottom=False)
+            label_abscissa(panel, axis, 'frequency (Hz)')
     return figure
 
 
