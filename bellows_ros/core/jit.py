@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
+import warnings
 
 numba: Any
 try:
@@ -45,6 +46,7 @@ def kernel(function: Function) -> Function:
     try:
         compiled = numba.njit(cache=True, **options)(function)
         _let_cache_see_all_kernels(compiled)
+        compiled._cache = _TolerantCache(compiled._cache)
     except RuntimeError:  # neither the package's folder nor the user's cache can be written
         compiled = numba.njit(**options)(function)
     return compiled  # type: ignore[no-any-return]
@@ -67,3 +69,60 @@ def _let_cache_see_all_kernels(compiled: Any) -> None:
     cache_file: Any = getattr(getattr(compiled, '_cache', None), '_cache_file', None)
     if hasattr(cache_file, '_source_stamp'):
         cache_file._source_stamp = _kernel_sources_stamp()
+
+
+class _TolerantCache:
+    """
+    The cache of a kernel, done without where it cannot be used.
+
+    By itself numba fails on an index or a file that is damaged, or cannot be read or written, as
+    on a disk that is full. And where two processes keep code for different arguments at once,
+    one's file can stand under the name of the other's.
+
+    Parameters
+    ----------
+    cache : numba.core.caching.FunctionCache
+
+    """
+
+    def __init__(self, cache: Any) -> None:
+        """Take the cache."""
+        self._cache = cache
+
+    def __getattr__(self, name: str) -> Any:
+        """Return whatever else numba asks its cache for."""
+        return getattr(self._cache, name)
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Return what was compiled for these arguments, or None for it to be compiled now."""
+        try:
+            found = self._cache.load_overload(signature, context)
+            if found is None or tuple(found.signature.args) == tuple(signature):
+                return found
+            raise ValueError('the code is for other arguments')
+        except Exception as error:  # noqa: BLE001 (a damaged pickle can raise anything)
+            self._warn(error)
+            self._start_afresh()
+            return None
+
+    def save_overload(self, signature: Any, code: Any) -> None:
+        """Keep what was compiled, if that can be."""
+        try:
+            self._cache.save_overload(signature, code)
+        except Exception as error:  # noqa: BLE001 (what is compiled works all the same)
+            self._warn(error)
+            self._cache.disable()
+
+    def _start_afresh(self) -> None:
+        """Empty the index, so that what is compiled now can be kept."""
+        try:
+            self._cache.flush()
+        except OSError:
+            self._cache.disable()
+
+    def _warn(self, error: Exception) -> None:
+        """Say that the folder should be looked at."""
+        warnings.warn(
+            f'Compiled code in {self._cache.cache_path} cannot be used '
+            f'({type(error).__name__}): compiling again. If this is said at every start, remove '
+            'that folder.', RuntimeWarning, stacklevel=2)

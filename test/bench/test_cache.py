@@ -76,3 +76,64 @@ def test_runs_where_nothing_can_be_written(copy):
     state, hits = ended(started(copy, XDG_CACHE_HOME=str(blocked), HOME=str(blocked)))
     assert len(state) == 4
     assert hits == 0
+
+
+def damaged(path, number):
+    """Spoil a file in one of several ways."""
+    if number == 0:
+        path.write_bytes(b'')
+    elif number == 1:
+        path.write_bytes(path.read_bytes()[:60])
+    else:
+        path.write_bytes(b'\x93NUMPY' * 100)
+
+
+ONE_KERNEL = """
+import json
+from bellows_ros.core.kernels import strain
+R = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+print(json.dumps([strain((1.0, 2.0, 3.0), R), sum(strain.stats.cache_hits.values())]))
+"""
+
+
+@pytest.mark.parametrize('pattern', ['*.nbi', '*.nbc'])
+def test_damaged_cache_is_said_and_made_anew(copy, pattern):
+    folder = copy / 'bellows_ros/core/__pycache__'
+    ended_with(copy, ONE_KERNEL)
+    files = sorted(folder.glob(pattern))
+    assert len(files) == 3  # with what it calls
+    for number, path in enumerate(files):
+        damaged(path, number)
+    (strain, hits), err = ended_with(copy, ONE_KERNEL)
+    assert strain == [[3.0, 1.0, 6.0], [0.0, 0.0, 2.0]] and hits == 0
+    assert f'Compiled code in {folder} cannot be used' in err
+    assert ended_with(copy, ONE_KERNEL) == ([strain, 1], '')
+
+
+TWO_KINDS = """
+import json
+from bellows_ros.core.tuples import add
+print(json.dumps([add((1, 2, 3), (4, 5, 6)), add((0.5, 2.0, 3.0), (4.0, 5.0, 6.0))]))
+"""
+
+
+def test_code_for_other_arguments_is_not_used(copy):
+    """Two processes that start at once can leave one's code under the name of the other's."""
+    first = ended_with(copy, TWO_KINDS)
+    one, two = sorted((copy / 'bellows_ros/core/__pycache__').glob('tuples.add-*.nbc'))
+    both = one.read_bytes(), two.read_bytes()
+    two.write_bytes(both[0])
+    one.write_bytes(both[1])
+    out, err = ended_with(copy, TWO_KINDS)
+    assert out == [[5, 7, 9], [4.5, 7.0, 9.0]]
+    assert first == (out, '') and 'cannot be used (ValueError)' in err
+
+
+def ended_with(path, script):
+    """Run a script on a copy of the package and return what it prints, and its errors."""
+    env = {**os.environ, 'PYTHONPATH': str(path), 'PYTHONDONTWRITEBYTECODE': '1'}
+    env.pop('NUMBA_CACHE_DIR', None)
+    done = subprocess.run(
+        [sys.executable, '-P', '-c', script], cwd=path, env=env, text=True, capture_output=True,
+        timeout=110, check=True)
+    return json.loads(done.stdout), done.stderr
