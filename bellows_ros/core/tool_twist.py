@@ -38,7 +38,8 @@ class PoseHistory:
 
     def __init__(self, size: int) -> None:
         """Keep the given number of poses, at least two."""
-        self._rows = np.zeros((size, 8))  # stamp (s, from the first), position, quaternion xyzw
+        rows = np.zeros((size, 8))  # stamp (s, from the first), position, quaternion xyzw
+        self._rows: Any = rows if COMPILED else rows.tolist()  # plain floats are faster there
         self._count = 0
         self._origin_ns = 0
 
@@ -50,20 +51,27 @@ class PoseHistory:
         """Add the newest pose, and drop the oldest when full."""
         if self._count == 0:
             self._origin_ns = stamp_ns
-        rows = self._rows
-        if self._count == len(rows):
-            rows[:-1] = rows[1:]
-        else:
-            self._count += 1
-        row = rows[self._count - 1]
-        row[0] = (stamp_ns - self._origin_ns) * 1e-9
-        row[1], row[2], row[3] = position
-        row[4], row[5], row[6], row[7] = quaternion_xyzw
+        seconds = (stamp_ns - self._origin_ns) * 1e-9
+        self._count = keep(self._rows, self._count, seconds, position, quaternion_xyzw)
 
     def state(self, back: int = 0) -> State:
         """Return the pose that many samples before the newest, with its estimated body twist."""
-        rows: Any = self._rows if COMPILED else self._rows.tolist()  # plain floats are faster
-        return pose_with_slope(rows, self._count, self._count - 1 - back)
+        return pose_with_slope(self._rows, self._count, self._count - 1 - back)
+
+
+@kernel
+def keep(rows: Any, count: int, seconds: float, o: Vector, q: Quaternion) -> int:
+    """Write a pose behind the others, dropping the first when full; return how many there are."""
+    if count == len(rows):
+        for i in range(count - 1):
+            for j in range(8):
+                rows[i][j] = rows[i + 1][j]
+        count -= 1
+    row = rows[count]
+    row[0] = seconds
+    row[1], row[2], row[3] = o
+    row[4], row[5], row[6], row[7] = q
+    return count + 1
 
 
 @kernel

@@ -141,6 +141,21 @@ def test_poses_alone_come_close(messages, predictor):
     assert turn < 1e-3
 
 
+@pytest.mark.parametrize('poll', [0.01, 0.02])
+def test_poses_stamped_in_bursts_lose_no_more_than_their_stamps(messages, predictor, poll):
+    period_ns = round(poll * 1e9)  # of a driver that fetches the poses and stamps them then
+    worst, stamp = 0.0, 0
+    truth = simulate(Cup.thesis(), PLATE, messages.tool)
+    for k in range(len(messages)):
+        fetched = -(-messages.stamps[k] // period_ns) * period_ns
+        stamp = max(stamp + 20_000, fetched)  # 20 us from one to the next
+        (out,) = messages.pose(predictor, k, stamp=stamp)
+        worst = max(worst, math.dist(out.position, truth.position[k]))
+    assert not any(predictor.refused.values()) and not any(predictor.restarts.values())
+    speed = np.linalg.norm(messages.tool.twist[:, :3], axis=1).max()
+    assert worst < poll * speed  # by which the tool itself moves while its stamp is wrong
+
+
 def test_tool_axes_and_world_axes_are_told_apart(messages):
     in_tool = LivePredictor(Cup.thesis(), PLATE, 9.81, twist_frame='tool')
     in_world = LivePredictor(Cup.thesis(), PLATE, 9.81)

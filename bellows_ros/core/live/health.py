@@ -35,6 +35,10 @@ PHASE_WORDS = {
 }
 
 
+OTHER_TYPE = 'type '
+"""Begins the mismatch of an input whose publisher sends another type, which follows."""
+
+
 class Level(IntEnum):
     """Levels of REP-107, as in diagnostic_msgs/DiagnosticStatus."""
 
@@ -59,7 +63,7 @@ class InputSeen(NamedTuple):
     topic: str
     publishers: int
     mismatch: str
-    """Name of the QoS policy that does not match some publisher's, or nothing."""
+    """Name of the QoS policy, or `OTHER_TYPE`, that does not match some publisher's, if any."""
     rhythm: Rhythm
     silent: float
     """Seconds since the last message; infinite before the first."""
@@ -82,7 +86,9 @@ def input_status(name: str, seen: InputSeen, optional: bool = False) -> Status:
         'publishers': str(seen.publishers),
         'rate (Hz)': number(seen.rhythm.rate_hz),
         'jitter (s)': number(seen.rhythm.jitter),
-        'age (s)': number(seen.rhythm.age),
+        'age p50 (s)': number(seen.rhythm.age.p50),
+        'age p99 (s)': number(seen.rhythm.age.p99),
+        'age max (s)': number(seen.rhythm.age.largest),
         'silent for (s)': number(seen.silent),
         **{f'refused: {reason}': str(count) for reason, count in seen.total_refused.items()},
     }
@@ -105,10 +111,11 @@ def _judge_input(seen: InputSeen, optional: bool) -> tuple[Level, str]:
         )
     if seen.mismatch:
         return Level.WARN, _mismatch_words(seen)
-    if abs(seen.rhythm.age) > STRANGE_AGE:
-        side = 'behind' if seen.rhythm.age > 0.0 else 'ahead of'
+    age = seen.rhythm.age.p50
+    if abs(age) > STRANGE_AGE:
+        side = 'behind' if age > 0.0 else 'ahead of'
         return Level.WARN, (
-            f'Stamps are {abs(seen.rhythm.age):.3g} s {side} the clock of this node: synchronise '
+            f'Stamps are {abs(age):.3g} s {side} the clock of this node: synchronise '
             'the clocks, or set use_sim_time while a recording is played.'
         )
     return Level.OK, f'{seen.rhythm.rate_hz:.4g} Hz.'
@@ -132,12 +139,35 @@ def _judge_silence(seen: InputSeen, optional: bool, lowest: Level) -> tuple[Leve
 
 
 def _mismatch_words(seen: InputSeen) -> str:
-    """Return what to say about a QoS mismatch."""
+    """Return what to say about a mismatch of QoS or type."""
+    if seen.mismatch.startswith(OTHER_TYPE):
+        return (
+            f'A publisher of {seen.topic} sends {seen.mismatch.removeprefix(OTHER_TYPE)}, which '
+            'is not what is listened to: see tool_pose.type, or remap the topic.'
+        )
     return (
         f'QoS does not match: a publisher of {seen.topic} offers another {seen.mismatch} than is '
         f'asked for. Set qos_overrides.{seen.topic}.subscription.{seen.mismatch} to what it '
         'offers.'
     )
+
+
+def vacuum_status(name: str, seen: InputSeen, held: bool) -> Status:
+    """Return the line on the signal that says whether the package is held; it may be silent."""
+    values = {
+        'topic': seen.topic, 'publishers': str(seen.publishers), 'held': str(held).lower(),
+    }  # fmt: skip
+    lost = Level.WARN if held else Level.ERROR  # not held, nothing is predicted
+    if seen.mismatch:
+        return Status(name, lost, _mismatch_words(seen), values)
+    if seen.publishers == 0:
+        return Status(
+            name, lost,
+            f'Nobody publishes {seen.topic}: the package counts as {"" if held else "not "}held. '
+            'Start the driver, remap the topic to its own, or set vacuum.signal to none.',
+            values,
+        )  # fmt: skip
+    return Status(name, Level.OK, 'Held.' if held else 'Not held.', values)
 
 
 class PredictionSeen(NamedTuple):

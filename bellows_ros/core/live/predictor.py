@@ -7,15 +7,16 @@ is in the stamps, and whoever calls says when a message came.
 
 from __future__ import annotations
 
+import math
+
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.live.held_package import HeldPackage
 from bellows_ros.core.live.pairing import Pairing
 from bellows_ros.core.live.samples import PoseSample, Prediction, TwistSample
 from bellows_ros.core.live.screening import (
-    finite,
     LARGEST_RATE,
     LARGEST_SPEED,
-    length,
+    lengths,
     LONGEST_GAP_NS,
     Screen,
 )
@@ -261,11 +262,10 @@ class LivePredictor:
         first one is kept, and twists in another are refused.
         """
         self.twists_in += 1
-        if not (finite(*linear) and finite(*angular)):
-            self._counts['twist_nan'] += 1
-            return []
-        if length(linear) > LARGEST_SPEED or length(angular) > LARGEST_RATE:
-            self._counts['twist_too_fast'] += 1
+        speed, rate = lengths(linear, angular)
+        if not (speed <= LARGEST_SPEED and rate <= LARGEST_RATE):  # nor where one is NaN
+            finite = all(map(math.isfinite, (*linear, *angular)))
+            self._counts['twist_too_fast' if finite else 'twist_nan'] += 1
             return []
         if self._twist_frame_id is None:
             self._twist_frame_id = frame_id

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.jit import kernel
 from bellows_ros.core.tuples import (
+    dot,
     log_quaternion,
     Quaternion,
     quaternion_conjugate,
@@ -82,15 +83,15 @@ class Reference(NamedTuple):
 
 
 @kernel
-def finite(a: float, b: float, c: float) -> bool:
-    """Return whether all three numbers are finite."""
-    return (a - a) + (b - b) + (c - c) == 0.0
+def length(a: Vector) -> float:
+    """Return the length of a vector."""
+    return math.sqrt(dot(a, a))
 
 
 @kernel
-def length(a: Vector) -> float:
-    """Return the length of a vector."""
-    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+def lengths(a: Vector, b: Vector) -> tuple[float, float]:
+    """Return the lengths of two vectors."""
+    return length(a), length(b)
 
 
 @kernel
@@ -131,6 +132,7 @@ class Screen:
         """Take whatever stamp and place come next, in the same frame."""
         self.newest_ns = -1
         self._last: Reference | None = None
+        self._moved = (0.0, 0.0)  # distance (m) and angle (rad) from there, if judged by its place
         self._newest_arrival_ns: int | None = None
         self._backward_run = 0
         self._backward_last_ns = -1
@@ -203,9 +205,8 @@ class Screen:
         seconds = 0.0
         if self._last is not None:
             before = self._last.step
-            distance, angle = separation(self._last.position, self._last.quaternion_xyzw, o, q)
             seconds = (stamp_ns - self.newest_ns) * 1e-9
-            step = (distance / seconds, angle / seconds)
+            step = (self._moved[0] / seconds, self._moved[1] / seconds)
         self._last = Reference(
             stamp_ns, o, q, step, min(step[0], before[0]), min(step[1], before[1]), seconds)
         self.frame_id, self.newest_ns = frame_id, stamp_ns
@@ -262,14 +263,18 @@ class Screen:
         if last is None:
             return GOOD
         if o == last.position and q == last.quaternion_xyzw:
-            return Verdict('repeated_pose' if _cannot_stop(last) else ACCEPTED, '')
-        if _is_reachable(last, stamp_ns, o, q):
+            self._moved = (0.0, 0.0)
+            return Verdict('repeated_pose', '') if _cannot_stop(last) else GOOD
+        self._moved = separation(last.position, last.quaternion_xyzw, o, q)
+        if _is_reachable(self._moved, stamp_ns - last.stamp_ns):
             return GOOD
         elsewhere = self._elsewhere
         self._elsewhere = Reference(stamp_ns, o, q, (0.0, 0.0), 0.0, 0.0, 0.0)
         together = (
-            self._elsewhere_run and elsewhere is not None
-            and stamp_ns > elsewhere.stamp_ns and _is_reachable(elsewhere, stamp_ns, o, q)
+            self._elsewhere_run and elsewhere is not None and stamp_ns > elsewhere.stamp_ns
+            and _is_reachable(
+                separation(elsewhere.position, elsewhere.quaternion_xyzw, o, q),
+                stamp_ns - elsewhere.stamp_ns)
         )  # fmt: skip
         self._elsewhere_run = self._elsewhere_run + 1 if together else 1
         if self._elsewhere_run >= JUMP_RUN:
@@ -280,7 +285,7 @@ class Screen:
 def _why_no_pose(o: Vector, q: Quaternion) -> str:
     """Return why numbers are no pose, or nothing."""
     squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
-    if not (finite(*o) and math.isfinite(squared)):
+    if not math.isfinite(o[0] + o[1] + o[2] + squared):
         return 'nan'
     if squared < 1e-12:
         return 'zero_quaternion'
@@ -289,13 +294,12 @@ def _why_no_pose(o: Vector, q: Quaternion) -> str:
     return ''
 
 
-def _is_reachable(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> bool:
-    """Return whether an arm can have come from one pose to another."""
-    seconds = (stamp_ns - last.stamp_ns) * 1e-9
-    distance, angle = separation(last.position, last.quaternion_xyzw, o, q)
+def _is_reachable(moved: tuple[float, float], duration_ns: int) -> bool:
+    """Return whether an arm can go a distance (m) and an angle (rad) in that time."""
+    seconds = duration_ns * 1e-9
     return (
-        distance <= SPEED_SLACK + LARGEST_SPEED * seconds
-        and angle <= RATE_SLACK + LARGEST_RATE * seconds
+        moved[0] <= SPEED_SLACK + LARGEST_SPEED * seconds
+        and moved[1] <= RATE_SLACK + LARGEST_RATE * seconds
     )
 
 

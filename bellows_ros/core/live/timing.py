@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 import math
 from typing import NamedTuple
 
@@ -23,7 +24,7 @@ class Window:
 
     def __init__(self) -> None:
         """Reserve the memory."""
-        self._values = [0.0] * KEPT
+        self._values = array('d', bytes(8 * KEPT))  # so that keeping a number takes no memory
         self.count = 0
 
     def add(self, value: float) -> None:
@@ -35,7 +36,7 @@ class Window:
         """Return the quantiles since the last call, and begin again."""
         kept = self._values[:min(self.count, KEPT)]
         self.count = 0
-        if not kept:
+        if len(kept) == 0:
             return Quantiles(math.nan, math.nan, math.nan)
         p50, p99 = np.percentile(kept, (50.0, 99.0))
         return Quantiles(float(p50), float(p99), max(kept))
@@ -48,8 +49,8 @@ class Rhythm(NamedTuple):
     rate_hz: float
     jitter: float
     """Standard deviation of the time between two arrivals, s."""
-    age: float
-    """Mean of arrival minus stamp on the node's clock, s."""
+    age: Quantiles
+    """Of arrival minus stamp on the node's clock, s."""
 
 
 class Arrivals:
@@ -58,13 +59,13 @@ class Arrivals:
     def __init__(self) -> None:
         """Know of none."""
         self._last_ns = -1
+        self._ages = Window()
         self._clear()
 
     def _clear(self) -> None:
         """Begin to sum up again; the last arrival stays known."""
         self._count = self._intervals = 0
         self._sum = self._squares = 0.0
-        self._age = math.nan
 
     @property
     def last_ns(self) -> int:
@@ -76,8 +77,8 @@ class Arrivals:
         """Whether none came since they were last taken."""
         return self._count == 0
 
-    def add(self, arrival_ns: int) -> None:
-        """Note a message."""
+    def add(self, arrival_ns: int, age: float) -> None:
+        """Note a message and how old (s) it is."""
         if self._last_ns >= 0:
             interval = (arrival_ns - self._last_ns) * 1e-9
             self._intervals += 1
@@ -85,16 +86,14 @@ class Arrivals:
             self._squares += interval * interval
         self._last_ns = arrival_ns
         self._count += 1
-
-    def note_age(self, age: float) -> None:
-        """Note how old (s) a message was when it came."""
-        self._age = age
+        self._ages.add(age)
 
     def take(self) -> Rhythm:
         """Return how messages came since the last call, and begin again."""
-        count, age, n = self._count, self._age, self._intervals
+        count, n = self._count, self._intervals
         mean = self._sum / n if n else math.nan
         variance = self._squares / n - mean * mean if n else math.nan
         self._clear()
         rate = 1.0 / mean if n and mean > 0.0 else math.nan
-        return Rhythm(count, rate, math.sqrt(variance) if variance > 0.0 else 0.0, age)
+        jitter = math.sqrt(variance) if variance > 0.0 else 0.0
+        return Rhythm(count, rate, jitter, self._ages.take())

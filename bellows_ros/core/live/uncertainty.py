@@ -21,6 +21,7 @@ from typing import Any
 
 from bellows_ros.core.equilibrium import static_equilibrium
 from bellows_ros.core.kernels import (
+    Blocks,
     cup_wrench,
     CupTuple,
     ModelTuple,
@@ -78,7 +79,7 @@ class Uncertainty:
         slopes = linearise(model, ORIGIN, _rest(model))
         self._A = np.block([[np.zeros((6, 6)), np.eye(6)], [slopes.body_pose, slopes.body_twist]])
         self._tool_pose, self._tool_twist = slopes.tool_pose, slopes.tool_twist
-        self._step_of: dict[int, tuple[Array, Array]] = {}
+        self._step_of = (0, np.eye(12), np.zeros((12, 12)))  # the one used last
         self._noise_of: dict[int, Array] = {}
         self.forget()
 
@@ -142,14 +143,12 @@ class Uncertainty:
     def _step(self, duration_ns: int) -> tuple[Array, Array]:
         """Return exp(A h) and its integral, for a duration rounded to 0.1 ms."""
         key = max(1, round(duration_ns / 100_000))
-        if key not in self._step_of:
-            if len(self._step_of) > 64:
-                self._step_of.clear()
+        if key != self._step_of[0]:
             block = np.zeros((24, 24))
             block[:12, :12], block[:12, 12:] = self._A, np.eye(12)
             exponential = expm(block * key * 1e-4)
-            self._step_of[key] = exponential[:12, :12], exponential[:12, 12:]
-        return self._step_of[key]
+            self._step_of = key, exponential[:12, :12], exponential[:12, 12:]
+        return self._step_of[1:]
 
     def _noise_part(self) -> Array:
         """Return the covariance due to white noise of the tool's pose at the samples' period."""
@@ -199,9 +198,21 @@ def _uncertain_entries(
     """Return a unit cup and a standard deviation for each uncertain entry of K and P."""
     pairs = [(i, j) for i in range(6) for j in range(i, 6)]
     units = unit_cups(model[0][1], [_unit(i, j) for i, j in pairs])
-    std = [part[i, j] for part in (stiffness_std, damping_std) for i, j in pairs]
+    told = _at_most_whole(stiffness_std, model[0][2]), _at_most_whole(damping_std, model[0][3])
+    std = [part[i, j] for part in told for i, j in pairs]
     kept = [k for k, value in enumerate(std) if value > 0.0]
     return [units[k] for k in kept], np.array([std[k] for k in kept])
+
+
+def _at_most_whole(std: Array, blocks: Blocks) -> Array:
+    """
+    Return standard deviations (6, 6) of K or P that are no larger than its diagonal allows.
+
+    An entry of which an identification knows nothing has a huge one; the small motions about the
+    model hold for no more than entries as large as the roots of their two diagonal ones.
+    """
+    root = np.sqrt(np.concatenate([blocks[0][::4], blocks[2][::4]]))
+    return np.minimum(std, np.outer(root, root))
 
 
 def _unit(i: int, j: int) -> Array:

@@ -9,6 +9,7 @@ from bellows_ros.core.model import Cup, Package
 from hypothesis import given, HealthCheck, Phase, settings
 from hypothesis import strategies as st
 import numpy as np
+from numpy.testing import assert_allclose
 
 START = 1_760_000_000_000_000_000
 MS = 1_000_000
@@ -17,6 +18,7 @@ PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
 HEAVY = Package(25.0, np.diag([1.0, 1.0, 1.0]), (0.02, 0.0, -0.2))
 SOFT = Cup(0.1 * Cup.thesis().stiffness, 0.1 * Cup.thesis().damping, 0.0481)
 UPRIGHT, ZERO = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+STANDING, STANDING_PERIOD = 150, 25 * MS  # ten times as long as the swing takes to fade
 SEQUENCES, LENGTH = 200, 150  # 30,000, a third of them no messages
 sent = Counter()
 
@@ -86,8 +88,10 @@ class Attack:
 
 
 def check(live, predictions):
-    """All numbers finite, orientations rotations, queues bounded."""
+    """All numbers finite, orientations rotations, queues bounded, nothing said too far ahead."""
     for p in predictions:
+        ahead_ns = p.stamp_ns - live._screen.newest_ns
+        assert not p.coasting or 0 < ahead_ns <= live.coast_limit_ns
         numbers = [x for part in (*p.body, p.force, p.moment, *p.tool) for x in part]
         assert all(map(math.isfinite, numbers))
         assert abs(math.hypot(*p.quaternion_xyzw) - 1.0) < 1e-9
@@ -120,6 +124,19 @@ def test_nothing_breaks_the_predictor_and_it_comes_back(sequence):
     assert len(times) >= 300 - times[0] - 15  # poses may wait 20 ms for twists that stopped
     for out in good:
         check(live, out)
+    if sent['pose'] % 8 == 0:  # for some of them, as it takes its time
+        check_drift(live, stamp + 300 * PERIOD, attack.arrival + 301 * PERIOD)
+
+
+def check_drift(live, stamp, arrival):
+    """Where the tool stands, the package comes to rest where it would without the past."""
+    place, tool = (1.0, 2.0, 3.0), (0.6, 0.0, 0.0, 0.8)
+    for k in range(STANDING):
+        now = k * STANDING_PERIOD
+        out = live.on_pose(stamp + now, 'base', place, tool, arrival + now) or live.flush()
+    (expected,) = LivePredictor(Cup.thesis(), PLATE, 9.81).on_pose(stamp, 'base', place, tool)
+    assert_allclose(out[-1].position, expected.position, atol=1e-4)
+    assert abs(np.dot(out[-1].quaternion_xyzw, expected.quaternion_xyzw)) > 1.0 - 1e-6
 
 
 def test_so_many_messages_were_sent():

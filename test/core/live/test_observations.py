@@ -22,8 +22,8 @@ ZERO = (0.0, 0.0, 0.0)
 PACKAGE = {
     'package.mass': 2.0, 'package.inertia': (0.01, 0.02, 0.025, 0.0, 0.0, 0.0),
     'package.com': (0.0, 0.0, -0.03)}
-GOOD = Rhythm(500, 500.0, 1e-5, 1e-3)
-SILENT = Rhythm(0, math.nan, 0.0, math.nan)
+GOOD = Rhythm(500, 500.0, 1e-5, Quantiles(1e-3, 2e-3, 3e-3))
+SILENT = Rhythm(0, math.nan, 0.0, Quantiles(math.nan, math.nan, math.nan))
 
 
 def test_window_keeps_the_newest_and_begins_again():
@@ -39,14 +39,13 @@ def test_window_keeps_the_newest_and_begins_again():
 def test_rate_jitter_and_age():
     arrivals, rng = Arrivals(), np.random.default_rng(1)
     times = np.cumsum(rng.normal(2 * MS, 0.2 * MS, 2000)).astype(int)
-    for time in times:
-        arrivals.add(int(time))
-    arrivals.note_age(0.25)
+    for k, time in enumerate(times):
+        arrivals.add(int(time), 1e-3 * k)
     rhythm = arrivals.take()
     assert rhythm.messages == 2000
     assert_allclose(rhythm.rate_hz, 500.0, rtol=0.01)
     assert_allclose(rhythm.jitter, 0.2e-3, rtol=0.1)
-    assert rhythm.age == 0.25
+    assert_allclose(rhythm.age, (0.9995, 1.97901, 1.999))
     assert arrivals.take().messages == 0 and arrivals.last_ns == times[-1]
 
 
@@ -111,9 +110,9 @@ def test_box_of_an_inertia_is_the_box():
      'Set qos_overrides./tool.subscription.reliability'),
     ({'refused': {'nan': 3, 'jump': 0}}, Level.WARN, '3 of 500 messages refused: 3 nan.'),
     ({'refused': {'frame_id': 500}}, Level.ERROR, '500 of 500'),
-    ({'rhythm': GOOD._replace(age=5.0)}, Level.WARN, '5 s behind the clock'),
-    ({'rhythm': GOOD._replace(age=-2.0)}, Level.WARN, '2 s ahead of the clock'),
-    ({'rhythm': GOOD._replace(age=math.nan)}, Level.OK, 'Hz'),
+    ({'rhythm': GOOD._replace(age=Quantiles(*3 * [5.0]))}, Level.WARN, '5 s behind the clock'),
+    ({'rhythm': GOOD._replace(age=Quantiles(*3 * [-2.0]))}, Level.WARN, '2 s ahead of the clock'),
+    ({'rhythm': GOOD._replace(age=Quantiles(*3 * [math.nan]))}, Level.OK, 'Hz'),
 ])
 def test_words_on_an_input(seen, level, words):
     base = InputSeen('/tool', 1, '', GOOD, 3.0, {}, {'nan': 7})

@@ -115,6 +115,21 @@ def test_exact_knowledge_has_no_covariance():
     assert not uncertainty.covariance(base[100]).any()
 
 
+def test_an_entry_that_nobody_knows_is_no_more_uncertain_than_it_is_large():
+    """A cup file says 1e9 where an identification was told nothing."""
+    unknown = np.diag([1.0, 1.0, 1.0, 1e9, 1e9, 1e9])
+    whole = np.diag([1.0, 1.0, 1.0, *np.diag(THESIS.stiffness)[3:]])
+    live, out = predict()
+    found = []
+    for std in (unknown, whole):
+        uncertainty = Uncertainty(live.model, values(std))
+        for prediction in out[:200]:
+            covariance = uncertainty.covariance(prediction)
+        found.append(covariance)
+    assert_allclose(found[0], found[1], rtol=1e-12)  # the root of a square is off by rounding
+    assert np.all(np.isfinite(found[0]))
+
+
 def test_pose_covariance_is_turned_into_fixed_axes():
     quarter = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))  # about z: body x is world y
     turned = in_world_axes(np.diag([1.0, 4.0, 9.0, 16.0, 25.0, 36.0]), quarter)
