@@ -13,12 +13,12 @@ import importlib.util
 import os
 from pathlib import Path
 import shutil
-import socket
 import sys
 import tempfile
 import time
 from typing import Any
 
+from bellows_ros.demo.domain import isolate
 from bellows_ros.threads import keep_linear_algebra_single
 import hypothesis
 import pytest
@@ -28,46 +28,9 @@ keep_linear_algebra_single()
 ROOT = Path(__file__).resolve().parents[1]
 BOOTSTRAPPED = '_ROS_WHEELS_BOOTSTRAP_COMPLETE'
 
-# DDS on Linux: domains 1 to 101 keep clear of the ports that the system hands out by itself.
-DOMAINS = 101
-DDS_PORTS = (7400, 7410)  # of domain 0: multicast discovery, the first participant's unicast
-PORTS_PER_DOMAIN = 250
-
 NOT_IN_A_COPY = shutil.ignore_patterns(
     '.*_cache', '.git', '.hypothesis', '.venv*', '__pycache__', '*.egg-info', 'bags', 'build',
     'dist', 'install', 'log', 'test')
-
-
-def unused_domain() -> int:
-    """
-    Return a ROS domain in which nothing on this machine takes part.
-
-    The search starts at a domain of this process, so that runs started together differ.
-    """
-    for offset in range(DOMAINS):
-        domain = 1 + (os.getpid() + offset) % DOMAINS
-        if all(_is_free(port + PORTS_PER_DOMAIN * domain) for port in DDS_PORTS):
-            return domain
-    raise RuntimeError(f'All ROS domains from 1 to {DOMAINS} are in use on this machine.')
-
-
-def _is_free(port: int) -> bool:
-    """Tell whether no socket of this machine has the UDP port."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(('', port))
-        except OSError:
-            return False
-    return True
-
-
-def isolate_ros(log_directory: str) -> None:
-    """Keep discovery on this machine, in a domain of its own, and the logs out of the home."""
-    for name in ('ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER'):
-        os.environ.pop(name, None)
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    os.environ['ROS_DOMAIN_ID'] = str(unused_domain())
-    os.environ['ROS_LOG_DIR'] = log_directory
 
 
 def missing_library_paths() -> list[str]:
@@ -90,7 +53,7 @@ def _library_folders() -> list[Path]:
 
 
 LOGS = tempfile.TemporaryDirectory(prefix='bellows_ros_log_')
-isolate_ros(LOGS.name)
+isolate(LOGS.name)
 os.environ.setdefault('MPLBACKEND', 'Agg')
 hypothesis.settings.register_profile('suite', deadline=None, derandomize=True)
 hypothesis.settings.load_profile('suite')

@@ -20,6 +20,8 @@ from threading import Thread
 import time
 from typing import Any
 
+from bellows_ros.demo.domain import isolate
+
 PACKAGE = [
     '-p', 'package.mass:=2.17', '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
     '-p', 'package.com:=[0.0, 0.0, -0.03]',
@@ -39,12 +41,6 @@ WARM_UP = 0.1
 LARGEST_GROWTH = 1_000_000
 AMPLITUDE, FREQUENCY = 0.05, 1.0
 NS = 1_000_000_000
-
-
-def isolate() -> None:
-    """Keep all messages on this machine, in a domain of its own."""
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 101)
 
 
 @contextmanager
@@ -168,8 +164,9 @@ def main() -> int:
     parser.add_argument('--seconds', type=float, default=300.0)
     parser.add_argument('--rate', type=float, default=1000.0)
     given = parser.parse_args()
-    isolate()
-    return 0 if soak(given.seconds, given.rate) else 1
+    with tempfile.TemporaryDirectory() as logs:
+        isolate(logs)
+        return 0 if soak(given.seconds, given.rate) else 1
 
 
 if __name__ == '__main__':

@@ -1,12 +1,16 @@
 """The predictor that colcon installed, used as a user does: run, remap, set, manage, stop."""
 
 from collections.abc import Iterator
+import importlib.util
+import os
 from pathlib import Path
+import shutil
 import signal
 import subprocess
 from typing import Any
 
 import pytest
+import yaml
 
 from . import test_colcon
 from .test_colcon import Installed
@@ -21,6 +25,7 @@ PACKAGE = """
       inertia: [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]
       com: [0.0, 0.0, -0.03]
 """
+SOFT = [1000.0 if i == j else 0.0 for i in range(6) for j in range(6)]
 START = 1_700_000_000_000_000_000
 MS = 1_000_000
 
@@ -45,6 +50,19 @@ class User:
              str(self._file), *arguments],
             env=self._installed.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             text=True)
+
+    def launch(self, *arguments: str) -> None:
+        """Start it as `ros2 launch` does, where that is installed."""
+        if shutil.which('ros2') is None or importlib.util.find_spec('launch_ros') is None:
+            pytest.skip('ROS 2 launch is not here: neither it nor ros2cli is among the wheels')
+        environment = dict(self._installed.environment)
+        for name in ('AMENT_PREFIX_PATH', 'PYTHONPATH'):  # ours before those of ROS
+            environment[name] = os.pathsep.join(
+                [environment[name], *filter(None, [os.environ.get(name)])])
+        self.process = subprocess.Popen(
+            ['ros2', 'launch', 'bellows_ros', 'predictor.launch.py',
+             f'params_file:={self._file}', *arguments],
+            env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
     def stop(self, number: int) -> str:
         """Send a signal, and return the log of a process that has ended in order."""
@@ -134,16 +152,27 @@ def test_waits_for_its_manager_and_ends_from_any_state(number: int, user: User) 
     user.stop(number)
 
 
-def test_parameters_are_dumped_and_loaded(user: User, tmp_path: Path) -> None:
-    """Start again with all parameters as the running node shows them, and find the same."""
-    from bellows_ros.files.parameter_files import write_parameters
+def test_launch_file_starts_it(user: User) -> None:
+    """Predict in a cell's namespace from the driver's topic, started by the launch file."""
+    user.launch('namespace:=cell', 'tool_pose:=/driver/pose')
+    assert user.predictions('/driver/pose', '/cell/package/pose') == 5
+    assert user.process is not None
+    user.process.send_signal(signal.SIGINT)
+    out, log = user.process.communicate(timeout=30)
+    assert 'Traceback' not in out + log
 
-    user.start('-p', 'package.mass:=1.5', '-p', 'coast.limit:=0.05')
+
+def test_parameters_are_dumped_and_loaded(user: User, tmp_path: Path) -> None:
+    """Start again from a dump of the running node, find the same, and load the dump into it."""
+    user.start('-p', 'package.mass:=1.5', '-p', 'coast.limit:=0.05', '-p', 'cup.name:=soft',
+               '-p', f'cups.soft.stiffness:={SOFT}',
+               '-p', 'qos_overrides./tool_arm/pose.subscription.depth:=7')
     shown = dump(user)
-    assert shown['package.mass'] == 1.5
+    assert (shown['package.mass'], shown['cup.name']) == (1.5, 'soft')
+    assert shown['qos_overrides./tool_arm/pose.subscription.depth'] == 7
     user.stop(signal.SIGINT)
     written = tmp_path / 'dump.yaml'
-    write_parameters(written, shown)
+    written.write_text(yaml.dump({'/predictor': {'ros__parameters': nested(shown)}}))
     user.start('--params-file', str(written))
     assert dump(user) == shown
     results = load(user, shown)
@@ -152,25 +181,37 @@ def test_parameters_are_dumped_and_loaded(user: User, tmp_path: Path) -> None:
 
 
 def dump(user: User) -> dict[str, Any]:
-    """Return all parameters of the table that the node shows, as `ros2 param dump` does."""
-    from bellows_ros.core.parameters import parameters_of
-    from rcl_interfaces.srv import GetParameters
+    """Return all parameters that the node shows, as `ros2 param dump` does."""
+    from rcl_interfaces.srv import GetParameters, ListParameters
     from rclpy.parameter import parameter_value_to_python
 
-    names = [p.name for p in parameters_of('predictor')]
-    answer = user.call('/predictor/get_parameters', GetParameters, GetParameters.Request(
-        names=names))
+    listed = user.call('/predictor/list_parameters', ListParameters, ListParameters.Request())
+    names = sorted(listed.result.names)
+    answer = user.call(
+        '/predictor/get_parameters', GetParameters, GetParameters.Request(names=names))
     values = map(parameter_value_to_python, answer.values)
-    return {n: tuple(v) if hasattr(v, 'typecode') else v
+    return {n: list(v) if hasattr(v, 'typecode') else v
             for n, v in zip(names, values, strict=True)}
+
+
+def nested(values: dict[str, Any]) -> dict[str, Any]:
+    """Return values by the parts of their names."""
+    tree: dict[str, Any] = {}
+    for name, value in values.items():
+        *groups, leaf = name.split('.')
+        branch = tree
+        for group in groups:
+            branch = branch.setdefault(group, {})
+        branch[leaf] = value
+    return tree
 
 
 def load(user: User, values: dict[str, Any]) -> list[Any]:
     """Set all parameters, as `ros2 param load` does."""
-    from bellows_ros.nodes.parameters import ros_parameter
     from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
 
-    messages = [ros_parameter(name, value).to_parameter_msg() for name, value in values.items()]
+    messages = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
     answer = user.call('/predictor/set_parameters', SetParameters, SetParameters.Request(
         parameters=messages))
     return list(answer.results)

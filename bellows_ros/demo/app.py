@@ -3,7 +3,6 @@
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 import importlib.util
-import os
 from pathlib import Path
 import sys
 import tempfile
@@ -25,7 +24,7 @@ from bellows_ros.workflows.recordings import Loaded
 from bellows_ros.workflows.replay import compare
 import numpy as np
 
-from .domain import isolated
+from .domain import isolate
 from .predictor_process import predictor
 from .summary import Outcome, summary
 
@@ -96,6 +95,7 @@ def run(bags: Path, out: Path, console: Console) -> int:
     console.say()
     names = [*PICTURES.values(), 'cup.yaml', 'fit.json']
     console.say(f'Wrote {", ".join(names)} to {out}, after {time.monotonic() - start:.0f} s.')
+    console.say('Next, look at a recording of yours: bellows info BAG')
     return OK if outcome.lost == 0 else NOT_USABLE
 
 
@@ -179,9 +179,7 @@ def predict_live(recorded: Loaded, out: Path, progress: Progress) -> 'Exchange':
 
     """
     with tempfile.TemporaryDirectory(prefix='bellows_log_') as logs:
-        environment = isolated(os.environ, logs)
-        os.environ.clear()
-        os.environ.update(environment)
+        isolate(logs)
         from bellows_ros.nodes.demo_player import Player
 
         with predictor([out / 'cup.yaml'], out / 'predictor.log') as require_alive:

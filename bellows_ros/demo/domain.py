@@ -1,6 +1,5 @@
-"""Keep a demonstration's ROS on this machine and to itself."""
+"""Keep ROS on this machine and to itself: for demonstrations and tests."""
 
-from collections.abc import Mapping
 import os
 import socket
 
@@ -14,21 +13,23 @@ PORTS_PER_DOMAIN = 250
 # What else could let discovery reach other machines.
 _REACHING_OUT = ('ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER')
 
+# Held until this process ends, so that of two that look for a domain at once none takes the
+# other's before ROS runs in it.
+_reserved: list[socket.socket] = []
 
-def isolated(environment: Mapping[str, str], log_folder: str) -> dict[str, str]:
-    """Return the environment with a ROS domain nobody here uses, and kept to this machine."""
-    kept = {name: value for name, value in environment.items() if name not in _REACHING_OUT}
-    return {
-        **kept,
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'ROS_DOMAIN_ID': str(unused_domain()),
-        'ROS_LOG_DIR': log_folder,
-    }
+
+def isolate(log_folder: str) -> None:
+    """Give this process and its children a ROS domain nobody here uses, on this machine only."""
+    for name in _REACHING_OUT:
+        os.environ.pop(name, None)
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    os.environ['ROS_DOMAIN_ID'] = str(unused_domain())
+    os.environ['ROS_LOG_DIR'] = log_folder
 
 
 def unused_domain() -> int:
     """
-    Return a ROS domain in which nothing on this machine takes part.
+    Return a ROS domain in which nothing on this machine takes part, and keep it for this process.
 
     The search starts at a domain of this process, so that runs started together differ.
 
@@ -40,7 +41,7 @@ def unused_domain() -> int:
     """
     for offset in range(DOMAINS):
         domain = 1 + (os.getpid() + offset) % DOMAINS
-        if all(_is_free(port + PORTS_PER_DOMAIN * domain) for port in PORTS):
+        if all(_is_free(port + PORTS_PER_DOMAIN * domain) for port in PORTS) and _reserve(domain):
             return domain
     raise BellowsError(
         f'All ROS domains from 1 to {DOMAINS} are in use on this machine. End other ROS programs.'
@@ -54,4 +55,16 @@ def _is_free(port: int) -> bool:
             probe.bind(('', port))
         except OSError:
             return False
+    return True
+
+
+def _reserve(domain: int) -> bool:
+    """Take a name that only one process of this machine can have, and tell whether it did."""
+    name = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        name.bind(f'\0bellows_ros domain {domain}')  # abstract: it vanishes with the process
+    except OSError:
+        name.close()
+        return False
+    _reserved.append(name)
     return True

@@ -29,6 +29,8 @@ class Attachment:
     ----------
     held : bool
         Whether the cup holds the package, as far as is known.
+    signal : SensorInput or None
+        The vacuum signal, where one is asked for.
 
     """
 
@@ -44,11 +46,11 @@ class Attachment:
             node.create_service(Trigger, 'package/attach', self._on_attach),
             node.create_service(Trigger, 'package/detach', self._on_detach),
         ]
-        self._signal: SensorInput | None = None
+        self.signal: SensorInput | None = None
         if signal == 'bool':
-            self._signal = SensorInput(node, Bool, 'vacuum/held', self._on_held)
+            self.signal = SensorInput(node, Bool, 'vacuum/held', self._on_held)
         elif signal == 'pressure':
-            self._signal = SensorInput(
+            self.signal = SensorInput(
                 node, FluidPressure, 'vacuum/pressure', self._on_pressure)
 
     def set_values(self, values: Mapping[str, Any]) -> None:
@@ -65,31 +67,29 @@ class Attachment:
 
     def _answer(self, response: Trigger.Response, held: bool, words: str) -> Trigger.Response:
         """Do what a service was asked for."""
-        response.success = self._set(held, 'service')
+        response.success = self._change(held, 'service')
         response.message = words if response.success else 'The node is not active.'
+        if response.success:
+            self.held = held
         return response
 
     def _on_held(self, message: Bool) -> None:
         """Follow a vacuum switch."""
-        if message.data != self.held:
-            self._set(message.data, 'vacuum')
+        self._follow(message.data)
 
     def _on_pressure(self, message: FluidPressure) -> None:
         """Follow the pressure in the cup."""
-        held = self._switch.held(message.fluid_pressure, self.held)
-        if held != self.held:
-            self._set(held, 'vacuum')
+        self._follow(self._switch.held(message.fluid_pressure, self.held))
 
-    def _set(self, held: bool, why: str) -> bool:
-        """Attach or detach, and remember it if it is done."""
-        done = self._change(held, why)
-        if done:
+    def _follow(self, held: bool) -> None:
+        """Do as the vacuum says; a node that is not active yet does so when it is."""
+        if held != self.held:
             self.held = held
-        return done
+            self._change(held, 'vacuum')
 
     def destroy(self) -> None:
         """Serve and listen no more."""
         for service in self._services:
             self._node.destroy_service(service)
-        if self._signal:
-            self._signal.destroy()
+        if self.signal:
+            self.signal.destroy()

@@ -7,7 +7,6 @@ right is said without a traceback and ends with 2.
 """
 
 from collections.abc import Callable, Sequence
-import gc
 import importlib.util
 import signal
 import sys
@@ -119,9 +118,11 @@ def _run_node(load_node: Callable[[], Callable[[], Any]], argv: list[str], stop:
     make_node = load_node()
     import rclpy
 
+    from .spinning import spin
+
     try:
         _initialise(argv)
-        _spin(make_node(), stop)
+        spin(make_node(), lambda: stop.asked)
     finally:
         rclpy.try_shutdown()
 
@@ -134,24 +135,8 @@ def _initialise(argv: list[str]) -> None:
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of all errors of rcl
-        what = str(error).partition(', at /')[0].removeprefix('failed to initialize rcl: ')
+        what = str(error).partition(', at /')[0].rstrip('.').removeprefix(
+            'failed to initialize rcl: ')
         same = 'Sequence should be of same type' in what
         hint = ' Write all numbers of a list alike: 2.0, not 2.' if same else ''
         raise BellowsError(f'ROS cannot start with these arguments: {what}.{hint}') from None
-
-
-def _spin(node: Any, stop: _Stop) -> None:
-    """Let a node work to its end; its timers see to it that a signal is noticed soon."""
-    from rclpy.executors import SingleThreadedExecutor
-
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    gc.freeze()  # what exists now stays: the collector need not look at it while messages come
-    try:
-        while not (stop.asked or node.finished.done()):
-            executor.spin_once()
-        if node.finished.done():
-            node.finished.result()
-    finally:
-        node.close()
-        executor.shutdown()

@@ -4,6 +4,7 @@ Turn ROS messages into the core's tuples, and predictions into ROS messages.
 Stamps are integer nanoseconds; a round trip through them changes nothing.
 """
 
+from operator import attrgetter
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -18,6 +19,14 @@ from ..core.live.health import Status
 from ..core.live.load import deflection, deflection_rotation
 from ..core.live.uncertainty import in_world_axes
 from ..core.tuples import Quaternion, Vector
+
+TOOL_POSES = {
+    'pose': (PoseStamped, attrgetter('pose.position', 'pose.orientation')),
+    'transform': (
+        TransformStamped, attrgetter('transform.translation', 'transform.rotation')),
+    'odometry': (Odometry, attrgetter('pose.pose.position', 'pose.pose.orientation')),
+}
+"""By the name of the parameter tool_pose.type: the message, and what is in it."""
 
 NANOSECONDS = 1_000_000_000
 NO_STAMP = 0

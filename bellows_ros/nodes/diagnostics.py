@@ -6,7 +6,9 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from .attachment import Attachment
 from .conversions import diagnostic
 from .reports import InputReport
 from .tool_inputs import SensorInput
@@ -17,6 +19,7 @@ from ..core.live.health import (
     prediction_status,
     PredictionSeen,
     Status,
+    vacuum_status,
 )
 from ..core.live.load import Load
 from ..core.live.timing import Window
@@ -40,7 +43,9 @@ class Diagnostics:
     def __init__(self, node: Any) -> None:
         """Advertise."""
         self._node = node
-        self._publisher = node.create_publisher(DiagnosticArray, TOPIC, QoSProfile(depth=10))
+        self._publisher = node.create_publisher(
+            DiagnosticArray, TOPIC, QoSProfile(depth=10),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
         self.compute = Window()
         self._clear()
 
@@ -52,10 +57,10 @@ class Diagnostics:
 
     def watch(
         self, live: LivePredictor, pose: SensorInput, twist: SensorInput,
-        values: Mapping[str, Any],
+        attachment: Attachment, values: Mapping[str, Any],
     ) -> None:  # fmt: skip
         """Report on this predictor and its inputs from now on."""
-        self._live, self._inputs = live, (pose, twist)
+        self._live, self._inputs, self._attachment = live, (pose, twist), attachment
         self._restarts = dict(live.restarts)
         self._report = InputReport(live)
         self.set_values(values)
@@ -98,6 +103,9 @@ class Diagnostics:
             of_twists.pop('twist_unpaired')  # no fault where twists come more often than poses
             lines.append(input_status(f'{name}: tool pose', pose.seen(of_poses)))
             lines.append(input_status(f'{name}: tool twist', twist.seen(of_twists), optional=True))
+            if signal := self._attachment.signal:
+                lines.append(vacuum_status(
+                    f'{name}: vacuum', signal.seen({}), self._attachment.held))
             lines.append(load_status(
                 f'{name}: load', *self.load.take(), self.load.limits_known,
                 self.load.envelope_known))  # fmt: skip

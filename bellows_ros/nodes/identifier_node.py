@@ -1,5 +1,6 @@
 """The node that finds a cup's stiffness and damping in recordings, and shows them."""
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future as Work
 from threading import Thread
@@ -15,6 +16,7 @@ from rclpy.task import Future
 from .parameters import ros_parameter, TableNode
 from ..core.parameters import Value
 from ..errors import BellowsError
+from ..report.build import write_page
 from ..workflows.identify import identify, save
 
 TICK = 0.1
@@ -22,6 +24,8 @@ LONGEST_WAIT = 10.0
 """How long (s) the predictor is waited for."""
 
 FOUND = ('cup.stiffness', 'cup.damping')
+SHOWN = ('cup.length', *FOUND)
+"""Parameters that are there when the work is done."""
 
 
 class IdentifierNode(TableNode):
@@ -47,9 +51,10 @@ class IdentifierNode(TableNode):
 
     def __init__(self, **options: Any) -> None:
         """Start the work."""
-        super().__init__('identifier', read_only=True, results=FOUND, **options)
+        super().__init__('identifier', read_only=True, results=SHOWN, **options)
         self.finished: Future = Future()
-        self._stage = self._said = ''
+        self._stages: deque[str] = deque()
+        self._said = ''
         self._work: Work[Any] = Work()
         _require_bags(self.values, self.destroy_node)
         Thread(target=self._do_work, args=(dict(self.values),), daemon=True).start()
@@ -63,13 +68,15 @@ class IdentifierNode(TableNode):
         try:
             result = identify(settings, self._note_progress)
             save(result, settings['output.parameters'], settings['output.json'])
+            if settings['output.report']:
+                write_page(result, settings['output.report'])
             self._work.set_result(result)
         except Exception as error:  # noqa: BLE001 (it is raised again where the node ends)
             self._work.set_exception(error)
 
     def _note_progress(self, stage: str, fraction: float) -> None:
-        """Remember what is being done."""
-        self._stage = stage
+        """Remember what is being done, step by step."""
+        self._stages.append(stage)
 
     # ------------------------------------------------------------- in the executor
 
@@ -83,21 +90,31 @@ class IdentifierNode(TableNode):
 
     def _await_work(self) -> None:
         """Say what is being done, and show the result as soon as it is there."""
-        if self._stage != self._said:
-            self._said = self._stage
-            self.get_logger().info(self._said)
+        while self._stages:
+            stage = self._stages.popleft()
+            if stage != self._said:
+                self._said = stage
+                self.get_logger().info(stage)
         if self._work.done():
             self._show(self._work.result())
 
     def _show(self, result: Any) -> None:
         """Make the result parameters of this node and go on to the predictor."""
+        for line in result.findings:
+            self.get_logger().info(line)
+        for warning in result.warnings:
+            self.get_logger().warning(warning)
+        if not result.fit.usable:
+            raise BellowsError(' '.join(result.fit.warnings))
+        self.values = {**self.values, 'cup.length': result.values['cup.length']}
+        self.declare_from_table('cup.length', self.values['cup.length'])
         for name, matrix in zip(FOUND, (result.fit.stiffness, result.fit.damping), strict=True):
             value = tuple(float(x) for x in np.ravel(matrix))
             self.values = {**self.values, name: value}
             self.declare_from_table(name, value)
             diagonal = ', '.join(f'{x:.5g}' for x in value[::7])
             self.get_logger().info(f'{name}: diagonal {diagonal}')
-        for name in ('output.parameters', 'output.json'):
+        for name in ('output.parameters', 'output.json', 'output.report'):
             if self.values[name]:
                 self.get_logger().info(f'Wrote {self.values[name]}.')
         if self.values['predictor']:
@@ -110,7 +127,7 @@ class IdentifierNode(TableNode):
     def _send(self) -> None:
         """Set the cup on the predictor as soon as it is there."""
         if self._client.services_are_ready():
-            cup = [ros_parameter(name, self.values[name]) for name in ('cup.length', *FOUND)]
+            cup = [ros_parameter(name, self.values[name]) for name in SHOWN]
             self._answer = self._client.set_parameters_atomically(cup)
             self._step = self._await_answer
         else:

@@ -23,9 +23,10 @@ from .conversions import (
 from .markers import gone, Picture
 from ..core.kernels import ModelTuple
 from ..core.live import Prediction
+from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import Uncertainty
 
-QUEUE = 100
+QUEUE = 500
 NOMINAL = '_nominal'
 """Added to the name of the lip's frame: where the lip is without load."""
 
@@ -111,8 +112,15 @@ class Outputs:
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Go on with another cup or package."""
         self._model, self._values = model, values
-        self._uncertainty: Uncertainty | None = None  # made when somebody wants to know
+        self._uncertainty = Uncertainty(model, values)
         self._picture = Picture(values)
+        self._warm_up()
+
+    def _warm_up(self) -> None:
+        """Compile what is shown of a prediction, so that nothing compiles when one comes."""
+        still = Prediction(1, *ORIGIN, ZERO, ZERO)
+        write_deflection(PoseStamped(), '', self._model, still)
+        Picture(self._values).of('', self._model, still)
 
     def publish(self, prediction: Prediction, frame_id: str) -> None:
         """Send a prediction; a message is serialised at once and can be used again."""
@@ -147,8 +155,6 @@ class Outputs:
 
     def _publish_odometry(self, prediction: Prediction, frame_id: str) -> None:
         """Send pose and twist with their covariance."""
-        if self._uncertainty is None:
-            self._uncertainty = Uncertainty(self._model, self._values)
         message = Odometry()
         write_odometry(
             message, frame_id, self._values['frames.package'], prediction,

@@ -94,7 +94,8 @@ class TableNode(Node):
     Raises
     ------
     BellowsError
-        If a name is unknown, a value is not allowed, or one without a default is missing.
+        If a name is unknown, a value is not allowed, one without a default is missing, or ROS
+        refuses the node, as where it is to be secured and cannot.
 
     """
 
@@ -106,12 +107,12 @@ class TableNode(Node):
         **options: Any,
     ) -> None:
         """Declare all parameters, with what files and the command line say about them."""
-        super().__init__(user, start_parameter_services=False, **options)
+        self._join(user, options)
         self._read_only = read_only
         try:
             self._take_given()
             for parameter in table.parameters_of(user):
-                if parameter.name not in results:
+                if parameter.name in self.values and parameter.name not in results:
                     self.declare_from_table(parameter.name, self.values[parameter.name])
             for name in self.values:
                 if table.NAMED_CUP.fullmatch(name) and user in table.lookup(name).used_by:
@@ -157,6 +158,14 @@ class TableNode(Node):
             initial = _TYPES[parameter.kind]
         described = descriptor(parameter, self._read_only)
         self.declare_parameter(name, initial, described, ignore_override=True)
+
+    def _join(self, user: str, options: dict[str, Any]) -> None:
+        """Take part in ROS, or say in words why that cannot be."""
+        try:
+            super().__init__(user, start_parameter_services=False, **options)
+        except RuntimeError as error:  # the base of all errors of rcl
+            why = ' '.join(str(error).partition(', at /')[0].split())
+            raise BellowsError(f"ROS cannot make the node '{user}': {why}.") from None
 
     def _take_given(self) -> None:
         """Check what files and the command line say, and fill in the defaults."""
@@ -284,7 +293,7 @@ def _as_double(parameter: Parameter) -> Parameter:
 def _require_package(given: Mapping[str, object]) -> None:
     """Refuse to start without the package, and show the file to write."""
     missing = [name for name in table.PACKAGE_PARAMETERS if name not in given]
-    if not missing:
+    if not missing or given.get('package.files'):
         return
     lines = [
         f'    {p.name}: {p.example}  # {p.unit}. {p.description}'

@@ -15,7 +15,8 @@ INTERFACE = Interface(
     ),
     topics=(
         ('tool_arm/pose', 'geometry_msgs/PoseStamped, subscribed',
-         'Pose of the tool tip E in the world, m.'),
+         'Pose of the tool tip E in the world, m; TransformStamped or Odometry with '
+         'tool_pose.type.'),
         ('tool_arm/twist', 'geometry_msgs/TwistStamped, subscribed, optional',
          'Velocity of the tool tip, m/s, and angular velocity, rad/s, in the axes that '
          'tool_twist.frame names; paired with the pose by stamp. Without it they are estimated '

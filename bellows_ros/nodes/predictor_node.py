@@ -4,7 +4,7 @@ from collections.abc import Iterable
 import time
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import TwistStamped
 from rclpy.clock import Clock, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -14,7 +14,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from .attachment import Attachment
-from .conversions import quaternion_xyzw, stamp_to_ns, vector
+from .conversions import quaternion_xyzw, stamp_to_ns, TOOL_POSES, vector
 from .diagnostics import Diagnostics
 from .outputs import Outputs
 from .parameters import TableNode, Values
@@ -27,15 +27,17 @@ from ..core.live.vacuum import check_thresholds
 from ..core.model import cup_of, package_of
 from ..errors import BellowsError
 
-TICK = 0.01
-IDLE_TICKS = 4
+TICK = 0.02
+"""Time (s) between two looks at what does not come; each costs as much as a message."""
+
+IDLE_TICKS = 2
 """
-After so many ticks (s) in a row without a message no pose waits for its twist any longer.
+After so many ticks in a row without a message no pose waits for its twist any longer.
 
 One would not do: after a pause of the machine the timer comes before the messages that wait.
 """
 
-LOAD_TICKS = 5
+LOAD_TICKS = 3
 """Every so many ticks the cup's deflection is compared with what its identification has seen."""
 
 REPORT_PERIOD = 1.0
@@ -124,14 +126,15 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         live = LivePredictor(*model)
         warm_up_uncertainty(live.model, values)
         self._outputs = Outputs(self, values)
-        self._pose_in = SensorInput(self, PoseStamped, 'tool_arm/pose', self._on_pose)
+        kind, self._pose_of = TOOL_POSES[values['tool_pose.type']]
+        self._pose_in = SensorInput(self, kind, 'tool_arm/pose', self._on_pose)
         self._twist_in = SensorInput(
             self, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
         self._attachment = Attachment(self, values, self._attach)
         self._reset = self.create_service(Trigger, '~/reset', self._on_reset)
         self._live = live
         self._apply(values)
-        self._diagnostics.watch(live, self._pose_in, self._twist_in, values)
+        self._diagnostics.watch(live, self._pose_in, self._twist_in, self._attachment, values)
         self._say_model(values)
         for name in self.unmatched_qos_overrides():
             self.get_logger().warning(f"No topic of this node takes the QoS override '{name}'.")
@@ -206,17 +209,18 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
 
     # --------------------------------------------------------------- messages
 
-    def _on_pose(self, message: PoseStamped) -> None:
+    def _on_pose(self, message: Any) -> None:
         """Predict with a pose of the tool."""
         if not self._active:
             return
-        header, pose, arrival_ns = message.header, message.pose, time.monotonic_ns()
+        header, arrival_ns = message.header, time.monotonic_ns()
+        position, orientation = self._pose_of(message)
         stamp_ns = stamp_to_ns(header.stamp)
         self._pose_in.note(arrival_ns, stamp_ns)
         self._publish(
             self._live.on_pose(
-                stamp_ns, header.frame_id, vector(pose.position),
-                quaternion_xyzw(pose.orientation), arrival_ns,
+                stamp_ns, header.frame_id, vector(position), quaternion_xyzw(orientation),
+                arrival_ns,
             )
         )  # fmt: skip
         self._diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
@@ -346,3 +350,9 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         self._active = False
         self._clean_up()
         self.destroy_node()
+
+    def destroy_node(self) -> None:
+        """Leave the graph; rclpy forgets the state machine, which would keep the node there."""
+        super().destroy_node()
+        if hasattr(self, '_state_machine'):  # not where the parameters were refused
+            self._state_machine.destroy_when_not_in_use()

@@ -5,7 +5,9 @@ from typing import Any
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import read_result
 from bellows_ros.nodes.predictor_node import PredictorNode
+from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -13,6 +15,14 @@ from rclpy.parameter import Parameter
 
 pytest.importorskip('bellows_ros.workflows.identify')
 
+RESTING = {
+    'kind': 'static', 'rest_duration': 1.5,
+    'static': {'move': 0.5, 'hold': 2.0, 'poses': [
+        {'rpy': [0.3, 0.0, 0.0]}, {'rpy': [0.0, 0.3, 0.0]}]},
+    'tool': {'rate_hz': 100.0, 'noise': {'position': 2e-5, 'rotation': 5e-5},
+             'twist': {'publish': False}},
+    'package': {'rate_hz': 100.0, 'noise': {'position': 5e-5, 'rotation': 2e-4}},
+}
 PACKAGE = {
     'package.mass': 2.17,
     'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
@@ -80,3 +90,59 @@ def test_absent_predictor_is_said(
     with pytest.raises(BellowsError, match="could not be set on '/elsewhere'"):
         node.finished.result()
     assert node.has_parameter('cup.stiffness')
+
+
+def test_all_that_the_command_can_do_the_node_can(
+        ros: Any, root: Path, tmp_path: Path) -> None:
+    """Give packages in files, standstills, structures, validation and a page as parameters."""
+    cup = read_parameters(root / 'bags/cup.yaml')
+    bags, files = [], []
+    for number, mass in enumerate((0.8, 1.6)):
+        bags.append(str(tmp_path / f'm{number}'))
+        simulate_recording({**cup, 'package.mass': mass}, RESTING, bags[-1])
+        files.append(str(tmp_path / f'm{number}.yaml'))
+        Path(files[-1]).write_text(f'package:\n  mass: {mass}\n')
+    node = make(
+        ros, bags=[str(root / 'bags/identification')], cup__length=0.045,
+        package__files=[str(root / 'bags/package.yaml')],
+        topics__tool_pose='/tool_arm/pose', topics__package_pose='/package/pose',
+        static__bags=bags, static__files=files, static__length=True,
+        fit__compare_structures=True, validation__bags=[str(root / 'bags/validation')],
+        package__mass=1.8, package__inertia=list(cup['package.inertia']),
+        output__json=str(tmp_path / 'fit.json'), output__report=str(tmp_path / 'page.html'),
+        exit_when_done=True)
+    assert ros.spin_until(node.finished.done, 120.0)
+    assert node.finished.result() is None
+    assert abs(node.get_parameter('cup.length').value - cup['cup.length']) < 1e-4
+    content = read_result(tmp_path / 'fit.json')
+    assert content['static']['standstills'] == 6
+    assert content['ladder']['advised'] == 'axisymmetric'
+    assert content['validations'][0]['above_limit'] == []
+    assert content['recordings'][0]['package']['mass'] == 1.8
+    assert 'At rest</h2>' in (tmp_path / 'page.html').read_text()
+
+
+def test_packages_in_files_are_enough(ros: Any, root: Path) -> None:
+    """Start without package.* where each recording has a file of its own."""
+    from bellows_ros.nodes.identifier_node import IdentifierNode
+
+    given = {'bags': [str(root / 'bags/validation')],
+             'package.files': [str(root / 'bags/package.yaml')],
+             'topics.tool_pose': '/tool_arm/pose', 'topics.package_pose': '/package/pose',
+             'cup.length': 0.046}
+    node = IdentifierNode(context=ros.context, parameter_overrides=[
+        Parameter(name, value=value) for name, value in given.items()])
+    ros.executor.add_node(node)
+    assert not node.has_parameter('package.mass')
+    assert ros.spin_until(lambda: node.has_parameter('cup.stiffness'), 60.0)
+
+
+def test_a_cup_that_cannot_be_ends_the_node_with_the_reason(ros: Any, root: Path) -> None:
+    """Take a length that is wrong by millimetres: the package would push the cup."""
+    node = make(
+        ros, bags=[str(root / 'bags/validation')], topics__tool_pose='/tool_arm/pose',
+        topics__package_pose='/package/pose', cup__length=0.049)
+    assert ros.spin_until(node.finished.done, 60.0)
+    with pytest.raises(BellowsError, match='not positive definite'):
+        node.finished.result()
+    assert not node.has_parameter('cup.stiffness')

@@ -81,6 +81,12 @@ class Manager:
         return bool(self.writer.get_subscription_count()) and all(
             reader.get_publisher_count() for reader in self.readers)
 
+    def take_what_is_under_way(self) -> None:
+        """Forget messages that were sent before, in whatever order the topics bring them."""
+        while self.heard:
+            self.heard.clear()
+            self.ros.spin_until(lambda: bool(self.heard), 0.1)
+
     def hears(self) -> bool:
         """Send poses and tell whether all topics answer."""
         self.heard.clear()
@@ -118,7 +124,7 @@ def test_every_transition(make_predictor: Callable[..., Any], manager: Manager) 
         assert manager.hears()
         assert manager.change(Transition.TRANSITION_DEACTIVATE)
         assert manager.ros.spin_until(lambda: manager.states[-1:] == ['inactive'])
-        manager.heard.clear()
+        manager.take_what_is_under_way()
         manager.send()
         assert manager.change(Transition.TRANSITION_CLEANUP)
         assert manager.state() == 'unconfigured' and manager.heard == []
@@ -135,6 +141,20 @@ def test_shutdown_while_active(make_predictor: Callable[..., Any], manager: Mana
     assert manager.ros.spin_until(lambda: not manager.node.count_publishers('/package/pose'))
 
 
+def test_a_node_that_is_closed_leaves_the_graph(
+        make_predictor: Callable[..., Any], manager: Manager) -> None:
+    """Leave nothing of it behind, while this process still holds the object."""
+    node = make_predictor()
+
+    def names() -> set[str]:
+        return set(manager.node.get_node_names())
+
+    assert manager.ros.spin_until(lambda: 'predictor' in names())
+    manager.ros.executor.remove_node(node)
+    node.close()
+    assert manager.ros.spin_until(lambda: 'predictor' not in names())
+
+
 def test_configuring_checks_what_has_been_set_since(
         make_predictor: Callable[..., Any], manager: Manager) -> None:
     """Use the parameters as they stand when it is configured."""
@@ -148,12 +168,14 @@ def test_configuring_checks_what_has_been_set_since(
 
 def test_package_comes_and_goes(make_predictor: Callable[..., Any], manager: Manager) -> None:
     """Predict only while it is attached, and say so."""
-    make_predictor()
+    node = make_predictor()
     assert manager.hears()
     assert manager.trigger('/package/detach').success
     assert manager.ros.spin_until(lambda: manager.states[-1] == 'detached')
-    manager.heard.clear()
-    manager.send()
+    manager.take_what_is_under_way()
+    before = node._live.poses_in
+    manager.send(20)
+    assert manager.ros.spin_until(lambda: node._live.poses_in == before + 20)
     answer = manager.trigger('/package/attach')
     assert answer.success and set(manager.heard) <= {'package/markers'}  # that takes them away
     assert manager.hears()
@@ -176,6 +198,25 @@ def test_vacuum_attaches_and_detaches(
         writer.publish(Bool(data=held) if signal == 'bool' else FluidPressure(
             fluid_pressure=30e3 if held else 101e3))
         assert manager.ros.spin_until(lambda held=held: node._live.attached is held)
+    assert manager.hears()
+
+
+def test_vacuum_that_came_before_the_node_was_active_counts(
+        make_predictor: Callable[..., Any], manager: Manager) -> None:
+    """Take a switch that speaks only when it changes at its last word, by an override."""
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from std_msgs.msg import Bool
+
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    manager.node.create_publisher(Bool, 'vacuum/held', latched).publish(Bool(data=True))
+    of_switch = 'qos_overrides./vacuum/held.subscription'
+    node = make_predictor({
+        **PACKAGE, 'vacuum.signal': 'bool', 'autostart': False,
+        f'{of_switch}.reliability': 'reliable', f'{of_switch}.durability': 'transient_local'})
+    assert manager.change(Transition.TRANSITION_CONFIGURE)
+    assert manager.ros.spin_until(lambda: node._attachment.held)
+    assert manager.change(Transition.TRANSITION_ACTIVATE)
+    assert node._live.attached
     assert manager.hears()
 
 

@@ -1,11 +1,13 @@
 """Parameters of the nodes: declared from the table, refused in words, changed all or nothing."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from bellows_ros.core.model import Cup
 from bellows_ros.core.parameters import parameters_of
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import read_parameters, write_parameters
 import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -218,3 +220,21 @@ def test_unmatched_qos_override_is_said(
     """Warn about an override that no topic takes; a misspelt one is silent in ROS."""
     make_predictor({**PACKAGE, 'qos_overrides./tool_arm/poze.subscription.depth': 5})
     assert "'qos_overrides./tool_arm/poze.subscription.depth'" in capfd.readouterr().err
+
+
+def test_file_with_named_cups_comes_back_from_a_node(
+        make_predictor: Callable[..., Any], tmp_path: Path) -> None:
+    """Start from a file that was written, show what it says, and start from what is shown."""
+    given = {**PACKAGE, 'cup.name': 'soft', 'cups.soft.stiffness': K, 'cups.soft.length': 0.05,
+             'cups.hard.stiffness': THESIS.stiffness.ravel().tolist(), 'coast.limit': 0.05}
+    written, shown = tmp_path / 'cups.yaml', given
+    for _ in range(2):
+        write_parameters(written, shown)
+        assert read_parameters(written).keys() >= given.keys()
+        node = make_predictor({}, cli_args=['--ros-args', '--params-file', str(written)])
+        for name, value in given.items():
+            got = node.get_parameter(name).value
+            assert (list(got) if isinstance(value, list) else got) == value
+        assert used(node)[0][0][0] == K[0]
+        shown = node.values
+        node.close()

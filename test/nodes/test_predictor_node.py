@@ -8,6 +8,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from .conftest import PACKAGE
+
 MS = 1_000_000
 START = 1_700_000_000_123_456_789  # ns; a stamp that no double can hold
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
@@ -73,6 +75,37 @@ def test_poses_alone_are_enough(make_partner: Callable[..., Any]) -> None:
         partner.wait_for_poses(step + 1)
 
     assert partner.predictor._live.twists_estimated == 5
+
+
+@pytest.mark.parametrize('kind', ['pose', 'transform', 'odometry'])
+def test_the_pose_may_come_in_each_type_that_drivers_send(
+        kind: str, make_predictor: Callable[..., Any], ros: Any) -> None:
+    """Predict the same from PoseStamped, TransformStamped and Odometry."""
+    from geometry_msgs.msg import PoseStamped, TransformStamped
+    from nav_msgs.msg import Odometry
+    from rclpy.node import Node
+
+    make_predictor({**PACKAGE, 'tool_pose.type': kind})
+    node, answers = Node('driver', context=ros.context), []
+    ros.executor.add_node(node)
+    reader = node.create_subscription(PoseStamped, 'package/pose', answers.append, 10)
+    message = {'pose': PoseStamped, 'transform': TransformStamped, 'odometry': Odometry}[kind]()
+    writer = node.create_publisher(type(message), 'tool_arm/pose', 10)
+    assert ros.spin_until(
+        lambda: reader.get_publisher_count() and writer.get_subscription_count())
+    message.header.frame_id, message.header.stamp.sec = 'base', 1_700_000_000
+    part = {'pose': 'pose', 'transform': 'transform', 'odometry': 'pose'}[kind]
+    pose = getattr(message, part)
+    pose = pose.pose if kind == 'odometry' else pose
+    place = pose.translation if kind == 'transform' else pose.position
+    turn = pose.rotation if kind == 'transform' else pose.orientation
+    place.x, place.y, place.z = 1.0, 2.0, 3.0
+    turn.z, turn.w = 0.6, 0.8
+    writer.publish(message)
+    assert ros.spin_until(lambda: len(answers) == 1)
+    stretched = LENGTH + MASS * GRAVITY / AXIAL
+    assert_allclose(
+        numbers(answers), [[1.0, 2.0, 3.0 - stretched - DEPTH, 0.0, 0.0, 0.6, 0.8]], atol=1e-12)
 
 
 def test_pose_does_not_wait_long_for_a_lost_twist(make_partner: Callable[..., Any]) -> None:
@@ -216,6 +249,38 @@ def test_qos_can_be_overridden(make_predictor: Callable[..., Any]) -> None:
     published = {p.topic_name: p.qos_profile.reliability for p in node.publishers}
     for topic in ('/package/pose', '/package/twist', '/cup/wrench'):
         assert published[topic] == ReliabilityPolicy.RELIABLE
+
+
+@pytest.mark.parametrize('signal', ['bool', 'pressure'])
+def test_qos_of_every_topic_can_be_overridden(
+        signal: str, make_predictor: Callable[..., Any]) -> None:
+    """Declare reliability and depth of all that the node itself makes."""
+    node = make_predictor({**PACKAGE, 'vacuum.signal': signal})
+    of_ros = {'/parameter_events', '/rosout'}
+    ends = [(end, 'subscription') for end in node.subscriptions]
+    ends += [(end, 'publisher') for end in node.publishers]
+    topics = {(end.topic_name, kind) for end, kind in ends if end.topic_name not in of_ros}
+    assert len(topics) >= 11
+    for topic, kind in topics:
+        for policy in ('reliability', 'depth', *(['durability'] * (kind == 'subscription'))):
+            assert node.has_parameter(f'qos_overrides.{topic}.{kind}.{policy}'), topic
+
+
+def test_recording_that_begins_again_is_followed(
+        make_partner: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+    """Notice a loop of a bag by its stamps, start from rest, and say so."""
+    partner = make_partner(with_twists=False)
+    for _ in range(3):
+        for step in range(50):
+            partner.send_pose(START + step * 20 * MS, (1e-3 * step, 0.0, 0.0))
+        partner.ros.spin_until(lambda: partner.predictor._live.waiting == 0)
+    partner.wait_for_inputs(150)
+    live = partner.predictor._live
+    assert live.restarts['clock_set_back'] == 2
+    assert live.refused['backward_stamp'] * 20 * MS <= 2 * 200 * MS  # of each loop's beginning
+    partner.wait_for_poses(150 - sum(live.refused.values()))
+    partner.predictor._say_report()
+    assert 'a recording started again' in capfd.readouterr().err
 
 
 def test_cup_too_soft_for_the_package_is_said_once(

@@ -1,7 +1,9 @@
-"""The SROS 2 policy against the graph: all that the nodes use, and no more."""
+"""The SROS 2 policy against the graph: all that the nodes use, and no more; nothing unsecured."""
 
 from collections.abc import Callable
 from pathlib import Path
+import subprocess
+import sys
 from typing import Any
 from xml.etree import ElementTree
 
@@ -11,6 +13,8 @@ from .conftest import PACKAGE
 
 ROS_OPTIONAL = {'/tf', '/clock', '/parameter_events', '/vacuum/held', '/vacuum/pressure',
                 '/rosout'}  # fmt: skip
+ENCLAVE = ('identity_ca.cert.pem', 'cert.pem', 'key.pem', 'permissions_ca.cert.pem',
+           'governance.p7s', 'permissions.p7s')  # fmt: skip
 
 
 def permitted(root: Path, node: str) -> dict[tuple[str, str], set[str]]:
@@ -51,8 +55,7 @@ def test_policy_of_the_predictor_is_exact(
     """Permit what the graph shows; what the policy holds beyond is used in other settings."""
     node = make_predictor({**PACKAGE, 'vacuum.signal': signal})
     allowed = permitted(root, 'predictor')
-    if not ros.spin_until(lambda: all(in_graph(node).values()), 10.0):
-        pytest.skip('DDS discovery on this machine does not show the node to itself in time')
+    assert ros.spin_until(lambda: all(in_graph(node).values()))
     for key, used in in_graph(node).items():
         assert used <= allowed[key]
         unused = allowed[key] - used
@@ -71,3 +74,26 @@ def test_policy_of_the_identifier_is_enough(root: Path, ros: Any) -> None:
     allowed = permitted(root, 'identifier')
     for key, used in in_graph(node).items():
         assert used <= allowed[key]
+
+
+@pytest.mark.parametrize('enclave', [False, True], ids=['no keystore', 'nothing signed'])
+@pytest.mark.parametrize('name', ['predictor', 'identifier'])
+def test_what_is_to_be_secured_and_cannot_be_does_not_start(
+        name: str, enclave: bool, root: Path, tmp_path: Path,
+        user_environment: dict[str, str]) -> None:
+    """End with 2 and the reason, rather than run in the clear: where DDS has no security too."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    folder = tmp_path / 'enclaves' / 'bellows_ros' / name
+    if enclave:
+        folder.mkdir(parents=True)
+        for file in ENCLAVE:
+            (folder / file).write_text('neither key nor signature')
+    parameters = [word for key, value in PACKAGE.items() for word in ('-p', f'{key}:={value}')]
+    done = subprocess.run(
+        [sys.executable, '-m', f'bellows_ros.nodes.{name}', '--ros-args', '--enclave',
+         f'/bellows_ros/{name}', *parameters],
+        env={**user_environment, 'ROS_SECURITY_ENABLE': 'true',
+             'ROS_SECURITY_STRATEGY': 'Enforce', 'ROS_SECURITY_KEYSTORE': str(tmp_path)},
+        cwd=root, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2, done.stderr
+    assert 'security' in done.stderr.lower() and 'Traceback' not in done.stderr

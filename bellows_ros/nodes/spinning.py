@@ -1,0 +1,89 @@
+"""
+Spin a node to its end: woken by each message, and with the garbage collector between them.
+
+An executor of rclpy that waits builds the list of everything it waits for anew after each
+callback, which takes more time than the callback itself; one that is woken by events does not.
+`docs/performance.md` has the numbers of both.
+"""
+
+from collections.abc import Callable
+import gc
+import time
+from typing import Any
+
+from rclpy.executors import SingleThreadedExecutor
+
+LONGEST_WAIT = 0.1
+"""So late (s) at most is it noticed that the process is asked to end."""
+
+COLLECT_EVERY = 1.0
+"""Time (s) between two runs of the garbage collector."""
+
+
+def executor_for(node: Any) -> Any:
+    """
+    Return an executor that holds a node and can spin it, woken by events where that works.
+
+    It came with rclpy 7.1.4. It takes no guard conditions, and not every middleware can call back;
+    it says so with a RuntimeError as soon as it is spun.
+    """
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        return _waiting(node)
+    executor = EventsExecutor(context=node.context)
+    executor.add_node(node)
+    try:
+        executor.spin_once(timeout_sec=0.0)
+    except RuntimeError:
+        executor.shutdown()
+        return _waiting(node)
+    return executor
+
+
+def _waiting(node: Any) -> SingleThreadedExecutor:
+    """Return the executor that every rclpy has."""
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    return executor
+
+
+def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
+    """
+    Let a node work until it has finished or is asked to stop, and close it.
+
+    What exists at the beginning is never looked at by the collector again, and it runs only here,
+    between two callbacks, never within one. `EventsExecutor.spin` is not used: it would not let
+    Python see a signal, and never calls back where the C++ library overflows on an endless wait.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        With a future `finished`, whose exception is raised here, and a method `close`.
+    is_asked_to_stop : callable
+        Looked at after each callback, and every `LONGEST_WAIT`.
+
+    """
+    executor = executor_for(node)
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        _spin(executor, node, is_asked_to_stop)
+        if node.finished.done():
+            node.finished.result()
+    finally:
+        gc.enable()
+        gc.unfreeze()
+        executor.shutdown()
+        node.close()
+
+
+def _spin(executor: Any, node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
+    """Do one thing after the other, and collect garbage now and then."""
+    due = time.monotonic() + COLLECT_EVERY
+    while not (is_asked_to_stop() or node.finished.done()):
+        executor.spin_once(timeout_sec=LONGEST_WAIT)
+        if time.monotonic() > due:
+            gc.collect()
+            due = time.monotonic() + COLLECT_EVERY

@@ -1,0 +1,118 @@
+"""A flood of messages at 20 kHz, valid or not, at a predictor in a process of its own."""
+
+from collections.abc import Iterator
+import math
+import os
+from pathlib import Path
+import subprocess
+import sys
+import time
+from typing import Any
+
+import pytest
+
+from .conftest import PACKAGE
+
+RATE, COUNT = 20_000, 12_000
+LARGEST_GROWTH = 1_000_000  # bytes
+MS = 1_000_000
+START = 1_700_000_000_000_000_000
+KINDS = ('valid', 'valid', 'not finite', 'standing stamp', 'not readable')
+"""The first one warms up what a flood needs."""
+
+
+class Victim:
+    """A predictor in another process, and what is sent to it."""
+
+    def __init__(self, ros: Any, process: 'subprocess.Popen[str]') -> None:
+        """Join the graph and wait for the other."""
+        from geometry_msgs.msg import PoseStamped
+        from rclpy.node import Node
+
+        self.ros, self.process = ros, process
+        self._node = Node('driver', context=ros.context)
+        ros.executor.add_node(self._node)
+        self._pose = PoseStamped()
+        self._pose.header.frame_id = 'base'
+        self._pose.pose.orientation.w = 1.0
+        self._ns = START
+        self.answers: list[int] = []
+        reader = self._node.create_subscription(
+            PoseStamped, 'package/pose', self._take, 3 * COUNT)
+        self._writer = self._node.create_publisher(PoseStamped, 'tool_arm/pose', 10)
+        assert ros.spin_until(
+            lambda: reader.get_publisher_count() and self._writer.get_subscription_count(), 60.0)
+
+    def _take(self, message: Any) -> None:
+        """Keep the stamp of an answer, which must be finite."""
+        assert math.isfinite(message.pose.position.x + message.pose.orientation.w)
+        self.answers.append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+
+    def send(self, after_ns: int, x: float = 0.0) -> None:
+        """Send a pose with a stamp so much later than the last."""
+        self._ns += after_ns
+        self._pose.header.stamp.sec, self._pose.header.stamp.nanosec = divmod(self._ns, 10**9)
+        self._pose.pose.position.x = x
+        self._writer.publish(self._pose)
+
+    def flood(self, kind: str) -> float:
+        """Send many messages of a kind, and return how many a second it was."""
+        from rclpy.serialization import serialize_message
+
+        unreadable = serialize_message(self._pose)[:-20]
+        begin = time.monotonic()
+        for k in range(COUNT):
+            if k % 100 == 0:
+                time.sleep(max(0.0, begin + k / RATE - time.monotonic()))
+            if kind == 'not readable':
+                self._writer.publish(unreadable)
+            else:
+                self.send(0 if kind == 'standing stamp' else 50_000,
+                          math.nan if kind == 'not finite' else 0.0)
+        return COUNT / (time.monotonic() - begin)
+
+    def is_back(self) -> bool:
+        """Send poses at 500 Hz, and tell whether each is answered from 0.2 s on."""
+        self.ros.spin_until(lambda: False, 0.3)  # what is in the queues is worked off
+        sent = []
+        for _ in range(150):
+            self.send(2 * MS)
+            sent.append(self._ns)
+            self.ros.spin_until(lambda: False, 0.002)
+        expected = set(sent[100:])
+        return bool(self.ros.spin_until(lambda: expected <= set(self.answers[-200:])))
+
+    def memory(self) -> int:
+        """Return how many bytes of memory the predictor has."""
+        pages = int(Path(f'/proc/{self.process.pid}/statm').read_text().split()[1])
+        return pages * os.sysconf('SC_PAGE_SIZE')
+
+
+@pytest.fixture
+def victim(ros: Any, root: Path, user_environment: dict[str, str]) -> Iterator[Victim]:
+    """Give a predictor that runs."""
+    parameters = [word for key, value in PACKAGE.items() for word in ('-p', f'{key}:={value}')]
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *parameters],
+        env=user_environment, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        text=True)
+    try:
+        yield Victim(ros, process)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_flood_neither_kills_nor_grows_nor_leaves_a_trace(victim: Victim) -> None:
+    """Survive each flood with the memory it had, and answer each pose afterwards."""
+    memory, rates = [], []
+    for kind in KINDS:
+        rates.append(victim.flood(kind))
+        assert victim.process.poll() is None, kind
+        assert any(victim.is_back() for _ in range(3)), kind  # messages are best effort
+        memory.append(victim.memory())
+    assert max(memory) - memory[0] < LARGEST_GROWTH, memory
+    print('messages a second:', [round(rate) for rate in rates], 'memory:', memory)
+    victim.process.terminate()
+    log, _ = victim.process.communicate(timeout=20)
+    assert victim.process.returncode == 0 and 'Traceback' not in log, log

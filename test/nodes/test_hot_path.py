@@ -1,0 +1,148 @@
+"""What a message costs once the predictor is active: no import, no compiling, no more memory."""
+
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+# A process of its own: in this one other tests have imported and compiled everything already.
+SCRIPT = """
+import gc, json, sys, time, tracemalloc
+import rclpy
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from nav_msgs.msg import Odometry
+from visualization_msgs.msg import MarkerArray
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from bellows_ros.core import jit
+from bellows_ros.nodes.predictor_node import PredictorNode
+from bellows_ros.nodes.spinning import executor_for
+
+VALUES = {
+    'package.mass': 2.17, 'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
+    'package.com': [0.0, 0.0, -0.03], 'cup.max_force': 100.0, 'cup.max_moment': 10.0,
+    'cup.stiffness_std': [100.0] * 36, 'cup.damping_std': [1.0] * 36, 'coast.limit': 0.2,
+}
+OUTPUTS = {
+    'package/pose': PoseStamped, 'package/twist': TwistStamped, 'cup/wrench': WrenchStamped,
+    'package/odometry': Odometry, 'cup/deflection': PoseStamped, 'package/markers': MarkerArray,
+}
+STEP_NS = 2_000_000
+
+rclpy.init()
+partner = Node('partner')
+heard = dict.fromkeys(OUTPUTS, 0)
+def listen(topic):
+    def hear(message):
+        heard[topic] += 1
+    return partner.create_subscription(OUTPUTS[topic], topic, hear, 1000)
+readers = [listen(topic) for topic in OUTPUTS]
+pose_out = partner.create_publisher(PoseStamped, 'tool_arm/pose', 1000)
+twist_out = partner.create_publisher(TwistStamped, 'tool_arm/twist', 1000)
+predictor = PredictorNode(
+    parameter_overrides=[Parameter(name, value=value) for name, value in VALUES.items()])
+executors = [executor_for(node) for node in (predictor, partner)]
+
+def spin_until(true, what):
+    end = time.monotonic() + 30.0
+    while not true():
+        if time.monotonic() > end:
+            sys.exit('waited in vain for ' + what)
+        for executor in executors:
+            executor.spin_once(timeout_sec=0.001)
+
+def wanted():
+    topics = predictor._outputs._topics[:6]
+    return all(topic.wanted for topic in topics) and predictor._live.expect_twists
+
+sent = 0
+def send(count):
+    global sent
+    for _ in range(count):
+        sent += 1
+        stamp = 1_700_000_000 * 10**9 + sent * STEP_NS
+        for message, out in ((PoseStamped(), pose_out), (TwistStamped(), twist_out)):
+            message.header.frame_id = 'world'
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
+            if out is pose_out:
+                message.pose.position.x = 1e-3 * (sent % 7)
+                message.pose.orientation.w = 1.0
+            out.publish(message)
+        spin_until(lambda: heard['package/pose'] >= sent, 'an answer')
+
+def pause():
+    spin_until(lambda: predictor._outputs._said == 'lost', 'the pause')
+
+def signatures():
+    kernels = {}
+    for module in [m for name, m in sys.modules.items() if name.startswith('bellows_ros')]:
+        for name, thing in vars(module).items():
+            if hasattr(thing, 'signatures'):
+                kernels[getattr(module, '__name__'), name] = len(thing.signatures)
+    return kernels
+
+def held():
+    spin_until(lambda: predictor._diagnostics.compute.count == 0, 'a report')
+    gc.collect()
+    taken = tracemalloc.take_snapshot().filter_traces(
+        [tracemalloc.Filter(True, '*/bellows_ros/*')])
+    return sum(trace.size for trace in taken.traces)
+
+spin_until(wanted, 'the topics')
+predictor._say_report()
+modules, compiled = set(sys.modules), signatures()
+send(300)
+pause()
+send(100)
+predictor._say_report()
+new_modules = sorted(set(sys.modules) - modules)
+newly_compiled = sorted(key for key, n in signatures().items() if compiled.get(key) != n)
+tracemalloc.start()
+send(200)
+before = held()
+send(600)
+after = held()
+print(json.dumps({
+    'compiled': jit.COMPILED, 'kernels': sum(compiled.values()), 'modules': new_modules,
+    'newly compiled': newly_compiled, 'grown': after - before, 'heard': heard,
+    'twists estimated': predictor._live.twists_estimated, 'coasted': predictor._live.coasted,
+}))
+"""
+
+
+@pytest.fixture(scope='module')
+def found(root: Path) -> dict[str, Any]:
+    """Give what a process has found out about a predictor that it holds."""
+    environment = {**os.environ, 'PYTHONPATH': str(root)}
+    done = subprocess.run(
+        [sys.executable, '-P', '-c', SCRIPT], env=environment, capture_output=True, text=True,
+        timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return result
+
+
+def test_all_of_it_has_been_tried(found: dict[str, Any]) -> None:
+    """Have every topic answer, a twist for every pose, and a pause bridged."""
+    assert min(found['heard'].values()) >= 20 and found['coasted'] > 0
+    assert found['heard']['package/pose'] == 1200
+
+
+def test_nothing_is_imported(found: dict[str, Any]) -> None:
+    """Load every module before the first message."""
+    assert found['modules'] == []
+
+
+def test_nothing_is_compiled(found: dict[str, Any]) -> None:
+    """Compile every kernel for every kind of argument before the first message."""
+    assert found['newly compiled'] == []
+    assert bool(found['kernels']) is found['compiled']
+
+
+def test_nothing_is_kept(found: dict[str, Any]) -> None:
+    """Hold after 600 more messages what was held before, to within their last few."""
+    assert found['grown'] < 10_000

@@ -1,0 +1,240 @@
+"""How a node is spun: by events and by waiting, to an orderly end, with the collector held off."""
+
+from collections.abc import Callable, Iterator
+import gc
+import sys
+from threading import Event, Thread
+from types import FrameType
+from typing import Any
+
+from bellows_ros.nodes.spinning import executor_for, spin
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+import pytest
+from std_srvs.srv import Trigger
+
+from .conftest import PACKAGE
+
+MS = 1_000_000
+START = 1_700_000_000_000_000_000
+HAVE_EVENTS = False
+try:
+    import rclpy.experimental
+    HAVE_EVENTS = hasattr(rclpy.experimental, 'EventsExecutor')
+except ImportError:
+    pass
+without_events = pytest.mark.skipif(
+    not HAVE_EVENTS, reason='this rclpy is older than 7.1.4: it has no executor woken by events')
+
+
+@pytest.fixture(params=[pytest.param('events', marks=without_events), 'waiting'])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Give the name of a way to spin, and leave no other."""
+    if request.param == 'waiting':
+        monkeypatch.setitem(sys.modules, 'rclpy.experimental', None)
+    return str(request.param)
+
+
+@pytest.fixture
+def spun(ros: Any, way: str) -> Iterator[Callable[[Any], Thread]]:
+    """Give a function that spins a node as its command does, until the test is over."""
+    stop, threads = Event(), []
+
+    def start(node: Any) -> Thread:
+        threads.append(Thread(target=spin, args=(node, stop.is_set), daemon=True))
+        threads[-1].stop = stop.set
+        threads[-1].start()
+        return threads[-1]
+
+    yield start
+    stop.set()
+    for thread in threads:
+        thread.join(20.0)
+        assert not thread.is_alive()
+
+
+class Cell:
+    """A predictor that is spun by itself, and another node that talks with it."""
+
+    def __init__(self, ros: Any, spun: Callable[[Any], Thread]) -> None:
+        """Start both."""
+        from bellows_ros.nodes.predictor_node import PredictorNode
+        from diagnostic_msgs.msg import DiagnosticArray
+        from geometry_msgs.msg import PoseStamped, TwistStamped
+        from nav_msgs.msg import Odometry
+        from rclpy.node import Node
+        from rclpy.parameter import Parameter
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from std_msgs.msg import String
+
+        overrides = [Parameter(name, value=value) for name, value in PACKAGE.items()]
+        self.ros, self.node = ros, Node('partner', context=ros.context)
+        ros.executor.add_node(self.node)
+        self.predictor = PredictorNode(context=ros.context, parameter_overrides=overrides)
+        self.thread = spun(self.predictor)
+        self.poses: list[Any] = []
+        self.odometry: list[Any] = []
+        self.states: list[str] = []
+        self.diagnostics: list[Any] = []
+        make = self.node.create_subscription
+        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.readers = [
+            make(PoseStamped, 'package/pose', self.poses.append, 1000),
+            make(Odometry, 'package/odometry', self.odometry.append, 1000),
+            make(String, 'package/state', lambda m: self.states.append(m.data), latched),
+            make(DiagnosticArray, '/diagnostics', self.diagnostics.append, 10),
+        ]
+        self.pose_writer = self.node.create_publisher(PoseStamped, 'tool_arm/pose', 1000)
+        self.twist_writer = self.node.create_publisher(TwistStamped, 'tool_arm/twist', 1000)
+        assert ros.spin_until(self._is_connected)
+        self._sent = 0
+
+    def _is_connected(self) -> bool:
+        """Tell whether every topic has found its other end, and the predictor knows."""
+        outputs, live = self.predictor._outputs, self.predictor._live
+        return bool(
+            all(writer.get_subscription_count() for writer in (
+                self.pose_writer, self.twist_writer))
+            and all(reader.get_publisher_count() for reader in self.readers)
+            and outputs._odometry.wanted and live.expect_twists)
+
+    def send(self, count: int) -> None:
+        """Send poses with twists, and wait for the last answer."""
+        from geometry_msgs.msg import PoseStamped, TwistStamped
+
+        before = len(self.poses)
+        for _ in range(count):
+            self._sent += 1
+            pose, twist = PoseStamped(), TwistStamped()
+            for message in (pose, twist):
+                message.header.frame_id = 'world'
+                stamp = message.header.stamp
+                stamp.sec, stamp.nanosec = divmod(START + self._sent * 2 * MS, 10**9)
+            pose.pose.orientation.w = 1.0
+            self.pose_writer.publish(pose)
+            self.twist_writer.publish(twist)
+        assert self.ros.spin_until(lambda: len(self.poses) == before + count), (
+            f'{len(self.poses) - before} of {count} answers')
+
+    def call(self, service: str, kind: Any, request: Any) -> Any:
+        """Call a service and return its answer."""
+        client = self.node.create_client(kind, service)
+        assert self.ros.spin_until(client.service_is_ready), service
+        future = client.call_async(request)
+        assert self.ros.spin_until(future.done), service
+        return future.result()
+
+
+@pytest.fixture
+def cell(ros: Any, spun: Callable[[Any], Thread]) -> Cell:
+    """Give a predictor and its partner."""
+    return Cell(ros, spun)
+
+
+def test_everything_works(cell: Cell) -> None:
+    """Predict, coast, fall silent, report, change parameters, change state, and end."""
+    from rclpy.parameter import Parameter
+    from rclpy.parameter_client import AsyncParameterClient
+
+    cell.send(100)
+    assert cell.predictor._live.twists_estimated == 0
+    assert cell.ros.spin_until(lambda: cell.states[-1] == 'lost')
+    assert cell.ros.spin_until(lambda: len(cell.odometry) > 100)  # it has been extrapolated
+    assert cell.ros.spin_until(lambda: bool(cell.diagnostics))
+    client = AsyncParameterClient(cell.node, 'predictor')
+    assert cell.ros.spin_until(client.services_are_ready)
+    future = client.set_parameters([Parameter('package.mass', value=1.5)])
+    assert cell.ros.spin_until(future.done)
+    assert future.result().results[0].successful and cell.predictor._live.model[1][0] == 1.5
+    assert cell.call('/predictor/reset', Trigger, Trigger.Request()).success
+    cell.send(10)
+    for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        assert cell.call('/predictor/change_state', ChangeState, request).success
+    cell.thread.stop()
+    assert cell.ros.spin_until(lambda: 'predictor' not in cell.node.get_node_names())
+
+
+def test_collector_strikes_between_callbacks_only(
+        cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the collector be as eager as it can be: it still never runs within a callback."""
+    struck: list[set[str]] = []
+
+    def note(phase: str, info: dict[str, int]) -> None:
+        frame: FrameType | None = sys._getframe(1)
+        names = set()
+        while frame is not None:
+            names.add(frame.f_code.co_qualname)
+            frame = frame.f_back
+        struck.append(names)
+
+    usual = gc.get_threshold()
+    gc.set_threshold(1, 1, 1)
+    gc.callbacks.append(note)
+    try:
+        cell.send(100)
+        assert cell.ros.spin_until(lambda: bool(struck))  # the one that is meant
+        cell.send(100)
+    finally:
+        gc.callbacks.remove(note)
+        gc.set_threshold(*usual)
+    assert not [names for names in struck if any('PredictorNode' in name for name in names)]
+    assert all('_spin' in names for names in struck)
+
+
+def test_collector_is_given_back(ros: Any, way: str) -> None:
+    """Collect as before when the node has ended, however it ends."""
+    from rclpy.node import Node
+    from rclpy.task import Future
+
+    class Short(Node):
+
+        closed = False
+
+        def close(self) -> None:
+            self.closed = True
+            self.destroy_node()
+
+    node = Short('short', context=ros.context)
+    node.finished = Future()
+    node.finished.set_exception(ValueError('boom'))
+    with pytest.raises(ValueError, match='boom'):
+        spin(node, lambda: False)
+    assert node.closed and gc.isenabled() and gc.get_freeze_count() == 0
+
+
+def test_error_in_a_callback_comes_out(ros: Any, way: str) -> None:
+    """Let an unforeseen error end the node, and not be lost in an executor."""
+    from rclpy.node import Node
+    from rclpy.task import Future
+
+    class Broken(Node):
+
+        def close(self) -> None:
+            self.destroy_node()
+
+    def fail() -> None:
+        raise ZeroDivisionError('once')
+
+    node = Broken('broken', context=ros.context)
+    node.finished = Future()
+    node.create_timer(0.01, fail)
+    with pytest.raises(ZeroDivisionError, match='once'):
+        spin(node, lambda: False)
+
+
+@without_events
+def test_what_events_cannot_serve_is_waited_for(ros: Any) -> None:
+    """Fall back where the executor woken by events refuses a node."""
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+
+    node, called = Node('guarded', context=ros.context), []
+    guard = node.create_guard_condition(lambda: called.append(True))
+    executor = executor_for(node)
+    assert isinstance(executor, SingleThreadedExecutor) and node.executor is executor
+    guard.trigger()
+    executor.spin_once(timeout_sec=5.0)
+    assert called
+    executor.shutdown()
+    node.destroy_node()

@@ -1,0 +1,77 @@
+"""The package's frame on tf, with the real message where its definition can be built."""
+
+from collections.abc import Callable, Iterator
+import importlib.util
+from pathlib import Path
+import sys
+from typing import Any
+
+from numpy.testing import assert_allclose
+import pytest
+
+from . import tf2_interface
+from .conftest import PACKAGE
+
+START = 1_700_000_000_000_000_000
+MS = 1_000_000
+
+
+@pytest.fixture(scope='module')
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build tf2_msgs once."""
+    if missing := tf2_interface.missing():
+        pytest.skip(f'tf2_msgs is not here and cannot be built: {missing}')
+    return tf2_interface.build(tmp_path_factory.mktemp('tf2'))
+
+
+@pytest.fixture
+def tf2_msgs(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """Give the messages of tf: installed ones, or those that are built, for one test."""
+    if importlib.util.find_spec('tf2_msgs') is None:
+        monkeypatch.syspath_prepend(str(request.getfixturevalue('built')))
+    import tf2_msgs.msg
+
+    yield tf2_msgs.msg
+    monkeypatch.undo()
+    for name in [name for name in sys.modules if name.partition('.')[0] == 'tf2_msgs']:
+        del sys.modules[name]
+
+
+def test_tf_shows_the_package_where_the_pose_has_it(
+        make_partner: Callable[..., Any], tf2_msgs: Any) -> None:
+    """Send the transform from the tool's frame to the package's for every prediction."""
+    partner = make_partner({**PACKAGE, 'frames.package': 'box'}, with_twists=False)
+    got: list[Any] = []
+    reader = partner.node.create_subscription(tf2_msgs.TFMessage, '/tf', got.append, 100)
+    assert partner.ros.spin_until(reader.get_publisher_count)
+    assert partner.ros.spin_until(lambda: partner.predictor._outputs._tf.wanted)
+    for k in range(20):  # the tool starts to move, so that no two poses are alike
+        partner.send_pose(START + k * MS, (0.001 * k * k * 1e-3, 0.0, 0.5))
+    partner.wait_for_poses(20)
+    assert partner.ros.spin_until(lambda: len(got) == 20)
+
+    assert {len(message.transforms) for message in got} == {1}
+    for message, pose in zip(got, partner.poses, strict=True):
+        (shown,) = message.transforms
+        assert shown.header == pose.header
+        assert shown.child_frame_id == 'box'
+        assert shown.transform.rotation == pose.pose.orientation
+        at, expected = shown.transform.translation, pose.pose.position
+        assert_allclose((at.x, at.y, at.z), (expected.x, expected.y, expected.z), rtol=0, atol=0)
+    assert len({message.transforms[0].transform.translation.x for message in got}) > 10
+
+
+def test_tf_can_be_left_to_others(make_predictor: Callable[..., Any], tf2_msgs: Any) -> None:
+    """Advertise no /tf where frames.tf says so."""
+    node = make_predictor({**PACKAGE, 'frames.tf': False})
+    assert '/tf' not in {publisher.topic_name for publisher in node.publishers}
+
+
+@pytest.mark.skipif(importlib.util.find_spec('tf2_msgs') is not None, reason='tf2_msgs is here')
+def test_missing_tf_is_said_and_missed_by_nothing_else(
+        make_partner: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+    """Say what is missing, and predict."""
+    partner = make_partner(with_twists=False)
+    partner.send_pose(START)
+    partner.wait_for_poses(1)
+    assert 'No tf2_msgs here' in capfd.readouterr().err
