@@ -40,17 +40,18 @@ def run(short: bool) -> dict[str, Any]:
     if importlib.util.find_spec('rclpy') is None:
         return {'missing': "ROS 2 is not here; pip install 'bellows_ros[ros]'"}
     cases = [(rate, twists) for rate in RATES[short] for twists in (False, True)]
-    found = []
+    found: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         for rate, twists in cases:
             parts: dict[str, list[dict[str, Any]]] = {name: [] for name in NODES}
             for _ in range(ROUNDS[short]):
                 for name in NODES:
                     parts[name].append(_measured(name, rate, SECONDS[short], twists, Path(folder)))
-            found += [_figures(name, rate, twists, runs) for name, runs in parts.items()]
+            found += _figures(parts, rate, twists, SECONDS[short])
         if not short:
-            runs = [_measured('predictor', max(RATES[short]), LONG, True, Path(folder))]
-            found.append(_figures('predictor, for a minute', max(RATES[short]), True, runs))
+            rate = max(RATES[short])
+            parts = {name: [_measured(name, rate, LONG, True, Path(folder))] for name in NODES}
+            found += _figures(parts, rate, True, LONG)
     return {'runs': found}
 
 
@@ -97,15 +98,25 @@ def _process(
             process.wait()
 
 
-def _figures(name: str, rate: int, twists: bool, runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the figures of repeated runs: medians of each run's percentiles."""
+def _figures(
+    parts: Mapping[str, list[dict[str, Any]]], rate: int, twists: bool, seconds: float
+) -> list[dict[str, Any]]:
+    """Return the figures of each node's repeated runs."""
+    return [
+        {
+            'node': name, 'rate_hz': rate, 'twists': twists, 'seconds': seconds,
+            'runs': len(runs), **_medians(runs),
+        }
+        for name, runs in parts.items()
+    ]  # fmt: skip
+
+
+def _medians(runs: list[dict[str, Any]]) -> dict[str, float]:
+    """Return the medians of each run's percentiles and processor time, and what was lost."""
     percentiles = np.array([np.percentile(run['latency'], [50.0, 99.0, 99.9]) for run in runs])
     p50, p99, p999 = np.median(percentiles, axis=0).tolist()
     per_pose = [run['processor_seconds'] / max(run['answered'], 1) for run in runs]
     return {
-        'node': name,
-        'rate_hz': rate,
-        'twists': twists,
         'p50': p50,
         'p99': p99,
         'p99.9': p999,
@@ -113,5 +124,4 @@ def _figures(name: str, rate: int, twists: bool, runs: list[dict[str, Any]]) -> 
         'memory': max(run['memory'] for run in runs),
         'sent': sum(run['sent'] for run in runs),
         'lost': sum(run['sent'] - run['answered'] for run in runs),
-        'runs': len(runs),
     }

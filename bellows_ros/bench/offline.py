@@ -21,6 +21,9 @@ HALF_WINDOW, ORDER = 30, 6
 DURATION = {False: 600.0, True: 8.0}
 """Of the recording, s: of a full run, and of a short one."""
 
+PARTS = (0.25, 0.5)
+"""Parts of the duration for which the peak of memory is measured too."""
+
 FIT_DURATION = 20.0
 """Of the recording for the prediction-error fit, s."""
 
@@ -89,6 +92,10 @@ def run(short: bool) -> dict[str, Any]:
         make_recording(bag, duration)
         make_recording(fit_bag, min(duration, FIT_DURATION))
         found = _against_plain_loop(bag, rounds)
+        found['peaks'] = [
+            *(_peak(Path(folder) / f'{part:g}', part * duration) for part in PARTS),
+            {'seconds': duration, 'peak': found['peak_least_squares']},
+        ]
         found['replay_factor'] = in_process(REPLAY, str(bag))['factor']
         found['prediction_error'] = _prediction_error(fit_bag, min(duration, FIT_DURATION))
     found['recording'] = {'seconds': duration, 'rate_hz': RATE, 'messages': found['messages']}
@@ -141,6 +148,15 @@ def _against_plain_loop(bag: Path, rounds: int) -> dict[str, Any]:
         'least_squares': figures([result['seconds'] for result in fits]),
         'peak_plain_loop': max(result['peak'] for result in plain),
         'peak_least_squares': max(result['peak'] for result in fits),
+    }
+
+
+def _peak(bag: Path, duration: float) -> dict[str, float]:
+    """Return the peak of memory of least squares on a recording that is made for it."""
+    make_recording(bag, duration)
+    return {
+        'seconds': duration,
+        'peak': in_process(IDENTIFY, str(bag), 'least_squares')['peak'],
     }
 
 

@@ -3,12 +3,14 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from .live import LONG
 from .step import OURS
 
 Table = list[tuple[str, ...]]
 """Rows of cells; the first is the head."""
 
 MEBI = 2**20
+BARE = 'bare'
 C_LIMIT = 'C, gcc -O3'
 
 
@@ -60,17 +62,38 @@ def _accuracy(section: Mapping[str, Any]) -> Table:
 
 
 def _node(section: Mapping[str, Any]) -> Table:
-    """Return latencies by rate."""
-    rows: Table = [
-        ('node', 'rate', 'twists', 'p50', 'p99', 'p99.9', 'CPU per pose', 'memory', 'lost')
-    ]
+    """Return latencies by rate, and against the bare node's."""
+    rows: Table = [(
+        'node', 'rate', 'twists', 'p50', 'p99', 'p99.9', 'CPU per pose', 'memory', 'lost',
+        'p50, p99 to bare', 'CPU above bare',
+    )]  # fmt: skip
+    bare = {_case(run): run for run in section['runs'] if run['node'] == BARE}
     for run in section['runs']:
+        floor = bare.get(_case(run), run)
         rows.append((
-            run['node'], f'{run["rate_hz"]} Hz', 'yes' if run['twists'] else 'no',
+            _name_of(run), f'{run["rate_hz"]} Hz', 'yes' if run['twists'] else 'no',
             *(_time(run[name]) for name in ('p50', 'p99', 'p99.9', 'processor_per_pose')),
             _memory(run['memory']), f'{run["lost"]} of {run["sent"]}',
+            *(_against(run, floor) if run is not floor else ('', '')),
         ))  # fmt: skip
     return rows
+
+
+def _case(run: Mapping[str, Any]) -> tuple[float, bool, float]:
+    """Return what runs that can be compared have in common."""
+    return run['rate_hz'], run['twists'], run['seconds']
+
+
+def _name_of(run: Mapping[str, Any]) -> str:
+    """Return the name of a node, and how long it ran where that is long."""
+    return f'{run["node"]}, for {run["seconds"]:g} s' if run['seconds'] >= LONG else run['node']
+
+
+def _against(run: Mapping[str, Any], bare: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the ratios of latencies, and what a pose takes more of the processor."""
+    more = run['processor_per_pose'] - bare['processor_per_pose']
+    ratios = ', '.join(f'{run[name] / bare[name]:.2f}' for name in ('p50', 'p99'))
+    return ratios, f'{more * 1e6:+.0f} us'
 
 
 def _offline(section: Mapping[str, Any]) -> Table:
@@ -83,6 +106,10 @@ def _offline(section: Mapping[str, Any]) -> Table:
         ('rosbags, read and decode', _time(plain), _memory(section['peak_plain_loop'])),
         ('least squares, end to end', f'{_time(fit)}, {fit / plain:.2f} times that',
          _memory(section['peak_least_squares'])),
+        *(
+            (f'least squares, {part["seconds"]:g} s of it', '', _memory(part['peak']))
+            for part in section.get('peaks', [])[:-1]
+        ),
         ('replay', f'{section["replay_factor"]:.0f} times real time', ''),
         ('prediction-error fit', f'{_time(error["per_recorded_second"])} per recorded second', ''),
     ]  # fmt: skip

@@ -76,3 +76,19 @@ def test_failed_process_is_said():
 
 def test_markdown():
     assert markdown([('a', 'b'), ('1', '2')]) == '| a | b |\n| --- | --- |\n| 1 | 2 |'
+
+
+def test_node_is_shown_against_the_bare_one():
+    def run(node, seconds, times, lost=0):
+        return {'node': node, 'rate_hz': 500, 'twists': False, 'seconds': seconds, 'runs': 1,
+                'p50': 4e-4 * times, 'p99': 1e-3 * times, 'p99.9': 1e-2, 'memory': 2**20,
+                'processor_per_pose': 3e-4 * times, 'sent': 10, 'lost': lost}  # fmt: skip
+
+    runs = [run('bare', 10.0, 1.0), run('predictor', 10.0, 1.1), run('bare', 60.0, 2.0),
+            run('predictor', 60.0, 1.0, 3)]
+    rows = tables({'node': {'runs': runs}})['node'][1:]
+    assert [row[0] for row in rows] == [
+        'bare', 'predictor', 'bare, for 60 s', 'predictor, for 60 s']
+    assert [row[-2:] for row in rows] == [
+        ('', ''), ('1.10, 1.10', '+30 us'), ('', ''), ('0.50, 0.50', '-300 us')]
+    assert rows[3][8] == '3 of 10'
