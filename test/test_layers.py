@@ -16,7 +16,7 @@ ALLOWED = {
     'core': {'errors'},
     'files': {'errors', 'core'},
     'workflows': {'errors', 'core', 'files'},
-    'nodes': {'errors', 'threads', 'core', 'files', 'workflows'},
+    'nodes': {'errors', 'threads', 'core', 'files', 'workflows', 'report'},
     'plots': {'errors', 'core', 'files'},
     'report': {'errors', 'core', 'files', 'workflows', 'plots'},
     'bench': {'errors', 'core', 'files', 'workflows'},
