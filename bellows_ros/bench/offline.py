@@ -57,9 +57,10 @@ print(json.dumps({'seconds': time.perf_counter() - start, 'peak': peak(), 'messa
 
 IDENTIFY = _PEAK + """
 import json, sys, time
-from bellows_ros.bench.offline import parameters
+from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.identify import identify
-values = {**parameters(), 'bags': [sys.argv[1]], 'fit.method': sys.argv[2]}
+values = {
+    **read_parameters(sys.argv[1] + '.yaml'), 'bags': [sys.argv[1]], 'fit.method': sys.argv[2]}
 start = time.perf_counter()
 identify(values)
 print(json.dumps({'seconds': time.perf_counter() - start, 'peak': peak()}))
@@ -132,7 +133,7 @@ def motion(duration: float) -> dict[str, Any]:
 def make_recording(bag: Path, duration: float) -> None:
     """Simulate a recording, with its parameter file beside it."""
     simulate_recording(parameters(), motion(duration), bag)
-    write_parameters(bag.with_suffix('.yaml'), parameters())
+    write_parameters(f'{bag}.yaml', parameters())
 
 
 def _against_plain_loop(bag: Path, rounds: int) -> dict[str, Any]:

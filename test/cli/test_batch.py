@@ -46,7 +46,15 @@ def test_merge_needs_summaries(call, tmp_path, capsys):
     assert not (tmp_path / 'cup.yaml').exists()
 
 
-def test_a_report_needs_the_recordings(call, tmp_path, capsys):
+def test_a_page_shows_the_recordings_of_a_batch_too(call, tmp_path):
+    page = tmp_path / 'page.html'
     assert call('identify', 'bags/identification', '--params', 'bags/package.yaml', '--jobs', 1,
+                '--report', page) == 0
+    assert page.read_text().count('<svg') > 3
+
+
+def test_a_page_of_very_many_recordings_is_refused(call, tmp_path, capsys):
+    bags = [f'bags/identification_{i}' for i in range(21)]
+    assert call('identify', *bags, '--params', 'bags/package.yaml', '--jobs', 1,
                 '--report', tmp_path / 'page.html') == 2
-    assert '--report needs the recordings' in capsys.readouterr().err
+    assert 'of at most 20, not of 21' in ' '.join(capsys.readouterr().err.split())

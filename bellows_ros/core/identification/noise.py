@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 HALF_WINDOW, ORDER = 4, 4
 """A quartic through nine samples follows any motion of a package; what it leaves is noise."""
 
+ENOUGH = 20_000
+"""Windows from which the noise is known to half a percent; a few more are looked at."""
+
 TWIST_HALF_WINDOW, TWIST_ORDER = 6, 6
 """
 Polynomials through so many of the tool's poses give its pose and twist beside poses as measured.
@@ -48,15 +51,16 @@ def noise_of(poses: Trajectory) -> Noise:
     """
     n = HALF_WINDOW
     W = weights(n, ORDER, 1.0)[0]
-    count = len(poses) - 2 * n
-    windows = np.ones(max(count, 0), dtype=bool)
-    position = np.zeros((max(count, 0), 3))
+    count = max(len(poses) - 2 * n, 0)
+    centres = np.arange(n, n + count, max(count // ENOUGH, 1))
+    windows = np.ones(len(centres), dtype=bool)
+    position = np.zeros((len(centres), 3))
     rotation = np.zeros_like(position)
-    for j in range(2 * n + 1) if count > 0 else ():
-        part = slice(j, j + count)
+    R_centre = np.swapaxes(poses.rotation[centres], 1, 2)
+    for j in range(2 * n + 1):
+        part = centres + (j - n)
         windows &= poses.valid[part]
-        position += W[j] * (poses.position[part] - poses.position[n:n + count])
-        R_centre = np.swapaxes(poses.rotation[n:n + count], 1, 2)
+        position += W[j] * (poses.position[part] - poses.position[centres])
         rotation += W[j] * log_so3(R_centre @ poses.rotation[part])
     if not windows.any():
         raise BellowsError(

@@ -40,13 +40,12 @@ def envelope(recordings: Sequence[Samples], cup_length: float) -> Envelope:
     if not recordings:
         raise BellowsError('An envelope needs at least one recording.')
     seen = [_seen(samples, cup_length) for samples in recordings]
-    deflection, rates = (np.concatenate([part[i] for part in seen]) for i in range(2))
-    bands = np.array([part[2] for part in seen])
+    low, high, rates, bands = (np.array(part) for part in zip(*seen, strict=True))
     masses = [samples.held.mass for samples in recordings]
     return Envelope(
-        deflection_low=deflection.min(axis=0),
-        deflection_high=deflection.max(axis=0),
-        rates=np.abs(rates).max(axis=0),
+        deflection_low=low.min(axis=0),
+        deflection_high=high.max(axis=0),
+        rates=rates.max(axis=0),
         frequencies=np.column_stack([bands[:, :, 0].min(axis=0), bands[:, :, 1].max(axis=0)]),
         mass=np.array([min(masses), max(masses)]),
     )
@@ -65,15 +64,17 @@ def with_rest(
     )
 
 
-def _seen(samples: Samples, cup_length: float) -> tuple[Array, Array, Array]:
-    """Return deflections (N, 6), twists (N, 6) and frequency bands (2, 2) of a recording."""
+def _seen(samples: Samples, cup_length: float) -> tuple[Array, Array, Array, Array]:
+    """Return least and largest deflections, largest rates (6,), and bands (2, 2)."""
     valid = samples.tool.valid & samples.package.valid
     if not valid.any():
         raise BellowsError('A recording without valid samples has no envelope.')
     deflection, twist = displacement(samples, cup_length)
-    with_gaps = np.where(valid[:, None], deflection, np.nan)
+    deflection[~valid] = np.nan
     rate_hz = uniform_rate_hz(samples.package.stamps_ns)
-    return deflection[valid], twist[valid], _bands(with_gaps, rate_hz)
+    rates = np.abs(twist, out=twist)[valid].max(axis=0)
+    low, high = np.nanmin(deflection, axis=0), np.nanmax(deflection, axis=0)
+    return low, high, rates, _bands(deflection, rate_hz)
 
 
 def _bands(deflection: Array, rate_hz: float) -> Array:

@@ -14,6 +14,7 @@ from bellows_ros.core.identification.advice.added_noise import FilterNoise, SEED
 from bellows_ros.core.identification.advice.told import advice, Told
 from bellows_ros.core.identification.judgement.whiteness import Spectrum, spectrum
 from bellows_ros.core.identification.regression.least_squares import (
+    BLOCK,
     column_sizes,
     regular,
     Samples,
@@ -37,6 +38,9 @@ SMALLEST_RATIO = 0.5
 
 DRAWS = 4
 """How often noise is added."""
+
+ENOUGH = 20_000
+"""Samples of a recording that tell the effects of noise to a percent; some more are looked at."""
 
 RANK_WITHIN = 1e-6
 """Singular values below this part of the largest, with columns of unit length, tell nothing."""
@@ -178,13 +182,14 @@ def describe_excitation(
         raise BellowsError(f'{len(recordings)} recordings need as many noises, not {len(noises)}.')
     whitening = whitening_of(regular(wrench_covariance(recordings, structure)))
     solved = _solve(_triangle(recordings, cup_length, structure, whitening), structure)
-    shares, bias = _noise_effects(recordings, cup_length, structure, whitening, noises, solved)
+    few = [samples.thinned(ENOUGH) for samples in recordings]
+    shares, bias = _noise_effects(few, cup_length, structure, whitening, noises)
     parameters = tuple(
         Told(label, float(x), 1.0 if np.isnan(x) else float(share), float(off))
         for label, x, share, off in zip(structure.labels, solved.x, shares, bias, strict=True)
     )
     spectra = tuple(_spectra(samples, cup_length) for samples in recordings)
-    axes = _axes(recordings, cup_length, noises, spectra)
+    axes = _axes(few, cup_length, noises, spectra)
     pairs = tuple(_pairs(solved, structure.labels))
     source = 'this recording' if len(recordings) == 1 else 'these recordings'
     return Excitation(
@@ -199,8 +204,13 @@ def displacement(samples: Samples, cup_length: float) -> tuple[Array, Array]:
 
     The displacement is E_o_S + l0 z (m) and the rotation vector of E_R_S (rad).
     """
-    o, R, twist = lip_relative(samples.tool, samples.package, samples.held.com)
-    return np.hstack([o + [0.0, 0.0, cup_length], log_so3(R)]), twist
+    strain, twist = np.empty((2, len(samples.tool), 6))
+    for start in range(0, len(strain), BLOCK):
+        part = slice(start, start + BLOCK)
+        o, R, twist[part] = lip_relative(
+            samples.tool.select(part), samples.package.select(part), samples.held.com)
+        strain[part] = np.hstack([o + [0.0, 0.0, cup_length], log_so3(R)])
+    return strain, twist
 
 
 def _triangle(
@@ -238,7 +248,6 @@ def _noise_effects(
     structure: Structure,
     whitening: Array,
     noises: Sequence[FilterNoise],
-    solved: _Solved,
 ) -> tuple[Array, Array]:
     """
     Return the share of noise in what tells each parameter, and the bias that it causes.
@@ -248,9 +257,10 @@ def _noise_effects(
     x' is the one with more noise. The share is the noise's energy in a parameter's own column,
     over the energy of the part of that column that no other parameter explains.
     """
-    size = len(solved.x)
+    size = 2 * structure.size
     if not noises:
         return np.full(size, np.nan), np.full(size, np.nan)
+    solved = _solve(_triangle(recordings, cup_length, structure, whitening), structure)
     energy, later = np.zeros(size), np.zeros(size)
     for draw in np.random.default_rng(SEED).spawn(DRAWS):
         noisy = [with_noise(s, n, draw) for s, n in zip(recordings, noises, strict=True)]

@@ -115,7 +115,7 @@ def check_centre_of_mass(
     """
     if structure.name == 'full':
         return None
-    samples = _thinned(samples)
+    samples = samples.thinned(ENOUGH)  # neighbours in a filter window tell the same
     try:
         whitening = whitening_of(_covariance(samples, cup_length, structure))
         found = _found(samples, cup_length, structure, lip_recorded, whitening)
@@ -131,13 +131,6 @@ def check_centre_of_mass(
         return replace(found, noise_shift=moved)
     except (BellowsError, np.linalg.LinAlgError):
         return None
-
-
-def _thinned(samples: Samples) -> Samples:
-    """Return every so many of the samples: neighbours in a filter window tell the same."""
-    step = slice(None, None, max(len(samples.tool) // ENOUGH, 1))
-    return replace(
-        samples, tool=samples.tool.select(step), package=samples.package.select(step))
 
 
 def _covariance(samples: Samples, cup_length: float, structure: Structure) -> Array:

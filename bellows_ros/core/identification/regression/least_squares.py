@@ -7,7 +7,7 @@ and the triangles of several recordings can be joined.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -87,6 +87,11 @@ class Samples:
                 self.tool.select(index), self.package.select(index), self.held, self.gravity,
                 self.window,
             )  # fmt: skip
+
+    def thinned(self, most: int) -> 'Samples':
+        """Return every so many of the samples, about as many as asked for or a few more."""
+        step = slice(None, None, max(len(self.tool) // most, 1))
+        return replace(self, tool=self.tool.select(step), package=self.package.select(step))
 
     @property
     def count(self) -> int:

@@ -1,10 +1,16 @@
 """Portmanteau test and spectra against their definitions, and against noise of known colour."""
 
-from bellows_ros.core.identification.judgement.whiteness import portmanteau, Spectrum, spectrum
+from bellows_ros.core.identification.judgement.whiteness import (
+    portmanteau,
+    SEGMENT_S,
+    Spectrum,
+    spectrum,
+)
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
+from scipy.signal import welch
 from scipy.stats import gamma, kstest
 
 
@@ -72,6 +78,17 @@ def test_spectrum_integrates_to_the_mean_square(missing):
     assert_allclose(power, 9.0, rtol=0.03)
     # flat: the density of white noise is 2 s^2 / rate
     assert_allclose(np.median(found.density[5:-5]), 0.18, rtol=0.05)
+
+
+@pytest.mark.parametrize(('count', 'rate_hz'), [(5000, 360.0), (4999, 125.5), (150, 360.0)])
+def test_spectrum_is_that_of_scipy(count, rate_hz):
+    values = np.cumsum(np.random.default_rng(8).standard_normal((count, 2)), axis=0)
+    found = spectrum(values, rate_hz)
+    length = min(count, round(SEGMENT_S * rate_hz))
+    frequency, density = welch(
+        values - values.mean(axis=0), rate_hz, 'hann', length, detrend=False, axis=0)
+    assert_allclose(found.frequency, frequency, rtol=1e-12)
+    assert_allclose(found.density, density, rtol=1e-9, atol=1e-12 * density.max())
 
 
 def test_sine_has_its_peak_at_its_frequency():
