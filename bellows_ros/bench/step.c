@@ -72,8 +72,10 @@ FN quat expq(vec p)
     double s = dot(p, p), r, c;
     if (s < 0.25) {
         double x = 0.25 * s;
-        r = 0.5 * (1 - x / 6 * (1 - x / 20 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110)))));
-        c = 1 - x / 2 * (1 - x / 12 * (1 - x / 30 * (1 - x / 56 * (1 - x / 90 * (1 - x / 132)))));
+        r = 0.5 - x * (1 / 12. - x * (1 / 240. - x * (1 / 10080. - x * (1 / 725760.
+            - x * (1 / 79833600.)))));
+        c = 1 - x * (1 / 2. - x * (1 / 24. - x * (1 / 720. - x * (1 / 40320. - x * (1 / 3628800.
+            - x * (1 / 479001600.))))));
     } else {
         double angle = sqrt(s);
         r = sin(0.5 * angle) / angle;
@@ -84,16 +86,23 @@ FN quat expq(vec p)
 FN vec logq(quat q)
 {
     if (q.w < 0) q = (quat){-q.x, -q.y, -q.z, -q.w};
-    double s = sqrt(q.x * q.x + q.y * q.y + q.z * q.z);
-    double k = s < 1e-4 ? 2 / q.w * (1 - s * s / (3 * q.w * q.w)) : 2 * atan2(s, q.w) / s;
+    double x = q.x * q.x + q.y * q.y + q.z * q.z, k;
+    if (x < 1e-3) {
+        k = 2 + x * (1 / 3. + x * (3 / 20. + x * (5 / 56. + x * (35 / 576.))));
+    } else {
+        double s = sqrt(x);
+        k = 2 * atan2(s, q.w) / s;
+    }
     return (vec){k * q.x, k * q.y, k * q.z};
 }
 FN vec body_rate(vec phi, vec rate) /* (G.65) */
 {
     double x = dot(phi, phi), first, second;
     if (x < 0.25) {
-        first = 0.5 * (1 - x / 12 * (1 - x / 30 * (1 - x / 56 * (1 - x / 90 * (1 - x / 132)))));
-        second = (1 - x / 20 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110 * (1 - x / 156))))) / 6;
+        first = 1 / 2. - x * (1 / 24. - x * (1 / 720. - x * (1 / 40320. - x * (1 / 3628800.
+            - x * (1 / 479001600.)))));
+        second = 1 / 6. - x * (1 / 120. - x * (1 / 5040. - x * (1 / 362880. - x * (1 / 39916800.
+            - x * (1 / 6227020800.)))));
     } else {
         double angle = sqrt(x);
         first = (1 - cos(angle)) / x;
@@ -106,7 +115,7 @@ FN vec vector_rate(vec phi, vec omega)
 {
     double x = dot(phi, phi), k;
     if (x < 0.25) {
-        double tail = 1 / 47900160. + x * (691 / 1307674368000. + x / 74724249600.);
+        double tail = 1 / 47900160. + x * (691 / 1307674368000. + x * (1 / 74724249600.));
         k = 1 / 12. + x * (1 / 720. + x * (1 / 30240. + x * (1 / 1209600. + x * tail)));
     } else {
         double angle = sqrt(x);

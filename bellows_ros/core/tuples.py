@@ -16,7 +16,15 @@ Matrix = tuple[float, float, float, float, float, float, float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 SMALL_ANGLE_SQUARED = 0.25
-"""Below this squared angle (rad^2) sine and cosine ratios come from their series (to 1e-17)."""
+"""
+Below this squared angle (rad^2) sine and cosine ratios come from their series (to 1e-17).
+
+The series hold products only: with divisions, each waiting for the one before, a step took a
+fifth longer.
+"""
+
+SMALL_SINE_SQUARED = 1e-3
+"""Below this squared sine of half an angle the angle comes from a series, too."""
 
 
 @kernel
@@ -142,10 +150,10 @@ def exp_quaternion(phi: Vector) -> Quaternion:
     squared = dot(phi, phi)
     if squared < SMALL_ANGLE_SQUARED:
         x = 0.25 * squared  # of the half angle
-        ratio = 0.5 * (1 - x / 6 * (1 - x / 20 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110)))))
-        cosine = 1 - x / 2 * (
-            1 - x / 12 * (1 - x / 30 * (1 - x / 56 * (1 - x / 90 * (1 - x / 132))))
-        )
+        ratio = 0.5 - x * (1 / 12 - x * (1 / 240 - x * (
+            1 / 10080 - x * (1 / 725760 - x * (1 / 79833600)))))
+        cosine = 1 - x * (1 / 2 - x * (1 / 24 - x * (1 / 720 - x * (
+            1 / 40320 - x * (1 / 3628800 - x * (1 / 479001600))))))
     else:
         angle = math.sqrt(squared)
         ratio = math.sin(0.5 * angle) / angle
@@ -159,10 +167,12 @@ def log_quaternion(q: Quaternion) -> Vector:
     x, y, z, w = q
     if w < 0.0:  # q and -q are the same rotation: take the short way
         x, y, z, w = -x, -y, -z, -w
-    sine = math.sqrt(x * x + y * y + z * z)
-    if sine < 1e-4:  # atan2(s, w) / s = 1/w - s^2 / (3 w^3), the next term is below 1e-17
-        factor = 2.0 / w * (1.0 - sine * sine / (3.0 * w * w))
+    squared = x * x + y * y + z * z  # of the half angle's sine
+    if squared < SMALL_SINE_SQUARED:  # asin(s) / s, the next term is below 3e-17
+        factor = 2.0 + squared * (1 / 3 + squared * (3 / 20 + squared * (
+            5 / 56 + squared * (35 / 576))))
     else:
+        sine = math.sqrt(squared)
         factor = 2.0 * math.atan2(sine, w) / sine
     return (factor * x, factor * y, factor * z)
 
@@ -177,8 +187,10 @@ def body_rate(phi: Vector, phi_dot: Vector) -> Vector:
     squared = dot(phi, phi)
     if squared < SMALL_ANGLE_SQUARED:
         x = squared
-        first = 0.5 * (1 - x / 12 * (1 - x / 30 * (1 - x / 56 * (1 - x / 90 * (1 - x / 132)))))
-        second = (1 - x / 20 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110 * (1 - x / 156))))) / 6
+        first = 1 / 2 - x * (1 / 24 - x * (1 / 720 - x * (
+            1 / 40320 - x * (1 / 3628800 - x * (1 / 479001600)))))
+        second = 1 / 6 - x * (1 / 120 - x * (1 / 5040 - x * (
+            1 / 362880 - x * (1 / 39916800 - x * (1 / 6227020800)))))
     else:
         angle = math.sqrt(squared)
         first = (1.0 - math.cos(angle)) / squared
@@ -193,7 +205,7 @@ def rotation_vector_rate(phi: Vector, omega: Vector) -> Vector:
     squared = dot(phi, phi)
     if squared < SMALL_ANGLE_SQUARED:
         x = squared  # 1/x - cot(sqrt(x)/2) / (2 sqrt(x)), its Bernoulli series
-        tail = 1 / 47900160 + x * (691 / 1307674368000 + x / 74724249600)
+        tail = 1 / 47900160 + x * (691 / 1307674368000 + x * (1 / 74724249600))
         factor = 1 / 12 + x * (1 / 720 + x * (1 / 30240 + x * (1 / 1209600 + x * tail)))
     else:
         angle = math.sqrt(squared)

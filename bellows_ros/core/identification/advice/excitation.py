@@ -40,7 +40,7 @@ DRAWS = 4
 """How often noise is added."""
 
 ENOUGH = 20_000
-"""Samples of a recording that tell the effects of noise to a percent; some more are looked at."""
+"""Samples of a recording from which all but spectra are taken, to a percent; some more at most."""
 
 RANK_WITHIN = 1e-6
 """Singular values below this part of the largest, with columns of unit length, tell nothing."""
@@ -180,16 +180,16 @@ def describe_excitation(
         raise BellowsError('No valid sample is left of which to say what it tells.')
     if noises and len(noises) != len(recordings):
         raise BellowsError(f'{len(recordings)} recordings need as many noises, not {len(noises)}.')
+    spectra = tuple(_spectra(samples, cup_length) for samples in recordings)
+    recordings = [samples.thinned(ENOUGH) for samples in recordings]
     whitening = whitening_of(regular(wrench_covariance(recordings, structure)))
     solved = _solve(_triangle(recordings, cup_length, structure, whitening), structure)
-    few = [samples.thinned(ENOUGH) for samples in recordings]
-    shares, bias = _noise_effects(few, cup_length, structure, whitening, noises)
+    shares, bias = _noise_effects(recordings, cup_length, structure, whitening, noises, solved)
     parameters = tuple(
         Told(label, float(x), 1.0 if np.isnan(x) else float(share), float(off))
         for label, x, share, off in zip(structure.labels, solved.x, shares, bias, strict=True)
     )
-    spectra = tuple(_spectra(samples, cup_length) for samples in recordings)
-    axes = _axes(few, cup_length, noises, spectra)
+    axes = _axes(recordings, cup_length, noises, spectra)
     pairs = tuple(_pairs(solved, structure.labels))
     source = 'this recording' if len(recordings) == 1 else 'these recordings'
     return Excitation(
@@ -248,6 +248,7 @@ def _noise_effects(
     structure: Structure,
     whitening: Array,
     noises: Sequence[FilterNoise],
+    solved: _Solved,
 ) -> tuple[Array, Array]:
     """
     Return the share of noise in what tells each parameter, and the bias that it causes.
@@ -260,7 +261,6 @@ def _noise_effects(
     size = 2 * structure.size
     if not noises:
         return np.full(size, np.nan), np.full(size, np.nan)
-    solved = _solve(_triangle(recordings, cup_length, structure, whitening), structure)
     energy, later = np.zeros(size), np.zeros(size)
     for draw in np.random.default_rng(SEED).spawn(DRAWS):
         noisy = [with_noise(s, n, draw) for s, n in zip(recordings, noises, strict=True)]
