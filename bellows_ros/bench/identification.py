@@ -91,16 +91,16 @@ def by_prediction_error(poses: Poses) -> Fit:
 def with_a_smoothed_tool(poses: Poses) -> Fit:
     """Fit poses, with the tool smoothed and then taken as exact."""
     smooth = savgol(poses[0], HALF_WINDOW, ORDER)
-    stretches = [
-        replace(
-            part, tool=smooth, tool_noise=Noise(0.0, 0.0),
-            package=part.package.select(
-                (part.package.stamps_ns >= smooth.stamps_ns[0])
-                & (part.package.stamps_ns <= smooth.stamps_ns[-1])
-            ),
-        )
-        for part in measured_stretches(*poses, PLATE, GRAVITY)
-    ]  # fmt: skip
+    stretches = []
+    for part in measured_stretches(*poses, PLATE, GRAVITY):
+        stamps = part.package.stamps_ns
+        there = (stamps >= smooth.stamps_ns[0]) & (stamps <= smooth.stamps_ns[-1])
+        stretches.append(
+            replace(
+                part, tool=smooth, tool_noise=Noise(0.0, 0.0),
+                package=part.package.select(there), counted=part.counted[there],
+            )
+        )  # fmt: skip
     return _predicted(stretches, poses)
 
 

@@ -15,8 +15,9 @@ from bellows_ros.core.identification.judgement.whiteness import (
     spectrum,
     Whiteness,
 )
-from bellows_ros.core.identification.noise import Noise, noise_of, TWIST_HALF_WINDOW, TWIST_ORDER
+from bellows_ros.core.identification.noise import Noise, noise_of
 from bellows_ros.core.identification.prediction.innovations import innovations, observer
+from bellows_ros.core.identification.prediction.measured import in_motion
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.linearisation import largest_step, substeps_for
@@ -371,7 +372,7 @@ def _shaken(tool: Trajectory, noise: Noise, rng: np.random.Generator) -> Traject
 
 def _sharp(measured: Trajectory, tool: Trajectory) -> Trajectory:
     """Return the tool smoothed as the observer takes it to be; gaps as bridged."""
-    smoothed = savgol(measured, TWIST_HALF_WINDOW, TWIST_ORDER)
+    smoothed = in_motion(measured)
     known = smoothed.select(smoothed.valid)
     known = known.select(np.isin(known.stamps_ns, tool.stamps_ns))
     at = np.searchsorted(tool.stamps_ns, known.stamps_ns)

@@ -5,19 +5,32 @@ from dataclasses import dataclass
 from bellows_ros.core.identification.noise import Noise, noise_of, TWIST_HALF_WINDOW, TWIST_ORDER
 from bellows_ros.core.model import Package
 from bellows_ros.core.savgol import savgol
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.core.trajectory import (
+    Mask,
+    NS_PER_S,
+    resample,
+    Stamps,
+    Trajectory,
+    uniform_rate_hz,
+)
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import NDArray
 
 LONGEST_TOOL_GAP = 0.15
 """Over a longer time (s) without tool poses the motion is unknown: the recording is cut there."""
+
+BRIDGE_HALF_WINDOW, BRIDGE_ORDER = 2, 4
+"""Quartics through five poses meet them all: they give the twists beside gaps."""
 
 SHORTEST_SEGMENT = 1.0
 """Shorter stretches (s) between such gaps are left out."""
 
 BLIND_STEPS = 3.0
 """Package poses in tool gaps of more than so many steps are not compared."""
+
+
+SETTLING = 0.2
+"""Time (s) after a gap in which predictions are corrected by measured poses, but not judged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +44,9 @@ class Measured:
         Poses of E in the world with body twists at stamps that cover the package's.
     package : Trajectory
         N measured poses of B, not smoothed, and where they are valid.
+    counted : ndarray (N,)
+        Which of them are compared with predictions: those that are valid, but for a moment after
+        a gap of either body, in which the observer does not know what it takes itself to know.
     held : Package
         Mass, inertia and centre of mass of the package in this recording.
     gravity : float
@@ -46,6 +62,7 @@ class Measured:
 
     tool: Trajectory
     package: Trajectory
+    counted: Mask
     held: Package
     gravity: float
     tool_noise: Noise
@@ -87,10 +104,14 @@ def measured_stretches(
     """
     rate_hz = uniform_rate_hz(tool.stamps_ns)
     noises = noise_of(tool), noise_of(package)
-    moving = savgol(tool, TWIST_HALF_WINDOW, TWIST_ORDER)
+    moving = in_motion(tool)
     known = moving.select(moving.valid)
     steps = np.diff(known.stamps_ns) / NS_PER_S
-    seen = _away_from_gaps(known, package, BLIND_STEPS / rate_hz)
+    tracked = tool.select(tool.valid).stamps_ns
+    seen = _away_from_gaps(tracked, package.stamps_ns, BLIND_STEPS / rate_hz)
+    settled = _settled(tracked, package.stamps_ns, BLIND_STEPS / rate_hz) & _settled(
+        package.stamps_ns[package.valid], package.stamps_ns,
+        BLIND_STEPS / uniform_rate_hz(package.stamps_ns))
     cuts = [0, *(np.flatnonzero(steps > LONGEST_TOOL_GAP) + 1).tolist(), len(known)]
     stretches = []
     for first, last in zip(cuts[:-1], cuts[1:], strict=True):
@@ -106,8 +127,9 @@ def measured_stretches(
         marked = Trajectory(
             poses.stamps_ns, poses.position, poses.rotation, valid=poses.valid & seen[inside]
         )
+        counted = marked.valid & settled[inside]
         stretches.append(
-            Measured(part, marked, held, gravity, *noises, 1.0 / rate_hz, recording)
+            Measured(part, marked, counted, held, gravity, *noises, 1.0 / rate_hz, recording)
         )
     if not stretches:
         raise BellowsError(
@@ -117,11 +139,41 @@ def measured_stretches(
     return stretches
 
 
-def _away_from_gaps(
-    tool: Trajectory, package: Trajectory, longest: float
-) -> NDArray[np.bool_]:
-    """Return which package stamps are not in a gap of the tool's poses longer than that (s)."""
-    after = np.clip(np.searchsorted(tool.stamps_ns, package.stamps_ns), 1, len(tool) - 1)
-    step = (tool.stamps_ns[after] - tool.stamps_ns[after - 1]) / NS_PER_S
-    exact = tool.stamps_ns[after] == package.stamps_ns
-    return np.asarray(exact | (step <= longest))
+def in_motion(poses: Trajectory) -> Trajectory:
+    """
+    Return measured poses of the tool with twists, smoothed as the observer takes them to be.
+
+    Short gaps are bridged first, by cubics that meet poses and twists on both sides: a filter that
+    stopped at each gap would lose half a window more before it and behind it.
+    """
+    quartic = savgol(poses, BRIDGE_HALF_WINDOW, BRIDGE_ORDER)
+    known = quartic.select(quartic.valid)
+    lost = ~poses.valid
+    if len(known) and lost.any():
+        lost &= poses.stamps_ns > known.stamps_ns[0]
+        lost &= poses.stamps_ns < known.stamps_ns[-1]
+        between = Trajectory(known.stamps_ns, known.position, known.rotation, known.twist)
+        bridge = resample(between, poses.stamps_ns[lost], round(LONGEST_TOOL_GAP * NS_PER_S))
+        position, rotation = poses.position.copy(), poses.rotation.copy()
+        valid = poses.valid.copy()
+        position[lost], rotation[lost], valid[lost] = (
+            bridge.position, bridge.rotation, bridge.valid)
+        poses = Trajectory(poses.stamps_ns, position, rotation, valid=valid)
+    return savgol(poses, TWIST_HALF_WINDOW, TWIST_ORDER)
+
+
+def _away_from_gaps(tracked: Stamps, stamps: Stamps, longest: float) -> Mask:
+    """Return which stamps are not in a gap of what was tracked that is longer than that (s)."""
+    after = np.clip(np.searchsorted(tracked, stamps), 1, len(tracked) - 1)
+    step = (tracked[after] - tracked[after - 1]) / NS_PER_S
+    return np.asarray((tracked[after] == stamps) | (step <= longest))
+
+
+def _settled(tracked: Stamps, stamps: Stamps, longest: float) -> Mask:
+    """Return which stamps are some time behind the last gap of what was tracked."""
+    ends = tracked[1:][np.diff(tracked) / NS_PER_S > longest]
+    if not len(ends):
+        return np.ones(len(stamps), dtype=bool)
+    last = np.searchsorted(ends, stamps, side='right') - 1
+    since = (stamps - ends[np.maximum(last, 0)]) / NS_PER_S
+    return np.asarray((last < 0) | (since > SETTLING))

@@ -126,14 +126,13 @@ class Stretch:
         return Prepared(model, filtering, substeps.astype(np.int64), whitening)
 
     def whitened(self, prepared: Prepared, start: Array, delay: float) -> Array:
-        """Return the innovations (6 n,) of its n valid poses in units of their own spread."""
-        valid = self.measured.package.valid
+        """Return the innovations (6 n,) of the n poses that count, in units of their spread."""
         e = innovations(
-            prepared.model, self.start(start), self.tool_rows(delay), self.package, valid,
-            self.durations, prepared.substeps, prepared.filtering,
+            prepared.model, self.start(start), self.tool_rows(delay), self.package,
+            self.measured.package.valid, self.durations, prepared.substeps, prepared.filtering,
         )  # fmt: skip
         # not a product of matrices: threads of linear algebra would fight for the cores here
-        white = np.einsum('ij,nj->ni', prepared.whitening, e[valid])
+        white = np.einsum('ij,nj->ni', prepared.whitening, e[self.measured.counted])
         white[~np.isfinite(white)] = SENSELESS
         return np.asarray(white.ravel())
 

@@ -77,7 +77,7 @@ def prediction_error(
         If nothing can be compared.
 
     """
-    if not any(r.package.valid.any() for r in recordings):
+    if not any(r.counted.any() for r in recordings):
         raise BellowsError('No valid package pose to compare with. See the report for why.')
     chart = _chart(structure, start)
     theta = chart.numbers(start.stiffness, start.damping)
@@ -181,7 +181,7 @@ def _fit(
         sure.covariance[:size, :size] * np.outer(near.scale, near.scale), ~sure.told[:size])
     errors = structure.spread(np.sqrt(np.diag(covariance)))
     innovation = objective.prepared(theta)[0].filtering.covariance
-    valid = [s.measured.package.valid for s in objective.stretches]
+    counted = [s.measured.counted for s in objective.stretches]
     whitened = objective.residuals(theta).reshape(-1, 6)
     rms = np.sqrt(np.mean(whitened**2, axis=0))
     delays = 1e-3 * theta[objective.size - objective.delays:]
@@ -194,8 +194,8 @@ def _fit(
         damping_std=errors[1],
         covariance=covariance,
         labels=structure.labels,
-        samples_used=int(sum(np.count_nonzero(v) for v in valid)),
-        samples_rejected=int(sum(np.count_nonzero(~v) for v in valid)),
+        samples_used=int(sum(np.count_nonzero(c) for c in counted)),
+        samples_rejected=int(sum(np.count_nonzero(~c) for c in counted)),
         condition_number=_condition(sure.covariance[:size, :size]),
         weight=np.asarray(np.linalg.inv(innovation)),
         residual_rms=rms * np.sqrt(np.diag(innovation)),

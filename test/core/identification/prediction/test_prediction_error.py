@@ -1,5 +1,7 @@
 """The prediction-error method recovers the truth, from afar, through noise and outliers."""
 
+from dataclasses import replace
+
 from bellows_ros.core.identification.judgement.consistency import same_cup
 from bellows_ros.core.identification.prediction.prediction_error import prediction_error
 from bellows_ros.core.identification.structure import STRUCTURES
@@ -163,8 +165,7 @@ def test_several_packages_are_one_cup_or_not():
 def test_a_wrong_mass_is_noticed():
     heavier = type(PLATE)(2.0, np.diag([0.012, 0.012, 0.0173]), (0.0, 0.0, -0.05))
     recordings = stretches(7, 8.0)
-    wrong = [type(r)(r.tool, r.package, heavier, r.gravity, r.tool_noise, r.package_noise,
-                     r.tool_period) for r in recordings]
+    wrong = [replace(r, held=heavier) for r in recordings]
     fit = prediction_error(wrong, TRUTH.length, AXISYMMETRIC, TRUTH)
     assert fit.chi2 > 1.2
     assert any('does not explain' in warning for warning in fit.warnings)
@@ -172,8 +173,6 @@ def test_a_wrong_mass_is_noticed():
 
 def test_nothing_to_compare_is_an_error():
     recordings = stretches(8, 4.0)
-    blind = [type(r)(r.tool, Trajectory(
-        r.package.stamps_ns, r.package.position, r.package.rotation, valid=False), r.held,
-        r.gravity, r.tool_noise, r.package_noise, r.tool_period) for r in recordings]
+    blind = [replace(r, counted=np.zeros_like(r.counted)) for r in recordings]
     with pytest.raises(BellowsError, match='No valid package pose'):
         prediction_error(blind, TRUTH.length, AXISYMMETRIC, TRUTH)
