@@ -2,12 +2,11 @@
 
 import argparse
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from .commands import OK
 from .console import Console
-from .options import add_json_option, put_json, require_outputs, STDOUT
+from .options import add_bag_argument, add_json_option, put_json, require_outputs, STDOUT
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.info import Info, TopicInfo
@@ -28,10 +27,7 @@ UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        'bag', metavar='BAG', type=Path,
-        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
-    )  # fmt: skip
+    add_bag_argument(parser)
     parser.add_argument(
         '--write-params', metavar='FILE', default='',
         help='write a parameter file for this recording, for bellows identify and the nodes',

@@ -22,6 +22,14 @@ STDOUT = '-'
 THESIS_CUP = 'cup.stiffness is not set: this is the cup of the thesis, (4.78, 4.79).'
 
 
+def add_bag_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the recording that a command is about."""
+    parser.add_argument(
+        'bag', metavar='BAG', type=Path,
+        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
+    )  # fmt: skip
+
+
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
     """Add --params and --set."""
     parser.add_argument(

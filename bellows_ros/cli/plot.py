@@ -8,6 +8,7 @@ from typing import Any
 from .commands import OK
 from .console import Console
 from .options import (
+    add_bag_argument,
     add_json_option,
     add_parameter_options,
     given_parameters,
@@ -55,10 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'what', metavar='WHAT', choices=WHAT,
         help='; '.join(f'{name}: {text}' for name, text in WHAT.items()),
     )  # fmt: skip
-    parser.add_argument(
-        'bag', metavar='BAG', type=Path,
-        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
-    )  # fmt: skip
+    add_bag_argument(parser)
     add_parameter_options(parser)
     parser.add_argument(
         '--out', metavar='FILE', required=True,

@@ -1,12 +1,12 @@
 """`bellows replay`: predict a recording with a cup, and score the prediction."""
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .commands import OK
 from .console import Console
 from .options import (
+    add_bag_argument,
     add_json_option,
     add_parameter_options,
     given_parameters,
@@ -35,10 +35,7 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        'bag', metavar='BAG', type=Path,
-        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
-    )  # fmt: skip
+    add_bag_argument(parser)
     add_parameter_options(parser)
     add_json_option(parser, 'the scores')
 

@@ -1,11 +1,11 @@
 """`bellows summarize`: reduce a recording to what a fit needs of it."""
 
 import argparse
-from pathlib import Path
 
 from .commands import OK
 from .console import Console
 from .options import (
+    add_bag_argument,
     add_json_option,
     add_parameter_options,
     given_parameters,
@@ -29,10 +29,7 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        'bag', metavar='BAG', type=Path,
-        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
-    )  # fmt: skip
+    add_bag_argument(parser)
     add_parameter_options(parser)
     parser.add_argument('--out', metavar='FILE', required=True, help='the summary, .npz')
     add_json_option(parser, 'what became of the recording')

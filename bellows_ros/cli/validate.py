@@ -1,12 +1,12 @@
 """`bellows validate`: judge a cup by a recording that it was not identified from."""
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .commands import NOT_USABLE, OK
 from .console import Console
 from .options import (
+    add_bag_argument,
     add_json_option,
     add_parameter_options,
     given_parameters,
@@ -38,10 +38,7 @@ PERCENT = 100.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        'bag', metavar='BAG', type=Path,
-        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
-    )  # fmt: skip
+    add_bag_argument(parser)
     add_parameter_options(parser)
     add_json_option(parser, 'the figures')
     parser.add_argument(
