@@ -27,7 +27,7 @@ from bellows_ros.files.trajectory_files import write_tum
 import numpy as np
 
 KILLS = 30  # of each kind
-LONG = 3.0  # durations of a write in which it is killed
+LONG = 2.0  # durations of a write in which it is killed
 HIDDEN = '.bellows-'
 POSE = 'geometry_msgs/msg/PoseStamped'
 STAMPS = 10**18 + 10**7 * np.arange(400)
@@ -82,10 +82,10 @@ def recording(storage: str, compression: str) -> Write:
 
 
 def carelessly(path: Path, number: int) -> None:
-    """Write as this package does not: what the kills are to find."""
+    """Write as this package does not, and for some milliseconds: what the kills are to find."""
     with path.open('wb', buffering=0) as file:
-        for _ in range(200):
-            file.write(bytes([number]) * 1000)
+        for _ in range(5000):
+            file.write(bytes([number]) * 100)
 
 
 WRITERS: dict[str, Write] = {
@@ -121,14 +121,20 @@ def whole(folder: Path, name: str) -> tuple[list[Content], float]:
 
 
 def kill_one(path: Path, write: Write, after: float) -> None:
-    """Fork a process that writes the new and the old content in turn; kill it after a time (s)."""
+    """Fork a process that writes the new and the old content in turn; kill it a time (s) later."""
+    begun, begin = os.pipe()
     child = os.fork()
     if child == 0:
         try:
+            write(path.parent.parent / path.name, 0)  # copies the pages a fork leaves shared
+            os.write(begin, b'.')
             for number in range(1, 100_000):
                 write(path, number % 2)
         finally:
             os._exit(1)
+    os.close(begin)
+    assert os.read(begun, 1), path  # ends at the latest with the child
+    os.close(begun)
     time.sleep(after)  # the moment is the point, nothing is awaited
     os.kill(child, signal.SIGKILL)
     _, status = os.waitpid(child, 0)
