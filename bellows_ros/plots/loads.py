@@ -5,7 +5,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .panels import broken, label_abscissa, legend, MILLI, six
+from .panels import broken, legend, MILLI, six, time_axes
 from .style import drawing, THEMES
 
 Array = NDArray[np.float64]
@@ -97,6 +97,5 @@ def residual_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
             unit = 'N' if axis < 3 else 'N m'
             panel.set_title(f'unexplained RMS {rms:.2g} {unit}, {100 * part:.2g} % of the load',
                             loc='right', fontsize=8.5, color=colours.quiet, pad=4.0)  # fmt: skip
-            panel.set_xlim(loads.seconds[0], loads.seconds[-1])
-            label_abscissa(panel, axis, 'time (s)')
+        time_axes(panels, loads.seconds)
     return figure

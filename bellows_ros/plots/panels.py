@@ -70,6 +70,13 @@ def label_abscissa(panel: Any, axis: int, label: str) -> None:
         panel.tick_params(labelbottom=False)
 
 
+def time_axes(panels: Sequence[Any], seconds: Array) -> None:
+    """Label the time axes at the bottom of six panels, and show all of the time."""
+    for axis, panel in enumerate(panels):
+        panel.set_xlim(seconds[0], seconds[-1])
+        label_abscissa(panel, axis, 'time (s)')
+
+
 def broken(values: Array, valid: NDArray[np.bool_]) -> Array:
     """Return values with NaN where they are not valid, so that lines are interrupted."""
     shape = (len(values),) + (1,) * (values.ndim - 1)

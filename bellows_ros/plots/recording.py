@@ -5,7 +5,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .panels import broken, head, label_abscissa, legend, MILLI, six
+from .panels import broken, head, label_abscissa, legend, MILLI, six, time_axes
 from .style import drawing, Theme, THEMES
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ def motion_figure(motion: HasMotion, note: str, theme: str = 'light') -> Any:
             for axis, panel in enumerate(panels):
                 panel.plot(motion.seconds, values[:, axis], color=colour, linewidth=width)
         _mark_invalid(panels, motion, colours)
-        _time_axes(panels, motion.seconds)
+        time_axes(panels, motion.seconds)
     return figure
 
 
@@ -76,13 +76,6 @@ def _mark_invalid(panels: list[Any], motion: HasMotion, colours: Theme) -> None:
     for panel in panels:
         panel.plot(wrong, np.zeros_like(wrong), '|', color=colours.error, markersize=7.0,
                    transform=panel.get_xaxis_transform(), clip_on=False)  # fmt: skip
-
-
-def _time_axes(panels: list[Any], seconds: Array) -> None:
-    """Label the time axes at the bottom, and show all of the time."""
-    for axis, panel in enumerate(panels):
-        panel.set_xlim(seconds[0], seconds[-1])
-        label_abscissa(panel, axis, 'time (s)')
 
 
 def spectra_figure(spectra: HasSpectra, note: str, theme: str = 'light') -> Any:

@@ -17,7 +17,7 @@ HALF_WINDOW, ORDER = 4, 4
 ENOUGH = 20_000
 """Windows from which the noise is known to half a percent; a few more are looked at."""
 
-TWIST_HALF_WINDOW, TWIST_ORDER = 6, 6
+TOOL_HALF_WINDOW, TOOL_ORDER = 6, 6
 """
 Polynomials through so many of the tool's poses give its pose and twist beside poses as measured.
 

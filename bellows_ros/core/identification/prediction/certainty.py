@@ -12,7 +12,7 @@ their variance the scatter.
 from dataclasses import replace
 from typing import NamedTuple
 
-from bellows_ros.core.identification.noise import Noise, TWIST_HALF_WINDOW, TWIST_ORDER
+from bellows_ros.core.identification.noise import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
 from bellows_ros.core.identification.prediction.objective import Objective, Stretch
 from bellows_ros.core.lie import apply, exp_so3, quaternion_to_rotation
 from bellows_ros.core.savgol import weights
@@ -131,7 +131,7 @@ def _noisy(stretch: Stretch, rng: np.random.Generator) -> Stretch:
     measured = stretch.measured
     package = _turned(measured.package, *_drawn(measured.package, stretch.noise, rng))
     noise = np.hstack(_drawn(measured.tool, measured.tool_noise, rng))
-    value, slope, _ = weights(TWIST_HALF_WINDOW, TWIST_ORDER, 1.0 / measured.tool_period)
+    value, slope, _ = weights(TOOL_HALF_WINDOW, TOOL_ORDER, 1.0 / measured.tool_period)
     smooth, twist = (correlate1d(noise, w, axis=0, mode='nearest') for w in (value, slope))
     tool = _turned(measured.tool, smooth[:, :3], smooth[:, 3:])
     if tool.twist is not None:

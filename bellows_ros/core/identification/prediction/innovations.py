@@ -10,7 +10,7 @@ that is known beforehand. With an exact tool the gain is zero and it is the free
 
 from typing import Any, NamedTuple
 
-from bellows_ros.core.identification.noise import Noise, TWIST_HALF_WINDOW, TWIST_ORDER
+from bellows_ros.core.identification.noise import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
 from bellows_ros.core.integrator import advance
 from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import ModelTuple, State
@@ -36,7 +36,7 @@ CLIPPED_AT = 4.0
 """Standard deviations of an innovation beyond which it corrects the state no further."""
 
 
-LAGS = 2 * TWIST_HALF_WINDOW + 1
+LAGS = 2 * TOOL_HALF_WINDOW + 1
 """Innovations that act on the next prediction: one for each pose that makes a tool twist."""
 
 ZERO = (0.0, 0.0, 0.0)
@@ -146,7 +146,7 @@ def _one_step(
     substeps = substeps_for(period, largest_step(model))
     _step_slopes(model, tool, body, period, substeps, slopes)
     F, first, last = slopes
-    value, slope, _ = weights(TWIST_HALF_WINDOW, TWIST_ORDER, 1.0 / period)
+    value, slope, _ = weights(TOOL_HALF_WINDOW, TOOL_ORDER, 1.0 / period)
     inputs = [np.zeros((12, 6)) for _ in range(LAGS + 1)]
     for offset, effect in ((0, first), (1, last)):
         for j in range(LAGS):

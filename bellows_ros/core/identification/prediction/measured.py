@@ -1,8 +1,9 @@
 """Prepared recordings as the prediction-error method sees them."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
-from bellows_ros.core.identification.noise import Noise, noise_of, TWIST_HALF_WINDOW, TWIST_ORDER
+from bellows_ros.core.identification.noise import Noise, noise_of, TOOL_HALF_WINDOW, TOOL_ORDER
 from bellows_ros.core.model import Package
 from bellows_ros.core.savgol import savgol
 from bellows_ros.core.trajectory import (
@@ -104,32 +105,21 @@ def measured_stretches(
     """
     rate_hz = uniform_rate_hz(tool.stamps_ns)
     noises = noise_of(tool), noise_of(package)
-    moving = in_motion(tool)
-    known = moving.select(moving.valid)
-    steps = np.diff(known.stamps_ns) / NS_PER_S
-    tracked = tool.select(tool.valid).stamps_ns
-    seen = _away_from_gaps(tracked, package.stamps_ns, BLIND_STEPS / rate_hz)
-    settled = _settled(tracked, package.stamps_ns, BLIND_STEPS / rate_hz) & _settled(
-        package.stamps_ns[package.valid], package.stamps_ns,
-        BLIND_STEPS / uniform_rate_hz(package.stamps_ns))
-    cuts = [0, *(np.flatnonzero(steps > LONGEST_TOOL_GAP) + 1).tolist(), len(known)]
+    marked, settled = _marked(tool, package)
     stretches = []
-    for first, last in zip(cuts[:-1], cuts[1:], strict=True):
-        part = known.select(slice(first, last))
-        if len(part) < 2:
-            continue
+    for part in _parts(in_motion(tool)):
         edge = round(margin * NS_PER_S)
-        stamps = package.stamps_ns
-        inside = (stamps >= part.stamps_ns[0] + edge) & (stamps <= part.stamps_ns[-1] - edge)
-        if np.count_nonzero(inside) < SHORTEST_SEGMENT * uniform_rate_hz(stamps):
+        inside = slice(
+            *np.searchsorted(
+                package.stamps_ns, [part.stamps_ns[0] + edge, part.stamps_ns[-1] - edge + 1]))
+        poses = marked.select(inside)
+        if len(poses) < SHORTEST_SEGMENT * uniform_rate_hz(package.stamps_ns):
             continue
-        poses = package.select(inside)
-        marked = Trajectory(
-            poses.stamps_ns, poses.position, poses.rotation, valid=poses.valid & seen[inside]
-        )
-        counted = marked.valid & settled[inside]
         stretches.append(
-            Measured(part, marked, counted, held, gravity, *noises, 1.0 / rate_hz, recording)
+            Measured(
+                part, poses, poses.valid & settled[inside], held, gravity, *noises, 1.0 / rate_hz,
+                recording,
+            )
         )
     if not stretches:
         raise BellowsError(
@@ -137,6 +127,30 @@ def measured_stretches(
             'longer, or look at the gaps and outliers in the report.'
         )
     return stretches
+
+
+def _parts(moving: Trajectory) -> Iterator[Trajectory]:
+    """Yield the parts of the tool's motion between gaps that are too long to be bridged."""
+    known = moving.select(moving.valid)
+    steps = np.diff(known.stamps_ns) / NS_PER_S
+    cuts = [0, *(np.flatnonzero(steps > LONGEST_TOOL_GAP) + 1).tolist(), len(known)]
+    for first, last in zip(cuts[:-1], cuts[1:], strict=True):
+        if last - first > 1:
+            yield known.select(slice(first, last))
+
+
+def _marked(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Mask]:
+    """Return the package's poses, invalid in gaps of the tool, and which are settled again."""
+    stamps = package.stamps_ns
+    (of_tool, longest_of_tool), (of_package, longest_of_package) = (
+        (body.stamps_ns[body.valid], BLIND_STEPS / uniform_rate_hz(body.stamps_ns))
+        for body in (tool, package)
+    )
+    seen = _away_from_gaps(of_tool, stamps, longest_of_tool)
+    settled = _settled(of_tool, stamps, longest_of_tool)
+    settled &= _settled(of_package, stamps, longest_of_package)
+    poses = Trajectory(stamps, package.position, package.rotation, valid=package.valid & seen)
+    return poses, settled
 
 
 def in_motion(poses: Trajectory) -> Trajectory:
@@ -159,7 +173,7 @@ def in_motion(poses: Trajectory) -> Trajectory:
         position[lost], rotation[lost], valid[lost] = (
             bridge.position, bridge.rotation, bridge.valid)
         poses = Trajectory(poses.stamps_ns, position, rotation, valid=valid)
-    return savgol(poses, TWIST_HALF_WINDOW, TWIST_ORDER)
+    return savgol(poses, TOOL_HALF_WINDOW, TOOL_ORDER)
 
 
 def _away_from_gaps(tracked: Stamps, stamps: Stamps, longest: float) -> Mask:
