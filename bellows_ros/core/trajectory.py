@@ -1,24 +1,15 @@
 """
-Recorded streams and trajectories: stamped poses and twists, and their resampling.
+Recorded streams and trajectories: stamped poses and twists.
 
 All check themselves once, on construction, and are read-only from then on.
 Stamps are integer nanoseconds throughout; only their differences become seconds.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
-from bellows_ros.core.lie import (
-    adjoint,
-    apply,
-    Array,
-    dexp,
-    dexp_inverse,
-    exp_so3,
-    log_so3,
-    transform,
-)
+from bellows_ros.core.lie import adjoint, apply, Array, transform
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -221,7 +212,7 @@ class Trajectory:
         What was checked is not checked again, and a slice copies nothing.
         """
         picked = object.__new__(Trajectory)
-        _store(picked, 'stamps_ns', _stamps(self.stamps_ns[index], 'Picked samples'))
+        _store(picked, 'stamps_ns', checked_stamps(self.stamps_ns[index], 'Picked samples'))
         for name in ('position', 'rotation', 'twist', 'acceleration', 'valid'):
             array = getattr(self, name)
             if array is None:
@@ -322,168 +313,7 @@ def valid_windows(valid: Mask, half_window: int) -> Mask:
     return result
 
 
-def common_stamps(stamps_ns: ArrayLike, trajectory: Trajectory) -> Stamps:
-    """
-    Return those stamps at which a trajectory can be resampled.
-
-    These lie between its first and last stamp, both included.
-
-    Parameters
-    ----------
-    stamps_ns : int array (M,)
-        Wanted stamps, strictly increasing, ns.
-    trajectory : Trajectory
-        What is to be resampled.
-
-    Returns
-    -------
-    int array (K,), K <= M
-
-    Raises
-    ------
-    BellowsError
-        If none is inside: the two do not overlap in time.
-
-    """
-    wanted = _stamps(stamps_ns, 'Wanted stamps')
-    if len(wanted) and len(trajectory):
-        first, last = trajectory.stamps_ns[[0, -1]]
-        inside: Stamps = wanted[(wanted >= first) & (wanted <= last)]
-        if len(inside):
-            return inside
-    raise BellowsError(
-        'The two streams do not overlap in time: one covers '
-        f'{_span(wanted)}, the other {_span(trajectory.stamps_ns)}. '
-        'Give streams of one recording, stamped by one clock.'
-    )
-
-
-def resample(
-    trajectory: Trajectory, stamps_ns: ArrayLike, longest_gap_ns: int | None = None
-) -> Trajectory:
-    """
-    Interpolate a trajectory at other stamps, without extrapolating.
-
-    With twists the interpolant is the cubic Hermite polynomial on SO(3) x R^3: in the position,
-    with the end velocities R v, and in the rotation vector c of R = R_0 exp(c), with c(0) = 0,
-    c'(0) = h w_0, c(1) = log(R_0^T R_1) and c'(1) = dexp(-c(1))^-1 h w_1, where w is the body rate
-    and h the interval. It is once differentiable and of fourth order; its own body twist is
-    returned. Without twists positions go straight and rotations along the geodesic, and no twist
-    is returned. A stamp of the trajectory itself returns that very sample. The result has no
-    accelerations.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Samples at any stamps, with twists or without.
-    stamps_ns : int array (M,)
-        Wanted stamps, strictly increasing, ns, inside the trajectory's first and last (see
-        `common_stamps`).
-    longest_gap_ns : int, optional
-        A stamp between two samples further apart than this is not valid, ns.
-
-    Returns
-    -------
-    Trajectory
-        Its sample is valid when the sample it repeats, or both samples it lies between, are.
-
-    Raises
-    ------
-    BellowsError
-        If a stamp lies outside the trajectory.
-
-    """
-    wanted = _stamps(stamps_ns, 'Wanted stamps')
-    _require_inside(wanted, trajectory.stamps_ns)
-    before = np.searchsorted(trajectory.stamps_ns, wanted, side='right') - 1
-    same = slice(before[0], before[-1] + 1) if len(before) else slice(0)
-    if np.array_equal(trajectory.stamps_ns[same], wanted):  # nothing to interpolate, or to copy
-        return replace(trajectory.select(same), acceleration=None)
-    position, rotation = trajectory.position[before], trajectory.rotation[before]
-    twist = None if trajectory.twist is None else trajectory.twist[before]
-    valid = trajectory.valid[before]
-    between = np.flatnonzero(wanted != trajectory.stamps_ns[before])
-    start, end = before[between], before[between] + 1
-    interval = trajectory.stamps_ns[end] - trajectory.stamps_ns[start]
-    fraction = ((wanted[between] - trajectory.stamps_ns[start]) / interval)[:, None]
-    if trajectory.twist is None or twist is None:
-        position[between], rotation[between] = _geodesic(trajectory, start, end, fraction)
-    else:
-        position[between], rotation[between], twist[between] = _hermite(
-            trajectory, trajectory.twist, start, end, fraction, (interval / NS_PER_S)[:, None]
-        )
-    near = longest_gap_ns is None or interval <= longest_gap_ns
-    valid[between] &= trajectory.valid[end] & near
-    return Trajectory(
-        frozen(wanted), frozen(position), frozen(rotation),
-        None if twist is None else frozen(twist), None, valid,
-    )  # fmt: skip
-
-
-def _geodesic(
-    trajectory: Trajectory, before: Stamps, after: Stamps, s: Array
-) -> tuple[Array, Array]:
-    """Return positions and rotations at fractions s (M, 1) of the geodesics between samples."""
-    start, end = trajectory.position[before], trajectory.position[after]
-    R_start = trajectory.rotation[before]
-    turn = log_so3(np.swapaxes(R_start, -1, -2) @ trajectory.rotation[after])
-    return start + s * (end - start), R_start @ exp_so3(s * turn)
-
-
-def _hermite(
-    trajectory: Trajectory,
-    twist: Array,
-    before: Stamps,
-    after: Stamps,
-    s: Array,
-    interval_s: Array,
-) -> tuple[Array, Array, Array]:
-    """Return positions, rotations and body twists of the cubic Hermite interpolant at s (M, 1)."""
-    R_start, R_end = trajectory.rotation[before], trajectory.rotation[after]
-    start, end = twist[before] * interval_s, twist[after] * interval_s
-    origin = trajectory.position[before]
-    step, step_rate = _cubic(
-        s,
-        apply(R_start, start[:, :3]),
-        trajectory.position[after] - origin,
-        apply(R_end, end[:, :3]),
-    )
-    turn = log_so3(np.swapaxes(R_start, -1, -2) @ R_end)
-    c, c_rate = _cubic(s, start[:, 3:], turn, apply(dexp_inverse(-turn), end[:, 3:]))
-    rotation = R_start @ exp_so3(c)
-    linear = apply(np.swapaxes(rotation, -1, -2), step_rate)
-    angular = apply(dexp(-c), c_rate)
-    return origin + step, rotation, np.concatenate([linear, angular], axis=-1) / interval_s
-
-
-def _cubic(s: Array, rate_start: Array, end: Array, rate_end: Array) -> tuple[Array, Array]:
-    """Return the cubic over 0..1 from zero to `end` with these end rates, and its derivative."""
-    quadratic = 3.0 * end - 2.0 * rate_start - rate_end
-    cubic = rate_start + rate_end - 2.0 * end
-    value = s * (rate_start + s * (quadratic + s * cubic))
-    return value, rate_start + s * (2.0 * quadratic + s * 3.0 * cubic)
-
-
-def _require_inside(wanted: Stamps, available: Stamps) -> None:
-    """Refuse stamps that would need extrapolation."""
-    if not len(wanted):
-        return
-    if len(available) and wanted[0] >= available[0] and wanted[-1] <= available[-1]:
-        return
-    raise BellowsError(
-        f'The wanted stamps cover {_span(wanted)}, the trajectory only {_span(available)}. '
-        'Poses are never extrapolated; ask for stamps inside the trajectory.'
-    )
-
-
-def _span(stamps_ns: Stamps) -> str:
-    """Return the words for the time that stamps cover."""
-    if not len(stamps_ns):
-        return 'no time at all (it is empty)'
-    return f'{stamps_ns[0]} to {stamps_ns[-1]} ns'
-
-
-def _stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
+def checked_stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
     """Return stamps as an int64 array nobody else writes to, or say what is wrong with them."""
     stamps = np.asarray(stamps_ns)
     if stamps.ndim != 1 or not (stamps.size == 0 or np.issubdtype(stamps.dtype, np.integer)):
@@ -505,7 +335,7 @@ def _stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
 
 def _freeze_stamps(owner: PoseStream | TwistStream | Trajectory, of: str) -> int:
     """Check and freeze the owner's stamps; return their number."""
-    stamps = _stamps(owner.stamps_ns, of)
+    stamps = checked_stamps(owner.stamps_ns, of)
     _store(owner, 'stamps_ns', stamps)
     return len(stamps)
 

@@ -15,8 +15,9 @@ from bellows_ros.core.model import cup_of, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import in_world, R_WORLD_MOTIVE
 from bellows_ros.core.recording.preparation import Recording
+from bellows_ros.core.resampling import resample
 from bellows_ros.core.score import AXES, relative_coordinates, score, Scores
-from bellows_ros.core.trajectory import NS_PER_S, resample, Trajectory, TwistStream
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import load, Loaded
 import numpy as np

@@ -12,7 +12,8 @@ import re
 
 from bellows_ros.core.lie import apply
 from bellows_ros.core.recording.alignment import in_world, WORLDS
-from bellows_ros.core.trajectory import NS_PER_S, PoseStream, resample, Trajectory, TwistStream
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import NDArray

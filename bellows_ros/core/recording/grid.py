@@ -8,7 +8,8 @@ so that arrays stay finite, and is invalid.
 
 from dataclasses import dataclass
 
-from bellows_ros.core.trajectory import NS_PER_S, resample, Stamps, Trajectory, UNIFORM_WITHIN
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.trajectory import NS_PER_S, Stamps, Trajectory, UNIFORM_WITHIN
 from bellows_ros.errors import BellowsError
 import numpy as np
 

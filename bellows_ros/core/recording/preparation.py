@@ -21,6 +21,7 @@ from bellows_ros.core.recording.alignment import (
 )
 from bellows_ros.core.recording.grid import on_grid, Timing, timing
 from bellows_ros.core.recording.outliers import find_outliers, Outliers, repeats_in_motion
+from bellows_ros.core.resampling import resample
 from bellows_ros.core.savgol import savgol
 from bellows_ros.core.trajectory import (
     Filtered,
@@ -28,7 +29,6 @@ from bellows_ros.core.trajectory import (
     Mask,
     NS_PER_S,
     PoseStream,
-    resample,
     Stamps,
     Trajectory,
     TwistStream,

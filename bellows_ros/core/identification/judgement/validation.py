@@ -23,17 +23,11 @@ from bellows_ros.core.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.linearisation import largest_step, substeps_for
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.recording.preparation import Recording
+from bellows_ros.core.resampling import resample
 from bellows_ros.core.savgol import savgol, weights
 from bellows_ros.core.score import AXES, relative_coordinates, score, Scores
 from bellows_ros.core.simulation import simulate, state_row, tool_rows
-from bellows_ros.core.trajectory import (
-    Mask,
-    NS_PER_S,
-    resample,
-    Stamps,
-    Trajectory,
-    uniform_rate_hz,
-)
+from bellows_ros.core.trajectory import Mask, NS_PER_S, Stamps, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import NDArray

@@ -5,15 +5,9 @@ from dataclasses import dataclass
 
 from bellows_ros.core.identification.noise import Noise, noise_of, TOOL_HALF_WINDOW, TOOL_ORDER
 from bellows_ros.core.model import Package
+from bellows_ros.core.resampling import resample
 from bellows_ros.core.savgol import savgol
-from bellows_ros.core.trajectory import (
-    Mask,
-    NS_PER_S,
-    resample,
-    Stamps,
-    Trajectory,
-    uniform_rate_hz,
-)
+from bellows_ros.core.trajectory import Mask, NS_PER_S, Stamps, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 

@@ -21,8 +21,9 @@ from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.linearisation import displaced, largest_step
 from bellows_ros.core.model import Cup, model_tuple
+from bellows_ros.core.resampling import resample
 from bellows_ros.core.simulation import state_row, tool_rows
-from bellows_ros.core.trajectory import NS_PER_S, resample, Trajectory
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np
 from numpy.typing import NDArray
 

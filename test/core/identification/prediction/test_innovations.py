@@ -9,8 +9,9 @@ from bellows_ros.core.jit import COMPILED
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.linearisation import system_matrix
 from bellows_ros.core.model import Cup, model_tuple
+from bellows_ros.core.resampling import resample
 from bellows_ros.core.simulation import state_row, tool_rows
-from bellows_ros.core.trajectory import resample, Trajectory
+from bellows_ros.core.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
