@@ -11,7 +11,6 @@ Table = list[tuple[str, ...]]
 
 MEBI = 2**20
 BARE = 'bare'
-C_LIMIT = 'C, gcc -O3'
 
 
 def tables(found: Mapping[str, Any]) -> dict[str, Table]:

@@ -1,7 +1,6 @@
 """Which samples of a recording were used, and what was wrong with the others."""
 
 from bellows_ros.core.recording.preparation import Recording, StreamReport
-from bellows_ros.core.trajectory import NS_PER_S
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,8 +53,3 @@ def _stream_row(stream: StreamReport) -> tuple[str, ...]:
         stream.name, str(stream.samples), f'{stream.timing.rate_hz:.6g} Hz',
         ', '.join(refused) or '0', str(stream.marked), gaps, str(stream.touched),
     )  # fmt: skip
-
-
-def start_words(recording: Recording) -> str:
-    """Return when a recording began, by its own stamps."""
-    return f'{recording.package.stamps_ns[0] / NS_PER_S:.3f} s'

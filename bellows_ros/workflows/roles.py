@@ -28,7 +28,6 @@ PACKAGE_WORDS = frozenset({'package', 'packet', 'parcel', 'box', 'carton', 'obje
 LONGEST_DISTANCE = 1.0  # m, between tool and package
 LARGEST_CHANGE = 0.25  # of the distance, between its quartiles, of a package that is held
 BELOW_WITHIN = np.deg2rad(40.0)  # of straight down, for what hangs below
-FIRST_SECONDS = 0.2  # in which both are taken to be where they start
 SAMPLES = 2000  # at which two streams are compared
 STRIDE = 0.05  # s, over which a twist is compared with the way its body goes
 WAY = 2e-3  # m, over that time: less is too little to compare with

@@ -20,7 +20,6 @@ from .conftest import load
 PAGES = load('tools', 'pages')
 ALL = {str(page.relative_to(PAGES.ROOT)): page for page in PAGES.pages()}
 EXECUTABLES = ('predictor', 'identifier', 'bellows')
-NEEDED = {'predictor': 'rclpy', 'identifier': 'rclpy'}
 
 
 def with_mode(page: Path, *modes: str) -> list[Any]:

@@ -22,7 +22,6 @@ PACKAGE = {
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 ORIGIN = (0.0, 0.0, 0.0)
 QUEUE = 10_000  # messages; the partner loses nothing while it is busy sending
-MILLISECOND = 1_000_000
 
 
 @dataclass
