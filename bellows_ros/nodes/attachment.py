@@ -38,14 +38,12 @@ class Attachment:
         self, node: Node, values: Mapping[str, Any], change: Callable[[bool, str], bool]
     ) -> None:
         """Serve, and listen to the vacuum where the parameters say so."""
-        self._node, self._change = node, change
+        self._change = change
         self.set_values(values)
         signal = values['vacuum.signal']
         self.held = values['package.attached'] and signal == 'none'
-        self._services = [
-            node.create_service(Trigger, 'package/attach', self._on_attach),
-            node.create_service(Trigger, 'package/detach', self._on_detach),
-        ]
+        node.create_service(Trigger, 'package/attach', self._on_attach)
+        node.create_service(Trigger, 'package/detach', self._on_detach)
         self.signal: SensorInput | None = None
         if signal == 'bool':
             self.signal = SensorInput(node, Bool, 'vacuum/held', self._on_held)
@@ -86,10 +84,3 @@ class Attachment:
         if held != self.held:
             self.held = held
             self._change(held, 'vacuum')
-
-    def destroy(self) -> None:
-        """Serve and listen no more."""
-        for service in self._services:
-            self._node.destroy_service(service)
-        if self.signal:
-            self.signal.destroy()

@@ -55,16 +55,11 @@ class Topic:
             event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )  # fmt: skip
-        self._destroy = lambda: node.destroy_lifecycle_publisher(self._publisher)
         self.publish: Callable[[Any], None] = self._publisher.publish
 
     def _on_matched(self, matched: Any) -> None:
         """Note whether somebody listens."""
         self.wanted = matched.current_count > 0
-
-    def destroy(self) -> None:
-        """Advertise no more."""
-        self._destroy()
 
 
 class Outputs:
@@ -90,10 +85,6 @@ class Outputs:
         self._markers = Topic(node, MarkerArray, 'package/markers')
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state = Topic(node, String, 'package/state', latched)
-        self._topics = [
-            self._pose, self._twist, self._odometry, self._wrench, self._deflection,
-            self._markers, self._state,
-        ]  # fmt: skip
         self._tf = self._tf_topic(node) if values['frames.tf'] else None
         self._messages = PoseStamped(), TwistStamped(), WrenchStamped()
         self._said = ''
@@ -106,8 +97,7 @@ class Outputs:
         from tf2_msgs.msg import TFMessage
 
         self._tf_message = TFMessage(transforms=[TransformStamped()])
-        self._topics.append(Topic(node, TFMessage, '/tf'))
-        return self._topics[-1]
+        return Topic(node, TFMessage, '/tf')
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Go on with another cup or package."""
@@ -169,8 +159,3 @@ class Outputs:
             self._state.publish(String(data=state))
             if state in ('detached', 'lost', 'inactive') and self._markers.wanted:
                 self._markers.publish(gone())
-
-    def destroy(self) -> None:
-        """Advertise nothing any more."""
-        for topic in self._topics:
-            topic.destroy()

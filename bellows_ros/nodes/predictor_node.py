@@ -9,15 +9,14 @@ from rclpy.clock import Clock, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.lifecycle.node import LifecycleNodeMixin
-from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from .attachment import Attachment
 from .conversions import quaternion_xyzw, stamp_to_ns, TOOL_POSES, vector
 from .diagnostics import Diagnostics
+from .managed import ManagedNode
 from .outputs import Outputs
-from .parameters import TableNode, Values
+from .parameters import Values
 from .reports import summary
 from .tool_inputs import SensorInput
 from ..core.cups import with_chosen_cup
@@ -50,10 +49,8 @@ FROM_THESIS = {
 }
 IN_NAMED_CUP = ('cup.stiffness', 'cup.damping', 'cup.length')
 
-SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
-
-class PredictorNode(LifecycleNodeMixin, TableNode):
+class PredictorNode(ManagedNode):
     """
     Predict the package's pose and twist and the cup's wrench from the tool arm's messages.
 
@@ -74,14 +71,11 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
 
     def __init__(self, **options: Any) -> None:
         """Check the parameters, and start unless told not to."""
-        TableNode.__init__(self, 'predictor', **options)
-        LifecycleNodeMixin.__init__(self)
-        self.finished: Future = Future()
+        super().__init__('predictor', **options)
         self._live: LivePredictor | None = None
         self._active = self._twists_exist = False
         self._inputs_at_last_tick = self._idle_ticks = self._ticks = 0
         self._last: Prediction | None = None
-        self._said_refusal = ''
         self._diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=BACKWARD, on_clock_change=True),
@@ -89,16 +83,9 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         )  # fmt: skip
         self._start_timers()
         if self.values['autostart']:
-            self._start()
+            self.start()
         else:
             self.get_logger().info('Unconfigured: waits for its lifecycle manager (autostart).')
-
-    def _start(self) -> None:
-        """Configure and activate, or raise what stands against it."""
-        for step in (self.trigger_configure, self.trigger_activate):
-            if step() != SUCCESS:
-                self.destroy_node()
-                raise BellowsError(self._said_refusal or 'The node could not be started.')
 
     def _start_timers(self) -> None:
         """Look after lost twists and the reports, on the clock that nobody sets."""
@@ -108,18 +95,8 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
 
     # -------------------------------------------------------------- lifecycle
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def configure(self) -> None:
         """Prepare the model, compile all it needs, and only then make the topics."""
-        try:
-            self._configure()
-        except BellowsError as error:
-            self._said_refusal = str(error)
-            self.get_logger().error(f'Cannot be configured: {error}')
-            return FAILURE
-        return super().on_configure(state)
-
-    def _configure(self) -> None:
-        """Make all that needs the parameters."""
         values = with_chosen_cup(self.values)
         model = (cup_of(values), package_of(values), values['gravity'], values['tool_twist.frame'])
         warm_up(*model)
@@ -131,10 +108,10 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         self._twist_in = SensorInput(
             self, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
         self._attachment = Attachment(self, values, self._attach)
-        self._reset = self.create_service(Trigger, '~/reset', self._on_reset)
-        self._live = live
-        self._apply(values)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self._apply(live, values)
         self._diagnostics.watch(live, self._pose_in, self._twist_in, self._attachment, values)
+        self._live = live
         self._say_model(values)
         for name in self.unmatched_qos_overrides():
             self.get_logger().warning(f"No topic of this node takes the QoS override '{name}'.")
@@ -175,7 +152,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         self.get_logger().error('A transition failed; the node is unconfigured now.')
         self._active = False
         self._clean_up()
-        return SUCCESS
+        return TransitionCallbackReturn.SUCCESS
 
     def _clean_up(self) -> None:
         """Give back the model and the topics."""
@@ -184,14 +161,7 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         self.get_logger().info(summary(self._live))
         self._diagnostics.forget()
         self._live = None
-        for part in (self._outputs, self._pose_in, self._twist_in, self._attachment):
-            part.destroy()
-        self.destroy_service(self._reset)
-
-    @property
-    def lifecycle_state(self) -> str:
-        """Name of the state: unconfigured, inactive, active or finalized."""
-        return str(self._state_machine.current_state[1])
+        self.give_back()
 
     def _say_model(self, values: Values) -> None:
         """Log the cup and the package that are used."""
@@ -331,12 +301,12 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         self._live.set_model(cup_of(values), package_of(values))
         self._attachment.set_values(values)
         self._diagnostics.set_values(values)
-        self._apply(values)
+        self._apply(self._live, values)
 
-    def _apply(self, values: Values) -> None:
+    def _apply(self, live: LivePredictor, values: Values) -> None:
         """Hand values to what uses them between two messages."""
-        self._live.coast_limit_ns = round(values['coast.limit'] * 1e9)
-        self._outputs.set_model(self._live.model, values)
+        live.coast_limit_ns = round(values['coast.limit'] * 1e9)
+        self._outputs.set_model(live.model, values)
 
     # ---------------------------------------------------------------- reports
 
@@ -350,9 +320,3 @@ class PredictorNode(LifecycleNodeMixin, TableNode):
         self._active = False
         self._clean_up()
         self.destroy_node()
-
-    def destroy_node(self) -> None:
-        """Leave the graph; rclpy forgets the state machine, which would keep the node there."""
-        super().destroy_node()
-        if hasattr(self, '_state_machine'):  # not where the parameters were refused
-            self._state_machine.destroy_when_not_in_use()

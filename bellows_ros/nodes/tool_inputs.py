@@ -113,10 +113,6 @@ class SensorInput:
                 return _policy_in(str(why).lower())
         return ''
 
-    def destroy(self) -> None:
-        """Listen no more."""
-        self._node.destroy_subscription(self._subscription)
-
 
 def _policy_in(why: str) -> str:
     """Return the name of the policy that an explanation speaks of."""

@@ -132,6 +132,53 @@ def test_every_transition(make_predictor: Callable[..., Any], manager: Manager) 
     assert manager.state() == 'finalized'
 
 
+STATES = {
+    'unconfigured': (),
+    'inactive': (Transition.TRANSITION_CONFIGURE,),
+    'active': (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE),
+}
+ALLOWED = {'unconfigured': {1, 5}, 'inactive': {2, 3, 6}, 'active': {4, 7}}
+
+
+@pytest.mark.parametrize('state', STATES)
+def test_a_transition_that_is_not_allowed_is_refused(
+        state: str, make_predictor: Callable[..., Any], manager: Manager) -> None:
+    """Answer no to each of them, and go on as before."""
+    make_predictor({**PACKAGE, 'autostart': False})
+    for transition in STATES[state]:
+        assert manager.change(transition)
+    for transition in sorted({*range(9), 60, 99} - ALLOWED[state]):
+        assert not manager.change(transition), transition
+        assert manager.state() == state
+    label = ChangeState.Request(transition=Transition(label='configured'))
+    assert not manager.call('/predictor/change_state', ChangeState, label).success
+    if state == 'active':
+        assert manager.hears()
+
+
+def test_a_transition_by_its_label(
+        make_predictor: Callable[..., Any], manager: Manager) -> None:
+    """Take the name instead of the number."""
+    make_predictor()
+    label = ChangeState.Request(transition=Transition(label='deactivate'))
+    assert manager.call('/predictor/change_state', ChangeState, label).success
+    assert manager.state() == 'inactive'
+
+
+def test_what_cannot_be_configured_leaves_nothing_behind(
+        make_predictor: Callable[..., Any], manager: Manager) -> None:
+    """Say why, whatever the reason, and have no topics however often it is tried."""
+    override = 'qos_overrides./tool_arm/pose.subscription.reliability'
+    node = make_predictor({**PACKAGE, 'autostart': False, override: 'nonsense'})
+    topics = len({*node.publishers, *node.subscriptions, *node.services})
+    for _ in range(3):
+        assert not manager.change(Transition.TRANSITION_CONFIGURE)
+        assert manager.state() == 'unconfigured'
+        assert len({*node.publishers, *node.subscriptions, *node.services}) == topics
+    with pytest.raises(BellowsError, match='nonsense'):
+        make_predictor({**PACKAGE, override: 'nonsense'})
+
+
 def test_shutdown_while_active(make_predictor: Callable[..., Any], manager: Manager) -> None:
     """Fall silent for good."""
     make_predictor()
