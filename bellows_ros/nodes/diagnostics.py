@@ -10,6 +10,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from .attachment import Attachment
 from .conversions import diagnostic
+from .outputs import Outputs
 from .reports import InputReport
 from .tool_inputs import SensorInput
 from ..core.live import LivePredictor
@@ -57,10 +58,11 @@ class Diagnostics:
 
     def watch(
         self, live: LivePredictor, pose: SensorInput, twist: SensorInput,
-        attachment: Attachment, values: Mapping[str, Any],
+        attachment: Attachment, outputs: Outputs, values: Mapping[str, Any],
     ) -> None:  # fmt: skip
-        """Report on this predictor and its inputs from now on."""
-        self._live, self._inputs, self._attachment = live, (pose, twist), attachment
+        """Report on this predictor, its inputs and outputs from now on."""
+        self._live, self._inputs = live, (pose, twist)
+        self._attachment, self._outputs = attachment, outputs
         self._restarts = dict(live.restarts)
         self._report = InputReport(live)
         self.set_values(values)
@@ -114,13 +116,13 @@ class Diagnostics:
     def _prediction(self, name: str, state: str) -> Status:
         """Return the line on the prediction."""
         live, restarts = self._live, {}
-        phase, counts, verdict, cup = 'none', {}, 'unknown', 'none'
+        phase, counts, verdict, cup, covariance_known = 'none', {}, 'unknown', 'none', True
         if live is not None:
             restarts = {k: n - self._restarts[k] for k, n in live.restarts.items()}
             self._restarts = dict(live.restarts)
             phase, verdict = live.phase(time.monotonic_ns()), live.twist_check.verdict
             counts, cup = live.counts, self._cup
-        return prediction_status(
-            name,
-            PredictionSeen(state, phase, cup, self.compute.take(), counts, restarts, verdict),
-        )
+            covariance_known = self._outputs.covariance_known
+        seen = PredictionSeen(
+            state, phase, cup, self.compute.take(), counts, restarts, verdict, covariance_known)
+        return prediction_status(name, seen)

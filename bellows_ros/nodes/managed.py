@@ -64,7 +64,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         self._before = {*self.publishers, *self.subscriptions, *self.services}
         try:
             self.configure()
-        except Exception as error:  # whatever it is, rclpy would swallow it
+        except Exception as error:  # noqa: BLE001 (rclpy would swallow whatever it is)
             kind = '' if isinstance(error, BellowsError) else f'{type(error).__name__}: '
             self._why_not = f'{kind}{error}'
             self.get_logger().error(f'Cannot be configured: {self._why_not}')

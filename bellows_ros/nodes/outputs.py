@@ -112,6 +112,11 @@ class Outputs:
         write_deflection(PoseStamped(), '', self._model, still)
         Picture(self._values).of('', self._model, still)
 
+    @property
+    def covariance_known(self) -> bool:
+        """Whether the last covariance that was sent is one."""
+        return self._uncertainty.known
+
     def publish(self, prediction: Prediction, frame_id: str) -> None:
         """Send a prediction; a message is serialised at once and can be used again."""
         if not prediction.coasting or self._values['coast.poses']:

@@ -21,6 +21,7 @@ from .reports import summary
 from .tool_inputs import SensorInput
 from ..core.cups import with_chosen_cup
 from ..core.live import LivePredictor, Prediction, warm_up
+from ..core.live.load import Load
 from ..core.live.uncertainty import warm_up_uncertainty
 from ..core.live.vacuum import check_thresholds
 from ..core.model import cup_of, package_of
@@ -69,10 +70,11 @@ class PredictorNode(ManagedNode):
 
     """
 
+    _live: LivePredictor | None = None
+
     def __init__(self, **options: Any) -> None:
         """Check the parameters, and start unless told not to."""
         super().__init__('predictor', **options)
-        self._live: LivePredictor | None = None
         self._active = self._twists_exist = False
         self._inputs_at_last_tick = self._idle_ticks = self._ticks = 0
         self._last: Prediction | None = None
@@ -101,7 +103,7 @@ class PredictorNode(ManagedNode):
         model = (cup_of(values), package_of(values), values['gravity'], values['tool_twist.frame'])
         warm_up(*model)
         live = LivePredictor(*model)
-        warm_up_uncertainty(live.model, values)
+        warm_up_uncertainty()
         self._outputs = Outputs(self, values)
         kind, self._pose_of = TOOL_POSES[values['tool_pose.type']]
         self._pose_in = SensorInput(self, kind, 'tool_arm/pose', self._on_pose)
@@ -110,7 +112,8 @@ class PredictorNode(ManagedNode):
         self._attachment = Attachment(self, values, self._attach)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._apply(live, values)
-        self._diagnostics.watch(live, self._pose_in, self._twist_in, self._attachment, values)
+        self._diagnostics.watch(
+            live, self._pose_in, self._twist_in, self._attachment, self._outputs, values)
         self._live = live
         self._say_model(values)
         for name in self.unmatched_qos_overrides():
@@ -288,9 +291,11 @@ class PredictorNode(ManagedNode):
                 f"cups.{name}.{idle[0].removeprefix('cup.')}, or set cup.name to ''."
             )
         chosen = with_chosen_cup(values)
-        cup_of(chosen)
-        package_of(chosen)
+        cup, package = cup_of(chosen), package_of(chosen)
         check_thresholds(values)
+        Load(chosen)
+        if self._live is not None:
+            self._live.check_model(cup, package)
 
     def on_values(self, names: list[str]) -> None:
         """Go on with the new cup and package; the package keeps its motion."""

@@ -116,6 +116,15 @@ class Partner:
         assert self.ros.spin_until(lambda: live.poses_in >= poses), f'{live.poses_in} of {poses}'
 
 
+def topics_of(predictor: Any) -> list[Any]:
+    """Return what knows whether somebody listens, of each topic about the package."""
+    from bellows_ros.nodes.outputs import Topic
+
+    outputs = predictor._outputs
+    return [part for name, part in vars(outputs).items()
+            if isinstance(part, Topic) and name != '_state']
+
+
 INPUTS = {'pose': 'tool_arm/pose', 'twist': 'tool_arm/twist'}
 OUTPUTS = {'pose': 'package/pose', 'twist': 'package/twist', 'wrench': 'cup/wrench'}
 

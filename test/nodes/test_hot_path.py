@@ -19,6 +19,7 @@ from visualization_msgs.msg import MarkerArray
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from bellows_ros.core import jit
+from bellows_ros.nodes.outputs import Topic
 from bellows_ros.nodes.predictor_node import PredictorNode
 from bellows_ros.nodes.spinning import executor_for
 
@@ -56,7 +57,8 @@ def spin_until(true, what):
             executor.spin_once(timeout_sec=0.001)
 
 def wanted():
-    topics = predictor._outputs._topics[:6]
+    topics = [part for name, part in vars(predictor._outputs).items()
+              if isinstance(part, Topic) and name != '_state']
     return all(topic.wanted for topic in topics) and predictor._live.expect_twists
 
 sent = 0

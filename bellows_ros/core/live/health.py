@@ -184,6 +184,8 @@ class PredictionSeen(NamedTuple):
     restarts: Mapping[str, int]
     """Since the last report."""
     twist_verdict: str
+    covariance_known: bool = True
+    """Whether the odometry's covariance is one."""
 
 
 def prediction_status(name: str, seen: PredictionSeen) -> Status:
@@ -217,6 +219,11 @@ def _judge_prediction(seen: PredictionSeen) -> tuple[Level, str]:
         return Level.WARN, f'Started afresh from rest: {listed}.'
     if seen.twist_verdict in TWIST_WORDS:
         return Level.WARN, TWIST_WORDS[seen.twist_verdict]
+    if not seen.covariance_known:
+        return Level.WARN, (
+            'The covariance of package/odometry is not known: the package has no stable rest '
+            'under the tool. Check package.com, and that z of the tool points away from the cup.'
+        )
     return Level.OK, PHASE_WORDS.get(seen.phase, 'Predicting.')
 
 

@@ -23,6 +23,7 @@ from bellows_ros.core.tuples import (
     scale,
 )
 from bellows_ros.errors import BellowsError
+import numpy as np
 
 MOST_SUBSTEPS = 10_000
 """Of one advance; more is a cup so stiff, or a time so long, that it counts as diverged."""
@@ -99,9 +100,28 @@ class HeldPackage:
 
     def set_model(self, cup: Cup, package: Package) -> None:
         """Go on with another cup or package; pose and motion stay as they are."""
-        self._model = model_tuple(cup, package, self._gravity)
-        self._longest_step = largest_step(self._model)
+        self._model, self._longest_step = self.prepared(cup, package)
         self._retry_ns = -1
+
+    def prepared(self, cup: Cup, package: Package) -> tuple[ModelTuple, float]:
+        """
+        Return the model of another cup or package, and the longest step (s) it is integrated with.
+
+        Raises
+        ------
+        BellowsError
+            If nothing can be computed with it: its numbers are too large or too small.
+
+        """
+        model = model_tuple(cup, package, self._gravity)
+        try:
+            with np.errstate(all='ignore'):
+                return model, largest_step(model)
+        except (ArithmeticError, ValueError) as error:
+            raise BellowsError(
+                f'Nothing can be computed with this cup and package ({error}). Check '
+                'package.mass, package.inertia, cup.stiffness, cup.damping and their units.'
+            ) from None
 
     def forget(self) -> None:
         """Let the next tool sample start from rest."""

@@ -72,12 +72,12 @@ def equivalent_box(values: Mapping[str, Any]) -> Vector:
     """
     Return the sides (m) of the homogeneous box with a package's mass and moments (A.2).
 
-    Along x, y, z of B; products of inertia are left out, and no side is below 1 mm.
+    Along x, y, z of B; products of inertia are left out, and sides are 1 mm to 10 m long.
     """
     xx, yy, zz = values['package.inertia'][:3]
     squares = (yy + zz - xx, xx + zz - yy, xx + yy - zz)
     x, y, z = (
-        max(1e-3, math.sqrt(max(0.0, 6.0 * square / values['package.mass'])))
+        min(10.0, max(1e-3, math.sqrt(max(0.0, 6.0 * square / values['package.mass']))))
         for square in squares
     )
     return x, y, z

@@ -180,6 +180,10 @@ class LivePredictor:
         """Go on with another cup or package; pose and motion stay as they are."""
         self._package.set_model(cup, package)
 
+    def check_model(self, cup: Cup, package: Package) -> None:
+        """Raise BellowsError where nothing can be computed with a cup or package."""
+        self._package.prepared(cup, package)
+
     def reset(self) -> None:
         """Start from rest at the next pose, whatever its stamp and frame."""
         self._screen.reset()

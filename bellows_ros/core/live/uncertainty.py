@@ -1,7 +1,8 @@
 """
 Covariance of a prediction from the uncertainty of K and P and from noise on the tool's pose.
 
-To first order, with the small motions about the package's rest under an upright tool:
+To first order, with the small motions about the package's rest under the tool as it was at the
+start:
 
 - each uncertain entry of K and P drives a sensitivity of the state along the real motion, as the
   wrench is linear in it (4.67);
@@ -10,7 +11,7 @@ To first order, with the small motions about the package's rest under an upright
 - while the tool is extrapolated its unknown acceleration is added.
 
 Rotation of the axes during the motion is neglected. All in body axes: displacement, rotation,
-linear and angular twist.
+linear and angular twist. Where the package has no stable rest it is not known, and says so.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ from bellows_ros.core.kernels import (
     wrench_at_com,
 )
 from bellows_ros.core.lie import hat
-from bellows_ros.core.linearisation import linearise, resting_on_tool
+from bellows_ros.core.linearisation import linearise
 from bellows_ros.core.live.load import deflection
 from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
-from bellows_ros.core.model import unit_cups
+from bellows_ros.core.model import Cup, model_tuple, Package, unit_cups
 from bellows_ros.core.parameters import matrix
 from bellows_ros.core.tuples import rotation_matrix
 from bellows_ros.errors import BellowsError
@@ -53,6 +54,12 @@ COASTING_ACCELERATION = 5.0
 COASTING_ANGULAR_ACCELERATION = 25.0
 """Standard deviations (m/s^2, rad/s^2) of what an arm may do while nobody sees it."""
 
+UNKNOWN = 1e6 * np.eye(12)
+"""Stands for a covariance that is not known (m^2, rad^2, m^2/s^2, rad^2/s^2)."""
+
+RETRY_NS = 100_000_000
+"""Time (ns) after which what is not known is tried again: that takes milliseconds."""
+
 UNIT_ROTATION = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
@@ -67,43 +74,63 @@ class Uncertainty:
     values : mapping
         Parameters by name: cup.stiffness_std, cup.damping_std, tool_noise.*.
 
+    Attributes
+    ----------
+    known : bool
+        False where the last covariance was `UNKNOWN`.
+
     """
 
     def __init__(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
-        """Linearise the model."""
+        """Take what is uncertain; the model is linearised at the first prediction."""
+        self.known = True
         self._model = model
         self._noise = np.repeat(
             [values['tool_noise.position'] ** 2, values['tool_noise.rotation'] ** 2], 3)
         self._units, self._std = _uncertain_entries(
             model, matrix(values['cup.stiffness_std']), matrix(values['cup.damping_std']))
-        slopes = linearise(model, ORIGIN, _rest(model))
-        self._A = np.block([[np.zeros((6, 6)), np.eye(6)], [slopes.body_pose, slopes.body_twist]])
-        self._tool_pose, self._tool_twist = slopes.tool_pose, slopes.tool_twist
-        self._step_of = (0, np.eye(12), np.zeros((12, 12)))  # the one used last
-        self._noise_of: dict[int, Array] = {}
-        self.forget()
-
-    def forget(self) -> None:
-        """Start from rest at the next prediction."""
         self._sensitivity: Array | None = None
-        self._last_ns = self._measured_ns = -1
+        self._last_ns = self._measured_ns = self._tried_ns = -1
         self._period_ns = STEP_NS
 
     def covariance(self, prediction: Prediction) -> Array:
         """
         Return how sure a prediction is (12, 12): pose, then twist, in body axes.
 
-        Of displacement (m), rotation (rad), linear and angular twist (m/s, rad/s). Predictions
-        are to be given in the order of their stamps.
+        Of displacement (m), rotation (rad), linear and angular twist (m/s, rad/s); `UNKNOWN` where
+        it cannot be told. Predictions are to be given in the order of their stamps.
         """
         if not prediction.coasting:
             self._note_period(prediction.stamp_ns)
+        if not self.known and abs(prediction.stamp_ns - self._tried_ns) < RETRY_NS:
+            return UNKNOWN
+        try:
+            total = self._total(prediction)
+            self.known = bool(np.isfinite(total).all())
+        except (BellowsError, ArithmeticError, ValueError):  # no rest, or none in finite numbers
+            self.known = False
+        if self.known:
+            return total
+        self._sensitivity, self._tried_ns = None, prediction.stamp_ns
+        return UNKNOWN
+
+    def _total(self, prediction: Prediction) -> Array:
+        """Return the covariance, whether its numbers are finite or not."""
         S = self._sensitivity_at(prediction)
         total: Array = S @ S.T + self._noise_part()
         if prediction.coasting:
             total = total + _coasting_part((prediction.stamp_ns - self._measured_ns) * 1e-9)
         own = _to_own_axes(prediction)
-        return own @ total @ own.T
+        return np.asarray(own @ total @ own.T)
+
+    def _linearise(self, tool: State) -> None:
+        """Take the small motions about the package's rest under a tool."""
+        still = ZERO, tool[1], ZERO, ZERO
+        slopes = linearise(self._model, still, static_equilibrium(self._model, still))
+        self._A = np.block([[np.zeros((6, 6)), np.eye(6)], [slopes.body_pose, slopes.body_twist]])
+        self._tool_pose, self._tool_twist = slopes.tool_pose, slopes.tool_twist
+        self._step_of = (0, np.eye(12), np.zeros((12, 12)))  # the one used last
+        self._noise_of: dict[int, Array] = {}
 
     def _note_period(self, stamp_ns: int) -> None:
         """Remember the time between two poses, roughly: in powers of two of a microsecond."""
@@ -120,6 +147,7 @@ class Uncertainty:
             return S
         pushes = self._pushes(prediction)
         if S is None or not 0 <= duration_ns < 500_000_000:
+            self._linearise(prediction.tool)
             S = np.linalg.solve(self._A, -pushes)  # at rest
         else:
             transition, gain = self._step(duration_ns)
@@ -176,20 +204,14 @@ class Uncertainty:
         return np.asarray(total + direct * self._noise @ direct.T)
 
 
-def warm_up_uncertainty(model: ModelTuple, values: Mapping[str, Any]) -> None:
-    """Compile all that a covariance needs."""
-    exact = {**values, 'cup.stiffness_std': (1.0,) * 36, 'cup.damping_std': (1.0,) * 36}
-    o, q, v, w = _rest(model)
-    still = Prediction(1, o, q, v, w, ZERO, ZERO)
-    Uncertainty(model, exact).covariance(still)
-
-
-def _rest(model: ModelTuple) -> State:
-    """Return the package at rest under an upright tool, or unloaded if it cannot rest there."""
-    try:
-        return static_equilibrium(model, ORIGIN)
-    except BellowsError:
-        return resting_on_tool(model, ORIGIN)
+def warm_up_uncertainty() -> None:
+    """Compile all that a covariance needs, with a model that has one."""
+    model = model_tuple(Cup.thesis(), Package(1.0, 0.01 * np.eye(3), (0.0, 0.0, -0.03)), 9.81)
+    values = {
+        'cup.stiffness_std': (1.0,) * 36, 'cup.damping_std': (1.0,) * 36,
+        'tool_noise.position': 1.0, 'tool_noise.rotation': 1.0,
+    }  # fmt: skip
+    Uncertainty(model, values).covariance(Prediction(1, *ORIGIN, ZERO, ZERO))
 
 
 def _uncertain_entries(

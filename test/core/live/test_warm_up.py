@@ -20,7 +20,7 @@ values = resolve({
 model = (cup_of(values), package_of(values), 9.81, values['tool_twist.frame'])
 warm_up(*model)
 live = LivePredictor(*model)
-warm_up_uncertainty(live.model, values)
+warm_up_uncertainty()
 
 
 def kernels():
