@@ -22,7 +22,7 @@ Values = dict[str, Any]
 """Dotted names to values as `core.parameters.validate` returns them."""
 
 QOS_PREFIX = 'qos_overrides.'
-TOGETHER = ('cup.', 'cups.', 'package.')
+TOGETHER = ('cup.', 'cups.', 'package.', 'envelope.', 'vacuum.')
 """Parameters whose names begin so change together or not at all within one call."""
 
 _TYPES = {
@@ -141,11 +141,14 @@ class TableNode(Node):
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
         """
-        Set parameters: those of cup and package together or not at all, others one by one.
+        Set parameters: all in one step, or else those that belong together, and others singly.
 
-        A parameter that cannot change and is given the value it has counts as set, so that what
-        `ros2 param dump` writes can be loaded.
+        A parameter that is given the value it has counts as set, so that what `ros2 param dump`
+        writes can be loaded, and without any effect on what runs.
         """
+        whole = self._set(parameter_list)
+        if whole.successful:
+            return [whole] * len(parameter_list)
         together = [p for p in parameter_list if p.name.startswith(TOGETHER)]
         common = self._set(together)
         return [common if p in together else self._set([p]) for p in parameter_list]
@@ -191,10 +194,8 @@ class TableNode(Node):
             return _refused(_why_unknown(unknown[0], self.get_name()))
 
     def _stays_as_it_is(self, parameter: Parameter) -> bool:
-        """Return whether a parameter is read-only and has this value already."""
+        """Return whether a parameter has this value already."""
         if not self.has_parameter(parameter.name):
-            return False
-        if not self.describe_parameter(parameter.name).read_only:
             return False
         now = self.get_parameter_or(parameter.name, Parameter(parameter.name))
         return bool(now.get_parameter_value() == parameter.get_parameter_value())

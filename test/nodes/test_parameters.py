@@ -135,6 +135,47 @@ def test_what_does_not_belong_together_is_set_one_by_one(
     assert node.values['frames.package'] == 'box'
 
 
+@pytest.mark.parametrize('order', [1, -1])
+def test_thresholds_and_ranges_change_together(
+        order: int, make_predictor: Callable[..., Any], caller: Caller) -> None:
+    """Take both ends of a range in one call, although neither fits the other's old value."""
+    node = make_predictor()
+    high = {'vacuum__attach_below': 96e3, 'vacuum__detach_above': 98e3,
+            'envelope__deflection_low': [0.01] * 6, 'envelope__deflection_high': [0.02] * 6}
+    results = caller.set_parameters(**dict(list(high.items())[::order]))
+    assert results == [(True, '')] * 4
+    assert node.values['envelope.deflection_low'] == (0.01,) * 6
+
+
+@pytest.mark.parametrize(('values', 'reason'), [
+    ({'envelope__deflection_low': [0.01] * 6}, 'ends below its beginning'),
+    ({'envelope__mass': [2.0, 1.0]}, 'ends below its beginning'),
+    ({'package__mass': 5e-324}, 'Nothing can be computed'),
+])
+def test_what_cannot_be_computed_with_is_refused(
+        values: dict[str, Any], reason: str, make_predictor: Callable[..., Any],
+        caller: Caller) -> None:
+    """Refuse it before it is in use, and go on."""
+    node = make_predictor()
+    before = node.values
+    (successful, why), = caller.set_parameters(**values)
+    assert not successful and reason in why
+    assert node.values is before
+    with pytest.raises(BellowsError, match=reason):
+        make_predictor({**PACKAGE, **{k.replace('__', '.'): v for k, v in values.items()}})
+
+
+def test_what_is_set_to_what_it_is_has_no_effect(
+        make_predictor: Callable[..., Any], caller: Caller) -> None:
+    """Load what was dumped without anything being made anew."""
+    node = make_predictor()
+    before, model = node.values, node._live.model
+    dumped = {name.replace('.', '__'): node.get_parameter(name).value
+              for name in before if node.has_parameter(name)}
+    assert caller.set_parameters(**dumped) == [(True, '')] * len(dumped)
+    assert node.values is before and node._live.model is model
+
+
 def test_atomic_service_sets_all_or_none(
         make_predictor: Callable[..., Any], caller: Caller) -> None:
     """Hold for the other service too."""
