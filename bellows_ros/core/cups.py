@@ -18,7 +18,8 @@ def with_chosen_cup(values: Mapping[str, Any]) -> dict[str, Any]:
     """
     Return parameter values with those of the cup named by cup.name in the place of cup.*.
 
-    What the named cup leaves out is taken from cup.*.
+    What the named cup leaves out is taken from cup.*, but for what the identification of cup.* has
+    seen, envelope.*, which says nothing about another cup.
 
     Raises
     ------
@@ -37,7 +38,8 @@ def with_chosen_cup(values: Mapping[str, Any]) -> dict[str, Any]:
         f'cup.{key.removeprefix(prefix)}': value
         for key, value in values.items() if key.startswith(prefix)
     }  # fmt: skip
-    return {**values, **chosen}
+    kept = {key: value for key, value in values.items() if not key.startswith('envelope.')}
+    return {**kept, **chosen}
 
 
 def _why_unknown(name: str, known: list[str]) -> str:

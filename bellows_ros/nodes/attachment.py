@@ -1,6 +1,8 @@
 """What takes up and lets go the package: two services, and a vacuum signal where there is one."""
 
 from collections.abc import Callable, Mapping
+import math
+import time
 from typing import Any
 
 from rclpy.node import Node
@@ -8,13 +10,17 @@ from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from .conversions import stamp_to_ns
 from .tool_inputs import SensorInput
-from ..core.live.vacuum import PressureSwitch
+from ..core.live.health import Status, vacuum_status
+from ..core.live.vacuum import PressureSwitch, why_no_pressure
 
 
 class Attachment:
     """
     Ask to attach and to detach.
+
+    What a service asks for holds until the vacuum signal changes the next time.
 
     Parameters
     ----------
@@ -40,10 +46,12 @@ class Attachment:
         """Serve, and listen to the vacuum where the parameters say so."""
         self._change = change
         self.set_values(values)
-        signal = values['vacuum.signal']
+        self._kind = signal = values['vacuum.signal']
         self.held = values['package.attached'] and signal == 'none'
         node.create_service(Trigger, 'package/attach', self._on_attach)
         node.create_service(Trigger, 'package/detach', self._on_detach)
+        self._said: bool | None = None  # by the vacuum signal, the last time
+        self._refused = {'nan': 0, 'negative': 0}
         self.signal: SensorInput | None = None
         if signal == 'bool':
             self.signal = SensorInput(node, Bool, 'vacuum/held', self._on_held)
@@ -73,14 +81,26 @@ class Attachment:
 
     def _on_held(self, message: Bool) -> None:
         """Follow a vacuum switch."""
+        self.signal.arrivals.add(time.monotonic_ns(), math.nan)  # without a stamp
         self._follow(message.data)
 
     def _on_pressure(self, message: FluidPressure) -> None:
         """Follow the pressure in the cup."""
-        self._follow(self._switch.held(message.fluid_pressure, self.held))
+        self.signal.note(time.monotonic_ns(), stamp_to_ns(message.header.stamp))
+        pressure = message.fluid_pressure
+        if reason := why_no_pressure(pressure):
+            self._refused[reason] += 1
+        else:
+            self._follow(self._switch.held(pressure, bool(self._said)))
 
     def _follow(self, held: bool) -> None:
-        """Do as the vacuum says; a node that is not active yet does so when it is."""
-        if held != self.held:
+        """Do as the vacuum says when it changes; a node not active yet does so when it is."""
+        changed, self._said = held != self._said, held
+        if changed and held != self.held:
             self.held = held
             self._change(held, 'vacuum')
+
+    def status(self, name: str) -> Status:
+        """Return the line of the diagnostics on the vacuum signal."""
+        speaks_once = self._kind == 'bool'
+        return vacuum_status(name, self.signal.seen(self._refused), self.held, speaks_once)

@@ -20,7 +20,7 @@ from ..core.live.health import (
     prediction_status,
     PredictionSeen,
     Status,
-    vacuum_status,
+    twist_status,
 )
 from ..core.live.load import Load
 from ..core.live.timing import Window
@@ -64,6 +64,7 @@ class Diagnostics:
         self._live, self._inputs = live, (pose, twist)
         self._attachment, self._outputs = attachment, outputs
         self._restarts = dict(live.restarts)
+        self._gone = live.poses_in, live.twists_estimated
         self._report = InputReport(live)
         self.set_values(values)
 
@@ -104,14 +105,20 @@ class Diagnostics:
             of_poses = {k: n for k, n in refused.items() if k not in of_twists}
             of_twists.pop('twist_unpaired')  # no fault where twists come more often than poses
             lines.append(input_status(f'{name}: tool pose', pose.seen(of_poses)))
-            lines.append(input_status(f'{name}: tool twist', twist.seen(of_twists), optional=True))
-            if signal := self._attachment.signal:
-                lines.append(vacuum_status(
-                    f'{name}: vacuum', signal.seen({}), self._attachment.held))
+            lines.append(twist_status(
+                f'{name}: tool twist', twist.seen(of_twists), *self._poses_alone()))
+            if self._attachment.signal:
+                lines.append(self._attachment.status(f'{name}: vacuum'))
             lines.append(load_status(
                 f'{name}: load', *self.load.take(), self.load.limits_known,
                 self.load.envelope_known))  # fmt: skip
         return lines
+
+    def _poses_alone(self) -> tuple[int, int]:
+        """Return how many poses came since the last report, and to how many no twist."""
+        before = self._gone
+        self._gone = self._live.poses_in, self._live.twists_estimated
+        return self._gone[0] - before[0], self._gone[1] - before[1]
 
     def _prediction(self, name: str, state: str) -> Status:
         """Return the line on the prediction."""

@@ -27,6 +27,10 @@ from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import Uncertainty
 
 QUEUE = 500
+
+LATE_WITHIN_NS = 1_000_000_000
+"""Stamps behind an extrapolated one by no more (ns) are late; by more, of another clock."""
+
 NOMINAL = '_nominal'
 """Added to the name of the lip's frame: where the lip is without load."""
 
@@ -88,6 +92,7 @@ class Outputs:
         self._tf = self._tf_topic(node) if values['frames.tf'] else None
         self._messages = PoseStamped(), TwistStamped(), WrenchStamped()
         self._said = ''
+        self._extrapolated_ns = -1
 
     def _tf_topic(self, node: Any) -> Topic | None:
         """Return the topic for tf where its messages are installed."""
@@ -118,9 +123,27 @@ class Outputs:
         return self._uncertainty.known
 
     def publish(self, prediction: Prediction, frame_id: str) -> None:
-        """Send a prediction; a message is serialised at once and can be used again."""
-        if not prediction.coasting or self._values['coast.poses']:
+        """
+        Send a prediction; a message is serialised at once and can be used again.
+
+        One for each pose goes where no other goes. Elsewhere stamps never go back behind one that
+        was extrapolated.
+        """
+        late = self._is_late(prediction)
+        if not (late if self._values['coast.poses'] else prediction.coasting):
             self._publish_plain(prediction, frame_id)
+        if not late:
+            self._publish_more(prediction, frame_id)
+
+    def _is_late(self, prediction: Prediction) -> bool:
+        """Return whether a later one has been sent, of the extrapolated tool."""
+        if 0 <= self._extrapolated_ns - prediction.stamp_ns < LATE_WITHIN_NS:
+            return True
+        self._extrapolated_ns = prediction.stamp_ns if prediction.coasting else -1
+        return False
+
+    def _publish_more(self, prediction: Prediction, frame_id: str) -> None:
+        """Send what goes on while the tool is extrapolated."""
         if self._odometry.wanted:
             self._publish_odometry(prediction, frame_id)
         if self._deflection.wanted:

@@ -28,8 +28,9 @@ INTERFACE = Interface(
         ('cup/wrench', 'geometry_msgs/WrenchStamped, published',
          "Force, N, and moment, N m, of the cup on the package at the lip's centre, in lip axes."),
         ('package/odometry', 'nav_msgs/Odometry, published',
-         'Pose and twist of B with covariances from cup.*_std and tool_noise.*; goes on, with '
-         'growing covariance, while the tool is extrapolated.'),
+         'Pose and twist of B with covariances from cup.*_std and tool_noise.* (1e6 on the '
+         'diagonal where not known); goes on, with growing covariance, while the tool is '
+         'extrapolated.'),
         ('cup/deflection', 'geometry_msgs/PoseStamped, published',
          'Pose of the lip S relative to where it is without load.'),
         ('package/markers', 'visualization_msgs/MarkerArray, published',
@@ -47,7 +48,8 @@ INTERFACE = Interface(
         ('package/attach', 'std_srvs/Trigger, service',
          'The cup holds the package now: predict from rest.'),
         ('package/detach', 'std_srvs/Trigger, service',
-         'The cup holds nothing now: predict nothing.'),
+         'The cup holds nothing now: predict nothing. Either service holds until the vacuum '
+         'signal, if there is one, changes.'),
         ('~/change_state', 'lifecycle_msgs/ChangeState, service',
          'Configure, activate, deactivate, clean up, shut down; see autostart.'),
         ('~/reset', 'std_srvs/Trigger, service',

@@ -30,12 +30,11 @@ from ..errors import BellowsError
 TICK = 0.02
 """Time (s) between two looks at what does not come; each costs as much as a message."""
 
-IDLE_TICKS = 2
-"""
-After so many ticks in a row without a message no pose waits for its twist any longer.
+LATE_TICK_NS = 40_000_000
+"""A tick so long (ns) after the last one tells of a pause of this process: messages wait."""
 
-One would not do: after a pause of the machine the timer comes before the messages that wait.
-"""
+IDLE_TICKS = 2
+"""After so many ticks in a row without a pose none waits for its twist any longer."""
 
 LOAD_TICKS = 3
 """Every so many ticks the cup's deflection is compared with what its identification has seen."""
@@ -76,7 +75,9 @@ class PredictorNode(ManagedNode):
         """Check the parameters, and start unless told not to."""
         super().__init__('predictor', **options)
         self._active = self._twists_exist = False
-        self._inputs_at_last_tick = self._idle_ticks = self._ticks = 0
+        self._idle_ticks = self._ticks = self._ticked_ns = 0
+        self._was_late = False
+        self._arrival_at_last_tick: int | None = None
         self._last: Prediction | None = None
         self._diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
@@ -170,10 +171,12 @@ class PredictorNode(ManagedNode):
         """Log the cup and the package that are used."""
         log = self.get_logger().info
         name = values['cup.name']
-        thesis = [text for key, text in FROM_THESIS.items() if key not in self.given]
+        own = {key for key in IN_NAMED_CUP if key.replace('cup', f'cups.{name}') in self.given}
+        thesis = [text for key, text in FROM_THESIS.items() if key not in self.given | own]
         if name:
-            log(f"Using the cup '{name}'.")
-        elif thesis:
+            others = [key for key in IN_NAMED_CUP if key not in own]
+            log(f"Using the cup '{name}'" + (f', with {" and ".join(others)}.' if others else '.'))
+        if thesis:
             log(
                 f"Not set, so using the cup of the thesis: {', '.join(thesis)}. "
                 "Identify your own with 'bellows identify'."
@@ -260,20 +263,27 @@ class PredictorNode(ManagedNode):
 
     def _tick(self) -> None:
         """Predict for poses that wait when nothing comes any more, and bridge a pause."""
-        if not self._active:
+        if not self._active or self._is_late():
             return
         self._ticks += 1
         live = self._live
-        inputs = live.poses_in + live.twists_in
-        self._idle_ticks = self._idle_ticks + 1 if inputs == self._inputs_at_last_tick else 0
-        self._inputs_at_last_tick = inputs
+        idle = live.arrival_ns == self._arrival_at_last_tick
+        self._idle_ticks = self._idle_ticks + 1 if idle else 0
+        self._arrival_at_last_tick = live.arrival_ns
         if live.waiting and self._idle_ticks >= IDLE_TICKS:
             self._publish(live.flush())
-        if self._idle_ticks:  # else messages wait, and it is this process that was late
-            self._publish(live.coast(time.monotonic_ns()))
+        if idle:
+            self._publish(live.coast(self._ticked_ns))
         if self._last is not None and self._ticks % LOAD_TICKS == 0:
             self._diagnostics.load.watch_deflection(live.model, self._last)
         self._say_state()
+
+    def _is_late(self) -> bool:
+        """Return whether this process has paused, so that what waits comes first; not twice."""
+        now_ns, before_ns = time.monotonic_ns(), self._ticked_ns
+        self._ticked_ns = now_ns
+        self._was_late = not self._was_late and now_ns - before_ns > LATE_TICK_NS
+        return self._was_late
 
     def _say_state(self) -> None:
         """Say what is going on when it has changed."""

@@ -23,7 +23,7 @@ _REFUSED_TWISTS = {
     'twist_unpaired': 'no pose near its stamp',
 }
 _RESTARTS = {
-    'gap': f'no pose came for more than {LONGEST_GAP_NS * 1e-9:g} s',
+    'gap': f'no usable pose came for more than {LONGEST_GAP_NS * 1e-9:g} s',
     'clock_set_back': 'the stamps went back (a clock was set, or a recording started again)',
     'clock_set_forward': 'the stamps went ahead of the time that has passed',
     'clock_jump': 'the clock of the simulation was set, or switched on or off',

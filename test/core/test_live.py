@@ -312,6 +312,19 @@ def test_pause_is_bridged_for_a_while_and_then_nothing_is_said(messages):
     assert np.linalg.norm(back.position - truth.position[216]) < 5e-3
 
 
+def test_pauses_between_bursts_are_nothing_to_be_said():
+    live = LivePredictor(Cup.thesis(), PLATE, 9.81)
+    period, burst, said = 2_777_778, 33_333_333, []
+    for k in range(720):
+        arrival = k * period // burst * burst + burst
+        if k and k * period // burst > (k - 1) * period // burst:
+            said.append(live.phase(arrival - 1))
+        live.on_pose(START + k * period, 'base', (0.0, 0.0, 0.0), IDENTITY, arrival)
+    assert len(said) > 50 and set(said[5:]) == {'predicting'}
+    last = live.arrival_ns
+    assert live.phase(last + 60_000_000) == 'coasting'  # longer than they usually are
+
+
 def test_nothing_is_bridged_without_leave(messages):
     live = LivePredictor(Cup.thesis(), PLATE, 9.81, coast_limit_ns=0)
     live.on_pose(START, 'base', (0.0, 0.0, 0.0), IDENTITY, 0)
@@ -327,6 +340,7 @@ def test_detached_means_no_prediction_and_attached_a_start_from_rest(messages, p
     assert predictor.phase(0) == 'detached'
     assert predictor.coast(10**12) == []
     predictor.set_attached(True)
+    assert predictor.phase(0) == 'waiting'
     (out,) = messages.pose(predictor, 100)
     assert out.linear == (0.0, 0.0, 0.0)
     assert not any(predictor.refused.values())
@@ -372,6 +386,16 @@ def test_twist_in_another_frame_id_is_refused(messages, predictor):
             messages.stamps[k], messages.linear[k], messages.angular[k],
             'elsewhere' if k == 10 else 'base')
     assert predictor.refused['twist_frame_id'] == 1
+
+
+def test_twists_in_a_new_frame_id_are_believed_after_a_while(messages, predictor):
+    for k in range(200):
+        messages.pose(predictor, k)
+        predictor.on_twist(
+            messages.stamps[k], messages.linear[k], messages.angular[k],
+            'base' if k < 50 else 'elsewhere')
+    refused = predictor.refused['twist_frame_id']
+    assert 0 < refused * (messages.stamps[1] - messages.stamps[0]) < 200_000_000
 
 
 @pytest.mark.parametrize(('twists', 'within_m', 'within_rad'), [

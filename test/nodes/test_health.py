@@ -153,7 +153,7 @@ def test_vacuum_signal_that_nobody_sends_is_named(
     assert listener.sees('vacuum', ERROR, 'Nobody publishes /vacuum/held: the package counts as n')
     assert listener.sees('prediction', OK, 'Detached')
     writer = listener.node.create_publisher(Bool, 'vacuum/held', 10)
-    assert listener.sees('vacuum', OK, 'Not held.')
+    assert listener.sees('vacuum', WARN, 'No word from /vacuum/held so far')
     writer.publish(Bool(data=True))
     assert listener.sees('vacuum', OK, 'Held.')
     listener.node.destroy_publisher(writer)
@@ -198,6 +198,48 @@ def test_pause_is_bridged_by_odometry_and_then_nothing_comes(
     variances = [m.pose.covariance[0] for m in beyond]
     assert variances == sorted(variances) and variances[-1] > odometry[100].pose.covariance[0]
     assert all(np.isfinite(m.pose.covariance).all() for m in odometry)
+
+
+def test_poses_that_cannot_be_used_are_bridged_too(make_partner: Callable[..., Any]) -> None:
+    """Extrapolate while the driver sends NaN, as the state says."""
+    from nav_msgs.msg import Odometry
+
+    partner = make_partner({**PACKAGE, 'coast.limit': 0.4}, with_twists=False)
+    odometry: list[Any] = []
+    reader = partner.node.create_subscription(
+        Odometry, 'package/odometry', odometry.append, 1000)
+    assert partner.ros.spin_until(reader.get_publisher_count)
+    good = send_for(partner, 100)
+    partner.wait_for_poses(100)
+    good.join()
+    bad = send_for(partner, 200, position=(float('nan'), 0.0, 0.0))
+    partner.wait_for_inputs(300)
+    bad.join()
+    assert partner.predictor._live.refused['nan'] == 200
+    assert partner.predictor._live.coasted >= 1
+    assert partner.ros.spin_until(lambda: len(odometry) >= 101)
+
+
+def test_stamps_of_odometry_never_go_back(make_partner: Callable[..., Any]) -> None:
+    """Leave out, there, poses that come late behind extrapolated ones."""
+    from nav_msgs.msg import Odometry
+
+    partner = make_partner({**PACKAGE, 'coast.limit': 0.4}, with_twists=False)
+    odometry: list[int] = []
+    reader = partner.node.create_subscription(
+        Odometry, 'package/odometry',
+        lambda m: odometry.append(m.header.stamp.sec * 10**9 + m.header.stamp.nanosec), 1000)
+    assert partner.ros.spin_until(reader.get_publisher_count)
+    for k in range(20):
+        partner.send_pose(START + k * 2 * MS)
+    partner.wait_for_poses(20)
+    assert partner.ros.spin_until(lambda: odometry[-1] > START + 60 * MS)
+    for k in range(20, 400, 2):  # what was under way; the last ones are newer
+        partner.send_pose(START + k * 2 * MS)
+    partner.wait_for_poses(210)
+    assert partner.ros.spin_until(lambda: odometry[-1] >= START + 796 * MS)
+    assert odometry == sorted(odometry) and len(set(odometry)) == len(odometry)
+    assert len(odometry) < 210
 
 
 def test_all_outputs_agree(make_partner: Callable[..., Any]) -> None:

@@ -121,6 +121,18 @@ def _judge_input(seen: InputSeen, optional: bool) -> tuple[Level, str]:
     return Level.OK, f'{seen.rhythm.rate_hz:.4g} Hz.'
 
 
+def twist_status(name: str, seen: InputSeen, poses: int, alone: int) -> Status:
+    """Return the line on the twists; so many of the poses since the last report had none."""
+    status = input_status(name, seen, optional=True)
+    seldom = 2 * seen.rhythm.messages <= poses
+    if status.level > Level.OK or seldom or 2 * alone <= poses:
+        return status
+    return status._replace(level=Level.WARN, message=(
+        f'{alone} of {poses} poses had no twist of their instant, and it was estimated: are the '
+        'stamps of poses and twists from one clock?'
+    ))  # fmt: skip
+
+
 def _judge_silence(seen: InputSeen, optional: bool, lowest: Level) -> tuple[Level, str]:
     """Return level and words on an input that sends nothing."""
     if seen.mismatch:
@@ -152,22 +164,43 @@ def _mismatch_words(seen: InputSeen) -> str:
     )
 
 
-def vacuum_status(name: str, seen: InputSeen, held: bool) -> Status:
-    """Return the line on the signal that says whether the package is held; it may be silent."""
+def vacuum_status(name: str, seen: InputSeen, held: bool, speaks_once: bool) -> Status:
+    """
+    Return the line on the signal that says whether the package is held.
+
+    One that speaks once, when it changes, may be silent from its first word on.
+    """
     values = {
         'topic': seen.topic, 'publishers': str(seen.publishers), 'held': str(held).lower(),
+        'rate (Hz)': number(seen.rhythm.rate_hz), 'silent for (s)': number(seen.silent),
+        **{f'refused: {reason}': str(count) for reason, count in seen.total_refused.items()},
     }  # fmt: skip
+    return Status(name, *_judge_vacuum(seen, held, speaks_once), values)
+
+
+def _judge_vacuum(seen: InputSeen, held: bool, speaks_once: bool) -> tuple[Level, str]:
+    """Return level and words on the vacuum signal."""
     lost = Level.WARN if held else Level.ERROR  # not held, nothing is predicted
+    counts = f'the package counts as {"" if held else "not "}held'
     if seen.mismatch:
-        return Status(name, lost, _mismatch_words(seen), values)
+        return lost, _mismatch_words(seen)
     if seen.publishers == 0:
-        return Status(
-            name, lost,
-            f'Nobody publishes {seen.topic}: the package counts as {"" if held else "not "}held. '
-            'Start the driver, remap the topic to its own, or set vacuum.signal to none.',
-            values,
-        )  # fmt: skip
-    return Status(name, Level.OK, 'Held.' if held else 'Not held.', values)
+        return lost, (
+            f'Nobody publishes {seen.topic}: {counts}. Start the driver, remap the topic to its '
+            'own, or set vacuum.signal to none.'
+        )
+    refused = {reason: count for reason, count in seen.refused.items() if count}
+    if refused:
+        listed = ', '.join(f'{count} {reason}' for reason, count in refused.items())
+        return lost, (
+            f'{sum(refused.values())} of {seen.rhythm.messages} messages refused: {listed}; '
+            f'{counts}. The absolute pressure is needed, Pa.'
+        )
+    if not math.isfinite(seen.silent):
+        return Level.WARN, f'No word from {seen.topic} so far: {counts}.'
+    if not (seen.rhythm.messages or speaks_once):
+        return lost, f'{seen.topic} is silent for {seen.silent:.1f} s: {counts}.'
+    return Level.OK, 'Held.' if held else 'Not held.'
 
 
 class PredictionSeen(NamedTuple):
@@ -239,11 +272,12 @@ def load_status(
             math.nan if away is None else away.value),
         'largest bending (rad)': number(bending),
     }  # fmt: skip
-    return Status(name, *_judge_load(margin, away, bending), values)
+    known = limits_known or envelope_known
+    return Status(name, *_judge_load(margin, away, bending, known), values)
 
 
 def _judge_load(
-    margin: float | None, away: Distance | None, bending: float
+    margin: float | None, away: Distance | None, bending: float, known: bool
 ) -> tuple[Level, str]:
     """Return level and words on the cup's load."""
     if margin is not None and margin < 0.0:
@@ -258,5 +292,7 @@ def _judge_load(
         )
     if away is not None and away.outside:
         return Level.WARN, away.words
-    return Level.OK, 'Within what is known.' if margin is not None or away is not None else (
-        'No limits are known: see cup.max_force, cup.max_moment and envelope.*.')  # fmt: skip
+    if not known:
+        return Level.OK, 'No limits are known: see cup.max_force, cup.max_moment and envelope.*.'
+    seen = margin is not None or away is not None
+    return Level.OK, 'Within what is known.' if seen else 'No load to be judged.'

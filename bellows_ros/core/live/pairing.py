@@ -26,7 +26,7 @@ LONGEST_BRACKET_NS = 30_000_000
 """Between twists further apart nothing is interpolated."""
 
 FARTHEST_AHEAD_NS = 500_000_000
-"""A twist whose stamp is further ahead of the newest pose is of no use, and would block others."""
+"""A twist whose stamp is further ahead of the newest pose is of no use."""
 
 TWISTS_KEPT = 32
 
@@ -92,6 +92,7 @@ class Pairing:
     def add_twist(self, twist: TwistSample) -> None:
         """Queue a twist, or note that it came behind its pose."""
         stamp_ns = twist.stamp_ns
+        self._drop_leaps(stamp_ns)
         if self._is_out_of_order(stamp_ns):
             self.unpaired += 1
             return
@@ -112,6 +113,15 @@ class Pairing:
         else:
             self.unpaired += len(self._twists) == TWISTS_KEPT  # the oldest falls out
             self._twists.append(twist)
+
+    def _drop_leaps(self, stamp_ns: int) -> None:
+        """Drop twists whose stamps lay in the future, where one with an earlier stamp follows."""
+        while self._twists and self._twists[-1].stamp_ns > max(
+            stamp_ns, self._newest_ns + LONGEST_WAIT_NS
+        ):
+            self._twists.pop()
+            self._newest_twist_ns = self._twists[-1].stamp_ns if self._twists else -1
+            self.unpaired += 1
 
     def _is_out_of_order(self, stamp_ns: int) -> bool:
         """Return whether a twist stands far ahead of the poses, or not behind the last twist."""

@@ -14,6 +14,7 @@ from bellows_ros.core.live.held_package import HeldPackage
 from bellows_ros.core.live.pairing import Pairing
 from bellows_ros.core.live.samples import PoseSample, Prediction, TwistSample
 from bellows_ros.core.live.screening import (
+    FrameChange,
     LARGEST_RATE,
     LARGEST_SPEED,
     lengths,
@@ -30,6 +31,9 @@ COAST_AFTER_NS = 20_000_000
 
 COAST_PERIODS = 4
 """Nor are pauses shorter than so many periods of the poses."""
+
+LONGEST_BURST_NS = 100_000_000
+"""Pauses up to this (ns) that come again and again are those between bursts: nothing either."""
 
 COAST_LIMIT_NS = 100_000_000
 """How long (ns) the tool is extrapolated unless told otherwise."""
@@ -99,12 +103,13 @@ class LivePredictor:
         self.coasted = 0
         self.attached = True
         self._twist_frame_id: str | None = None
+        self._twist_frame_change = FrameChange()
         self._forget_arrivals()
 
     def _forget_arrivals(self) -> None:
         """Forget when poses came."""
         self._arrival_ns: int | None = None
-        self._period_ns = 0
+        self._period_ns = self._pause_ns = 0
 
     # ------------------------------------------------------------------ state
 
@@ -112,6 +117,11 @@ class LivePredictor:
     def model(self) -> ModelTuple:
         """The model as the kernels take it."""
         return self._package.model
+
+    @property
+    def arrival_ns(self) -> int | None:
+        """When the newest accepted pose came; None before the first."""
+        return self._arrival_ns
 
     @property
     def frame_id(self) -> str:
@@ -172,7 +182,16 @@ class LivePredictor:
 
     def _patience_ns(self) -> int:
         """Return how long a pause (ns) between two poses is nothing to be said."""
-        return max(COAST_AFTER_NS, COAST_PERIODS * self._period_ns)
+        return max(COAST_AFTER_NS, COAST_PERIODS * self._period_ns, 3 * self._pause_ns // 2)
+
+    def _note_arrival(self, arrival_ns: int | None) -> None:
+        """Note when a pose came, and how long pauses are: quickly upwards, slowly downwards."""
+        if arrival_ns is not None and self._arrival_ns is not None:
+            pause_ns = arrival_ns - self._arrival_ns
+            if pause_ns <= LONGEST_BURST_NS:
+                longer_ns = pause_ns - self._pause_ns
+                self._pause_ns += longer_ns // (2 if longer_ns > 0 else 256)
+        self._arrival_ns = arrival_ns
 
     # ---------------------------------------------------------------- control
 
@@ -200,6 +219,7 @@ class LivePredictor:
         predictions = self.flush() if self.attached and not attached else []
         if attached != self.attached:
             self._package.forget()
+            self._forget_arrivals()
         self.attached = attached
         return predictions
 
@@ -252,7 +272,7 @@ class LivePredictor:
             self._forget_motion()
         elif newest_ns >= 0:
             self._period_ns = stamp_ns - newest_ns
-        self._arrival_ns = arrival_ns
+        self._note_arrival(arrival_ns)
         self._pairing.add_pose(PoseSample(stamp_ns, position, normalised(quaternion_xyzw)))
         return self._release(predictions)
 
@@ -263,7 +283,8 @@ class LivePredictor:
         Take the tool's twist (m/s, rad/s) and return the predictions that it makes possible.
 
         Its frame_id says nothing about its axes, as drivers fill in what they like; but the
-        first one is kept, and twists in another are refused.
+        first one is kept, and twists in another are refused until nothing else has come for a
+        while.
         """
         self.twists_in += 1
         speed, rate = lengths(linear, angular)
@@ -274,8 +295,11 @@ class LivePredictor:
         if self._twist_frame_id is None:
             self._twist_frame_id = frame_id
         if frame_id != self._twist_frame_id:
-            self._counts['twist_frame_id'] += 1
-            return []
+            if not self._twist_frame_change.is_believed(frame_id, stamp_ns):
+                self._counts['twist_frame_id'] += 1
+                return []
+            self._twist_frame_id = frame_id
+        self._twist_frame_change.clear()
         self._pairing.add_twist(TwistSample(stamp_ns, linear, angular))
         return self._release([])
 

@@ -39,6 +39,13 @@ FRAME_RUN = 3
 FRAME_RUN_NS = 150_000_000
 """A new frame is believed after so many poses in a row that span so much time (ns)."""
 
+LEAP_NS = 20_000_000
+LEAP_PERIODS = 4
+"""Stamps further ahead (ns, periods) of their arrival than before leap: one does not count."""
+
+SETTLED_AFTER = 10
+"""Poses after which it is known how far stamps lie behind their arrivals."""
+
 JUMP_RUN = 5
 """So many poses in a row, near each other but far from the last accepted, are a new place."""
 
@@ -103,6 +110,27 @@ def separation(
     return length(subtract(other_o, o)), length(turn)
 
 
+class FrameChange:
+    """Tells when another frame_id than before is to be believed: when it goes on for a while."""
+
+    def __init__(self) -> None:
+        """Know of no other frame."""
+        self._frame_id: str | None = None
+        self._run = self._first_ns = self._last_ns = 0
+
+    def clear(self) -> None:
+        """Note that the frame is the same as before."""
+        self._run = 0
+
+    def is_believed(self, frame_id: str | None, stamp_ns: int) -> bool:
+        """Return whether nothing but this other frame has come for long enough."""
+        if not self._run or frame_id != self._frame_id or stamp_ns <= self._last_ns:
+            self._frame_id, self._run, self._first_ns = frame_id, 0, stamp_ns
+        self._run += 1
+        self._last_ns = stamp_ns
+        return self._run >= FRAME_RUN and stamp_ns - self._first_ns >= FRAME_RUN_NS
+
+
 class Screen:
     """
     Judge the tool's poses one after the other.
@@ -123,9 +151,7 @@ class Screen:
     def reset(self) -> None:
         """Take whatever stamp and frame come next."""
         self.frame_id = ''
-        self._foreign_frame = ''
-        self._foreign_run = 0
-        self._foreign_first_ns = self._foreign_last_ns = 0
+        self._change = FrameChange()
         self.forget_motion()
 
     def forget_motion(self) -> None:
@@ -134,6 +160,8 @@ class Screen:
         self._last: Reference | None = None
         self._moved = (0.0, 0.0)  # distance (m) and angle (rad) from there, if judged by its place
         self._newest_arrival_ns: int | None = None
+        self._least_age_ns = self._accepted = 0
+        self._leap_ns = -1
         self._backward_run = 0
         self._backward_last_ns = -1
         self._ahead_ns = -1
@@ -185,8 +213,9 @@ class Screen:
         if stamp_ns <= 0:
             return Verdict('zero_stamp', '')
         if self.frame_id and frame_id != self.frame_id:
-            return self._judge_frame(frame_id, stamp_ns)
-        self._foreign_run = 0
+            believed = self._change.is_believed(frame_id, stamp_ns)
+            return Verdict(ACCEPTED, 'frame_changed') if believed else Verdict('frame_id', '')
+        self._change.clear()
         if self._last is None:
             return GOOD
         if stamp_ns == self.newest_ns:
@@ -195,6 +224,8 @@ class Screen:
             return self._judge_backward(stamp_ns)
         if stamp_ns - self.newest_ns > LONGEST_GAP_NS:
             return self._judge_ahead(stamp_ns, arrival_ns)
+        if arrival_ns is not None and self._leaps_alone(stamp_ns, arrival_ns - stamp_ns):
+            return Verdict('future_stamp', '')
         return self._judge_place(stamp_ns, o, q)
 
     def _accept(
@@ -210,26 +241,32 @@ class Screen:
         self._last = Reference(
             stamp_ns, o, q, step, min(step[0], before[0]), min(step[1], before[1]), seconds)
         self.frame_id, self.newest_ns = frame_id, stamp_ns
+        if arrival_ns is not None:
+            self._note_age(arrival_ns - stamp_ns)
         self._newest_arrival_ns = arrival_ns
-        self._foreign_run = self._backward_run = self._elsewhere_run = 0
+        self._change.clear()
+        self._backward_run = self._elsewhere_run = 0
         self._ahead_ns = -1
 
-    # ----------------------------------------------------------------- frames
-
-    def _judge_frame(self, frame_id: str, stamp_ns: int) -> Verdict:
-        """Refuse another frame until nothing else has come for a while."""
-        goes_on = self._foreign_run and frame_id == self._foreign_frame
-        if not goes_on or stamp_ns <= self._foreign_last_ns:
-            self._foreign_frame, self._foreign_run = frame_id, 0
-            self._foreign_first_ns = stamp_ns
-        self._foreign_run += 1
-        self._foreign_last_ns = stamp_ns
-        span = stamp_ns - self._foreign_first_ns
-        if self._foreign_run >= FRAME_RUN and span >= FRAME_RUN_NS:
-            return Verdict(ACCEPTED, 'frame_changed')
-        return Verdict('frame_id', '')
-
     # ----------------------------------------------------------------- stamps
+
+    def _note_age(self, age_ns: int) -> None:
+        """Keep the least time between stamp and arrival; it grows again, as clocks drift."""
+        above = age_ns - self._least_age_ns
+        self._least_age_ns = self._least_age_ns + above // 1024 if (
+            self._accepted and above > 0) else age_ns  # fmt: skip
+        self._accepted += 1
+
+    def _leaps_alone(self, stamp_ns: int, age_ns: int) -> bool:
+        """Return whether a stamp lies in the future, and the one before it did not."""
+        ahead_ns = self._least_age_ns - age_ns
+        if ahead_ns <= LEAP_NS or self._accepted < SETTLED_AFTER or self._last is None:
+            self._leap_ns = -1
+            return False
+        if ahead_ns <= LEAP_PERIODS * self._last.period * 1e9:
+            return False
+        before, self._leap_ns = self._leap_ns, stamp_ns
+        return not 0 <= before < stamp_ns
 
     def _judge_backward(self, stamp_ns: int) -> Verdict:
         """Refuse stamps that go back until they have done so long enough."""

@@ -206,7 +206,8 @@ class Uncertainty:
 
 def warm_up_uncertainty() -> None:
     """Compile all that a covariance needs, with a model that has one."""
-    model = model_tuple(Cup.thesis(), Package(1.0, 0.01 * np.eye(3), (0.0, 0.0, -0.03)), 9.81)
+    package = Package(1.0, 0.01 * np.eye(3), np.array([0.0, 0.0, -0.03]))
+    model = model_tuple(Cup.thesis(), package, 9.81)
     values = {
         'cup.stiffness_std': (1.0,) * 36, 'cup.damping_std': (1.0,) * 36,
         'tool_noise.position': 1.0, 'tool_noise.rotation': 1.0,

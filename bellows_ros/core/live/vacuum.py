@@ -27,11 +27,16 @@ class PressureSwitch:
 
     def held(self, pressure: float, held: bool) -> bool:
         """Return whether the package is held now, from a pressure (Pa) and what was before."""
-        if not math.isfinite(pressure) or pressure < 0.0:
-            return held  # no measurement
         if pressure < self._attach_below:
             return True
         return held and pressure <= self._detach_above
+
+
+def why_no_pressure(pressure: float) -> str:
+    """Return why a number is no absolute pressure, or nothing."""
+    if not math.isfinite(pressure):
+        return 'nan'
+    return 'negative' if pressure < 0.0 else ''
 
 
 def check_thresholds(values: Mapping[str, Any]) -> None:

@@ -9,7 +9,7 @@ from bellows_ros.core.live.health import InputSeen, Level, PredictionSeen
 from bellows_ros.core.live.load import deflection, equivalent_box, lip_position, Load
 from bellows_ros.core.live.samples import ORIGIN, Prediction
 from bellows_ros.core.live.timing import Arrivals, KEPT, Quantiles, Rhythm, Window
-from bellows_ros.core.live.vacuum import check_thresholds, PressureSwitch
+from bellows_ros.core.live.vacuum import check_thresholds, PressureSwitch, why_no_pressure
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.parameters import resolve
 from bellows_ros.errors import BellowsError
@@ -51,10 +51,11 @@ def test_rate_jitter_and_age():
 
 def test_pressure_switch_has_hysteresis():
     switch, held, seen = PressureSwitch(60e3, 80e3), False, []
-    for pressure in (101e3, 70e3, 59e3, 70e3, math.nan, -1.0, 79e3, 81e3, 70e3):
+    for pressure in (101e3, 70e3, 59e3, 70e3, 79e3, 81e3, 70e3):
         held = switch.held(pressure, held)
         seen.append(held)
-    assert seen == [False, False, True, True, True, True, True, False, False]
+    assert seen == [False, False, True, True, True, False, False]
+    assert [why_no_pressure(p) for p in (math.nan, -70.0, 0.0)] == ['nan', 'negative', '']
     with pytest.raises(BellowsError, match='lower one'):
         check_thresholds({'vacuum.attach_below': 2.0, 'vacuum.detach_above': 1.0})
 
@@ -128,6 +129,33 @@ def test_an_optional_input_may_be_absent():
     assert health.input_status('x', absent._replace(publishers=1), True).level == Level.WARN
 
 
+@pytest.mark.parametrize(('messages', 'alone', 'level'), [
+    (500, 0, Level.OK), (500, 240, Level.OK), (500, 260, Level.WARN), (100, 400, Level.OK)])
+def test_twists_that_serve_no_pose_are_said(messages, alone, level):
+    seen = InputSeen('/twist', 1, '', GOOD._replace(messages=messages), 0.0, {}, {})
+    status = health.twist_status('x', seen, 500, alone)
+    assert status.level == level
+    assert (f'{alone} of 500 poses had no twist' in status.message) is (level == Level.WARN)
+
+
+@pytest.mark.parametrize(('seen', 'held', 'speaks_once', 'level', 'words'), [
+    ({}, True, True, Level.OK, 'Held.'),
+    ({}, False, False, Level.OK, 'Not held.'),
+    ({'rhythm': SILENT}, True, True, Level.OK, 'Held.'),
+    ({'rhythm': SILENT}, True, False, Level.WARN, 'silent for 3.0 s: the package counts as held'),
+    ({'rhythm': SILENT}, False, False, Level.ERROR, 'the package counts as not held'),
+    ({'rhythm': SILENT, 'silent': math.inf}, False, True, Level.WARN, 'No word from /vacuum'),
+    ({'publishers': 0}, False, True, Level.ERROR, 'Nobody publishes /vacuum'),
+    ({'mismatch': 'durability'}, True, True, Level.WARN, 'durability'),
+    ({'refused': {'negative': 500}}, True, False, Level.WARN, '500 of 500 messages refused'),
+])
+def test_words_on_the_vacuum(seen, held, speaks_once, level, words):
+    base = InputSeen('/vacuum', 1, '', GOOD, 3.0, {}, {})
+    status = health.vacuum_status('x', base._replace(**seen), held, speaks_once)
+    assert status.level == level
+    assert words in status.message
+
+
 @pytest.mark.parametrize(('seen', 'level', 'words'), [
     ({}, Level.OK, 'Predicting.'),
     ({'state': 'inactive'}, Level.OK, 'Inactive: nothing is published.'),
@@ -137,6 +165,7 @@ def test_an_optional_input_may_be_absent():
     ({'restarts': {'gap': 2}}, Level.WARN, '2 gap'),
     ({'restarts': {'no_equilibrium': 1}}, Level.ERROR, 'cannot hold'),
     ({'twist_verdict': 'other_axes'}, Level.WARN, 'tool_twist.frame'),
+    ({'covariance_known': False}, Level.WARN, 'package/odometry is not known'),
 ])
 def test_words_on_the_prediction(seen, level, words):
     base = PredictionSeen(
@@ -157,6 +186,8 @@ def test_words_on_the_load(margin, bending, level, words):
     assert status.level == level
     assert words in status.message
     assert status.values['distance from envelope'] == 'not known'
+    detached = health.load_status('x', None, None, 0.0, True, False)
+    assert detached.message == 'No load to be judged.'
 
 
 def test_cup_is_chosen_by_name():

@@ -76,14 +76,15 @@ def test_single_lost_twist_is_interpolated():
     assert (pairing.interpolated, pairing.unpaired) == (1, 0)
 
 
-def test_bogus_future_twist_blocks_nothing():
+@pytest.mark.parametrize('ahead_ns', [3_600_000 * MS, 450 * MS, 50 * MS])
+def test_bogus_future_twist_blocks_nothing(ahead_ns):
     pairing = Pairing()
     pairing.expect = True
     out = []
     for k in range(1, 50):
         pairing.add_pose(pose(k * MS))
         if k == 10:
-            pairing.add_twist(twist(3_600_000 * MS))
+            pairing.add_twist(twist(10 * MS + ahead_ns))
         pairing.add_twist(twist(k * MS))
         out += pairing.ready()
     assert all(v is not None for _, v in out) and len(out) == 49

@@ -54,6 +54,8 @@ def test_good_poses_are_accepted():
     ('frame_id', {'frame': 'map'}),
     ('zero_stamp', {'offset_ns': -2 * START}),
     ('future_stamp', {'offset_ns': 3_600_000 * MS}),
+    ('future_stamp', {'offset_ns': 400 * MS}),
+    ('future_stamp', {'offset_ns': 25 * MS}),
     ('jump', {'position': (0.5, 0.0, 0.0)}),
 ])
 def test_one_bad_pose_costs_itself_only(reason, fault):
@@ -91,6 +93,23 @@ def test_clock_set_forward_is_told_from_one_stamp_in_the_future(period_ns):
     verdicts = driver.send(30, offset_ns=10**10)
     assert verdicts[:2] == [Verdict('future_stamp', ''), Verdict('', 'clock_set_forward')]
     assert verdicts[2:] == [GOOD] * 28
+
+
+@SPEEDS
+def test_clock_set_forward_a_little_costs_one_pose_and_no_restart(period_ns):
+    driver = Driver(period_ns=period_ns)
+    driver.send(100)
+    assert driver.send(30, offset_ns=100 * MS) == [Verdict('future_stamp', ''), *[GOOD] * 29]
+
+
+def test_bursts_and_pauses_of_this_process_are_no_leaps():
+    screen = Screen()  # 50 ms of poses at a time, after a while all of 400 ms at once
+    for k in range(2000):
+        sent_ns = START + k * PERIOD
+        burst_ns = 400 * MS if 1000 <= k < 1200 else 50 * MS
+        arrival_ns = sent_ns // burst_ns * burst_ns + burst_ns
+        o = (0.5 * k * PERIOD * 1e-9, 0.0, 0.0)
+        assert screen.judge(sent_ns, 'base', o, UPRIGHT, arrival_ns) == GOOD, k
 
 
 def test_pause_of_the_driver_is_a_gap_and_costs_no_pose():
