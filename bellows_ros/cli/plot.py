@@ -81,10 +81,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 
     values = given_parameters(arguments.params, arguments.overrides)
-    settings = resolve(values, PACKAGE_PARAMETERS)
+    given = 'cup.stiffness' in values
+    recorded = arguments.what in OF_THE_RECORDING and not (arguments.what == 'spectra' and given)
+    settings = resolve(values, () if recorded else PACKAGE_PARAMETERS)
     require_outputs(arguments.out, arguments.json)
     _require_ending(arguments.what, arguments.out)
-    given = 'cup.stiffness' in values
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         shown = _shown(arguments.what, arguments.bag, settings, given, progress)

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 SPECTRUM_SECONDS = 4.0  # of a segment: lines of 0.25 Hz
-MOST_POINTS = 4000  # of a scatter
+TRACKED = {'package.com': (0.0, 0.0, 0.0)}  # puts B where the package is tracked
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,9 +144,12 @@ class Replayed:
 
 
 def motion(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Motion:
-    """Return tool and package of a recording as measured; raises what reading raises."""
-    values = resolve(settings, PACKAGE_PARAMETERS)
-    return _motion(load(bag, values).recording)
+    """
+    Return tool and package of a recording as measured; raises what reading raises.
+
+    Without package.com, B is where the package is tracked.
+    """
+    return _motion(load(bag, resolve({**TRACKED, **settings})).recording)
 
 
 def _motion(recording: Recording) -> Motion:
@@ -163,9 +166,9 @@ def spectra(bag: str | os.PathLike[str], settings: Mapping[str, object], cup: bo
     Return the spectra of a recording, and with a cup also of what a prediction leaves over.
 
     Samples that are missing are interpolated linearly, which matters only above the motion.
+    Without a cup no package is needed, as for `motion`.
     """
-    values = resolve(settings, PACKAGE_PARAMETERS)
-    recording = load(bag, values).recording
+    recording = load(bag, resolve({**TRACKED, **settings})).recording
     moved = _motion(recording)
     rate_hz = uniform_rate_hz(recording.measured_package.stamps_ns)
     frequency, measured = _density(_filled(moved.seconds, moved.relative, moved.valid), rate_hz)

@@ -56,3 +56,15 @@ def test_missing_poses_are_not_valid(root: Path, settings: dict[str, Any]) -> No
     found = motion(root / 'bags' / 'identification', settings)
     assert 0 < np.count_nonzero(~found.valid) < 200
     assert len(found.seconds) == len(found.relative)
+
+
+def test_without_a_package_the_tracked_point_is_shown(
+    root: Path, settings: dict[str, Any]
+) -> None:
+    """Put B where the poses are, in whichever frame they are taken."""
+    bag = root / 'bags' / 'validation'
+    unknown = {name: value for name, value in settings.items() if not name.startswith('package.')}
+    expected = motion(bag, settings).package_position  # of B, which is tracked here
+    for frame in ('com', 'lip'):
+        found = motion(bag, {**unknown, 'recording.package_frame': frame})
+        np.testing.assert_array_equal(found.package_position, expected)
