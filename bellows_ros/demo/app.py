@@ -195,7 +195,7 @@ def _compare(recorded: Loaded, exchange: 'Exchange') -> Comparison:
     live = Trajectory(stamps, exchange.position[first], exchange.rotation[first])
     compared = compare(live, recorded.recording)
     return Comparison(
-        seconds=(compared.stamps_ns - recorded.tool_pose.stamps_ns[0]) / NS_PER_S,
+        seconds=recorded.recording.since_start(compared.stamps_ns),
         measured=compared.measured,
         predicted=compared.predicted,
         scores=compared.scores,

@@ -70,7 +70,7 @@ def write_animation(
     theme : {'light', 'dark'}
         For paper or for the dark.
     span : (float, float), optional
-        First and last time shown, s from the beginning.
+        First and last time shown, s from the recording's first stamp.
     progress : callable, optional
         Called with what is being done and the part (0 to 1) that is done.
 

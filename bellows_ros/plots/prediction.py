@@ -36,7 +36,7 @@ class Comparison:
     Parameters
     ----------
     seconds : array (N,)
-        From the beginning of the recording, s.
+        From the recording's first stamp, s.
     measured, predicted : array (N, 6)
         Position (m) and rotation vector (rad) in tool axes.
     scores : Scores

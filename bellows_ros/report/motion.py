@@ -3,7 +3,6 @@
 from bellows_ros.core.identification.judgement.validation import LIMIT, Validation
 from bellows_ros.core.identification.judgement.whiteness import CONFIDENT, Spectrum, Whiteness
 from bellows_ros.core.score import AXES
-from bellows_ros.core.trajectory import NS_PER_S
 from bellows_ros.workflows.validate import Validated
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +37,7 @@ def motion_content(validated: Validated) -> list[str]:
         _score_table(found),
         paragraph(_verdict(found)),
         heading('Measured and simulated, and the difference'),
-        figures(_motion_figures(found)),
+        figures(_motion_figures(found, validated.recording.since_start(found.stamps_ns))),
         heading('Spectra'),
         paragraph(
             'Power spectral densities of the motion, of the error of the free simulation, and of '
@@ -96,9 +95,8 @@ def _verdict(found: Validation) -> str:
     return f'{text}All axes that move are within {100 * LIMIT:g} %.'
 
 
-def _motion_figures(found: Validation) -> list[tuple[str, str]]:
+def _motion_figures(found: Validation, seconds: Array) -> list[tuple[str, str]]:
     """Return two charts per axis, both of an axis below each other."""
-    seconds = (found.stamps_ns - found.stamps_ns[0]) / NS_PER_S
     items = []
     for first in range(3):
         for i in (first, first + 3):

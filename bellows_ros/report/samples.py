@@ -11,7 +11,7 @@ from .svg import strip_chart
 def samples_content(recording: Recording) -> list[str]:
     """Return a strip of time and a table."""
     report = recording.report
-    seconds = recording.package.seconds
+    seconds = recording.since_start(recording.package.stamps_ns)
     step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
     rows = [
         ('used', 'used', recording.valid),

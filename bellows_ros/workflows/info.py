@@ -74,7 +74,7 @@ class TopicInfo:
     duration_s, rate_hz, jitter_s : float
         Last minus first stamp; rate where nothing is missing; robust deviation of the steps.
     gaps : tuple of (float, float)
-        Start, from the first stamp, and length of each, s.
+        Start, from the recording's first stamp, and length of each, s.
     refused : mapping of str to int
         Reason to number of messages that would be left out.
     outliers : int
@@ -164,8 +164,10 @@ def info(path: str | os.PathLike[str]) -> Info:
         if topic.type_name in types
     }  # fmt: skip
     streams, problems = _read(path, wanted)
+    start_ns = min((int(s.stamps_ns[0]) for s in streams.values()), default=0)
     described = tuple(
-        _topic(topic.name, topic.type_name, topic.messages, streams, problems) for topic in found
+        _topic(topic.name, topic.type_name, topic.messages, streams, problems, start_ns)
+        for topic in found
     )
     poses = {s.name: s for s in streams.values() if isinstance(s, PoseStream) and len(s) > 2}
     twists = {s.name: s for s in streams.values() if isinstance(s, TwistStream) and len(s) > 2}
@@ -194,7 +196,7 @@ def _read(
 
 def _topic(
     name: str, type_name: str, messages: int, streams: Mapping[str, Stream],
-    problems: Mapping[str, str],
+    problems: Mapping[str, str], start_ns: int,
 ) -> TopicInfo:  # fmt: skip
     """Return what is known of a topic."""
     mine = {kind: streams[f'{name} {kind}'] for kind in ('pose', 'twist')
@@ -202,7 +204,7 @@ def _topic(
     if not mine:
         return TopicInfo(name, type_name, messages, problem=problems.get(name, ''))
     stream = next(iter(mine.values()))
-    quality = _quality(stream) if len(stream) > 2 else {}
+    quality = _quality(stream, start_ns) if len(stream) > 2 else {}
     return TopicInfo(
         name, type_name, messages, ' and '.join(mine), frame_id=stream.frame_id,
         start_ns=int(stream.stamps_ns[0]),
@@ -211,14 +213,13 @@ def _topic(
     )  # fmt: skip
 
 
-def _quality(stream: Stream) -> dict[str, Any]:
+def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
     """Return rate, gaps, and of poses outliers, noise and motion."""
     time = timing(stream.stamps_ns)
-    first = int(stream.stamps_ns[0])
     quality: dict[str, Any] = {
         'rate_hz': time.rate_hz,
         'jitter_s': time.jitter_s,
-        'gaps': tuple(((gap.start_ns - first) / NS_PER_S, gap.duration_s) for gap in time.gaps),
+        'gaps': tuple(((gap.start_ns - start_ns) / NS_PER_S, gap.duration_s) for gap in time.gaps),
     }
     if isinstance(stream, PoseStream):
         poses = stream.trajectory()

@@ -13,7 +13,7 @@ from bellows_ros.core.model import Cup, cup_of, package_of, regressor
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.preparation import Recording
 from bellows_ros.core.score import relative_coordinates
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.core.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import Replay, replay
@@ -36,7 +36,7 @@ class Motion:
     Parameters
     ----------
     seconds : array (N,)
-        From the beginning, s.
+        From the recording's first stamp, s.
     tool_position, package_position : array (N, 3)
         Of E and B in the world, m.
     tool_rotation, package_rotation : array (N, 3, 3)
@@ -88,7 +88,7 @@ class Loads:
     Parameters
     ----------
     seconds : array (N,)
-        From the beginning, s.
+        From the recording's first stamp, s.
     deflection : array (N, 6)
         Position of S1 in S2 (m), and rotation vector (rad).
     load : array (N, 6)
@@ -117,7 +117,7 @@ class Replayed:
     Parameters
     ----------
     seconds : array (N,)
-        From the beginning, s.
+        From the recording's first stamp, s.
     replay : Replay
     motion : Motion
         Measured, at the same times.
@@ -156,8 +156,9 @@ def _motion(recording: Recording) -> Motion:
     """Return tool and package as measured."""
     tool, package = recording.measured_tool, recording.measured_package
     return Motion(
-        tool.seconds, tool.position, tool.rotation, package.position, package.rotation,
-        relative_coordinates(tool, package), tool.valid & package.valid,
+        recording.since_start(tool.stamps_ns), tool.position, tool.rotation,
+        package.position, package.rotation, relative_coordinates(tool, package),
+        tool.valid & package.valid,
     )  # fmt: skip
 
 
@@ -175,8 +176,7 @@ def spectra(bag: str | os.PathLike[str], settings: Mapping[str, object], cup: bo
     error = None
     if cup:
         result = replay(bag, settings)
-        start = int(recording.measured_package.stamps_ns[0])
-        known = (result.stamps_ns - start) / NS_PER_S
+        known = recording.since_start(result.stamps_ns)
         difference = result.predicted - result.measured
         inside = (moved.seconds >= known[0]) & (moved.seconds <= known[-1])
         error = _density(_at(moved.seconds[inside], known, difference), rate_hz, len(frequency))[1]
@@ -218,7 +218,7 @@ def loads(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Loads:
     halfway = exp_so3(0.5 * bending)
     moved = apply(np.swapaxes(halfway, 1, 2), _middle(cup, o, R))
     return Loads(
-        seconds=recording.package.seconds,
+        seconds=recording.since_start(recording.package.stamps_ns),
         deflection=np.hstack([moved, bending]),
         load=_turned(halfway, -at_lip @ to_middle.T),
         residual=_turned(halfway, (_given(cup, o, R, v) - at_lip) @ to_middle.T),
@@ -257,31 +257,22 @@ def replayed(
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     result = replay(bag, settings, progress)
     recording = load(bag, values).recording
-    stamps = recording.measured_package.stamps_ns
-    index = np.searchsorted(stamps, result.stamps_ns)
-    measured = _motion(_selected(recording, index))
+    index = np.searchsorted(recording.measured_package.stamps_ns, result.stamps_ns)
+    measured = _picked(_motion(recording), index)
     package, length = package_of(values), cup_of(values).length
     position = measured.tool_position + apply(measured.tool_rotation, result.predicted[:, :3])
     bent = exp_so3(result.predicted[:, 3:])
     shift = result.predicted[:, :3] - bent @ package.com + np.array([0.0, 0.0, length])
     return Replayed(
-        (result.stamps_ns - stamps[0]) / NS_PER_S, result, measured,
+        measured.seconds, result, measured,
         position, measured.tool_rotation @ bent, np.hstack([shift, result.predicted[:, 3:]]),
         length, package.com, np.array(equivalent_box(values)),
     )  # fmt: skip
 
 
-def _selected(recording: Recording, index: NDArray[np.int64]) -> Any:
-    """Return the measured poses at some samples."""
-    from types import SimpleNamespace
-
-    def pick(poses: Trajectory) -> Trajectory:
-        return poses.select(index)
-
-    return SimpleNamespace(
-        measured_tool=pick(recording.measured_tool),
-        measured_package=pick(recording.measured_package),
-    )
+def _picked(motion: Motion, index: NDArray[np.int64]) -> Motion:
+    """Return some samples."""
+    return Motion(**{name: values[index] for name, values in vars(motion).items()})
 
 
 def data_json(shown: Motion | Spectra | Loads | Replayed) -> dict[str, Any]:

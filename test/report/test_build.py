@@ -7,6 +7,7 @@ import re
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.provenance import digests
 from bellows_ros.files.results import format_json
+from bellows_ros.report import motion, samples
 from bellows_ros.report.build import cup_values, identification_report, validation_report
 from bellows_ros.report.cup import iteration_content
 from bellows_ros.report.page import page, table, warnings
@@ -149,6 +150,21 @@ def test_parameters_that_are_not_told_are_named(content, result):
     std[2][2] = None
     html = identification_report({**content, 'damping_std': std}, result.recordings)
     assert 'not told' in html and 'class="endless"' in html
+
+
+def test_times_count_from_the_first_stamp_recorded(content, result, root, monkeypatch):
+    """Show samples and motion at their times in the recording, before which filters know none."""
+    strips, curves = [], []
+    monkeypatch.setattr(samples, 'strip_chart', lambda rows, *rest: strips.extend(rows) or '')
+    monkeypatch.setattr(motion, 'line_chart', lambda found, *_, **__: curves.extend(found) or '')
+    validated = validate(root / 'bags/validation', cup_values(content))
+    validation_report(validated)
+    start_ns = validated.recording.aligned_package.stamps_ns[0]  # the tool begins with it
+    used = validated.recording.package.stamps_ns[validated.recording.valid]
+    assert strips[0][2][0][0] == pytest.approx((used[0] - start_ns) / 1e9) and used[0] > start_ns
+    (measured, *_) = (curve for curve in curves if curve.label == 'measured')
+    expected = (validated.validation.stamps_ns - start_ns) / 1e9
+    np.testing.assert_allclose(measured.x, expected)
 
 
 def test_the_iteration_is_drawn():

@@ -122,6 +122,17 @@ def test_gaps_jitter_and_repeats_are_counted(tmp_path: Path) -> None:
     assert found['/box'].rate_hz == pytest.approx(RATE_HZ, rel=1e-6)
 
 
+def test_gaps_count_from_the_recordings_first_stamp(tmp_path: Path) -> None:
+    """Give the time of a gap as `from` and `to` are given, whenever its topic begins."""
+    m = motion()
+    kept = (m['t'] >= 0.5) & ((m['t'] < 3.0) | (m['t'] > 3.1))
+    write_bag(tmp_path / 'bag', [
+        poses('/tcp', m['t'], m['o'], m['R']),
+        poses('/box', m['t'][kept], m['o_p'][kept], m['R_p'][kept])])
+    ((start, _),) = by_name(info(tmp_path / 'bag').topics)['/box'].gaps
+    assert start == pytest.approx(2.995, abs=1e-6)
+
+
 def test_one_body_alone_is_named_and_said_to_be_too_little(tmp_path: Path) -> None:
     """Use the name where there is nothing to compare with."""
     m = motion()

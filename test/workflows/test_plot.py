@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.workflows.info import info
 from bellows_ros.workflows.plot import loads, motion, replayed, spectra
 import numpy as np
 import pytest
@@ -56,6 +57,25 @@ def test_missing_poses_are_not_valid(root: Path, settings: dict[str, Any]) -> No
     found = motion(root / 'bags' / 'identification', settings)
     assert 0 < np.count_nonzero(~found.valid) < 200
     assert len(found.seconds) == len(found.relative)
+
+
+def test_times_are_those_of_info(root: Path, settings: dict[str, Any]) -> None:
+    """Count from the first stamp recorded, not from the first that is filtered."""
+    bag = root / 'bags' / 'identification'
+    (package,) = (topic for topic in info(bag).topics if topic.name == '/package/pose')
+    start, length = package.gaps[0]
+    for half_window in (0, 100):
+        own = {**settings, 'filter.package.half_window': half_window}
+        found = motion(bag, own)
+        inside = (found.seconds > start + 1e-6) & (found.seconds < start + length - 1e-6)
+        assert np.count_nonzero(inside) > 3 and not found.valid[inside].any()
+        edges = found.seconds[found.valid]
+        assert np.abs(edges - start).min() < 1e-6 and np.abs(edges - start - length).min() < 1e-6
+        np.testing.assert_array_equal(loads(bag, own).seconds, found.seconds)
+    validation = root / 'bags' / 'validation'
+    shown, moved = replayed(validation, settings), motion(validation, settings)
+    np.testing.assert_array_equal(shown.seconds, moved.seconds[np.isin(
+        moved.seconds, shown.seconds)])
 
 
 def test_without_a_package_the_tracked_point_is_shown(

@@ -156,6 +156,8 @@ class Recording:
 
     Parameters
     ----------
+    start_ns : int
+        First stamp of what was recorded, ns; the filters begin half a window later.
     tool : Trajectory
         Tool tip E in the world, filtered, with body twists of the filter.
     package : Trajectory
@@ -174,6 +176,7 @@ class Recording:
 
     """
 
+    start_ns: int
     tool: Trajectory
     package: Trajectory
     measured_tool: Trajectory
@@ -194,6 +197,10 @@ class Recording:
     def measured(self) -> Mask:
         """Where both unfiltered poses are to be used (N,)."""
         return self.measured_tool.valid & self.measured_package.valid
+
+    def since_start(self, stamps_ns: Stamps) -> Array:
+        """Return times from the first recorded stamp, s (N,)."""
+        return (stamps_ns - self.start_ns) / NS_PER_S
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +268,9 @@ def prepare(
     valid = tool_there.valid & package_there.valid
     _require_some(valid, reports)
     warnings = tuple(_warnings(streams, alignment, settings))
+    recorded = [stream for stream in (tool, package, tool_twist) if stream is not None]
     return Recording(
+        min(int(stream.stamps_ns[0]) for stream in recorded),
         tool_there,
         package_there,
         measured_tool,

@@ -67,6 +67,8 @@ def test_poses_that_need_nothing_are_only_filtered():
     assert_allclose(found.measured_package.position, package.position[25:-25], atol=1e-15)
     assert found.report.samples == found.report.valid == len(package) - 50
     assert found.report.warnings == ()
+    assert found.start_ns == tool.stamps_ns[0]
+    assert_allclose(found.since_start(package.stamps_ns), package.seconds)
 
 
 def test_filters_have_their_own_windows_and_the_common_time_is_theirs():
