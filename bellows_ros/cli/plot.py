@@ -2,7 +2,6 @@
 
 import argparse
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 from .commands import OK
@@ -46,6 +45,7 @@ WHAT = {
 }
 
 OF_THE_RECORDING = ('motion', 'spectra', 'path')  # pictures that need no cup
+WHOLE = (float('-inf'), float('inf'))  # s
 
 Settings = Mapping[str, Any]
 
@@ -67,12 +67,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--theme', choices=('light', 'dark'), default='light', help='for paper, or for the dark'
     )
     parser.add_argument(
-        '--from', metavar='SECONDS', type=float, dest='first', default=float('-inf'),
-        help='where an animation begins',
+        '--from', metavar='SECONDS', type=float, dest='first', default=WHOLE[0],
+        help="where the picture begins, after the recording's first stamp; not of spectra",
     )  # fmt: skip
     parser.add_argument(
-        '--to', metavar='SECONDS', type=float, dest='last', default=float('inf'),
-        help='where an animation ends',
+        '--to', metavar='SECONDS', type=float, dest='last', default=WHOLE[1],
+        help='where it ends',
     )  # fmt: skip
 
 
@@ -86,9 +86,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     settings = resolve(values, () if recorded else PACKAGE_PARAMETERS)
     require_outputs(arguments.out, arguments.json)
     _require_ending(arguments.what, arguments.out)
+    _require_whole(arguments)
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
-        shown = _shown(arguments.what, arguments.bag, settings, given, progress)
+        shown = _shown(arguments, settings, given, progress)
         note = f'{arguments.bag}' + ('' if given or arguments.what in OF_THE_RECORDING
                                      else '; cup of the thesis')  # fmt: skip
         if arguments.what == 'animation':
@@ -115,17 +116,31 @@ def _require_ending(what: str, out: str) -> None:
         )
 
 
-def _shown(what: str, bag: Path, settings: Settings, given: bool, progress: Any) -> Any:
-    """Return what a picture shows."""
-    from bellows_ros.workflows.plot import loads, motion, replayed, spectra
+def _require_whole(arguments: argparse.Namespace) -> None:
+    """Refuse a part of the time for spectra, before any work."""
+    from bellows_ros.errors import BellowsError
 
-    if what in ('motion', 'path'):
-        return motion(bag, settings)
+    span = (arguments.first, arguments.last)
+    if arguments.what == 'spectra' and span != WHOLE:
+        raise BellowsError('Spectra are of the whole recording: leave out --from and --to.')
+
+
+def _shown(
+    arguments: argparse.Namespace, settings: Settings, given: bool, progress: Any
+) -> Any:
+    """Return what a picture shows."""
+    from bellows_ros.workflows.plot import loads, motion, replayed, spectra, within
+
+    what, bag = arguments.what, arguments.bag
     if what == 'spectra':
         return spectra(bag, settings, given)
-    if what in ('deflection', 'residuals'):
-        return loads(bag, settings)
-    return replayed(bag, settings, progress)
+    if what in ('motion', 'path'):
+        found: Any = motion(bag, settings)
+    elif what in ('deflection', 'residuals'):
+        found = loads(bag, settings)
+    else:
+        found = replayed(bag, settings, progress)
+    return within(found, arguments.first, arguments.last)
 
 
 def _draw(arguments: argparse.Namespace, shown: Any, note: str) -> None:
@@ -159,9 +174,7 @@ def _animate(arguments: argparse.Namespace, shown: Any, note: str, progress: Any
     """Draw an animation and write it."""
     from bellows_ros.plots.animation import write_animation
 
-    write_animation(
-        arguments.out, shown, note, arguments.theme, (arguments.first, arguments.last), progress
-    )
+    write_animation(arguments.out, shown, note, arguments.theme, progress)
 
 
 def _put_data(arguments: argparse.Namespace, shown: Any, console: Console) -> None:

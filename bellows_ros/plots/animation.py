@@ -54,7 +54,7 @@ class HasReplay(Protocol):
 
 def write_animation(
     path: str | os.PathLike[str], replayed: HasReplay, note: str, theme: str = 'light',
-    span: tuple[float, float] | None = None, progress: Progress | None = None,
+    progress: Progress | None = None,
 ) -> None:  # fmt: skip
     """
     Write a replay as a GIF, or as an MP4 where ffmpeg is there, at recorded speed.
@@ -69,15 +69,13 @@ def write_animation(
         Which recording and cup.
     theme : {'light', 'dark'}
         For paper or for the dark.
-    span : (float, float), optional
-        First and last time shown, s from the recording's first stamp.
     progress : callable, optional
         Called with what is being done and the part (0 to 1) that is done.
 
     Raises
     ------
     BellowsError
-        If the ending is another, ffmpeg is missing, or no sample is in the span.
+        If the ending is another, or ffmpeg is missing.
 
     """
     ending = Path(path).suffix.lower()
@@ -85,7 +83,7 @@ def write_animation(
         raise BellowsError(f"Animation '{path}' must end in .gif or .mp4.")
     rate_hz = FRAMES_PER_SECOND[ending]
     encode = _gif if ending == '.gif' else partial(_mp4, ffmpeg=_ffmpeg())
-    chosen = _frames(replayed.seconds, span, rate_hz)
+    chosen = _frames(replayed.seconds, rate_hz)
     pictures = _drawn(replayed, chosen, note, THEMES[theme], progress or (lambda what, part: None))
     write_bytes(path, encode(pictures, rate_hz))
 
@@ -103,18 +101,9 @@ def _ffmpeg() -> str:
     return str(found)
 
 
-def _frames(
-    seconds: Array, span: tuple[float, float] | None, rate_hz: float
-) -> NDArray[np.int64]:
+def _frames(seconds: Array, rate_hz: float) -> NDArray[np.int64]:
     """Return the samples to show."""
-    first, last = span or (float(seconds[0]), float(seconds[-1]))
-    first, last = max(first, float(seconds[0])), min(last, float(seconds[-1]))
-    if last <= first:
-        raise BellowsError(
-            f'No sample lies in the time asked for; the recording covers {seconds[0]:.1f} to '
-            f'{seconds[-1]:.1f} s.'
-        )
-    times = np.arange(first, last, 1.0 / rate_hz)
+    times = np.arange(seconds[0], seconds[-1], 1.0 / rate_hz)
     chosen: NDArray[np.int64] = np.minimum(np.searchsorted(seconds, times), len(seconds) - 1)
     return chosen
 

@@ -1,9 +1,9 @@
 """What pictures of a recording show: motion, spectra, loads against deflections, predictions."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 import os
-from typing import Any
+from typing import Any, TypeVar
 
 from bellows_ros.core.identification.wrenches import lip_relative, needed_wrench
 from bellows_ros.core.kernels import spring_frames
@@ -12,7 +12,7 @@ from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.core.model import Cup, cup_of, package_of, regressor
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.preparation import Recording
-from bellows_ros.core.score import relative_coordinates
+from bellows_ros.core.score import relative_coordinates, score
 from bellows_ros.core.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import load
@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 SPECTRUM_SECONDS = 4.0  # of a segment: lines of 0.25 Hz
+NOT_SAMPLES = {'stiffness', 'motion', 'replay', 'cup_length', 'com', 'box', 'scores', 'counts',
+               'real_time_factor', 'bag'}  # fmt: skip
 TRACKED = {'package.com': (0.0, 0.0, 0.0)}  # puts B where the package is tracked
 
 
@@ -141,6 +143,10 @@ class Replayed:
     cup_length: float
     com: Array
     box: Array
+
+
+Timed = TypeVar('Timed', Motion, Loads, Replayed)
+Group = TypeVar('Group', Motion, Loads, Replayed, Replay)
 
 
 def motion(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Motion:
@@ -270,9 +276,46 @@ def replayed(
     )  # fmt: skip
 
 
-def _picked(motion: Motion, index: NDArray[np.int64]) -> Motion:
-    """Return some samples."""
-    return Motion(**{name: values[index] for name, values in vars(motion).items()})
+def within(shown: Timed, first: float, last: float) -> Timed:
+    """
+    Return what a picture shows of a part of the time.
+
+    Parameters
+    ----------
+    shown : Motion, Loads or Replayed
+        Of the whole recording.
+    first, last : float
+        From the recording's first stamp, s.
+
+    Raises
+    ------
+    BellowsError
+        If there are no two usable samples.
+
+    """
+    seconds = shown.seconds
+    part = (seconds >= first) & (seconds <= last)
+    valid = shown.motion.valid if isinstance(shown, Replayed) else shown.valid
+    if np.count_nonzero(part & valid) < 2:
+        raise BellowsError(
+            f'Of {first:g} to {last:g} s there are no two usable samples; the recording covers '
+            f'{seconds[0]:.2f} to {seconds[-1]:.2f} s.'
+        )
+    groups: dict[str, Any] = {}
+    if isinstance(shown, Replayed):
+        result = _picked(shown.replay, part)
+        scores = score(result.measured, result.predicted)
+        groups = {'motion': _picked(shown.motion, part), 'replay': replace(result, scores=scores)}
+    return replace(_picked(shown, part), **groups)
+
+
+def _picked(group: Group, index: NDArray[np.int64] | NDArray[np.bool_]) -> Group:
+    """Return a group of arrays at some samples; what is not one per sample stays."""
+    picked = {
+        field.name: getattr(group, field.name)[index]
+        for field in fields(group) if field.name not in NOT_SAMPLES
+    }
+    return replace(group, **picked)
 
 
 def data_json(shown: Motion | Spectra | Loads | Replayed) -> dict[str, Any]:

@@ -65,6 +65,20 @@ def test_a_recording_is_drawn_before_its_package_is_weighed(
     assert (done.returncode, done.stderr) == (0, '')
 
 
+@pytest.mark.parametrize('what', ['motion', 'path', 'residuals', 'prediction', 'animation'])
+def test_a_part_of_the_time_is_drawn_and_given(
+    what: str, bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Leave out of picture and numbers what is not asked for."""
+    out = tmp_path / ('a.gif' if what == 'animation' else 'a.png')
+    done = bellows('plot', what, 'recording', '--params', 'cup.yaml', '--out', out, '--from', '3',
+                   '--to', '3.3', '--json', '-', cwd=workshop)
+    assert (done.returncode, done.stderr) == (0, f'Wrote {out}.\n')
+    seconds = json.loads(done.stdout)['seconds']
+    assert len(seconds) == 72 + (seconds[-1] == 3.3)  # at 240 Hz
+    assert 3.0 <= seconds[0] and seconds[-1] <= 3.3
+
+
 def test_the_numbers_of_a_picture_are_given(
     bellows: Run, workshop: Path, tmp_path: Path
 ) -> None:
@@ -84,6 +98,8 @@ def test_the_numbers_of_a_picture_are_given(
         (['animation', 'recording', '--out', 'a.png'], 'must end in .gif or .mp4'),
         (['motion', 'none', '--out', 'a.png'], 'does not exist'),
         (['animation', 'recording', '--out', 'a.gif', '--from', '90'], 'recording covers'),
+        (['motion', 'recording', '--out', 'a.png', '--from', '3', '--to', '2'], 'Of 3 to 2 s'),
+        (['spectra', 'recording', '--out', 'a.png', '--to', '3'], 'leave out --from and --to'),
         (['portrait', 'recording', '--out', 'a.png'], 'invalid choice'),
     ],
 )

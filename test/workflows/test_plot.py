@@ -5,7 +5,7 @@ from typing import Any
 
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.info import info
-from bellows_ros.workflows.plot import loads, motion, replayed, spectra
+from bellows_ros.workflows.plot import loads, motion, replayed, spectra, within
 import numpy as np
 import pytest
 
@@ -76,6 +76,22 @@ def test_times_are_those_of_info(root: Path, settings: dict[str, Any]) -> None:
     shown, moved = replayed(validation, settings), motion(validation, settings)
     np.testing.assert_array_equal(shown.seconds, moved.seconds[np.isin(
         moved.seconds, shown.seconds)])
+
+
+def test_a_part_of_a_replay_has_its_own_scores(
+    root: Path, settings: dict[str, Any]
+) -> None:
+    """Pick all that belongs to the time, and judge the prediction by that."""
+    whole = replayed(root / 'bags' / 'validation', settings)
+    part = within(whole, 3.0, 4.0)
+    picked = (whole.seconds >= 3.0) & (whole.seconds <= 4.0)
+    for name in ('seconds', 'position', 'rotation', 'deflection'):
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[picked])
+    np.testing.assert_array_equal(part.motion.relative, whole.motion.relative[picked])
+    error = (whole.replay.predicted - whole.replay.measured)[picked]
+    np.testing.assert_allclose(part.replay.scores.rms, np.sqrt(np.mean(error**2, axis=0)))
+    assert part.replay.scores.samples == len(part.seconds) == np.count_nonzero(picked)
+    np.testing.assert_array_equal(part.box, whole.box)
 
 
 def test_without_a_package_the_tracked_point_is_shown(
