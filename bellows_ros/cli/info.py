@@ -21,6 +21,10 @@ EXAMPLES = (
      'a parameter file with its topics; only the package is to be filled in'),
     ('bellows info recording --json - | jq .settings', 'the same for a script'),
 )  # fmt: skip
+WORLDS = {
+    'z_up': 'z up (recording.world: z_up)',
+    'motive_y_up': "Motive's, y up (recording.world: motive_y_up)",
+}
 UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_frame',
            'cup.length')  # fmt: skip
 
@@ -59,13 +63,15 @@ def _say(found: 'Info', console: Console) -> None:
     for line in _table(found):
         console.say(line)
     for topic in found.topics:
-        for line in _flaws(topic):
+        for line in (*_flaws(topic), *_noise(topic)):
             console.paragraph(f'  {topic.name}: {line}')
     console.say()
     for role, guess in (('tool', found.tool), ('package', found.package), ('twist', found.twist)):
         why = f': {"; ".join(guess.why)}' if guess and guess.why else ''
         name = f'probably {guess.topic}' if guess else 'not found'
         console.paragraph(f'{role.capitalize():8} {name}{why}.')
+    if 'recording.world' in found.settings:
+        console.say(f'World    probably {WORLDS[found.settings["recording.world"]]}.')
     if found.rest_s is not None:
         console.say(f'Both stand still for the first {found.rest_s:.1f} s.')
     for note in found.notes:
@@ -105,6 +111,13 @@ def _flaws(topic: 'TopicInfo') -> Iterator[str]:
     if topic.gaps:
         longest = max(length for _, length in topic.gaps)
         yield f'{many(len(topic.gaps), "gap", "gaps")}, the longest {longest * 1e3:.0f} ms'
+
+
+def _noise(topic: 'TopicInfo') -> Iterator[str]:
+    """Yield the noise of a topic's poses."""
+    if topic.noise:
+        position, rotation = (1e3 * topic.noise[name] for name in ('position', 'rotation'))
+        yield f'noise of {position:.3f} mm and {rotation:.3f} mrad in each axis'
 
 
 def _say_files(arguments: argparse.Namespace, console: Console) -> None:

@@ -2,9 +2,16 @@
 
 import json
 from pathlib import Path
+import re
 from typing import Any
 
+from bellows_ros.core.lie import apply
+from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
+from bellows_ros.files.bag_writer import write_bag
 from bellows_ros.files.parameter_files import read_parameters
+import pytest
+
+from ..workflows.test_info import motion, poses
 
 Run = Any
 
@@ -16,6 +23,25 @@ def test_it_says_what_is_there(bellows: Run, workshop: Path) -> None:
     for words in ('/tool_arm/pose', '300.0 Hz', 'probably /package/pose', 'hangs below it',
                   '1 gap, the longest', 'stand still for the first'):  # fmt: skip
         assert words in done.stdout, done.stdout
+
+
+def test_it_says_the_noise_and_which_axis_is_up(bellows: Run, root: Path) -> None:
+    """Print what the choice of a method and of recording.world asks for; truth from the motion."""
+    done = bellows('info', root / 'bags' / 'identification')
+    found = re.search(r'/package/pose: noise of (\S+) mm and (\S+) mrad', done.stdout)
+    assert found, done.stdout
+    assert [float(x) for x in found.groups()] == pytest.approx([0.1, 0.5], rel=0.02)
+    assert 'World    probably z up (recording.world: z_up).' in done.stdout
+
+
+def test_a_world_with_y_up_is_said(bellows: Run, tmp_path: Path) -> None:
+    """Name Motive's world in words and by its parameter."""
+    m, up = motion(), R_WORLD_MOTIVE.T
+    write_bag(tmp_path / 'bag', [
+        poses('/arm', m['t'], apply(up, m['o']), up @ m['R']),
+        poses('/plate', m['t'], apply(up, m['o_p']), up @ m['R_p'])])
+    done = bellows('info', tmp_path / 'bag')
+    assert "World    probably Motive's, y up (recording.world: motive_y_up)." in done.stdout
 
 
 def test_the_parameter_file_serves_once_the_package_is_filled_in(
