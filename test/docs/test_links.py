@@ -73,6 +73,25 @@ def test_pages_mention_every_command(root: Path) -> None:
     assert all(f'## bellows {name}\n' in text for name in COMMANDS)
 
 
+def test_the_first_page_leads_to_every_page(root: Path) -> None:
+    """Link each in the text of the index, where GitHub shows no table of contents."""
+    docs = root / 'docs'
+    text = (docs / 'index.md').read_text()
+    pages = [path for path in sorted(docs.rglob('*.md')) if path.name != 'index.md']
+    assert [path for path in pages if f']({path.relative_to(docs)})' not in text] == []
+
+
+def test_guides_name_every_command(root: Path) -> None:
+    """Lead to each command from a page other than the reference; to the advice from the first."""
+    from bellows_ros.cli.commands import COMMANDS
+
+    docs = root / 'docs'
+    text = ''.join(page.read_text() for page in [root / 'README.md', *docs.glob('*.md')])
+    assert [name for name in COMMANDS if f'bellows {name}' not in text] == []
+    for page in (root / 'README.md', docs / 'tutorial.md', docs / 'choosing.md'):
+        assert 'bellows ladder' in page.read_text(), page.name
+
+
 def test_pages_are_built_without_a_warning(root: Path, tmp_path: Path) -> None:
     """Build the HTML as `make docs` does, and find a formula and a picture in it."""
     pytest.importorskip('sphinx', reason="no Sphinx here (pip install '.[docs]')")
