@@ -7,14 +7,13 @@ from threading import Thread
 import time
 from typing import Any
 
-import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 
 from .parameters import ros_parameter, TableNode
-from ..core.parameters import Value
+from ..core.parameters import parameters_of, validate, Value
 from ..errors import BellowsError
 from ..report.build import write_page
 from ..workflows.identify import identify, save
@@ -23,8 +22,8 @@ TICK = 0.1
 LONGEST_WAIT = 10.0
 """How long (s) the predictor is waited for."""
 
-FOUND = ('cup.stiffness', 'cup.damping')
-SHOWN = ('cup.length', *FOUND)
+OF_THE_CUP = ('cup.', 'envelope.')
+SHOWN = [p.name for p in parameters_of('identifier') if p.name.startswith(OF_THE_CUP)]
 """Parameters that are there when the work is done."""
 
 
@@ -106,13 +105,13 @@ class IdentifierNode(TableNode):
             self.get_logger().warning(warning)
         if not result.fit.usable:
             raise BellowsError(' '.join(result.fit.warnings))
-        self.values = {**self.values, 'cup.length': result.values['cup.length']}
-        self.declare_from_table('cup.length', self.values['cup.length'])
-        for name, matrix in zip(FOUND, (result.fit.stiffness, result.fit.damping), strict=True):
-            value = tuple(float(x) for x in np.ravel(matrix))
-            self.values = {**self.values, name: value}
-            self.declare_from_table(name, value)
-            diagonal = ', '.join(f'{x:.5g}' for x in value[::7])
+        found = {k: v for k, v in result.parameters().items() if k.startswith(OF_THE_CUP)}
+        self._cup = {name: validate(name, value) for name, value in found.items()}
+        self.values = {**self.values, **{name: self._cup[name] for name in SHOWN}}
+        for name in SHOWN:
+            self.declare_from_table(name, self.values[name])
+        for name in ('cup.stiffness', 'cup.damping'):
+            diagonal = ', '.join(f'{x:.5g}' for x in self.values[name][::7])
             self.get_logger().info(f'{name}: diagonal {diagonal}')
         for name in ('output.parameters', 'output.json', 'output.report'):
             if self.values[name]:
@@ -127,7 +126,7 @@ class IdentifierNode(TableNode):
     def _send(self) -> None:
         """Set the cup on the predictor as soon as it is there."""
         if self._client.services_are_ready():
-            cup = [ros_parameter(name, self.values[name]) for name in SHOWN]
+            cup = [ros_parameter(name, value) for name, value in self._cup.items()]
             self._answer = self._client.set_parameters_atomically(cup)
             self._step = self._await_answer
         else:

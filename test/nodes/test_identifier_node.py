@@ -78,6 +78,9 @@ def test_cup_is_found_shown_written_and_set_on_the_predictor(
         value = list(node.get_parameter(name).value)
         assert value == list(predictor.get_parameter(name).value)
         assert tuple(value) == read_parameters(written)[name]
+    for name in ('cup.length', 'cup.stiffness_std', 'envelope.rates', 'envelope.mass'):
+        assert_allclose(predictor.values[name], read_parameters(written)[name])
+        assert np.any(predictor.values[name])
     assert (tmp_path / 'fit.json').is_file()
 
 
