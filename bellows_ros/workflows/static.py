@@ -291,10 +291,16 @@ def _listed(block: Settings, folder: Path) -> StaticBag:
 
 
 def _resolved(bags: Sequence[StaticBag], settings: Mapping[str, object]) -> dict[str, Any]:
-    """Return all parameters; a mass need not be among them if every recording has its own."""
-    filled = dict(settings)
+    """
+    Return all parameters; mass and centre need not be among them if every recording has its own.
+
+    Nor the inertia, which plays no part at rest: any that a body can have will do.
+    """
+    filled = {'package.inertia': (1e-3, 1e-3, 1e-3, 0.0, 0.0, 0.0), **settings}
     if all(bag.mass is not None for bag in bags) and 'package.mass' not in filled:
         filled['package.mass'] = bags[0].mass
+    if all(bag.com is not None for bag in bags) and 'package.com' not in filled:
+        filled['package.com'] = bags[0].com
     return dict(resolve(filled, PACKAGE_PARAMETERS))
 
 
