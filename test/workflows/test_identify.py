@@ -12,6 +12,7 @@ from bellows_ros.report.build import write_page
 from bellows_ros.workflows.compare import compare_files
 from bellows_ros.workflows.identify import identify, save, UNKNOWN_STD
 from bellows_ros.workflows.simulate import simulate_recording
+from bellows_ros.workflows.validate import validate
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -307,6 +308,12 @@ def test_structures_and_validation_come_with_the_fit(shipped, root):
     content = json.loads(format_json(result.as_json()))
     assert content['ladder']['advised'] == 'axisymmetric'
     assert content['validations'][0]['above_limit'] == []
+
+
+def test_the_recording_of_a_fit_is_not_beyond_it(shipped, root):
+    """Warn of nothing where a cup is tried on what it is from."""
+    known = shipped[0].parameters()
+    assert validate(root / 'bags/identification', known).warnings == ()
 
 
 def test_a_wrong_centre_of_mass_is_suspected(shipped):

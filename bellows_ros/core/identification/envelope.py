@@ -8,6 +8,7 @@ an envelope from recordings is in `seen`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from decimal import Context, ROUND_CEILING, ROUND_FLOOR
 from typing import Any
 
 from bellows_ros.errors import BellowsError
@@ -34,7 +35,14 @@ LEAST_FREQUENCY, FREQUENCY_MARGIN = 1.0, 1.25
 MASS_MARGIN = 0.1
 """A mass this part above or below those seen is not called another one."""
 
-FIELDS = ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass')
+DOWN, UP = (Context(prec=6, rounding=way) for way in (ROUND_FLOOR, ROUND_CEILING))
+ROUNDING = {
+    'deflection_low': (DOWN,) * 6, 'deflection_high': (UP,) * 6, 'rates': (UP,) * 6,
+    'frequencies': (DOWN, UP) * 2, 'mass': (DOWN, UP),
+}  # fmt: skip
+"""Outward, so that what is in a range stays in it."""
+
+FIELDS = tuple(ROUNDING)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +91,13 @@ class Envelope:
             raise BellowsError('Envelope: a range ends below its beginning.')
 
     def parameters(self) -> dict[str, tuple[float, ...]]:
-        """Return the parameters of the cup file that hold it, with six digits."""
+        """Return the parameters of the cup file that hold it: six digits, rounded outward."""
         return {
-            f'envelope.{name}': tuple(float(f'{x:.6g}') for x in getattr(self, name).flat)
-            for name in FIELDS
+            f'envelope.{name}': tuple(
+                float(way.create_decimal(repr(x)))
+                for x, way in zip(getattr(self, name).ravel().tolist(), ways, strict=True)
+            )
+            for name, ways in ROUNDING.items()
         }
 
     def as_json(self) -> dict[str, Any]:

@@ -125,6 +125,17 @@ def test_parameters_hold_it():
     assert known_envelope(resolve({})) is None
 
 
+def test_a_file_holds_at_least_what_was_seen():
+    """Round outward: what the fit has seen is not beyond the six digits of it in a file."""
+    ends = np.random.default_rng(6).uniform(-1.0, 1.0, size=(500, 6))
+    for low, high in zip(ends - 2.0, ends + 2.0, strict=True):
+        seen = Envelope(low, high, high, high[:4].reshape(2, 2) + [0.0, 3.0], np.sort(high[:2]))
+        written = known_envelope(seen.parameters())
+        assert beyond(written, seen) == ()
+        for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass'):
+            assert_allclose(getattr(written, name), getattr(seen, name), rtol=2e-5)
+
+
 @pytest.mark.parametrize('change', [
     {'mass': [3.0, 2.0]}, {'rates': [-1.0] * 6}, {'rates': [1.0] * 5}, {'mass': [np.nan, 1.0]},
 ])
