@@ -69,6 +69,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.results_to_stderr(arguments.json == STDOUT):
         for bag in others:
             console.warn(f'{bag} is not what it was when the cup was identified from it.')
+        for validation in validations:
+            for warning in validation.warnings:
+                console.warn(f'{validation.bag}: {warning}')
         console.say(f'Wrote {arguments.out}.')
     return OK
 

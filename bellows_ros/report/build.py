@@ -7,6 +7,7 @@ from typing import Any
 
 from bellows_ros.core.identification.advice.added_noise import FilterNoise
 from bellows_ros.core.identification.advice.excitation import describe_excitation
+from bellows_ros.core.identification.envelope import Envelope, FIELDS
 from bellows_ros.core.identification.methods import filtered_samples
 from bellows_ros.core.identification.structure import structure_named
 from bellows_ros.core.model import package_of
@@ -103,10 +104,12 @@ def _origin(
 
 
 def cup_values(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a result with its cup in them."""
+    """Return the settings of a result with its cup, and what its fit has seen, in them."""
     flat = {f'cup.{key}': tuple(x for row in content[key] for x in row)
             for key in ('stiffness', 'damping')}  # fmt: skip
-    return {**content['settings'], **flat, 'cup.length': content['cup_length']}
+    seen = content.get('envelope')
+    known = Envelope(**{name: seen[name] for name in FIELDS}).parameters() if seen else {}
+    return {**content['settings'], **flat, **known, 'cup.length': content['cup_length']}
 
 
 def values_of_recordings(content: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -148,13 +148,15 @@ class Identification:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user must know: of the fit, then of the recordings."""
+        """What the user must know: of the fit, then of the recordings, validations last."""
         told = self.excitation.warnings if self.excitation else ()
         verdict = (self.consistency.verdict,) if self.consistency else ()
         resting = self.at_rest.warnings(self.values['cup.length']) if self.at_rest else ()
         of_recordings = tuple(w for report in self.reports for w in report.warnings)
+        unseen = (f'{v.bag}: {warning}' for v in self.validations for warning in v.warnings)
         return (
-            *self.fit.warnings, *self._wrong_centres(), *told, *verdict, *resting, *of_recordings)
+            *self.fit.warnings, *self._wrong_centres(), *told, *verdict, *resting, *of_recordings,
+            *unseen)
 
     def _wrong_centres(self) -> tuple[str, ...]:
         """Return what is to be said of centres of mass."""

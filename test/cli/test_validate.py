@@ -60,6 +60,22 @@ def test_the_report_can_be_made_again(bellows: Run, workshop: Path, fitted: Path
     assert (fitted / 'again.html').read_bytes() == (fitted / 'report.html').read_bytes()
 
 
+def test_a_report_warns_of_what_the_fit_has_not_seen(
+    bellows: Run, workshop: Path, fitted: Path, tmp_path: Path
+) -> None:
+    """Judge a validation by the envelope in the result file, in words and in JSON."""
+    content = json.loads((fitted / 'fit.json').read_text())
+    content['envelope']['mass'] = [1.0, 1.2]
+    (tmp_path / 'light.json').write_text(json.dumps(content))
+    done = bellows(
+        'report', tmp_path / 'light.json', '--validation', 'recording', '--out',
+        tmp_path / 'page.html', '--json', '-', cwd=workshop)
+    (validation,) = json.loads(done.stdout)['validations']
+    warning = validation['warnings'][-1]
+    assert 'has seen: the mass is 1.8 kg, seen 1 to 1.2.' in warning
+    assert 'Warning: recording: The recording goes beyond' in done.stderr
+
+
 def test_a_result_without_settings_is_refused(
     bellows: Run, workshop: Path, fitted: Path, tmp_path: Path
 ) -> None:

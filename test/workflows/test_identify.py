@@ -305,6 +305,8 @@ def test_structures_and_validation_come_with_the_fit(shipped, root):
     assert validated.validation.failing() == ()
     assert any(line.startswith('Take fit.structure: axisymmetric') for line in result.findings)
     assert any('all within 5 %' in line for line in result.findings)
+    assert f'{validated.bag}: The recording goes beyond' in result.warnings[-1]
+    assert 'bending about x is -23' in result.warnings[-1]  # twice what the fit has seen
     content = json.loads(format_json(result.as_json()))
     assert content['ladder']['advised'] == 'axisymmetric'
     assert content['validations'][0]['above_limit'] == []
