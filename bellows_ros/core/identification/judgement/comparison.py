@@ -13,7 +13,7 @@ from bellows_ros.core.equilibrium import static_equilibrium
 from bellows_ros.core.identification.structure import Structure
 from bellows_ros.core.kernels import ModelTuple
 from bellows_ros.core.lie import adjoint, exp_so3, quaternion_to_rotation, transform
-from bellows_ros.core.linearisation import linearise, resting_on_tool
+from bellows_ros.core.linearisation import linearise
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.score import relative_coordinates
 from bellows_ros.core.simulation import simulate
@@ -225,19 +225,20 @@ def compare_fits(
     )
 
 
-def modes(cup: Cup, package: Package) -> list[tuple[str, float, float]]:
+def modes(cup: Cup, package: Package, gravity: float) -> list[tuple[str, float, float]]:
     """
     Return name, natural frequency (Hz) and damping ratio of the six modes, lowest first.
 
-    They are those of small undamped motions about the nominal pose with the tool at rest. With
+    They are those of small undamped motions about where the package hangs from an upright tool at
+    rest, under gravity (m/s^2): its weight pulls a bent cup straight, as it does a pendulum. With
     the modes scaled to unit modal mass, the damping ratio is phi^T C phi / (2 omega): exact where
     damping is proportional, and to first order otherwise. The name is that of the direction, at
     the middle of the cup where its spring is (3.13), in which most of the elastic energy is.
     """
-    model = model_tuple(cup, package, 0.0)
+    model = model_tuple(cup, package, gravity)
     zero = (0.0, 0.0, 0.0)
     tool = (zero, (0.0, 0.0, 0.0, 1.0), zero, zero)
-    slopes = linearise(model, tool, resting_on_tool(model, tool))
+    slopes = linearise(model, tool, static_equilibrium(model, tool))
     mass = _mass_matrix(package)
     root = np.linalg.cholesky(mass)
     inverse = np.linalg.inv(root)
@@ -327,8 +328,7 @@ def _predicted(cup: Cup, package: Package, gravity: float) -> list[tuple[str, st
         found.append((f'shift of the lip at rest, {words}', 'm', MATTERS_SHIFT, shift))
         if angle:
             found.append((f'turn of the lip at rest, {words}', 'rad', MATTERS_TURN, turn))
-    named = modes(cup, package)
-    for number, (name, frequency, ratio) in enumerate(named, 1):
+    for number, (name, frequency, ratio) in enumerate(modes(cup, package, gravity), 1):
         name = f'{ORDINALS[number - 1]} mode ({name})'
         found.append((f'frequency of the {name}', 'Hz', MATTERS_FREQUENCY, frequency))
         found.append((f'damping ratio of the {name}', '', MATTERS_DAMPING, ratio))

@@ -120,7 +120,7 @@ def test_standard_errors_of_effects_follow_from_those_of_parameters():
 def test_modes_of_axial_and_torsion_are_those_of_one_mass():
     """Meet f = sqrt(k/m) / 2 pi and zeta = p / (2 sqrt(k m)), exact for these two."""
     found = {name: (f, zeta) for name, f, zeta in modes(
-        Cup(np.diag(K), np.diag(P), 0.048), PACKAGE)}
+        Cup(np.diag(K), np.diag(P), 0.048), PACKAGE, G)}
     for name, k, p, m in (('axial', K[2], P[2], 2.0), ('torsion', K[5], P[5], 0.016)):
         assert_allclose(found[name][0], np.sqrt(k / m) / (2 * np.pi), rtol=1e-6)
         assert_allclose(found[name][1], p / (2 * np.sqrt(k * m)), rtol=1e-6)
@@ -129,7 +129,7 @@ def test_modes_of_axial_and_torsion_are_those_of_one_mass():
 def test_modes_come_in_pairs_for_a_round_cup_and_plate():
     """Find bending and lateral modes twice where nothing tells x from y."""
     plate = Package(2.0, np.diag([0.008, 0.008, 0.016]), np.array([0.0, 0.0, -0.03]))
-    found = modes(Cup(np.diag(K), np.diag(P), 0.048), plate)
+    found = modes(Cup(np.diag(K), np.diag(P), 0.048), plate, 0.0)
     for name in ('bending', 'lateral'):
         pair = [f for n, f, _ in found if n == name]
         assert len(pair) == 2
@@ -138,11 +138,21 @@ def test_modes_come_in_pairs_for_a_round_cup_and_plate():
     a = 0.03 + 0.024
     M = np.array([[2.0, 0.0], [0.0, 0.008]])
     stiffness = np.array([[K[0], K[0] * a], [K[0] * a, K[3] + K[0] * a**2]])
-    # the weight does not act here: modes are those without gravity
     squares = np.linalg.eigvals(np.linalg.solve(M, stiffness))
     expected = np.sort(np.sqrt(squares)) / (2 * np.pi)
     assert_allclose(sorted({round(f, 6) for n, f, _ in found if n in ('bending', 'lateral')}),
                     expected, rtol=1e-5)
+
+
+def test_a_cup_that_only_bends_is_a_pendulum_with_a_spring():
+    """Meet f = sqrt((k + m g a) / (I + m a^2)) / 2 pi, with a hinge in the middle of the cup."""
+    stiff = Cup(np.diag([1e9, 1e9, 1e9, 4.0, 5.0, 1.2]), np.diag(P), 0.048)
+    a = 0.03 + 0.024
+    expected = [
+        np.sqrt((k + 2.0 * G * a) / (inertia + 2.0 * a**2)) / (2 * np.pi)
+        for k, inertia in ((4.0, 0.008), (5.0, 0.009))]
+    found = sorted(f for name, f, _ in modes(stiff, PACKAGE, G) if name == 'bending')
+    assert_allclose(found, sorted(expected), rtol=1e-4)
 
 
 def test_the_shake_moves_as_its_twist_says():
