@@ -5,7 +5,18 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .panels import broken, legend, MILLI, six, time_axes
+from .panels import (
+    arrange_pair,
+    broken,
+    draw_strip,
+    head,
+    LEFT,
+    legend,
+    MILLI,
+    pairs,
+    six,
+    SIZE,
+)
 from .style import drawing, THEMES
 
 Array = NDArray[np.float64]
@@ -63,7 +74,7 @@ def deflection_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
 
 def residual_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
     """
-    Draw the load that the motion needs, and what of it the cup does not explain.
+    Draw the load that the motion needs, and below it what of it the cup does not explain.
 
     Parameters
     ----------
@@ -82,20 +93,21 @@ def residual_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
     colours = THEMES[theme]
     load, residual = (broken(x, loads.valid) for x in (loads.load, loads.residual))
     with drawing(colours) as figures:
-        figure, panels = six(
-            figures, 'Load on the cup, and the unexplained part', note, colours,
-            ('N', 'N m'))
+        figure = figures.Figure(figsize=SIZE)
+        head(figure, 'Load on the cup, and the unexplained part', note, colours)
         legend(figure, (('needed by the motion', colours.measured, 2.4),
                         ('unexplained', colours.error, 1.0)))  # fmt: skip
-        for axis, panel in enumerate(panels):
-            mean = float(np.nanmean(load[:, axis]))
-            panel.plot(loads.seconds, load[:, axis], color=colours.measured, linewidth=1.8)
-            panel.plot(loads.seconds, residual[:, axis] + mean, color=colours.error,
-                       linewidth=0.7)  # fmt: skip
+        panels = pairs(
+            figure, left=LEFT, right=0.985, top=0.87, bottom=0.075, hspace=0.24, wspace=0.26)
+        for axis, (upper, lower) in enumerate(panels):
+            upper.plot(loads.seconds, load[:, axis], color=colours.measured, linewidth=1.8)
+            draw_strip(lower, loads.seconds, residual[:, axis], colours)
             rms = float(np.sqrt(np.nanmean(residual[:, axis] ** 2)))
             part = rms / max(float(np.nanstd(load[:, axis])), 1e-12)
             unit = 'N' if axis < 3 else 'N m'
-            panel.set_title(f'unexplained RMS {rms:.2g} {unit}, {100 * part:.2g} % of the load',
+            upper.set_title(f'unexplained RMS {rms:.2g} {unit}, {100 * part:.2g} % of the load',
                             loc='right', fontsize=8.5, color=colours.quiet, pad=4.0)  # fmt: skip
-        time_axes(panels, loads.seconds)
+            arrange_pair((upper, lower), axis, loads.seconds, unit, unit, colours)
+            for panel in (upper, lower):
+                panel.yaxis.set_label_coords(-0.155, 0.5)
     return figure

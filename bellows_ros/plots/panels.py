@@ -77,6 +77,47 @@ def time_axes(panels: Sequence[Any], seconds: Array) -> None:
         label_abscissa(panel, axis, 'time (s)')
 
 
+def pairs(figure: Any, **place: float) -> list[tuple[Any, Any]]:
+    """Return six panels as `six` has them, each with a low strip below it, at a place."""
+    outer = figure.add_gridspec(3, 2, **place)
+    found = []
+    for axis in range(6):
+        inner = outer[axis % 3, axis // 3].subgridspec(
+            2, 1, height_ratios=(3.2, 1.0), hspace=0.1)
+        found.append((figure.add_subplot(inner[0]), figure.add_subplot(inner[1])))
+    return found
+
+
+def draw_strip(panel: Any, seconds: Array, values: Array, theme: Theme) -> None:
+    """Draw what is left over, about zero and to its own scale."""
+    panel.axhline(0.0, color=theme.quiet, linewidth=0.6)
+    panel.plot(seconds, values, color=theme.error, linewidth=0.6)
+    reach = 1.15 * max(float(np.nanmax(np.abs(values))), 1e-3)
+    panel.set_ylim(-reach, reach)
+
+
+def arrange_pair(
+    pair: tuple[Any, Any], axis: int, seconds: Array, unit: str, below: str, theme: Theme
+) -> None:
+    """Put ticks, labels and limits to a panel of an axis and the strip below it."""
+    from matplotlib.ticker import MaxNLocator
+
+    upper, lower = pair
+    for panel in pair:
+        panel.set_xlim(seconds[0], seconds[-1])
+        panel.tick_params(length=2.5, width=0.6)
+        panel.xaxis.set_major_locator(MaxNLocator(nbins=12, steps=[1, 2, 5, 10], integer=True))
+    upper.tick_params(labelbottom=False)
+    upper.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
+    lower.yaxis.set_major_locator(MaxNLocator(nbins=2, symmetric=True, steps=[1, 2, 3, 5, 10]))
+    lower.tick_params(axis='y', labelsize=7.5)
+    upper.set_ylabel(f'{AXES[axis]}  ({unit})')
+    lower.set_ylabel(below, color=theme.error, fontsize=8.5)
+    for panel in pair:
+        panel.yaxis.set_label_coords(-0.125, 0.5)
+    label_abscissa(lower, axis, 'time (s)')
+
+
 def broken(values: Array, valid: NDArray[np.bool_]) -> Array:
     """Return values with NaN where they are not valid, so that lines are interrupted."""
     shape = (len(values),) + (1,) * (values.ndim - 1)

@@ -8,11 +8,11 @@ axis, to its own scale.
 from dataclasses import dataclass
 from typing import Any
 
-from bellows_ros.core.score import AXES, Scores
+from bellows_ros.core.score import Scores
 import numpy as np
 from numpy.typing import NDArray
 
-from .panels import label_abscissa
+from .panels import arrange_pair, draw_strip, pairs
 from .style import drawing, Theme, THEMES
 
 Array = NDArray[np.float64]
@@ -72,15 +72,11 @@ def prediction_figure(comparison: Comparison, title: str, note: str, theme: str 
     with drawing(colours) as figures:
         figure = figures.Figure(figsize=SIZE)
         _write_head(figure, title, note, colours)
-        outer = figure.add_gridspec(
-            3, 2, left=LEFT, right=RIGHT, top=0.855, bottom=0.065, hspace=0.2, wspace=BETWEEN
-        )
-        for axis in range(6):
-            cell = outer[axis % 3, axis // 3]
-            inner = cell.subgridspec(2, 1, height_ratios=(3.2, 1.0), hspace=0.1)
-            panels = figure.add_subplot(inner[0]), figure.add_subplot(inner[1])
+        columns = pairs(
+            figure, left=LEFT, right=RIGHT, top=0.855, bottom=0.065, hspace=0.2, wspace=BETWEEN)
+        for axis, panels in enumerate(columns):
             _draw_axis(panels, comparison, axis, colours)
-            _arrange(panels, axis, comparison.seconds, colours)
+            arrange_pair(panels, axis, comparison.seconds, UNITS[axis], 'error', colours)
     return figure
 
 
@@ -121,10 +117,7 @@ def _draw_axis(panels: Any, comparison: Comparison, axis: int, colours: Theme) -
     upper.plot(seconds, predicted, color=colours.predicted, linewidth=0.9)
     _widen(upper)
     error = predicted - measured
-    lower.axhline(0.0, color=colours.quiet, linewidth=0.6)
-    lower.plot(seconds, error, color=colours.error, linewidth=0.6)
-    reach = 1.15 * max(float(np.nanmax(np.abs(error))), 1e-3)
-    lower.set_ylim(-reach, reach)
+    draw_strip(lower, seconds, error, colours)
     scores, unit = comparison.scores, UNITS[axis]
     upper.set_title(
         f'error RMS {figures(scores.rms[axis] * MILLI)} {unit}, largest '
@@ -149,26 +142,6 @@ def _widen(panel: Any) -> None:
     low, high = panel.get_ylim()
     lack = 0.5 * max(0.0, LEAST_SPAN - (high - low))
     panel.set_ylim(low - lack, high + lack)
-
-
-def _arrange(panels: Any, axis: int, seconds: Array, colours: Theme) -> None:
-    """Put ticks, labels and limits."""
-    from matplotlib.ticker import MaxNLocator
-
-    upper, lower = panels
-    for panel in panels:
-        panel.set_xlim(seconds[0], seconds[-1])
-        panel.tick_params(length=2.5, width=0.6)
-        panel.xaxis.set_major_locator(MaxNLocator(nbins=12, steps=[1, 2, 5, 10], integer=True))
-    upper.tick_params(labelbottom=False)
-    upper.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
-    lower.yaxis.set_major_locator(MaxNLocator(nbins=2, symmetric=True, steps=[1, 2, 3, 5, 10]))
-    lower.tick_params(axis='y', labelsize=7.5)
-    upper.set_ylabel(f'{AXES[axis]}  ({UNITS[axis]})')
-    lower.set_ylabel('error', color=colours.error, fontsize=8.5)
-    for panel in panels:
-        panel.yaxis.set_label_coords(-0.125, 0.5)
-    label_abscissa(lower, axis, 'time (s)')
 
 
 def with_gaps(seconds: Array, values: Array) -> Array:

@@ -36,12 +36,14 @@ def motion() -> Any:
 
 @pytest.fixture(scope='module')
 def loads() -> Any:
-    """Give loads of a spring with known stiffness."""
+    """Give loads of a spring with known stiffness, under a weight."""
     rng = np.random.default_rng(5)
     deflection = rng.normal(size=(COUNT, 6)) * 1e-3
     stiffness = np.array([6e3, 6e3, 1e4, 4.0, 4.0, 1.0])
+    weight = np.array([0.0, 0.0, -17.6, 0.0, 0.0, 0.0])
     return SimpleNamespace(
-        seconds=np.arange(COUNT) / 100.0, deflection=deflection, load=stiffness * deflection,
+        seconds=np.arange(COUNT) / 100.0, deflection=deflection,
+        load=stiffness * deflection + weight,
         residual=0.1 * stiffness * deflection, stiffness=stiffness, valid=np.ones(COUNT, bool))
 
 
@@ -102,9 +104,14 @@ def test_stiffness_is_the_line_through_the_loads(motion: Any, loads: Any) -> Non
 
 
 def test_residuals_say_their_part_of_the_load(motion: Any, loads: Any) -> None:
-    """Name RMS and percent."""
+    """Name RMS and percent; draw them below the load, about zero."""
     figure = draw_all(motion, loads, 'light')['residual']
-    assert all('10 % of the load' in panel.get_title('right') for panel in figure.axes)
+    for axis, (upper, lower) in enumerate(zip(figure.axes[::2], figure.axes[1::2], strict=True)):
+        assert '10 % of the load' in upper.get_title('right')
+        np.testing.assert_array_equal(upper.get_lines()[0].get_ydata(), loads.load[:, axis])
+        zero, left = lower.get_lines()
+        assert set(zero.get_ydata()) == {0.0}
+        np.testing.assert_array_equal(left.get_ydata(), loads.residual[:, axis])
 
 
 @pytest.fixture(scope='module')
