@@ -42,7 +42,8 @@ def motion_content(validated: Validated) -> list[str]:
         paragraph(
             'Power spectral densities of the motion, of the error of the free simulation, and of '
             'the one-step prediction errors: the model is corrected at every sample there, and '
-            'what is left is flat if nothing but noise is.', 'quiet'),
+            'what is left is flat if nothing but noise is. Lost samples of motion and error are '
+            'interpolated.', 'quiet'),
         figures([(AXES[i], _spectrum(found, i)) for i in range(6)]),
         heading('Whiteness'),
         *_whiteness(found),

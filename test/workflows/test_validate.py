@@ -64,6 +64,15 @@ def test_json_holds_every_figure(shipped):
     assert names == ['metadata.yaml', 'validation.mcap']
 
 
+def test_lost_samples_are_not_in_the_spectra(shipped):
+    """Find the noise of 0.1 mm and 0.5 mrad at 360 Hz above the motion, in all axes."""
+    found = shipped[0].validation
+    floor = np.repeat([1e-4, 5e-4], 3) ** 2 / 180.0
+    for shown in (found.motion, found.spectrum):
+        high = shown.frequency > 20.0
+        assert_allclose(np.median(shown.density[high], axis=0), floor, rtol=0.2)
+
+
 def test_leaving_the_envelope_is_told(shipped, root):
     """Warn where the cup's file says that the fit has seen less, else not."""
     result, values = shipped

@@ -5,7 +5,11 @@ from dataclasses import replace
 
 from bellows_ros.core.identification.advice.excitation import displacement
 from bellows_ros.core.identification.envelope import Envelope
-from bellows_ros.core.identification.judgement.whiteness import Spectrum, spectrum
+from bellows_ros.core.identification.judgement.whiteness import (
+    interpolated,
+    Spectrum,
+    spectrum,
+)
 from bellows_ros.core.identification.regression.least_squares import Samples
 from bellows_ros.core.identification.statics.standstills import Hold
 from bellows_ros.core.model import Package
@@ -79,7 +83,7 @@ def _seen(samples: Samples, cup_length: float) -> tuple[Array, Array, Array, Arr
 
 def _bands(deflection: Array, rate_hz: float) -> Array:
     """Return the frequency bands (2, 2) of shift and rotation."""
-    densities = spectrum(deflection, rate_hz)
+    densities = spectrum(interpolated(deflection), rate_hz)
     both = np.column_stack([densities.density[:, i:i + 3].sum(axis=1) for i in (0, 3)])
     low, high = Spectrum(densities.frequency, both).band(BAND)
     return np.nan_to_num(np.column_stack([low, high]))

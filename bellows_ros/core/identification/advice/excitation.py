@@ -12,7 +12,11 @@ from dataclasses import dataclass
 
 from bellows_ros.core.identification.advice.added_noise import FilterNoise, SEED, with_noise
 from bellows_ros.core.identification.advice.told import advice, Told
-from bellows_ros.core.identification.judgement.whiteness import Spectrum, spectrum
+from bellows_ros.core.identification.judgement.whiteness import (
+    interpolated,
+    Spectrum,
+    spectrum,
+)
 from bellows_ros.core.identification.regression.least_squares import (
     BLOCK,
     column_sizes,
@@ -324,7 +328,7 @@ def _spectra(samples: Samples, cup_length: float) -> Spectra:
     valid = samples.tool.valid & samples.package.valid
     rate_hz = uniform_rate_hz(samples.package.stamps_ns)
     strain, twist = (
-        spectrum(np.where(valid[:, None], values, np.nan), rate_hz)
+        spectrum(interpolated(np.where(valid[:, None], values, np.nan)), rate_hz)
         for values in displacement(samples, cup_length)
     )
     return Spectra(strain, twist)

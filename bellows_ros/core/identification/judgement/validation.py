@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from bellows_ros.core.equilibrium import static_equilibrium
 from bellows_ros.core.identification.judgement.whiteness import (
+    interpolated,
     portmanteau,
     Spectrum,
     spectrum,
@@ -107,7 +108,7 @@ class Validation:
     whiteness : Whiteness
         Of the errors of the free simulation.
     spectrum, motion : Spectrum
-        Of these errors, and of the measured coordinates.
+        Of these errors, and of the measured coordinates; lost samples interpolated.
     one_step : OneStep or None
         None where the recording has too little noise for an observer.
     start : str
@@ -198,8 +199,8 @@ def validate(cup: Cup, package: Package, recording: Recording, gravity: float) -
         scores=score(measured[usable], predicted[usable]),
         noise=_noise_of_errors((cup, package, gravity), tool, start, body, noises),
         whiteness=portmanteau(predicted - measured),
-        spectrum=spectrum(predicted - measured, rate_hz),
-        motion=spectrum(measured, rate_hz),
+        spectrum=spectrum(interpolated(predicted - measured), rate_hz),
+        motion=spectrum(interpolated(measured), rate_hz),
         one_step=_one_step(
             model, start, _sharp(recording.measured_tool, tool), measured_package, noises),
         start=kind,

@@ -2,6 +2,8 @@
 Is a residual white, and if not, where is it coloured: portmanteau test and power spectrum.
 
 Residuals with samples missing (NaN) are taken as they are: pairs and powers of the samples there.
+A motion with samples missing is interpolated first: cut to zero there, it would seem to have power
+at all frequencies.
 """
 
 from dataclasses import dataclass
@@ -154,6 +156,15 @@ def portmanteau(residuals: Array, lags: int = LAGS) -> Whiteness:
     return Whiteness(count, r, Q, chdtrc(lags, Q))
 
 
+def interpolated(values: Array) -> Array:
+    """Return values (N, C) with the samples that are missing (NaN) on lines between the others."""
+    there = np.flatnonzero(np.isfinite(values).all(axis=1))
+    if not len(there):
+        raise BellowsError('There is no sample of which to take a spectrum.')
+    every = np.arange(len(values))
+    return np.column_stack([np.interp(every, there, channel[there]) for channel in values.T])
+
+
 def spectrum(values: Array, rate_hz: float) -> Spectrum:
     """
     Return power spectral densities by Welch's method: Hann windows that overlap by half.
@@ -162,7 +173,8 @@ def spectrum(values: Array, rate_hz: float) -> Spectrum:
     ----------
     values : ndarray (N, C)
         At a uniform rate; their mean is taken out. NaN where a sample is missing: it counts as
-        zero, and the density is made up for the power that is missing so.
+        zero, and the density is made up for the power that is missing so. That is right for what
+        is white; see `interpolated` for the rest.
     rate_hz : float
         Samples per second.
 

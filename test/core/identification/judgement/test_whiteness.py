@@ -1,6 +1,7 @@
 """Portmanteau test and spectra against their definitions, and against noise of known colour."""
 
 from bellows_ros.core.identification.judgement.whiteness import (
+    interpolated,
     portmanteau,
     SEGMENT_S,
     Spectrum,
@@ -98,6 +99,23 @@ def test_sine_has_its_peak_at_its_frequency():
     assert found.peak[0] == 3.0
     low, high = found.band(0.95)
     assert 2.0 <= low[0] <= 3.0 <= high[0] <= 4.0
+
+
+def test_a_motion_with_lost_samples_has_no_power_elsewhere():
+    """Keep the spectrum of a slow sine beside its own band where one sample in fifty is lost."""
+    t = np.arange(4000) / 200.0
+    motion = np.sin(2 * np.pi * 2.0 * t)[:, None]
+    lost = np.where(np.random.default_rng(9).random(4000) < 0.02, np.nan, t)
+    seen = np.where(np.isfinite(lost)[:, None], motion, np.nan)
+    filled = interpolated(seen)
+    assert_allclose(filled, motion, atol=5e-3)  # (omega h)^2 / 2 for two lost in a row
+    found = spectrum(filled, 200.0)
+    assert found.density[found.frequency > 5.0].max() < 1e-5 * found.density.max()
+    straight = np.column_stack([t, 1.0 - t])
+    assert_allclose(interpolated(np.where(np.isfinite(lost)[:, None], straight, np.nan))[1:-1],
+                    straight[1:-1], atol=1e-12)
+    with pytest.raises(BellowsError, match='no sample'):
+        interpolated(np.full((10, 2), np.nan))
 
 
 def test_band_holds_the_middle_of_the_power():
