@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields, replace
 import os
 from typing import Any, TypeVar
 
+from bellows_ros.core.identification.judgement.whiteness import interpolated, spectrum
 from bellows_ros.core.identification.wrenches import lip_relative, needed_wrench
 from bellows_ros.core.kernels import spring_frames
 from bellows_ros.core.lie import apply, exp_so3, log_so3, wrench_transform
@@ -19,7 +20,6 @@ from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import Replay, replay
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -172,42 +172,24 @@ def spectra(bag: str | os.PathLike[str], settings: Mapping[str, object], cup: bo
     """
     Return the spectra of a recording, and with a cup also of what a prediction leaves over.
 
-    Samples that are missing are interpolated linearly, which matters only above the motion.
-    Without a cup no package is needed, as for `motion`.
+    Samples that are missing are interpolated linearly. Without a cup no package is needed, as for
+    `motion`.
     """
     recording = load(bag, resolve({**TRACKED, **settings})).recording
     moved = _motion(recording)
     rate_hz = uniform_rate_hz(recording.measured_package.stamps_ns)
-    frequency, measured = _density(_filled(moved.seconds, moved.relative, moved.valid), rate_hz)
+    relative = np.where(moved.valid[:, None], moved.relative, np.nan)
+    measured = spectrum(interpolated(relative), rate_hz, SPECTRUM_SECONDS)
     error = None
     if cup:
         result = replay(bag, settings)
-        known = recording.since_start(result.stamps_ns)
-        difference = result.predicted - result.measured
-        inside = (moved.seconds >= known[0]) & (moved.seconds <= known[-1])
-        error = _density(_at(moved.seconds[inside], known, difference), rate_hz, len(frequency))[1]
-    return Spectra(frequency, measured, error)
-
-
-def _filled(seconds: Array, values: Array, valid: NDArray[np.bool_]) -> Array:
-    """Return values with those that are not valid interpolated."""
-    if np.count_nonzero(valid) < 2:
-        raise BellowsError('The recording has no two usable samples of tool and package.')
-    return _at(seconds, seconds[valid], values[valid])
-
-
-def _at(seconds: Array, known: Array, values: Array) -> Array:
-    """Return values (N, 6) between known times."""
-    return np.stack([np.interp(seconds, known, column) for column in values.T], axis=1)
-
-
-def _density(values: Array, rate_hz: float, lines: int = 0) -> tuple[Array, Array]:
-    """Return frequencies and amplitude spectral densities of columns (Welch's method)."""
-    length = 2 * (lines - 1) if lines else min(len(values), round(SPECTRUM_SECONDS * rate_hz))
-    frequency, power = welch(
-        values, rate_hz, nperseg=min(length, len(values)), nfft=length, axis=0
-    )
-    return np.asarray(frequency, dtype=np.float64), np.sqrt(power)
+        at = np.searchsorted(recording.measured_package.stamps_ns, result.stamps_ns)
+        difference = np.full_like(relative, np.nan)
+        difference[at] = result.predicted - result.measured
+        predicted = slice(at[0], at[-1] + 1)
+        difference[predicted] = interpolated(difference[predicted])
+        error = np.sqrt(spectrum(difference, rate_hz, SPECTRUM_SECONDS).density)
+    return Spectra(measured.frequency, np.sqrt(measured.density), error)
 
 
 def loads(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Loads:

@@ -165,7 +165,7 @@ def interpolated(values: Array) -> Array:
     return np.column_stack([np.interp(every, there, channel[there]) for channel in values.T])
 
 
-def spectrum(values: Array, rate_hz: float) -> Spectrum:
+def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spectrum:
     """
     Return power spectral densities by Welch's method: Hann windows that overlap by half.
 
@@ -177,13 +177,15 @@ def spectrum(values: Array, rate_hz: float) -> Spectrum:
         is white; see `interpolated` for the rest.
     rate_hz : float
         Samples per second.
+    segment_s : float
+        Length of a segment, s.
 
     """
     there = np.asarray(np.isfinite(values).all(axis=1))
     if not there.any():
         raise BellowsError('There is no sample of which to take a spectrum.')
     made_up = len(values) / np.count_nonzero(there)
-    length = min(len(values), round(SEGMENT_S * rate_hz))
+    length = min(len(values), round(segment_s * rate_hz))
     densities = [
         made_up * _density(np.where(there, channel - channel[there].mean(), 0.0), length, rate_hz)
         for channel in values.T

@@ -118,6 +118,12 @@ def test_a_motion_with_lost_samples_has_no_power_elsewhere():
         interpolated(np.full((10, 2), np.nan))
 
 
+def test_segments_may_be_longer():
+    """Have lines as dense as the segments are long."""
+    values = np.random.default_rng(10).standard_normal((4000, 1))
+    assert_allclose(np.diff(spectrum(values, 200.0, 5.0).frequency), 0.2)
+
+
 def test_band_holds_the_middle_of_the_power():
     """Cut 5 % of a flat spectrum from either end; know nothing of one without power."""
     frequency = np.arange(1.0, 101.0)
