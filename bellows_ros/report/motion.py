@@ -1,7 +1,12 @@
 """What a free simulation of a recording shows: motion, residuals, spectra, whiteness."""
 
 from bellows_ros.core.identification.judgement.validation import LIMIT, Validation
-from bellows_ros.core.identification.judgement.whiteness import CONFIDENT, Spectrum, Whiteness
+from bellows_ros.core.identification.judgement.whiteness import (
+    CONFIDENT,
+    SMALL,
+    Spectrum,
+    Whiteness,
+)
 from bellows_ros.core.score import AXES
 from bellows_ros.workflows.validate import Validated
 import numpy as np
@@ -145,10 +150,11 @@ def _whiteness(found: Validation) -> list[str]:
         tests.append(('one step', found.one_step.whiteness))
     content = [
         paragraph(
-            f'Portmanteau test of Ljung and Box over {found.whiteness.lags} lags; a probability '
-            f'below {CONFIDENT:g} says coloured. Errors of a free run are always coloured by '
-            "what the tool's noise does to the cup's modes; one-step prediction errors are white "
-            'where the model explains all but noise.', 'quiet'),
+            f'Portmanteau test of Ljung and Box over {found.whiteness.lags} lags. White: a '
+            f'probability of {CONFIDENT:g} or more; nearly white: less, but no autocorrelation '
+            f'of {SMALL:g} or more; else coloured. Errors of a free run may be coloured with a '
+            "perfect cup too, by what the tool's noise does to the cup's modes; one-step "
+            'prediction errors are white where the model explains all but noise.', 'quiet'),
         table(
             ('errors', 'axis', 'Q', 'probability', 'largest autocorrelation', 'verdict'),
             [row for name, test in tests for row in _test_rows(name, test)], (0, 1, 5)),

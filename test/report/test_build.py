@@ -135,6 +135,8 @@ def test_a_validation_has_a_page_of_its_own(content, root):
     parsed(html)
     assert html == validation_report(found)
     assert 'One-step' in html or 'one step' in html
+    assert 'White: a probability of 0.01 or more; nearly white: less, but' in html
+    assert 'always coloured' not in html
 
 
 def test_a_cup_that_cannot_be_simulated_still_has_its_page(content, result):

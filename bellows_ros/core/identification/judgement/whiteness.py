@@ -23,7 +23,7 @@ SEGMENT_S = 2.0
 """Length of the segments of a spectrum, s: lines half a hertz apart are told apart."""
 
 CONFIDENT = 0.01
-"""Probability below which a residual is called coloured."""
+"""Probability below which a residual is not called white."""
 
 SMALL = 0.1
 """Autocorrelation below which a colour does not matter: it tells 1 % of the next residual."""
