@@ -5,14 +5,14 @@ A managed node: it configures and activates itself unless `autostart:=false`.
 Starts the node `predictor` of bellows_ros, and nothing else. The driver that publishes the pose
 (and twist) of the tool arm runs elsewhere; name its topics with `tool_pose` and `tool_twist`:
 
-    ros2 launch bellows_ros predictor.launch.py params_file:=package.yaml cup_file:=cup.yaml \
+    ros2 launch bellows_ros predictor.launch.py cup_file:=cup.yaml params_file:=package.yaml \
         tool_pose:=/tcp_pose_broadcaster/pose
 
 All arguments: `ros2 launch bellows_ros predictor.launch.py --show-args`.
 """
 
 ARGUMENTS = {
-    'params_file': (None, 'Parameter file (YAML) with at least package.mass. Required.'),
+    'params_file': (None, 'Parameter file (YAML) with the package. Required; over cup_file.'),
     'cup_file': ('', "Parameter file with the cup, as the identifier writes it; '' for none."),
     'namespace': ('', 'Namespace of the node and its relative topics.'),
     'tool_pose': ('tool_arm/pose', "Topic of the tool arm's pose (PoseStamped)."),
@@ -53,6 +53,11 @@ def generate_launch_description():
     return LaunchDescription([*declared, OpaqueFunction(function=start_predictor)])
 
 
+def parameter_files(value):
+    """Return the parameter files; the last prevails, as cup files hold a package, too."""
+    return [file for file in (value['cup_file'], value['params_file']) if file]
+
+
 def start_predictor(context):
     """Return the node, with the arguments' values as they stand at start."""
     from launch_ros.actions import Node
@@ -64,7 +69,7 @@ def start_predictor(context):
         name='predictor',
         namespace=value['namespace'],
         parameters=[
-            *(file for file in (value['params_file'], value['cup_file']) if file),
+            *parameter_files(value),
             {'autostart': value['autostart'].lower() == 'true'},
         ],
         remappings=[

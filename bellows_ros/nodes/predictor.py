@@ -56,7 +56,7 @@ INTERFACE = Interface(
          'Start again from static equilibrium at the next tool pose.'),
     ),
     examples=(
-        'predictor --ros-args --params-file package.yaml --params-file cup.yaml',
+        'predictor --ros-args --params-file cup.yaml --params-file package.yaml',
         'predictor --ros-args --params-file package.yaml '
         '-r tool_arm/pose:=/tcp_pose_broadcaster/pose',
     ),
