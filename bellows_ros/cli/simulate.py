@@ -18,6 +18,7 @@ from .options import (
     put_json,
     require_outputs,
     STDOUT,
+    THESIS_CUP,
 )
 
 if TYPE_CHECKING:
@@ -68,6 +69,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         )
     put_json(arguments.json, as_json(report), console)
     with console.results_to_stderr(arguments.json == STDOUT):
+        if 'cup.stiffness' not in values:
+            console.warn(THESIS_CUP)
         _say(report, console)
     return OK
 

@@ -45,3 +45,13 @@ def test_set_changes_the_cup(bellows: Run, workshop: Path, tmp_path: Path) -> No
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert contents(tmp_path / 'heavy') != contents(workshop / 'recording')
+
+
+def test_a_cup_that_is_not_given_is_said(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+    """Warn that the cup of the thesis is simulated."""
+    done = bellows(
+        'simulate', '--params', workshop / 'package.yaml', '--motion', workshop / 'motion.yaml',
+        '--out', tmp_path / 'new',
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert 'Warning: cup.stiffness is not set: this is the cup of the thesis' in done.stdout
