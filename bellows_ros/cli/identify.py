@@ -113,27 +113,26 @@ def _identified(
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return all settings: files, --set, and what has an argument of its own."""
+    """Return what is set: by files, --set, and always what has an argument of its own."""
     values = given_parameters(arguments.params, arguments.overrides, 'identifier')
     from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
     from bellows_ros.errors import BellowsError
 
-    given = {
+    named = {
         'bags': arguments.bags,
         'output.parameters': arguments.out,
         'output.json': arguments.json,
         'output.report': arguments.report,
     }
     required = () if values.get('package.files') else PACKAGE_PARAMETERS
-    settings = resolve(
-        {**values, **{name: value for name, value in given.items() if value}}, required
-    )
-    if not settings['bags']:
+    settings = {**values, **{name: value for name, value in named.items() if value}}
+    checked = resolve(settings, required)
+    if not checked['bags']:
         raise BellowsError(
             'No recording is given. Name one or more: bellows identify BAG ... --params FILE, '
             "or set the parameter 'bags'."
         )
-    return settings
+    return {**settings, **{name: checked[name] for name in named}}
 
 
 def _write(result: 'Identification', cup_file: str, json_file: str, console: Console) -> None:

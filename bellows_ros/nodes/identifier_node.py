@@ -56,7 +56,8 @@ class IdentifierNode(TableNode):
         self._said = ''
         self._work: Work[Any] = Work()
         _require_bags(self.values, self.destroy_node)
-        Thread(target=self._do_work, args=(dict(self.values),), daemon=True).start()
+        given = {name: value for name, value in self.values.items() if name in self.given}
+        Thread(target=self._do_work, args=(given,), daemon=True).start()
         self._step: Callable[[], None] = self._await_work
         self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -66,9 +67,10 @@ class IdentifierNode(TableNode):
         """Identify and write the files, in a thread that touches nothing of ROS."""
         try:
             result = identify(settings, self._note_progress)
-            save(result, settings['output.parameters'], settings['output.json'])
-            if settings['output.report']:
-                write_page(result, settings['output.report'])
+            wanted = result.values
+            save(result, wanted['output.parameters'], wanted['output.json'])
+            if wanted['output.report']:
+                write_page(result, wanted['output.report'])
             self._work.set_result(result)
         except Exception as error:  # noqa: BLE001 (it is raised again where the node ends)
             self._work.set_exception(error)
@@ -104,7 +106,7 @@ class IdentifierNode(TableNode):
         for warning in result.warnings:
             self.get_logger().warning(warning)
         if not result.fit.usable:
-            raise BellowsError(' '.join(result.fit.warnings))
+            raise BellowsError(' '.join([*result.assumed, *result.fit.warnings]))
         found = {k: v for k, v in result.parameters().items() if k.startswith(OF_THE_CUP)}
         self._cup = {name: validate(name, value) for name, value in found.items()}
         self.values = {**self.values, **{name: self._cup[name] for name in SHOWN}}

@@ -36,6 +36,7 @@ from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.results import write_result
 from bellows_ros.files.summary_files import read_summary, SummaryFile, write_summary
 from bellows_ros.workflows.identify import (
+    assumed,
     errors_of,
     Identification,
     NOT_OF_THE_CUP,
@@ -170,6 +171,7 @@ def identify_many(
         parameter_files=tuple(parameter_files),
         consistency=_consistency(done, used, [package_of(each[item.number]) for item in done]),
         at_rest=at_rest,
+        assumed=assumed(settings),
         kept=tuple(item.report for item in done),
         failed=tuple(failed),
         envelopes=tuple(item.envelope for item in done),
@@ -320,12 +322,13 @@ def summarise_to_file(
     result = summarise_bag(0, os.fspath(bag), values)
     if isinstance(result, Failed):
         raise BellowsError(result.reason)
+    report = recording_json(os.fspath(bag), result.report)
     content = SummaryFile(
         result.summary,
         result.envelope,
         os.fspath(bag),
         {name: value for name, value in values.items() if name not in NOT_OF_THE_CUP},
-        recording_json(os.fspath(bag), result.report),
+        {**report, 'warnings': [*assumed(settings), *report['warnings']]},
     )
     write_summary(out, content)
     return content

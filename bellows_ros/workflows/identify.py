@@ -19,6 +19,7 @@ from bellows_ros.core.identification.seen import envelope, with_rest
 from bellows_ros.core.identification.statics.static import check_spring, SpringCheck
 from bellows_ros.core.identification.structure import structure_named
 from bellows_ros.core.model import Cup, Package, package_of
+from bellows_ros.core.parameter_table import THESIS_LENGTH
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.preparation import Recording, Report
 from bellows_ros.errors import BellowsError
@@ -85,6 +86,8 @@ class Identification:
         Recordings that the fit has not seen, simulated with its cup.
     centres : tuple of (CentreOfMass or None)
         Where each recording wants the centre of mass; None where it cannot say.
+    assumed : tuple of str
+        What was not given and taken from the thesis, in sentences.
 
     """
 
@@ -99,6 +102,7 @@ class Identification:
     ladder: Ladder | None = None
     validations: tuple[Validated, ...] = ()
     centres: tuple[CentreOfMass | None, ...] = ()
+    assumed: tuple[str, ...] = ()
 
     @property
     def reports(self) -> tuple[Report, ...]:
@@ -148,15 +152,15 @@ class Identification:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user must know: of the fit, then of the recordings, validations last."""
+        """What the user must know: of what was given, the fit, the recordings, validations."""
         told = self.excitation.warnings if self.excitation else ()
         verdict = (self.consistency.verdict,) if self.consistency else ()
         resting = self.at_rest.warnings(self.values['cup.length']) if self.at_rest else ()
         of_recordings = tuple(w for report in self.reports for w in report.warnings)
         unseen = (f'{v.bag}: {warning}' for v in self.validations for warning in v.warnings)
         return (
-            *self.fit.warnings, *self._wrong_centres(), *told, *verdict, *resting, *of_recordings,
-            *unseen)
+            *self.assumed, *self.fit.warnings, *self._wrong_centres(), *told, *verdict, *resting,
+            *of_recordings, *unseen)
 
     def _wrong_centres(self) -> tuple[str, ...]:
         """Return what is to be said of centres of mass."""
@@ -245,6 +249,7 @@ def identify(
         fit, values, tuple(recordings), tuple(held), tuple(parameter_files),
         _consistency(recordings, held, values, tell), excitation, at_rest,
         _ladder(recordings, held, values, tell), centres=_centres(recordings, held, values),
+        assumed=assumed(settings),
     )  # fmt: skip
     result = replace(result, validations=tuple(_validated(result, tell)))
     tell('done', 1.0)
@@ -275,6 +280,16 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
     if values['validation.bags'] and values['package.files']:
         values = {**values, **_common_package(values)}
     return values
+
+
+def assumed(settings: Mapping[str, object]) -> tuple[str, ...]:
+    """Return what is said where the cup's length is neither given nor to be found."""
+    if 'cup.length' in settings or settings.get('static.length'):
+        return ()
+    return (
+        f'cup.length is not set: the {THESIS_LENGTH:g} m of the thesis are taken, on which K and '
+        'P depend. Measure yours from the tool tip to the lip, under vacuum and without load.',
+    )
 
 
 def _common_package(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -415,7 +430,7 @@ def save(
     if not parameters_path:
         return
     if not result.fit.usable:
-        raise BellowsError(' '.join(result.fit.warnings))
+        raise BellowsError(' '.join([*result.assumed, *result.fit.warnings]))
     write_parameters(parameters_path, result.parameters(), header(result))
 
 

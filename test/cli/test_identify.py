@@ -65,6 +65,18 @@ def test_the_summary_can_be_read(identified: tuple[str, Path]) -> None:
     assert 'nan' not in text
 
 
+def test_a_length_that_is_not_given_is_said(
+    bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Warn that the length of the thesis is taken."""
+    lines = (workshop / 'package.yaml').read_text().splitlines(keepends=True)
+    short = tmp_path / 'short.yaml'
+    short.write_text(''.join(line for line in lines if not line.startswith('cup.length')))
+    done = bellows('identify', workshop / 'recording', '--params', short)
+    assert 'Warning: cup.length is not set: the 0.0481 m of the thesis' in ' '.join(
+        (done.stdout + done.stderr).split())
+
+
 def test_json_to_stdout_leaves_the_summary_to_stderr(
     bellows: Run, workshop: Path, identified: tuple[str, Path]
 ) -> None:

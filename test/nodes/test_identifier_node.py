@@ -140,6 +140,20 @@ def test_packages_in_files_are_enough(ros: Any, root: Path) -> None:
     assert ros.spin_until(lambda: node.has_parameter('cup.stiffness'), 60.0)
 
 
+@pytest.mark.parametrize('written', ['', 'cup.yaml'])
+def test_a_forgotten_length_is_among_the_reasons(
+        ros: Any, root: Path, tmp_path: Path, written: str) -> None:
+    """Take the thesis' length for a cup that is 2 mm shorter: say that it was not set."""
+    node = make(
+        ros, bags=[str(root / 'bags/validation')], topics__tool_pose='/tool_arm/pose',
+        topics__package_pose='/package/pose',
+        output__parameters=str(tmp_path / written) if written else '')
+    assert ros.spin_until(node.finished.done, 60.0)
+    with pytest.raises(BellowsError, match='cup.length is not set.* not positive definite'):
+        node.finished.result()
+    assert not (tmp_path / 'cup.yaml').exists()
+
+
 def test_a_cup_that_cannot_be_ends_the_node_with_the_reason(ros: Any, root: Path) -> None:
     """Take a length that is wrong by millimetres: the package would push the cup."""
     node = make(

@@ -157,6 +157,15 @@ def test_damaged_summary(settings, tmp_path, damage):
         read_summary(file)
 
 
+def test_a_length_that_is_not_given_is_said(settings, tmp_path):
+    values = {name: value for name, value in settings.items() if name != 'cup.length'}
+    values['bags'] = values['bags'][1:]
+    assert identify_many(values, 1).warnings[0].startswith('cup.length is not set')
+    summarise_to_file(values['bags'][0], values, tmp_path / 'one.npz')
+    warnings = merge([tmp_path / 'one.npz']).warnings
+    assert any('cup.length is not set' in warning for warning in warnings)
+
+
 def test_standstills_join_summaries_as_they_join_recordings(settings, root, tmp_path):
     rest = {'static.bags': [str(root / 'bags/static')]}
     whole, apart = identify({**settings, **rest}), identify_many({**settings, **rest}, 1)

@@ -318,9 +318,22 @@ def test_the_recording_of_a_fit_is_not_beyond_it(shipped, root):
     assert validate(root / 'bags/identification', known).warnings == ()
 
 
+def test_a_length_that_is_not_given_is_said_to_be_that_of_the_thesis(shipped, root, at_rest):
+    values = {**shipped[0].values, 'bags': [str(root / 'bags/validation')]}
+    del values['cup.length']
+    result = identify(values)
+    assert not result.fit.usable
+    assert result.warnings[0].startswith('cup.length is not set: the 0.0481 m of the thesis')
+    assert 'package.com and cup.length' in result.warnings[1]
+    assert not any('is not set' in warning for warning in shipped[0].warnings)
+    found = identify({**values, **at_rest, 'static.length': True})
+    assert not any('is not set' in warning for warning in found.warnings)
+
+
 def test_a_wrong_centre_of_mass_is_suspected(shipped):
     result = identify({**shipped[0].values, 'package.com': (0.0, 0.0, -0.026)})
-    assert any('-4.0 mm in z from package.com' in warning for warning in result.warnings)
+    (centre,) = (warning for warning in result.warnings if 'centre of mass' in warning)
+    assert '-4.0 mm in z from package.com' in centre and 'Check package.com, cup.length' in centre
     assert not any('centre of mass' in warning for warning in shipped[0].warnings)
     (recording,) = result.as_json()['recordings']
     assert recording['centre_of_mass']['off'] is True

@@ -131,10 +131,10 @@ class Fit:
 
 def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> tuple[str, ...]:
     """Return a sentence for each matrix that is not as a cup's must be, with what to do."""
-    remedy = (
-        'fit.structure: axisymmetric has far fewer parameters'
+    simpler = (
+        ', or take fit.structure: axisymmetric, which has far fewer parameters'
         if structure != 'axisymmetric'
-        else 'check frames, alignment, package.mass and package.com'
+        else ''
     )
     messages = []
     for name, matrix, lowest in (('stiffness K', stiffness, 'definite'), (
@@ -146,6 +146,7 @@ def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> t
             messages.append(
                 f'The {name} is not positive {lowest} (smallest eigenvalue {smallest:.3g}): the '
                 'recording does not tell all of it, and the predictor will refuse it. Record a '
-                f'motion that is richer in all directions, or use a simpler fit; {remedy}.'
+                f'motion that is richer in all directions{simpler}; check frames, alignment, '
+                'package.mass, package.com and cup.length.'
             )
     return tuple(messages)

@@ -88,7 +88,7 @@ class CentreOfMass:
         return (
             f'{name}: the wrenches fit better with the centre of mass {there} from package.com: '
             f'the residuals are then {100.0 * self.residual:.0f} % as large. Check package.com, '
-            'recording.package_frame and the alignment.',
+            'cup.length, recording.package_frame and the alignment.',
         )
 
 

@@ -249,6 +249,7 @@ def test_not_positive_definite_is_said_and_not_mended(exact):
     assert np.linalg.eigvalsh(fit.stiffness)[0] < 0.0
     assert any('not positive definite' in warning for warning in fit.warnings)
     assert any('axisymmetric' in warning for warning in fit.warnings)
+    assert all('cup.length' in warning for warning in fit.warnings)
 
 
 def test_semidefinite_damping_is_no_fault():
