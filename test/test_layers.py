@@ -12,18 +12,19 @@ import pytest
 # What each room may import of this package beside itself; every room may use errors.
 ALLOWED = {
     'errors': set(),
+    'extras': set(),
     'threads': set(),
     'core': {'errors'},
     'files': {'errors', 'core'},
-    'workflows': {'errors', 'core', 'files'},
-    'nodes': {'errors', 'threads', 'core', 'files', 'workflows', 'report'},
-    'plots': {'errors', 'core', 'files'},
+    'workflows': {'errors', 'extras', 'core', 'files'},
+    'nodes': {'errors', 'extras', 'threads', 'core', 'files', 'workflows', 'report'},
+    'plots': {'errors', 'extras', 'core', 'files'},
     'report': {'errors', 'core', 'files', 'workflows', 'plots'},
-    'bench': {'errors', 'core', 'files', 'workflows'},
+    'bench': {'errors', 'extras', 'core', 'files', 'workflows'},
     'cli': {
         'errors', 'threads', 'core', 'files', 'workflows', 'plots', 'report', 'bench'},
     'demo': {
-        'errors', 'threads', 'core', 'files', 'workflows', 'nodes', 'cli', 'plots'},
+        'errors', 'extras', 'threads', 'core', 'files', 'workflows', 'nodes', 'cli', 'plots'},
 }
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'launch',
        'message_filters', 'rosbag2_py', 'std_srvs', 'tf2_')

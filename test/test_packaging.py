@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 import py_compile
 import runpy
+import shlex
 import subprocess
 import sys
 import tarfile
@@ -15,6 +16,7 @@ import zipfile
 
 import bellows_ros
 from bellows_ros.errors import BellowsError
+from bellows_ros.extras import install, PACKAGES
 import pytest
 
 COMMANDS = {
@@ -34,6 +36,14 @@ def setup_arguments(root: Path) -> dict[str, object]:
     return {
         keyword.arg: keyword.value.value for keyword in call.keywords
         if keyword.arg and isinstance(keyword.value, ast.Constant)}
+
+
+def setup_extras(root: Path) -> dict[str, list[str]]:
+    """Return the extras that setup.py writes down, before 'dev' is put together."""
+    tree = ast.parse((root / 'setup.py').read_text())
+    return next(
+        ast.literal_eval(node.value) for node in tree.body
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], 'id', '') == 'EXTRAS')
 
 
 def build(kind: str, source: Path, target: Path) -> Path:
@@ -110,6 +120,17 @@ def test_package_xml_is_valid_and_asks_rosdep_for_nothing_it_lacks(root: Path) -
     needs = {need.name for need in manifest.exec_depends}
     assert {'rclpy', 'geometry_msgs', 'std_srvs', 'python3-numpy', 'python3-scipy'} <= needs
     assert not {'python3-numba', 'numba', 'rosbags'} & needs
+
+
+def test_what_messages_tell_to_install_is_what_the_extras_need(root: Path) -> None:
+    """Name the packages of setup.py, quoted for a shell, as this package is on no index yet."""
+    extras = setup_extras(root)
+    for extra, packages in PACKAGES.items():
+        needs = [need.partition('>')[0] for need in extras[extra]]
+        assert packages == shlex.join(needs)
+        assert install(extra) == f'pip install {packages}'
+    sources = [*root.glob('bellows_ros/**/*.py'), *root.glob('docs/*.md'), root / 'README.md']
+    assert not [str(file) for file in sources if "'bellows_ros[" in file.read_text()]
 
 
 @pytest.mark.parametrize('name', LAUNCH_FILES)

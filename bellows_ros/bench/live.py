@@ -13,6 +13,7 @@ import tempfile
 from typing import Any
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.extras import install
 import numpy as np
 
 from .timing import package_root, TIMEOUT
@@ -38,7 +39,7 @@ NODES: Mapping[str, tuple[str, ...]] = {
 def run(short: bool) -> dict[str, Any]:
     """Return latencies (s), processor time per pose (s) and memory (bytes)."""
     if importlib.util.find_spec('rclpy') is None:
-        return {'missing': "ROS 2 is not here; pip install 'bellows_ros[ros]'"}
+        return {'missing': f'ROS 2 is not here; {install("ros")}'}
     cases = [(rate, twists) for rate in RATES[short] for twists in (False, True)]
     found: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:

@@ -10,6 +10,7 @@ from bellows_ros.core.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model import STANDARD_GRAVITY
 from bellows_ros.core.simulation import simulate_rows
 from bellows_ros.errors import BellowsError
+from bellows_ros.extras import install
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,7 +79,7 @@ def _peers(missing: dict[str, str]) -> dict[str, Advance]:
         try:
             found[name] = make(CUP, PACKAGE)
         except ImportError as error:
-            missing[name] = f"not installed ({error}); pip install 'bellows_ros[bench]'"
+            missing[name] = f'not installed ({error}); {install("bench")}'
     return found
 
 

@@ -14,6 +14,7 @@ from bellows_ros.cli.console import Console
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
+from bellows_ros.extras import install
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.plots.prediction import Comparison, prediction_figure
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
     from bellows_ros.nodes.demo_player import Exchange
 
 NEEDS = {
-    'rclpy': "ROS 2 (rclpy). Source an installation, or: pip install 'bellows_ros[ros]'",
-    'matplotlib': "matplotlib. Install it: pip install 'bellows_ros[plot]'",
+    'rclpy': f'ROS 2 (rclpy). Source an installation, or: {install("ros")}',
+    'matplotlib': f'matplotlib. Install it: {install("plot")}',
 }
 IDENTIFICATION, VALIDATION = 'identification', 'validation'
 KNOWN = 'package.yaml'

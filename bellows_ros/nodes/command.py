@@ -16,11 +16,12 @@ from typing import Any
 from .help_text import help_text, Interface
 from .. import __version__
 from ..errors import BellowsError
+from ..extras import install
 from ..threads import keep_linear_algebra_single
 
 NO_ROS = (
     "ROS 2 is not here (this Python has no 'rclpy'). Source an installation, for instance "
-    "`source /opt/ros/jazzy/setup.bash`, or install the wheels: pip install 'bellows_ros[ros]'"
+    f'`source /opt/ros/jazzy/setup.bash`, or install the wheels: {install("ros")}'
 )
 ASKED_TO_STOP = (signal.SIGINT, signal.SIGTERM)
 

@@ -13,6 +13,7 @@ import tempfile
 from typing import Any, Protocol
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.extras import install
 from bellows_ros.files.atomic import write_bytes
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,8 @@ Progress = Callable[[str, float], None]
 
 FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
 NO_FFMPEG = (
-    'An .mp4 needs ffmpeg, which is not here. Install it (apt install ffmpeg, or pip install '
-    "'bellows_ros[video]'), or write a .gif."
+    'An .mp4 needs ffmpeg, which is not here. Install it (apt install ffmpeg, or '
+    f'{install("video")}), or write a .gif.'
 )
 SIZE, DPI = (8.0, 4.5), 80
 ARM = 0.10  # m, of the tool that is drawn above its tip

@@ -15,11 +15,10 @@ from types import MappingProxyType
 from typing import Any
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.extras import install
 from bellows_ros.files.atomic import write_bytes
 
-NO_MATPLOTLIB = (
-    "Pictures need matplotlib, which is not here. Install it: pip install 'bellows_ros[plot]'"
-)
+NO_MATPLOTLIB = f'Pictures need matplotlib, which is not here. Install it: {install("plot")}'
 DPI = 150
 
 

@@ -23,6 +23,7 @@ from typing import Any, Protocol
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.score import AXES
 from bellows_ros.errors import BellowsError
+from bellows_ros.extras import install
 from bellows_ros.files.atomic import write_bytes
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +37,8 @@ from .style import THEMES
 Array = NDArray[np.float64]
 
 NO_RERUN = (
-    "The view needs Rerun, which is not here. Install it: pip install 'bellows_ros[view]'. For a "
-    "picture that moves, there is also 'bellows plot animation'."
+    f'The view needs Rerun, which is not here. Install it: {install("view")}. For a picture that '
+    "moves, there is also 'bellows plot animation'."
 )
 ENDING = '.rrd'
 TIMELINE = 'time'

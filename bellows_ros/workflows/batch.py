@@ -32,6 +32,7 @@ from bellows_ros.core.model import cup_of, Package, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.preparation import Report
 from bellows_ros.errors import BellowsError
+from bellows_ros.extras import install
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.results import write_result
 from bellows_ros.files.summary_files import read_summary, SummaryFile, write_summary
@@ -300,8 +301,7 @@ def _imported(module: str, extra: str, option: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         raise BellowsError(
-            f"{option} needs '{module}', which is not installed: pip install "
-            f"'bellows_ros[{extra}]'."
+            f"{option} needs '{module}', which is not installed: {install(extra)}."
         ) from None
 
 

@@ -25,7 +25,7 @@ def test_a_file_is_written_for_the_viewer(bellows: Run, workshop: Path, tmp_path
     ('arguments', 'words'),
     [
         (['recording', '--out', 'a.png'], 'must end in .rrd'),
-        (['recording', '--out', 'a.rrd'], "pip install 'bellows_ros[view]'"),
+        (['recording', '--out', 'a.rrd'], 'pip install rerun-sdk'),
     ],
 )
 def test_what_is_missing_is_said_before_any_work(

@@ -85,7 +85,7 @@ def test_missing_ros_is_said_plainly(
     """Say how to get it, without a traceback."""
     done = run(user_environment, root, '-c', WITHOUT_ROS.format(name=name, arguments=[]))
     assert done.returncode == 2
-    assert "pip install 'bellows_ros[ros]'" in done.stderr
+    assert "pip install 'ros-jazzy-rclpy[fastrtps]'" in done.stderr
     assert 'Traceback' not in done.stderr
 
 

@@ -123,7 +123,7 @@ def test_no_scheduler(settings):
 
 def test_missing_extra_is_said(settings, monkeypatch):
     monkeypatch.setitem(__import__('sys').modules, 'joblib', None)
-    with pytest.raises(BellowsError, match=r"--jobs needs 'joblib'.*bellows_ros\[parallel\]"):
+    with pytest.raises(BellowsError, match="--jobs needs 'joblib'.*pip install joblib"):
         identify_many(settings, 2)
 
 
