@@ -82,12 +82,12 @@ def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
         If the file cannot be read, is not JSON, or lacks something.
 
     """
-    content = read_json(path)
+    content = read_json(path, " Give what 'bellows identify --json' wrote.")
     _require_complete(f"Result '{Path(path)}'", content)
     return dict(content)
 
 
-def read_json(path: str | os.PathLike[str]) -> Any:
+def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
     """Return what a JSON file holds; raise BellowsError if it cannot be read or is none."""
     file = Path(path)
     try:
@@ -101,7 +101,7 @@ def read_json(path: str | os.PathLike[str]) -> Any:
     except RecursionError:
         raise BellowsError(f"Result '{file}' is nested too deeply to be read.") from None
     except ValueError as error:
-        raise BellowsError(f"Result '{file}' is not JSON: {error}.") from None
+        raise BellowsError(f"Result '{file}' is not JSON: {error}.{remedy}") from None
     return content
 
 

@@ -152,7 +152,7 @@ def identify_many(
     """
     tell = progress or (lambda what, part: None)
     values = resolved(settings)
-    _require_least_squares(values)
+    _require_least_squares(values, 'leave --jobs and --dask out')
     _require_nothing_whole(values)
     at_rest = rest_of(values, tell)
     bags = [os.fspath(bag) for bag in values['bags']]
@@ -236,12 +236,12 @@ def summarise_bag(number: int, bag: str, values: Mapping[str, Any]) -> Done | Fa
         return Failed(number, bag, str(error))
 
 
-def _require_least_squares(values: Mapping[str, Any]) -> None:
-    """Refuse other methods, whose residuals are not additive."""
+def _require_least_squares(values: Mapping[str, Any], instead: str) -> None:
+    """Refuse other methods, whose residuals are not additive, and say what to do instead."""
     if values['fit.method'] != 'least_squares':
         raise BellowsError(
             f"Recordings can be worked on apart only with fit.method 'least_squares', not "
-            f"'{values['fit.method']}'. Set it, or leave --jobs and --dask out."
+            f"'{values['fit.method']}'. Set it, or {instead}."
         )
 
 
@@ -318,7 +318,7 @@ def summarise_to_file(
 
     """
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
-    _require_least_squares(values)
+    _require_least_squares(values, 'give all recordings to bellows identify')
     result = summarise_bag(0, os.fspath(bag), values)
     if isinstance(result, Failed):
         raise BellowsError(result.reason)

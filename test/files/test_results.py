@@ -104,6 +104,12 @@ def test_what_is_no_result_is_refused(tmp_path, data, reason):
         read_result(tmp_path / 'fit.json')
 
 
+def test_a_cup_file_in_place_of_a_result_is_refused_with_the_remedy(tmp_path):
+    (tmp_path / 'cup.yaml').write_text('/**:\n  ros__parameters: {}\n')
+    with pytest.raises(BellowsError, match="not JSON: .*Give what 'bellows identify --json' wro"):
+        read_result(tmp_path / 'cup.yaml')
+
+
 def test_a_missing_file_is_refused(tmp_path):
     for path in (tmp_path / 'none.json', tmp_path):
         with pytest.raises(BellowsError, match='cannot be read'):

@@ -127,9 +127,12 @@ def test_missing_extra_is_said(settings, monkeypatch):
         identify_many(settings, 2)
 
 
-def test_only_least_squares_is_additive(settings):
+def test_only_least_squares_is_additive(settings, tmp_path):
+    other = {**settings, 'fit.method': 'prediction_error'}
     with pytest.raises(BellowsError, match='leave --jobs and --dask out'):
-        identify_many({**settings, 'fit.method': 'prediction_error'}, 2)
+        identify_many(other, 2)
+    with pytest.raises(BellowsError, match='Set it, or give all recordings to bellows identify'):
+        summarise_to_file(settings['bags'][1], other, tmp_path / 'one.npz')
 
 
 def test_summaries_of_two_kinds_are_refused(settings, tmp_path):
