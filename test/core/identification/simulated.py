@@ -63,7 +63,10 @@ class Pair:
         return cls.known.setdefault((id(cup), id(held)), cls(cup, held))
 
 
-def record(motion, cup=CUP, held=HELD, tool=NO_NOISE, package=NO_NOISE, rate_hz=120.0, seed=1):
+def record(
+    motion, cup=CUP, held=HELD, tool=NO_NOISE, package=NO_NOISE, rate_hz=120.0, seed=1,
+    half_window=0,
+):
     """Return the prepared recording of a motion, with white noise (m, rad per axis)."""
     truth, moved = truth_of(motion, Pair.of(cup, held), rate_hz)
     draw = np.random.default_rng((seed, 2))
@@ -73,4 +76,5 @@ def record(motion, cup=CUP, held=HELD, tool=NO_NOISE, package=NO_NOISE, rate_hz=
             body.position + noise[0] * draw.standard_normal((len(body), 3)),
             body.rotation @ exp_so3(noise[1] * draw.standard_normal((len(body), 3))))
         for name, body, noise in (('tool', truth, tool), ('package', moved, package))]
-    return prepare(*streams, PrepareSettings(com=tuple(held.com)))
+    return prepare(*streams, PrepareSettings(
+        com=tuple(held.com), tool_half_window=half_window, package_half_window=half_window))

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from bellows_ros.core.identification.advice.added_noise import FilterNoise, SEED, with_noise
+from bellows_ros.core.identification.advice.pass_band import too_fast
 from bellows_ros.core.identification.advice.told import advice, Told
 from bellows_ros.core.identification.judgement.whiteness import (
     interpolated,
@@ -184,6 +185,7 @@ def describe_excitation(
         raise BellowsError('No valid sample is left of which to say what it tells.')
     if noises and len(noises) != len(recordings):
         raise BellowsError(f'{len(recordings)} recordings need as many noises, not {len(noises)}.')
+    rates_hz = [uniform_rate_hz(samples.package.stamps_ns) for samples in recordings]
     spectra = tuple(_spectra(samples, cup_length) for samples in recordings)
     recordings = [samples.thinned(ENOUGH) for samples in recordings]
     whitening = whitening_of(regular(wrench_covariance(recordings, structure)))
@@ -196,9 +198,13 @@ def describe_excitation(
     axes = _axes(recordings, cup_length, noises, spectra)
     pairs = tuple(_pairs(solved, structure.labels))
     source = 'this recording' if len(recordings) == 1 else 'these recordings'
+    warnings = (
+        *advice(parameters, structure, solved.rank, pairs, source),
+        *too_fast(axes, [recording.twist for recording in spectra], rates_hz, noises),
+    )
     return Excitation(
         structure.name, axes, parameters, solved.rank, len(solved.x), solved.condition_number,
-        pairs, spectra, tuple(advice(parameters, structure, solved.rank, pairs, source)),
+        pairs, spectra, warnings,
     )  # fmt: skip
 
 

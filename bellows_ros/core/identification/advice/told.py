@@ -14,7 +14,7 @@ PAIRS_SHOWN = 3
 DIRECTIONS = {
     'x': ('Sideways motion along x', 'move the tool along x, or tilt it about y, at 1-3 Hz'),
     'y': ('Sideways motion along y', 'move the tool along y, or tilt it about x, at 1-3 Hz'),
-    'z': ('Axial motion', 'move the tool up and down at 3-8 Hz'),
+    'z': ('Axial motion', 'move the tool up and down at 4-6 Hz'),
     'rx': ('Bending about x', 'tilt the tool about x, or move it along y, at 1-3 Hz'),
     'ry': ('Bending about y', 'tilt the tool about y, or move it along x, at 1-3 Hz'),
     'rz': ('Torsion', 'turn the tool about z at 1-3 Hz'),
