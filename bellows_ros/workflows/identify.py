@@ -10,7 +10,12 @@ from bellows_ros import __version__
 from bellows_ros.core.identification.advice.added_noise import FilterNoise
 from bellows_ros.core.identification.advice.excitation import describe_excitation, Excitation
 from bellows_ros.core.identification.advice.ladder import Ladder, structure_ladder
-from bellows_ros.core.identification.advice.package_check import CentreOfMass, check_centre_of_mass
+from bellows_ros.core.identification.advice.package_check import (
+    CentreOfMass,
+    check_centre_of_mass,
+    check_length,
+    CupLength,
+)
 from bellows_ros.core.identification.envelope import Envelope
 from bellows_ros.core.identification.judgement.consistency import Consistency, same_cup
 from bellows_ros.core.identification.methods import filtered_samples, fitted, samples_of
@@ -34,6 +39,7 @@ from bellows_ros.workflows.result_json import (
     excitation_json,
     fit_json,
     ladder_json,
+    length_json,
     measured_json,
     package_json,
     recording_json,
@@ -86,6 +92,8 @@ class Identification:
         Recordings that the fit has not seen, simulated with its cup.
     centres : tuple of (CentreOfMass or None)
         Where each recording wants the centre of mass; None where it cannot say.
+    lengths : tuple of (CupLength or None)
+        By how much each recording wants the cup longer; None where it cannot say.
     assumed : tuple of str
         What was not given and taken from the thesis, in sentences.
 
@@ -102,6 +110,7 @@ class Identification:
     ladder: Ladder | None = None
     validations: tuple[Validated, ...] = ()
     centres: tuple[CentreOfMass | None, ...] = ()
+    lengths: tuple[CupLength | None, ...] = ()
     assumed: tuple[str, ...] = ()
 
     @property
@@ -159,16 +168,14 @@ class Identification:
         of_recordings = tuple(w for report in self.reports for w in report.warnings)
         unseen = (f'{v.bag}: {warning}' for v in self.validations for warning in v.warnings)
         return (
-            *self.assumed, *self.fit.warnings, *self._wrong_centres(), *told, *verdict, *resting,
+            *self.assumed, *self.fit.warnings, *self._contradicted(), *told, *verdict, *resting,
             *of_recordings, *unseen)
 
-    def _wrong_centres(self) -> tuple[str, ...]:
-        """Return what is to be said of centres of mass."""
-        bags = self.values['bags'] if self.centres else ()
-        return tuple(
-            text for bag, centre in zip(bags, self.centres, strict=True) if centre is not None
-            for text in centre.warning(os.fspath(bag))
-        )  # fmt: skip
+    def _contradicted(self) -> tuple[str, ...]:
+        """Return what is to be said of the cup's length and of centres of mass."""
+        bags = list(map(os.fspath, self.values['bags']))
+        checks = [*zip(bags, self.lengths, strict=False), *zip(bags, self.centres, strict=False)]
+        return tuple(text for bag, check in checks if check for text in check.warning(bag))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
@@ -197,9 +204,11 @@ class Identification:
             for bag, report, package in zip(
                 self.values['bags'], self.reports, self.held, strict=True)
         ]  # fmt: skip
-        for entry, recording, centre in zip(found, self.recordings, self.centres, strict=False):
+        checks = zip(found, self.recordings, self.centres, self.lengths, strict=False)
+        for entry, recording, centre, length in checks:
             entry.update(measured_json(recording))
             entry['centre_of_mass'] = centre and centre_json(centre)
+            entry['cup_length'] = length and length_json(length)
         return found
 
 
@@ -249,7 +258,7 @@ def identify(
         fit, values, tuple(recordings), tuple(held), tuple(parameter_files),
         _consistency(recordings, held, values, tell), excitation, at_rest,
         _ladder(recordings, held, values, tell), centres=_centres(recordings, held, values),
-        assumed=assumed(settings),
+        lengths=_lengths(recordings, held, values, excitation), assumed=assumed(settings),
     )  # fmt: skip
     result = replace(result, validations=tuple(_validated(result, tell)))
     tell('done', 1.0)
@@ -327,6 +336,13 @@ def _fit(
     """Return the fit to all recordings."""
     tell('fitting', FIT_BEGINS)
     untold = [told.label for told in excitation.parameters if told.untold]
+    if all(told.untold for told in excitation.parameters if told.label.startswith('P')):
+        raise BellowsError(
+            'Nothing moves enough in the recordings: no damping can be told from them, nor any '
+            'stiffness that is not bent by the weight. Move the tool, in all directions at 1-3 Hz '
+            "and along the cup at 4-6 Hz; recordings at rest are for 'bellows static' and "
+            'static.bags.'
+        )
     holds = at_rest.holds if at_rest else ()
     length = at_rest.length if at_rest and values['static.length'] else None
     error = length.length_std if length else 0.0
@@ -372,6 +388,23 @@ def _centres(
     )  # fmt: skip
 
 
+def _lengths(
+    recordings: Sequence[Recording], held: Sequence[Package], values: Mapping[str, Any],
+    excitation: Excitation,
+) -> tuple[CupLength | None, ...]:
+    """Return by how much each recording wants the cup longer, if they move it along its axis."""
+    if any(told.label == 'P z' and told.untold for told in excitation.parameters):
+        return (None,) * len(recordings)
+    structure = structure_named(values['fit.structure'])
+    return tuple(
+        check_length(
+            filtered_samples(recording, package, values), values['cup.length'], structure,
+            FilterNoise.of(recording),
+        )
+        for recording, package in zip(recordings, held, strict=True)
+    )  # fmt: skip
+
+
 def _ladder(
     recordings: Sequence[Recording], held: Sequence[Package], values: Mapping[str, Any],
     tell: Progress,
@@ -400,14 +433,14 @@ def _validated(result: Identification, tell: Progress) -> list[Validated]:
 def _excitation(
     recordings: Sequence[Recording], held: Sequence[Package], values: Mapping[str, Any]
 ) -> Excitation:
-    """Return what recordings can tell; of noise only where the method suffers from it."""
+    """Return what recordings can tell."""
     samples = [filtered_samples(r, p, values) for r, p in zip(recordings, held, strict=True)]
     noises = [FilterNoise.of(recording) for recording in recordings]
     structure = structure_named(values['fit.structure'])
-    by_least_squares = values['fit.method'] == 'least_squares'
     return describe_excitation(
-        samples, values['cup.length'], structure, noises if by_least_squares else ()
-    )
+        samples, values['cup.length'], structure, noises,
+        values['fit.method'] == 'least_squares',
+    )  # fmt: skip
 
 
 def save(

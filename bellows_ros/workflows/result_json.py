@@ -5,7 +5,7 @@ from typing import Any
 from bellows_ros.core.identification.advice.added_noise import FilterNoise
 from bellows_ros.core.identification.advice.excitation import Axis, Excitation
 from bellows_ros.core.identification.advice.ladder import Ladder, Rung
-from bellows_ros.core.identification.advice.package_check import CentreOfMass
+from bellows_ros.core.identification.advice.package_check import CentreOfMass, CupLength
 from bellows_ros.core.identification.judgement.consistency import Consistency
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model import Package
@@ -117,6 +117,11 @@ def package_json(package: Package) -> dict[str, Any]:
 def centre_json(centre: CentreOfMass) -> dict[str, Any]:
     """Return where a recording wants the centre of mass, m from where it was said to be."""
     return {'shift': centre.shift, 'shift_std': centre.shift_std, 'off': centre.off}
+
+
+def length_json(length: CupLength) -> dict[str, Any]:
+    """Return by how much a recording wants the cup longer, m."""
+    return {'shift': length.shift, 'shift_std': length.shift_std, 'off': length.off}
 
 
 def measured_json(recording: Recording) -> dict[str, Any]:

@@ -126,7 +126,7 @@ def test_a_cup_that_cannot_be_is_not_written(
     cup.write_text('what was there before')
     done = bellows(
         'identify', workshop / 'recording', '--params', workshop / 'package.yaml',
-        '--set', 'package.com=[0, 0, -0.3]', '--out', cup, '--json', fit)  # a slip by ten
+        '--set', 'cup.length=0.46', '--out', cup, '--json', fit)  # a slip by ten
     assert done.returncode == 1, done.stderr
     assert cup.read_text() == 'what was there before'
     stiffness = np.array(json.loads(fit.read_text())['stiffness'])

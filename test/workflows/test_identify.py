@@ -378,3 +378,44 @@ def test_what_is_not_told_is_infinite_everywhere(shipped, sideways, tmp_path):
     compared = compare_files(tmp_path / 'a.json', tmp_path / 'b.json')
     (torsion,) = (c for c in compared.fits.parameters if c.name == 'K rz')
     assert np.isinf(torsion.before_std) and not torsion.significant
+
+
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: the fit takes minutes')
+def test_prediction_error_is_told_what_nothing_tells(shipped, sideways):
+    result = identify(
+        {**shipped[0].values, 'bags': [sideways], 'fit.method': 'prediction_error'})
+    assert np.isinf(result.fit.stiffness_std[5, 5]) and np.isinf(result.fit.damping_std[5, 5])
+    assert np.isfinite(result.fit.damping_std[0, 0])
+    assert any('Torsion is hardly excited' in warning for warning in result.warnings)
+    assert not any('least squares' in warning for warning in result.warnings)
+
+
+@pytest.mark.parametrize('method', ['least_squares', 'prediction_error'])
+def test_a_recording_at_rest_is_refused(shipped, root, tmp_path, method):
+    cup = read_parameters(root / 'bags/cup.yaml')
+    simulate_recording(cup, {
+        'kind': 'static', 'rest_duration': 1.5, 'seed': 4,
+        'static': {'move': 0.5, 'hold': 2.0, 'poses': [{'position': [0.0, 0.0, 0.01]}]},
+        'tool': {'rate_hz': 200.0, 'noise': {'position': 1e-4, 'rotation': 5e-4}},
+        'package': {'rate_hz': 200.0, 'noise': {'position': 1e-4, 'rotation': 5e-4}}},
+        tmp_path / 'bag')
+    with pytest.raises(BellowsError, match='Nothing moves enough'):
+        identify({**shipped[0].values, 'bags': [str(tmp_path / 'bag')], 'fit.method': method})
+
+
+@pytest.mark.parametrize('method', ['least_squares', 'prediction_error'])
+def test_exchanged_topics_are_refused_before_the_fit(shipped, method):
+    values = shipped[0].values
+    exchanged = {'topics.tool_pose': values['topics.package_pose'], 'topics.tool_twist': '',
+                 'topics.package_pose': values['topics.tool_pose'], 'fit.method': method}
+    with pytest.raises(BellowsError, match='topics.package_pose exchanged'):
+        identify({**values, **exchanged})
+
+
+def test_a_wrong_length_is_suspected(shipped):
+    result = identify({**shipped[0].values, 'cup.length': 0.047})
+    (length,) = (warning for warning in result.warnings if 'cup.length seems' in warning)
+    assert 'seems 1.0 mm too long' in length
+    (recording,) = result.as_json()['recordings']
+    assert recording['cup_length']['off'] is True
+    assert not any('cup.length' in warning for warning in shipped[0].warnings)

@@ -11,14 +11,20 @@ from bellows_ros.core.identification.regression.relative_filter import relative_
 from bellows_ros.core.identification.result import Fit, Iteration
 from bellows_ros.core.identification.statics.static_rows import Holds, joined_with_rest, Length
 from bellows_ros.core.identification.structure import Structure, structure_named
+from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, cup_of, Package
 from bellows_ros.core.recording.preparation import Recording
+from bellows_ros.core.score import relative_coordinates
 from bellows_ros.core.trajectory import uniform_rate_hz
+from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
+
+LOOKED_AT_EVERY = 20
+"""So many samples are stepped over where only the arrangement is looked at."""
 
 LENGTH_STEP = 1e-5
 """Change of cup.length (m) for derivatives."""
@@ -50,7 +56,7 @@ def fitted(
     progress : callable, optional
         Called with what is being done and the part (0 to 1) that is done.
     untold : collection of str
-        Labels of parameters that nothing but noise tells: least squares cannot know.
+        Labels of parameters that nothing but noise tells.
     holds : sequence of (Hold, Package)
         Standstills of the same cup, whose balance counts, too.
     length_std : float
@@ -116,11 +122,36 @@ def _of_motion(
 
 
 def filtered_samples(recording: Recording, held: Package, values: Mapping[str, Any]) -> Samples:
-    """Return what least squares takes, filtered as the parameter filter.relative says."""
+    """
+    Return what least squares takes, filtered as the parameter filter.relative says.
+
+    Raises
+    ------
+    BellowsError
+        If the package is not on that side of the tool where the cup is.
+
+    """
+    _require_below(recording, held)
     if values['filter.relative']:
         orders = values['filter.tool.order'], values['filter.package.order']
         return relative_samples(recording, held, values['gravity'], orders)
     return samples_of(recording, held, values['gravity'])
+
+
+def _require_below(recording: Recording, held: Package) -> None:
+    """Refuse a recording whose package is mostly not below the tool, along its z axis."""
+    some = np.flatnonzero(recording.valid)[::LOOKED_AT_EVERY]
+    package = recording.measured_package.select(some)
+    relative = relative_coordinates(recording.measured_tool.select(some), package)
+    lip = relative[:, :3] - exp_so3(relative[:, 3:]) @ held.com
+    above = float(np.median(lip[:, 2])) if len(some) else 0.0
+    if above > 0.0:
+        raise BellowsError(
+            f'The lip of the cup is {1e3 * above:.0f} mm above the tool tip in axes of the tool, '
+            'but the cup hangs below it. Are topics.tool_pose and topics.package_pose exchanged? '
+            'Does z of the tool point from the cup back into the arm? Are recording.world and '
+            'package.com right?'
+        )
 
 
 def samples_of(recording: Recording, held: Package, gravity: float) -> Samples:

@@ -159,6 +159,7 @@ def describe_excitation(
     cup_length: float,
     structure: Structure,
     noises: Sequence[FilterNoise] = (),
+    filtered: bool = True,
 ) -> Excitation:
     """
     Say what recordings can tell about K and P.
@@ -173,6 +174,9 @@ def describe_excitation(
         Which entries are to be found.
     noises : sequence of FilterNoise, optional
         Of each recording; without them nothing is said about noise.
+    filtered : bool
+        Whether to warn of what biases least squares of filtered motion: noise, and what is too
+        fast for the filter.
 
     Raises
     ------
@@ -198,10 +202,10 @@ def describe_excitation(
     axes = _axes(recordings, cup_length, noises, spectra)
     pairs = tuple(_pairs(solved, structure.labels))
     source = 'this recording' if len(recordings) == 1 else 'these recordings'
-    warnings = (
-        *advice(parameters, structure, solved.rank, pairs, source),
-        *too_fast(axes, [recording.twist for recording in spectra], rates_hz, noises),
-    )
+    warnings = tuple(advice(parameters, structure, solved.rank, pairs, source, filtered))
+    if filtered:
+        twists = [recording.twist for recording in spectra]
+        warnings += tuple(too_fast(axes, twists, rates_hz, noises))
     return Excitation(
         structure.name, axes, parameters, solved.rank, len(solved.x), solved.condition_number,
         pairs, spectra, warnings,

@@ -1,13 +1,15 @@
 """
-Whether a recording agrees with the centre of mass that was given for the package.
+Whether a recording agrees with the centre of mass and with the cup's length that were given.
 
 A wrong centre of mass leaves a pattern in the wrenches that no stiffness and no damping of a round
 cup explains. The shift that explains it is found together with the cup, by Gauss and Newton, each
 step a linear problem. Noise looks like a shift along the cup's axis; by how much, is seen by
 adding as much noise again. The mass cannot be checked so: K and P scaled with mass and inertia
-make the same motion.
+make the same motion. A wrong length is found likewise, where the cup is moved along its axis: the
+weight stretches it by something else then than its stiffness says.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from bellows_ros.core.identification.advice.added_noise import FilterNoise, SEED, with_noise
@@ -27,6 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Rows = tuple[Array, Array, list[slice]]
+"""Whitened equations A x = b, and which of them hang together."""
+RowsAt = Callable[[Array], Rows]
+"""The equations where something that was given is shifted (m)."""
 
 STEP = 1e-5
 """Shift (m) for derivatives."""
@@ -37,6 +43,9 @@ LARGEST_STEP, SMALL_STEP = 0.01, 2e-5
 
 WORTH_A_WORD, ERRORS, NOISES = 2e-3, 6.0, 3.0
 """A shift is told that is larger than this (m), so many standard errors, and noise effects."""
+
+LENGTH_WORTH_A_WORD = 2e-4
+"""The same for the cup's length, on which K along the axis hangs."""
 
 ENOUGH = 2500
 """Samples of a recording that are looked at, some more."""
@@ -92,6 +101,63 @@ class CentreOfMass:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class CupLength:
+    """
+    By how much the residuals want the cup longer than was said, its standard error, all m.
+
+    `noise_shift` is by how much as much noise again changes it.
+    """
+
+    shift: float
+    shift_std: float
+    noise_shift: float
+
+    @property
+    def off(self) -> bool:
+        """Whether the recording contradicts what was given."""
+        return abs(self.shift) > max(
+            LENGTH_WORTH_A_WORD, ERRORS * self.shift_std, NOISES * abs(self.noise_shift))
+
+    def warning(self, name: str) -> tuple[str, ...]:
+        """Return a sentence about a recording, or nothing."""
+        if not self.off:
+            return ()
+        side = 'short' if self.shift > 0.0 else 'long'
+        return (
+            f'{name}: cup.length seems {1e3 * abs(self.shift):.1f} mm too {side} for how the '
+            "package's weight stretches the cup, and K z hangs on it. Measure it under vacuum, or "
+            "find it with 'bellows static'; a wrong package.com along z looks the same.",
+        )
+
+
+def check_length(
+    samples: Samples, cup_length: float, structure: Structure, noise: FilterNoise | None = None
+) -> CupLength | None:
+    """
+    Return by how much longer the residuals want the cup; None where they cannot say.
+
+    Parameters are those of `check_centre_of_mass`.
+    """
+    samples = samples.thinned(ENOUGH)
+    try:
+        whitening = whitening_of(_covariance(samples, cup_length, structure))
+
+        def found(measured: Samples, length: float) -> tuple[float, float]:
+            shift, std, _ = _found(
+                lambda s: _rows(measured, length + float(s[0]), structure, whitening), 1)
+            return float(shift[0]), float(std[0])
+
+        shift, std = found(samples, cup_length)
+        first = CupLength(shift, std, 0.0)
+        if noise is None or not first.off:
+            return first
+        noisy = with_noise(samples, noise, np.random.default_rng(SEED))
+        return replace(first, noise_shift=found(noisy, cup_length + shift)[0])
+    except (BellowsError, np.linalg.LinAlgError):
+        return None
+
+
 def check_centre_of_mass(
     samples: Samples, cup_length: float, structure: Structure, lip_recorded: bool,
     noise: FilterNoise | None = None,
@@ -118,13 +184,20 @@ def check_centre_of_mass(
     samples = samples.thinned(ENOUGH)  # neighbours in a filter window tell the same
     try:
         whitening = whitening_of(_covariance(samples, cup_length, structure))
-        found = _found(samples, cup_length, structure, lip_recorded, whitening)
+
+        def shifts(measured: Samples) -> tuple[Array, Array, float]:
+            return _found(
+                lambda s: _rows(
+                    shifted(measured, s, lip_recorded), cup_length, structure, whitening),
+                3,
+            )
+
+        shift, std, residual = shifts(samples)
+        found = CentreOfMass(shift, std, np.zeros(3), residual)
         if noise is None or not found.off:
             return found
-        draw = np.random.default_rng(SEED)
-        noisy = shifted(with_noise(samples, noise, draw), found.shift, lip_recorded)
-        again = _found(noisy, cup_length, structure, lip_recorded, whitening)
-        moved = again.shift.copy()
+        noisy = with_noise(samples, noise, np.random.default_rng(SEED))
+        moved = shifts(shifted(noisy, shift, lip_recorded))[0].copy()
         loudest = np.maximum(noise.tool, noise.package)
         if np.any(loudest > QUIET):
             moved[2] = np.inf
@@ -138,30 +211,28 @@ def _covariance(samples: Samples, cup_length: float, structure: Structure) -> Ar
     return np.asarray(np.linalg.inv(least_squares([samples], cup_length, structure).weight))
 
 
-def _found(
-    samples: Samples, cup_length: float, structure: Structure, lip_recorded: bool, W: Array
-) -> CentreOfMass:
-    """Return the shift with the smallest residuals, found in steps that make these smaller."""
-    shift = np.zeros(3)
-    first = best = _solved(samples, cup_length, structure, W)[1]
-    std = np.full(3, np.inf)
+def _found(rows_at: RowsAt, size: int) -> tuple[Array, Array, float]:
+    """
+    Return the shift (m) with the smallest residuals, its standard error, and what is left of them.
+
+    It is found in steps that make the residuals smaller.
+    """
+    shift, std = np.zeros(size), np.full(size, np.inf)
+    first = best = _solved(rows_at(shift))[1]
     for _ in range(ROUNDS):
-        here = shifted(samples, shift, lip_recorded)
-        step, std = _step(here, cup_length, structure, lip_recorded, W)
+        step, std = _step(rows_at, shift)
         step *= min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), SMALL_STEP))
         for _ in range(HALVINGS):
-            moved = shifted(samples, shift + step, lip_recorded)
-            size = _solved(moved, cup_length, structure, W)[1]
-            if size < best:
+            left = _solved(rows_at(shift + step))[1]
+            if left < best:
                 break
             step = 0.5 * step
         else:
             break
-        shift, best = shift + step, size
+        shift, best = shift + step, left
         if np.abs(step).max() < SMALL_STEP:
             break
-    residual = float(np.sqrt(best / first)) if first > 0.0 else 1.0
-    return CentreOfMass(shift, std, np.zeros(3), residual)
+    return shift, std, float(np.sqrt(best / first)) if first > 0.0 else 1.0
 
 
 def shifted(samples: Samples, shift: Array, lip_recorded: bool) -> Samples:
@@ -179,9 +250,7 @@ def shifted(samples: Samples, shift: Array, lip_recorded: bool) -> Samples:
     return replace(samples, package=moved, held=held)
 
 
-def _rows(
-    samples: Samples, cup_length: float, structure: Structure, W: Array
-) -> tuple[Array, Array, list[slice]]:
+def _rows(samples: Samples, cup_length: float, structure: Structure, W: Array) -> Rows:
     """Return the whitened A (6 N, p) and b (6 N,) of a recording, and its clusters of rows."""
     A, b, clusters, count = [], [], [], 0
     for block in samples.blocks():
@@ -193,29 +262,22 @@ def _rows(
     return np.concatenate(A), np.concatenate(b), clusters
 
 
-def _solved(
-    samples: Samples, cup_length: float, structure: Structure, W: Array
-) -> tuple[Array, float]:
+def _solved(rows: Rows) -> tuple[Array, float]:
     """Return the parameters with the smallest residuals, and the sum of their squares."""
-    A, b, _ = _rows(samples, cup_length, structure, W)
+    A, b, _ = rows
     scale = np.linalg.norm(A, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     x = np.linalg.lstsq(A / scale, b, rcond=None)[0] / scale
     return x, float(np.sum((b - A @ x) ** 2))
 
 
-def _step(
-    samples: Samples, cup_length: float, structure: Structure, lip_recorded: bool, W: Array
-) -> tuple[Array, Array]:
-    """Return the shift (3,) that makes residuals smallest, to first order, and its error."""
-    x, _ = _solved(samples, cup_length, structure, W)
-    A, b, clusters = _rows(samples, cup_length, structure, W)
+def _step(rows_at: RowsAt, shift: Array) -> tuple[Array, Array]:
+    """Return the further shift that makes residuals smallest, to first order, and its error."""
+    A, b, clusters = rows_at(shift)
+    x, _ = _solved((A, b, clusters))
     slopes = []
-    for direction in STEP * np.eye(3):
-        ends = [
-            _rows(shifted(samples, side * direction, lip_recorded), cup_length, structure, W)
-            for side in (1.0, -1.0)
-        ]
+    for direction in STEP * np.eye(len(shift)):
+        ends = [rows_at(shift + side * direction) for side in (1.0, -1.0)]
         slopes.append(((ends[0][0] - ends[1][0]) @ x - ends[0][1] + ends[1][1]) / (2.0 * STEP))
     Q, _ = np.linalg.qr(A)
     D = np.array(slopes).T

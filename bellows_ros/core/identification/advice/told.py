@@ -72,14 +72,16 @@ def advice(
     rank: int,
     pairs: Sequence[tuple[str, str, float]],
     source: str,
+    biased: bool = True,
 ) -> Iterator[str]:
-    """Yield what the user should know and do."""
+    """Yield what the user should know and do; of noise that biases only where it does."""
     size = structure.size
     coupled_untold = []
     for number, entries in enumerate(structure.entries):
         own = (parameters[number], parameters[size + number])
         if all(row == column for row, column in entries):
-            yield from _direction_warnings([AXES[row] for row, _ in entries], own, source)
+            yield from _direction_warnings(
+                [AXES[row] for row, _ in entries], own, source, biased)
         else:
             coupled_untold += [told.label for told in own if told.untold]
     if coupled_untold:
@@ -101,12 +103,12 @@ def advice(
 
 
 def _direction_warnings(
-    axes: list[str], own: tuple[Told, Told], source: str
+    axes: list[str], own: tuple[Told, Told], source: str, biased: bool
 ) -> Iterator[str]:
     """Yield what is to be said about a direction's stiffness and damping."""
     what = ('stiffness', 'damping')
     untold = [name for name, told in zip(what, own, strict=True) if told.untold]
-    weak = [(name, told) for name, told in zip(what, own, strict=True) if told.weak]
+    weak = [(name, told) for name, told in zip(what, own, strict=True) if told.weak and biased]
     title, advice = DIRECTIONS[axes[0]]
     if len(axes) > 1:
         title += f' and {axes[1][-1]}'
@@ -117,7 +119,7 @@ def _direction_warnings(
         )
     for name, told in weak:
         share = (f'noise makes up {told.noise_share:.0%} of what tells its {name}, and'
-                 if told.noise_share > SHARE_WEAK else f'of its {name}, noise makes that')
+                 if told.noise_share > SHARE_WEAK else f'noise disturbs its {name}:')
         yield (
             f'{title} is weakly excited: {share} least squares will find it some '
             f'{abs(told.bias):.0%} too {"small" if told.bias < 0.0 else "large"}. Take '

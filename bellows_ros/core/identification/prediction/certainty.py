@@ -18,6 +18,7 @@ from bellows_ros.core.lie import apply, exp_so3, quaternion_to_rotation
 from bellows_ros.core.savgol import weights
 from bellows_ros.core.simulation import simulate_rows
 from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
@@ -115,6 +116,12 @@ def _simulated(objective: Objective, theta: Array, i: int) -> Stretch:
         model, stretch.start(objective.start_of(theta, i)),
         stretch.tool_rows(objective.delay_of(theta, i)), stretch.durations, substeps,
     )  # fmt: skip
+    if not np.isfinite(rows).all():
+        raise BellowsError(
+            'With the cup that was found the package does not stay on it: its simulated motion '
+            'grows without bounds. Check the package, cup.length, recording.world, and whether '
+            'the stamps of tool and package are of one clock (fit.time_offset).'
+        )
     seen = stretch.measured.package
     package = Trajectory(
         seen.stamps_ns, rows[:, :3], quaternion_to_rotation(rows[:, 3:7]), valid=seen.valid)

@@ -1,7 +1,11 @@
 """The centre of mass that residuals want, of packages that hang elsewhere than was said."""
 
 from bellows_ros.core.identification.advice.added_noise import FilterNoise
-from bellows_ros.core.identification.advice.package_check import check_centre_of_mass, shifted
+from bellows_ros.core.identification.advice.package_check import (
+    check_centre_of_mass,
+    check_length,
+    shifted,
+)
 from bellows_ros.core.identification.methods import samples_of
 from bellows_ros.core.identification.structure import STRUCTURES
 import numpy as np
@@ -49,6 +53,18 @@ def test_with_noise_the_right_one_is_not_doubted_and_a_wrong_one_is(noisy, lip):
     assert_allclose(found.shift[:2], [-0.004, 0.0], atol=2e-4)
     (sentence,) = found.warning('bag')
     assert 'mm in x from package.com' in sentence and ' in y' not in sentence
+
+
+@pytest.mark.parametrize('error', [1e-3, -1e-3, 4e-4])
+def test_a_wrong_length_of_the_cup_is_told_and_the_right_one_is_not_doubted(noisy, error):
+    samples = samples_of(noisy, simulated.HELD, simulated.GRAVITY)
+    noise = FilterNoise.of(noisy)
+    assert check_length(samples, simulated.CUP.length, ROUND, noise).warning('bag') == ()
+    found = check_length(samples, simulated.CUP.length + error, ROUND, noise)
+    assert_allclose(found.shift, -error, atol=5e-5)
+    (sentence,) = found.warning('bag')
+    side = 'long' if error > 0.0 else 'short'
+    assert f'cup.length seems {1e3 * abs(error):.1f} mm too {side}' in sentence
 
 
 @pytest.mark.parametrize('size', [3e-4, 1e-3])
