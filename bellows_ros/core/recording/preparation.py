@@ -9,7 +9,7 @@ package's stamps. Nothing is repaired in silence: all that is left out is in the
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bellows_ros.core.lie import apply, Array
+from bellows_ros.core.lie import apply, Array, log_so3
 from bellows_ros.core.recording.alignment import (
     aligned_at_rest,
     Alignment,
@@ -19,6 +19,7 @@ from bellows_ros.core.recording.alignment import (
     Standstill,
     standstill,
 )
+from bellows_ros.core.recording.excursions import Step
 from bellows_ros.core.recording.grid import on_grid, Timing, timing
 from bellows_ros.core.recording.outliers import find_outliers, Outliers, repeats_in_motion
 from bellows_ros.core.resampling import resample
@@ -46,6 +47,8 @@ LATERAL_WARNED = 5e-3
 LATERAL_COM_WARNED = 1e-6
 REPEATS_WARNED = 0.05
 JITTER_WARNED = 0.1
+# A step that the motion makes within so many deviations of the stamps' jitter is none.
+STEP_JITTERS = 10.0
 
 
 @dataclass(frozen=True)
@@ -481,7 +484,7 @@ def _stream_warnings(stream: _Stream) -> list[str]:
         f"Topic '{name}' jumps by {step.position * 1e3:.1f} mm and {step.rotation * 1e3:.1f} mrad "
         f'{(step.stamp_ns - start) / NS_PER_S:.3f} s after its start and does not return: all '
         'poses after it are off those before it. Use the recording up to there, or from there on.'
-        for step in stream.outliers.steps
+        for step in stream.outliers.steps if not _is_of_jitter(stream, step)
     ]
     repeats = repeats_in_motion(stream.recorded)
     if repeats > REPEATS_WARNED * len(stream.recorded):
@@ -496,3 +499,17 @@ def _stream_warnings(stream: _Stream) -> list[str]:
             'if they are times of arrival, stamp the poses when they are measured.'
         )
     return found
+
+
+def _is_of_jitter(stream: _Stream, step: Step) -> bool:
+    """Return whether stamps that jitter explain a step, of a body that moves as fast as there."""
+    poses, near = stream.recorded, slice(max(step.index - 5, 0), step.index + 6)
+    seconds = np.ptp(poses.stamps_ns[near]) / NS_PER_S
+    R = poses.rotation[near]
+    turns = log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+    way, angle = (
+        float(np.linalg.norm(part, axis=1).sum())
+        for part in (np.diff(poses.position[near], axis=0), turns)
+    )
+    part = STEP_JITTERS * stream.timing.jitter_s / seconds
+    return bool(step.position < part * way and step.rotation < part * angle)

@@ -208,6 +208,18 @@ def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
     assert "stamps of topic '/tool' jitter" in jitters
 
 
+def test_jitter_of_a_moving_body_is_no_step_and_hides_no_large_one():
+    rng = np.random.default_rng(69)
+    tool, package = (noisy(rng, poses, Noise()) for poses in held(69))
+    late = np.sort(tool.stamps_ns + rng.normal(0.0, 2.5e6, len(tool)).astype(np.int64))
+    step = displaced(tool, slice(4000, None), np.array([0.15, 0, 0]), np.zeros(3), False)
+    for poses, steps in ((tool, 0), (step, 1)):
+        jittered = Trajectory(late, poses.position, poses.rotation)
+        found = prepare(stream(jittered), stream(package, '/package'), PLAIN).report.warnings
+        assert sum('jumps by' in warning for warning in found) == steps
+        assert sum('jitter' in warning for warning in found) == 1
+
+
 def test_a_package_picked_up_far_aside_is_warned_about():
     tool, package = held(69)
     aside = displaced(package, slice(None), np.array([0.008, 0, 0]), np.zeros(3), True)
