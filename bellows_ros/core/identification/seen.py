@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from bellows_ros.core.identification.advice.excitation import displacement
+from bellows_ros.core.identification.advice.evidence import displacement
 from bellows_ros.core.identification.envelope import Envelope
 from bellows_ros.core.identification.judgement.whiteness import (
     interpolated,

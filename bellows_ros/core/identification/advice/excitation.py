@@ -8,29 +8,26 @@ same kind once more.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from bellows_ros.core.identification.advice.added_noise import FilterNoise, SEED, with_noise
+from bellows_ros.core.identification.advice.added_noise import FilterNoise
+from bellows_ros.core.identification.advice.evidence import (
+    Evidence,
+    evidence_of,
+    relative_spectra,
+    Spectra,
+)
 from bellows_ros.core.identification.advice.pass_band import too_fast
 from bellows_ros.core.identification.advice.told import advice, Told
-from bellows_ros.core.identification.judgement.whiteness import (
-    interpolated,
-    Spectrum,
-    spectrum,
-)
 from bellows_ros.core.identification.regression.least_squares import (
-    BLOCK,
     column_sizes,
     regular,
     Samples,
     whitening_of,
-    wrench_covariance,
 )
-from bellows_ros.core.identification.regression.rows import rows_of
+from bellows_ros.core.identification.regression.moments import joined, Moments
 from bellows_ros.core.identification.regression.triangles import triangle
 from bellows_ros.core.identification.structure import AXES, Structure
-from bellows_ros.core.identification.wrenches import lip_relative
-from bellows_ros.core.lie import log_so3
 from bellows_ros.core.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -41,12 +38,6 @@ Array = NDArray[np.float64]
 SMALLEST_RATIO = 0.5
 """An estimate that noise of the same size shrinks by more than this is off by its own size."""
 
-DRAWS = 4
-"""How often noise is added."""
-
-ENOUGH = 20_000
-"""Samples of a recording from which all but spectra are taken, to a percent; some more at most."""
-
 RANK_WITHIN = 1e-6
 """Singular values below this part of the largest, with columns of unit length, tell nothing."""
 
@@ -55,25 +46,6 @@ IN_NULL_SPACE = 0.05
 
 CORRELATED = 0.95
 """Parameters with estimates correlated by more than this can hardly be told apart."""
-
-BAND = 0.9
-"""Part of the power of a velocity that its frequency band holds."""
-
-
-@dataclass(frozen=True, eq=False)
-class Spectra:
-    """
-    Spectra of one recording's relative motion, six channels each.
-
-    Parameters
-    ----------
-    strain, twist : Spectrum
-        Of the lip's displacement from nominal (m, rad) and of its twist (m/s, rad/s), in the tool.
-
-    """
-
-    strain: Spectrum
-    twist: Spectrum
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,10 +97,10 @@ class Excitation:
         Of the whitened equations with columns of unit length.
     pairs : tuple of (str, str, float)
         Parameters that can hardly be told apart, and the correlation of their estimates.
-    spectra : tuple of Spectra
-        Of each recording.
     warnings : tuple of str
         What the user should know and do, in sentences.
+    spectra : tuple of Spectra
+        Of each recording, where the recordings themselves were described.
 
     """
 
@@ -139,8 +111,13 @@ class Excitation:
     size: int
     condition_number: float
     pairs: tuple[tuple[str, str, float], ...]
-    spectra: tuple[Spectra, ...]
     warnings: tuple[str, ...]
+    spectra: tuple[Spectra, ...] = ()
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Labels of the parameters that nothing but noise tells."""
+        return tuple(told.label for told in self.parameters if told.untold)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,54 +162,64 @@ def describe_excitation(
 
     """
     recordings = list(recordings)
-    if not sum(samples.count for samples in recordings):
-        raise BellowsError('No valid sample is left of which to say what it tells.')
     if noises and len(noises) != len(recordings):
         raise BellowsError(f'{len(recordings)} recordings need as many noises, not {len(noises)}.')
-    rates_hz = [uniform_rate_hz(samples.package.stamps_ns) for samples in recordings]
-    spectra = tuple(_spectra(samples, cup_length) for samples in recordings)
-    recordings = [samples.thinned(ENOUGH) for samples in recordings]
-    whitening = whitening_of(regular(wrench_covariance(recordings, structure)))
-    solved = _solve(_triangle(recordings, cup_length, structure, whitening), structure)
-    shares, bias = _noise_effects(recordings, cup_length, structure, whitening, noises, solved)
+    _require_samples(sum(samples.count for samples in recordings))
+    spectra = [relative_spectra(samples, cup_length) for samples in recordings]
+    known: Sequence[FilterNoise | None] = noises or [None] * len(recordings)
+    parts = [
+        evidence_of(samples, cup_length, structure, noise, seen)
+        for samples, noise, seen in zip(recordings, known, spectra, strict=True)
+    ]
+    found = excitation_of(parts, structure, filtered)
+    warnings = found.warnings
+    if filtered:
+        rates_hz = [uniform_rate_hz(samples.package.stamps_ns) for samples in recordings]
+        twists = [recording.twist for recording in spectra]
+        warnings += tuple(too_fast(found.axes, twists, rates_hz, noises))
+    return replace(found, spectra=tuple(spectra), warnings=warnings)
+
+
+def excitation_of(
+    parts: Sequence[Evidence], structure: Structure, filtered: bool = True
+) -> Excitation:
+    """
+    Say what recordings can tell about K and P, from the evidence of each.
+
+    Raises
+    ------
+    BellowsError
+        If there is no valid sample.
+
+    """
+    wrench = joined(part.wrench for part in parts)
+    _require_samples(wrench.count)
+    whitening = whitening_of(regular(wrench.covariance(structure)))
+    solved = _solve(_triangle(parts, 0, whitening), structure)
+    shares, bias = _noise_effects(parts, structure, whitening, solved)
     parameters = tuple(
         Told(label, float(x), 1.0 if np.isnan(x) else float(share), float(off))
         for label, x, share, off in zip(structure.labels, solved.x, shares, bias, strict=True)
     )
-    axes = _axes(recordings, cup_length, noises, spectra)
     pairs = tuple(_pairs(solved, structure.labels))
-    source = 'this recording' if len(recordings) == 1 else 'these recordings'
-    warnings = tuple(advice(parameters, structure, solved.rank, pairs, source, filtered))
-    if filtered:
-        twists = [recording.twist for recording in spectra]
-        warnings += tuple(too_fast(axes, twists, rates_hz, noises))
+    source = 'this recording' if len(parts) == 1 else 'these recordings'
     return Excitation(
-        structure.name, axes, parameters, solved.rank, len(solved.x), solved.condition_number,
-        pairs, spectra, warnings,
+        structure.name, _axes(parts), parameters, solved.rank, len(solved.x),
+        solved.condition_number, pairs,
+        tuple(advice(parameters, structure, solved.rank, pairs, source, filtered)),
     )  # fmt: skip
 
 
-def displacement(samples: Samples, cup_length: float) -> tuple[Array, Array]:
-    """
-    Return how the lip is displaced from nominal (N, 6), and its twist (N, 6), in the tool.
-
-    The displacement is E_o_S + l0 z (m) and the rotation vector of E_R_S (rad).
-    """
-    strain, twist = np.empty((2, len(samples.tool), 6))
-    for start in range(0, len(strain), BLOCK):
-        part = slice(start, start + BLOCK)
-        o, R, twist[part] = lip_relative(
-            samples.tool.select(part), samples.package.select(part), samples.held.com)
-        strain[part] = np.hstack([o + [0.0, 0.0, cup_length], log_so3(R)])
-    return strain, twist
+def _require_samples(count: int) -> None:
+    """Raise BellowsError if there is no valid sample."""
+    if not count:
+        raise BellowsError('No valid sample is left of which to say what it tells.')
 
 
-def _triangle(
-    recordings: Sequence[Samples], cup_length: float, structure: Structure, whitening: Array
-) -> Array:
-    """Return the triangle of the whitened equations."""
-    rows = rows_of(recordings, cup_length, structure, whitening)
-    return triangle(rows, 2 * structure.size + 1)
+def _triangle(parts: Sequence[Evidence], draw: int, whitening: Array) -> Array:
+    """Return the triangle of the whitened equations, as they are (0) or with noise once more."""
+    size = parts[0].rows.shape[-1]
+    return triangle(((whitening @ part.rows[draw]).reshape(-1, size) for part in parts), size)
 
 
 def _solve(R: Array, structure: Structure) -> _Solved:
@@ -257,12 +244,7 @@ def _solve(R: Array, structure: Structure) -> _Solved:
 
 
 def _noise_effects(
-    recordings: Sequence[Samples],
-    cup_length: float,
-    structure: Structure,
-    whitening: Array,
-    noises: Sequence[FilterNoise],
-    solved: _Solved,
+    parts: Sequence[Evidence], structure: Structure, whitening: Array, solved: _Solved
 ) -> tuple[Array, Array]:
     """
     Return the share of noise in what tells each parameter, and the bias that it causes.
@@ -272,90 +254,46 @@ def _noise_effects(
     x' is the one with more noise. The share is the noise's energy in a parameter's own column,
     over the energy of the part of that column that no other parameter explains.
     """
-    size = 2 * structure.size
-    if not noises:
-        return np.full(size, np.nan), np.full(size, np.nan)
-    energy, later = np.zeros(size), np.zeros(size)
-    for draw in np.random.default_rng(SEED).spawn(DRAWS):
-        noisy = [with_noise(s, n, draw) for s, n in zip(recordings, noises, strict=True)]
-        pairs = zip(
-            rows_of(recordings, cup_length, structure, whitening),
-            rows_of(noisy, cup_length, structure, whitening),
-            strict=True,
-        )
-        energy += sum(np.sum((b - a)[:, :-1] ** 2, axis=0) for a, b in pairs) / DRAWS
-        again = _solve(_triangle(noisy, cup_length, structure, whitening), structure)
-        later += again.x / DRAWS
+    draws = range(1, min(len(part.rows) for part in parts))
+    if not draws:
+        return np.full(2 * structure.size, np.nan), np.full(2 * structure.size, np.nan)
+    added = np.sum([part.added for part in parts], axis=0)
+    energy = np.einsum('ab,pbc,ac->p', whitening, added, whitening)
+    again = [_solve(_triangle(parts, draw, whitening), structure).x for draw in draws]
+    later = np.mean(again, axis=0)
     with np.errstate(divide='ignore', invalid='ignore'):
         share = np.minimum(energy / solved.norm**2, 1.0)
         return share, 1.0 - 1.0 / np.maximum(later / solved.x, SMALLEST_RATIO)
 
 
-def _axes(
-    recordings: Sequence[Samples],
-    cup_length: float,
-    noises: Sequence[FilterNoise],
-    spectra: Sequence[Spectra],
-) -> tuple[Axis, ...]:
+def _axes(parts: Sequence[Evidence]) -> tuple[Axis, ...]:
     """Return how the six directions are excited."""
-    parts = [displacement(b, cup_length) for s in recordings for b in s.blocks()]
-    strain, twist = (np.concatenate(values) for values in zip(*parts, strict=True))
-    low, high = _bands(spectra)
-    strain_noise, twist_noise = _relative_noise(recordings, cup_length, noises)
+    strain, twist, strain_noise, twist_noise = (
+        joined(getattr(part, kind) for part in parts)
+        for kind in ('strain', 'twist', 'strain_noise', 'twist_noise')
+    )
+    columns = (
+        _rms(strain), strain.std, _rms(twist), _bands(parts).T.tolist(), strain_noise.std,
+        twist_noise.std,
+    )  # fmt: skip
     return tuple(
-        Axis(
-            name,
-            _rms(strain[:, i]),
-            float(np.std(strain[:, i])),
-            _rms(twist[:, i]),
-            (float(low[i]), float(high[i])),
-            float(strain_noise[i]),
-            float(twist_noise[i]),
-        )
-        for i, name in enumerate(AXES)
+        Axis(name, float(lip), float(motion), float(rate), (low, high), float(shake), float(hum))
+        for name, lip, motion, rate, (low, high), shake, hum in zip(AXES, *columns, strict=True)
     )
 
 
-def _relative_noise(
-    recordings: Sequence[Samples], cup_length: float, noises: Sequence[FilterNoise]
-) -> tuple[Array, Array]:
-    """Return the standard deviations (6,) of noise in strain and twist, of all recordings."""
-    if not noises:
-        return np.full(6, np.nan), np.full(6, np.nan)
-    draw = np.random.default_rng(SEED)
-    errors: list[tuple[Array, Array]] = []
-    for samples, noise in zip(recordings, noises, strict=True):
-        here = displacement(samples, cup_length)
-        there = displacement(with_noise(samples, noise, draw), cup_length)
-        valid = samples.tool.valid & samples.package.valid
-        errors.append((there[0][valid] - here[0][valid], there[1][valid] - here[1][valid]))
-    strain, twist = (np.concatenate(part) for part in zip(*errors, strict=True))
-    return np.std(strain, axis=0), np.std(twist, axis=0)
-
-
-def _spectra(samples: Samples, cup_length: float) -> Spectra:
-    """Return the spectra of a recording's relative motion."""
-    valid = samples.tool.valid & samples.package.valid
-    rate_hz = uniform_rate_hz(samples.package.stamps_ns)
-    strain, twist = (
-        spectrum(interpolated(np.where(valid[:, None], values, np.nan)), rate_hz)
-        for values in displacement(samples, cup_length)
-    )
-    return Spectra(strain, twist)
-
-
-def _bands(spectra: Sequence[Spectra]) -> Array:
+def _bands(parts: Sequence[Evidence]) -> Array:
     """Return the frequencies (2, 6) in Hz between which most of the velocities' power lies."""
-    ends = np.array([recording.twist.band(BAND) for recording in spectra])
+    ends = np.array([part.bands_hz for part in parts])
     known = np.isfinite(ends[:, 0])
     low = np.where(known, ends[:, 0], np.inf).min(axis=0)
     high = np.where(known, ends[:, 1], -np.inf).max(axis=0)
     return np.where(known.any(axis=0), np.array([low, high]), np.nan)
 
 
-def _rms(values: Array) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(values**2)))
+def _rms(moments: Moments) -> Array:
+    """Return the root mean squares (6,)."""
+    return np.asarray(np.hypot(moments.mean, moments.std))
 
 
 def _pairs(solved: _Solved, labels: Sequence[str]) -> Iterator[tuple[str, str, float]]:

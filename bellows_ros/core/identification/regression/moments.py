@@ -1,4 +1,4 @@
-"""Mean and covariance of the needed wrenches, in a form in which parts can be added."""
+"""Mean and covariance of six-vectors, in a form in which parts can be added."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,14 +14,14 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 class Moments:
     """
-    First and second moments of wrenches.
+    First and second moments of six-vectors, such as wrenches (N and N m).
 
     Parameters
     ----------
     count : int
         How many.
     mean : ndarray (6,)
-        N and N m.
+        In their units.
     scatter : ndarray (6, 6)
         Sum of the products of the deviations from the mean.
 
@@ -32,13 +32,13 @@ class Moments:
     scatter: Array
 
     @classmethod
-    def of(cls, wrenches: Array) -> 'Moments':
-        """Return the moments of wrenches (N, 6)."""
-        if not len(wrenches):
+    def of(cls, vectors: Array) -> 'Moments':
+        """Return the moments of six-vectors (N, 6)."""
+        if not len(vectors):
             return cls(0, np.zeros(6), np.zeros((6, 6)))
-        mean = np.mean(wrenches, axis=0)
-        deviation = wrenches - mean
-        return cls(len(wrenches), mean, deviation.T @ deviation)
+        mean = np.mean(vectors, axis=0)
+        deviation = vectors - mean
+        return cls(len(vectors), mean, deviation.T @ deviation)
 
     def joined(self, other: 'Moments') -> 'Moments':
         """Return the moments of both together; what cancels are deviations, not raw squares."""
@@ -53,9 +53,14 @@ class Moments:
             + np.outer(apart, apart) * (self.count * other.count / count),
         )  # fmt: skip
 
+    @property
+    def std(self) -> Array:
+        """Standard deviations (6,), nan of none."""
+        return np.sqrt(np.diag(self.scatter) / (self.count or np.nan))
+
     def covariance(self, structure: Structure) -> Array:
         """
-        Return Q (6, 6): full (4.69), or pooled variances otherwise (4.80).
+        Return Q (6, 6) of wrenches: full (4.69), or pooled variances otherwise (4.80).
 
         Both lateral forces share a variance, and both lateral moments, when the structure ties
         them.

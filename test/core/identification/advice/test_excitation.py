@@ -1,7 +1,8 @@
 """What recordings can tell, against recordings that tell it and recordings that do not."""
 
 from bellows_ros.core.identification.advice.added_noise import FilterNoise, with_noise
-from bellows_ros.core.identification.advice.excitation import describe_excitation, displacement
+from bellows_ros.core.identification.advice.evidence import displacement
+from bellows_ros.core.identification.advice.excitation import describe_excitation
 from bellows_ros.core.identification.methods import samples_of
 from bellows_ros.core.identification.noise import Noise
 from bellows_ros.core.identification.regression.least_squares import (
