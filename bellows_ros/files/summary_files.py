@@ -2,11 +2,12 @@
 Summaries of recordings as files, so that any scheduler can make them anywhere.
 
 A file is a NumPy archive (.npz) without pickled objects: a JSON header, and the arrays of
-`core.identification.regression.summaries.Summary`.
+`core.identification.regression.summaries.Summary` and
+`core.identification.advice.evidence.Evidence`.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 import io
 import json
 import os
@@ -14,20 +15,24 @@ from pathlib import Path
 from typing import Any
 import zipfile
 
+from bellows_ros.core.identification.advice.evidence import DRAWS, Evidence
+from bellows_ros.core.identification.advice.package_check import CentreOfMass
 from bellows_ros.core.identification.envelope import Envelope, known_envelope
 from bellows_ros.core.identification.regression.moments import Moments
-from bellows_ros.core.identification.regression.summaries import Summary
-from bellows_ros.core.identification.structure import structure_named
+from bellows_ros.core.identification.regression.summaries import couples, Summary
+from bellows_ros.core.identification.structure import Structure, structure_named
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
 from bellows_ros.files.results import format_json
 import numpy as np
 
-FORMAT = 'bellows_ros summary 1'
+FORMAT = 'bellows_ros summary 2'
 LARGEST_FILE = 4 * 2**30
 LARGEST_HEADER = 64 * 2**20
 
-_ARRAYS = ('triangles', 'samples', 'starts', 'mean', 'scatter', 'header')
+_MOMENTS = ('wrench', 'strain', 'twist', 'strain_noise', 'twist_noise')
+_ARRAYS = (
+    'triangles', 'samples', 'starts', 'rows', 'added', 'bands_hz', 'means', 'scatters', 'header')
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +44,12 @@ class SummaryFile:
     ----------
     summary : Summary
         What the fit needs.
+    evidence : Evidence
+        What the recording tells.
     envelope : Envelope
-        What the recording has seen of the cup.
+        What it has seen of the cup.
+    centre : CentreOfMass or None
+        Where it wants the centre of mass; None where it cannot say.
     bag : str
         The recording.
     settings : mapping
@@ -51,7 +60,9 @@ class SummaryFile:
     """
 
     summary: Summary
+    evidence: Evidence
     envelope: Envelope
+    centre: CentreOfMass | None
     bag: str
     settings: Mapping[str, Any]
     report: Mapping[str, Any]
@@ -59,7 +70,8 @@ class SummaryFile:
 
 def write_summary(path: str | os.PathLike[str], content: SummaryFile) -> None:
     """Write a summary, whole or not at all; raise BellowsError if it cannot be written."""
-    summary = content.summary
+    summary, evidence = content.summary, content.evidence
+    moments = [summary.moments, *(getattr(evidence, kind) for kind in _MOMENTS)]
     header = {
         'format': FORMAT,
         'bag': content.bag,
@@ -70,12 +82,14 @@ def write_summary(path: str | os.PathLike[str], content: SummaryFile) -> None:
         'cup_length': summary.cup_length,
         'used': summary.used,
         'rejected': summary.rejected,
-        'count': summary.moments.count,
+        'counts': [part.count for part in moments],
+        'centre': content.centre and asdict(content.centre),
     }
     packed = io.BytesIO()
     np.savez_compressed(
         packed, triangles=summary.triangles, samples=summary.samples, starts=summary.starts,
-        mean=summary.moments.mean, scatter=summary.moments.scatter,
+        rows=evidence.rows, added=evidence.added, bands_hz=evidence.bands_hz,
+        means=[part.mean for part in moments], scatters=[part.scatter for part in moments],
         header=np.frombuffer(format_json(header).encode(), np.uint8),
     )  # fmt: skip
     atomic.write_bytes(path, packed.getvalue())
@@ -100,9 +114,11 @@ def read_summary(path: str | os.PathLike[str]) -> SummaryFile:
         known = known_envelope(header['envelope'])
         if known is None:
             raise ValueError('it has no envelope')
+        summary, evidence = _parts(header, arrays)
         return SummaryFile(
-            _summary(header, arrays), known, header['bag'], header['settings'], header['report']
-        )
+            summary, evidence, known, _centre(header['centre']), header['bag'],
+            header['settings'], header['report'],
+        )  # fmt: skip
     except OSError as error:
         raise BellowsError(f"Summary '{file}' cannot be read: {error.strerror}.") from None
     except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
@@ -122,26 +138,55 @@ def _arrays(file: Path) -> dict[str, Any]:
         return {name: archive[name] for name in _ARRAYS}
 
 
-def _summary(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Summary:
-    """Return the summary that a file holds, or raise ValueError where its parts do not fit."""
+def _parts(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> tuple[Summary, Evidence]:
+    """Return what a file holds, or raise ValueError where its parts do not fit."""
     structure = structure_named(header['structure'])
-    size, count = 2 * structure.size + 1, int(header['count'])
+    _require_whole(arrays, structure)
+    moments = [
+        Moments(int(count), mean, scatter) for count, mean, scatter in zip(
+            header['counts'], arrays['means'], arrays['scatters'], strict=True)
+    ]  # fmt: skip
+    summary = Summary(
+        structure, float(header['cup_length']), int(header['used']), int(header['rejected']),
+        moments[0], arrays['triangles'], arrays['samples'], arrays['starts'],
+    )  # fmt: skip
+    evidence = Evidence(
+        **dict(zip(_MOMENTS, moments[1:], strict=True)),
+        bands_hz=arrays['bands_hz'], rows=arrays['rows'], added=arrays['added'],
+    )  # fmt: skip
+    return summary, evidence
+
+
+def _require_whole(arrays: Mapping[str, Any], structure: Structure) -> None:
+    """Raise ValueError where an array is not as the structure wants it."""
+    size, kinds = 2 * structure.size + 1, 1 + len(_MOMENTS)
+    few = (6 if couples(structure) else 1) * size
     shapes = {
         'triangles': (len(arrays['triangles']), 6, size, size),
         'samples': (len(arrays['samples']), 18),
         'starts': (len(arrays['starts']),),
-        'mean': (6,),
-        'scatter': (6, 6),
+        'rows': (1 + DRAWS, few, 6, size),
+        'added': (size - 1, 6, 6),
+        'bands_hz': (2, 6),
+        'means': (kinds, 6),
+        'scatters': (kinds, 6, 6),
     }
     for name, shape in shapes.items():
         array = arrays[name]
-        if array.shape != shape or not np.all(np.isfinite(array)):
+        unknown = name == 'bands_hz' and np.isnan(array)
+        if array.shape != shape or not np.all(np.isfinite(array) | unknown):
             raise ValueError(f"its array '{name}' is damaged")
     starts, samples = arrays['starts'], arrays['samples']
     if len(starts) and (np.any(np.diff(starts) <= 0) or not 0 == starts[0] <= len(samples)):
         raise ValueError("its array 'starts' is damaged")
-    return Summary(
-        structure, float(header['cup_length']), int(header['used']), int(header['rejected']),
-        Moments(count, arrays['mean'], arrays['scatter']),
-        arrays['triangles'], samples, starts,
-    )  # fmt: skip
+
+
+def _centre(values: Mapping[str, Any] | None) -> CentreOfMass | None:
+    """Return where a recording wants the centre of mass; what is null there is infinite."""
+    if values is None:
+        return None
+    shift, error, noise = (
+        np.array([np.inf if value is None else float(value) for value in values[name]])
+        for name in ('shift', 'shift_std', 'noise_shift')
+    )
+    return CentreOfMass(shift, error, noise, float(values['residual']))

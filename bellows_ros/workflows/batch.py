@@ -15,6 +15,10 @@ import os
 from typing import Any
 
 from bellows_ros import __version__
+from bellows_ros.core.identification.advice.added_noise import FilterNoise
+from bellows_ros.core.identification.advice.evidence import Evidence, evidence_of
+from bellows_ros.core.identification.advice.excitation import Excitation, excitation_of
+from bellows_ros.core.identification.advice.package_check import CentreOfMass
 from bellows_ros.core.identification.envelope import Envelope
 from bellows_ros.core.identification.judgement.consistency import Consistency, same_cup
 from bellows_ros.core.identification.methods import filtered_samples
@@ -38,14 +42,21 @@ from bellows_ros.files.results import write_result
 from bellows_ros.files.summary_files import read_summary, SummaryFile, write_summary
 from bellows_ros.workflows.identify import (
     assumed,
+    centre_of_mass,
     errors_of,
     Identification,
     NOT_OF_THE_CUP,
     resolved,
     rest_of,
+    warnings_of,
 )
 from bellows_ros.workflows.recordings import load, names_of, values_of_each
-from bellows_ros.workflows.result_json import fit_json, recording_json
+from bellows_ros.workflows.result_json import (
+    centre_json,
+    excitation_json,
+    fit_json,
+    recording_json,
+)
 from bellows_ros.workflows.static import AtRest
 import numpy as np
 
@@ -60,7 +71,9 @@ class Done:
 
     number: int
     summary: Summary
+    evidence: Evidence
     envelope: Envelope
+    centre: CentreOfMass | None
     report: Report
 
 
@@ -164,15 +177,18 @@ def identify_many(
     used = {**values, 'bags': tuple(bags[item.number] for item in done)}
     if values['package.files']:
         used['package.files'] = tuple(values['package.files'][item.number] for item in done)
+    fit, excitation = _fit(done, used, at_rest)
     result = BatchIdentification(
-        fit=_fit(done, used, at_rest),
+        fit=fit,
         values=used,
         recordings=(),
         held=tuple(package_of(each[item.number]) for item in done),
         parameter_files=tuple(parameter_files),
         consistency=_consistency(done, used, [package_of(each[item.number]) for item in done]),
+        excitation=excitation,
         at_rest=at_rest,
         assumed=assumed(settings),
+        centres=tuple(item.centre for item in done),
         kept=tuple(item.report for item in done),
         failed=tuple(failed),
         envelopes=tuple(item.envelope for item in done),
@@ -203,15 +219,23 @@ def _gathered(
     return done, failed
 
 
-def _fit(done: Sequence[Done], values: Mapping[str, Any], at_rest: AtRest | None) -> Fit:
-    """Return the fit of all summaries, and of standstills where there are any."""
-    fit = fit_summaries([item.summary for item in done])
+def _fit(
+    done: Sequence[Done], values: Mapping[str, Any], at_rest: AtRest | None
+) -> tuple[Fit, Excitation]:
+    """Return the fit of all summaries and of standstills, if there are any; and what is told."""
+    fit, excitation = _told_fit(done)
     if at_rest is None:
-        return fit
+        return fit, excitation
     exact = Length(values['cup.length'], 0.0, np.zeros(len(fit.labels)))
-    return joined_with_rest(
-        fit, at_rest.holds, exact, values['gravity'], cup_of(values).stiffness
-    )
+    typical = cup_of(values).stiffness
+    return joined_with_rest(fit, at_rest.holds, exact, values['gravity'], typical), excitation
+
+
+def _told_fit(parts: Sequence[Done | SummaryFile]) -> tuple[Fit, Excitation]:
+    """Return the fit of summaries, without what only noise tells, and what is told."""
+    fit = fit_summaries([part.summary for part in parts])
+    excitation = excitation_of([part.evidence for part in parts], parts[0].summary.structure)
+    return fit.without(excitation.untold), excitation
 
 
 def _consistency(
@@ -229,9 +253,15 @@ def summarise_bag(number: int, bag: str, values: Mapping[str, Any]) -> Done | Fa
     try:
         recording = load(bag, values).recording
         samples = filtered_samples(recording, package_of(values), values)
-        length = values['cup.length']
-        summary = summarise(samples, length, structure_named(values['fit.structure']))
-        return Done(number, summary, envelope([samples], length), recording.report)
+        length, structure = values['cup.length'], structure_named(values['fit.structure'])
+        return Done(
+            number,
+            summarise(samples, length, structure),
+            evidence_of(samples, length, structure, FilterNoise.of(recording)),
+            envelope([samples], length),
+            centre_of_mass(samples, values, recording),
+            recording.report,
+        )
     except BellowsError as error:
         return Failed(number, bag, str(error))
 
@@ -325,10 +355,16 @@ def summarise_to_file(
     report = recording_json(os.fspath(bag), result.report)
     content = SummaryFile(
         result.summary,
+        result.evidence,
         result.envelope,
+        result.centre,
         os.fspath(bag),
         {name: value for name, value in values.items() if name not in NOT_OF_THE_CUP},
-        {**report, 'warnings': [*assumed(settings), *report['warnings']]},
+        {
+            **report,
+            'warnings': [*assumed(settings), *report['warnings']],
+            'centre_of_mass': result.centre and centre_json(result.centre),
+        },
     )
     write_summary(out, content)
     return content
@@ -343,12 +379,15 @@ class Merged:
     ----------
     fit : Fit
         K and P with their uncertainty.
+    excitation : Excitation
+        What the recordings can tell.
     files : tuple of SummaryFile
         That were added.
 
     """
 
     fit: Fit
+    excitation: Excitation
     files: tuple[SummaryFile, ...]
 
     @property
@@ -360,7 +399,8 @@ class Merged:
     def warnings(self) -> tuple[str, ...]:
         """What the user must know: of the fit, then of the recordings."""
         of_bags = (f"'{f.bag}': {w}" for f in self.files for w in f.report.get('warnings', ()))
-        return (*self.fit.warnings, *of_bags)
+        centres = [file.centre for file in self.files]
+        return (*warnings_of(self.fit, self.bags, (), centres, self.excitation), *of_bags)
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters of the cup file; a package only if it is that of all."""
@@ -384,6 +424,7 @@ class Merged:
             'warnings': self.warnings,
             'cup_length': self.files[0].summary.cup_length,
             'recordings': [dict(file.report) for file in self.files],
+            'excitation': excitation_json(self.excitation),
             'version': __version__,
         }
 
@@ -406,7 +447,7 @@ def merge(paths: Sequence[str | os.PathLike[str]]) -> Merged:
             f"Recording '{twice[0]}' is in more than one summary and would count twice. Give each "
             'summary once.'
         )
-    return Merged(fit_summaries([file.summary for file in files]), files)
+    return Merged(*_told_fit(files), files)
 
 
 def save_merged(result: Merged, parameters_path: str, json_path: str) -> None:

@@ -19,6 +19,7 @@ from bellows_ros.core.identification.advice.package_check import (
 from bellows_ros.core.identification.envelope import Envelope
 from bellows_ros.core.identification.judgement.consistency import Consistency, same_cup
 from bellows_ros.core.identification.methods import filtered_samples, fitted, samples_of
+from bellows_ros.core.identification.regression.least_squares import Samples
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.seen import envelope, with_rest
 from bellows_ros.core.identification.statics.static import check_spring, SpringCheck
@@ -162,20 +163,13 @@ class Identification:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the user must know: of what was given, the fit, the recordings, validations."""
-        told = self.excitation.warnings if self.excitation else ()
         verdict = (self.consistency.verdict,) if self.consistency else ()
         resting = self.at_rest.warnings(self.values['cup.length']) if self.at_rest else ()
         of_recordings = tuple(w for report in self.reports for w in report.warnings)
         unseen = (f'{v.bag}: {warning}' for v in self.validations for warning in v.warnings)
-        return (
-            *self.assumed, *self.fit.warnings, *self._contradicted(), *told, *verdict, *resting,
-            *of_recordings, *unseen)
-
-    def _contradicted(self) -> tuple[str, ...]:
-        """Return what is to be said of the cup's length and of centres of mass."""
-        bags = list(map(os.fspath, self.values['bags']))
-        checks = [*zip(bags, self.lengths, strict=False), *zip(bags, self.centres, strict=False)]
-        return tuple(text for bag, check in checks if check for text in check.warning(bag))
+        of_fit = warnings_of(
+            self.fit, self.values['bags'], self.lengths, self.centres, self.excitation)
+        return (*self.assumed, *of_fit, *verdict, *resting, *of_recordings, *unseen)
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
@@ -204,12 +198,23 @@ class Identification:
             for bag, report, package in zip(
                 self.values['bags'], self.reports, self.held, strict=True)
         ]  # fmt: skip
-        checks = zip(found, self.recordings, self.centres, self.lengths, strict=False)
-        for entry, recording, centre, length in checks:
+        for entry, recording in zip(found, self.recordings, strict=False):
             entry.update(measured_json(recording))
+        for entry, centre in zip(found, self.centres, strict=False):
             entry['centre_of_mass'] = centre and centre_json(centre)
+        for entry, length in zip(found, self.lengths, strict=False):
             entry['cup_length'] = length and length_json(length)
         return found
+
+
+def warnings_of(
+    fit: Fit, bags: Sequence[str | os.PathLike[str]], lengths: Sequence[CupLength | None],
+    centres: Sequence[CentreOfMass | None], excitation: Excitation | None,
+) -> tuple[str, ...]:
+    """Return what is to be said of a fit, of what was given, and of what recordings tell."""
+    checks = [*zip(bags, lengths, strict=False), *zip(bags, centres, strict=False)]
+    wrong = (text for bag, check in checks if check for text in check.warning(os.fspath(bag)))
+    return (*fit.warnings, *wrong, *(excitation.warnings if excitation else ()))
 
 
 def errors_of(fit: Fit) -> dict[str, tuple[float, ...]]:
@@ -335,7 +340,6 @@ def _fit(
 ) -> Fit:
     """Return the fit to all recordings."""
     tell('fitting', FIT_BEGINS)
-    untold = [told.label for told in excitation.parameters if told.untold]
     if all(told.untold for told in excitation.parameters if told.label.startswith('P')):
         raise BellowsError(
             'Nothing moves enough in the recordings: no damping can be told from them, nor any '
@@ -346,7 +350,7 @@ def _fit(
     holds = at_rest.holds if at_rest else ()
     length = at_rest.length if at_rest and values['static.length'] else None
     error = length.length_std if length else 0.0
-    return fitted(recordings, held, values, _within(tell), untold, holds, error)
+    return fitted(recordings, held, values, _within(tell), excitation.untold, holds, error)
 
 
 def _within(tell: Progress) -> Progress:
@@ -377,14 +381,19 @@ def _centres(
     recordings: Sequence[Recording], held: Sequence[Package], values: Mapping[str, Any]
 ) -> tuple[CentreOfMass | None, ...]:
     """Return where each recording wants the centre of mass of its package."""
-    structure = structure_named(values['fit.structure'])
-    lip = values['recording.package_frame'] == 'lip'
     return tuple(
-        check_centre_of_mass(
-            filtered_samples(recording, package, values), values['cup.length'], structure, lip,
-            FilterNoise.of(recording),
-        )
+        centre_of_mass(filtered_samples(recording, package, values), values, recording)
         for recording, package in zip(recordings, held, strict=True)
+    )
+
+
+def centre_of_mass(
+    samples: Samples, values: Mapping[str, Any], recording: Recording
+) -> CentreOfMass | None:
+    """Return where a recording wants the centre of mass of its package; None if it cannot say."""
+    return check_centre_of_mass(
+        samples, values['cup.length'], structure_named(values['fit.structure']),
+        values['recording.package_frame'] == 'lip', FilterNoise.of(recording),
     )  # fmt: skip
 
 

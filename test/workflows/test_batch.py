@@ -1,16 +1,20 @@
 """Many recordings: on cores, on a cluster and piece by piece the same answer as one big fit."""
 
+import json
 from pathlib import Path
 import shutil
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import format_json
 from bellows_ros.files.summary_files import read_summary
 from bellows_ros.workflows.batch import identify_many, merge, save_merged, summarise_to_file
-from bellows_ros.workflows.identify import identify
+from bellows_ros.workflows.identify import identify, UNKNOWN_STD
+from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
+import yaml
 
 NAMES = ('identification', 'validation')
 FIGURES = ('stiffness', 'damping', 'stiffness_std', 'damping_std', 'covariance', 'weight',
@@ -78,6 +82,59 @@ def test_one_process_after_the_other(settings, one_fit):
     result = identify_many(settings, 1, progress=lambda what, part: said.append(part))
     assert_same(result.fit, one_fit('axisymmetric'))
     assert said[0] == 0.0 and said[-1] == 1.0 and said == sorted(said)
+
+
+AXES_HZ = {'x': 0.3, 'y': 0.37}
+
+
+@pytest.fixture(scope='module')
+def flat(root, tmp_path_factory):
+    """Return the parameters of two noisy recordings that hardly move along z and about it."""
+    folder = tmp_path_factory.mktemp('flat')
+    motion = yaml.safe_load((root / 'bags/identification.yaml').read_text())
+    motion['duration'] = 12.0
+    lines = {axis: {'amplitude': [0.05], 'frequency': [f]} for axis, f in AXES_HZ.items()}
+    motion['multi_sine'] = {'position': lines, 'rotation': lines}
+    bags = [str(folder / name) for name in ('one', 'two')]
+    cup = read_parameters(root / 'bags/cup.yaml')
+    for seed, bag in enumerate(bags, 1):
+        simulate_recording(cup, {**motion, 'seed': seed}, bag)
+    return {**read_parameters(root / 'bags/package.yaml'), 'package.com': (0.0, 0.004, -0.03),
+            'bags': bags}
+
+
+def told_in(content):
+    """Return which parameters are told, by a JSON file's content."""
+    return {label: told['told'] for label, told in content['excitation']['parameters'].items()}
+
+
+def centres_in(content):
+    """Return where the recordings in a JSON file want their centres of mass."""
+    return [recording['centre_of_mass'] for recording in content['recordings']]
+
+
+@pytest.mark.parametrize('structure', ['axisymmetric', 'full'])
+def test_what_is_not_told_is_claimed_nowhere(flat, structure, tmp_path):
+    """One fit, summaries at once and summaries from files: the same of noise and the package."""
+    settings = {**flat, 'fit.structure': structure}
+    whole, apart = identify(settings), identify_many(settings, 1)
+    files = [tmp_path / 'one.npz', tmp_path / 'two.npz']
+    for file, bag in zip(files, flat['bags'], strict=True):
+        summarise_to_file(bag, settings, file)
+    merged = merge(files)
+    assert np.isinf(whole.fit.damping_std[2, 2])
+    said = whole.warnings
+    assert any(text.startswith('Axial motion is hardly excited') for text in said)
+    assert any('centre of mass' in text for text in said) == (structure != 'full')
+    for other in (apart, merged):
+        assert_array_equal(np.isinf(other.fit.covariance), np.isinf(whole.fit.covariance))
+        assert other.warnings == said
+        assert other.parameters()['cup.damping_std'][14] == UNKNOWN_STD
+        for told, wanted in zip(other.excitation.axes, whole.excitation.axes, strict=True):
+            assert_allclose(told.strain_noise, wanted.strain_noise, rtol=1e-9)
+        found, wanted = (json.loads(format_json(r.as_json())) for r in (other, whole))
+        assert told_in(found) == told_in(wanted)
+        assert centres_in(found) == centres_in(wanted)
 
 
 def test_bad_recording_is_reported_and_not_fatal(settings, one_fit, tmp_path):

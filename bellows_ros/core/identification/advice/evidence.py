@@ -30,9 +30,6 @@ ENOUGH = 20_000
 BAND = 0.9
 """Part of the power of a velocity that its frequency band holds."""
 
-KINDS = ('wrench', 'strain', 'twist', 'strain_noise', 'twist_noise')
-"""Of what evidence keeps moments."""
-
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
@@ -115,9 +112,10 @@ def evidence_of(
     cup_length: float,
     structure: Structure,
     noise: FilterNoise | None,
-    spectra: Spectra,
+    spectra: Spectra | None = None,
 ) -> Evidence:
-    """Return what a recording tells; its noise and spectra are those of all samples."""
+    """Return what a recording tells; its spectra are computed where they are not given."""
+    spectra = spectra or relative_spectra(samples, cup_length)
     samples = samples.thinned(ENOUGH)
     first, added = _rows(samples, samples, cup_length, structure)
     rows = [first]

@@ -1,7 +1,7 @@
 """What one recording tells, against all of its rows, and added to that of others."""
 
 from bellows_ros.core.identification.advice.added_noise import FilterNoise, SEED, with_noise
-from bellows_ros.core.identification.advice.evidence import DRAWS, evidence_of, relative_spectra
+from bellows_ros.core.identification.advice.evidence import DRAWS, evidence_of
 from bellows_ros.core.identification.advice.excitation import describe_excitation
 from bellows_ros.core.identification.methods import samples_of
 from bellows_ros.core.identification.regression.rows import rows_of
@@ -35,8 +35,7 @@ def weighing(structure):
 def test_few_rows_stand_for_all_whatever_the_weight(recordings, name):
     structure, noise = STRUCTURES[name], FilterNoise.of(recordings[0])
     samples = samples_of(recordings[0], simulated.HELD, simulated.GRAVITY)
-    spectra = relative_spectra(samples, L0)
-    evidence = evidence_of(samples, L0, structure, noise, spectra)
+    evidence = evidence_of(samples, L0, structure, noise)
     W = weighing(structure)
     draws = np.random.default_rng(SEED).spawn(DRAWS)
     noisy = [with_noise(samples, noise, draw) for draw in draws]
