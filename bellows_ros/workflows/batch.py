@@ -7,10 +7,13 @@ small, and adding them gives the fit of all recordings
 out.
 """
 
+import asyncio
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 import importlib
+import logging
 import os
 from typing import Any
 
@@ -59,6 +62,9 @@ from bellows_ros.workflows.result_json import (
 )
 from bellows_ros.workflows.static import AtRest
 import numpy as np
+
+ANSWER_WITHIN = 10.0
+"""Seconds in which a Dask scheduler must answer."""
 
 Progress = Callable[[str, float], None]
 Work = tuple[int, str, dict[str, Any]]
@@ -172,7 +178,7 @@ def identify_many(
     each = values_of_each(values)
     tell(f'reading {len(bags)} recordings', 0.0)
     work = [(n, bag, dict(own)) for n, (bag, own) in enumerate(zip(bags, each, strict=True))]
-    results = _on_dask(work, dask) if dask else _on_cores(work, jobs)
+    results = on_dask(work, dask) if dask else on_cores(work, jobs)
     done, failed = _gathered(results, bags, tell)
     used = {**values, 'bags': tuple(bags[item.number] for item in done)}
     if values['package.files']:
@@ -293,36 +299,107 @@ def _require_nothing_whole(values: Mapping[str, Any]) -> None:
         )
 
 
-def _on_cores(work: Sequence[Work], jobs: int) -> Iterator[Done | Failed]:
+def on_cores(work: Sequence[Work], jobs: int) -> Iterator[Done | Failed]:
     """Yield the results of processes on this machine, as they come."""
     if jobs == 1 or len(work) == 1:
-        return (summarise_bag(*item) for item in work)
+        yield from (_tried(*item) for item in work)
+        return
     joblib = _imported('joblib', 'parallel', '--jobs')
-    parallel = joblib.Parallel(n_jobs=jobs, return_as='generator_unordered')
-    results: Iterator[Done | Failed] = parallel(
-        joblib.delayed(summarise_bag)(*item) for item in work
-    )
+    left = {item[0]: item for item in work}
+    while left:
+        begun: list[int] = []
+        try:
+            for result in _in_pool(joblib, jobs, _noted(list(left.values()), begun)):
+                del left[result.number]
+                yield result
+        except BrokenProcessPool:
+            # One of those begun has ended its process; in a pool of its own it ends no other.
+            for number in (number for number in begun if number in left):
+                yield _alone(joblib, left.pop(number))
+
+
+def _in_pool(joblib: Any, jobs: int, work: Iterable[Work]) -> Iterator[Done | Failed]:
+    """Yield the results of a pool of processes, which is handed no more than it works on."""
+    parallel = joblib.Parallel(
+        jobs, backend='loky', return_as='generator_unordered', batch_size=1, pre_dispatch='n_jobs')
+    results: Iterator[Done | Failed] = parallel(joblib.delayed(_tried)(*item) for item in work)
     return results
 
 
-def _on_dask(work: Sequence[Work], address: str) -> Iterator[Done | Failed]:
+def _noted(work: Iterable[Work], begun: list[int]) -> Iterator[Work]:
+    """Yield work, and note the numbers of what was begun."""
+    for item in work:
+        begun.append(item[0])
+        yield item
+
+
+def _alone(joblib: Any, item: Work) -> Done | Failed:
+    """Return the result of a process that works on nothing else."""
+    try:
+        (result,) = _in_pool(joblib, 2, [item])
+        return result
+    except BrokenProcessPool:
+        number, bag, _ = item
+        return Failed(
+            number, bag, 'the process that read it was ended from outside, twice. If memory was '
+            'short, take fewer jobs, or a shorter recording.'
+        )  # fmt: skip
+
+
+def _tried(number: int, bag: str, values: Mapping[str, Any]) -> Done | Failed:
+    """Return a recording's summary, or why there is none, whatever went wrong."""
+    try:
+        return summarise_bag(number, bag, values)
+    except Exception as error:  # noqa: BLE001 (one recording must not end the work on others)
+        return _broken(number, bag, error)
+
+
+def _broken(number: int, bag: str, error: Exception) -> Failed:
+    """Return what is said of a recording on which the work broke off."""
+    return Failed(number, bag, f'{type(error).__name__}: {error}')
+
+
+def on_dask(work: Sequence[Work], address: str) -> Iterator[Done | Failed]:
     """Yield the results of a Dask cluster's workers."""
     distributed = _imported('distributed', 'dask', '--dask')
+    logging.getLogger('distributed.client').setLevel(logging.CRITICAL)  # errors are told here
     try:
-        client = distributed.Client(address, timeout='10s', set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
+        # A client that reaches nobody cannot be closed; so it is made where somebody answers.
+        asyncio.run(_reach(distributed, address))
+        client = distributed.Client(address, timeout=ANSWER_WITHIN, set_as_default=False)
+    except (OSError, ValueError, TypeError, TimeoutError) as error:
         raise BellowsError(
             f"No Dask scheduler answers at '{address}': {error}. Start one with 'dask scheduler', "
             'and give the address that it prints.'
         ) from None
     with client:
         futures = [
-            client.submit(summarise_bag, number, os.path.abspath(bag), own, pure=False)
+            client.submit(_tried, number, os.path.abspath(bag), own, pure=False)
             for number, bag, own in work
         ]
-        for future in futures:
-            yield future.result()
+        for future, (number, bag, _) in zip(futures, work, strict=True):
+            yield _result_of(future, number, bag, address)
             future.release()
+
+
+async def _reach(distributed: Any, address: str) -> None:
+    """Connect to a scheduler and take leave."""
+    comm = await distributed.comm.connect(address, timeout=ANSWER_WITHIN)
+    await comm.close()
+
+
+def _result_of(future: Any, number: int, bag: str, address: str) -> Done | Failed:
+    """Return the result of a Dask worker, or why there is none; raise where Dask is gone."""
+    try:
+        result: Done | Failed = future.result()
+    except Exception as error:  # noqa: BLE001 (a worker can raise whatever it likes)
+        if future.status == 'error':
+            return _broken(number, bag, error)
+        raise BellowsError(
+            f"The Dask scheduler at '{address}' was lost during the work. See in its log why, "
+            'start it again, and repeat the command.'
+        ) from None
+    return result
 
 
 def _imported(module: str, extra: str, option: str) -> Any:

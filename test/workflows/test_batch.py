@@ -1,13 +1,18 @@
 """Many recordings: on cores, on a cluster and piece by piece the same answer as one big fit."""
 
+import gc
 import json
+import os
 from pathlib import Path
 import shutil
+import signal
+import threading
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.files.summary_files import read_summary
+from bellows_ros.workflows import batch
 from bellows_ros.workflows.batch import identify_many, merge, save_merged, summarise_to_file
 from bellows_ros.workflows.identify import identify, UNKNOWN_STD
 from bellows_ros.workflows.simulate import simulate_recording
@@ -172,10 +177,96 @@ def test_dask_cluster_gives_the_same(settings, one_fit, tmp_path):
     assert [failed.bag for failed in result.failed] == ['nowhere']
 
 
-def test_no_scheduler(settings):
+@pytest.mark.parametrize('address', [
+    'nonsense://127.0.0.1:1', 'tls://127.0.0.1:1', 'tcp://127.0.0.1', 'tcp://127.0.0.1:1'])
+def test_no_scheduler(settings, address, monkeypatch):
     pytest.importorskip('distributed', reason='extra dask')
-    with pytest.raises(BellowsError, match='scheduler'):
-        identify_many(settings, dask='nonsense://127.0.0.1:1')
+    monkeypatch.setattr(batch, 'ANSWER_WITHIN', 0.5)
+    with pytest.raises(BellowsError, match=f"No Dask scheduler answers at '{address}'"):
+        identify_many(settings, dask=address)
+    gc.collect()  # nothing is left that would wait for the scheduler when it is collected
+
+
+class Deadly(dict):
+    """Parameters that end the process that looks at them."""
+
+    def __getitem__(self, name):
+        """Do what the kernel does where memory is short."""
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Endless(dict):
+    """Parameters that nobody is ever done with."""
+
+    def __getitem__(self, name):
+        """Wait longer than any test."""
+        threading.Event().wait(120.0)
+
+
+def workers():
+    """Return the processes that joblib has started for this one."""
+    found = []
+    for folder in Path('/proc').glob('[0-9]*'):
+        try:
+            parent = int((folder / 'stat').read_text().rpartition(')')[2].split()[1])
+            if parent == os.getpid() and b'popen_loky' in (folder / 'cmdline').read_bytes():
+                found.append(int(folder.name))
+        except OSError:
+            continue  # it has ended
+    return found
+
+
+def test_a_worker_that_dies_ends_no_work(settings):
+    pytest.importorskip('joblib', reason='extra parallel')
+    killed = []
+
+    def kill_one(what, part):
+        if 0.0 < part < 1.0 and not killed:
+            killed.append(workers()[0])
+            os.kill(killed[0], signal.SIGKILL)
+
+    bags = ['nowhere', *settings['bags'], 'nor here', 'nor there']  # the first is done at once
+    result = identify_many({**settings, 'bags': bags}, 2, progress=kill_one)
+    assert killed
+    assert [failed.bag for failed in result.failed] == [bags[0], *bags[3:]]
+    assert all('does not exist' in failed.reason for failed in result.failed)
+    assert result.fit.samples_used == identify(settings).fit.samples_used
+
+
+def test_a_recording_that_kills_its_worker_is_left_out(settings):
+    pytest.importorskip('joblib', reason='extra parallel')
+    work = [(0, 'a', {}), (1, 'deadly', Deadly()), (2, 'b', {}), (3, 'c', {})]
+    results = sorted(batch.on_cores(work, 2), key=lambda result: result.number)
+    assert [result.bag for result in results] == ['a', 'deadly', 'b', 'c']
+    assert 'was ended from outside' in results[1].reason
+    assert all(results[n].reason.startswith('KeyError') for n in (0, 2, 3))
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """Return a Dask cluster of one worker."""
+    distributed = pytest.importorskip('distributed', reason='extra dask')
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, host='127.0.0.1', scheduler_port=0,
+        dashboard_address=None, local_directory=tmp_path,
+    ) as started:
+        yield started
+
+
+def test_a_recording_that_kills_its_dask_worker_is_left_out(cluster):
+    cluster.scheduler.allowed_failures = 0
+    results = list(batch.on_dask([(0, 'deadly', Deadly())], cluster.scheduler_address))
+    assert [result.number for result in results] == [0]
+    assert 'KilledWorker' in results[0].reason
+
+
+def test_a_scheduler_that_is_lost_is_said(cluster):
+    work = [(0, 'a', {}), (1, 'endless', Endless())]
+    results = batch.on_dask(work, cluster.scheduler_address)
+    assert next(results).number == 0
+    cluster.close(timeout=10.0)
+    with pytest.raises(BellowsError, match='was lost during the work'):
+        next(results)
 
 
 def test_missing_extra_is_said(settings, monkeypatch):
