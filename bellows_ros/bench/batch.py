@@ -1,7 +1,6 @@
 """Many recordings on one and on two cores, and what a recording costs beside its own work."""
 
 from pathlib import Path
-import shutil
 import tempfile
 from typing import Any
 
@@ -31,10 +30,9 @@ def run(short: bool) -> dict[str, Any]:
     """Return the seconds of one and two processes, with and without real work."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        make_recording(folder / '0', DURATION[short])
         bags = [folder / str(number) for number in range(COUNT[short])]
-        for bag in bags[1:]:
-            shutil.copytree(bags[0], bag)
+        for seed, bag in enumerate(bags, 1):
+            make_recording(bag, DURATION[short], seed)
         paths = [str(bag) for bag in bags]
         missing = [str(folder / f'none{number}') for number in range(10 * COUNT[short])]
         try:

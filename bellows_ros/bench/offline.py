@@ -104,11 +104,11 @@ def run(short: bool) -> dict[str, Any]:
     return found
 
 
-def motion(duration: float) -> dict[str, Any]:
+def motion(duration: float, seed: int = 1) -> dict[str, Any]:
     """Return the content of a motion file: all axes at once, noise, a twist."""
     return {
         'kind': 'multi_sine', 'duration': duration, 'rest_duration': 1.0, 'ramp_duration': 1.0,
-        'seed': 1,
+        'seed': seed,
         'multi_sine': {
             'position': {
                 axis: {'amplitude': [0.05, 0.01, 0.003], 'frequency': [0.3 + shift, 1.1, 3.1]}
@@ -130,9 +130,9 @@ def motion(duration: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def make_recording(bag: Path, duration: float) -> None:
+def make_recording(bag: Path, duration: float, seed: int = 1) -> None:
     """Simulate a recording, with its parameter file beside it."""
-    simulate_recording(parameters(), motion(duration), bag)
+    simulate_recording(parameters(), motion(duration, seed), bag)
     write_parameters(f'{bag}.yaml', parameters())
 
 

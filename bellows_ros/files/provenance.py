@@ -10,6 +10,7 @@ from typing import Any
 
 from bellows_ros import __version__
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.bag_folder import storage_files
 
 CHUNK = 2**20
 TOOLS = ('numpy', 'scipy', 'numba', 'rosbags')
@@ -31,6 +32,20 @@ def digests(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
         return [_digest(file) for file in files]
     except OSError as error:
         raise BellowsError(f"'{path}' cannot be read for its digest: {error.strerror}.") from None
+
+
+def recording_digest(path: str | os.PathLike[str]) -> str:
+    """
+    Return the SHA-256 of a recording's messages as stored, the same wherever and however it lies.
+
+    Raises
+    ------
+    BellowsError
+        If there is no such recording, or it cannot be read.
+
+    """
+    parts = [part['sha256'] for file in storage_files(path) for part in digests(file)]
+    return hashlib.sha256(' '.join(parts).encode()).hexdigest()
 
 
 def provenance(

@@ -52,6 +52,8 @@ class SummaryFile:
         Where it wants the centre of mass; None where it cannot say.
     bag : str
         The recording.
+    digest : str
+        Of its messages as stored.
     settings : mapping
         All parameters it was prepared with.
     report : mapping
@@ -64,6 +66,7 @@ class SummaryFile:
     envelope: Envelope
     centre: CentreOfMass | None
     bag: str
+    digest: str
     settings: Mapping[str, Any]
     report: Mapping[str, Any]
 
@@ -75,6 +78,7 @@ def write_summary(path: str | os.PathLike[str], content: SummaryFile) -> None:
     header = {
         'format': FORMAT,
         'bag': content.bag,
+        'digest': content.digest,
         'envelope': content.envelope.parameters(),
         'settings': content.settings,
         'report': content.report,
@@ -117,7 +121,7 @@ def read_summary(path: str | os.PathLike[str]) -> SummaryFile:
         summary, evidence = _parts(header, arrays)
         return SummaryFile(
             summary, evidence, known, _centre(header['centre']), header['bag'],
-            header['settings'], header['report'],
+            header['digest'], header['settings'], header['report'],
         )  # fmt: skip
     except OSError as error:
         raise BellowsError(f"Summary '{file}' cannot be read: {error.strerror}.") from None

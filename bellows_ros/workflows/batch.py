@@ -8,7 +8,6 @@ out.
 """
 
 import asyncio
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -41,6 +40,7 @@ from bellows_ros.core.recording.preparation import Report
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
 from bellows_ros.files.parameter_files import write_parameters
+from bellows_ros.files.provenance import recording_digest
 from bellows_ros.files.results import write_result
 from bellows_ros.files.summary_files import read_summary, SummaryFile, write_summary
 from bellows_ros.workflows.identify import (
@@ -53,7 +53,7 @@ from bellows_ros.workflows.identify import (
     rest_of,
     warnings_of,
 )
-from bellows_ros.workflows.recordings import load, names_of, values_of_each
+from bellows_ros.workflows.recordings import load, names_of, repeats, values_of_each
 from bellows_ros.workflows.result_json import (
     centre_json,
     excitation_json,
@@ -73,9 +73,10 @@ Work = tuple[int, str, dict[str, Any]]
 
 @dataclass(frozen=True, eq=False)
 class Done:
-    """A recording that was summarised: its place in the parameter `bags`, and what it tells."""
+    """A recording that was summarised: its place in `bags`, its digest, and what it tells."""
 
     number: int
+    digest: str
     summary: Summary
     evidence: Evidence
     envelope: Envelope
@@ -216,6 +217,9 @@ def _gathered(
             failed.append(replace(result, bag=bags[result.number]))
         tell(f'reading {len(bags)} recordings', count / (len(bags) + 1))
     done.sort(key=lambda item: item.number)
+    for place, sentence in reversed([*repeats((bags[d.number], d.digest) for d in done)]):
+        number = done.pop(place).number
+        failed.append(Failed(number, bags[number], sentence))
     failed.sort(key=lambda item: item.number)
     if not done:
         raise BellowsError(
@@ -262,6 +266,7 @@ def summarise_bag(number: int, bag: str, values: Mapping[str, Any]) -> Done | Fa
         length, structure = values['cup.length'], structure_named(values['fit.structure'])
         return Done(
             number,
+            recording_digest(bag),
             summarise(samples, length, structure),
             evidence_of(samples, length, structure, FilterNoise.of(recording)),
             envelope([samples], length),
@@ -436,6 +441,7 @@ def summarise_to_file(
         result.envelope,
         result.centre,
         os.fspath(bag),
+        result.digest,
         {name: value for name, value in values.items() if name not in NOT_OF_THE_CUP},
         {
             **report,
@@ -518,12 +524,8 @@ def merge(paths: Sequence[str | os.PathLike[str]]) -> Merged:
 
     """
     files = tuple(read_summary(path) for path in paths)
-    twice = [bag for bag, count in Counter(file.bag for file in files).items() if count > 1]
-    if twice:
-        raise BellowsError(
-            f"Recording '{twice[0]}' is in more than one summary and would count twice. Give each "
-            'summary once.'
-        )
+    for _, sentence in repeats((file.bag, file.digest) for file in files):
+        raise BellowsError(sentence)
     return Merged(*_told_fit(files), files)
 
 

@@ -30,10 +30,10 @@ from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.preparation import Recording, Report
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import write_parameters
-from bellows_ros.files.provenance import provenance
+from bellows_ros.files.provenance import provenance, recording_digest
 from bellows_ros.files.results import write_result
 from bellows_ros.workflows.findings import findings
-from bellows_ros.workflows.recordings import load, names_of, values_of_each
+from bellows_ros.workflows.recordings import load, names_of, repeats, values_of_each
 from bellows_ros.workflows.result_json import (
     centre_json,
     consistency_json,
@@ -327,6 +327,9 @@ def _read(
 ) -> tuple[list[Recording], list[Package]]:
     """Return the prepared recordings, and what was held in each."""
     recordings, held, bags = [], [], values['bags']
+    if len(bags) > 1:
+        for _, sentence in repeats((os.fspath(bag), recording_digest(bag)) for bag in bags):
+            raise BellowsError(sentence)
     for number, (bag, own) in enumerate(zip(bags, values_of_each(values), strict=True)):
         tell(f'reading {os.fspath(bag)}', FIT_BEGINS * number / len(bags))
         recordings.append(load(bag, own).recording)

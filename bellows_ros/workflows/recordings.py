@@ -1,6 +1,6 @@
 """Reading a recording and preparing it as its parameters say."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import os
 from pathlib import Path
@@ -54,6 +54,31 @@ def load(path: str | os.PathLike[str], values: Mapping[str, Any]) -> Loaded:
     twist = streams.get('tool_twist')
     recording = prepare(tool, package, _settings(values), twist)
     return Loaded(Path(path), tool, package, twist, recording)
+
+
+def repeats(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
+    """
+    Yield what is wrong with recordings that are there twice, under whatever names.
+
+    Parameters
+    ----------
+    recordings : iterable of (str, str)
+        Name and digest of each.
+
+    Yields
+    ------
+    (int, str)
+        Place of a recording that has been there before, and a sentence about it.
+
+    """
+    first: dict[str, str] = {}
+    for number, (name, digest) in enumerate(recordings):
+        if digest in first:
+            yield number, (
+                f"'{name}' and '{first[digest]}' are the same recording, which would count twice. "
+                'Give it once.'
+            )
+        first.setdefault(digest, name)
 
 
 def values_of_each(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -290,8 +290,41 @@ def test_summaries_of_two_kinds_are_refused(settings, tmp_path):
         summarise_to_file(bag, {**settings, 'fit.structure': structure}, file)
     with pytest.raises(BellowsError, match='axisymmetric with .* diagonal with'):
         merge(files)
-    with pytest.raises(BellowsError, match='count twice'):
-        merge([files[0], files[0]])
+
+
+@pytest.fixture
+def spelled(settings, tmp_path):
+    """Return one recording by three names: as it is, as the file in it, and as a copy."""
+    whole = Path(settings['bags'][1])
+    shutil.copytree(whole, tmp_path / 'copy')
+    return [str(whole), str(next(whole.glob('*.mcap'))), str(tmp_path / 'copy')]
+
+
+def test_a_recording_counts_once_by_whatever_name(settings, spelled, tmp_path):
+    for again in range(3):
+        two = {**settings, 'bags': [spelled[0], spelled[again]]}
+        with pytest.raises(BellowsError, match=f"'{spelled[again]}' and .* would count twice"):
+            identify(two)
+        files = [tmp_path / 'a.npz', tmp_path / 'b.npz']
+        for file, bag in zip(files, two['bags'], strict=True):
+            summarise_to_file(bag, settings, file)
+        with pytest.raises(BellowsError, match=f"'{spelled[again]}' and .* would count twice"):
+            merge(files)
+    bags = [spelled[0], settings['bags'][0], *spelled[1:]]
+    result = identify_many({**settings, 'bags': bags}, 1)
+    assert [failed.bag for failed in result.failed] == spelled[1:]
+    assert list(result.values['bags']) == bags[:2]
+
+
+def test_two_recordings_of_one_name_are_two(settings, one_fit, tmp_path, monkeypatch):
+    files = []
+    for number, bag in enumerate(settings['bags']):
+        folder = tmp_path / str(number)
+        shutil.copytree(bag, folder / 'bag')
+        monkeypatch.chdir(folder)
+        files.append(folder / 'summary.npz')
+        summarise_to_file('bag', settings, files[-1])
+    assert_same(merge(files).fit, one_fit('axisymmetric'))
 
 
 @pytest.mark.parametrize('damage', ['text', 'empty', 'cut', 'missing', 'flipped'])
