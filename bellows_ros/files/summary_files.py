@@ -32,7 +32,7 @@ LARGEST_HEADER = 64 * 2**20
 
 _MOMENTS = ('wrench', 'strain', 'twist', 'strain_noise', 'twist_noise')
 _ARRAYS = (
-    'triangles', 'samples', 'starts', 'rows', 'added', 'bands_hz', 'means', 'scatters', 'header')
+    'triangles', 'samples', 'starts', 'rows', 'added', 'bands_hz', 'means', 'scatters')
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +111,7 @@ def read_summary(path: str | os.PathLike[str]) -> SummaryFile:
     """
     file = Path(path)
     try:
-        arrays = _arrays(file)
-        header = json.loads(arrays['header'].tobytes())
-        if header['format'] != FORMAT:
-            raise ValueError(f"its format is '{header['format']:.40}', not '{FORMAT}'")
+        header, arrays = _content(file)
         known = known_envelope(header['envelope'])
         if known is None:
             raise ValueError('it has no envelope')
@@ -132,14 +129,17 @@ def read_summary(path: str | os.PathLike[str]) -> SummaryFile:
         ) from None
 
 
-def _arrays(file: Path) -> dict[str, Any]:
-    """Return the arrays of a file, after a look at how large they say they are."""
+def _content(file: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return header and arrays of a file, after a look at how large they say they are."""
     with zipfile.ZipFile(file) as archive:
         sizes = {item.filename: item.file_size for item in archive.infolist()}
     if sum(sizes.values()) > LARGEST_FILE or sizes['header.npy'] > LARGEST_HEADER:
         raise ValueError(f'it is larger than {LARGEST_FILE} bytes')
     with np.load(file, allow_pickle=False) as archive:
-        return {name: archive[name] for name in _ARRAYS}
+        header = json.loads(archive['header'].tobytes())
+        if header['format'] != FORMAT:
+            raise ValueError(f"its format is '{header['format']:.40}', not '{FORMAT}'")
+        return header, {name: archive[name] for name in _ARRAYS}
 
 
 def _parts(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> tuple[Summary, Evidence]:

@@ -292,6 +292,13 @@ def test_summaries_of_two_kinds_are_refused(settings, tmp_path):
         merge(files)
 
 
+def test_a_summary_of_another_version_is_said(tmp_path):
+    header = np.frombuffer(b'{"format": "bellows_ros summary 1"}', np.uint8)
+    np.savez(tmp_path / 'old.npz', header=header)
+    with pytest.raises(BellowsError, match="its format is 'bellows_ros summary 1', not '"):
+        read_summary(tmp_path / 'old.npz')
+
+
 @pytest.fixture
 def spelled(settings, tmp_path):
     """Return one recording by three names: as it is, as the file in it, and as a copy."""
