@@ -16,7 +16,11 @@ from typing import Any
 import zipfile
 
 from bellows_ros.core.identification.advice.evidence import DRAWS, Evidence
-from bellows_ros.core.identification.advice.package_check import CentreOfMass
+from bellows_ros.core.identification.advice.package_check import (
+    CentreOfMass,
+    Checked,
+    CupLength,
+)
 from bellows_ros.core.identification.envelope import Envelope, known_envelope
 from bellows_ros.core.identification.regression.moments import Moments
 from bellows_ros.core.identification.regression.summaries import couples, Summary
@@ -48,8 +52,8 @@ class SummaryFile:
         What the recording tells.
     envelope : Envelope
         What it has seen of the cup.
-    centre : CentreOfMass or None
-        Where it wants the centre of mass; None where it cannot say.
+    checked : Checked
+        What it says of the cup's length and of the centre of mass.
     bag : str
         The recording.
     digest : str
@@ -64,7 +68,7 @@ class SummaryFile:
     summary: Summary
     evidence: Evidence
     envelope: Envelope
-    centre: CentreOfMass | None
+    checked: Checked
     bag: str
     digest: str
     settings: Mapping[str, Any]
@@ -87,7 +91,8 @@ def write_summary(path: str | os.PathLike[str], content: SummaryFile) -> None:
         'used': summary.used,
         'rejected': summary.rejected,
         'counts': [part.count for part in moments],
-        'centre': content.centre and asdict(content.centre),
+        'centre': content.checked.centre and asdict(content.checked.centre),
+        'length': content.checked.length and asdict(content.checked.length),
     }
     packed = io.BytesIO()
     np.savez_compressed(
@@ -117,7 +122,8 @@ def read_summary(path: str | os.PathLike[str]) -> SummaryFile:
             raise ValueError('it has no envelope')
         summary, evidence = _parts(header, arrays)
         return SummaryFile(
-            summary, evidence, known, _centre(header['centre']), header['bag'],
+            summary, evidence, known,
+            Checked(_length(header['length']), _centre(header['centre'])), header['bag'],
             header['digest'], header['settings'], header['report'],
         )  # fmt: skip
     except OSError as error:
@@ -190,7 +196,19 @@ def _centre(values: Mapping[str, Any] | None) -> CentreOfMass | None:
     if values is None:
         return None
     shift, error, noise = (
-        np.array([np.inf if value is None else float(value) for value in values[name]])
+        np.array([_finite_or_not(value) for value in values[name]])
         for name in ('shift', 'shift_std', 'noise_shift')
     )
     return CentreOfMass(shift, error, noise, float(values['residual']))
+
+
+def _length(values: Mapping[str, Any] | None) -> CupLength | None:
+    """Return by how much a recording wants the cup longer; what is null there is infinite."""
+    if values is None:
+        return None
+    return CupLength(**{name: _finite_or_not(value) for name, value in values.items()})
+
+
+def _finite_or_not(value: float | None) -> float:
+    """Return a number; what is null stands for infinity."""
+    return np.inf if value is None else float(value)

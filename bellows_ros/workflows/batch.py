@@ -20,7 +20,7 @@ from bellows_ros import __version__
 from bellows_ros.core.identification.advice.added_noise import FilterNoise
 from bellows_ros.core.identification.advice.evidence import Evidence, evidence_of
 from bellows_ros.core.identification.advice.excitation import Excitation, excitation_of
-from bellows_ros.core.identification.advice.package_check import CentreOfMass
+from bellows_ros.core.identification.advice.package_check import Checked
 from bellows_ros.core.identification.envelope import Envelope
 from bellows_ros.core.identification.judgement.consistency import Consistency, same_cup
 from bellows_ros.core.identification.methods import filtered_samples
@@ -45,7 +45,7 @@ from bellows_ros.files.results import write_result
 from bellows_ros.files.summary_files import read_summary, SummaryFile, write_summary
 from bellows_ros.workflows.identify import (
     assumed,
-    centre_of_mass,
+    checked,
     errors_of,
     Identification,
     NOT_OF_THE_CUP,
@@ -55,7 +55,7 @@ from bellows_ros.workflows.identify import (
 )
 from bellows_ros.workflows.recordings import load, names_of, repeats, values_of_each
 from bellows_ros.workflows.result_json import (
-    centre_json,
+    checked_json,
     excitation_json,
     fit_json,
     recording_json,
@@ -80,7 +80,7 @@ class Done:
     summary: Summary
     evidence: Evidence
     envelope: Envelope
-    centre: CentreOfMass | None
+    checked: Checked
     report: Report
 
 
@@ -195,7 +195,7 @@ def identify_many(
         excitation=excitation,
         at_rest=at_rest,
         assumed=assumed(settings),
-        centres=tuple(item.centre for item in done),
+        checks=tuple(item.checked for item in done),
         kept=tuple(item.report for item in done),
         failed=tuple(failed),
         envelopes=tuple(item.envelope for item in done),
@@ -270,7 +270,7 @@ def summarise_bag(number: int, bag: str, values: Mapping[str, Any]) -> Done | Fa
             summarise(samples, length, structure),
             evidence_of(samples, length, structure, FilterNoise.of(recording)),
             envelope([samples], length),
-            centre_of_mass(samples, values, recording),
+            checked(samples, values, recording),
             recording.report,
         )
     except BellowsError as error:
@@ -439,14 +439,14 @@ def summarise_to_file(
         result.summary,
         result.evidence,
         result.envelope,
-        result.centre,
+        result.checked,
         os.fspath(bag),
         result.digest,
         {name: value for name, value in values.items() if name not in NOT_OF_THE_CUP},
         {
             **report,
             'warnings': [*assumed(settings), *report['warnings']],
-            'centre_of_mass': result.centre and centre_json(result.centre),
+            **checked_json(result.checked),
         },
     )
     write_summary(out, content)
@@ -482,8 +482,8 @@ class Merged:
     def warnings(self) -> tuple[str, ...]:
         """What the user must know: of the fit, then of the recordings."""
         of_bags = (f"'{f.bag}': {w}" for f in self.files for w in f.report.get('warnings', ()))
-        centres = [file.centre for file in self.files]
-        return (*warnings_of(self.fit, self.bags, (), centres, self.excitation), *of_bags)
+        checks = [file.checked for file in self.files]
+        return (*warnings_of(self.fit, self.bags, checks, self.excitation), *of_bags)
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters of the cup file; a package only if it is that of all."""

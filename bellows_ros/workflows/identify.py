@@ -11,10 +11,9 @@ from bellows_ros.core.identification.advice.added_noise import FilterNoise
 from bellows_ros.core.identification.advice.excitation import describe_excitation, Excitation
 from bellows_ros.core.identification.advice.ladder import Ladder, structure_ladder
 from bellows_ros.core.identification.advice.package_check import (
-    CentreOfMass,
     check_centre_of_mass,
     check_length,
-    CupLength,
+    Checked,
 )
 from bellows_ros.core.identification.envelope import Envelope
 from bellows_ros.core.identification.judgement.consistency import Consistency, same_cup
@@ -35,12 +34,11 @@ from bellows_ros.files.results import write_result
 from bellows_ros.workflows.findings import findings
 from bellows_ros.workflows.recordings import load, names_of, repeats, values_of_each
 from bellows_ros.workflows.result_json import (
-    centre_json,
+    checked_json,
     consistency_json,
     excitation_json,
     fit_json,
     ladder_json,
-    length_json,
     measured_json,
     package_json,
     recording_json,
@@ -91,10 +89,8 @@ class Identification:
         The structures of K and P compared, where that was asked for.
     validations : tuple of Validated
         Recordings that the fit has not seen, simulated with its cup.
-    centres : tuple of (CentreOfMass or None)
-        Where each recording wants the centre of mass; None where it cannot say.
-    lengths : tuple of (CupLength or None)
-        By how much each recording wants the cup longer; None where it cannot say.
+    checks : tuple of Checked
+        What each recording says of the cup's length and of the centre of mass.
     assumed : tuple of str
         What was not given and taken from the thesis, in sentences.
 
@@ -110,8 +106,7 @@ class Identification:
     at_rest: AtRest | None = None
     ladder: Ladder | None = None
     validations: tuple[Validated, ...] = ()
-    centres: tuple[CentreOfMass | None, ...] = ()
-    lengths: tuple[CupLength | None, ...] = ()
+    checks: tuple[Checked, ...] = ()
     assumed: tuple[str, ...] = ()
 
     @property
@@ -167,8 +162,7 @@ class Identification:
         resting = self.at_rest.warnings(self.values['cup.length']) if self.at_rest else ()
         of_recordings = tuple(w for report in self.reports for w in report.warnings)
         unseen = (f'{v.bag}: {warning}' for v in self.validations for warning in v.warnings)
-        of_fit = warnings_of(
-            self.fit, self.values['bags'], self.lengths, self.centres, self.excitation)
+        of_fit = warnings_of(self.fit, self.values['bags'], self.checks, self.excitation)
         return (*self.assumed, *of_fit, *verdict, *resting, *of_recordings, *unseen)
 
     def as_json(self) -> dict[str, Any]:
@@ -200,20 +194,21 @@ class Identification:
         ]  # fmt: skip
         for entry, recording in zip(found, self.recordings, strict=False):
             entry.update(measured_json(recording))
-        for entry, centre in zip(found, self.centres, strict=False):
-            entry['centre_of_mass'] = centre and centre_json(centre)
-        for entry, length in zip(found, self.lengths, strict=False):
-            entry['cup_length'] = length and length_json(length)
+        for entry, checked in zip(found, self.checks, strict=False):
+            entry.update(checked_json(checked))
         return found
 
 
 def warnings_of(
-    fit: Fit, bags: Sequence[str | os.PathLike[str]], lengths: Sequence[CupLength | None],
-    centres: Sequence[CentreOfMass | None], excitation: Excitation | None,
+    fit: Fit, bags: Sequence[str | os.PathLike[str]], checks: Sequence[Checked],
+    excitation: Excitation | None,
 ) -> tuple[str, ...]:
     """Return what is to be said of a fit, of what was given, and of what recordings tell."""
-    checks = [*zip(bags, lengths, strict=False), *zip(bags, centres, strict=False)]
-    wrong = (text for bag, check in checks if check for text in check.warning(os.fspath(bag)))
+    along = excitation is not None and 'P z' not in excitation.untold
+    wrong = (
+        text for bag, checked in zip(bags, checks, strict=False)
+        for text in checked.warnings(os.fspath(bag), along)
+    )  # fmt: skip
     return (*fit.warnings, *wrong, *(excitation.warnings if excitation else ()))
 
 
@@ -262,8 +257,8 @@ def identify(
     result = Identification(
         fit, values, tuple(recordings), tuple(held), tuple(parameter_files),
         _consistency(recordings, held, values, tell), excitation, at_rest,
-        _ladder(recordings, held, values, tell), centres=_centres(recordings, held, values),
-        lengths=_lengths(recordings, held, values, excitation), assumed=assumed(settings),
+        _ladder(recordings, held, values, tell), checks=_checks(recordings, held, values),
+        assumed=assumed(settings),
     )  # fmt: skip
     result = replace(result, validations=tuple(_validated(result, tell)))
     tell('done', 1.0)
@@ -380,41 +375,24 @@ def _of(name: str, tell: Progress) -> Progress:
     return lambda what, part: tell(f'{name} alone, {what}', FIT_ENDS)
 
 
-def _centres(
+def _checks(
     recordings: Sequence[Recording], held: Sequence[Package], values: Mapping[str, Any]
-) -> tuple[CentreOfMass | None, ...]:
-    """Return where each recording wants the centre of mass of its package."""
+) -> tuple[Checked, ...]:
+    """Return what each recording says of the values that were given."""
     return tuple(
-        centre_of_mass(filtered_samples(recording, package, values), values, recording)
+        checked(filtered_samples(recording, package, values), values, recording)
         for recording, package in zip(recordings, held, strict=True)
     )
 
 
-def centre_of_mass(
-    samples: Samples, values: Mapping[str, Any], recording: Recording
-) -> CentreOfMass | None:
-    """Return where a recording wants the centre of mass of its package; None if it cannot say."""
-    return check_centre_of_mass(
-        samples, values['cup.length'], structure_named(values['fit.structure']),
-        values['recording.package_frame'] == 'lip', FilterNoise.of(recording),
-    )  # fmt: skip
-
-
-def _lengths(
-    recordings: Sequence[Recording], held: Sequence[Package], values: Mapping[str, Any],
-    excitation: Excitation,
-) -> tuple[CupLength | None, ...]:
-    """Return by how much each recording wants the cup longer, if they move it along its axis."""
-    if any(told.label == 'P z' and told.untold for told in excitation.parameters):
-        return (None,) * len(recordings)
-    structure = structure_named(values['fit.structure'])
-    return tuple(
-        check_length(
-            filtered_samples(recording, package, values), values['cup.length'], structure,
-            FilterNoise.of(recording),
-        )
-        for recording, package in zip(recordings, held, strict=True)
-    )  # fmt: skip
+def checked(samples: Samples, values: Mapping[str, Any], recording: Recording) -> Checked:
+    """Return what a recording says of the cup's length and of the centre of mass."""
+    noise, structure = FilterNoise.of(recording), structure_named(values['fit.structure'])
+    lip = values['recording.package_frame'] == 'lip'
+    return Checked(
+        check_length(samples, values['cup.length'], structure, noise),
+        check_centre_of_mass(samples, values['cup.length'], structure, lip, noise),
+    )
 
 
 def _ladder(

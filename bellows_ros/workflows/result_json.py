@@ -5,7 +5,7 @@ from typing import Any
 from bellows_ros.core.identification.advice.added_noise import FilterNoise
 from bellows_ros.core.identification.advice.excitation import Axis, Excitation
 from bellows_ros.core.identification.advice.ladder import Ladder, Rung
-from bellows_ros.core.identification.advice.package_check import CentreOfMass, CupLength
+from bellows_ros.core.identification.advice.package_check import CentreOfMass, Checked, CupLength
 from bellows_ros.core.identification.judgement.consistency import Consistency
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model import Package
@@ -112,6 +112,14 @@ def recording_json(bag: str, report: Report) -> dict[str, Any]:
 def package_json(package: Package) -> dict[str, Any]:
     """Return what a recording held: kg, kg m^2, m."""
     return {'mass': package.mass, 'inertia': package.inertia, 'com': package.com}
+
+
+def checked_json(checked: Checked) -> dict[str, Any]:
+    """Return what a recording says of the values that were given, null where it cannot."""
+    return {
+        'cup_length': checked.length and length_json(checked.length),
+        'centre_of_mass': checked.centre and centre_json(checked.centre),
+    }
 
 
 def centre_json(centre: CentreOfMass) -> dict[str, Any]:

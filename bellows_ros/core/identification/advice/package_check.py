@@ -11,6 +11,7 @@ weight stretches it by something else then than its stiffness says.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from bellows_ros.core.identification.advice.added_noise import FilterNoise, SEED, with_noise
 from bellows_ros.core.identification.noise import Noise
@@ -129,6 +130,18 @@ class CupLength:
             "package's weight stretches the cup, and K z hangs on it. Measure it under vacuum, or "
             "find it with 'bellows static'; a wrong package.com along z looks the same.",
         )
+
+
+class Checked(NamedTuple):
+    """What a recording says of values that were given; None where it cannot say."""
+
+    length: CupLength | None
+    centre: CentreOfMass | None
+
+    def warnings(self, name: str, along: bool) -> tuple[str, ...]:
+        """Return what is to be said; of the length only if motion along the cup is told."""
+        found = [self.length if along else None, self.centre]
+        return tuple(text for check in found if check for text in check.warning(name))
 
 
 def check_length(

@@ -22,8 +22,12 @@ Array = NDArray[np.float64]
 FOLLOWED = 0.013
 """A filter follows while it takes less than this part of a velocity: up to 6 Hz, if automatic."""
 
-LOST = 0.03
-"""A direction is too fast if the filter takes more than this part of its velocities."""
+LOST, STANDS_OUT = 0.03, 5.0
+"""
+A direction is too fast if the filter takes more than this part of its velocities.
+
+Velocities count as so many times the power of the noise at least, which is known to some percent.
+"""
 
 RESOLUTION = 0.05
 """Step (Hz) in which the end of a pass band is looked for."""
@@ -77,9 +81,10 @@ def too_fast(
         lost += twist.frequency[1] * (1.0 - part) @ twist.density / len(twists)
     variance = np.array([axis.twist_noise for axis in axes]) ** 2
     moving, lost = power - variance, lost - of_noise * variance
+    least = LOST * np.maximum(moving, STANDS_OUT * variance)
     ends = [pass_band(n.package_weights, r) for n, r in zip(noises, rates_hz, strict=True)]
     first = int(np.argmin(ends))
-    for axis, is_lost in zip(axes, lost > LOST * np.maximum(moving, variance), strict=True):
+    for axis, is_lost in zip(axes, lost > least, strict=True):
         if is_lost:
             yield _sentence(axis, ends[first], noises[first])
 
