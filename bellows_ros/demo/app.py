@@ -194,7 +194,8 @@ def _compare(recorded: Loaded, exchange: 'Exchange') -> Comparison:
         raise BellowsError('The predictor has not answered. See its log, predictor.log.')
     stamps, first = np.unique(exchange.stamps_ns, return_index=True)
     live = Trajectory(stamps, exchange.position[first], exchange.rotation[first])
-    compared = compare(live, recorded.recording)
+    recording = recorded.recording
+    compared = compare(live, recording.measured_tool, recording.measured_package)
     return Comparison(
         seconds=recorded.recording.since_start(compared.stamps_ns),
         measured=compared.measured,

@@ -1,9 +1,8 @@
 """Send a recording through the live predictor's code at full speed, and score it."""
 
+from array import array
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
-import gc
 import os
 import time
 from typing import Any
@@ -17,7 +16,8 @@ from bellows_ros.core.recording.alignment import in_world, R_WORLD_MOTIVE
 from bellows_ros.core.recording.preparation import Recording
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.score import AXES, relative_coordinates, score, Scores
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory, TwistStream
+from bellows_ros.core.trajectory import Mask, NS_PER_S, Stamps, Trajectory, TwistStream
+from bellows_ros.core.tuples import Vector
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import load, Loaded
 import numpy as np
@@ -25,10 +25,44 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
-Message = tuple[int, bool, Any]
-"""Stamp (ns), whether it is a twist, and its two parts as tuples."""
 
 REPORT_EVERY = 2000
+AT_ONCE = 2000
+"""So many messages are Python objects at a time: the garbage collector looks through them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Messages:
+    """
+    Poses and twists of the tool in the order of their stamps.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray (N,)
+    is_twist : bool ndarray (N,)
+    numbers : ndarray (N, 7)
+        Position (m) and quaternion (x, y, z, w); of a twist the linear and the angular velocity
+        (m/s, rad/s), and a zero.
+
+    """
+
+    stamps_ns: Stamps
+    is_twist: Mask
+    numbers: Array
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self.stamps_ns)
+
+    def __iter__(self) -> Iterator[tuple[int, bool, Vector, Any]]:
+        """Yield stamp (ns), whether it is a twist, and its two parts as tuples."""
+        for start in range(0, len(self), AT_ONCE):
+            part = slice(start, start + AT_ONCE)
+            for stamp_ns, is_twist, (a, b, c, d, e, f, g) in zip(
+                self.stamps_ns[part].tolist(), self.is_twist[part].tolist(),
+                self.numbers[part].tolist(), strict=True,
+            ):  # fmt: skip
+                yield stamp_ns, is_twist, (a, b, c), (d, e, f) if is_twist else (d, e, f, g)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,109 +154,86 @@ def replay(
     tell = progress or (lambda what, part: None)
     tell(f'reading {os.fspath(bag)}', 0.0)
     loaded = load(bag, values)
+    messages, left_out = tool_messages(loaded, values), _left_out(loaded)
+    measured = loaded.recording.measured_tool, loaded.recording.measured_package
+    del loaded  # with all that was filtered: a seventh of the peak of memory
     model = (cup_of(values), package_of(values), values['gravity'], values['tool_twist.frame'])
     warm_up(*model)
     live = LivePredictor(*model)
-    live.expect_twists = loaded.tool_twist is not None
-    messages = list(tool_messages(loaded, values))
+    live.expect_twists = bool(messages.is_twist.any())
     began = time.perf_counter()
-    predictions = _run(live, messages, tell)
+    predicted = _run(live, messages, tell)
     elapsed = time.perf_counter() - began
-    comparison = compare(predicted_trajectory(predictions), loaded.recording)
-    span = (messages[-1][0] - messages[0][0]) / NS_PER_S if messages else 0.0
+    comparison = compare(predicted, *measured)
     return Replay(
         **vars(comparison),
-        counts=_counts(live, loaded),
-        real_time_factor=span / elapsed,
+        counts=_counts(live, left_out),
+        real_time_factor=float(np.ptp(messages.stamps_ns)) / NS_PER_S / elapsed,
         bag=os.fspath(bag),
     )
 
 
-def tool_messages(loaded: Loaded, values: Mapping[str, Any]) -> Iterator[Message]:
-    """Yield the tool's poses and twists in the order of their stamps, in frames of the model."""
+def tool_messages(loaded: Loaded, values: Mapping[str, Any]) -> Messages:
+    """Return the tool's poses and twists in the order of their stamps, in frames of the model."""
     recorded = in_world(loaded.tool_pose.trajectory(), values['recording.world'])
     poses = loaded.recording.alignment.tool(recorded)
-    q = rotation_to_quaternion(poses.rotation)
-    kept = np.flatnonzero(loaded.recording.report.tool.outliers.good)
-    items: list[Message] = [
-        (stamp, False, (tuple(o), tuple(quaternion)))
-        for stamp, o, quaternion in zip(
-            poses.stamps_ns[kept].tolist(), poses.position[kept].tolist(), q[kept].tolist(),
-            strict=True,
-        )
-    ]  # fmt: skip
+    good = loaded.recording.report.tool.outliers.good
+    stamps = [poses.stamps_ns[good]]
+    numbers = [np.hstack([poses.position, rotation_to_quaternion(poses.rotation)])[good]]
     if loaded.tool_twist is not None:
-        items += _twist_messages(loaded.tool_twist, loaded.recording, values)
-        items.sort(key=lambda item: item[0])
-    yield from items
+        stamps.append(loaded.tool_twist.stamps_ns)
+        numbers.append(_twist_numbers(loaded.tool_twist, loaded.recording, values))
+    joined = np.concatenate(stamps)
+    order = np.argsort(joined, kind='stable')  # a pose comes before the twist of its stamp
+    return Messages(joined[order], order >= len(stamps[0]), np.concatenate(numbers)[order])
 
 
-def _twist_messages(
+def _twist_numbers(
     twists: TwistStream, recording: Recording, values: Mapping[str, Any]
-) -> list[Message]:
-    """Return the recorded twists, in the axes that tool_twist.frame names."""
+) -> Array:
+    """Return the recorded twists, in the axes that tool_twist.frame names, as in `Messages`."""
     turn = np.eye(3)
     if values['tool_twist.frame'] == 'tool':
         turn = recording.alignment.R_tool_markers_tool.T
     elif values['recording.world'] == 'motive_y_up':
         turn = R_WORLD_MOTIVE
     linear, angular = (apply(turn, part) for part in (twists.linear, twists.angular))
-    return [
-        (stamp, True, (tuple(v), tuple(w)))
-        for stamp, v, w in zip(
-            twists.stamps_ns.tolist(), linear.tolist(), angular.tolist(), strict=True
-        )
-    ]
+    return np.hstack([linear, angular, np.zeros((len(linear), 1))])
 
 
-def _run(live: LivePredictor, messages: list[Message], tell: Progress) -> list[Prediction]:
-    """Return the predictions for messages in order."""
-    predictions: list[Prediction] = []
-    with _without_collector():
-        for number, (stamp, is_twist, (first, second)) in enumerate(messages):
-            if number % REPORT_EVERY == 0:
-                tell('predicting', number / len(messages))
-            if is_twist:
-                predictions += live.on_twist(stamp, first, second)
-            else:
-                predictions += live.on_pose(stamp, 'world', first, second)
-    predictions += live.flush()
+def _run(live: LivePredictor, messages: Messages, tell: Progress) -> Trajectory:
+    """Return the predictions for messages in order: B in the world with body twists."""
+    stamps, numbers = array('q'), array('d')
+
+    def keep(predictions: list[Prediction]) -> None:
+        for stamp_ns, position, quaternion_xyzw, linear, angular, *_ in predictions:
+            stamps.append(stamp_ns)
+            numbers.extend((*position, *quaternion_xyzw, *linear, *angular))
+
+    for number, (stamp_ns, is_twist, first, second) in enumerate(messages):
+        if number % REPORT_EVERY == 0:
+            tell('predicting', number / len(messages))
+        if is_twist:
+            keep(live.on_twist(stamp_ns, first, second))
+        else:
+            keep(live.on_pose(stamp_ns, 'world', first, second))
+    keep(live.flush())
     tell('done', 1.0)
-    return predictions
+    return predicted_trajectory(np.array(stamps), np.array(numbers).reshape(-1, 13))
 
 
-@contextmanager
-def _without_collector() -> Iterator[None]:
-    """
-    Keep the garbage collector from looking through all predictions again and again.
-
-    None of them is garbage, and it took a fifth of the time of a long replay.
-    """
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
-
-
-def predicted_trajectory(predictions: list[Prediction]) -> Trajectory:
-    """Return predictions as a trajectory of B in the world with body twists."""
-    if len(predictions) < 2:
+def predicted_trajectory(stamps_ns: Stamps, rows: Array) -> Trajectory:
+    """Return predictions, rows (N, 13), as a trajectory of B in the world with body twists."""
+    if len(rows) < 2:
         raise BellowsError(
-            f'The predictor made {len(predictions)} predictions, which is too few to compare. '
+            f'The predictor made {len(rows)} predictions, which is too few to compare. '
             'Check the recording, and whether the cup can carry the package.'
         )
-    return Trajectory(
-        np.array([p.stamp_ns for p in predictions]),
-        np.array([p.position for p in predictions]),
-        quaternion_to_rotation(np.array([p.quaternion_xyzw for p in predictions])),
-        np.array([[*p.linear, *p.angular] for p in predictions]),
-    )
+    rotation = quaternion_to_rotation(rows[:, 3:7])
+    return Trajectory(stamps_ns, rows[:, :3], rotation, rows[:, 7:])
 
 
-def compare(predicted: Trajectory, recording: Recording) -> Comparison:
+def compare(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Comparison:
     """
     Compare a prediction with what a recording has measured, at the recording's own stamps.
 
@@ -230,30 +241,37 @@ def compare(predicted: Trajectory, recording: Recording) -> Comparison:
     ----------
     predicted : Trajectory
         Poses of B in the world with body twists.
-    recording : Recording
-        With the poses of tool and package, aligned but not filtered.
+    tool, package : Trajectory
+        Measured poses of E and B at common stamps, aligned but not filtered.
 
     """
-    stamps = recording.measured_package.stamps_ns
+    stamps = package.stamps_ns
     inside = (stamps >= predicted.stamps_ns[0]) & (stamps <= predicted.stamps_ns[-1])
-    usable = inside & recording.measured_package.valid & recording.measured_tool.valid
-    tool = recording.measured_tool.select(usable)
+    usable = inside & package.valid & tool.valid
+    tool_there = tool.select(usable)
     at_stamps = resample(predicted, stamps[usable])
-    measured = relative_coordinates(tool, recording.measured_package.select(usable))
-    coordinates = relative_coordinates(tool, at_stamps)
+    measured = relative_coordinates(tool_there, package.select(usable))
+    coordinates = relative_coordinates(tool_there, at_stamps)
     return Comparison(stamps[usable], measured, coordinates, score(measured, coordinates))
 
 
-def _counts(live: LivePredictor, loaded: Loaded) -> dict[str, int]:
+def _left_out(loaded: Loaded) -> dict[str, int]:
+    """Return the tool poses that the predictor does not get, by reason."""
+    return {
+        'tool poses left out as outliers': loaded.recording.report.tool.marked,
+        **{f'tool poses refused: {r}': len(w) for r, w in loaded.tool_pose.refused.items()},
+    }
+
+
+def _counts(live: LivePredictor, left_out: Mapping[str, int]) -> dict[str, int]:
     """Return messages in, predictions out, and what was left out on the way, where any was."""
     counts = {
         'poses': live.poses_in, 'twists': live.twists_in, 'predictions': live.predictions,
         'twists estimated': live.twists_estimated,
     }  # fmt: skip
-    left_out = {
-        'tool poses left out as outliers': loaded.recording.report.tool.marked,
-        **{f'tool poses refused: {r}': len(w) for r, w in loaded.tool_pose.refused.items()},
+    on_the_way = {
+        **left_out,
         **{f'predictor refused: {reason}': n for reason, n in live.refused.items()},
         **{f'predictor restarted: {reason}': n for reason, n in live.restarts.items()},
     }
-    return counts | {name: count for name, count in left_out.items() if count}
+    return counts | {name: count for name, count in on_the_way.items() if count}

@@ -2,12 +2,18 @@
 
 import json
 
+from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.model import cup_of, package_of
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import write_json
-from bellows_ros.workflows.replay import replay
+from bellows_ros.workflows.recordings import load
+from bellows_ros.workflows.replay import compare, replay
 import numpy as np
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from .test_identify import CLEAN, LAB
@@ -49,6 +55,33 @@ def test_shipped_validation_with_the_true_cup(shipped):
     # what is left is the noise of the measured poses, 0.1 mm and 0.5 mrad, and the tool's in it
     assert np.all(result.scores.rms[:3] < 0.2e-3)
     assert np.all(result.scores.rms[3:] < 1.5e-3)
+
+
+def test_predictions_are_those_of_the_predictor_message_by_message(shipped, root):
+    result, values = shipped
+    loaded = load(root / 'bags/validation', resolve(values, PACKAGE_PARAMETERS))
+    live = LivePredictor(cup_of(values), package_of(values), 9.81)
+    live.expect_twists = True
+    tool, twist = loaded.tool_pose, loaded.tool_twist
+    q = rotation_to_quaternion(tool.rotation).tolist()
+    good = loaded.recording.report.tool.outliers.good
+    messages = [(int(tool.stamps_ns[k]), 0, k) for k in np.flatnonzero(good)]
+    messages += [(int(stamp), 1, k) for k, stamp in enumerate(twist.stamps_ns)]
+    predictions = []
+    for stamp, is_twist, k in sorted(messages):
+        predictions += (
+            live.on_twist(stamp, tuple(twist.linear[k].tolist()), tuple(twist.angular[k].tolist()))
+            if is_twist else
+            live.on_pose(stamp, 'world', tuple(tool.position[k].tolist()), tuple(q[k])))
+    predictions += live.flush()
+    predicted = Trajectory(
+        np.array([p.stamp_ns for p in predictions]), np.array([p.position for p in predictions]),
+        quaternion_to_rotation(np.array([p.quaternion_xyzw for p in predictions])),
+        np.array([[*p.linear, *p.angular] for p in predictions]))
+    again = compare(
+        predicted, loaded.recording.measured_tool, loaded.recording.measured_package)
+    assert_array_equal(result.predicted, again.predicted)
+    assert_array_equal(result.stamps_ns, again.stamps_ns)
 
 
 def test_tool_at_another_rate_than_the_package(shipped):
