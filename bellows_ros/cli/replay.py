@@ -71,6 +71,11 @@ def _say(result: 'Replay', arguments: argparse.Namespace, console: Console) -> N
     console.say()
     for line in count_lines(result.counts):
         console.paragraph(line)
-    console.say(f'{result.real_time_factor:.0f} times faster than real time.')
+    took = result.took
+    console.paragraph(
+        f'Predicting took {took["predicting"]:.2f} s, {result.real_time_factor:.0f} times '
+        f'faster than real time; reading and preparing took {took["preparing"]:.2f} s, '
+        f'comparing {took["comparing"]:.2f} s.'
+    )
     if arguments.json not in ('', STDOUT):
         console.say(f'Wrote {arguments.json}.')

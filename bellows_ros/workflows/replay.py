@@ -97,7 +97,9 @@ class Replay(Comparison):
     counts : mapping of str to int
         Messages in, predictions out, and all that was left out or restarted.
     real_time_factor : float
-        Seconds of recording per second of prediction.
+        Seconds of recording per second of predicting, which is all that a live node does.
+    took : mapping of str to float
+        Wall time (s) of 'preparing' (reading, cleaning, compiled code), 'predicting', 'comparing'.
     bag : str
         The recording.
 
@@ -105,6 +107,7 @@ class Replay(Comparison):
 
     counts: Mapping[str, int]
     real_time_factor: float
+    took: Mapping[str, float]
     bag: str
 
     def as_json(self) -> dict[str, Any]:
@@ -121,6 +124,7 @@ class Replay(Comparison):
             'samples': scores.samples,
             'counts': dict(self.counts),
             'real_time_factor': self.real_time_factor,
+            'seconds': dict(self.took),
             'version': __version__,
         }
 
@@ -152,6 +156,7 @@ def replay(
     """
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     tell = progress or (lambda what, part: None)
+    times = [time.perf_counter()]
     tell(f'reading {os.fspath(bag)}', 0.0)
     loaded = load(bag, values)
     messages, left_out = tool_messages(loaded, values), _left_out(loaded)
@@ -161,14 +166,17 @@ def replay(
     warm_up(*model)
     live = LivePredictor(*model)
     live.expect_twists = bool(messages.is_twist.any())
-    began = time.perf_counter()
+    times.append(time.perf_counter())
     predicted = _run(live, messages, tell)
-    elapsed = time.perf_counter() - began
+    times.append(time.perf_counter())
     comparison = compare(predicted, *measured)
+    times.append(time.perf_counter())
+    preparing, predicting, comparing = np.diff(times).tolist()
     return Replay(
         **vars(comparison),
         counts=_counts(live, left_out),
-        real_time_factor=float(np.ptp(messages.stamps_ns)) / NS_PER_S / elapsed,
+        real_time_factor=float(np.ptp(messages.stamps_ns)) / NS_PER_S / predicting,
+        took={'preparing': preparing, 'predicting': predicting, 'comparing': comparing},
         bag=os.fspath(bag),
     )
 

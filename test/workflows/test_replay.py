@@ -104,6 +104,9 @@ def test_json_holds_the_scores(shipped, tmp_path):
     assert_allclose(written['rms'], result.scores.rms)
     assert_allclose(written['nrmse'], result.scores.nrmse)
     assert_allclose(written['largest'], result.scores.largest)
+    assert set(written['seconds']) == {'preparing', 'predicting', 'comparing'}
+    recorded = 1e-9 * float(np.ptp(result.stamps_ns))
+    assert written['real_time_factor'] * written['seconds']['predicting'] >= recorded
 
 
 def test_a_wrong_cup_scores_worse(shipped, root):
