@@ -1,16 +1,21 @@
 """Many recordings on one and on two cores, and what a recording costs beside its own work."""
 
+import importlib.util
 from pathlib import Path
 import tempfile
 from typing import Any
 
-from bellows_ros.errors import BellowsError
+from bellows_ros.extras import install
 
 from .offline import make_recording
-from .timing import in_process
+from .timing import Figures, figures, in_process, ratio
 
 COUNT = {False: 24, True: 4}
 DURATION = {False: 30.0, True: 5.0}
+SMALL_COUNT = {False: 96, True: 8}
+SMALL_DURATION = 4.0
+"""Of the recordings whose own work is little, s."""
+ROUNDS = {False: 3, True: 1}
 
 MANY = """
 import json, sys, time
@@ -25,26 +30,53 @@ if __name__ == '__main__':
     print(json.dumps({'seconds': time.perf_counter() - start}))
 """
 
+SMALL = """
+import json, sys
+from bellows_ros.bench.offline import parameters
+from bellows_ros.bench.timing import interleaved
+from bellows_ros.workflows.batch import identify_many
+if __name__ == '__main__':
+    rounds, bags = int(sys.argv[1]), sys.argv[2:]
+    def work(jobs):
+        identify_many({**parameters(), 'bags': bags}, jobs)
+        return len(bags)
+    print(json.dumps(interleaved({'one': lambda: work(1), 'two': lambda: work(2)}, rounds)))
+"""
+
 
 def run(short: bool) -> dict[str, Any]:
-    """Return the seconds of one and two processes, with and without real work."""
+    """Return the seconds of one and two processes, and of many small recordings."""
+    if importlib.util.find_spec('joblib') is None:
+        return {'missing': f'joblib is not installed; {install("parallel")}'}
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        bags = [folder / str(number) for number in range(COUNT[short])]
-        for seed, bag in enumerate(bags, 1):
-            make_recording(bag, DURATION[short], seed)
-        paths = [str(bag) for bag in bags]
-        missing = [str(folder / f'none{number}') for number in range(10 * COUNT[short])]
-        try:
-            one, two = (in_process(MANY, jobs, *paths)['seconds'] for jobs in ('1', '2'))
-            idle = in_process(MANY, '2', paths[0], *missing)['seconds']
-        except BellowsError as error:
-            return {'missing': str(error)[-200:]}
+        one, two = _in_turn(_recordings(Path(name) / 'long', DURATION[short], COUNT[short]), short)
+        small = _recordings(Path(name) / 'small', SMALL_DURATION, SMALL_COUNT[short])
+        each = in_process(SMALL, str(ROUNDS[short]), *small)
     return {
         'recordings': COUNT[short],
         'recorded_seconds_each': DURATION[short],
-        'seconds_one_job': one,
-        'seconds_two_jobs': two,
-        'speedup': one / two,
-        'overhead_per_recording': idle / len(missing),
+        'one_job': one,
+        'two_jobs': two,
+        'speedup': ratio(one, two),
+        'small': each,
+        # where two processes do the work of one recording each, all else is overhead
+        'overhead_per_recording': 2.0 * each['two']['median'] - each['one']['median'],
     }
+
+
+def _recordings(folder: Path, duration: float, count: int) -> list[str]:
+    """Return the paths of recordings that differ in their noise, for none counts twice."""
+    folder.mkdir()
+    bags = [folder / str(number) for number in range(count)]
+    for seed, bag in enumerate(bags, 1):
+        make_recording(bag, duration, seed)
+    return list(map(str, bags))
+
+
+def _in_turn(bags: list[str], short: bool) -> tuple[Figures, Figures]:
+    """Return the times of one process and of two, which are started anew each time."""
+    found: dict[str, list[float]] = {'1': [], '2': []}
+    for _ in range(ROUNDS[short]):
+        for jobs, seconds in found.items():
+            seconds.append(in_process(MANY, jobs, *bags)['seconds'])
+    return figures(found['1']), figures(found['2'])

@@ -16,11 +16,19 @@ BARE = 'bare'
 def tables(found: Mapping[str, Any]) -> dict[str, Table]:
     """Return the tables of what was measured, by name."""
     result: dict[str, Table] = {}
+    left_out = missing(found)
     for name, make in _TABLES.items():
-        section = found.get(name.partition('.')[0])
-        if section and ('missing' not in section or not isinstance(section['missing'], str)):
-            result[name] = make(section)
+        section = name.partition('.')[0]
+        if section in found and section not in left_out:
+            result[name] = make(found[section])
     return result
+
+
+def missing(found: Mapping[str, Any]) -> dict[str, str]:
+    """Return the sections that could not be measured, and why."""
+    sections = {name.partition('.')[0] for name in _TABLES} & set(found)
+    why = {name: found[name].get('missing') for name in sorted(sections)}
+    return {name: reason for name, reason in why.items() if isinstance(reason, str)}
 
 
 def markdown(table: Table) -> str:
@@ -136,9 +144,9 @@ def _batch(section: Mapping[str, Any]) -> Table:
     each = f'{section["recordings"]} recordings of {section["recorded_seconds_each"]:g} s'
     return [
         ('bellows identify --jobs', each),
-        ('1', _time(section['seconds_one_job'])),
-        ('2', f'{_time(section["seconds_two_jobs"])}, {section["speedup"]:.2f} times faster'),
-        ('overhead of a recording', _time(section['overhead_per_recording'])),
+        ('1', _time(section['one_job']['median'])),
+        ('2', f'{_time(section["two_jobs"]["median"])}, {section["speedup"]:.2f} times faster'),
+        ('a recording, beside its own work', _time(section['overhead_per_recording'])),
     ]
 
 

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Measure, write, show."""
     require_outputs(arguments.json, arguments.page)
-    from bellows_ros.bench.tables import columns, tables
+    from bellows_ros.bench.tables import columns, missing, tables
 
     found = _found(arguments, console)
     put_json(arguments.json, found, console)
@@ -56,6 +56,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             for line in lines:
                 console.say(line)
             console.say()
+        for section, why in missing(found).items():
+            console.warn(f"Section '{section}' was not measured: {why}")
     return OK
 
 

@@ -1,16 +1,19 @@
 """The short form of all measurements runs, without a word on how long it took."""
 
+from importlib.util import find_spec
 import json
 
-from bellows_ros.bench import timing
+from bellows_ros.bench import batch, timing
 from bellows_ros.bench.page import renewed
 from bellows_ros.bench.run import run, SECTIONS
-from bellows_ros.bench.tables import columns, markdown, tables
+from bellows_ros.bench.tables import columns, markdown, missing, tables
 from bellows_ros.cli import main
 from bellows_ros.core.jit import COMPILED
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 import pytest
+
+NEEDED = {'node': ('rclpy',), 'batch': ('joblib',)}
 
 
 @pytest.mark.slow
@@ -21,9 +24,10 @@ def test_short_form_measures_and_shows(section):
         pytest.skip('numba is not installed: measuring this takes minutes interpreted')
     found = json.loads(format_json(run([section], short=True)))
     assert set(found) == {'machine', 'short', section}
-    made = tables(found)
-    if 'missing' not in found[section] or section == 'step':
-        assert made
+    made, left_out = tables(found), missing(found)
+    assert bool(made) != bool(left_out)
+    for module in NEEDED.get(section, ()):
+        assert (section in left_out) == (find_spec(module) is None)
     for table in made.values():
         assert len({len(row) for row in table}) == 1
         assert all(len(line) for line in columns(table))
@@ -46,6 +50,22 @@ def test_steps_are_measured_from_the_shell(tmp_path, capsys):
 def test_unknown_section(capsys):
     assert main(['bench', '--only', 'stp']) == 2
     assert "There is no section 'stp'" in capsys.readouterr().err
+
+
+def test_what_is_missing_is_said(tmp_path, capsys):
+    file = tmp_path / 'bench.json'
+    file.write_text('{"machine": {}, "batch": {"missing": "joblib is not installed"}}')
+    assert main(['bench', '--from', str(file)]) == 0
+    said = ''.join(capsys.readouterr())
+    assert "Section 'batch' was not measured: joblib is not installed" in said
+
+
+@pytest.mark.skipif(find_spec('joblib') is None, reason='joblib is not installed')
+def test_a_measurement_that_fails_is_not_called_missing(monkeypatch):
+    monkeypatch.setattr(batch, '_copies', lambda folder, duration, count: [])
+    monkeypatch.setattr(batch, 'MANY', 'raise SystemExit("boom")')
+    with pytest.raises(BellowsError, match='boom'):
+        batch.run(short=True)
 
 
 def test_page_keeps_what_was_not_measured():
