@@ -16,7 +16,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
 import numpy as np
 
-from .timing import package_root, TIMEOUT
+from .timing import same_package, TIMEOUT
 
 RATES = {False: (125, 360, 500, 1000), True: (125,)}
 SECONDS = {False: 10.0, True: 1.0}
@@ -59,9 +59,7 @@ def run(short: bool) -> dict[str, Any]:
 def _measured(name: str, rate: int, seconds: float, twists: bool, folder: Path) -> dict[str, Any]:
     """Return what the probe finds of one node."""
     environment = {
-        **os.environ, 'PYTHONPATH': os.pathsep.join(
-            filter(None, [str(package_root()), os.environ.get('PYTHONPATH', '')])
-        ),
+        **same_package(),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_LOG_DIR': str(folder),
         'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
     }  # fmt: skip

@@ -1,13 +1,12 @@
 """How long commands and the predictor take to start, with a warm and with a cold cache."""
 
-import os
 import subprocess
 import sys
 import tempfile
 import time
 from typing import Any
 
-from .timing import Figures, figures, in_process, package_root
+from .timing import figures, in_process, same_package
 
 HELP = 'from bellows_ros.cli import main; import sys; sys.argv = ["bellows", "--help"]; main()'
 
@@ -26,32 +25,31 @@ print(json.dumps({'done': time.monotonic()}))
 
 
 def run(short: bool) -> dict[str, Any]:
-    """Return seconds."""
-    rounds = 2 if short else 9
+    """Return seconds: of starts with nothing compiled, and of some after each of them."""
     kind = 'ros' if _has_ros() else 'core'
-    with tempfile.TemporaryDirectory() as folder:
-        cache = {'NUMBA_CACHE_DIR': folder}
-        cold = _ready(kind, cache)
-        warm = [_ready(kind, cache) for _ in range(rounds)]
+    helped, cold, warm = [], [], []
+    for _ in range(1 if short else 3):
+        with tempfile.TemporaryDirectory() as folder:
+            cache = {'NUMBA_CACHE_DIR': folder}
+            cold.append(_ready(kind, cache))
+            for _ in range(3):
+                warm.append(_ready(kind, cache))
+                helped.append(_help())
     return {
-        'help': _help(rounds),
+        'help': figures(helped),
         'predictor_warm': figures(warm),
-        'predictor_cold': cold,
+        'predictor_cold': figures(cold),
         'with_ros': kind == 'ros',
     }
 
 
-def _help(rounds: int) -> Figures:
+def _help() -> float:
     """Return the time of `bellows --help`."""
-    environment = {**os.environ, 'PYTHONPATH': str(package_root())}
-    seconds = []
-    for _ in range(rounds):
-        start = time.perf_counter()
-        subprocess.run(
-            [sys.executable, '-P', '-c', HELP], env=environment, check=True, capture_output=True
-        )
-        seconds.append(time.perf_counter() - start)
-    return figures(seconds)
+    start = time.perf_counter()
+    subprocess.run(
+        [sys.executable, '-P', '-c', HELP], env=same_package(), check=True, capture_output=True
+    )
+    return time.perf_counter() - start
 
 
 def _ready(kind: str, environment: dict[str, str]) -> float:

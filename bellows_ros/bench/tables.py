@@ -131,11 +131,12 @@ def _filter(section: Mapping[str, Any]) -> Table:
 
 def _startup(section: Mapping[str, Any]) -> Table:
     """Return times to start."""
+    ready = f'predictor ready with{"" if section["with_ros"] else "out"} ROS'
     return [
         ('start', 'median'),
         ('bellows --help', _time(section['help']['median'])),
-        ('predictor ready, compiled before', _time(section['predictor_warm']['median'])),
-        ('predictor ready, nothing compiled', _time(section['predictor_cold'])),
+        (f'{ready}, compiled before', _time(section['predictor_warm']['median'])),
+        (f'{ready}, nothing compiled', _time(section['predictor_cold']['median'])),
     ]
 
 

@@ -76,7 +76,7 @@ def in_process(
     """
     done = subprocess.run(
         [sys.executable, '-P', '-c', code, *arguments],
-        env={**os.environ, 'PYTHONPATH': str(package_root()), **(environment or {})},
+        env={**same_package(), **(environment or {})},
         capture_output=True, text=True, timeout=TIMEOUT, check=False,
     )  # fmt: skip
     if done.returncode:
@@ -85,6 +85,7 @@ def in_process(
     return result
 
 
-def package_root() -> Path:
-    """Return the folder from which this package is imported."""
-    return Path(__file__).resolve().parents[2]
+def same_package() -> dict[str, str]:
+    """Return an environment with this very package, and with the ROS that the shell has."""
+    paths = [str(Path(__file__).resolve().parents[2]), os.environ.get('PYTHONPATH', '')]
+    return {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, paths))}

@@ -3,6 +3,7 @@
 from importlib.util import find_spec
 import json
 
+import bellows_ros
 from bellows_ros.bench import batch, timing
 from bellows_ros.bench.page import renewed
 from bellows_ros.bench.run import run, SECTIONS
@@ -92,6 +93,23 @@ def test_interleaved_takes_turns():
 def test_failed_process_is_said():
     with pytest.raises(BellowsError, match='boom'):
         timing.in_process('raise SystemExit("boom")')
+
+
+def test_process_finds_what_the_shell_does(tmp_path, monkeypatch):
+    (tmp_path / 'from_the_shell.py').write_text('')
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path))
+    code = 'import json, from_the_shell, bellows_ros; print(json.dumps(bellows_ros.__file__))'
+    assert timing.in_process(code) == bellows_ros.__file__
+
+
+@pytest.mark.parametrize(('with_ros', 'word'), [(True, 'with'), (False, 'without')])
+def test_start_says_whether_ros_was_there(with_ros, word):
+    figures = timing.figures([0.5])
+    section = {'help': figures, 'predictor_warm': figures, 'predictor_cold': figures,
+               'with_ros': with_ros}  # fmt: skip
+    names = [row[0] for row in tables({'startup': section})['startup']]
+    assert names[2:] == [f'predictor ready {word} ROS, compiled before',
+                         f'predictor ready {word} ROS, nothing compiled']  # fmt: skip
 
 
 def test_markdown():
