@@ -1,7 +1,8 @@
 """
-The same equations as a user would write them with NumPy: 4x4 poses, 6x6 matrices, RK4.
+The same equations as a user would write them with NumPy: 6x6 matrices, RK4.
 
-On purpose without this package's kernels; also the right-hand side for SciPy's `solve_ivp`.
+What does not change is worked out once, and the tool stands still, which costs less than one that
+moves. On purpose without this package's kernels; also the right-hand side for SciPy's `solve_ivp`.
 """
 
 from bellows_ros.core.model import Cup, Package
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 Array = NDArray[np.float64]
+
+EYE = np.eye(3)
 
 
 def hat(v: Array) -> Array:
@@ -22,17 +25,16 @@ def vee(S: Array) -> Array:
     return np.array([S[2, 1], S[0, 2], S[1, 0]])
 
 
-def pose(R: Array, o: Array) -> Array:
-    """Return a homogeneous matrix."""
-    H = np.eye(4)
-    H[:3, :3], H[:3, 3] = R, o
-    return H
+def upper(diagonal: Array, corner: Array, below: Array) -> Array:
+    """Return a 6x6 matrix of 3x3 blocks, zero at the lower left."""
+    X = np.zeros((6, 6))
+    X[:3, :3], X[:3, 3:], X[3:, 3:] = diagonal, corner, below
+    return X
 
 
-def adjoint(H: Array) -> Array:
-    """Return X(H) (2.24)."""
-    R, o = H[:3, :3], H[:3, 3]
-    return np.block([[R, hat(o) @ R], [np.zeros((3, 3)), R]])
+def adjoint(R: Array, o: Array) -> Array:
+    """Return X(H) (2.24) of the pose H with rotation R and origin o."""
+    return upper(R, hat(o) @ R, R)
 
 
 class PlainModel:
@@ -44,43 +46,32 @@ class PlainModel:
 
     def __init__(self, cup: Cup, package: Package, gravity: float) -> None:
         """Prepare the constant matrices."""
-        half = 0.5 * cup.length
         self.K, self.P = cup.stiffness, cup.damping
-        self.o_E_S = np.array([0.0, 0.0, -cup.length])
-        self.z = np.array([0.0, 0.0, half])
-        self.S_H_B = pose(np.eye(3), package.com)
-        self.S_H_S1 = pose(np.eye(3), self.z)
-        self.M = np.zeros((6, 6))
-        self.M[:3, :3], self.M[3:, 3:] = package.mass * np.eye(3), package.inertia
+        self.z = np.array([0.0, 0.0, 0.5 * cup.length])
+        self.B_o_S = -np.asarray(package.com)
+        self.to_S1 = adjoint(EYE, -self.z) @ adjoint(EYE, package.com)
+        self.M = upper(package.mass * EYE, np.zeros((3, 3)), package.inertia)
+        self.M_inverse = np.linalg.inv(self.M)
         self.weight = np.array([0.0, 0.0, -package.mass * gravity])
 
     def rate(self, time: float, state: Array) -> Array:
         """Return the derivative of the state."""
         R, v = state[3:12].reshape(3, 3), state[12:]
-        H = pose(R, state[:3])
-        f = self._wrench(H, v)
+        f = self._wrench(R, state[:3] + R @ self.B_o_S, v)
         f[:3] += R.T @ self.weight
         w = hat(v[3:])
-        cross = np.block([[w, hat(v[:3])], [np.zeros((3, 3)), w]])
-        acceleration = np.linalg.solve(self.M, f + cross.T @ self.M @ v)
-        return np.concatenate([R @ v[:3], (R @ w).ravel(), acceleration])
+        f += upper(w, hat(v[:3]), w).T @ (self.M @ v)
+        return np.concatenate([R @ v[:3], (R @ w).ravel(), self.M_inverse @ f])
 
-    def _wrench(self, H: Array, v: Array) -> Array:
+    def _wrench(self, R: Array, E_o_S: Array, v: Array) -> Array:
         """Return the cup's wrench on the package at B (3.27), (3.33), (2.28)."""
-        E_H_S = H @ np.linalg.inv(self.S_H_B)
-        R = E_H_S[:3, :3]
-        H12 = pose(R, self.z + R @ self.z + E_H_S[:3, 3])
-        o = H12[:3, 3]
-        strain = np.concatenate([(np.eye(3) + R.T) @ o, vee(R - R.T)])
-        J = np.block([
-            [R + np.eye(3), hat(R.T @ o)],
-            [np.zeros((3, 3)), np.trace(R) * np.eye(3) - R.T],
-        ])  # fmt: skip
-        spring = -0.25 * J.T @ self.K @ strain
-        to_S1 = np.linalg.inv(adjoint(self.S_H_S1))
-        X = adjoint(H12)
-        damper = -0.5 * (self.P + X.T @ self.P @ X) @ to_S1 @ adjoint(self.S_H_B) @ v
-        return np.asarray(adjoint(self.S_H_B).T @ to_S1.T @ (spring + damper))
+        o = self.z + R @ self.z + E_o_S
+        strain = np.concatenate([o + R.T @ o, vee(R - R.T)])
+        J = upper(R + EYE, hat(R.T @ o), np.trace(R) * EYE - R.T)
+        spring = -0.25 * J.T @ (self.K @ strain)
+        X, v_S1 = adjoint(R, o), self.to_S1 @ v
+        damper = -0.5 * (self.P @ v_S1 + X.T @ (self.P @ (X @ v_S1)))
+        return np.asarray(self.to_S1.T @ (spring + damper))
 
     def rk4(self, state: Array, h: float, count: int) -> Array:
         """Return the state after some steps of the classical Runge-Kutta method."""

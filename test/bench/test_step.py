@@ -39,6 +39,14 @@ def test_plain_numpy_is_the_same_model():
     assert_allclose(log_so3(rotation.T @ quaternion_to_rotation(row[3:7])), 0.0, atol=1e-8)
 
 
+def test_plain_numpy_works_out_once_what_is_constant(monkeypatch):
+    plain, state = PlainModel(CUP, PACKAGE, 9.81), _plain_start()
+    for name in ('inv', 'solve'):
+        monkeypatch.delattr(np.linalg, name)
+    monkeypatch.delattr(np, 'block')
+    assert np.isfinite(plain.rk4(state, 1 / 360, 2)).all()
+
+
 @pytest.mark.parametrize('name', ['mujoco', 'drake'])
 def test_peers_hold_the_same_plate(name):
     pytest.importorskip('mujoco' if name == 'mujoco' else 'pydrake', reason='extra bench')
