@@ -1,4 +1,4 @@
-"""The node predictor between processes, against a bare node that sends every pose back."""
+"""The node predictor between processes, against bare nodes that send every pose back."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -19,11 +19,19 @@ import numpy as np
 from .timing import same_package, TIMEOUT
 
 RATES = {False: (125, 360, 500, 1000), True: (125,)}
-SECONDS = {False: 10.0, True: 1.0}
+SECONDS = {False: 7.0, True: 1.0}
 LONG = 60.0
-"""Of the run at the highest rate in which nothing may be lost, s."""
+"""Of the single run at the highest rate in which nothing may be lost, s."""
 ROUNDS = {False: 3, True: 1}
 END_TIMEOUT = 10.0
+
+BARE = 'bare'
+"""A node spun with `rclpy.spin`, ..."""
+EVENTS = 'bare, events'
+"""... and the same spun as the commands of this package spin theirs."""
+PREDICTOR = 'predictor'
+HEARD = 'predictor, twist and wrench heard'
+"""Only what somebody listens to is published, beside the pose."""
 
 PARAMETERS = (
     '-p', 'package.mass:=2.17',
@@ -31,8 +39,10 @@ PARAMETERS = (
     '-p', 'package.com:=[0.0, 0.0, -0.03]',
 )  # fmt: skip
 NODES: Mapping[str, tuple[str, ...]] = {
-    'bare': ('bellows_ros.nodes.bench_echo',),
-    'predictor': ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
+    BARE: ('bellows_ros.nodes.bench_echo',),
+    EVENTS: ('bellows_ros.nodes.bench_echo', 'events'),
+    PREDICTOR: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
+    HEARD: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
 }
 
 
@@ -44,14 +54,18 @@ def run(short: bool) -> dict[str, Any]:
     found: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         for rate, twists in cases:
-            parts: dict[str, list[dict[str, Any]]] = {name: [] for name in NODES}
+            names = [name for name in NODES if twists or name != HEARD]
+            parts: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
             for _ in range(ROUNDS[short]):
-                for name in NODES:
+                for name in names:
                     parts[name].append(_measured(name, rate, SECONDS[short], twists, Path(folder)))
             found += _figures(parts, rate, twists, SECONDS[short])
         if not short:
             rate = max(RATES[short])
-            parts = {name: [_measured(name, rate, LONG, True, Path(folder))] for name in NODES}
+            parts = {
+                name: [_measured(name, rate, LONG, True, Path(folder))]
+                for name in (BARE, PREDICTOR)
+            }
             found += _figures(parts, rate, True, LONG)
     return {'runs': found}
 
@@ -64,7 +78,8 @@ def _measured(name: str, rate: int, seconds: float, twists: bool, folder: Path) 
         'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
     }  # fmt: skip
     with _process(NODES[name], environment, folder / f'{name}.log') as pid:
-        arguments = [str(rate), str(seconds), 'twists' if twists else 'poses', str(pid)]
+        sent, heard = 'twists' if twists else 'poses', 'all' if name == HEARD else 'pose'
+        arguments = [str(rate), str(seconds), sent, heard, str(pid)]
         probe = subprocess.run(
             [sys.executable, '-P', '-m', 'bellows_ros.nodes.bench_probe', *arguments],
             env=environment, capture_output=True, text=True, timeout=TIMEOUT, check=False,

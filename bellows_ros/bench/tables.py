@@ -3,14 +3,14 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from .live import LONG
+from .live import BARE, EVENTS, LONG
 from .step import OURS
 
 Table = list[tuple[str, ...]]
 """Rows of cells; the first is the head."""
 
 MEBI = 2**20
-BARE = 'bare'
+FLOORS = BARE, EVENTS
 
 
 def tables(found: Mapping[str, Any]) -> dict[str, Table]:
@@ -69,19 +69,19 @@ def _accuracy(section: Mapping[str, Any]) -> Table:
 
 
 def _node(section: Mapping[str, Any]) -> Table:
-    """Return latencies by rate, and against the bare node's."""
+    """Return latencies by rate, and against those of the bare nodes."""
     rows: Table = [(
         'node', 'rate', 'twists', 'p50', 'p99', 'p99.9', 'CPU per pose', 'memory', 'lost',
-        'p50, p99 to bare', 'CPU above bare',
+        *(f'{what} {floor}' for floor in FLOORS for what in ('p50, p99 to', 'CPU above')),
     )]  # fmt: skip
-    bare = {_case(run): run for run in section['runs'] if run['node'] == BARE}
+    measured = {(run['node'], *_case(run)): run for run in section['runs']}
     for run in section['runs']:
-        floor = bare.get(_case(run), run)
+        floors = [measured.get((floor, *_case(run))) for floor in FLOORS]
         rows.append((
             _name_of(run), f'{run["rate_hz"]} Hz', 'yes' if run['twists'] else 'no',
             *(_time(run[name]) for name in ('p50', 'p99', 'p99.9', 'processor_per_pose')),
             _memory(run['memory']), f'{run["lost"]} of {run["sent"]}',
-            *(_against(run, floor) if run is not floor else ('', '')),
+            *(cell for floor in floors for cell in _against(run, floor)),
         ))  # fmt: skip
     return rows
 
@@ -96,8 +96,10 @@ def _name_of(run: Mapping[str, Any]) -> str:
     return f'{run["node"]}, for {run["seconds"]:g} s' if run['seconds'] >= LONG else run['node']
 
 
-def _against(run: Mapping[str, Any], bare: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the ratios of latencies, and what a pose takes more of the processor."""
+def _against(run: Mapping[str, Any], bare: Mapping[str, Any] | None) -> tuple[str, str]:
+    """Return the ratios of latencies, and what a pose takes more of the processor, to a floor."""
+    if bare is None or run['node'] in FLOORS:
+        return '', ''
     more = run['processor_per_pose'] - bare['processor_per_pose']
     ratios = ', '.join(f'{run[name] / bare[name]:.2f}' for name in ('p50', 'p99'))
     return ratios, f'{more * 1e6:+.0f} us'

@@ -14,7 +14,7 @@ DESCRIPTION = (
     'Repeated runs take turns; ratios mean more than times.'
 )
 EXAMPLES = (
-    ('bellows bench --json bench.json', 'everything; takes some ten minutes on an idle machine'),
+    ('bellows bench --json bench.json', 'everything; some twenty minutes on an idle machine'),
     ('bellows bench --only step,startup', 'two of the sections'),
     ('bellows bench --from docs/performance.json --page docs/performance.md',
      'make the tables of the documentation anew from measurements'),

@@ -1,8 +1,9 @@
 """
 Send tool poses (and twists) at a rate and take the time until each answer is here.
 
-`python -m bellows_ros.nodes.bench_probe RATE SECONDS TWISTS PID` prints JSON: latencies in s, and
-the processor time and memory of the process that answers.
+`python -m bellows_ros.nodes.bench_probe RATE SECONDS SENT HEARD PID` prints JSON: latencies in s,
+and the processor time and memory of the process that answers. SENT is `poses` or `twists` (these
+too), HEARD is `pose` or `all` (the package's twist and the cup's wrench too).
 """
 
 from collections.abc import Callable
@@ -14,7 +15,7 @@ import sys
 import time
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -34,7 +35,7 @@ BUSY = 300e-6
 class Probe(Node):
     """A sender of tool poses that remembers when each was sent and answered."""
 
-    def __init__(self, rate_hz: float, seconds: float, twists: bool) -> None:
+    def __init__(self, rate_hz: float, seconds: float, twists: bool, hear_all: bool) -> None:
         """Make the topics and all messages."""
         super().__init__('probe')
         self.sent: dict[int, int] = {}
@@ -43,7 +44,13 @@ class Probe(Node):
         self._twist_out = (
             self.create_publisher(TwistStamped, 'tool_arm/twist', QUEUE) if twists else None
         )
-        self.create_subscription(PoseStamped, 'package/pose', self._on_answer, QUEUE)
+        self.others = 0
+        self._heard = {'package/pose': (PoseStamped, self._on_answer)}
+        if hear_all:
+            self._heard['package/twist'] = TwistStamped, self._on_other
+            self._heard['cup/wrench'] = WrenchStamped, self._on_other
+        for name, (kind, callback) in self._heard.items():
+            self.create_subscription(kind, name, callback, QUEUE)
         self._period = 1.0 / rate_hz
         self._messages = [_messages(k * self._period) for k in range(round(seconds * rate_hz))]
         self.executor_ = SingleThreadedExecutor()
@@ -52,11 +59,14 @@ class Probe(Node):
     def _on_answer(self, message: PoseStamped) -> None:
         self.answered[stamp_to_ns(message.header.stamp)] = time.perf_counter_ns()
 
+    def _on_other(self, message: Any) -> None:
+        self.others += 1
+
     def connected(self) -> bool:
         """Wait until both ends know each other; the bare node does not listen to twists."""
         both = self._spin_until(
             lambda: self._pose_out.get_subscription_count() > 0
-            and self.count_publishers('package/pose') > 0,
+            and all(self.count_publishers(name) > 0 for name in self._heard),
             DISCOVERY,
         )
         twists = self._twist_out
@@ -116,9 +126,10 @@ def used(pid: int) -> dict[str, float]:
 
 def main() -> None:
     """Measure and print."""
-    rate, seconds, twists, pid = sys.argv[1:]
+    rate, seconds, sent, heard, pid = sys.argv[1:]
     rclpy.init()
-    probe = Probe(float(rate), float(seconds) + WARM_SECONDS, twists == 'twists')
+    probe = Probe(
+        float(rate), float(seconds) + WARM_SECONDS, sent == 'twists', heard == 'all')
     if not probe.connected():
         sys.exit('no answer: the node that is measured was not found')
     gc.freeze()
@@ -133,6 +144,7 @@ def _result(probe: Probe, before: dict[str, float], after: dict[str, float]) -> 
     return {
         'sent': len(probe.sent),
         'answered': len(probe.answered),
+        'others': probe.others,
         'latency': [
             (probe.answered[stamp] - probe.sent[stamp]) * 1e-9
             for stamp in counted if stamp in probe.answered

@@ -4,7 +4,7 @@ from importlib.util import find_spec
 import json
 
 import bellows_ros
-from bellows_ros.bench import batch, timing
+from bellows_ros.bench import batch, live, timing
 from bellows_ros.bench.page import renewed
 from bellows_ros.bench.run import run, SECTIONS
 from bellows_ros.bench.tables import columns, markdown, missing, tables
@@ -122,11 +122,21 @@ def test_node_is_shown_against_the_bare_one():
                 'p50': 4e-4 * times, 'p99': 1e-3 * times, 'p99.9': 1e-2, 'memory': 2**20,
                 'processor_per_pose': 3e-4 * times, 'sent': 10, 'lost': lost}  # fmt: skip
 
-    runs = [run('bare', 10.0, 1.0), run('predictor', 10.0, 1.1), run('bare', 60.0, 2.0),
-            run('predictor', 60.0, 1.0, 3)]
-    rows = tables({'node': {'runs': runs}})['node'][1:]
+    runs = [run('bare', 10.0, 1.0), run('bare, events', 10.0, 0.5), run('predictor', 10.0, 1.1),
+            run('bare', 60.0, 2.0), run('predictor', 60.0, 1.0, 3)]
+    head, *rows = tables({'node': {'runs': runs}})['node']
+    assert head[-4:] == ('p50, p99 to bare', 'CPU above bare',
+                         'p50, p99 to bare, events', 'CPU above bare, events')  # fmt: skip
     assert [row[0] for row in rows] == [
-        'bare', 'predictor', 'bare, for 60 s', 'predictor, for 60 s']
-    assert [row[-2:] for row in rows] == [
-        ('', ''), ('1.10, 1.10', '+30 us'), ('', ''), ('0.50, 0.50', '-300 us')]
-    assert rows[3][8] == '3 of 10'
+        'bare', 'bare, events', 'predictor', 'bare, for 60 s', 'predictor, for 60 s']
+    assert [row[-4:] for row in rows] == [
+        ('',) * 4, ('',) * 4, ('1.10, 1.10', '+30 us', '2.20, 2.20', '+180 us'),
+        ('',) * 4, ('0.50, 0.50', '-300 us', '', '')]
+    assert rows[4][8] == '3 of 10'
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec('rclpy') is None, reason='no rclpy here')
+def test_other_topics_are_published_where_they_are_heard(tmp_path):
+    assert live._measured(live.PREDICTOR, 125, 1.0, True, tmp_path)['others'] == 0
+    assert live._measured(live.HEARD, 125, 1.0, True, tmp_path)['others'] > 0
