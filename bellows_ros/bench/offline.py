@@ -1,8 +1,9 @@
 """Identification, filter and replay of a long recording, against plain loops."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 import tempfile
+import time
 from typing import Any
 
 from bellows_ros.core.lie import Array, exp_so3
@@ -66,11 +67,14 @@ identify(values)
 print(json.dumps({'seconds': time.perf_counter() - start, 'peak': peak()}))
 """
 
-REPLAY = """
+REPLAY = _PEAK + """
 import json, sys
-from bellows_ros.bench.offline import parameters
-from bellows_ros.workflows.replay import replay
-print(json.dumps({'factor': replay(sys.argv[1], parameters()).real_time_factor}))
+from bellows_ros.cli import main
+bag, out = sys.argv[1:]
+if main(['replay', bag, '--params', bag + '.yaml', '--json', out]):
+    sys.exit('bellows replay failed')
+with open(out) as file:
+    print(json.dumps({'peak': peak(), 'factor': json.load(file)['real_time_factor']}))
 """
 
 
@@ -92,13 +96,12 @@ def run(short: bool) -> dict[str, Any]:
         bag, fit_bag = Path(folder) / 'long', Path(folder) / 'fit'
         make_recording(bag, duration)
         make_recording(fit_bag, min(duration, FIT_DURATION))
-        found = _against_plain_loop(bag, rounds)
+        found = _in_turn(str(bag), str(fit_bag), rounds)
         found['peaks'] = [
             *(_peak(Path(folder) / f'{part:g}', part * duration) for part in PARTS),
             {'seconds': duration, 'peak': found['peak_least_squares']},
         ]
-        found['replay_factor'] = in_process(REPLAY, str(bag))['factor']
-        found['prediction_error'] = _prediction_error(fit_bag, min(duration, FIT_DURATION))
+    found['prediction_error_recorded'] = min(duration, FIT_DURATION)
     found['recording'] = {'seconds': duration, 'rate_hz': RATE, 'messages': found['messages']}
     found['filter'] = _filters(int(duration * RATE), rounds)
     return found
@@ -136,20 +139,33 @@ def make_recording(bag: Path, duration: float, seed: int = 1) -> None:
     write_parameters(f'{bag}.yaml', parameters())
 
 
-def _against_plain_loop(bag: Path, rounds: int) -> dict[str, Any]:
-    """Return the times and peaks of reading alone and of least squares, in turn."""
-    in_process(IDENTIFY, str(bag), 'least_squares')  # compiles, and fills the disk's cache
-    plain, fits = [], []
-    for _ in range(rounds):
-        plain.append(in_process(PLAIN_LOOP, str(bag)))
-        fits.append(in_process(IDENTIFY, str(bag), 'least_squares'))
-    return {
-        'messages': plain[0]['messages'],
-        'plain_loop': figures([result['seconds'] for result in plain]),
-        'least_squares': figures([result['seconds'] for result in fits]),
-        'peak_plain_loop': max(result['peak'] for result in plain),
-        'peak_least_squares': max(result['peak'] for result in fits),
+def _in_turn(bag: str, fit_bag: str, rounds: int) -> dict[str, Any]:
+    """Return times, peaks and how fast the predictions of a replay are."""
+    works: Mapping[str, Callable[[], dict[str, Any]]] = {
+        'plain_loop': lambda: in_process(PLAIN_LOOP, bag),
+        'least_squares': lambda: in_process(IDENTIFY, bag, 'least_squares'),
+        'replay': lambda: _replay(bag),
+        'prediction_error': lambda: in_process(IDENTIFY, fit_bag, 'prediction_error'),
     }
+    for work in works.values():
+        work()  # compiles, and fills the disk's cache
+    runs: dict[str, list[dict[str, Any]]] = {name: [] for name in works}
+    for _ in range(rounds):
+        for name, work in works.items():
+            runs[name].append(work())
+    return {
+        'messages': runs['plain_loop'][0]['messages'],
+        **{name: figures([run['seconds'] for run in of]) for name, of in runs.items()},
+        **{f'peak_{name}': max(run['peak'] for run in of) for name, of in runs.items()},
+        'replay_factor': figures([run['factor'] for run in runs['replay']]),
+    }
+
+
+def _replay(bag: str) -> dict[str, Any]:
+    """Return the time of the whole command, from the start of the interpreter to its end."""
+    start = time.perf_counter()
+    found = in_process(REPLAY, bag, f'{bag}.json')
+    return {**found, 'seconds': time.perf_counter() - start}
 
 
 def _peak(bag: Path, duration: float) -> dict[str, float]:
@@ -159,12 +175,6 @@ def _peak(bag: Path, duration: float) -> dict[str, float]:
         'seconds': duration,
         'peak': in_process(IDENTIFY, str(bag), 'least_squares')['peak'],
     }
-
-
-def _prediction_error(bag: Path, duration: float) -> dict[str, float]:
-    """Return the time of a prediction-error fit, and that per simulated second."""
-    seconds = in_process(IDENTIFY, str(bag), 'prediction_error')['seconds']
-    return {'seconds': seconds, 'per_recorded_second': seconds / duration}
 
 
 def _filters(count: int, rounds: int) -> dict[str, Any]:

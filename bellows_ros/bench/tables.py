@@ -108,7 +108,8 @@ def _against(run: Mapping[str, Any], bare: Mapping[str, Any] | None) -> tuple[st
 def _offline(section: Mapping[str, Any]) -> Table:
     """Return identification and replay of a long recording."""
     plain, fit = section['plain_loop']['median'], section['least_squares']['median']
-    recording, error = section['recording'], section['prediction_error']
+    recording, replay = section['recording'], section['replay']['median']
+    error = section['prediction_error']['median'] / section['prediction_error_recorded']
     about = f'{recording["seconds"]:g} s, {recording["messages"]} messages'
     return [
         ('offline', about, ''),
@@ -119,8 +120,12 @@ def _offline(section: Mapping[str, Any]) -> Table:
             (f'least squares, {part["seconds"]:g} s of it', '', _memory(part['peak']))
             for part in section.get('peaks', [])[:-1]
         ),
-        ('replay', f'{section["replay_factor"]:.0f} times real time', ''),
-        ('prediction-error fit', f'{_time(error["per_recorded_second"])} per recorded second', ''),
+        ('bellows replay, the whole command',
+         f'{_time(replay)}, {recording["seconds"] / replay:.0f} times real time',
+         _memory(section['peak_replay'])),
+        ('predicting alone, of that',
+         f'{section["replay_factor"]["median"]:.0f} times real time', ''),
+        ('prediction-error fit', f'{_time(error)} per recorded second', ''),
     ]  # fmt: skip
 
 

@@ -112,6 +112,21 @@ def test_start_says_whether_ros_was_there(with_ros, word):
                          f'predictor ready {word} ROS, nothing compiled']  # fmt: skip
 
 
+def test_replay_is_shown_whole_and_without_reading():
+    figures = timing.figures
+    section = {
+        'recording': {'seconds': 600.0, 'messages': 3}, 'plain_loop': figures([3.0]),
+        'least_squares': figures([6.0]), 'peak_plain_loop': 2**20, 'peak_least_squares': 2**21,
+        'replay': figures([6.0, 8.0, 9.0]), 'replay_factor': figures([150.0]),
+        'peak_replay': 2**22, 'prediction_error': figures([3.0, 4.0]),
+        'prediction_error_recorded': 35.0, 'filter': {}}  # fmt: skip
+    rows = tables({'offline': section})['offline']
+    assert rows[-3:] == [
+        ('bellows replay, the whole command', '8 s, 75 times real time', '4 MiB'),
+        ('predicting alone, of that', '150 times real time', ''),
+        ('prediction-error fit', '100 ms per recorded second', '')]
+
+
 def test_markdown():
     assert markdown([('a', 'b'), ('1', '2')]) == '| a | b |\n| --- | --- |\n| 1 | 2 |'
 
