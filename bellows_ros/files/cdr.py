@@ -137,10 +137,13 @@ def _index(frames: list[tuple[str, ...]], names: tuple[str, ...]) -> int:
 def _alike(messages: Sequence[bytes], strings: int) -> dict[tuple[bytes, int], list[int]]:
     """Return the indices of messages that agree in size and, but for the stamp, in their head."""
     groups: dict[tuple[bytes, int], list[int]] = {}
+    end = 0  # of the strings of the message before, which the next one mostly repeats
     for i, message in enumerate(messages):
-        end = _end_of_strings(message, strings)
-        if end:
+        key = (message[:_STAMP_AT] + message[_STRINGS_AT:end], len(message))
+        if not (end and key in groups):
+            end = _end_of_strings(message, strings)
             key = (message[:_STAMP_AT] + message[_STRINGS_AT:end], len(message))
+        if end:
             groups.setdefault(key, []).append(i)
     return groups
 
