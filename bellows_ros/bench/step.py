@@ -21,6 +21,11 @@ from .step_case import CUP, MODEL, PACKAGE, shaken_tool, start, still_tool
 from .timing import figures, in_process, interleaved, Work
 
 Array = NDArray[np.float64]
+Pose = tuple[Array, Array]
+"""Position (3,), m, and rotation (3, 3) at the end of the free motion."""
+End = Callable[[], Pose]
+Case = tuple[str, float, End, Pose]
+"""A method, its rate (Hz) or tolerance, what it comes to, and the truth."""
 
 RATE = 360.0
 OURS = 'bellows_ros, compiled' if COMPILED else 'bellows_ros, interpreted'
@@ -131,57 +136,59 @@ def _accuracy(peers: Mapping[str, Advance], short: bool) -> list[dict[str, Any]]
     rates = (128, 256) if short else (64, 128, 256, 512, 1024, 2048)
     plain, state = PlainModel(CUP, PACKAGE, STANDARD_GRAVITY), _plain_start()
     truth = _pose(plain.solve(state, SECONDS, 'DOP853', 1e-13)[0])
-    rows = [_row(OURS, rate, _ours_free(rate), truth) for rate in rates]
-    rows += [
-        _row('NumPy, 6x6 matrices, RK4', rate,
-             lambda rate=rate: _pose(plain.rk4(state, SECONDS / rate, rate)), truth)
+    cases: list[Case] = [(OURS, rate, _ours_free(rate), truth) for rate in rates]
+    cases += [
+        ('NumPy, 6x6 matrices, RK4', rate,
+         lambda rate=rate: _pose(plain.rk4(state, SECONDS / rate, rate)), truth)
         for rate in rates[:3]
     ]  # fmt: skip
-    for tolerance in (1e-4,) if short else (1e-3, 1e-5, 1e-7, 1e-9):
-        rows.append(_row(
-            'SciPy solve_ivp, RK45', tolerance,
-            lambda rtol=tolerance: _pose(plain.solve(state, SECONDS, 'RK45', rtol)[0]), truth,
-        ))  # fmt: skip
+    cases += [
+        ('SciPy solve_ivp, RK45', rtol,
+         lambda rtol=rtol: _pose(plain.solve(state, SECONDS, 'RK45', rtol)[0]), truth)
+        for rtol in ((1e-4,) if short else (1e-3, 1e-5, 1e-7, 1e-9))
+    ]  # fmt: skip
     for name, advance in peers.items():
         finest = _angles_pose(advance(FINEST, round(SECONDS / FINEST)))
-        rows += [
-            _row(name, rate, lambda a=advance, n=rate: _angles_pose(a(SECONDS / n, n)), finest)
+        cases += [
+            (name, rate, lambda a=advance, n=rate: _angles_pose(a(SECONDS / n, n)), finest)
             for rate in rates
         ]
-    return rows
+    timed = interleaved({f'{case[0]} {case[1]}': _once(case[2]) for case in cases}, 3)
+    return [_row(*case, timed[f'{case[0]} {case[1]}']['median']) for case in cases]
 
 
-def _ours_free(rate: int) -> Callable[[], tuple[Array, Array]]:
+def _ours_free(rate: int) -> End:
     """Return the free motion at a rate by this package."""
     tool, begin = still_tool(rate + 1), start()
     durations, once = np.full(rate, SECONDS / rate), np.ones(rate, dtype=np.int64)
 
-    def end() -> tuple[Array, Array]:
+    def end() -> Pose:
         row = simulate_rows(MODEL, begin, tool, durations, once)[-1]
         return row[:3], quaternion_to_rotation(row[3:7])
 
     return end
 
 
-def _row(
-    name: str, setting: float, end: Callable[[], tuple[Array, Array]], truth: tuple[Array, Array]
-) -> dict[str, Any]:
-    """Return what a method costs and errs at one rate (Hz) or tolerance."""
+def _row(name: str, setting: float, end: End, truth: Pose, seconds: float) -> dict[str, Any]:
+    """Return what a method costs (s) and errs at one rate (Hz) or tolerance."""
     position, R = end()
-    timed = interleaved({name: lambda: _once(end)}, 3)[name]
     return {
         'method': name,
         'setting': setting,
-        'seconds_per_simulated_second': timed['median'] / SECONDS,
+        'seconds_per_simulated_second': seconds / SECONDS,
         'position_error': float(np.linalg.norm(position - truth[0])),
         'rotation_error': float(np.linalg.norm(log_so3(truth[1].T @ _nearest(R)))),
     }
 
 
-def _once(end: Callable[[], object]) -> int:
-    """Do it and return 1."""
-    end()
-    return 1
+def _once(end: End) -> Work:
+    """Return the work of coming to the end once."""
+
+    def work() -> int:
+        end()
+        return 1
+
+    return work
 
 
 def _nearest(matrix: Array) -> Array:
@@ -190,12 +197,12 @@ def _nearest(matrix: Array) -> Array:
     return np.asarray(U @ Vt)
 
 
-def _pose(state: Array) -> tuple[Array, Array]:
+def _pose(state: Array) -> Pose:
     """Return position and rotation of a state of `PlainModel`."""
     return state[:3], state[3:12].reshape(3, 3)
 
 
-def _angles_pose(coordinates: Array) -> tuple[Array, Array]:
+def _angles_pose(coordinates: Array) -> Pose:
     """Return position and rotation of a peer's coordinates, whatever angles they are."""
     from scipy.spatial.transform import Rotation
 

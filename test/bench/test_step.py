@@ -1,5 +1,6 @@
 """All integrators that are compared solve one case, and the C kernel is the very same one."""
 
+from bellows_ros.bench import step, timing
 from bellows_ros.bench.c_kernel import CKernel
 from bellows_ros.bench.plain_numpy import PlainModel
 from bellows_ros.bench.step import _angles_pose, _plain_start, _pose
@@ -37,6 +38,16 @@ def test_plain_numpy_is_the_same_model():
     row = ours(still_tool(1001), 0.25)[-1]
     assert_allclose(position, row[:3], atol=1e-9)
     assert_allclose(log_so3(rotation.T @ quaternion_to_rotation(row[3:7])), 0.0, atol=1e-8)
+
+
+def test_accuracy_is_timed_in_turns(monkeypatch):
+    turns = []
+    monkeypatch.setattr(
+        step, 'interleaved', lambda works, rounds: turns.append(list(works)) or
+        timing.interleaved(works, rounds))
+    rows = step._accuracy({}, short=True)
+    assert len(turns) == 1 and len(turns[0]) == len(rows) == 5
+    assert rows[1]['position_error'] < rows[0]['position_error'] < 1e-6
 
 
 def test_plain_numpy_works_out_once_what_is_constant(monkeypatch):
