@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from bellows_ros.errors import BellowsError
+
 from .live import BARE, EVENTS, LONG
 from .step import OURS
 
@@ -14,13 +16,27 @@ FLOORS = BARE, EVENTS
 
 
 def tables(found: Mapping[str, Any]) -> dict[str, Table]:
-    """Return the tables of what was measured, by name."""
+    """
+    Return the tables of what was measured, by name.
+
+    Raises
+    ------
+    BellowsError
+        If it was measured by a version that measured something else.
+
+    """
     result: dict[str, Table] = {}
     left_out = missing(found)
     for name, make in _TABLES.items():
         section = name.partition('.')[0]
         if section in found and section not in left_out:
-            result[name] = make(found[section])
+            try:
+                result[name] = make(found[section])
+            except (KeyError, TypeError) as error:
+                raise BellowsError(
+                    f"Section '{section}' was measured by another version of this package "
+                    f"({error}). Measure it again: 'bellows bench --only {section}'."
+                ) from None
     return result
 
 

@@ -61,6 +61,13 @@ def test_what_is_missing_is_said(tmp_path, capsys):
     assert "Section 'batch' was not measured: joblib is not installed" in said
 
 
+def test_figures_of_another_version_are_refused(tmp_path, capsys):
+    file = tmp_path / 'bench.json'
+    file.write_text('{"machine": {}, "batch": {"recordings": 24, "seconds_one_job": 5.0}}')
+    assert main(['bench', '--from', str(file)]) == 2
+    assert "Section 'batch' was measured by another version" in capsys.readouterr().err
+
+
 @pytest.mark.skipif(find_spec('joblib') is None, reason='joblib is not installed')
 def test_a_measurement_that_fails_is_not_called_missing(monkeypatch):
     monkeypatch.setattr(batch, '_copies', lambda folder, duration, count: [])
