@@ -105,7 +105,9 @@ class Player:
         self._twists = twist_messages(twists) if twists else []
         self._plan = _plan(poses, twists, self._poses, self._twists)
         self._first_ns = int(poses.stamps_ns[0])
-        self._received: list[tuple[int, PoseStamped]] = []
+        self._is_answered = False
+        self._sent_ns: dict[int, int] = {}
+        self._received: list[tuple[int, int, PoseStamped]] = []
 
     def play(self, progress: Callable[[str, float], None] | None = None) -> Exchange:
         """
@@ -123,12 +125,12 @@ class Player:
             executor.add_node(node)
             try:
                 self._connect(node, executor)
-                sent_ns, lateness = self._send_all(executor, say)
-                self._await_last(executor, sent_ns)
+                lateness = self._send_all(executor, say)
+                self._await_last(executor)
             finally:
                 executor.remove_node(node)
                 node.destroy_node()
-        return self._exchange(sent_ns, lateness)
+        return self._exchange(lateness)
 
     # ------------------------------------------------------------------ start
 
@@ -153,7 +155,7 @@ class Player:
         )
         probe = self._probes()
         self._wait(
-            executor, ANSWER_TIMEOUT, 'does not answer', lambda: bool(self._received),
+            executor, ANSWER_TIMEOUT, 'does not answer', lambda: self._is_answered,
             lambda: next(probe),
         )
         future = reset.call_async(Trigger.Request())
@@ -196,10 +198,8 @@ class Player:
 
     def _send_all(
         self, executor: SingleThreadedExecutor, say: Callable[[str, float], None]
-    ) -> tuple[dict[int, int], list[float]]:
-        """Send every message when it is due; return when each pose was sent, and how late."""
-        self._received.clear()
-        sent_ns: dict[int, int] = {}
+    ) -> list[float]:
+        """Send every message when it is due; note when each pose was sent, return how late."""
         lateness: list[float] = []
         duration = self._plan[-1][0]
         start = time.monotonic() + LEAD_TIME
@@ -211,30 +211,30 @@ class Player:
                     shown += 1.0
                 _spin_until(executor, start + due)
                 if isinstance(message, PoseStamped):
-                    sent_ns[stamp_ns] = time.monotonic_ns()
-                    lateness.append(sent_ns[stamp_ns] * 1e-9 - start - due)
+                    self._sent_ns[stamp_ns] = time.monotonic_ns()
+                    lateness.append(self._sent_ns[stamp_ns] * 1e-9 - start - due)
                     self._pose_out.publish(message)
                 else:
                     self._twist_out.publish(message)
-        return sent_ns, lateness
+        return lateness
 
     def _receive(self, message: PoseStamped) -> None:
-        """Keep a prediction and when it came."""
-        self._received.append((time.monotonic_ns(), message))
+        """Keep a prediction and when it came, unless it answers a probe, however late."""
+        came_ns = time.monotonic_ns()
+        self._is_answered = True
+        stamp_ns = stamp_to_ns(message.header.stamp)
+        if stamp_ns in self._sent_ns:
+            self._received.append((stamp_ns, came_ns, message))
 
-    def _await_last(self, executor: SingleThreadedExecutor, sent_ns: dict[int, int]) -> None:
+    def _await_last(self, executor: SingleThreadedExecutor) -> None:
         """Wait for predictions that are still on their way; what does not come is lost."""
         deadline = time.monotonic() + ANSWER_TIMEOUT
-        while len(self._received) < len(sent_ns) and time.monotonic() < deadline:
+        while len(self._received) < len(self._sent_ns) and time.monotonic() < deadline:
             executor.spin_once(timeout_sec=PROBE_PERIOD)
 
-    def _exchange(self, sent_ns: dict[int, int], lateness: list[float]) -> Exchange:
+    def _exchange(self, lateness: list[float]) -> Exchange:
         """Return the outcome as arrays."""
-        answers = [
-            (stamp_to_ns(message.header.stamp), came_ns, message)
-            for came_ns, message in self._received
-        ]
-        answers = [answer for answer in answers if answer[0] in sent_ns]
+        answers, sent_ns = self._received, self._sent_ns
         quaternions = [quaternion_xyzw(m.pose.orientation) for _, _, m in answers]
         return Exchange(
             sent_poses=len(self._poses),

@@ -1,0 +1,80 @@
+"""The player of the demonstration, before a predictor that answers late; real DDS."""
+
+from collections.abc import Iterator
+from threading import Event, Thread
+from typing import Any
+
+from bellows_ros.core.trajectory import PoseStream
+from bellows_ros.nodes import demo_player
+from bellows_ros.nodes.conversions import stamp_to_ns
+from bellows_ros.nodes.demo_player import Player
+import numpy as np
+from numpy.testing import assert_array_equal
+import pytest
+
+MS = 1_000_000
+START = 1_700_000_000_000_000_000
+COUNT = 10
+LATE = 2 * COUNT
+
+
+class Late:
+    """Answers one probe at once and again during the recording, and poses only after the last."""
+
+    def __init__(self, ros: Any) -> None:
+        """Make the topics and the service of a predictor."""
+        from geometry_msgs.msg import PoseStamped
+        from rclpy.node import Node
+        from std_srvs.srv import Trigger
+
+        node = Node('predictor', context=ros.context)
+        ros.executor.add_node(node)
+        self._held: list[Any] = []
+        self._probe: Any = None
+        self._writer = node.create_publisher(PoseStamped, 'package/pose', 1000)
+        node.create_subscription(PoseStamped, 'tool_arm/pose', self._take, 1000)
+        node.create_service(Trigger, 'predictor/reset', lambda _, response: response)
+
+    def _take(self, pose: Any) -> None:
+        """Answer a pose of the tool, or hold it back."""
+        if stamp_to_ns(pose.header.stamp) < START:
+            self._probe = self._probe or pose
+            self._writer.publish(self._probe)
+            return
+        if not self._held:
+            for _ in range(LATE):
+                self._writer.publish(self._probe)
+        self._held.append(pose)
+        if len(self._held) == COUNT:
+            for held in self._held:
+                self._writer.publish(held)
+
+
+@pytest.fixture
+def late(ros: Any) -> Iterator[Late]:
+    """Give a predictor that is spun beside the test."""
+    late, stop = Late(ros), Event()
+
+    def work() -> None:
+        while not stop.is_set():
+            ros.executor.spin_once(timeout_sec=0.05)
+
+    thread = Thread(target=work, daemon=True)
+    thread.start()
+    yield late
+    stop.set()
+    thread.join(60.0)
+    assert not thread.is_alive()
+
+
+def test_late_answers_to_probes_are_no_predictions(
+        late: Late, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait for the answers to the recording, however many to probes come during it."""
+    monkeypatch.setattr(demo_player, 'ANSWER_TIMEOUT', 60.0)
+    stamps = START + 20 * MS * np.arange(COUNT)
+    poses = PoseStream(
+        'tool', 'world', stamps, np.zeros((COUNT, 3)), np.tile(np.eye(3), (COUNT, 1, 1)))
+    exchange = Player(poses, None, lambda: None).play()
+
+    assert_array_equal(exchange.stamps_ns, stamps)
+    assert exchange.sent_poses == COUNT and (exchange.latency > 0.0).all()
