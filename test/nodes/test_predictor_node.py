@@ -120,7 +120,7 @@ def test_pose_does_not_wait_long_for_a_lost_twist(make_partner: Callable[..., An
 def test_vanished_twist_publisher_is_not_waited_for(make_partner: Callable[..., Any]) -> None:
     """Notice that nobody sends twists any more."""
     partner = make_partner()
-    partner.ros.spin_until(lambda: partner.predictor._live.expect_twists)
+    assert partner.ros.spin_until(lambda: partner.predictor._live.expect_twists)
     partner.node.destroy_publisher(partner.twist_writer)
 
     assert partner.ros.spin_until(lambda: not partner.predictor._live.expect_twists)
@@ -273,7 +273,7 @@ def test_recording_that_begins_again_is_followed(
     for _ in range(3):
         for step in range(50):
             partner.send_pose(START + step * 20 * MS, (1e-3 * step, 0.0, 0.0))
-        partner.ros.spin_until(lambda: partner.predictor._live.waiting == 0)
+        assert partner.ros.spin_until(lambda: partner.predictor._live.waiting == 0)
     partner.wait_for_inputs(150)
     live = partner.predictor._live
     assert live.restarts['clock_set_back'] == 2
