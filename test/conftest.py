@@ -156,11 +156,12 @@ class Ros:
     context: Any
     executor: Any
 
-    def spin_until(self, condition: Callable[[], bool], timeout: float = 10.0) -> bool:
+    def spin_until(self, condition: Callable[[], bool], timeout: float = 60.0) -> bool:
         """
         Spin until the condition holds, and tell whether it did before the timeout (s).
 
-        Waits for events, not for time: it returns as soon as the condition holds.
+        Waits for events, not for time: it returns as soon as the condition holds, and the timeout
+        is long, as it costs only where something fails.
         """
         deadline = time.monotonic() + timeout
         while not condition():

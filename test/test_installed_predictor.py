@@ -27,6 +27,9 @@ PACKAGE = """
 """
 SOFT = [1000.0 if i == j else 0.0 for i in range(6) for j in range(6)]
 START = 1_700_000_000_000_000_000
+LONGEST_START = 100.0  # s; it compiles first
+
+pytestmark = pytest.mark.timeout(300)
 MS = 1_000_000
 
 
@@ -76,7 +79,7 @@ class User:
     def call(self, service: str, kind: Any, request: Any) -> Any:
         """Call a service, again if the answer is lost: it may be ready before its reply is."""
         client = self.node.create_client(kind, service)
-        assert self.ros.spin_until(client.service_is_ready, 60.0), service
+        assert self.ros.spin_until(client.service_is_ready, LONGEST_START), service
         for _ in range(4):
             future = client.call_async(request)
             if self.ros.spin_until(future.done, 10.0):
@@ -104,7 +107,8 @@ class User:
         reader = self.node.create_subscription(PoseStamped, package, answers.append, 100)
         writer = self.node.create_publisher(PoseStamped, tool, 100)
         assert self.ros.spin_until(
-            lambda: reader.get_publisher_count() and writer.get_subscription_count(), 60.0)
+            lambda: reader.get_publisher_count() and writer.get_subscription_count(),
+            LONGEST_START)
         message = PoseStamped()
         message.header.frame_id = 'base'
         message.pose.orientation.w = 1.0
@@ -221,6 +225,6 @@ def test_wrong_parameters_end_with_2(user: User) -> None:
     """Name the nearest known parameter."""
     user.start('-p', 'coast.limmit:=0.1')
     assert user.process is not None
-    _, log = user.process.communicate(timeout=60)
+    _, log = user.process.communicate(timeout=LONGEST_START)
     assert user.process.returncode == 2
     assert "Did you mean 'coast.limit'?" in log and 'Traceback' not in log

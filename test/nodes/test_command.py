@@ -137,7 +137,7 @@ def test_process_predicts_and_ends_in_order(
         PoseStamped, 'package/pose', answers.append, qos_profile_sensor_data)
     writer = node.create_publisher(PoseStamped, 'tool_arm/pose', qos_profile_sensor_data)
     found = ros.spin_until(
-        lambda: reader.get_publisher_count() and writer.get_subscription_count(), 60.0)
+        lambda: reader.get_publisher_count() and writer.get_subscription_count())
     assert found, 'the predictor did not come up'
 
     message = PoseStamped()

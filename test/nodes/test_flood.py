@@ -41,7 +41,7 @@ class Victim:
             PoseStamped, 'package/pose', self._take, 3 * COUNT)
         self._writer = self._node.create_publisher(PoseStamped, 'tool_arm/pose', 10)
         assert ros.spin_until(
-            lambda: reader.get_publisher_count() and self._writer.get_subscription_count(), 60.0)
+            lambda: reader.get_publisher_count() and self._writer.get_subscription_count())
 
     def _take(self, message: Any) -> None:
         """Keep the stamp of an answer, which must be finite."""
@@ -80,7 +80,7 @@ class Victim:
             sent.append(self._ns)
             self.ros.spin_until(lambda: False, 0.002)
         expected = set(sent[100:])
-        return bool(self.ros.spin_until(lambda: expected <= set(self.answers[-200:])))
+        return bool(self.ros.spin_until(lambda: expected <= set(self.answers[-200:]), 10.0))
 
     def memory(self) -> int:
         """Return how many bytes of memory the predictor has."""

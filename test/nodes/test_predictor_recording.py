@@ -84,7 +84,7 @@ def test_predictions_meet_the_truth_and_none_is_lost(
     partner = make_partner(with_twists=with_twists)
     sent = [item for item in recording if with_twists or item[1] == POSE]
     Thread(target=play, args=(partner, sent, speed), daemon=True).start()
-    partner.ros.spin_until(lambda: len(partner.poses) >= COUNT, timeout=60.0)
+    partner.ros.spin_until(lambda: len(partner.poses) >= COUNT)
 
     expected = [stamp_ns(message) for _, topic, message in recording if topic == POSE]
     assert [stamp_ns(m) for m in partner.poses] == expected
