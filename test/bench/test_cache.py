@@ -10,7 +10,10 @@ import sys
 from bellows_ros.core import jit
 import pytest
 
-pytestmark = pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed')
+pytestmark = [
+    pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed'),
+    pytest.mark.timeout(600),
+]
 
 PACKAGE = Path(jit.__file__).parents[1]
 SCRIPT = """

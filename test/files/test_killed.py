@@ -17,6 +17,8 @@ from .killed_writers import HIDDEN, KILLS, WRITERS
 ROOT = Path(__file__).parents[2]
 ROWS = 4000
 
+pytestmark = pytest.mark.timeout(400)
+
 
 @pytest.fixture(scope='module')
 def killed(tmp_path_factory):

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.timeout(400)
+
 # A process of its own: in this one other tests have imported and compiled everything already.
 SCRIPT = """
 import gc, json, sys, time, tracemalloc
@@ -49,7 +51,7 @@ predictor = PredictorNode(
 executors = [executor_for(node) for node in (predictor, partner)]
 
 def spin_until(true, what):
-    end = time.monotonic() + 30.0
+    end = time.monotonic() + 60.0
     while not true():
         if time.monotonic() > end:
             sys.exit('waited in vain for ' + what)
@@ -122,7 +124,7 @@ def found(root: Path) -> dict[str, Any]:
     environment = {**os.environ, 'PYTHONPATH': str(root)}
     done = subprocess.run(
         [sys.executable, '-P', '-c', SCRIPT], env=environment, capture_output=True, text=True,
-        timeout=120, check=False)
+        timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return result

@@ -14,6 +14,9 @@ import pytest
 from rclpy.parameter import Parameter
 
 pytest.importorskip('bellows_ros.workflows.identify')
+pytestmark = pytest.mark.timeout(400)
+
+LONGEST = 300.0  # s
 
 RESTING = {
     'kind': 'static', 'rest_duration': 1.5,
@@ -50,7 +53,7 @@ def test_recordings_must_be_named(ros: Any) -> None:
 def test_error_of_the_work_ends_the_node(ros: Any, tmp_path: Path) -> None:
     """Raise where the node is waited for, and write nothing."""
     node = make(ros, bags=[str(tmp_path / 'nowhere')], output__json=str(tmp_path / 'fit.json'))
-    assert ros.spin_until(node.finished.done, 30.0)
+    assert ros.spin_until(node.finished.done, LONGEST)
     with pytest.raises(BellowsError, match='nowhere'):
         node.finished.result()
     assert list(tmp_path.iterdir()) == []
@@ -67,7 +70,7 @@ def test_cup_is_found_shown_written_and_set_on_the_predictor(
         ros, bags=[str(rig / 'clean')], output__parameters=str(written), predictor='/predictor',
         output__json=str(tmp_path / 'fit.json'), exit_when_done=True)
     assert not node.has_parameter('cup.stiffness'), 'shown before it is known'
-    assert ros.spin_until(node.finished.done, 60.0)
+    assert ros.spin_until(node.finished.done, LONGEST)
     assert node.finished.result() is None
 
     with np.load(rig / 'clean_truth.npz') as truth:
@@ -89,7 +92,7 @@ def test_absent_predictor_is_said(
     """Give up after a while, with the cup found."""
     monkeypatch.setattr('bellows_ros.nodes.identifier_node.LONGEST_WAIT', 0.2)
     node = make(ros, bags=[str(rig / 'clean')], predictor='/elsewhere')
-    assert ros.spin_until(node.finished.done, 60.0)
+    assert ros.spin_until(node.finished.done, LONGEST)
     with pytest.raises(BellowsError, match="could not be set on '/elsewhere'"):
         node.finished.result()
     assert node.has_parameter('cup.stiffness')
@@ -114,7 +117,7 @@ def test_all_that_the_command_can_do_the_node_can(
         package__mass=1.8, package__inertia=list(cup['package.inertia']),
         output__json=str(tmp_path / 'fit.json'), output__report=str(tmp_path / 'page.html'),
         exit_when_done=True)
-    assert ros.spin_until(node.finished.done, 120.0)
+    assert ros.spin_until(node.finished.done, LONGEST)
     assert node.finished.result() is None
     assert abs(node.get_parameter('cup.length').value - cup['cup.length']) < 1e-4
     content = read_result(tmp_path / 'fit.json')
@@ -137,7 +140,7 @@ def test_packages_in_files_are_enough(ros: Any, root: Path) -> None:
         Parameter(name, value=value) for name, value in given.items()])
     ros.executor.add_node(node)
     assert not node.has_parameter('package.mass')
-    assert ros.spin_until(lambda: node.has_parameter('cup.stiffness'), 60.0)
+    assert ros.spin_until(lambda: node.has_parameter('cup.stiffness'), LONGEST)
 
 
 @pytest.mark.parametrize('written', ['', 'cup.yaml'])
@@ -148,7 +151,7 @@ def test_a_forgotten_length_is_among_the_reasons(
         ros, bags=[str(root / 'bags/validation')], topics__tool_pose='/tool_arm/pose',
         topics__package_pose='/package/pose',
         output__parameters=str(tmp_path / written) if written else '')
-    assert ros.spin_until(node.finished.done, 60.0)
+    assert ros.spin_until(node.finished.done, LONGEST)
     with pytest.raises(BellowsError, match='cup.length is not set.* not positive definite'):
         node.finished.result()
     assert not (tmp_path / 'cup.yaml').exists()
@@ -159,7 +162,7 @@ def test_a_cup_that_cannot_be_ends_the_node_with_the_reason(ros: Any, root: Path
     node = make(
         ros, bags=[str(root / 'bags/validation')], topics__tool_pose='/tool_arm/pose',
         topics__package_pose='/package/pose', cup__length=0.049)
-    assert ros.spin_until(node.finished.done, 60.0)
+    assert ros.spin_until(node.finished.done, LONGEST)
     with pytest.raises(BellowsError, match='not positive definite'):
         node.finished.result()
     assert not node.has_parameter('cup.stiffness')

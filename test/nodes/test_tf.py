@@ -12,6 +12,8 @@ import pytest
 from . import tf2_interface
 from .conftest import PACKAGE
 
+pytestmark = pytest.mark.timeout(600)  # tf2_msgs may have to be built
+
 START = 1_700_000_000_000_000_000
 MS = 1_000_000
 

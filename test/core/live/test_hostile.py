@@ -9,6 +9,7 @@ from hypothesis import given, HealthCheck, Phase, settings
 from hypothesis import strategies as st
 import numpy as np
 from numpy.testing import assert_allclose
+import pytest
 
 START = 1_760_000_000_000_000_000
 MS = 1_000_000
@@ -97,6 +98,7 @@ def check(live, predictions):
     assert len(live._pairing._twists) <= 32
 
 
+@pytest.mark.timeout(600)
 def test_nothing_breaks_the_predictor_and_it_comes_back():
     sent = []
 

@@ -58,6 +58,7 @@ print([name for name in after if after[name] != before.get(name, 0)])
 """
 
 
+@pytest.mark.timeout(400)
 @pytest.mark.parametrize('frame', ['world', 'tool'])
 def test_nothing_is_compiled_once_the_node_is_configured(root, user_environment, frame):
     pytest.importorskip('numba', reason='without numba nothing is compiled')
