@@ -42,7 +42,8 @@ def tf2_msgs(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 def test_tf_shows_the_package_where_the_pose_has_it(
         make_partner: Callable[..., Any], tf2_msgs: Any) -> None:
     """Send the transform from the tool's frame to the package's for every prediction."""
-    partner = make_partner({**PACKAGE, 'frames.package': 'box'}, with_twists=False)
+    partner = make_partner({**PACKAGE, 'frames.package': 'box', 'coast.limit': 0.0},
+                           with_twists=False)
     got: list[Any] = []
     reader = partner.node.create_subscription(tf2_msgs.TFMessage, '/tf', got.append, 100)
     assert partner.ros.spin_until(reader.get_publisher_count)
