@@ -11,6 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+TRIANGLE_WITHIN = 1e-3
+"""How far (relative) the largest principal moment may be above the sum of the other two.
+
+The rounded figures of a thin plate's data sheet may be so.
+"""
+
 
 def box_inertia(mass: float, depth: float, width: float, height: float) -> Array:
     """
@@ -70,3 +76,27 @@ def composite(parts: Sequence[tuple[float, ArrayLike, ArrayLike]]) -> tuple[floa
         X = adjoint(inverse_transform(T_lip_part) @ T_lip_com)
         total += X.T @ generalized_inertia(part_mass, inertia) @ X
     return mass, com, total[3:, 3:]
+
+
+def check_inertia(inertia: Array) -> None:
+    """
+    Raise BellowsError unless a rigid body can have this inertia tensor (3, 3), kg m^2.
+
+    It must be symmetric and positive definite, and no principal moment above the sum of the
+    other two.
+    """
+    if not np.allclose(inertia, inertia.T, rtol=1e-9, atol=0.0):
+        raise BellowsError(f'The package inertia must be symmetric, got {inertia.tolist()}.')
+    moments = np.linalg.eigvalsh(inertia)
+    shown = ', '.join(f'{moment:.6g}' for moment in moments)
+    if moments[0] <= 0.0:
+        raise BellowsError(
+            f'No body has this package.inertia: its principal moments are {shown} kg m^2, '
+            'all must be above zero. Check the order ixx, iyy, izz, ixy, ixz, iyz and the signs.'
+        )
+    if moments[2] > (moments[0] + moments[1]) * (1.0 + TRIANGLE_WITHIN):
+        raise BellowsError(
+            f'No body has this package.inertia: its principal moments are {shown} kg m^2, '
+            'but the largest is at most the sum of the other two. '
+            'Check units (kg m^2) and the order ixx, iyy, izz, ixy, ixz, iyz.'
+        )

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from bellows_ros.core import jit
+from bellows_ros.core.inertia import check_inertia
 from bellows_ros.core.kernels import (
     Blocks,
     cup_wrench,
@@ -17,7 +18,7 @@ from bellows_ros.core.kernels import (
     spring_energy,
     spring_frames,
 )
-from bellows_ros.core.parameters import inertia_matrix, matrix, TRIANGLE_WITHIN
+from bellows_ros.core.parameters import inertia_matrix, matrix
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -163,28 +164,6 @@ def package_of(values: Mapping[str, Any]) -> Package:
         inertia=inertia_matrix(values['package.inertia']),
         com=values['package.com'],
     )
-
-
-def check_inertia(inertia: Array) -> None:
-    """
-    Raise BellowsError unless a rigid body can have this inertia tensor (3, 3).
-
-    It must be symmetric and positive definite, and no principal moment above the sum of the
-    other two.
-    """
-    if not np.allclose(inertia, inertia.T, rtol=1e-9, atol=0.0):
-        raise BellowsError(f'The package inertia must be symmetric, got {inertia.tolist()}.')
-    moments = np.linalg.eigvalsh(inertia)
-    if moments[0] <= 0.0:
-        raise BellowsError(
-            'The package inertia must be positive definite, but a principal moment is '
-            f'{moments[0]:g} kg m^2. Check the order ixx, iyy, izz, ixy, ixz, iyz and the signs.'
-        )
-    if moments[2] > (moments[0] + moments[1]) * (1.0 + TRIANGLE_WITHIN):
-        raise BellowsError(
-            f'No rigid body has the principal moments {moments.tolist()} kg m^2: the largest is '
-            'above the sum of the other two. Check units and the order of the entries.'
-        )
 
 
 def _tuple(values: NDArray[Any]) -> Any:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 import math
 from types import MappingProxyType
 
+from bellows_ros.core.inertia import check_inertia
 from bellows_ros.core.parameter_table import (
     Kind,
     lookup,
@@ -38,16 +39,12 @@ __all__ = [
     'require_stiffness',
     'resolve',
     'validate',
-    'TRIANGLE_WITHIN',
 ]
 
 Array = NDArray[np.float64]
 
-# Relative differences that are taken for rounding: of a matrix and its transpose, and of the
-# triangle inequality of principal moments, which the rounded figures of a thin plate's data sheet
-# may just miss.
 SYMMETRIC_WITHIN = 1e-9
-TRIANGLE_WITHIN = 1e-3
+"""Relative difference of a matrix and its transpose that is taken for rounding."""
 
 
 def validate(name: str, value: object) -> Value:
@@ -304,26 +301,9 @@ def _smallest_eigenvalue(name: str, values: Array) -> tuple[float, float]:
     return smallest, len(values) * float(np.finfo(np.float64).eps) * scale
 
 
-def _check_inertia(parameter: Parameter, value: Value) -> None:
-    """Refuse an inertia that no body can have: its moments break the triangle inequality."""
-    moments = np.linalg.eigvalsh(inertia_matrix(value))
-    shown = ', '.join(f'{m:.6g}' for m in moments)
-    if moments[0] <= 0.0:
-        raise BellowsError(
-            f'No body has this package.inertia: its principal moments are {shown} kg m^2, '
-            'all must be above zero. Check the order ixx, iyy, izz, ixy, ixz, iyz.'
-        )
-    if moments[0] + moments[1] < moments[2] * (1.0 - TRIANGLE_WITHIN):
-        raise BellowsError(
-            f'No body has this package.inertia: its principal moments are {shown} kg m^2, '
-            'but the largest is at most the sum of the other two. '
-            'Check units (kg m^2) and the order ixx, iyy, izz, ixy, ixz, iyz.'
-        )
-
-
 _PHYSICAL: Mapping[str, Callable[[Parameter, Value], None]] = MappingProxyType(
     {
-        'package.inertia': _check_inertia,
+        'package.inertia': lambda p, value: check_inertia(inertia_matrix(value)),
         'cup.stiffness': lambda p, value: require_stiffness(matrix(value), p.name),
         'cup.damping': lambda p, value: require_damping(matrix(value), p.name),
     }

@@ -1,7 +1,11 @@
 """Inertia against integration over the bodies."""
 
-from bellows_ros.core.inertia import box_inertia, composite, cylinder_inertia
+from contextlib import nullcontext
+
+from bellows_ros.core.inertia import box_inertia, check_inertia, composite, cylinder_inertia
 from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.model import Package
+from bellows_ros.core.parameters import validate
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -73,3 +77,21 @@ def test_parts_are_turned_and_moved():
 def test_a_composite_needs_parts_with_mass(parts):
     with pytest.raises(BellowsError, match='part'):
         composite(parts)
+
+
+@pytest.mark.parametrize(('inertia', 'word'), [
+    (np.diag([1.0, 1.0, 3.0]), 'sum of the other two'),
+    (np.diag([1.0, 1.0, -1.0]), 'above zero'),
+    (np.array([[1.0, 0.1, 0], [0, 1, 0], [0, 0, 1]]), 'symmetric'),
+])
+def test_inertia_no_body_can_have_is_refused(inertia, word):
+    with pytest.raises(BellowsError, match=word):
+        check_inertia(inertia)
+
+
+@pytest.mark.parametrize(('largest', 'is_taken'), [(2.001999, True), (2.002001, False)])
+def test_packages_and_parameters_take_the_same_rounded_inertia(largest, is_taken):
+    with nullcontext() if is_taken else pytest.raises(BellowsError, match='sum of the other two'):
+        Package(1.0, np.diag([1.0, 1.0, largest]), np.zeros(3))
+    with nullcontext() if is_taken else pytest.raises(BellowsError, match='sum of the other two'):
+        validate('package.inertia', [1.0, 1.0, largest, 0.0, 0.0, 0.0])

@@ -3,7 +3,6 @@
 from bellows_ros.core.kernels import body_acceleration
 from bellows_ros.core.lie import adjoint, exp_se3, inverse_transform, rotation_to_quaternion
 from bellows_ros.core.model import (
-    check_inertia,
     Cup,
     model_tuple,
     Package,
@@ -120,16 +119,6 @@ def test_regressor_times_parameters_is_the_wrench(rng):
     expected = [oracle.wrench_at_lip(cup, T[k], v[k]) for k in range(7)]
     assert L.shape == (7, 6, 42)
     assert_allclose(L @ x, expected, rtol=1e-11, atol=1e-9)
-
-
-@pytest.mark.parametrize(('inertia', 'word'), [
-    (np.diag([1.0, 1.0, 3.0]), 'sum of the other two'),
-    (np.diag([1.0, 1.0, -1.0]), 'positive definite'),
-    (np.array([[1.0, 0.1, 0], [0, 1, 0], [0, 0, 1]]), 'symmetric'),
-])
-def test_inertia_no_body_can_have_is_refused(inertia, word):
-    with pytest.raises(BellowsError, match=word):
-        check_inertia(inertia)
 
 
 @pytest.mark.parametrize(('arguments', 'word'), [
