@@ -156,18 +156,18 @@ def lip_relative_to_tool(
 @kernel
 def newton_euler(
     package: PackageTuple, gravity: Vector, R_A_B: Matrix,
-    v: Vector, w: Vector, f: Vector, m: Vector,
+    v: Vector, w: Vector, f: Vector, tau: Vector,
 ) -> tuple[Vector, Vector]:
     """
-    Return the rate of the body twist under the wrench (f, m) at B and gravity (3.5, 3.42).
+    Return the rate of the body twist under the wrench (f, tau) at B and gravity (3.5, 3.42).
 
-    m dv/dt = f - m w x v + m R^T g, I dw/dt = m - w x I w.
+    m dv/dt = f - m w x v + m R^T g, I dw/dt = tau - w x I w.
     """
     mass, _, inertia, inertia_inverse = package
     dv = add_scaled(
         subtract(apply_transposed(R_A_B, gravity), cross(w, v)), 1.0 / mass, f
     )
-    dw = apply(inertia_inverse, subtract(m, cross(w, apply(inertia, w))))
+    dw = apply(inertia_inverse, subtract(tau, cross(w, apply(inertia, w))))
     return dv, dw
 
 
