@@ -96,11 +96,9 @@ def write_parameters(
     path: str | os.PathLike[str],
     values: Mapping[str, object],
     header: Sequence[str] = (),
-    provenance: Sequence[str] = (),
-    node: str = '/**',
 ) -> None:
     """
-    Write a parameter file that ROS nodes take with --params-file, whole or not at all.
+    Write a parameter file that all ROS nodes take with --params-file, whole or not at all.
 
     Parameters
     ----------
@@ -111,10 +109,6 @@ def write_parameters(
         behind them the cups that have names.
     header : sequence of str
         Comment lines at the top.
-    provenance : sequence of str
-        Comment lines below them: where the values come from.
-    node : str
-        Which nodes the values are for; '/**' for all.
 
     Raises
     ------
@@ -122,21 +116,14 @@ def write_parameters(
         If a value is not allowed, or the file cannot be written; what was there is then untouched.
 
     """
-    atomic.write_text(path, format_parameters(values, header, provenance, node))
+    atomic.write_text(path, format_parameters(values, header))
 
 
-def format_parameters(
-    values: Mapping[str, object],
-    header: Sequence[str] = (),
-    provenance: Sequence[str] = (),
-    node: str = '/**',
-) -> str:
+def format_parameters(values: Mapping[str, object], header: Sequence[str] = ()) -> str:
     """Return the text of a parameter file; see `write_parameters`."""
     checked = {name: validate(name, value) for name, value in values.items()}
     lines = [_comment(line) for line in header]
-    lines += ['#'] if header and provenance else []
-    lines += [_comment(line) for line in provenance]
-    lines += [f'{_quoted(node)}:' if node[:1] != '/' else f'{node}:', f'{_INDENT}{_SECTION}:']
+    lines += ['/**:', f'{_INDENT}{_SECTION}:']
     body = list(_body(checked))
     return '\n'.join([*lines, *(body or [f'{_INDENT * 2}{{}}'])]) + '\n'
 

@@ -114,9 +114,8 @@ def test_all_values_come_back(tmp_path):
     values = {
         **resolve(PACKAGE), **LISTS,
         'bags': ('a', "b's: #{}[]", '-', 'true', '1.0', ' x ', 'ü')}
-    for node in ('/**', 'predictor', '/cell/predictor'):
-        write_parameters(tmp_path / 'p.yaml', values, ['A cup'], ['from a recording'], node)
-        assert read_parameters(tmp_path / 'p.yaml') == values
+    write_parameters(tmp_path / 'p.yaml', values, ['A cup'])
+    assert read_parameters(tmp_path / 'p.yaml') == values
 
 
 STIFF = tuple(Cup.thesis().stiffness.ravel().tolist())
@@ -163,9 +162,9 @@ def test_every_line_reads_well():
     stiffness = np.diag([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123])
     stiffness[0, 4] = stiffness[4, 0] = -1.25e-05
     values = {'cup.stiffness': tuple(stiffness.ravel()), 'gravity': 10, 'package.mass': 1e-05}
-    text = format_parameters(values, ['The cup.'], ['made from\nlab: 1'])
+    text = format_parameters(values, ['The cup.', 'made from\nlab: 1'])
     lines = text.splitlines()
-    assert lines[:5] == ['# The cup.', '#', '# made from lab: 1', '/**:', '  ros__parameters:']
+    assert lines[:4] == ['# The cup.', '# made from lab: 1', '/**:', '  ros__parameters:']
     assert '    gravity: 10.0  # m/s^2' in lines
     assert '      mass: 1.0e-05  # kg' in lines
     rows = [line for line in lines if line.endswith(('# x: N/m, N', '# ry: N, N m/rad'))]
