@@ -32,7 +32,7 @@ def cup_content(content: Mapping[str, Any]) -> list[str]:
     parts = [
         table(
             ('entry', 'value', 'standard error', '95 % interval', 'unit'),
-            [_shown(*row) for row in rows], (0, 4)),
+            [_shown(label, value, error, unit) for label, value, error, _, unit in rows], (0, 4)),
         figures([(NAMES[m][1], _intervals(m, rows)) for m in 'KP']),
         paragraph(
             '95 % intervals, in percent of the entry; off the diagonal in percent of the root of '
@@ -63,7 +63,7 @@ def entry_rows(content: Mapping[str, Any]) -> list[tuple[str, float, float, floa
     return rows
 
 
-def _shown(label: str, value: float, error: float, scale: float, unit: str) -> tuple[str, ...]:
+def _shown(label: str, value: float, error: float, unit: str) -> tuple[str, ...]:
     """Return a row of the table."""
     if not math.isfinite(error):
         return label, f'{value:.5g}', 'not told', 'not told', unit

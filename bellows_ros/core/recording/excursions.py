@@ -223,7 +223,7 @@ def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int
         if b in used or (late and other.strength < 1.0):
             continue
         summed = _sum(total, other.forms)
-        if _cancels(edges[k], other, summed, CANCELS_LATE_WITHIN if late else CANCELS_WITHIN):
+        if _cancels(edges[k], summed, CANCELS_LATE_WITHIN if late else CANCELS_WITHIN):
             yield k, b
             return
         if other.strength >= 1.0:
@@ -236,7 +236,7 @@ def _ends_behind(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[in
         other = edges[b]
         if b in used or edges[k].before - other.before > LATE:
             return
-        if other.strength < 1.0 and _cancels(edges[k], other, _sum(other.forms, edges[k].forms)):
+        if other.strength < 1.0 and _cancels(edges[k], _sum(other.forms, edges[k].forms)):
             yield b, k
             return
 
@@ -249,10 +249,8 @@ def _sum(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array
     return position, first[1] + second[1]
 
 
-def _cancels(
-    edge: Edge, other: Edge, summed: tuple[Array, Array], within: float = CANCELS_WITHIN
-) -> bool:
-    """Tell whether a jump and others up to `other` cancel, in the form that suits them best."""
+def _cancels(edge: Edge, summed: tuple[Array, Array], within: float = CANCELS_WITHIN) -> bool:
+    """Tell whether a jump and others, summed with it, cancel, in the form that suits best."""
     for q in range(2):
         size, threshold = float(np.linalg.norm(edge.forms[q][0])), edge.thresholds[q]
         left = float(np.min(np.linalg.norm(summed[q], axis=1)))
