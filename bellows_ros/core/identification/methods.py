@@ -107,7 +107,7 @@ def _of_motion(
     structure = structure_named(values['fit.structure'])
     if values['fit.method'] == 'least_squares':
         return least_squares(samples, length, structure)
-    start = _start(samples, structure, cup_of(values))
+    start = start_cup(samples, structure, cup_of(values))
     margin = LARGEST_OFFSET if values['fit.time_offset'] else 0.0
     stretches = [
         stretch
@@ -161,16 +161,16 @@ def samples_of(recording: Recording, held: Package, gravity: float) -> Samples:
     return Samples(recording.tool, recording.package, held, gravity, window)
 
 
-def _start(samples: list[Samples], structure: Structure, known: Cup) -> Cup:
+def start_cup(samples: list[Samples], structure: Structure, known: Cup) -> Cup:
     """
     Return the cup that the prediction error starts from: few parameters are found safely.
 
-    What the samples do not tell is that of a known cup.
+    What the samples do not tell, or tell to be below zero, is that of a known cup.
     """
     simple = structure if structure.name != 'full' else structure_named('diagonal')
     fit = least_squares(samples, known.length, simple)
     stiffness, damping = (
-        np.where(np.isfinite(error), found, instead)
+        np.where(np.isfinite(error) & (found >= 0.0), found, instead)
         for found, error, instead in (
             (fit.stiffness, fit.stiffness_std, known.stiffness),
             (fit.damping, fit.damping_std, known.damping),

@@ -65,16 +65,17 @@ class Pair:
 
 def record(
     motion, cup=CUP, held=HELD, tool=NO_NOISE, package=NO_NOISE, rate_hz=120.0, seed=1,
-    half_window=0,
+    half_window=0, later=0.0,
 ):
-    """Return the prepared recording of a motion, with white noise (m, rad per axis)."""
+    """Return the prepared recording of a motion, with white noise (m, rad per axis), tool late."""
     truth, moved = truth_of(motion, Pair.of(cup, held), rate_hz)
     draw = np.random.default_rng((seed, 2))
     streams = [
         PoseStream(
-            name, 'world', body.stamps_ns,
+            name, 'world', body.stamps_ns + round(1e9 * behind),
             body.position + noise[0] * draw.standard_normal((len(body), 3)),
             body.rotation @ exp_so3(noise[1] * draw.standard_normal((len(body), 3))))
-        for name, body, noise in (('tool', truth, tool), ('package', moved, package))]
+        for name, body, noise, behind in (
+            ('tool', truth, tool, later), ('package', moved, package, 0.0))]
     return prepare(*streams, PrepareSettings(
         com=tuple(held.com), tool_half_window=half_window, package_half_window=half_window))

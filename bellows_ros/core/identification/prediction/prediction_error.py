@@ -38,6 +38,9 @@ INFLATIONS = (1.0,)
 FARTHEST = 3.0
 """The free numbers stay this near to a stage's start: a factor of 20 in K and P."""
 
+MOST_ROUNDS = 3
+"""How often all stages are gone through where numbers end as far away as they may be."""
+
 MOST_ITERATIONS = 60
 LARGEST_CHI2 = 1.2
 """A chi^2 per degree of freedom above this is said to be too large."""
@@ -87,13 +90,17 @@ def prediction_error(
         [Stretch(r, first) for r in recordings], cup_length, chart, delays)
     theta = np.concatenate([theta, np.zeros(objective.size - chart.size)])
     log = _Log(objective, progress)
-    for stage, inflation in enumerate(INFLATIONS):
-        theta, _ = _minimised(objective, theta, inflation, log, stage, 1e-3)
-    theta, limits = _minimised(objective, theta, 0.0, log, len(INFLATIONS), 1e-8)
+    for _ in range(MOST_ROUNDS):
+        for stage, inflation in enumerate(INFLATIONS):
+            theta, _ = _minimised(objective, theta, inflation, log, stage, 1e-3)
+        theta, limits = _minimised(objective, theta, 0.0, log, len(INFLATIONS), 1e-8)
+        lost = _lost(chart, limits)
+        if not lost.any():
+            break
     near = chart.near(theta[: chart.size])
     theta[: chart.size] = 0.0
     objective = objective.with_chart(near)
-    sure = certainty(objective, theta).without(_lost(chart, limits))
+    sure = certainty(objective, theta).without(lost)
     return _fit(objective, near, theta - sure.pull, sure, log.iterations)
 
 

@@ -141,6 +141,21 @@ def test_time_offset_of_the_streams():
 
 
 @needs_speed
+def test_a_search_goes_on_from_where_it_was_stopped():
+    """Start from what least squares makes of a tool that is stamped late."""
+    recordings = stretches(
+        4, 5.0, tool_noise=(2e-5, 1e-4), package_noise=(5e-5, 2e-4), rate_hz=100.0)
+    damping = TRUTH.damping.copy()
+    damping[[0, 1, 2], [0, 1, 2]] = -29.0, -29.0, -140.0
+    start = Cup(TRUTH.stiffness, damping, TRUTH.length)
+    fit = prediction_error(recordings, TRUTH.length, AXISYMMETRIC, start)
+    assert_allclose(ratios(fit)[0], 1.0, atol=0.02)
+    assert_allclose(ratios(fit)[1][MOVING], 1.0, atol=0.06)
+    assert np.all(np.isfinite(np.diag(fit.damping_std)))
+    assert fit.chi2 < 1.1
+
+
+@needs_speed
 def test_several_packages_are_one_cup_or_not():
     both = [
         *stretches(5, tool_noise=(5e-5, 2e-4)),
