@@ -61,6 +61,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(result: 'Replay', arguments: argparse.Namespace, console: Console) -> None:
     """Print the scores and the counts."""
+    from bellows_ros.workflows.recordings import offset_sentence
+
     from .words import count_lines, score_table
 
     console.say(f'Prediction of {arguments.bag}', 'bold')
@@ -69,7 +71,8 @@ def _say(result: 'Replay', arguments: argparse.Namespace, console: Console) -> N
     for line in score_table(result.scores):
         console.say(f'  {line}')
     console.say()
-    for line in count_lines(result.counts):
+    for line in (*offset_sentence(arguments.bag, result.time_offset),
+                 *count_lines(result.counts)):
         console.paragraph(line)
     took = result.took
     console.paragraph(

@@ -87,6 +87,8 @@ def _say(
     result: 'Validated', limit: float, arguments: argparse.Namespace, console: Console
 ) -> None:
     """Print the errors per axis and what they mean."""
+    from bellows_ros.workflows.recordings import offset_sentence
+
     found = result.validation
     console.say(f'Free simulation of {arguments.bag}', 'bold')
     start = 'static equilibrium' if found.start == 'equilibrium' else 'the measured state'
@@ -96,7 +98,8 @@ def _say(
         console.say(f'  {line}')
     console.say()
     console.paragraph(f'{found.scores.samples} samples compared.')
-    for line in verdict_lines(result, limit):
+    for line in (*offset_sentence(arguments.bag, result.time_offset),
+                 *verdict_lines(result, limit)):
         console.paragraph(line)
     for warning in result.warnings:
         console.warn(warning)

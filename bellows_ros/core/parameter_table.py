@@ -323,8 +323,8 @@ _TABLE = (
     ),
     Parameter(
         'fit.time_offset', 'bool', False, '',
-        'Whether the time by which the stamps of the tool are behind those of the package is '
-        'estimated too, for every recording; for the prediction error.',
+        'Whether the time by which the stamps of the tool are behind those of the package, up to '
+        '0.05 s, is found and taken off, for every recording: for streams of two clocks.',
         _IDENTIFIER,
     ),
     Parameter(

@@ -17,7 +17,7 @@ from bellows_ros.files.atomic import write_text
 from bellows_ros.files.provenance import provenance
 from bellows_ros.files.results import format_json
 from bellows_ros.workflows.identify import Identification
-from bellows_ros.workflows.recordings import load, values_of_each
+from bellows_ros.workflows.recordings import load, offset_sentence, values_of_each
 from bellows_ros.workflows.validate import judge, Validated
 
 from .cup import cup_content, envelope_content, excitation_content, iteration_content
@@ -86,7 +86,9 @@ def validation_report(
 ) -> str:
     """Return the page of a validation."""
     sections = [
-        section('Free simulation', *motion_content(validated)),
+        section(
+            'Free simulation', bullets(offset_sentence(validated.bag, validated.time_offset)),
+            *motion_content(validated)),
         section('Samples', *samples_content(validated.recording)),
         section('Where this comes from', *origin_content(
             provenance([validated.bag], parameter_files), validated.values)),

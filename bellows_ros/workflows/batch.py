@@ -23,7 +23,7 @@ from bellows_ros.core.identification.advice.excitation import Excitation, excita
 from bellows_ros.core.identification.advice.package_check import Checked
 from bellows_ros.core.identification.envelope import Envelope
 from bellows_ros.core.identification.judgement.consistency import Consistency, same_cup
-from bellows_ros.core.identification.methods import filtered_samples
+from bellows_ros.core.identification.methods import filtered_samples, with_offsets
 from bellows_ros.core.identification.regression.summaries import (
     fit_summaries,
     joined_envelopes,
@@ -234,6 +234,8 @@ def _fit(
 ) -> tuple[Fit, Excitation]:
     """Return the fit of all summaries and of standstills, if there are any; and what is told."""
     fit, excitation = _told_fit(done)
+    if values['fit.time_offset']:
+        fit = with_offsets(fit, [item.report for item in done])
     if at_rest is None:
         return fit, excitation
     exact = Length(values['cup.length'], 0.0, np.zeros(len(fit.labels)))

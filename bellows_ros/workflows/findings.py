@@ -4,7 +4,9 @@ from typing import TYPE_CHECKING
 
 from bellows_ros.core.identification.judgement.validation import LIMIT
 from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.recording.preparation import TimeOffset
 from bellows_ros.core.score import AXES
+from bellows_ros.workflows.recordings import offset_sentence
 from bellows_ros.workflows.static import AtRest
 from bellows_ros.workflows.validate import Validated
 import numpy as np
@@ -21,14 +23,21 @@ SHOWN = 6
 
 def findings(result: 'Identification') -> tuple[str, ...]:
     """Return what was asked for: of standstills, structures and validation."""
-    lines: list[str] = []
+    offsets = map(TimeOffset, result.fit.delays, result.fit.delays_std)
+    lines = [
+        sentence for bag, offset in zip(result.values['bags'], offsets, strict=False)
+        for sentence in offset_sentence(bag, offset)
+    ]  # fmt: skip
     if result.at_rest is not None and result.fit.rest is not None:
         lines += rest_sentences(result.fit, result.at_rest, bool(result.values['static.length']))
     if result.spring is not None:
         lines.append(result.spring.sentence)
     if result.ladder is not None:
         lines += result.ladder.advice
-    return (*lines, *map(validation_sentence, result.validations))
+    for validated in result.validations:
+        lines += [*offset_sentence(validated.bag, validated.time_offset),
+                  validation_sentence(validated)]
+    return tuple(lines)
 
 
 def rest_sentences(fit: Fit, at_rest: AtRest, length_used: bool) -> list[str]:

@@ -26,13 +26,19 @@ from bellows_ros.core.identification.structure import structure_named
 from bellows_ros.core.model import Cup, Package, package_of
 from bellows_ros.core.parameter_table import THESIS_LENGTH
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.recording.preparation import Recording, Report
+from bellows_ros.core.recording.preparation import Recording, Report, TimeOffset
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.provenance import provenance, recording_digest
 from bellows_ros.files.results import write_result
 from bellows_ros.workflows.findings import findings
-from bellows_ros.workflows.recordings import load, names_of, repeats, values_of_each
+from bellows_ros.workflows.recordings import (
+    load,
+    names_of,
+    offset_sentence,
+    repeats,
+    values_of_each,
+)
 from bellows_ros.workflows.result_json import (
     checked_json,
     consistency_json,
@@ -461,8 +467,11 @@ def header(result: Identification) -> list[str]:
     """Return the lines at the top of the cup file: where its numbers come from."""
     fit = result.fit
     bags = ', '.join(map(str, result.values['bags']))
+    offsets = map(TimeOffset, fit.delays, fit.delays_std)
     return [
         f'Identified by bellows_ros {__version__} from {bags}',
         f'{fit.method}, {fit.structure}; {fit.samples_used} samples used, '
         f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
+        *(line for bag, offset in zip(result.values['bags'], offsets, strict=False)
+          for line in offset_sentence(bag, offset)),
     ]

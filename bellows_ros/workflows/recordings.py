@@ -1,18 +1,35 @@
 """Reading a recording and preparing it as its parameters say."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+import math
 import os
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.model import Package
+from bellows_ros.core.identification.advice.time_offset import time_offset
+from bellows_ros.core.identification.methods import samples_of
+from bellows_ros.core.identification.structure import structure_named
+from bellows_ros.core.model import Package, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS
-from bellows_ros.core.recording.preparation import prepare, PrepareSettings, Recording
-from bellows_ros.core.trajectory import PoseStream, TwistStream
+from bellows_ros.core.recording.preparation import (
+    prepare,
+    PrepareSettings,
+    Recording,
+    TimeOffset,
+)
+from bellows_ros.core.savgol import savgol
+from bellows_ros.core.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.parameter_files import read_parameters
+
+NOT_TOLD = (
+    'This recording does not tell by how much the stamps of the tool are behind those of the '
+    'package: it was used as it is stamped. Record a motion that is richer in all directions, '
+    'with clocks that differ by less than 50 ms.'
+)
+"""Said where a time offset is wanted and cannot be found."""
 
 NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 """Stands for the inertia (kg m^2) of what hangs at rest, where it takes no part."""
@@ -53,7 +70,54 @@ def load(path: str | os.PathLike[str], values: Mapping[str, Any]) -> Loaded:
     tool, package = streams['tool_pose'], streams['package_pose']
     twist = streams.get('tool_twist')
     recording = prepare(tool, package, _settings(values), twist)
-    return Loaded(Path(path), tool, package, twist, recording)
+    loaded = Loaded(Path(path), tool, package, twist, recording)
+    return _in_time(loaded, values) if values['fit.time_offset'] else loaded
+
+
+def _in_time(loaded: Loaded, values: Mapping[str, Any]) -> Loaded:
+    """Return a recording with the tool's stamps by the clock of the package, if that is told."""
+    found = _time_offset(loaded.recording, values)
+    if found is None:
+        report = loaded.recording.report
+        return _reported(loaded, warnings=(*report.warnings, NOT_TOLD))
+    tool, twist = _earlier(loaded.tool_pose, found.value), loaded.tool_twist
+    if twist is not None:
+        twist = _earlier(twist, found.value)
+    recording = prepare(tool, loaded.package_pose, _settings(values), twist)
+    moved = replace(loaded, tool_pose=tool, tool_twist=twist, recording=recording)
+    return _reported(moved, time_offset=found)
+
+
+def _time_offset(recording: Recording, values: Mapping[str, Any]) -> TimeOffset | None:
+    """Return the time by which the tool's stamps are behind the package's, if that is told."""
+    half_window = recording.tool_weights.shape[1] // 2
+    tool = savgol(recording.aligned_tool, half_window, values['filter.tool.order'])
+    samples = samples_of(recording, package_of(values), values['gravity'])
+    structure = structure_named(values['fit.structure'])
+    return time_offset(tool, samples, values['cup.length'], structure)
+
+
+def _earlier(stream: Any, seconds: float) -> Any:
+    """Return a stream with earlier stamps."""
+    return replace(stream, stamps_ns=stream.stamps_ns - round(seconds * NS_PER_S))
+
+
+def _reported(loaded: Loaded, **changes: Any) -> Loaded:
+    """Return the same with changes of the report."""
+    recording = loaded.recording
+    report = replace(recording.report, **changes)
+    return replace(loaded, recording=replace(recording, report=report))
+
+
+def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:
+    """Return a sentence about the clocks of a recording, or none where that is not told."""
+    if offset is None or not math.isfinite(offset.std):
+        return []
+    where = 'behind' if offset.value >= 0.0 else 'ahead of'
+    return [
+        f'{bag}: the stamps of the tool were {1e3 * abs(offset.value):.3f} ± '
+        f'{1e3 * offset.std:.3f} ms {where} those of the package, which was taken out.'
+    ]
 
 
 def repeats(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:

@@ -13,7 +13,7 @@ from bellows_ros.core.live import LivePredictor, Prediction, warm_up
 from bellows_ros.core.model import cup_of, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import in_world, R_WORLD_MOTIVE
-from bellows_ros.core.recording.preparation import Recording
+from bellows_ros.core.recording.preparation import Recording, TimeOffset
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.score import AXES, relative_coordinates, score, Scores
 from bellows_ros.core.trajectory import Mask, NS_PER_S, Stamps, Trajectory, TwistStream
@@ -102,6 +102,8 @@ class Replay(Comparison):
         Wall time (s) of 'preparing' (reading, cleaning, compiled code), 'predicting', 'comparing'.
     bag : str
         The recording.
+    time_offset : TimeOffset or None
+        What was taken from the tool's stamps, where that was wanted and could be found.
 
     """
 
@@ -109,6 +111,7 @@ class Replay(Comparison):
     real_time_factor: float
     took: Mapping[str, float]
     bag: str
+    time_offset: TimeOffset | None
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; m for x, y, z and rad for rx, ry, rz."""
@@ -123,6 +126,7 @@ class Replay(Comparison):
             'nrmse': scores.nrmse,
             'samples': scores.samples,
             'counts': dict(self.counts),
+            'time_offset': self.time_offset and self.time_offset._asdict(),
             'real_time_factor': self.real_time_factor,
             'seconds': dict(self.took),
             'version': __version__,
@@ -178,6 +182,7 @@ def replay(
         real_time_factor=float(np.ptp(messages.stamps_ns)) / NS_PER_S / predicting,
         took={'preparing': preparing, 'predicting': predicting, 'comparing': comparing},
         bag=os.fspath(bag),
+        time_offset=loaded.recording.report.time_offset,
     )
 
 

@@ -41,6 +41,7 @@ def fit_json(fit: Fit) -> dict[str, Any]:
         'residual_rms': fit.residual_rms,
         'chi2': fit.chi2,
         'time_offsets': fit.delays,
+        'time_offsets_std': fit.delays_std,
         'iterations': [
             {'stage': i.stage, 'chi2': i.chi2, 'stiffness': i.stiffness, 'damping': i.damping}
             for i in fit.iterations
@@ -105,6 +106,7 @@ def recording_json(bag: str, report: Report) -> dict[str, Any]:
         'valid': report.valid,
         'tool_pose': _stream_json(report.tool),
         'package_pose': _stream_json(report.package),
+        'time_offset': report.time_offset and report.time_offset._asdict(),
         'warnings': report.warnings,
     }
 

@@ -305,8 +305,8 @@ def _resolved(bags: Sequence[StaticBag], settings: Mapping[str, object]) -> dict
 
 
 def _recording(bag: StaticBag, values: Mapping[str, Any]) -> StaticRecording:
-    """Return a recording's standstills; a twist, which is none at rest, is not looked for."""
-    own = {**values, 'topics.tool_twist': ''}
+    """Return a recording's standstills; twist and time offset, unseen at rest, are left out."""
+    own = {**values, 'topics.tool_twist': '', 'fit.time_offset': False}
     for name, value in (('package.mass', bag.mass), ('package.com', bag.com)):
         if value is not None:
             own[name] = validate(name, value)

@@ -13,7 +13,7 @@ from bellows_ros.core.identification.methods import samples_of
 from bellows_ros.core.identification.seen import envelope
 from bellows_ros.core.model import cup_of, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.recording.preparation import Recording
+from bellows_ros.core.recording.preparation import Recording, TimeOffset
 from bellows_ros.core.score import AXES
 from bellows_ros.files.provenance import provenance
 from bellows_ros.workflows.recordings import load
@@ -50,6 +50,11 @@ class Validated:
     validation: Validation
     warnings: tuple[str, ...]
 
+    @property
+    def time_offset(self) -> TimeOffset | None:
+        """What was taken from the tool's stamps, where that was wanted and could be found."""
+        return self.recording.report.time_offset
+
     def as_json(
         self, limit: float = LIMIT, parameter_files: Sequence[str | os.PathLike[str]] = ()
     ) -> dict[str, Any]:
@@ -70,6 +75,7 @@ class Validated:
             'above_limit': found.failing(limit),
             'samples': found.scores.samples,
             'start': found.start,
+            'time_offset': self.time_offset and self.time_offset._asdict(),
             'seed': SEED,
             'free_run': _coloured_json(found.whiteness, found.spectrum),
             'one_step': found.one_step and {

@@ -88,3 +88,14 @@ def test_a_result_without_settings_is_refused(
     assert done.returncode == 2
     assert 'does not say from which recordings' in done.stderr
     assert contents(tmp_path) == before
+
+
+def test_a_time_offset_is_told(bellows: Run, root: Path, tmp_path: Path) -> None:
+    """Say what was taken from the tool's stamps, on the screen and on the page."""
+    wanted = (
+        'bags/validation', '--params', 'bags/cup.yaml', '--set', 'fit.time_offset=true')
+    page = tmp_path / 'page.html'
+    validated = bellows('validate', *wanted, '--report', page, cwd=root)
+    replayed = bellows('replay', *wanted, cwd=root)
+    for text in (validated.stdout, replayed.stdout, page.read_text()):
+        assert 'bags/validation: the stamps of the tool were 0.0' in text

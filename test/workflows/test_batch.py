@@ -357,6 +357,14 @@ def test_a_length_that_is_not_given_is_said(settings, tmp_path):
     assert any('cup.length is not set' in warning for warning in warnings)
 
 
+def test_time_offsets_are_told_as_with_one_fit(settings, one_fit):
+    """Tell the offset of each recording, here of one clock."""
+    fit = identify_many({**settings, 'fit.time_offset': True}).fit
+    assert len(fit.delays) == len(NAMES)
+    assert np.all(np.abs(fit.delays) < 4.0 * np.array(fit.delays_std))
+    assert_allclose(fit.stiffness, one_fit('axisymmetric').stiffness, rtol=1e-3)
+
+
 def test_standstills_join_summaries_as_they_join_recordings(settings, root, tmp_path):
     rest = {'static.bags': [str(root / 'bags/static')]}
     whole, apart = identify({**settings, **rest}), identify_many({**settings, **rest}, 1)

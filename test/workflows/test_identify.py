@@ -18,6 +18,8 @@ from numpy.testing import assert_allclose
 import pytest
 import yaml
 
+from .two_clocks import late
+
 CLEAN = {
     'topics.tool_pose': '/tool_arm/pose', 'topics.tool_twist': '/tool_arm/twist',
     'topics.package_pose': '/package/pose',
@@ -337,6 +339,50 @@ def test_a_wrong_centre_of_mass_is_suspected(shipped):
     assert not any('centre of mass' in warning for warning in shipped[0].warnings)
     (recording,) = result.as_json()['recordings']
     assert recording['centre_of_mass']['off'] is True
+
+
+@pytest.fixture(scope='module')
+def behind(root, tmp_path_factory):
+    """Return both shipped recordings with the tool stamped 5 ms late, and 12 ms early."""
+    folder = tmp_path_factory.mktemp('two_clocks')
+    return [late(root / 'bags' / name, folder / name, seconds)
+            for name, seconds in (('identification', 0.005), ('validation', -0.012))]
+
+
+def test_streams_of_two_clocks_give_the_cup_of_one(shipped, behind, tmp_path):
+    """Find offsets and, with each taken out, the same cup, the same checks and validation."""
+    bag, other = behind
+    result = identify({
+        **shipped[0].values, 'bags': [bag], 'validation.bags': [other], 'fit.time_offset': True})
+    one = shipped[0].fit
+    for name in ('stiffness', 'damping'):
+        difference = np.diag(getattr(result.fit, name) - getattr(one, name))
+        assert np.all(np.abs(difference) < np.diag(getattr(one, f'{name}_std')))
+    (offset,), (error,) = result.fit.delays, result.fit.delays_std
+    assert abs(offset - 0.005) < 4.0 * error < 1e-4
+    assert result.warnings == shipped[0].warnings
+    assert result.validations[0].validation.failing() == ()
+    assert abs(result.validations[0].time_offset.value + 0.012) < 5e-5
+    assert any(f'{1e3 * offset:.3f} ±' in line and 'behind' in line for line in result.findings)
+    assert any('ahead of those of the package' in line for line in result.findings)
+    content = json.loads(format_json(result.as_json()))
+    assert content['time_offsets'] == [offset] and content['time_offsets_std'] == [error]
+    assert content['recordings'][0]['time_offset'] == {'value': offset, 'std': error}
+    save(result, tmp_path / 'cup.yaml', None)
+    assert 'ms behind those of the package' in (tmp_path / 'cup.yaml').read_text()
+
+
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes interpreted')
+def test_the_prediction_error_finds_what_is_left_of_an_offset(shipped, behind):
+    result = identify({
+        **shipped[0].values, 'bags': behind[:1], 'fit.time_offset': True,
+        'fit.method': 'prediction_error'})
+    K, P = (np.reshape(shipped[1][f'cup.{name}'], (6, 6)) for name in ('stiffness', 'damping'))
+    for found, std, true in ((result.fit.stiffness, result.fit.stiffness_std, K),
+                             (result.fit.damping, result.fit.damping_std, P)):
+        assert np.all(np.abs(np.diag(found - true)) < 4.0 * np.diag(std))
+    assert abs(result.fit.delays[0] - 0.005) < 4.0 * result.fit.delays_std[0] < 1e-4
+    assert result.fit.chi2 < 1.05
 
 
 @pytest.fixture(scope='module')

@@ -1,8 +1,11 @@
 """The methods of fitting, by the names of the parameter `fit.method`."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+import math
 from typing import Any
 
+from bellows_ros.core.identification.advice.time_offset import LARGEST_OFFSET
 from bellows_ros.core.identification.prediction.measured import measured_stretches
 from bellows_ros.core.identification.prediction.pace import in_words, TYPICAL_STEPS
 from bellows_ros.core.identification.prediction.prediction_error import prediction_error
@@ -13,7 +16,7 @@ from bellows_ros.core.identification.statics.static_rows import Holds, joined_wi
 from bellows_ros.core.identification.structure import Structure, structure_named
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, cup_of, Package
-from bellows_ros.core.recording.preparation import Recording
+from bellows_ros.core.recording.preparation import Recording, Report, TimeOffset
 from bellows_ros.core.score import relative_coordinates
 from bellows_ros.core.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
@@ -28,9 +31,6 @@ LOOKED_AT_EVERY = 20
 
 LENGTH_STEP = 1e-5
 """Change of cup.length (m) for derivatives."""
-
-LARGEST_OFFSET = 0.05
-"""Time offsets of the streams are looked for up to this, s."""
 
 
 def fitted(
@@ -69,6 +69,8 @@ def fitted(
 
     """
     moving = _of_motion(recordings, held, values, progress).without(untold)
+    if values['fit.time_offset']:
+        moving = with_offsets(moving, [recording.report for recording in recordings])
     if not holds:
         return moving
     slopes = np.zeros(len(moving.labels))
@@ -76,6 +78,16 @@ def fitted(
         slopes = _length_slopes(recordings, held, values)
     length = Length(values['cup.length'], length_std, slopes)
     return joined_with_rest(moving, holds, length, values['gravity'], cup_of(values).stiffness)
+
+
+def with_offsets(fit: Fit, reports: Sequence[Report]) -> Fit:
+    """Return a fit with all that the tool's stamps are behind: what was taken off, and its own."""
+    taken = [report.time_offset or TimeOffset(0.0, math.inf) for report in reports]
+    if not fit.delays:
+        values, errors = zip(*taken, strict=True)
+        return replace(fit, delays=values, delays_std=errors)
+    delays = tuple(own + offset.value for own, offset in zip(fit.delays, taken, strict=True))
+    return replace(fit, delays=delays)
 
 
 def _length_slopes(

@@ -86,8 +86,9 @@ class Fit:
         Chi^2 per degree of freedom of the prediction errors; None for least squares.
     iterations : tuple of Iteration
         How the minimum was found; empty for least squares.
-    delays : tuple of float
-        Times (s) by which each recording's tool stamps are behind the package's, where wanted.
+    delays, delays_std : tuple of float
+        Times (s) by which each recording's tool stamps are behind the package's, where wanted, and
+        their standard errors; inf where a recording does not tell it.
     rest : Rest or None
         What standstills have added, where there were any.
 
@@ -110,6 +111,7 @@ class Fit:
     chi2: float | None = None
     iterations: tuple[Iteration, ...] = ()
     delays: tuple[float, ...] = ()
+    delays_std: tuple[float, ...] = ()
     rest: Rest | None = None
 
     def without(self, labels: Collection[str]) -> 'Fit':

@@ -8,6 +8,7 @@ package's stamps. Nothing is repaired in silence: all that is left out is in the
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from bellows_ros.core.lie import apply, Array, log_so3
 from bellows_ros.core.recording.alignment import (
@@ -129,6 +130,13 @@ class StreamReport:
         return int(np.count_nonzero(~self.outliers.good))
 
 
+class TimeOffset(NamedTuple):
+    """Time by which the stamps of the tool are behind those of the package, and its error, s."""
+
+    value: float
+    std: float
+
+
 @dataclass(frozen=True, eq=False)
 class Report:
     """
@@ -142,6 +150,8 @@ class Report:
         Common samples, and those of them to be used.
     warnings : tuple of str
         What the user should know, in words.
+    time_offset : TimeOffset or None
+        What was taken from the tool's stamps, where that was wanted and could be found.
 
     """
 
@@ -150,6 +160,7 @@ class Report:
     samples: int
     valid: int
     warnings: tuple[str, ...]
+    time_offset: TimeOffset | None = None
 
 
 @dataclass(frozen=True, eq=False)

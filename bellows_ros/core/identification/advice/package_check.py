@@ -158,7 +158,7 @@ def check_length(
 
         def found(measured: Samples, length: float) -> tuple[float, float]:
             shift, std, _ = _found(
-                lambda s: _rows(measured, length + float(s[0]), structure, whitening), 1)
+                lambda s: whitened_rows(measured, length + float(s[0]), structure, whitening), 1)
             return float(shift[0]), float(std[0])
 
         shift, std = found(samples, cup_length)
@@ -200,7 +200,7 @@ def check_centre_of_mass(
 
         def shifts(measured: Samples) -> tuple[Array, Array, float]:
             return _found(
-                lambda s: _rows(
+                lambda s: whitened_rows(
                     shifted(measured, s, lip_recorded), cup_length, structure, whitening),
                 3,
             )
@@ -231,12 +231,12 @@ def _found(rows_at: RowsAt, size: int) -> tuple[Array, Array, float]:
     It is found in steps that make the residuals smaller.
     """
     shift, std = np.zeros(size), np.full(size, np.inf)
-    first = best = _solved(rows_at(shift))[1]
+    first = best = smallest_residuals(rows_at(shift))[1]
     for _ in range(ROUNDS):
         step, std = _step(rows_at, shift)
         step *= min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), SMALL_STEP))
         for _ in range(HALVINGS):
-            left = _solved(rows_at(shift + step))[1]
+            left = smallest_residuals(rows_at(shift + step))[1]
             if left < best:
                 break
             step = 0.5 * step
@@ -263,7 +263,7 @@ def shifted(samples: Samples, shift: Array, lip_recorded: bool) -> Samples:
     return replace(samples, package=moved, held=held)
 
 
-def _rows(samples: Samples, cup_length: float, structure: Structure, W: Array) -> Rows:
+def whitened_rows(samples: Samples, cup_length: float, structure: Structure, W: Array) -> Rows:
     """Return the whitened A (6 N, p) and b (6 N,) of a recording, and its clusters of rows."""
     A, b, clusters, count = [], [], [], 0
     for block in samples.blocks():
@@ -275,7 +275,7 @@ def _rows(samples: Samples, cup_length: float, structure: Structure, W: Array) -
     return np.concatenate(A), np.concatenate(b), clusters
 
 
-def _solved(rows: Rows) -> tuple[Array, float]:
+def smallest_residuals(rows: Rows) -> tuple[Array, float]:
     """Return the parameters with the smallest residuals, and the sum of their squares."""
     A, b, _ = rows
     scale = np.linalg.norm(A, axis=0)
@@ -287,7 +287,7 @@ def _solved(rows: Rows) -> tuple[Array, float]:
 def _step(rows_at: RowsAt, shift: Array) -> tuple[Array, Array]:
     """Return the further shift that makes residuals smallest, to first order, and its error."""
     A, b, clusters = rows_at(shift)
-    x, _ = _solved((A, b, clusters))
+    x, _ = smallest_residuals((A, b, clusters))
     slopes = []
     for direction in STEP * np.eye(len(shift)):
         ends = [rows_at(shift + side * direction) for side in (1.0, -1.0)]

@@ -191,7 +191,8 @@ def _fit(
     counted = [s.measured.counted for s in objective.stretches]
     whitened = objective.residuals(theta).reshape(-1, 6)
     rms = np.sqrt(np.mean(whitened**2, axis=0))
-    delays = 1e-3 * theta[objective.size - objective.delays:]
+    first = objective.size - objective.delays
+    std = np.where(sure.told, np.sqrt(np.diag(sure.covariance)), np.inf)
     return Fit(
         method='prediction_error',
         structure=structure.name,
@@ -210,7 +211,8 @@ def _fit(
             *definiteness_warnings(stiffness, damping, structure.name), *_doubts(sure.chi2)),
         chi2=sure.chi2,
         iterations=tuple(iterations),
-        delays=tuple(delays.tolist()),
+        delays=tuple((1e-3 * theta[first:]).tolist()),
+        delays_std=tuple((1e-3 * std[first:]).tolist()),
     )
 
 

@@ -1,0 +1,59 @@
+"""Recordings as they are read and prepared, with one clock and with two."""
+
+from bellows_ros.core.parameters import resolve
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.workflows.recordings import load
+from bellows_ros.workflows.replay import replay
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+from .two_clocks import late
+
+
+@pytest.fixture(scope='module')
+def values(root):
+    """Return the parameters of the shipped recordings with their cup."""
+    known = {
+        **read_parameters(root / 'bags/cup.yaml'), **read_parameters(root / 'bags/package.yaml')}
+    return resolve(known)
+
+
+@pytest.fixture(scope='module')
+def behind(root, tmp_path_factory):
+    """Return the shipped validation with the tool stamped 12.3 ms late."""
+    return late(root / 'bags/validation', tmp_path_factory.mktemp('late') / 'bag', 0.0123)
+
+
+def test_the_tool_comes_to_the_clock_of_the_package(root, values, behind):
+    """Find poses and twists, in all forms they are kept in, where they were before."""
+    there = load(root / 'bags/validation', values)
+    moved = load(behind, {**values, 'fit.time_offset': True})
+    offset = moved.recording.report.time_offset
+    assert abs(offset.value - 0.0123) < max(4.0 * offset.std, 2e-5)
+    assert offset.std < 5e-5
+    for stream in ('tool_pose', 'tool_twist', 'package_pose'):
+        stamps, wanted = (getattr(loaded, stream).stamps_ns for loaded in (moved, there))
+        assert_allclose(stamps, wanted, rtol=0.0, atol=1e9 * 5e-5)
+    first = moved.recording.tool.stamps_ns[0] - there.recording.tool.stamps_ns[0]
+    assert_array_equal(moved.recording.tool.stamps_ns - there.recording.tool.stamps_ns, first)
+    assert_allclose(
+        moved.recording.tool.position, there.recording.tool.position, rtol=0.0, atol=5e-5)
+
+
+def test_where_no_offset_is_wanted_none_is_looked_for(values, behind):
+    assert load(behind, values).recording.report.time_offset is None
+
+
+def test_a_recording_that_tells_no_offset_is_used_as_it_is_stamped(root, values):
+    recording = load(root / 'bags/static', {**values, 'fit.time_offset': True}).recording
+    assert recording.report.time_offset is None
+    assert any('used as it is stamped' in warning for warning in recording.report.warnings)
+
+
+def test_a_replay_compares_by_one_clock(root, values, behind):
+    """Replay a late tool as well as one in time, to the noise of the poses."""
+    found = replay(behind, {**values, 'fit.time_offset': True})
+    in_time = replay(root / 'bags/validation', values)
+    assert_allclose(found.scores.rms, in_time.scores.rms, rtol=0.02)
+    assert abs(found.as_json()['time_offset']['value'] - 0.0123) < 5e-5
+    assert in_time.as_json()['time_offset'] is None
