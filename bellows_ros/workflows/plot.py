@@ -26,7 +26,7 @@ Progress = Callable[[str, float], None]
 
 SPECTRUM_SECONDS = 4.0  # of a segment: lines of 0.25 Hz
 NOT_SAMPLES = {'stiffness', 'motion', 'replay', 'cup_length', 'com', 'box', 'scores', 'counts',
-               'real_time_factor', 'took', 'bag'}  # fmt: skip
+               'real_time_factor', 'took', 'bag', 'time_offset'}  # fmt: skip
 TRACKED = {'package.com': (0.0, 0.0, 0.0)}  # puts B where the package is tracked
 
 

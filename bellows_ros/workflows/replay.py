@@ -165,6 +165,7 @@ def replay(
     loaded = load(bag, values)
     messages, left_out = tool_messages(loaded, values), _left_out(loaded)
     measured = loaded.recording.measured_tool, loaded.recording.measured_package
+    offset = loaded.recording.report.time_offset
     del loaded  # with all that was filtered: a seventh of the peak of memory
     model = (cup_of(values), package_of(values), values['gravity'], values['tool_twist.frame'])
     warm_up(*model)
@@ -182,7 +183,7 @@ def replay(
         real_time_factor=float(np.ptp(messages.stamps_ns)) / NS_PER_S / predicting,
         took={'preparing': preparing, 'predicting': predicting, 'comparing': comparing},
         bag=os.fspath(bag),
-        time_offset=loaded.recording.report.time_offset,
+        time_offset=offset,
     )
 
 

@@ -98,7 +98,8 @@ class CentreOfMass:
         return (
             f'{name}: the wrenches fit better with the centre of mass {there} from package.com: '
             f'the residuals are then {100.0 * self.residual:.0f} % as large. Check package.com, '
-            'cup.length, recording.package_frame and the alignment.',
+            'cup.length, recording.package_frame, the alignment, and whether one clock stamped '
+            'both streams (else set fit.time_offset).',
         )
 
 

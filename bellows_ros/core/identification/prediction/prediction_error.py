@@ -222,8 +222,8 @@ def _doubts(chi2: float) -> list[str]:
         return []
     return [
         f'The model does not explain the recording: chi^2 per degree of freedom is {chi2:.2f} '
-        'where 1 is expected. Check package.mass, package.com and the frames, or take a '
-        'richer fit.structure.'
+        'where 1 is expected. Check package.mass, package.com, the frames and whether one clock '
+        'stamped both streams (else set fit.time_offset), or take a richer fit.structure.'
     ]
 
 

@@ -53,6 +53,7 @@ def test_with_noise_the_right_one_is_not_doubted_and_a_wrong_one_is(noisy, lip):
     assert_allclose(found.shift[:2], [-0.004, 0.0], atol=2e-4)
     (sentence,) = found.warning('bag')
     assert 'mm in x from package.com' in sentence and ' in y' not in sentence
+    assert 'fit.time_offset' in sentence
 
 
 @pytest.mark.parametrize('error', [1e-3, -1e-3, 4e-4])
