@@ -48,6 +48,9 @@ CLUSTER_WINDOWS = 4
 CLUSTERS_PER_PARAMETER = 2
 """Clusters that it takes at least to tell correlations of the estimates."""
 
+ENOUGH_CLUSTERS = 10
+"""Clusters that it takes at least to tell variances of the estimates."""
+
 SMALLEST_SHARE = 1e-3
 """Least part of a direction that other clusters must tell, for a cluster's residual to count."""
 
@@ -178,8 +181,11 @@ def solved(
 ) -> Fit:
     """Return the fit of whitened rows, which are made anew whenever they are needed."""
     x, inverse, condition, untold = _solve(_triangle(rows(), structure), structure)
-    covariance, squares = _uncertainty(rows(), whitening, x, inverse)
-    covariance = without(covariance, untold)
+    covariance, squares, clusters = _uncertainty(rows(), whitening, x, inverse)
+    if clusters < ENOUGH_CLUSTERS:
+        variances = np.maximum(np.diag(covariance), _least_variances(rows(), x, inverse, clusters))
+        covariance = _with_correlations_of(inverse @ inverse.T, variances)
+    covariance = without(covariance, untold | np.isinf(np.diag(covariance)))
     stiffness, damping = structure.matrices(x)
     stiffness_std, damping_std = structure.spread(np.sqrt(np.diag(covariance)))
     return Fit(
@@ -199,6 +205,7 @@ def solved(
         warnings=(
             *definiteness_warnings(stiffness, damping, structure.name),
             *untold_warnings(structure.labels, untold),
+            *_short_warnings(covariance),
         ),
     )
 
@@ -242,9 +249,9 @@ def _triangle(rows: Iterable[Rows], structure: Structure) -> Array:
 
 def _uncertainty(
     rows: Iterable[Rows], whitening: Array, x: Array, inverse: Array
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, int]:
     """
-    Return the covariance (p, p) of x and the sum of squares (6,) of the wrench residuals.
+    Return the covariance (p, p) of x, the squares (6,) of wrench residuals, and the clusters.
 
     The covariance needs no independence of residuals that are less than a cluster apart, and
     no equal noise (the cluster-robust estimator; with Z = A R^-1 it is
@@ -266,14 +273,34 @@ def _uncertainty(
             meat += np.outer(u, u)
     covariance = inverse @ meat @ inverse.T
     if count < CLUSTERS_PER_PARAMETER * len(x):
-        covariance = _with_correlations_of(inverse @ inverse.T, covariance)
-    return covariance, squares
+        covariance = _with_correlations_of(inverse @ inverse.T, np.diag(covariance))
+    return covariance, squares, count
 
 
-def _with_correlations_of(one: Array, other: Array) -> Array:
-    """Return a covariance with the correlations of one and the variances of another."""
-    size = np.sqrt(np.diag(other) / np.maximum(np.diag(one), np.finfo(float).tiny))
-    return np.asarray(one * np.outer(size, size))
+def _least_variances(rows: Iterable[Rows], x: Array, inverse: Array, clusters: int) -> Array:
+    """
+    Return the variances (p,) of x if residuals in a filter window are one, else independent.
+
+    They are infinite where so many windows leave no residual. The last cluster may be short and
+    is not counted. (A fit brings the scores of its clusters to a sum of zero: those of few
+    clusters say next to nothing of the variances, that of one says zero.)
+    """
+    products, squares = np.zeros((6, len(x), len(x))), np.zeros(6)
+    for A, b, _ in rows:
+        Z = np.swapaxes(A @ inverse, 0, 1)
+        products += np.swapaxes(Z, 1, 2) @ Z
+        squares += np.sum((b - A @ x) ** 2, axis=0)
+    degrees = 6 * CLUSTER_WINDOWS * (clusters - 1) - len(x)
+    if degrees <= 0:
+        return np.full(len(x), np.inf)
+    meat = np.tensordot(6.0 * squares / degrees, products, axes=1)
+    return np.asarray(np.diag(inverse @ meat @ inverse.T))
+
+
+def _with_correlations_of(covariance: Array, variances: Array) -> Array:
+    """Return a covariance with the correlations of one and with other variances (p,)."""
+    size = np.sqrt(variances / np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    return np.asarray(covariance * np.outer(size, size))
 
 
 def _clusters(block: Samples) -> list[slice]:
@@ -328,4 +355,15 @@ def untold_warnings(labels: Sequence[str], untold: Mask) -> tuple[str, ...]:
         f'The recordings tell nothing about {", ".join(names[:UNTOLD_SHOWN])}{more}, alone: the '
         'standard errors are infinite, and the values say nothing. Excite all six directions, or '
         'take a simpler fit.structure.',
+    )
+
+
+def _short_warnings(covariance: Array) -> tuple[str, ...]:
+    """Return a sentence where no standard error is told, or none."""
+    if np.isfinite(np.diag(covariance)).any():
+        return ()
+    return (
+        'The recordings are too short to tell how far off K and P may be: residuals within some '
+        'filter windows are not independent, and too few are left. The standard errors are '
+        'infinite. Record longer.',
     )

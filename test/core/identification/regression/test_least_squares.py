@@ -166,6 +166,34 @@ def test_standard_errors_are_those_of_repeated_noise(round_cup):
     assert_allclose(np.var(found, axis=0, ddof=1) / told, 1.0, atol=0.6)
 
 
+def cut(samples, count):
+    """Return the first samples."""
+    first = slice(0, count)
+    return Samples(samples.tool.select(first), samples.package.select(first), samples.held,
+                   samples.gravity, samples.window)
+
+
+def test_few_clusters_tell_no_more_than_they_know(round_cup):
+    rng = np.random.default_rng(6)
+    structure = STRUCTURES['axisymmetric']
+    truth = structure.parameters(Cup.thesis().stiffness, Cup.thesis().damping)
+    away = []
+    for _ in range(40):
+        fit = least_squares([cut(noisy(round_cup, rng), 25)], 0.0481, structure)  # three clusters
+        found = structure.parameters(fit.stiffness, fit.damping)
+        away.append((found - truth) / np.sqrt(np.diag(fit.covariance)))
+    assert np.all(np.sqrt(np.mean(np.square(away), axis=0)) < 1.2)
+    assert fit.warnings == definiteness_warnings(fit.stiffness, fit.damping, structure.name)
+
+
+def test_one_cluster_tells_no_standard_error(round_cup):
+    short = cut(noisy(round_cup, np.random.default_rng(6)), 9)
+    fit = least_squares([short], 0.0481, STRUCTURES['axisymmetric'])
+    assert np.all(np.isinf(np.diag(fit.covariance)))
+    assert np.all(np.isinf(np.diag(fit.stiffness_std)))
+    assert any('too short' in warning for warning in fit.warnings)
+
+
 def test_full_cup_is_seen_through_filtered_poses():
     rng = np.random.default_rng(8)
     cup, package = random_cup(rng), random_package(rng)
