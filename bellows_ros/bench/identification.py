@@ -13,17 +13,19 @@ import argparse
 from collections.abc import Callable
 from dataclasses import replace
 
-from bellows_ros.core.identification.noise import Noise
+from bellows_ros.core.identification.advice.added_noise import FilterNoise
+from bellows_ros.core.identification.noise import Noise, noise_of
 from bellows_ros.core.identification.prediction.measured import Measured, measured_stretches
 from bellows_ros.core.identification.prediction.objective import Objective, Stretch
 from bellows_ros.core.identification.prediction.parametrisation import Parametrisation
 from bellows_ros.core.identification.prediction.prediction_error import prediction_error
 from bellows_ros.core.identification.regression.least_squares import least_squares, Samples
+from bellows_ros.core.identification.regression.noise_products import noise_products
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.structure import structure_named
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.savgol import savgol
+from bellows_ros.core.savgol import savgol, weights
 from bellows_ros.core.simulation import simulate
 from bellows_ros.core.synthetic.motion import motion_from
 from bellows_ros.core.synthetic.settings import Settings
@@ -80,7 +82,11 @@ def by_least_squares(poses: Poses) -> Fit:
     """Fit accelerations."""
     tool, package = (savgol(part, HALF_WINDOW, ORDER) for part in poses)
     samples = Samples(tool, package, PLATE, GRAVITY, (2 * HALF_WINDOW + 1) / RATE_HZ)
-    return least_squares([samples], Cup.thesis().length, STRUCTURE)
+    through = weights(HALF_WINDOW, ORDER, RATE_HZ)
+    noise = FilterNoise(noise_of(poses[0]), noise_of(poses[1]), through, through)
+    length = Cup.thesis().length
+    products = noise_products(samples, noise, length, STRUCTURE)
+    return least_squares([samples], length, STRUCTURE, products)
 
 
 def by_prediction_error(poses: Poses) -> Fit:

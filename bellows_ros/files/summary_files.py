@@ -36,7 +36,7 @@ LARGEST_HEADER = 64 * 2**20
 
 _MOMENTS = ('wrench', 'strain', 'twist', 'strain_noise', 'twist_noise')
 _ARRAYS = (
-    'triangles', 'samples', 'starts', 'rows', 'added', 'bands_hz', 'means', 'scatters')
+    'triangles', 'samples', 'starts', 'noise', 'rows', 'added', 'bands_hz', 'means', 'scatters')
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ def write_summary(path: str | os.PathLike[str], content: SummaryFile) -> None:
     packed = io.BytesIO()
     np.savez_compressed(
         packed, triangles=summary.triangles, samples=summary.samples, starts=summary.starts,
-        rows=evidence.rows, added=evidence.added, bands_hz=evidence.bands_hz,
+        noise=summary.noise, rows=evidence.rows, added=evidence.added, bands_hz=evidence.bands_hz,
         means=[part.mean for part in moments], scatters=[part.scatter for part in moments],
         header=np.frombuffer(format_json(header).encode(), np.uint8),
     )  # fmt: skip
@@ -158,7 +158,7 @@ def _parts(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> tuple[Summar
     ]  # fmt: skip
     summary = Summary(
         structure, float(header['cup_length']), int(header['used']), int(header['rejected']),
-        moments[0], arrays['triangles'], arrays['samples'], arrays['starts'],
+        moments[0], arrays['triangles'], arrays['samples'], arrays['starts'], arrays['noise'],
     )  # fmt: skip
     evidence = Evidence(
         **dict(zip(_MOMENTS, moments[1:], strict=True)),
@@ -180,6 +180,7 @@ def _require_whole(arrays: Mapping[str, Any], structure: Structure) -> None:
         'bands_hz': (2, 6),
         'means': (kinds, 6),
         'scatters': (kinds, 6, 6),
+        'noise': (6, size, 6, size),
     }
     for name, shape in shapes.items():
         array = arrays[name]

@@ -266,11 +266,12 @@ def summarise_bag(number: int, bag: str, values: Mapping[str, Any]) -> Done | Fa
         recording = load(bag, values).recording
         samples = filtered_samples(recording, package_of(values), values)
         length, structure = values['cup.length'], structure_named(values['fit.structure'])
+        noise = FilterNoise.of(recording)
         return Done(
             number,
             recording_digest(bag),
-            summarise(samples, length, structure),
-            evidence_of(samples, length, structure, FilterNoise.of(recording)),
+            summarise(samples, noise, length, structure),
+            evidence_of(samples, length, structure, noise),
             envelope([samples], length),
             checked(samples, values, recording),
             recording.report,

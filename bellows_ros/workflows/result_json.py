@@ -36,7 +36,9 @@ def fit_json(fit: Fit) -> dict[str, Any]:
         'samples_rejected': fit.samples_rejected,
         'condition_number': fit.condition_number,
         'usable': fit.usable,
-        'parameters': {'labels': fit.labels, 'covariance': fit.covariance},
+        'parameters': {
+            'labels': fit.labels, 'covariance': fit.covariance, 'noise_bias': fit.bias,
+        },
         'weight': fit.weight,
         'residual_rms': fit.residual_rms,
         'chi2': fit.chi2,

@@ -5,11 +5,13 @@ from dataclasses import replace
 import math
 from typing import Any
 
+from bellows_ros.core.identification.advice.added_noise import FilterNoise
 from bellows_ros.core.identification.advice.time_offset import LARGEST_OFFSET
 from bellows_ros.core.identification.prediction.measured import measured_stretches
 from bellows_ros.core.identification.prediction.pace import in_words, TYPICAL_STEPS
 from bellows_ros.core.identification.prediction.prediction_error import prediction_error
 from bellows_ros.core.identification.regression.least_squares import least_squares, Samples
+from bellows_ros.core.identification.regression.noise_products import noise_products
 from bellows_ros.core.identification.regression.relative_filter import relative_samples
 from bellows_ros.core.identification.result import Fit, Iteration
 from bellows_ros.core.identification.statics.static_rows import Holds, joined_with_rest, Length
@@ -118,7 +120,11 @@ def _of_motion(
     ]
     structure = structure_named(values['fit.structure'])
     if values['fit.method'] == 'least_squares':
-        return least_squares(samples, length, structure)
+        noise = np.sum([
+            noise_products(part, FilterNoise.of(recording), length, structure)
+            for part, recording in zip(samples, recordings, strict=True)
+        ], axis=0)
+        return least_squares(samples, length, structure, noise)
     start = start_cup(samples, structure, cup_of(values))
     margin = LARGEST_OFFSET if values['fit.time_offset'] else 0.0
     stretches = [

@@ -66,7 +66,7 @@ class Fit:
         K (3.17) and P (3.33) in SI units, linear first.
     stiffness_std, damping_std : ndarray (6, 6)
         Standard errors; 0 for entries that the structure fixes at zero, inf for those of which
-        the recordings tell nothing.
+        the recordings tell nothing. Those of least squares hold the bias.
     covariance : ndarray (2 n, 2 n)
         Of the free parameters, in the order of the labels; what is not told has inf on the
         diagonal and 0 beside it.
@@ -91,6 +91,9 @@ class Fit:
         their standard errors; inf where a recording does not tell it.
     rest : Rest or None
         What standstills have added, where there were any.
+    bias : ndarray (2 n,) or None
+        Expected error of the parameters that comes from noise in the motions; None where it is
+        not known.
 
     """
 
@@ -113,6 +116,7 @@ class Fit:
     delays: tuple[float, ...] = ()
     delays_std: tuple[float, ...] = ()
     rest: Rest | None = None
+    bias: Array | None = None
 
     def without(self, labels: Collection[str]) -> 'Fit':
         """Return the fit with infinite standard errors of some parameters."""

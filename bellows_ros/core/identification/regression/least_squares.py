@@ -54,6 +54,9 @@ ENOUGH_CLUSTERS = 10
 SMALLEST_SHARE = 1e-3
 """Least part of a direction that other clusters must tell, for a cluster's residual to count."""
 
+LEAST_SIGNAL = 0.05
+"""Noise is taken to leave at least this part of what tells a direction."""
+
 
 @dataclass(frozen=True, eq=False)
 class Samples:
@@ -102,7 +105,12 @@ class Samples:
         return int(np.count_nonzero(self.tool.valid & self.package.valid))
 
 
-def least_squares(recordings: list[Samples], cup_length: float, structure: Structure) -> Fit:
+def least_squares(
+    recordings: list[Samples],
+    cup_length: float,
+    structure: Structure,
+    noise: Array | None = None,
+) -> Fit:
     """
     Fit K and P so that the cup's wrench is the one that the motion needs (4.66, 4.74).
 
@@ -114,13 +122,16 @@ def least_squares(recordings: list[Samples], cup_length: float, structure: Struc
         Nominal length l0, m.
     structure : Structure
         Which entries of K and P are free.
+    noise : ndarray (6, q, 6, q), optional
+        What noise adds to the products of the rows, of all recordings (see `noise_products`).
 
     Returns
     -------
     Fit
         K and P with standard errors that allow for the correlation that the filter's window puts
-        into the residuals, and are infinite where the recordings tell nothing. A result that is
-        not positive definite is returned as it is, with a warning that says so.
+        into the residuals, and are infinite where the recordings tell nothing. Where the noise is
+        known, they hold the bias that it causes as well. A result that is not positive definite
+        is returned as it is, with a warning that says so.
 
     Raises
     ------
@@ -133,7 +144,7 @@ def least_squares(recordings: list[Samples], cup_length: float, structure: Struc
     require_enough(count, structure)
     whitening = whitening_of(regular(wrench_covariance(recordings, structure)))
     rows = partial(_rows, recordings, cup_length, structure, whitening)
-    return solved(rows, structure, whitening, count, rejected)
+    return solved(rows, structure, whitening, count, rejected, noise)
 
 
 class Rows(NamedTuple):
@@ -178,6 +189,7 @@ def solved(
     whitening: Array,
     used: int,
     rejected: int,
+    noise: Array | None = None,
 ) -> Fit:
     """Return the fit of whitened rows, which are made anew whenever they are needed."""
     x, inverse, condition, untold = _solve(_triangle(rows(), structure), structure)
@@ -185,6 +197,9 @@ def solved(
     if clusters < ENOUGH_CLUSTERS:
         variances = np.maximum(np.diag(covariance), _least_variances(rows(), x, inverse, clusters))
         covariance = _with_correlations_of(inverse @ inverse.T, variances)
+    bias = None if noise is None else _bias(noise, whitening, x, inverse)
+    if bias is not None:
+        covariance = covariance + np.outer(bias, bias)
     covariance = without(covariance, untold | np.isinf(np.diag(covariance)))
     stiffness, damping = structure.matrices(x)
     stiffness_std, damping_std = structure.spread(np.sqrt(np.diag(covariance)))
@@ -202,6 +217,7 @@ def solved(
         condition_number=condition,
         weight=whitening.T @ whitening,
         residual_rms=np.sqrt(squares / used),
+        bias=bias,
         warnings=(
             *definiteness_warnings(stiffness, damping, structure.name),
             *untold_warnings(structure.labels, untold),
@@ -295,6 +311,19 @@ def _least_variances(rows: Iterable[Rows], x: Array, inverse: Array, clusters: i
         return np.full(len(x), np.inf)
     meat = np.tensordot(6.0 * squares / degrees, products, axes=1)
     return np.asarray(np.diag(inverse @ meat @ inverse.T))
+
+
+def _bias(noise: Array, whitening: Array, x: Array, inverse: Array) -> Array:
+    """
+    Return the expected error (p,) of x that noise in the equations causes.
+
+    With noise that adds M to A^T A and m to A^T b on average, the truth is near
+    (A^T A - M)^-1 (A^T b - m), and the estimate off it by -(A^T A - M)^-1 (M x - m).
+    """
+    added = np.einsum('ij,ipjq->pq', whitening.T @ whitening, noise)
+    share, V = np.linalg.eigh(inverse.T @ added[:-1, :-1] @ inverse)
+    slope = inverse.T @ (added[:-1] @ np.append(x, -1.0))
+    return np.asarray(-inverse @ V @ (V.T @ slope / np.maximum(1.0 - share, LEAST_SIGNAL)))
 
 
 def _with_correlations_of(covariance: Array, variances: Array) -> Array:

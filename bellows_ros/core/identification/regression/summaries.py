@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+from bellows_ros.core.identification.advice.added_noise import FilterNoise
 from bellows_ros.core.identification.envelope import Envelope
 from bellows_ros.core.identification.regression.least_squares import (
     equations,
@@ -24,6 +25,7 @@ from bellows_ros.core.identification.regression.least_squares import (
     wrench_moments,
 )
 from bellows_ros.core.identification.regression.moments import joined, Moments
+from bellows_ros.core.identification.regression.noise_products import noise_products
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.structure import Structure
 from bellows_ros.core.identification.wrenches import lip_relative
@@ -59,6 +61,8 @@ class Summary:
         N m).
     starts : ndarray (C,)
         The first sample of each cluster in them.
+    noise : ndarray (6, q, 6, q)
+        What noise adds to the products of the rows (see `noise_products`).
 
     """
 
@@ -70,6 +74,7 @@ class Summary:
     triangles: Array
     samples: Array
     starts: NDArray[np.int64]
+    noise: Array
 
 
 def couples(structure: Structure) -> bool:
@@ -77,7 +82,9 @@ def couples(structure: Structure) -> bool:
     return structure.name == 'full'
 
 
-def summarise(recording: Samples, cup_length: float, structure: Structure) -> Summary:
+def summarise(
+    recording: Samples, noise: FilterNoise, cup_length: float, structure: Structure
+) -> Summary:
     """Return the summary of a recording, which may be without valid samples."""
     size = 2 * structure.size + 1
     triangles, samples = [np.empty((0, 6, size, size))], [np.empty((0, 18))]
@@ -95,6 +102,7 @@ def summarise(recording: Samples, cup_length: float, structure: Structure) -> Su
         structure, cup_length, recording.count, len(recording.tool) - recording.count,
         wrench_moments(recording), np.concatenate(triangles), np.concatenate(samples),
         np.array(starts, dtype=np.int64),
+        noise_products(recording, noise, cup_length, structure),
     )  # fmt: skip
 
 
@@ -129,7 +137,9 @@ def fit_summaries(summaries: Sequence[Summary]) -> Fit:
     covariance = joined(s.moments for s in summaries).covariance(structure)
     whitening = whitening_of(regular(covariance))
     rejected = sum(summary.rejected for summary in summaries)
-    return solved(partial(_rows, summaries, whitening), structure, whitening, used, rejected)
+    noise = np.sum([summary.noise for summary in summaries], axis=0)
+    rows = partial(_rows, summaries, whitening)
+    return solved(rows, structure, whitening, used, rejected, noise)
 
 
 def _same(summaries: Sequence[Summary]) -> Structure:

@@ -1,0 +1,57 @@
+"""What noise adds to least squares, against fits of many noisy recordings of one motion."""
+
+from bellows_ros.core.identification.advice.added_noise import FilterNoise
+from bellows_ros.core.identification.methods import samples_of
+from bellows_ros.core.identification.regression.least_squares import least_squares
+from bellows_ros.core.identification.regression.noise_products import noise_products
+from bellows_ros.core.identification.structure import STRUCTURES
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from .. import simulated
+
+ROUND = STRUCTURES['axisymmetric']
+L0 = simulated.CUP.length
+TRUTH = ROUND.parameters(simulated.CUP.stiffness, simulated.CUP.damping)
+
+
+def fitted(noise, seed, structure=ROUND):
+    """Return the fit of a recording with so much noise (m, rad) on both bodies, and its noise."""
+    recording = simulated.record(simulated.shake(), tool=noise, package=noise, seed=seed)
+    samples = samples_of(recording, simulated.HELD, simulated.GRAVITY)
+    products = noise_products(samples, FilterNoise.of(recording), L0, structure)
+    return least_squares([samples], L0, structure, products), samples, products
+
+
+@pytest.mark.parametrize('noise', [(1e-4, 5e-4), (3e-4, 1e-3)])
+def test_bias_is_that_of_many_recordings_and_intervals_hold_the_truth(noise):
+    fits = [fitted(noise, seed)[0] for seed in range(12)]
+    error = np.array([ROUND.parameters(f.stiffness, f.damping) for f in fits]) - TRUTH
+    bias = np.array([f.bias for f in fits])
+    variance = np.array([np.diag(f.covariance) for f in fits])
+    # P z is hardly told here; of the others the mean of 12 tells the bias to a third of a spread
+    told = np.arange(8) != 5
+    off = np.mean(error, axis=0) - np.mean(bias, axis=0)
+    assert np.all(np.abs(off) < 1.2 * np.std(error, axis=0, ddof=1) + 2e-4 * TRUTH, where=told)
+    inside = np.abs(error) < 1.96 * np.sqrt(variance)
+    assert np.mean(inside[:, told]) > 0.9
+    without = np.abs(error) < 1.96 * np.sqrt(variance - bias**2)
+    assert np.mean(without[:, [0, 4, 6]]) < 0.5  # K x, P x, P rx: the bias is what they lacked
+
+
+def test_exact_recordings_have_no_bias():
+    fit, samples, _ = fitted(simulated.NO_NOISE, 1)
+    assert np.all(np.abs(fit.bias) < 1e-6 * TRUTH)
+    assert_allclose(fit.covariance, least_squares([samples], L0, ROUND).covariance, rtol=1e-3)
+
+
+def test_a_full_structure_is_told_its_bias():
+    full = STRUCTURES['full']
+    fit, samples, products = fitted((1e-4, 5e-4), 1, full)
+    plain = least_squares([samples], L0, full)
+    assert plain.bias is None
+    assert_allclose(fit.covariance - np.outer(fit.bias, fit.bias), plain.covariance,
+                    rtol=1e-6, atol=1e-9 * np.abs(fit.covariance).max())
+    assert fit.bias[full.labels.index('P x')] < 0.0
+    assert products.shape == (6, 43, 6, 43)
