@@ -41,6 +41,7 @@ def fit_json(fit: Fit) -> dict[str, Any]:
         },
         'weight': fit.weight,
         'residual_rms': fit.residual_rms,
+        'noise_rms': fit.noise_rms,
         'chi2': fit.chi2,
         'time_offsets': fit.delays,
         'time_offsets_std': fit.delays_std,

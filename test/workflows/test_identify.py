@@ -76,6 +76,16 @@ def test_shipped_recording(shipped):
                     rtol=0.1)
 
 
+def test_wrong_axes_of_the_world_are_told(shipped, root):
+    result, _ = shipped
+    assert result.warnings == ()
+    wrong = identify({
+        **read_parameters(root / 'bags/package.yaml'), 'bags': [str(root / 'bags/validation')],
+        'recording.world': 'motive_y_up'})
+    told = [warning for warning in wrong.warnings if 'does not explain' in warning]
+    assert len(told) == 1 and 'recording.world' in told[0]
+
+
 def test_files_hold_the_result_and_the_cup_file_serves_both_nodes(shipped, tmp_path):
     result, _ = shipped
     save(result, tmp_path / 'cup.yaml', tmp_path / 'fit.json')

@@ -91,6 +91,8 @@ class Fit:
         their standard errors; inf where a recording does not tell it.
     rest : Rest or None
         What standstills have added, where there were any.
+    noise_rms : ndarray (6,) or None
+        RMS of the wrench that noise alone would leave, N and N m; None where it is not known.
     bias : ndarray (2 n,) or None
         Expected error of the parameters that comes from noise in the motions; None where it is
         not known.
@@ -116,6 +118,7 @@ class Fit:
     delays: tuple[float, ...] = ()
     delays_std: tuple[float, ...] = ()
     rest: Rest | None = None
+    noise_rms: Array | None = None
     bias: Array | None = None
 
     def without(self, labels: Collection[str]) -> 'Fit':

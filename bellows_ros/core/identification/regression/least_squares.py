@@ -33,6 +33,12 @@ LARGEST_CONDITION = 1e6
 
 UNTOLD_SHOWN = 4
 
+WRENCH = (
+    *((f'force along {axis}', 'N') for axis in 'xyz'),
+    *((f'moment about {axis}', 'N m') for axis in 'xyz'),
+)
+"""The components of a wrench at S, and their units."""
+
 NO_EFFECT = 1e-8
 """A parameter whose column is smaller than this part of those of its kind has no effect."""
 
@@ -56,6 +62,9 @@ SMALLEST_SHARE = 1e-3
 
 LEAST_SIGNAL = 0.05
 """Noise is taken to leave at least this part of what tells a direction."""
+
+UNEXPLAINED, OF_THE_WRENCH = 1.5, 0.1
+"""Residuals so many times those of noise, and by such a part of the wrench, are too large."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,10 +206,13 @@ def solved(
     if clusters < ENOUGH_CLUSTERS:
         variances = np.maximum(np.diag(covariance), _least_variances(rows(), x, inverse, clusters))
         covariance = _with_correlations_of(inverse @ inverse.T, variances)
-    bias = None if noise is None else _bias(noise, whitening, x, inverse)
-    if bias is not None:
+    bias = noise_rms = None
+    if noise is not None:
+        bias = _bias(noise, whitening, x, inverse)
         covariance = covariance + np.outer(bias, bias)
+        noise_rms = _noise_rms(noise, x, used)
     covariance = without(covariance, untold | np.isinf(np.diag(covariance)))
+    residual_rms = np.sqrt(squares / used)
     stiffness, damping = structure.matrices(x)
     stiffness_std, damping_std = structure.spread(np.sqrt(np.diag(covariance)))
     return Fit(
@@ -216,12 +228,14 @@ def solved(
         samples_rejected=rejected,
         condition_number=condition,
         weight=whitening.T @ whitening,
-        residual_rms=np.sqrt(squares / used),
+        residual_rms=residual_rms,
+        noise_rms=noise_rms,
         bias=bias,
         warnings=(
             *definiteness_warnings(stiffness, damping, structure.name),
             *untold_warnings(structure.labels, untold),
             *_short_warnings(covariance),
+            *_doubts(residual_rms, noise_rms, whitening),
         ),
     )
 
@@ -326,6 +340,12 @@ def _bias(noise: Array, whitening: Array, x: Array, inverse: Array) -> Array:
     return np.asarray(-inverse @ V @ (V.T @ slope / np.maximum(1.0 - share, LEAST_SIGNAL)))
 
 
+def _noise_rms(noise: Array, x: Array, used: int) -> Array:
+    """Return the RMS of the wrenches (6,) that noise alone would leave unexplained."""
+    left = np.append(x, -1.0)
+    return np.asarray(np.sqrt(np.einsum('p,ipiq,q->i', left, noise, left) / used))
+
+
 def _with_correlations_of(covariance: Array, variances: Array) -> Array:
     """Return a covariance with the correlations of one and with other variances (p,)."""
     size = np.sqrt(variances / np.maximum(np.diag(covariance), np.finfo(float).tiny))
@@ -395,4 +415,24 @@ def _short_warnings(covariance: Array) -> tuple[str, ...]:
         'The recordings are too short to tell how far off K and P may be: residuals within some '
         'filter windows are not independent, and too few are left. The standard errors are '
         'infinite. Record longer.',
+    )
+
+
+def _doubts(left: Array, by_noise: Array | None, whitening: Array) -> tuple[str, ...]:
+    """Return a sentence where a fit leaves more of the wrench (6,) than noise explains."""
+    if by_noise is None:
+        return ()
+    spread = np.linalg.norm(np.linalg.inv(whitening), axis=1)
+    excess = np.sqrt(np.maximum(left**2 - by_noise**2, 0.0)) / spread
+    doubtful = (left > UNEXPLAINED * by_noise) & (excess > OF_THE_WRENCH)
+    if not doubtful.any():
+        return ()
+    worst = int(np.argmax(np.where(doubtful, excess, 0.0)))
+    what, unit = WRENCH[worst]
+    return (
+        f'The model does not explain the recordings: of the {what} {left[worst]:.2g} {unit} RMS '
+        f'are left where noise explains {by_noise[worst]:.2g} {unit}. Check recording.world and '
+        'the other frames, that the topics are not exchanged, package.mass, package.com and '
+        'cup.length, and that both streams are stamped by one clock; or take a richer '
+        'fit.structure, or a shorter filter window where the motion is jerky.',
     )

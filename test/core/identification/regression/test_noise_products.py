@@ -5,6 +5,7 @@ from bellows_ros.core.identification.methods import samples_of
 from bellows_ros.core.identification.regression.least_squares import least_squares
 from bellows_ros.core.identification.regression.noise_products import noise_products
 from bellows_ros.core.identification.structure import STRUCTURES
+from bellows_ros.core.model import Cup
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -38,6 +39,27 @@ def test_bias_is_that_of_many_recordings_and_intervals_hold_the_truth(noise):
     assert np.mean(inside[:, told]) > 0.9
     without = np.abs(error) < 1.96 * np.sqrt(variance - bias**2)
     assert np.mean(without[:, [0, 4, 6]]) < 0.5  # K x, P x, P rx: the bias is what they lacked
+
+
+def test_residuals_of_noise_are_expected():
+    fits = [fitted((1e-4, 5e-4), seed)[0] for seed in range(6)]
+    # some 60 independent windows each: a root mean square of one recording is known to 9 %
+    assert_allclose(np.mean([f.residual_rms / f.noise_rms for f in fits], axis=0), 1.0, atol=0.1)
+    assert all(f.warnings == () for f in fits)
+
+
+def test_what_noise_does_not_explain_is_told():
+    """Fit a cup that is softer sideways along y with the structure of a round one."""
+    K, P = simulated.CUP.stiffness.copy(), simulated.CUP.damping
+    K[1, 1] *= 0.6
+    cup = Cup(K, P, L0)
+    recording = simulated.record(simulated.shake(), cup, tool=(1e-4, 5e-4), package=(1e-4, 5e-4))
+    samples = samples_of(recording, simulated.HELD, simulated.GRAVITY)
+    noise = FilterNoise.of(recording)
+    for name, expected in (('axisymmetric', 1), ('diagonal', 0)):
+        products = noise_products(samples, noise, L0, STRUCTURES[name])
+        fit = least_squares([samples], L0, STRUCTURES[name], products)
+        assert sum('does not explain' in warning for warning in fit.warnings) == expected
 
 
 def test_exact_recordings_have_no_bias():
