@@ -22,7 +22,7 @@ SHOWN = 6
 
 
 def findings(result: 'Identification') -> tuple[str, ...]:
-    """Return what was asked for: of standstills, structures and validation."""
+    """Return what was asked for: of standstills, recordings, structures and validation."""
     offsets = map(TimeOffset, result.fit.delays, result.fit.delays_std)
     lines = [
         sentence for bag, offset in zip(result.values['bags'], offsets, strict=False)
@@ -32,6 +32,8 @@ def findings(result: 'Identification') -> tuple[str, ...]:
         lines += rest_sentences(result.fit, result.at_rest, bool(result.values['static.length']))
     if result.spring is not None:
         lines.append(result.spring.sentence)
+    if result.consistency is not None and not result.consistency.differs:
+        lines.append(result.consistency.verdict)
     if result.ladder is not None:
         lines += result.ladder.advice
     for validated in result.validations:

@@ -164,7 +164,8 @@ class Identification:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the user must know: of what was given, the fit, the recordings, validations."""
-        verdict = (self.consistency.verdict,) if self.consistency else ()
+        one_cup = self.consistency
+        verdict = (one_cup.verdict,) if one_cup and one_cup.differs else ()
         resting = self.at_rest.warnings(self.values['cup.length']) if self.at_rest else ()
         of_recordings = tuple(w for report in self.reports for w in report.warnings)
         unseen = (f'{v.bag}: {warning}' for v in self.validations for warning in v.warnings)

@@ -54,6 +54,11 @@ class Consistency:
     of_damping: float
     verdict: str
 
+    @property
+    def differs(self) -> bool:
+        """Whether the cups are said to differ."""
+        return self.probability < SIGNIFICANT
+
 
 def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
     """

@@ -38,7 +38,7 @@ def test_probabilities_of_one_cup_are_uniform():
 
 def test_the_same_cup_is_said_to_be_the_same():
     found = same_cup(scattered(1), NAMES[:2])
-    assert found.verdict.startswith('The fits are of one cup')
+    assert found.verdict.startswith('The fits are of one cup') and not found.differs
     assert 'K and P are the same for light (1.2 kg) and heavy (2.2 kg)' in found.verdict
 
 
@@ -50,7 +50,7 @@ def test_what_differs_is_named(change, words):
     other[np.ravel(change)] *= 1.2
     found = same_cup([fits[0], fit(other)], NAMES[:2])
     assert words in found.verdict and 'may not hold over this range' in found.verdict
-    assert found.probability < 1e-6
+    assert found.probability < 1e-6 and found.differs
     label = ROUND.labels[np.ravel(change)[0]]
     assert label in found.verdict or ROUND.labels[np.ravel(change)[-1]] in found.verdict
 
@@ -68,7 +68,7 @@ def test_what_is_not_told_is_not_compared():
     assert found.degrees == 6 and found.probability == 1.0
     assert np.all(np.abs(found.deviations) < 1e-9)
     nothing = same_cup([f.without(ROUND.labels) for f in scattered(3)], NAMES[:2])
-    assert 'nothing can be compared' in nothing.verdict
+    assert 'nothing can be compared' in nothing.verdict and not nothing.differs
 
 
 def test_two_fits_of_one_structure_are_needed():
