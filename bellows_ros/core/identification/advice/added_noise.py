@@ -6,12 +6,15 @@ from bellows_ros.core.identification.noise import Noise, noise_of
 from bellows_ros.core.identification.regression.least_squares import Samples
 from bellows_ros.core.lie import apply, exp_so3
 from bellows_ros.core.recording.preparation import Recording
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+PLACES = 8
+"""Places between two poses of the tool that stand for all."""
 
 SEED = 20210801
 """Of the noise that is added; the same recording always gets the same answer."""
@@ -26,8 +29,8 @@ class FilterNoise:
     ----------
     tool, package : Noise
         White noise of the measured poses, m and rad per axis.
-    tool_weights, package_weights : ndarray (3, 2n+1)
-        Weights of the filters (see `trajectory.Filtered`).
+    tool_weights, package_weights : ndarray (3, m)
+        Weights of the filters (see `trajectory.Filtered`), or others with the same products.
 
     """
 
@@ -38,11 +41,11 @@ class FilterNoise:
 
     @classmethod
     def of(cls, recording: Recording) -> 'FilterNoise':
-        """Return that of a prepared recording, estimated from its unfiltered poses."""
+        """Return that of a prepared recording, estimated from its poses as they were measured."""
         return cls(
-            noise_of(recording.measured_tool),
-            noise_of(recording.measured_package),
-            recording.tool_weights,
+            noise_of(recording.aligned_tool),
+            noise_of(recording.aligned_package),
+            _resampled(recording),
             recording.package_weights,
         )
 
@@ -51,6 +54,29 @@ class FilterNoise:
         tool, package = (Noise(factor * n.position, factor * n.rotation)
                          for n in (self.tool, self.package))
         return FilterNoise(tool, package, self.tool_weights, self.package_weights)
+
+
+def _resampled(recording: Recording) -> Array:
+    """
+    Return weights (3, m) of the tool whose products are those at the package's stamps on average.
+
+    Between two filtered poses are the cubic polynomials of `resample`, whose slope holds the
+    difference of the two poses, and so more noise than the twists at its ends.
+    """
+    stamps = recording.aligned_tool.stamps_ns
+    step_ns = float(np.median(np.diff(stamps)))
+    fractions = (recording.tool.stamps_ns - stamps[0]) % step_ns / step_ns
+    step_s = step_ns / NS_PER_S
+    first, second = (np.pad(recording.tool_weights, ((0, 0), ends)) for ends in ((0, 1), (1, 0)))
+    parts = []
+    for s in np.quantile(fractions, (np.arange(PLACES) + 0.5) / PLACES).tolist():
+        moved, slopes = second[0] - first[0], (step_s * first[1], step_s * second[1])
+        value = (first[0] + s**2 * (3.0 - 2.0 * s) * moved
+                 + s * (1.0 - s) ** 2 * slopes[0] - s**2 * (1.0 - s) * slopes[1])
+        slope = (6.0 * s * (1.0 - s) * moved
+                 + (1.0 - s) * (1.0 - 3.0 * s) * slopes[0] - s * (2.0 - 3.0 * s) * slopes[1])
+        parts.append([value, slope / step_s, first[2]])
+    return np.asarray(np.hstack(parts) / np.sqrt(PLACES))
 
 
 def with_noise(samples: Samples, noise: FilterNoise, draw: np.random.Generator) -> Samples:
