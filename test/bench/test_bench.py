@@ -70,7 +70,7 @@ def test_figures_of_another_version_are_refused(tmp_path, capsys):
 
 @pytest.mark.skipif(find_spec('joblib') is None, reason='joblib is not installed')
 def test_a_measurement_that_fails_is_not_called_missing(monkeypatch):
-    monkeypatch.setattr(batch, '_copies', lambda folder, duration, count: [])
+    monkeypatch.setattr(batch, '_recordings', lambda folder, duration, count: [])
     monkeypatch.setattr(batch, 'MANY', 'raise SystemExit("boom")')
     with pytest.raises(BellowsError, match='boom'):
         batch.run(short=True)
