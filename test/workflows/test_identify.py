@@ -375,7 +375,8 @@ def test_streams_of_two_clocks_give_the_cup_of_one(shipped, behind, tmp_path):
         assert np.all(np.abs(difference) < np.diag(getattr(one, f'{name}_std')))
     (offset,), (error,) = result.fit.delays, result.fit.delays_std
     assert abs(offset - 0.005) < 4.0 * error < 1e-4
-    assert result.warnings == shipped[0].warnings
+    (unseen,) = set(result.warnings) - set(shipped[0].warnings)
+    assert 'goes beyond what the fit of the cup has seen' in unseen
     assert result.validations[0].validation.failing() == ()
     assert abs(result.validations[0].time_offset.value + 0.012) < 5e-5
     assert any(f'{1e3 * offset:.3f} ±' in line and 'behind' in line for line in result.findings)
