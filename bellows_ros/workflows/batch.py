@@ -36,7 +36,7 @@ from bellows_ros.core.identification.statics.static_rows import joined_with_rest
 from bellows_ros.core.identification.structure import structure_named
 from bellows_ros.core.model import cup_of, Package, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.recording.preparation import Report
+from bellows_ros.core.recording.preparation import Recording, Report
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
 from bellows_ros.files.parameter_files import write_parameters
@@ -47,8 +47,12 @@ from bellows_ros.workflows.identify import (
     assumed,
     checked,
     errors_of,
+    Failed,
+    FIT_BEGINS,
     Identification,
+    identify,
     NOT_OF_THE_CUP,
+    Readings,
     resolved,
     rest_of,
     warnings_of,
@@ -69,6 +73,8 @@ ANSWER_WITHIN = 10.0
 Progress = Callable[[str, float], None]
 Work = tuple[int, str, dict[str, Any]]
 """Place in the parameter `bags`, recording, and its parameters."""
+Task = Callable[[int, str, Mapping[str, Any]], Any]
+"""Makes of one such piece of work a result with `number` and `digest`, or a `Failed`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +90,13 @@ class Done:
     report: Report
 
 
-@dataclass(frozen=True)
-class Failed:
-    """A recording that cannot be used, and why."""
+@dataclass(frozen=True, eq=False)
+class Read:
+    """A recording that was read elsewhere: its place in `bags`, its digest, and itself."""
 
     number: int
-    bag: str
-    reason: str
+    digest: str
+    recording: Recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +108,6 @@ class BatchIdentification(Identification):
     ----------
     kept : tuple of Report
         What became of each recording that was used; `values['bags']` names them.
-    failed : tuple of Failed
-        The others.
     envelopes : tuple of Envelope
         What each of those that were used has seen.
 
@@ -114,7 +118,6 @@ class BatchIdentification(Identification):
     """
 
     kept: tuple[Report, ...] = ()
-    failed: tuple[Failed, ...] = ()
     envelopes: tuple[Envelope, ...] = ()
 
     @property
@@ -127,17 +130,6 @@ class BatchIdentification(Identification):
         """What became of each recording that was used."""
         return self.kept
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What the user must know, the recordings left out included."""
-        left_out = tuple(f"Recording '{f.bag}' was left out: {f.reason}" for f in self.failed)
-        return left_out + super().warnings
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the content of the JSON file."""
-        failed = [{'bag': f.bag, 'error': f.reason} for f in self.failed]
-        return {**super().as_json(), 'failed': failed}
-
 
 def identify_many(
     settings: Mapping[str, object],
@@ -145,9 +137,12 @@ def identify_many(
     dask: str = '',
     progress: Progress | None = None,
     parameter_files: Sequence[str | os.PathLike[str]] = (),
-) -> BatchIdentification:
+) -> Identification:
     """
     Identify a cup from many recordings at a time.
+
+    What least squares needs of each is summarised where it is read. What a fit needs recordings
+    themselves for, as the prediction error does, is made here of recordings that others have read.
 
     Parameters
     ----------
@@ -172,18 +167,11 @@ def identify_many(
     """
     tell = progress or (lambda what, part: None)
     values = resolved(settings)
-    _require_least_squares(values, 'leave --jobs and --dask out')
-    _require_nothing_whole(values)
+    if _needs_recordings(values):
+        return _from_recordings(settings, jobs, dask, tell, parameter_files)
     at_rest = rest_of(values, tell)
-    bags = [os.fspath(bag) for bag in values['bags']]
     each = values_of_each(values)
-    tell(f'reading {len(bags)} recordings', 0.0)
-    work = [(n, bag, dict(own)) for n, (bag, own) in enumerate(zip(bags, each, strict=True))]
-    results = on_dask(work, dask) if dask else on_cores(work, jobs)
-    done, failed = _gathered(results, bags, tell)
-    used = {**values, 'bags': tuple(bags[item.number] for item in done)}
-    if values['package.files']:
-        used['package.files'] = tuple(values['package.files'][item.number] for item in done)
+    used, done, failed = _worked_on(summarise_bag, values, jobs, dask, tell)
     fit, excitation = _fit(done, used, at_rest)
     result = BatchIdentification(
         fit=fit,
@@ -204,17 +192,67 @@ def identify_many(
     return result
 
 
+def _needs_recordings(values: Mapping[str, Any]) -> bool:
+    """Return whether a fit takes more of the recordings than their summaries."""
+    return bool(
+        values['fit.method'] != 'least_squares' or values['fit.compare_structures']
+        or values['static.length'] or values['validation.bags']
+    )  # fmt: skip
+
+
+def _from_recordings(
+    settings: Mapping[str, object], jobs: int, dask: str, tell: Progress,
+    parameter_files: Sequence[str | os.PathLike[str]],
+) -> Identification:
+    """Return what is made here of recordings that others read."""
+    left_out: list[Failed] = []
+
+    def read(values: dict[str, Any], tell: Progress) -> Readings:
+        used, done, failed = _worked_on(
+            read_bag, values, jobs, dask, lambda what, part: tell(what, FIT_BEGINS * part))
+        left_out.extend(failed)
+        each = values_of_each(values)
+        return used, [r.recording for r in done], [package_of(each[r.number]) for r in done]
+
+    result = identify(settings, tell, parameter_files, read)
+    return replace(result, failed=tuple(left_out))
+
+
+def read_bag(number: int, bag: str, values: Mapping[str, Any]) -> Read | Failed:
+    """Return a prepared recording, or why there is none; the work of one process."""
+    try:
+        return Read(number, recording_digest(bag), load(bag, values).recording)
+    except BellowsError as error:
+        return Failed(number, bag, str(error))
+
+
+def _worked_on(
+    task: Task, values: Mapping[str, Any], jobs: int, dask: str, tell: Progress
+) -> tuple[dict[str, Any], list[Any], list[Failed]]:
+    """Return the parameters of the recordings that could be used, results, and failures."""
+    bags = [os.fspath(bag) for bag in values['bags']]
+    each = values_of_each(values)
+    tell(f'reading {len(bags)} recordings', 0.0)
+    work = [(n, bag, dict(own)) for n, (bag, own) in enumerate(zip(bags, each, strict=True))]
+    results = on_dask(work, dask, task) if dask else on_cores(work, jobs, task)
+    done, failed = _gathered(results, bags, tell)
+    used = {**values, 'bags': tuple(bags[item.number] for item in done)}
+    if values['package.files']:
+        used['package.files'] = tuple(values['package.files'][item.number] for item in done)
+    return used, done, failed
+
+
 def _gathered(
-    results: Iterator[Done | Failed], bags: Sequence[str], tell: Progress
-) -> tuple[list[Done], list[Failed]]:
+    results: Iterator[Any], bags: Sequence[str], tell: Progress
+) -> tuple[list[Any], list[Failed]]:
     """Return the results in the order of the recordings; at least one must be usable."""
-    done: list[Done] = []
+    done: list[Any] = []
     failed: list[Failed] = []
     for count, result in enumerate(results, 1):
-        if isinstance(result, Done):
-            done.append(result)
-        else:
+        if isinstance(result, Failed):
             failed.append(replace(result, bag=bags[result.number]))
+        else:
+            done.append(result)
         tell(f'reading {len(bags)} recordings', count / (len(bags) + 1))
     done.sort(key=lambda item: item.number)
     for place, sentence in reversed([*repeats((bags[d.number], d.digest) for d in done)]):
@@ -289,48 +327,30 @@ def _require_least_squares(values: Mapping[str, Any], instead: str) -> None:
         )
 
 
-def _require_nothing_whole(values: Mapping[str, Any]) -> None:
-    """Refuse what needs all recordings at one place."""
-    if values['fit.compare_structures']:
-        raise BellowsError(
-            'fit.compare_structures needs the recordings themselves, which --jobs and --dask do '
-            'not keep. Leave it out, and take the command ladder on some of them.'
-        )
-    if values['static.length']:
-        raise BellowsError(
-            'static.length is not for --jobs and --dask: find the length first, with the command '
-            'static and its --out.'
-        )
-    if values['validation.bags']:
-        raise BellowsError(
-            'validation.bags is not for --jobs and --dask. Take the command validate afterwards.'
-        )
-
-
-def on_cores(work: Sequence[Work], jobs: int) -> Iterator[Done | Failed]:
+def on_cores(work: Sequence[Work], jobs: int, task: Task = summarise_bag) -> Iterator[Any]:
     """Yield the results of processes on this machine, as they come."""
     if jobs == 1 or len(work) == 1:
-        yield from (_tried(*item) for item in work)
+        yield from (_tried(task, *item) for item in work)
         return
     joblib = _imported('joblib', 'parallel', '--jobs')
     left = {item[0]: item for item in work}
     while left:
         begun: list[int] = []
         try:
-            for result in _in_pool(joblib, jobs, _noted(list(left.values()), begun)):
+            for result in _in_pool(joblib, jobs, task, _noted(list(left.values()), begun)):
                 del left[result.number]
                 yield result
         except BrokenProcessPool:
             # One of those begun has ended its process; in a pool of its own it ends no other.
             for number in (number for number in begun if number in left):
-                yield _alone(joblib, left.pop(number))
+                yield _alone(joblib, task, left.pop(number))
 
 
-def _in_pool(joblib: Any, jobs: int, work: Iterable[Work]) -> Iterator[Done | Failed]:
+def _in_pool(joblib: Any, jobs: int, task: Task, work: Iterable[Work]) -> Iterator[Any]:
     """Yield the results of a pool of processes, which is handed no more than it works on."""
     parallel = joblib.Parallel(
         jobs, backend='loky', return_as='generator_unordered', batch_size=1, pre_dispatch='n_jobs')
-    results: Iterator[Done | Failed] = parallel(joblib.delayed(_tried)(*item) for item in work)
+    results: Iterator[Any] = parallel(joblib.delayed(_tried)(task, *item) for item in work)
     return results
 
 
@@ -341,10 +361,10 @@ def _noted(work: Iterable[Work], begun: list[int]) -> Iterator[Work]:
         yield item
 
 
-def _alone(joblib: Any, item: Work) -> Done | Failed:
+def _alone(joblib: Any, task: Task, item: Work) -> Any:
     """Return the result of a process that works on nothing else."""
     try:
-        (result,) = _in_pool(joblib, 2, [item])
+        (result,) = _in_pool(joblib, 2, task, [item])
         return result
     except BrokenProcessPool:
         number, bag, _ = item
@@ -354,10 +374,10 @@ def _alone(joblib: Any, item: Work) -> Done | Failed:
         )  # fmt: skip
 
 
-def _tried(number: int, bag: str, values: Mapping[str, Any]) -> Done | Failed:
-    """Return a recording's summary, or why there is none, whatever went wrong."""
+def _tried(task: Task, number: int, bag: str, values: Mapping[str, Any]) -> Any:
+    """Return what a task makes of a recording, or why there is none, whatever went wrong."""
     try:
-        return summarise_bag(number, bag, values)
+        return task(number, bag, values)
     except Exception as error:  # noqa: BLE001 (one recording must not end the work on others)
         return _broken(number, bag, error)
 
@@ -367,7 +387,7 @@ def _broken(number: int, bag: str, error: Exception) -> Failed:
     return Failed(number, bag, f'{type(error).__name__}: {error}')
 
 
-def on_dask(work: Sequence[Work], address: str) -> Iterator[Done | Failed]:
+def on_dask(work: Sequence[Work], address: str, task: Task = summarise_bag) -> Iterator[Any]:
     """Yield the results of a Dask cluster's workers."""
     distributed = _imported('distributed', 'dask', '--dask')
     logging.getLogger('distributed.client').setLevel(logging.CRITICAL)  # errors are told here
@@ -382,7 +402,7 @@ def on_dask(work: Sequence[Work], address: str) -> Iterator[Done | Failed]:
         ) from None
     with client:
         futures = [
-            client.submit(_tried, number, os.path.abspath(bag), own, pure=False)
+            client.submit(_tried, task, number, os.path.abspath(bag), own, pure=False)
             for number, bag, own in work
         ]
         for future, (number, bag, _) in zip(futures, work, strict=True):
@@ -396,10 +416,10 @@ async def _reach(distributed: Any, address: str) -> None:
     await comm.close()
 
 
-def _result_of(future: Any, number: int, bag: str, address: str) -> Done | Failed:
+def _result_of(future: Any, number: int, bag: str, address: str) -> Any:
     """Return the result of a Dask worker, or why there is none; raise where Dask is gone."""
     try:
-        result: Done | Failed = future.result()
+        result = future.result()
     except Exception as error:  # noqa: BLE001 (a worker can raise whatever it likes)
         if future.status == 'error':
             return _broken(number, bag, error)

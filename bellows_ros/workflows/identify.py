@@ -54,6 +54,8 @@ from bellows_ros.workflows.validate import validate, Validated
 import numpy as np
 
 Progress = Callable[[str, float], None]
+Readings = tuple[dict[str, Any], list[Recording], list[Package]]
+Reader = Callable[[dict[str, Any], Progress], Readings]
 
 NOT_OF_THE_CUP = (
     'bags', 'package.files', 'static.bags', 'static.files', 'static.length', 'validation.bags',
@@ -66,6 +68,15 @@ UNKNOWN_STD = 1e9
 
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 """Parts of the whole work at which fitting begins and ends, for the progress."""
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A recording that cannot be used, its place in `bags`, and why."""
+
+    number: int
+    bag: str
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +108,8 @@ class Identification:
         Recordings that the fit has not seen, simulated with its cup.
     checks : tuple of Checked
         What each recording says of the cup's length and of the centre of mass.
+    failed : tuple of Failed
+        Recordings that were left out.
     assumed : tuple of str
         What was not given and taken from the thesis, in sentences.
 
@@ -113,6 +126,7 @@ class Identification:
     ladder: Ladder | None = None
     validations: tuple[Validated, ...] = ()
     checks: tuple[Checked, ...] = ()
+    failed: tuple[Failed, ...] = ()
     assumed: tuple[str, ...] = ()
 
     @property
@@ -170,7 +184,8 @@ class Identification:
         of_recordings = tuple(w for report in self.reports for w in report.warnings)
         unseen = (f'{v.bag}: {warning}' for v in self.validations for warning in v.warnings)
         of_fit = warnings_of(self.fit, self.values['bags'], self.checks, self.excitation)
-        return (*self.assumed, *of_fit, *verdict, *resting, *of_recordings, *unseen)
+        left_out = (f"Recording '{f.bag}' was left out: {f.reason}" for f in self.failed)
+        return (*left_out, *self.assumed, *of_fit, *verdict, *resting, *of_recordings, *unseen)
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
@@ -189,6 +204,7 @@ class Identification:
             'settings': dict(self.values),
             'provenance': provenance(
                 [*self.values['bags'], *self.values['static.bags']], self.parameter_files),
+            'failed': [{'bag': f.bag, 'error': f.reason} for f in self.failed],
             'version': __version__,
         }
 
@@ -231,6 +247,7 @@ def identify(
     settings: Mapping[str, object],
     progress: Progress | None = None,
     parameter_files: Sequence[str | os.PathLike[str]] = (),
+    read: Reader | None = None,
 ) -> Identification:
     """
     Identify a cup from the recordings that the parameter `bags` names.
@@ -243,6 +260,8 @@ def identify(
         Called with what is being done and the part (0 to 1) that is done.
     parameter_files : sequence of path, optional
         Files that the settings are from, for the provenance.
+    read : callable, optional
+        Reads the recordings in another way than one after the other, here.
 
     Raises
     ------
@@ -255,7 +274,7 @@ def identify(
     at_rest = rest_of(values, tell)
     if at_rest and at_rest.length and values['static.length']:
         values['cup.length'] = at_rest.length.length
-    recordings, held = _read(values, tell)
+    values, recordings, held = (read or _read)(values, tell)
     tell('looking at the excitation', FIT_BEGINS)
     excitation = _excitation(recordings, held, values)
     fit = _fit(recordings, held, values, excitation, at_rest, tell)
@@ -324,10 +343,8 @@ def rest_of(values: Mapping[str, Any], tell: Progress) -> AtRest | None:
     return recorded_at_rest(values, tell) if values['static.bags'] else None
 
 
-def _read(
-    values: Mapping[str, Any], tell: Progress
-) -> tuple[list[Recording], list[Package]]:
-    """Return the prepared recordings, and what was held in each."""
+def _read(values: dict[str, Any], tell: Progress) -> Readings:
+    """Return the parameters, the prepared recordings, and what was held in each."""
     recordings, held, bags = [], [], values['bags']
     if len(bags) > 1:
         for _, sentence in repeats((os.fspath(bag), recording_digest(bag)) for bag in bags):
@@ -336,7 +353,7 @@ def _read(
         tell(f'reading {os.fspath(bag)}', FIT_BEGINS * number / len(bags))
         recordings.append(load(bag, own).recording)
         held.append(package_of(own))
-    return recordings, held
+    return values, recordings, held
 
 
 def _fit(

@@ -8,6 +8,7 @@ import shutil
 import signal
 import threading
 
+from bellows_ros.core.jit import COMPILED
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
@@ -275,10 +276,25 @@ def test_missing_extra_is_said(settings, monkeypatch):
         identify_many(settings, 2)
 
 
-def test_only_least_squares_is_additive(settings, tmp_path):
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: the fit takes minutes')
+def test_the_prediction_error_of_recordings_that_others_read(settings, cluster, tmp_path):
+    broken = tmp_path / 'broken.mcap'
+    broken.write_bytes(b'no recording')
     other = {**settings, 'fit.method': 'prediction_error'}
-    with pytest.raises(BellowsError, match='leave --jobs and --dask out'):
-        identify_many(other, 2)
+    whole = identify(other)
+    bags = [*settings['bags'][:1], str(broken), *settings['bags'][1:]]
+    for apart in (identify_many({**other, 'bags': bags}, 2),
+                  identify_many({**other, 'bags': bags}, dask=cluster.scheduler_address)):
+        assert_allclose(apart.fit.covariance, whole.fit.covariance, rtol=1e-9)
+        for name in ('stiffness', 'damping'):
+            assert_allclose(getattr(apart.fit, name), getattr(whole.fit, name), rtol=1e-9)
+        assert [failed.bag for failed in apart.failed] == [str(broken)]
+        assert tuple(apart.values['bags']) == tuple(settings['bags'])
+        assert apart.warnings[1:] == whole.warnings and str(broken) in apart.warnings[0]
+
+
+def test_only_least_squares_has_summaries(settings, tmp_path):
+    other = {**settings, 'fit.method': 'prediction_error'}
     with pytest.raises(BellowsError, match='Set it, or give all recordings to bellows identify'):
         summarise_to_file(settings['bags'][1], other, tmp_path / 'one.npz')
 
@@ -374,14 +390,16 @@ def test_standstills_join_summaries_as_they_join_recordings(settings, root, tmp_
     assert apart.as_json()['at_rest']['recordings'][0]['mass'] == 1.8
 
 
-@pytest.mark.parametrize(('change', 'word'), [
-    ({'fit.compare_structures': True}, 'command ladder'),
-    ({'validation.bags': ['other']}, 'command validate'),
-    ({'static.length': True, 'static.bags': ['other']}, 'command static'),
-])
-def test_what_needs_all_recordings_at_one_place_is_refused(settings, change, word):
-    with pytest.raises(BellowsError, match=word):
-        identify_many({**settings, **change}, 1)
+def test_what_needs_all_recordings_at_one_place_gets_them(settings):
+    first, second = settings['bags']
+    asked = {**settings, 'bags': [first], 'fit.compare_structures': True,
+             'validation.bags': [second]}
+    apart, whole = (
+        json.loads(format_json(result.as_json()))
+        for result in (identify_many(asked, 1), identify(asked)))
+    assert apart['ladder']['advised'] == 'axisymmetric'
+    assert [found['bag'] for found in apart['validations']] == [second]
+    assert {**apart, 'provenance': None} == {**whole, 'provenance': None}
 
 
 def test_relative_filtering_is_a_setting(settings):
