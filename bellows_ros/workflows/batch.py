@@ -7,12 +7,8 @@ small, and adding them gives the fit of all recordings
 out.
 """
 
-import asyncio
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-import importlib
-import logging
 import os
 from typing import Any
 
@@ -38,7 +34,6 @@ from bellows_ros.core.model import cup_of, Package, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.preparation import Recording, Report
 from bellows_ros.errors import BellowsError
-from bellows_ros.extras import install
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.provenance import recording_digest
 from bellows_ros.files.results import write_result
@@ -47,7 +42,6 @@ from bellows_ros.workflows.identify import (
     assumed,
     checked,
     errors_of,
-    Failed,
     FIT_BEGINS,
     Identification,
     identify,
@@ -57,7 +51,7 @@ from bellows_ros.workflows.identify import (
     rest_of,
     warnings_of,
 )
-from bellows_ros.workflows.recordings import load, names_of, repeats, values_of_each
+from bellows_ros.workflows.recordings import Failed, load, names_of, repeats, values_of_each
 from bellows_ros.workflows.result_json import (
     checked_json,
     excitation_json,
@@ -65,16 +59,10 @@ from bellows_ros.workflows.result_json import (
     recording_json,
 )
 from bellows_ros.workflows.static import AtRest
+from bellows_ros.workflows.workers import on_cores, on_dask, Task
 import numpy as np
 
-ANSWER_WITHIN = 10.0
-"""Seconds in which a Dask scheduler must answer."""
-
 Progress = Callable[[str, float], None]
-Work = tuple[int, str, dict[str, Any]]
-"""Place in the parameter `bags`, recording, and its parameters."""
-Task = Callable[[int, str, Mapping[str, Any]], Any]
-"""Makes of one such piece of work a result with `number` and `digest`, or a `Failed`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,119 +313,6 @@ def _require_least_squares(values: Mapping[str, Any], instead: str) -> None:
             f"Recordings can be worked on apart only with fit.method 'least_squares', not "
             f"'{values['fit.method']}'. Set it, or {instead}."
         )
-
-
-def on_cores(work: Sequence[Work], jobs: int, task: Task = summarise_bag) -> Iterator[Any]:
-    """Yield the results of processes on this machine, as they come."""
-    if jobs == 1 or len(work) == 1:
-        yield from (_tried(task, *item) for item in work)
-        return
-    joblib = _imported('joblib', 'parallel', '--jobs')
-    left = {item[0]: item for item in work}
-    while left:
-        begun: list[int] = []
-        try:
-            for result in _in_pool(joblib, jobs, task, _noted(list(left.values()), begun)):
-                del left[result.number]
-                yield result
-        except BrokenProcessPool:
-            # One of those begun has ended its process; in a pool of its own it ends no other.
-            for number in (number for number in begun if number in left):
-                yield _alone(joblib, task, left.pop(number))
-
-
-def _in_pool(joblib: Any, jobs: int, task: Task, work: Iterable[Work]) -> Iterator[Any]:
-    """Yield the results of a pool of processes, which is handed no more than it works on."""
-    parallel = joblib.Parallel(
-        jobs, backend='loky', return_as='generator_unordered', batch_size=1, pre_dispatch='n_jobs')
-    results: Iterator[Any] = parallel(joblib.delayed(_tried)(task, *item) for item in work)
-    return results
-
-
-def _noted(work: Iterable[Work], begun: list[int]) -> Iterator[Work]:
-    """Yield work, and note the numbers of what was begun."""
-    for item in work:
-        begun.append(item[0])
-        yield item
-
-
-def _alone(joblib: Any, task: Task, item: Work) -> Any:
-    """Return the result of a process that works on nothing else."""
-    try:
-        (result,) = _in_pool(joblib, 2, task, [item])
-        return result
-    except BrokenProcessPool:
-        number, bag, _ = item
-        return Failed(
-            number, bag, 'the process that read it was ended from outside, twice. If memory was '
-            'short, take fewer jobs, or a shorter recording.'
-        )  # fmt: skip
-
-
-def _tried(task: Task, number: int, bag: str, values: Mapping[str, Any]) -> Any:
-    """Return what a task makes of a recording, or why there is none, whatever went wrong."""
-    try:
-        return task(number, bag, values)
-    except Exception as error:  # noqa: BLE001 (one recording must not end the work on others)
-        return _broken(number, bag, error)
-
-
-def _broken(number: int, bag: str, error: Exception) -> Failed:
-    """Return what is said of a recording on which the work broke off."""
-    return Failed(number, bag, f'{type(error).__name__}: {error}')
-
-
-def on_dask(work: Sequence[Work], address: str, task: Task = summarise_bag) -> Iterator[Any]:
-    """Yield the results of a Dask cluster's workers."""
-    distributed = _imported('distributed', 'dask', '--dask')
-    logging.getLogger('distributed.client').setLevel(logging.CRITICAL)  # errors are told here
-    try:
-        # A client that reaches nobody cannot be closed; so it is made where somebody answers.
-        asyncio.run(_reach(distributed, address))
-        client = distributed.Client(address, timeout=ANSWER_WITHIN, set_as_default=False)
-    except (OSError, ValueError, TypeError, TimeoutError) as error:
-        raise BellowsError(
-            f"No Dask scheduler answers at '{address}': {error}. Start one with 'dask scheduler', "
-            'and give the address that it prints.'
-        ) from None
-    with client:
-        futures = [
-            client.submit(_tried, task, number, os.path.abspath(bag), own, pure=False)
-            for number, bag, own in work
-        ]
-        for future, (number, bag, _) in zip(futures, work, strict=True):
-            yield _result_of(future, number, bag, address)
-            future.release()
-
-
-async def _reach(distributed: Any, address: str) -> None:
-    """Connect to a scheduler and take leave."""
-    comm = await distributed.comm.connect(address, timeout=ANSWER_WITHIN)
-    await comm.close()
-
-
-def _result_of(future: Any, number: int, bag: str, address: str) -> Any:
-    """Return the result of a Dask worker, or why there is none; raise where Dask is gone."""
-    try:
-        result = future.result()
-    except Exception as error:  # noqa: BLE001 (a worker can raise whatever it likes)
-        if future.status == 'error':
-            return _broken(number, bag, error)
-        raise BellowsError(
-            f"The Dask scheduler at '{address}' was lost during the work. See in its log why, "
-            'start it again, and repeat the command.'
-        ) from None
-    return result
-
-
-def _imported(module: str, extra: str, option: str) -> Any:
-    """Return an optional module, or say how to get it."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise BellowsError(
-            f"{option} needs '{module}', which is not installed: {install(extra)}."
-        ) from None
 
 
 def summarise_to_file(

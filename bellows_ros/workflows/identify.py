@@ -33,6 +33,7 @@ from bellows_ros.files.provenance import provenance, recording_digest
 from bellows_ros.files.results import write_result
 from bellows_ros.workflows.findings import findings
 from bellows_ros.workflows.recordings import (
+    Failed,
     load,
     names_of,
     offset_sentence,
@@ -68,15 +69,6 @@ UNKNOWN_STD = 1e9
 
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 """Parts of the whole work at which fitting begins and ends, for the progress."""
-
-
-@dataclass(frozen=True)
-class Failed:
-    """A recording that cannot be used, its place in `bags`, and why."""
-
-    number: int
-    bag: str
-    reason: str
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,6 +35,15 @@ NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 """Stands for the inertia (kg m^2) of what hangs at rest, where it takes no part."""
 
 
+@dataclass(frozen=True)
+class Failed:
+    """A recording that cannot be used, its place in `bags`, and why."""
+
+    number: int
+    bag: str
+    reason: str
+
+
 @dataclass(frozen=True, eq=False)
 class Loaded:
     """A recording's streams as recorded, and what was made of them."""

@@ -13,8 +13,14 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.files.summary_files import read_summary
-from bellows_ros.workflows import batch
-from bellows_ros.workflows.batch import identify_many, merge, save_merged, summarise_to_file
+from bellows_ros.workflows import workers
+from bellows_ros.workflows.batch import (
+    identify_many,
+    merge,
+    save_merged,
+    summarise_bag,
+    summarise_to_file,
+)
 from bellows_ros.workflows.identify import identify, UNKNOWN_STD
 from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
@@ -182,7 +188,7 @@ def test_dask_cluster_gives_the_same(settings, one_fit, tmp_path):
     'nonsense://127.0.0.1:1', 'tls://127.0.0.1:1', 'tcp://127.0.0.1', 'tcp://127.0.0.1:1'])
 def test_no_scheduler(settings, address, monkeypatch):
     pytest.importorskip('distributed', reason='extra dask')
-    monkeypatch.setattr(batch, 'ANSWER_WITHIN', 0.5)
+    monkeypatch.setattr(workers, 'ANSWER_WITHIN', 0.5)
     with pytest.raises(BellowsError, match=f"No Dask scheduler answers at '{address}'"):
         identify_many(settings, dask=address)
     gc.collect()  # nothing is left that would wait for the scheduler when it is collected
@@ -204,7 +210,7 @@ class Endless(dict):
         threading.Event().wait(120.0)
 
 
-def workers():
+def processes():
     """Return the processes that joblib has started for this one."""
     found = []
     for folder in Path('/proc').glob('[0-9]*'):
@@ -223,7 +229,7 @@ def test_a_worker_that_dies_ends_no_work(settings):
 
     def kill_one(what, part):
         if 0.0 < part < 1.0 and not killed:
-            killed.append(workers()[0])
+            killed.append(processes()[0])
             os.kill(killed[0], signal.SIGKILL)
 
     bags = ['nowhere', *settings['bags'], 'nor here', 'nor there']  # the first is done at once
@@ -237,7 +243,7 @@ def test_a_worker_that_dies_ends_no_work(settings):
 def test_a_recording_that_kills_its_worker_is_left_out(settings):
     pytest.importorskip('joblib', reason='extra parallel')
     work = [(0, 'a', {}), (1, 'deadly', Deadly()), (2, 'b', {}), (3, 'c', {})]
-    results = sorted(batch.on_cores(work, 2), key=lambda result: result.number)
+    results = sorted(workers.on_cores(work, 2, summarise_bag), key=lambda result: result.number)
     assert [result.bag for result in results] == ['a', 'deadly', 'b', 'c']
     assert 'was ended from outside' in results[1].reason
     assert all(results[n].reason.startswith('KeyError') for n in (0, 2, 3))
@@ -256,14 +262,15 @@ def cluster(tmp_path):
 
 def test_a_recording_that_kills_its_dask_worker_is_left_out(cluster):
     cluster.scheduler.allowed_failures = 0
-    results = list(batch.on_dask([(0, 'deadly', Deadly())], cluster.scheduler_address))
+    results = list(workers.on_dask(
+        [(0, 'deadly', Deadly())], cluster.scheduler_address, summarise_bag))
     assert [result.number for result in results] == [0]
     assert 'KilledWorker' in results[0].reason
 
 
 def test_a_scheduler_that_is_lost_is_said(cluster):
     work = [(0, 'a', {}), (1, 'endless', Endless())]
-    results = batch.on_dask(work, cluster.scheduler_address)
+    results = workers.on_dask(work, cluster.scheduler_address, summarise_bag)
     assert next(results).number == 0
     cluster.close(timeout=10.0)
     with pytest.raises(BellowsError, match='was lost during the work'):

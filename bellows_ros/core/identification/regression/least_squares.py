@@ -202,10 +202,7 @@ def solved(
 ) -> Fit:
     """Return the fit of whitened rows, which are made anew whenever they are needed."""
     x, inverse, condition, untold = _solve(_triangle(rows(), structure), structure)
-    covariance, squares, clusters = _uncertainty(rows(), whitening, x, inverse)
-    if clusters < ENOUGH_CLUSTERS:
-        variances = np.maximum(np.diag(covariance), _least_variances(rows(), x, inverse, clusters))
-        covariance = _with_correlations_of(inverse @ inverse.T, variances)
+    covariance, squares = _uncertainty(rows, whitening, x, inverse)
     bias = noise_rms = None
     if noise is not None:
         bias = _bias(noise, whitening, x, inverse)
@@ -278,6 +275,17 @@ def _triangle(rows: Iterable[Rows], structure: Structure) -> Array:
 
 
 def _uncertainty(
+    rows: Callable[[], Iterable[Rows]], whitening: Array, x: Array, inverse: Array
+) -> tuple[Array, Array]:
+    """Return the covariance (p, p) of x, however few clusters, and the squares (6,) left."""
+    covariance, squares, clusters = _cluster_robust(rows(), whitening, x, inverse)
+    if clusters < ENOUGH_CLUSTERS:
+        variances = np.maximum(np.diag(covariance), _least_variances(rows(), x, inverse, clusters))
+        covariance = _with_correlations_of(inverse @ inverse.T, variances)
+    return covariance, squares
+
+
+def _cluster_robust(
     rows: Iterable[Rows], whitening: Array, x: Array, inverse: Array
 ) -> tuple[Array, Array, int]:
     """
