@@ -7,10 +7,11 @@
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
 ARGS ?=
-PIP := -m pip install --quiet --disable-pip-version-check
-BIN := .venv/bin
+VENV := .venv
+BIN := $(VENV)/bin
 OLDEST := .venv-oldest/bin
 BAGS := identification validation static
+SIDE_BY_SIDE := --numprocesses auto --maxprocesses 8 --dist loadgroup
 
 # What a sourced ROS, or the environment of another Python, leaves in the shell does not belong
 # into these environments: they hold a ROS of their own.
@@ -25,55 +26,67 @@ help:  ## show this list
 	@sed -nE 's/^([a-z-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | column -t -s '|'
 
 .PHONY: demo
-demo: .venv/ready  ## identify a cup, then predict a second recording live over DDS
+demo: $(VENV)/demo-ready  ## identify a cup, then predict a second recording live over DDS
 	@$(BIN)/python -m bellows_ros.demo $(ARGS)
 
 .PHONY: test
-test: .venv/ready  ## run the whole suite
-	@$(BIN)/python -m pytest $(ARGS)
+test: $(VENV)/ready  ## run the whole suite
+	@$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(ARGS)
 
 .PHONY: test-oldest
 test-oldest: .venv-oldest/ready  ## run it on what Ubuntu 24.04 has, without numba
-	@$(OLDEST)/python -m pytest $(ARGS)
+	@$(OLDEST)/python -m pytest $(SIDE_BY_SIDE) $(ARGS)
 
 .PHONY: soak
-soak: .venv/ready  ## predict for 5 minutes at 1 kHz; fails on a loss or a growing memory
+soak: $(VENV)/ready  ## predict for 5 minutes at 1 kHz; fails on a loss or a growing memory
 	@$(BIN)/python -m test.soak $(ARGS)
 
+.PHONY: bench
+bench: $(VENV)/bench-ready  ## measure the speed, and write it into docs/performance.md and .json
+	@$(BIN)/python -m benchmarks $(ARGS)
+
+.PHONY: test-long
+test-long: $(VENV)/bench-ready  ## run what is too much for the suite: repetitions, all short benchmarks
+	@$(BIN)/python -m pytest -m stress $(ARGS)
+
+.PHONY: stress
+stress: $(VENV)/ready  ## damage files, kill writers, fill disks for an hour, or ARGS='--minutes 5'
+	@$(BIN)/python -m test.stress $(ARGS)
+
 .PHONY: lint
-lint: .venv/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict
+lint: $(VENV)/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/flake8
 	@$(BIN)/mypy --no-error-summary
 	@echo 'lint: nothing found'
 
 .PHONY: fix
-fix: .venv/ready  ## repair what ruff can repair
+fix: $(VENV)/ready  ## repair what ruff can repair
 	@$(BIN)/ruff check --fix .
 
 .PHONY: docs
-docs: .venv/docs-ready  ## build the pages in docs/ with Sphinx; warnings are errors
+docs: $(VENV)/docs-ready  ## build the pages in docs/ with Sphinx; warnings are errors
 	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 	@echo 'docs: build/docs/index.html'
 
 .PHONY: reference
-reference: .venv/ready  ## write docs/reference/ from the declarations
+reference: $(VENV)/ready  ## write docs/reference/ from the declarations
 	@$(BIN)/python docs/tools/reference.py
 
 .PHONY: figures
-figures: .venv/ready  ## draw docs/images/ again (the demo's plot from demo_output/)
+figures: $(VENV)/ready  ## draw docs/images/ again (the demo's plot from demo_output/)
 	@for script in docs/figures/*.py; do $(BIN)/python $$script || exit; done
 
 .PHONY: pages
-pages: .venv/ready  ## run the commands on all pages, and write what they print into them
+pages: $(VENV)/ready  ## run the commands on all pages, and write what they print into them
 	@$(BIN)/python docs/tools/pages.py
 
 .PHONY: notebooks
-notebooks: .venv/extras-ready  ## run the notebooks, and write what they give into them
+notebooks: $(VENV)/extras-ready  ## run the notebooks, and write what they give into them
 	@$(BIN)/python docs/tools/notebooks.py
 
 .PHONY: bags
-bags: .venv/ready  ## make the recordings in bags/ again
+bags: $(VENV)/ready  ## make the recordings in bags/ again
 	@for bag in $(BAGS); do \
 	    rm -rf build/bags/$$bag && mkdir -p build/bags && \
 	    $(BIN)/bellows simulate --params bags/cup.yaml --motion bags/$$bag.yaml \
@@ -82,37 +95,50 @@ bags: .venv/ready  ## make the recordings in bags/ again
 	done
 
 .PHONY: venv
-venv: .venv/ready  ## only make the environment
+venv: $(VENV)/ready  ## only make the environment
 
 .PHONY: extras
-extras: .venv/extras-ready  ## add the viewer Rerun, ffmpeg, a notebook kernel and MuJoCo for their tests
+extras: $(VENV)/extras-ready  ## add the viewer Rerun, ffmpeg, a notebook kernel and MuJoCo for their tests
 
 .PHONY: clean
 clean:  ## remove the environments and all that was built
 	@rm -rf .venv .venv-oldest build dist install log *.egg-info demo_output
 	@rm -rf .coverage .hypothesis .mypy_cache .pytest_cache .ruff_cache
-	@find bellows_ros launch test -name __pycache__ -prune -exec rm -rf {} +
+	@find bellows_ros benchmarks launch test -name __pycache__ -prune -exec rm -rf {} +
 
 # Editable, so that the tests see the tree as it is; what an installation holds is tested too.
 # 3.11 comes first because test-oldest is on 3.12.
-.venv/ready: setup.py
-	@python=$${PYTHON:-$$(.ci/find-python 3.11 3.12)} && echo "making .venv with $$python" && \
-	$$python -m venv .venv
-	@$(BIN)/python $(PIP) --editable '.[ros,fast,plot,parallel,dask,test,lint]'
+$(BIN)/python:
+	@python=$${PYTHON:-$$(.ci/find-python 3.11 3.12)} && \
+	echo "Making $(VENV) with $$python, once" && \
+	$$python -m venv $(VENV) || { rm -rf $(VENV); exit 1; }
+
+$(VENV)/demo-ready: setup.py | $(BIN)/python
+	@.ci/install $(BIN)/python 'what the demo needs' --editable '.[ros,fast,plot]'
 	@touch $@
 
-.venv/docs-ready: .venv/ready
-	@$(BIN)/python $(PIP) --editable '.[docs]'
+$(VENV)/ready: setup.py | $(BIN)/python
+	@.ci/install $(BIN)/python 'what tests and lint need' \
+	    --editable '.[ros,fast,plot,parallel,dask,test,lint]'
 	@touch $@
 
-# What only some tests need, and is too heavy for everyone: a viewer, ffmpeg, a notebook
-# kernel, a simulator.
-.venv/extras-ready: .venv/ready
-	@$(BIN)/python $(PIP) --editable '.[notebook,video,view]' 'mujoco>=3.1'
+$(VENV)/docs-ready: setup.py | $(VENV)/ready
+	@.ci/install $(BIN)/python 'Sphinx' --editable '.[docs]'
+	@touch $@
+
+# What only some tests need, and is too heavy for everyone.
+$(VENV)/extras-ready: setup.py | $(VENV)/ready
+	@.ci/install $(BIN)/python 'a viewer, ffmpeg, a notebook kernel, MuJoCo' \
+	    --editable '.[notebook,video,view]' 'mujoco>=3.1'
+	@touch $@
+
+$(VENV)/bench-ready: benchmarks/requirements.txt | $(VENV)/ready
+	@.ci/install $(BIN)/python 'MuJoCo and Drake' --requirement benchmarks/requirements.txt
 	@touch $@
 
 .venv-oldest/ready: setup.py .ci/oldest.txt
-	@python=$${PYTHON:-$$(.ci/find-python 3.12)} && echo "making .venv-oldest with $$python" && \
-	$$python -m venv .venv-oldest
-	@$(OLDEST)/python $(PIP) --constraint .ci/oldest.txt --editable '.[ros,plot,test]'
+	@python=$${PYTHON:-$$(.ci/find-python 3.12)} && \
+	echo "Making .venv-oldest with $$python" && $$python -m venv .venv-oldest
+	@.ci/install $(OLDEST)/python 'what Ubuntu 24.04 has' \
+	    --constraint .ci/oldest.txt --editable '.[ros,plot,test]'
 	@touch $@

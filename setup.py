@@ -22,11 +22,10 @@ EXTRAS = {
     # Many recordings at a time, on the cores of this machine or on those of a cluster.
     'parallel': ['joblib>=1.3'],
     'dask': ['distributed>=2024.1'],
-    # What `bellows bench` compares with; what is missing is left out.
-    'bench': ['mujoco>=3.1', 'drake>=1.30', 'joblib>=1.3'],
     'test': [
         'pytest>=7.4',
         'pytest-timeout>=2.2',
+        'pytest-xdist>=3.4',
         'hypothesis>=6.98',
         'colcon-core',
         'colcon-ros',
@@ -69,7 +68,7 @@ setup(
         'Topic :: Scientific/Engineering',
     ],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
-    package_data={PACKAGE: ['py.typed', 'bench/*.c']},
+    package_data={PACKAGE: ['py.typed', 'files/bellows_cup.h']},
     python_requires='>=3.11',
     # rosbags 0.11.7 is the first that brings lz4 and backports.zstd, which files/ uses too.
     install_requires=['numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'PyYAML>=6.0'],

@@ -1,3 +1,32 @@
-"""Predict and identify the motion of a package held by a bellows suction cup."""
+"""
+Predict and identify the motion of a package held by a bellows suction cup.
+
+The names in `__all__` are the library, which is loaded when one of them is asked for.
+"""
+
+from typing import Any, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from bellows_ros.library import *  # noqa: F403
 
 __version__ = '0.1.0'
+
+__all__ = [  # noqa: F405
+    'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'identify',
+    'read_cup', 'read_package', 'read_parameters', 'savgol', 'simulate', 'static_equilibrium',
+    'write_cup', 'write_parameters',
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load the library when one of its names is asked for."""
+    if name not in __all__:
+        raise AttributeError(f"module 'bellows_ros' has no attribute '{name}'")
+    from bellows_ros import library
+
+    return getattr(library, name)
+
+
+def __dir__() -> list[str]:
+    """Return the names of the library."""
+    return __all__

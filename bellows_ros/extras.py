@@ -7,7 +7,6 @@ PACKAGES = {
     'view': 'rerun-sdk',
     'parallel': 'joblib',
     'dask': 'distributed',
-    'bench': 'mujoco drake joblib',
 }
 
 

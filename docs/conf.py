@@ -16,7 +16,9 @@ author = 'bellows_ros maintainers'
 copyright = author  # noqa: A001 (the name Sphinx reads)
 release = __version__
 
-extensions = ['myst_parser']
+extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
+autodoc_typehints = 'none'  # the docstrings say more: shapes, units, frames
+autodoc_member_order = 'bysource'
 exclude_patterns = ['_build', 'figures', 'static', 'tools']
 smartquotes = False  # '' is an empty text, and --set an option
 html_theme = 'furo'

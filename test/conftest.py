@@ -24,6 +24,8 @@ from bellows_ros.threads import keep_linear_algebra_single
 import hypothesis
 import pytest
 
+from .kernels import compile_most
+
 keep_linear_algebra_single()
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -60,12 +62,22 @@ hypothesis.settings.register_profile('suite', deadline=None, derandomize=True)
 hypothesis.settings.load_profile('suite')
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Refuse to run where every import of rclpy would fail for a reason nobody would guess."""
     if missing_library_paths():
         raise pytest.UsageError(
             f'{BOOTSTRAPPED} is set, but not by this Python ({sys.executable}): the ROS libraries '
             f'cannot be found. Start again with: env -u {BOOTSTRAPPED} {sys.executable} -m pytest')
+    if config.getoption('numprocesses', None) and 'PYTEST_XDIST_WORKER' not in os.environ:
+        compile_most()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give tests that share what is made once in their module to one worker."""
+    for item in items:
+        made: Any = item._fixtureinfo.name2fixturedefs  # type: ignore[attr-defined]
+        if any(of[-1].scope == 'module' for of in made.values()):
+            item.add_marker(pytest.mark.xdist_group(str(item.path)))
 
 
 def pytest_report_header() -> str:
@@ -117,6 +129,7 @@ def user_environment() -> dict[str, str]:
     """
     environment = {**os.environ}
     environment.pop(BOOTSTRAPPED, None)
+    environment.pop('COLUMNS', None)  # of whoever started the tests
     ours = {str(path) for path in _library_folders()} | {str(Path(sys.prefix, 'lib'))}
     paths = environment.pop('LD_LIBRARY_PATH', '').split(os.pathsep)
     kept = [path for path in paths if path and path not in ours]

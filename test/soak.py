@@ -25,12 +25,12 @@ from bellows_ros.demo.domain import isolate
 PACKAGE = [
     '-p', 'package.mass:=2.17', '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
     '-p', 'package.com:=[0.0, 0.0, -0.03]',
-]  # fmt: skip
+]
 RELIABLE = [
     word for topic in ('/tool_arm/pose', '/tool_arm/twist') for word in (
         '-p', f'qos_overrides.{topic}.subscription.reliability:=reliable',
         '-p', f'qos_overrides.{topic}.subscription.depth:=1000')
-]  # fmt: skip
+]
 QUEUE = 5000
 ANSWERS = 200_000
 """Answers kept until they are counted: what is lost was lost by the predictor."""

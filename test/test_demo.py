@@ -11,6 +11,8 @@ from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.xdist_group('demo')  # it is run once
+
 LARGEST_ERROR_MM, LARGEST_ERROR_MRAD = 0.12, 0.6
 LONGEST = 90  # s, as promised to users
 
@@ -25,7 +27,7 @@ def demonstrate(
         [sys.executable, '-m', 'bellows_ros.demo', *map(str, arguments)],
         cwd=root, env=environment, capture_output=True, text=True, timeout=timeout,
         stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope='module')

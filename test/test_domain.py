@@ -21,7 +21,7 @@ def test_seekers_at_the_same_time_find_different_domains() -> None:
     seekers = [
         subprocess.Popen([sys.executable, '-c', SEEKER], stdin=subprocess.PIPE,
                          stdout=subprocess.PIPE, text=True)
-        for _ in range(8)]  # fmt: skip
+        for _ in range(8)]
     found = [int(seeker.stdout.readline()) for seeker in seekers if seeker.stdout]
     for seeker in seekers:
         seeker.communicate()

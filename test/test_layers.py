@@ -8,18 +8,18 @@ import sys
 
 # What each room may import of this package beside itself; every room may use errors.
 ALLOWED = {
+    '': {'library'},
     'errors': set(),
     'extras': set(),
     'threads': set(),
+    'library': {'errors', 'core', 'files', 'workflows'},
     'core': {'errors'},
     'files': {'errors', 'core'},
     'workflows': {'errors', 'extras', 'core', 'files'},
     'nodes': {'errors', 'extras', 'threads', 'core', 'files', 'workflows', 'report'},
-    'plots': {'errors', 'extras', 'core', 'files'},
+    'plots': {'errors', 'extras', 'core', 'files', 'workflows'},
     'report': {'errors', 'core', 'files', 'workflows', 'plots'},
-    'bench': {'errors', 'extras', 'core', 'files', 'workflows'},
-    'cli': {
-        'errors', 'threads', 'core', 'files', 'workflows', 'plots', 'report', 'bench'},
+    'cli': {'errors', 'threads', 'core', 'files', 'workflows', 'plots', 'report', 'nodes'},
     'demo': {
         'errors', 'extras', 'threads', 'core', 'files', 'workflows', 'nodes', 'cli', 'plots'},
 }
@@ -27,6 +27,17 @@ ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'l
        'message_filters', 'rosbag2_py', 'std_srvs', 'tf2_')
 CORE_NEEDS = {'numpy', 'scipy', 'numba', 'bellows_ros'}
 LONGEST_START = 0.3  # s of the processor, of `bellows --help`
+
+
+CORE = (
+    '', 'recording', 'synthetic', 'arm_limits', 'observer', 'live',
+    'identification.equations', 'identification.result',
+    'identification.regression', 'identification.prediction', 'identification.fisher',
+    'identification.statics', 'identification.advice', 'identification.validation',
+    'identification.hypotheses', 'identification.reduction', 'identification.methods',
+    'identification.release_fit', 'excitation', 'commissioning',
+)
+"""The rooms of core, each above those that it may import; '' are the modules of core itself."""
 
 
 def is_ros(module: str) -> bool:
@@ -102,6 +113,48 @@ def test_core_needs_only_numbers(root: Path) -> None:
         for file in modules(root, 'core')
         for name in imports(file, root) if name.partition('.')[0] not in allowed]
     assert wrong == []
+
+
+def module_of(file: Path, root: Path) -> str:
+    """Return the name of a module of core below `bellows_ros.core`, '' for core itself."""
+    parts = file.relative_to(root / 'bellows_ros' / 'core').with_suffix('').parts
+    return '.'.join(part for part in parts if part != '__init__')
+
+
+def imports_in_core(root: Path) -> dict[str, set[str]]:
+    """Return the modules of core that each module of core imports, for types alone too."""
+    files = {module_of(file, root): file for file in modules(root, 'core')}
+    found: dict[str, set[str]] = {}
+    for name, file in files.items():
+        targets = {target.removeprefix('bellows_ros.core.') for target in imports(file, root)
+                   if target.startswith('bellows_ros.core.')}
+        targets |= {target.rpartition('.')[0] for target in targets}
+        found[name] = targets & set(files) - {name, ''}
+    return found
+
+
+def floor(module: str) -> int:
+    """Return the place of a module's room in the order of core."""
+    if '.' not in module and module not in CORE:
+        return 0
+    return next(place for place, room in enumerate(CORE) if f'{module}.'.startswith(f'{room}.'))
+
+
+def test_modules_of_core_import_downwards(root: Path) -> None:
+    """Find no import of a room that stands above."""
+    wrong = [
+        f'{name} imports {target}' for name, targets in imports_in_core(root).items()
+        for target in targets if floor(target) > floor(name)]
+    assert wrong == []
+
+
+def test_modules_of_core_import_in_no_circle(root: Path) -> None:
+    """Take away modules that import nothing that is left, until none is."""
+    left = imports_in_core(root)
+    while free := [name for name, targets in left.items() if not targets & set(left)]:
+        for name in free:
+            del left[name]
+    assert not left
 
 
 def test_core_files_and_workflows_import_without_ros(

@@ -8,14 +8,16 @@ import os
 import sys
 import textwrap
 from types import ModuleType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from bellows_ros import __version__
 from bellows_ros.errors import BellowsError
 from bellows_ros.threads import keep_linear_algebra_single
 
-from .commands import COMMANDS, EXIT_CODES, INTERRUPTED, PIPE_CLOSED, USER_ERROR
+from .commands import COMMANDS, EXIT_CODE, EXIT_CODES, INTERRUPTED, PIPE_CLOSED, USER_ERROR
 from .console import Console
+from .options import require_named_outputs
+from .signals import Ended, ended_in_order
 
 DESCRIPTION = (
     'Identify bellows suction cups from recordings (rosbag2), and predict the motion of the '
@@ -31,8 +33,18 @@ WIDTH = 79
 class Parser(argparse.ArgumentParser):
     """Arguments as usual, but errors are short: what is wrong, and where help is."""
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Remember the words, to look in them for an option that was meant."""
+        self._words = list(args or ())
+        return super().parse_known_args(args, namespace)
+
     def error(self, message: str) -> NoReturn:
         """Say what is wrong with the command line and end with 2."""
+        options = self._option_string_actions
+        for word in (word.partition('=')[0] for word in self._words):
+            near = difflib.get_close_matches(word, options, n=1)
+            if word.startswith('--') and word not in options and near:
+                message = f"'{word}' is no option. Did you mean '{near[0]}'?"
         self.exit(USER_ERROR, f'{self.prog}: {message}\nSee {self.prog} --help.\n')
 
 
@@ -58,13 +70,17 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     console = Console(sys.stdout, sys.stderr)
     try:
-        return _run(list(sys.argv[1:] if args is None else args), console)
+        with ended_in_order():
+            return _run(list(sys.argv[1:] if args is None else args), console)
     except BellowsError as error:
         console.error(str(error))
         return error.exit_code
     except KeyboardInterrupt:
         console.note('Interrupted; nothing is half done.')
         return INTERRUPTED
+    except Ended as end:
+        console.note(f'Ended by {end.name}; nothing is half done.')
+        return end.exit_code
     except BrokenPipeError:  # whoever reads the output has had enough
         _silence_stdout()
         return PIPE_CLOSED
@@ -77,7 +93,9 @@ def _run(arguments: list[str], console: Console) -> int:
     name, *rest = arguments
     keep_linear_algebra_single()
     module = importlib.import_module(f'{__package__}.{name}')
-    code: int = module.run(_command_parser(name, module).parse_args(rest), console)
+    parsed = _command_parser(name, module).parse_args(rest)
+    require_named_outputs(parsed)
+    code: int = module.run(parsed, console)
     console.flush()
     return code
 
@@ -117,12 +135,18 @@ def _command_parser(name: str, module: ModuleType) -> Parser:
     parser = Parser(
         prog=f'bellows {name}',
         description=textwrap.fill(module.DESCRIPTION, WIDTH),
-        epilog=f'examples:\n{examples}\n\n{EXIT_CODES}',
+        epilog=f'examples:\n{examples}\n\n{exit_code(module)}',
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     module.add_arguments(parser)
     return parser
+
+
+def exit_code(module: ModuleType) -> str:
+    """Return what a command ends with, in a line."""
+    found = getattr(module, 'FOUND', '')
+    return EXIT_CODE.format(f'1 if {found}, ' if found else '')
 
 
 def _silence_stdout() -> None:

@@ -5,6 +5,7 @@ A command is a module of this package with its name, which has
 
 - `DESCRIPTION`: what it does, in a sentence or two;
 - `EXAMPLES`: pairs of a command line and what it is for;
+- `FOUND`, where it can end with 1: what it has found then;
 - `add_arguments(parser)`: its arguments;
 - `run(arguments, console)`: its work; returns the exit code.
 
@@ -16,23 +17,24 @@ from types import MappingProxyType
 
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
-        'info': 'list the topics of a recording, and tell tool from package',
+        'info': 'list the topics of a recording, and find which is the tool',
         'identify': "find a cup's stiffness and damping in recordings",
-        'ladder': 'say what recordings can tell of a cup, and which structure to take',
-        'static': "find the cup's nominal length at rest, and check its spring alone",
-        'validate': 'judge a cup by a recording that it was not identified from',
+        'structures': 'say what is identifiable from recordings, and which structure to take',
+        'static': "find the cup's nominal length in standstills, and check its spring alone",
+        'replay': 'predict a recording with a cup, and say what the cup is worth',
         'compare': 'say what differs between two fits, and whether it matters',
         'report': 'write a page with plots on a fit',
-        'replay': 'predict a recording with a cup, and score the prediction',
+        'plan': 'say what a planned motion does to the package, and if it holds',
+        'steer': 'change a planned motion so that the package does not swing',
+        'toss': 'predict where a tossed package lands, and what to fix first',
+        'excite': 'design a motion from which a cup is found best',
         'simulate': 'make a recording of a known cup',
         'plot': 'draw recordings, fits and predictions',
         'view': 'show a replay in the viewer Rerun, or write it for that',
-        'convert': 'make recordings of Motive, TUM or EuRoC files, and TUM files of recordings',
-        'export': 'write a cup for MuJoCo, Drake or SDF',
+        'play': 'play the poses and twists of a recording to ROS',
+        'convert': 'make recordings of files of Motive, TUM, EuRoC or KITTI, of joints or of tf',
+        'export': 'write a cup for MuJoCo, Drake, SDF or OpenPLX, or as C',
         'parameters': 'list all parameters, or write a parameter file to fill in',
-        'summarize': 'reduce a recording to what a fit needs of it',
-        'merge': 'identify a cup from summaries of recordings',
-        'bench': 'measure the speed of this package on this machine',
         'completion': 'complete commands and options in the shell',
     }
 )
@@ -44,10 +46,10 @@ USER_ERROR = 2
 INTERRUPTED = 130
 PIPE_CLOSED = 141
 
+EXIT_CODE = 'Ends with 0 when done, {}2 if something must be put right.'
 EXIT_CODES = """exit codes:
   0    done
-  1    finished, but: the fit cannot be used (identify), an axis is above the
-       limit (validate --limit), two fits differ where it matters (compare)
+  1    done, with a finding that scripts want to know; see the command
   2    something to put right: the message says what; nothing was written
-  130  interrupted with Ctrl-C; nothing is half done
+  130  interrupted with Ctrl-C, 143 ended by SIGTERM; nothing is half done
 """

@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING
 
 from .commands import NOT_USABLE, OK
 from .console import Console
-from .options import add_json_option, put_json, require_outputs, STDOUT
+from .options import add_json_option, put_json, STDOUT
 
 if TYPE_CHECKING:
-    from bellows_ros.core.identification.judgement.comparison import Change, FitComparison
+    from bellows_ros.core.identification.validation.comparison import Change, FitComparison
     from bellows_ros.workflows.compare import Comparison
 
 DESCRIPTION = (
     'Compare two results of bellows identify: what has changed, in percent and in standard '
-    'errors, whether that can be chance, and what it changes in the predicted motion. Ends with '
-    '0 if nothing has changed that matters, and with 1 if something has.'
+    'errors, whether that can be chance, and what it changes in the predicted motion.'
 )
 EXAMPLES = (
     ('bellows compare monday.json friday.json', 'has the cup aged?'),
     ('bellows compare small.json large.json --json comparison.json',
      'with all figures in a file'),
-)  # fmt: skip
+)
+FOUND = 'something has changed that matters'
 SHOWN = 60  # characters of a setting
 
 
@@ -37,7 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Compare, write, report."""
-    require_outputs(arguments.json)
     from bellows_ros.workflows.compare import compare_files
 
     result = compare_files(arguments.before, arguments.after)
@@ -88,7 +87,7 @@ def change_table(changes: 'tuple[Change, ...]') -> list[str]:
                 f'{change.standard_errors:+.1f}' + ('*' if change.significant else ' ')
                 if math.isfinite(change.standard_errors) else '- ',
             )
-        )  # fmt: skip
+        )
     return aligned(rows)
 
 
@@ -108,15 +107,16 @@ def verdict(result: 'Comparison') -> list[str]:
             f'Both fits have used {listed(list(result.shared))}: they are not independent, and '
             'standard errors and probabilities do not hold.'
         )
-    marked = [change.name for change in fits.parameters if change.significant]
+    marked = [f'{change.name} ({change.percent:+.2g} %)'
+              for change in fits.parameters if change.significant]
     chance = _probability(fits.p_value)
     lines.append(
         f'The parameters together differ by more than their standard errors explain ({chance}).'
         if fits.significant else
         f'The standard errors explain how the parameters together differ ({chance}).'
-    )  # fmt: skip
+    )
     if marked:
-        lines.append(f'* More than chance for each alone: {listed(marked)}.')
+        lines.append(f'* These parameters differ by more than chance: {listed(marked)}.')
     shift, turn = 1e3 * fits.shake_rms[:3].max(), 1e3 * fits.shake_rms[3:].max()
     lines.append(
         'Under a shake of 3 Hz (5 mm, 50 mrad) the predicted motions differ by '
@@ -137,12 +137,12 @@ def verdict(result: 'Comparison') -> list[str]:
 def _conclusion(fits: 'FitComparison') -> str:
     """Return whether it matters."""
     if not fits.matters:
-        return ('It does not matter: nothing has changed that can be told from chance and is '
-                'large enough to be seen.')  # fmt: skip
+        return ('No significant difference: what has changed is within the standard errors, or '
+                'too small to be seen.')
     if fits.shake_matters:
         return 'It matters: do not take one for the other.'
     return ('It matters for motions that excite what is named; under the shake of 3 Hz it would '
-            'not be seen.')  # fmt: skip
+            'not be seen.')
 
 
 def _probability(p: float) -> str:

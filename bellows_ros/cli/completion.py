@@ -3,21 +3,25 @@
 import argparse
 from collections.abc import Iterator
 import importlib
+import os
+from pathlib import Path
 
 from .commands import COMMANDS, OK
 from .console import Console
 
 DESCRIPTION = (
-    'Print a script for bash (zsh takes it with bashcompinit) that completes commands, options, '
-    'files, and the names of parameters behind --set.'
+    'Print a script for bash or zsh that completes commands, options, files, and the names of '
+    'parameters behind --set.'
 )
 EXAMPLES = (
-    ('bellows completion > ~/.local/share/bash-completion/completions/bellows',
-     'complete in all shells from now on'),
     ('source <(bellows completion)', 'complete in this shell'),
-)  # fmt: skip
+    ('bellows completion bash > ~/.local/share/bash-completion/completions/bellows',
+     'complete in every bash from now on'),
+    ('bellows completion zsh > ~/.zfunc/_bellows',
+     'complete in every zsh; ~/.zshrc has fpath+=~/.zfunc before compinit'),
+)
 
-SCRIPT = """# Completion of bellows {version} for bash; made by 'bellows completion'.
+BASH = """# Completion of bellows {version} for bash; made by 'bellows completion bash'.
 _bellows() {{
     local word=${{COMP_WORDS[COMP_CWORD]}} before=${{COMP_WORDS[COMP_CWORD-1]}} words=
     local before2=${{COMP_WORDS[COMP_CWORD-2]}}
@@ -43,55 +47,104 @@ _bellows() {{
 }}
 complete -o filenames -F _bellows bellows
 """
+BASH_OPTIONS = '        {name}) words="{options}" ;;\n'
+BASH_CHOICES = """        "{name} {before}") if [[ $word != -* ]]; then
+            COMPREPLY=($(compgen -W "{words}" -- "$word")); return; fi ;;
+"""
+
+ZSH = """#compdef bellows
+# Completion of bellows {version} for zsh; made by 'bellows completion zsh'.
+_bellows() {{
+    local word=$words[CURRENT] before=$words[CURRENT-1]
+    local -a found
+    if (( CURRENT == 2 )); then
+        found=({described})
+        _describe command found
+        return
+    fi
+    if [[ $before == --set ]]; then
+        compadd -S = -- {parameters}
+        return
+    fi
+    case "$words[2] $before" in
+{choices}    esac
+    case $words[2] in
+{options}    esac
+    if [[ $word == -* ]]; then
+        _describe -o option found
+    elif [[ $words[CURRENT-2] != --set ]]; then
+        _files
+    fi
+}}
+if [[ $funcstack[1] == _bellows ]]; then _bellows "$@"; else compdef _bellows bellows; fi
+"""
+ZSH_OPTIONS = '        {name}) found=({described}) ;;\n'
+ZSH_CHOICES = """        "{name} {before}") if [[ $word != -* ]]; then
+            compadd -- {words}; return; fi ;;
+"""
+
+SHELLS = {'bash': (BASH, BASH_OPTIONS, BASH_CHOICES), 'zsh': (ZSH, ZSH_OPTIONS, ZSH_CHOICES)}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        'shell', nargs='?', choices=('bash',), default='bash', help='which shell (default: bash)'
+        'shell', nargs='?', choices=SHELLS, help='which shell (default: that of $SHELL, or bash)'
     )
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Print the script."""
-    console.raw(script())
+    own = Path(os.environ.get('SHELL', '')).name
+    console.raw(script(arguments.shell or (own if own in SHELLS else 'bash')))
     return OK
 
 
-def script() -> str:
-    """Return the script for bash."""
+def script(shell: str) -> str:
+    """Return the script for a shell."""
     from bellows_ros import __version__
     from bellows_ros.core.parameters import PARAMETERS
 
-    actions = {name: list(_actions(name)) for name in COMMANDS}
-    return SCRIPT.format(
+    whole, options, choices = SHELLS[shell]
+    actions = {name: _actions(name) for name in COMMANDS}
+    return whole.format(
         version=__version__,
         commands=' '.join(COMMANDS),
+        described=' '.join(_described(name, text) for name, text in COMMANDS.items()),
         parameters=' '.join(PARAMETERS),
-        choices=''.join(_choices(name, found) for name, found in actions.items()),
-        options=''.join(_options(name, found) for name, found in actions.items()),
+        options=''.join(
+            options.format(
+                name=name, options=' '.join(o for action in found for o in _long(action)),
+                described=' '.join(
+                    _described(o, action.help or '') for action in found for o in _long(action)))
+            for name, found in actions.items()),
+        choices=''.join(
+            choices.format(name=name, before=before, words=words)
+            for name, found in actions.items() for before, words in _choices(name, found)),
     )
 
 
-def _actions(name: str) -> Iterator[argparse.Action]:
-    """Yield the options and arguments of a command."""
+def _actions(name: str) -> list[argparse.Action]:
+    """Return the options and arguments of a command."""
     parser = argparse.ArgumentParser()
     importlib.import_module(f'{__package__}.{name}').add_arguments(parser)
-    yield from parser._actions
+    return parser._actions
 
 
-def _options(name: str, actions: list[argparse.Action]) -> str:
-    """Return the line with all options of a command."""
-    words = [option for action in actions for option in action.option_strings if option != '-h']
-    return f'        {name}) words="{" ".join(words)}" ;;\n'
+def _long(action: argparse.Action) -> list[str]:
+    """Return the names of an option, without its short ones; of an argument none."""
+    return [option for option in action.option_strings if option.startswith('--')]
 
 
-def _choices(name: str, actions: list[argparse.Action]) -> str:
-    """Return a line for each option or first argument of a command that knows all its values."""
-    lines = ''
+def _described(name: str, text: str) -> str:
+    """Return a word and what it does as one of zsh's, quoted."""
+    quoted = f'{name}:{text}'.replace('%%', '%').replace("'", "'\\''")
+    return f"'{quoted}'"
+
+
+def _choices(name: str, actions: list[argparse.Action]) -> Iterator[tuple[str, str]]:
+    """Yield each option or first argument that knows all its values, with these."""
     for action in actions:
         words = ' '.join(map(str, action.choices or ()))
         for before in (action.option_strings or [name]) if words else ():
-            lines += (f'        "{name} {before}") if [[ $word != -* ]]; then '
-                      f'COMPREPLY=($(compgen -W "{words}" -- "$word")); return; fi ;;\n')
-    return lines
+            yield before, words

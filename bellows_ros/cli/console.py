@@ -53,7 +53,7 @@ class Console:
 
     def say(self, text: str = '', style: str = '') -> None:
         """Print a line of the result."""
-        _write(self._out, self._styled(self._out, text, style))
+        _write(self._out, self._styled(self._out, printable(text), style))
 
     def paragraph(self, text: str, style: str = '') -> None:
         """Print a sentence or several of the result, wrapped, with its indentation kept."""
@@ -61,31 +61,38 @@ class Console:
         lines = textwrap.wrap(
             text.strip(), WIDTH, initial_indent=indent, subsequent_indent=2 * indent,
             break_long_words=False, break_on_hyphens=False,
-        )  # fmt: skip
-        self.say('\n'.join(lines), style)
+        )
+        for line in lines:
+            self.say(line, style)
 
     def warn(self, text: str) -> None:
-        """Print a warning of the result."""
-        body = textwrap.fill(
+        """Print a warning."""
+        lines = textwrap.wrap(
             f'Warning: {text}', WIDTH, subsequent_indent='  ', break_long_words=False,
             break_on_hyphens=False,
-        )  # fmt: skip
-        self.say(body, 'yellow')
+        )
+        for line in lines:
+            self._tell(self._styled(self._err, printable(line), 'yellow'))
 
     def note(self, text: str) -> None:
         """Print what is not part of the result."""
-        _write(self._err, text)
+        self._tell(printable(text, '\n'))
 
     def error(self, text: str) -> None:
         """Print what went wrong."""
-        _write(self._err, self._styled(self._err, 'bellows:', 'red') + ' ' + text)
+        self._tell(self._styled(self._err, 'bellows:', 'red') + ' ' + printable(text, '\n'))
+
+    def _tell(self, text: str) -> None:
+        """Print on stderr, in its place where both streams go to one."""
+        self._out.flush()
+        _write(self._err, text)
 
     def raw(self, text: str) -> None:
         """Write a file's content to stdout."""
         sys.stdout.write(text)
 
     def flush(self) -> None:
-        """Make sure that all is written, as an error at the very end could not be told."""
+        """Make sure that all is written, as an error at the very end could not be reported."""
         self._out.flush()
 
     @contextmanager
@@ -122,7 +129,7 @@ class Progress:
         width = shutil.get_terminal_size().columns - 1
         line = progress_line(stage, fraction, now - self._start)
         shown = line if len(line) <= width else stage  # what is done matters more than the bar
-        self._stream.write(CLEAR_LINE + shown[:width])
+        self._stream.write(CLEAR_LINE + printable(shown)[:width])
         self._stream.flush()
 
     def clear(self) -> None:
@@ -144,13 +151,19 @@ def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:
     return f'[{"#" * full}{"-" * (BAR - full)}] {done:4.0%}  {stage}{remaining}'
 
 
+def printable(text: str, kept: str = '') -> str:
+    """Return a text in which what a terminal would act upon is escaped: names may be hostile."""
+    return ''.join(
+        c if c.isprintable() or c in kept else c.encode('unicode_escape').decode() for c in text)
+
+
 def has_colour(stream: TextIO) -> bool:
-    """Tell whether a stream shows colours and its reader wants them."""
+    """Return whether a stream shows colours and its reader wants them."""
     return _is_terminal(stream) and not os.environ.get('NO_COLOR')
 
 
 def _is_terminal(stream: TextIO) -> bool:
-    """Tell whether a stream is a terminal that can do more than print."""
+    """Return whether a stream is a terminal that can do more than print."""
     return stream.isatty() and os.environ.get('TERM') != 'dumb'
 
 

@@ -8,14 +8,15 @@ from bellows_ros.errors import BellowsError
 
 from .commands import OK
 from .console import Console
-from .options import add_json_option, put_json, require_outputs, STDOUT
+from .options import add_arm_options, add_json_option, Folder, put_json, STDOUT
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.convert import Conversion
 
 DESCRIPTION = (
-    'Make a recording (rosbag2) of Motive CSV exports, TUM or EuRoC trajectories; or write the '
-    'poses of a topic of a recording as a TUM file, for evo and other tools.'
+    'Make a recording (rosbag2) of Motive CSV exports, of TUM, KITTI or EuRoC files, or of one '
+    'that has joint states or transforms instead of poses; or write the poses of a topic of a '
+    'recording as a TUM file, for evo and other tools.'
 )
 EXAMPLES = (
     ('bellows convert take.csv --out my_recording',
@@ -24,41 +25,59 @@ EXAMPLES = (
      '      --out my_recording', 'two TUM trajectories, with the topics they get'),
     ('bellows convert bags/validation --topic /package/pose --out package.tum',
      'poses of a recording as text'),
-)  # fmt: skip
+    ('bellows convert arm_bag --tool-link tool0 --urdf arm.urdf --out with_tool_poses',
+     'joint states to poses of the tool; without a URDF, and without /robot_description, /tf'),
+    ('bellows convert tf_bag --tool-frame tool0 --package-frame box --out with_poses',
+     'transforms to poses of tool and package'),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
         'sources', metavar='SOURCE', nargs='+', type=Path,
-        help='Motive or EuRoC .csv, TUM .tum or .txt; or one recording, to write a TUM file',
-    )  # fmt: skip
+        help='Motive or EuRoC .csv, TUM or KITTI .tum, .kitti or .txt; or one recording, to write '
+        'a TUM file or, with --tool-link or --tool-frame, one with poses',
+    )
     parser.add_argument(
-        '--out', metavar='NAME', required=True,
+        '--out', metavar='NAME', required=True, type=Folder,
         help='recording to make; or, from a recording, a file that ends in .tum or .txt',
-    )  # fmt: skip
+    )
     parser.add_argument(
         '--topic', metavar='TOPIC', action='append', default=[],
         help='topic of a source, in their order (default: /NAME/pose); of a recording, which '
         'topic to write',
-    )  # fmt: skip
+    )
     parser.add_argument(
         '--markers', metavar='N', type=int, default=3,
         help='leave out poses of Motive for which fewer markers were seen (default: 3)',
-    )  # fmt: skip
+    )
     parser.add_argument(
         '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='of the recording made'
     )
     parser.add_argument(
         '--force', action='store_true', help='replace a recording that is there already'
     )
+    add_arm_options(parser)
+    for body, what in (('tool', 'the tool tip E'), ('package', 'the package')):
+        parser.add_argument(
+            f'--{body}-frame', metavar='FRAME', default='',
+            help=f'frame of {what} in the transforms (/tf, /tf_static) of a recording')
+    parser.add_argument(
+        '--world-frame', metavar='FRAME', default='',
+        help='frame in which both are wanted; the farthest one above the tool when left out')
     add_json_option(parser, 'what was converted')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Convert and report."""
-    require_outputs(arguments.json)
-    from bellows_ros.workflows.convert import TEXT_ENDINGS, to_bag, to_tum
+    from bellows_ros.workflows.convert import (
+        TEXT_ENDINGS,
+        to_bag,
+        to_tum,
+        tool_to_bag,
+        transforms_to_bag,
+    )
 
     with console.progress() as progress:
         progress('converting')
@@ -66,10 +85,26 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             _require_one(arguments)
             topic = arguments.topic[0] if arguments.topic else ''
             done = to_tum(arguments.sources[0], arguments.out, topic)
+        elif arguments.tool_frame or arguments.package_frame:
+            if not (arguments.tool_frame and arguments.package_frame):
+                raise BellowsError(
+                    'Transforms become poses of tool and package: give --tool-frame and '
+                    '--package-frame. Of the tool alone: --tool-link.')
+            _require_recording(arguments)
+            done = transforms_to_bag(
+                arguments.sources[0], arguments.out, arguments.tool_frame,
+                arguments.package_frame, arguments.world_frame, arguments.topic,
+                arguments.storage, arguments.force)
+        elif arguments.tool_link:
+            _require_one(arguments)
+            topic = arguments.topic[0] if arguments.topic else ''
+            done = tool_to_bag(
+                arguments.sources[0], arguments.out, arguments.tool_link,
+                str(arguments.urdf or ''), topic, arguments.storage, arguments.force)
         else:
             _require_text(arguments)
             done = to_bag(arguments.sources, arguments.out, arguments.topic, arguments.storage,
-                          arguments.markers, arguments.force)  # fmt: skip
+                          arguments.markers, arguments.force)
     put_json(arguments.json, done.as_json(), console)
     with console.results_to_stderr(arguments.json == STDOUT):
         _say(done, console)
@@ -79,10 +114,16 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return OK
 
 
+def _require_recording(arguments: argparse.Namespace) -> None:
+    """Refuse several recordings where one is converted."""
+    if len(arguments.sources) > 1:
+        raise BellowsError('One recording is converted: give one.')
+
+
 def _require_one(arguments: argparse.Namespace) -> None:
     """Refuse to write one file from several recordings."""
     if len(arguments.sources) > 1 or len(arguments.topic) > 1:
-        raise BellowsError('A TUM file holds one trajectory: give one recording and one --topic.')
+        raise BellowsError('One trajectory is written: give one recording and one --topic.')
 
 
 def _require_text(arguments: argparse.Namespace) -> None:
@@ -91,7 +132,8 @@ def _require_text(arguments: argparse.Namespace) -> None:
         if source.is_dir() or source.suffix in ('.mcap', '.db3'):
             raise BellowsError(
                 f"'{source}' is a recording already. To write its poses as text, give --out a "
-                'name that ends in .tum.'
+                'name that ends in .tum; to make tool poses of its joints or transforms, name the '
+                'link of the tool: --tool-link LINK.'
             )
 
 

@@ -5,57 +5,54 @@ from pathlib import Path
 
 from .commands import OK
 from .console import Console
-from .options import (
-    add_json_option,
-    given_parameters,
-    put_json,
-    require_outputs,
-    STDOUT,
-    THESIS_CUP,
-)
+from .options import add_json_option, given_parameters, Output, put_json, STDOUT, THESIS_CUP
 
 DESCRIPTION = (
-    'Write a cup and its package as a model for MuJoCo (MJCF), Drake or any simulator that reads '
-    'SDF, and say what the format cannot express.'
+    'Write a cup and its package as a model for MuJoCo (MJCF), Drake, OpenPLX or any simulator '
+    'that reads SDF, or as a header in C, and say what the format cannot express.'
 )
 EXAMPLES = (
     ('bellows export cup.yaml --to mjcf --out cup.xml', 'six joints for MuJoCo'),
     ('bellows export cup.yaml --to drake --out cup.sdf', 'a roll-pitch-yaw bushing for Drake'),
+    ('bellows export cup.yaml --to c --out cup.h', 'step, rest and safety factor in C'),
 )
-FORMATS = ('mjcf', 'drake', 'sdf')
+FORMATS = ('mjcf', 'drake', 'sdf', 'openplx', 'c')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        'cup', metavar='CUP', type=Path, help='parameter file with cup and package'
+        'params', metavar='CUP', type=Path, nargs=1, help='parameter file with cup and package'
     )
     parser.add_argument(
         '--set', metavar='NAME=VALUE', action='append', default=[], dest='overrides',
         help='set one parameter, over those of the file; may be repeated',
-    )  # fmt: skip
+    )
     parser.add_argument(
         '--to', choices=FORMATS, required=True,
-        help='mjcf: MuJoCo; drake: SDF with a bushing of Drake; sdf: joints in a row',
-    )  # fmt: skip
-    parser.add_argument('--out', metavar='FILE', required=True, help='model to write')
+        help='mjcf: MuJoCo; drake: SDF with a bushing of Drake; sdf: joints in a row; openplx: '
+        'SixDofSuctionCup; c: a header in C11',
+    )
+    parser.add_argument('--out', metavar='FILE', required=True, type=Output, help='model to write')
     add_json_option(parser, 'what the format cannot express')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Write the model, and say what is lost."""
+    from bellows_ros.core.gravity import gravity_of
+    from bellows_ros.core.holding import grip_of
     from bellows_ros.core.model import cup_of, package_of
     from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
     from bellows_ros.files.atomic import write_text
-    from bellows_ros.files.exports import limits, TARGETS
+    from bellows_ros.files.exports import Exported, limits, TARGETS
 
-    values = given_parameters([arguments.cup], arguments.overrides)
+    values = given_parameters(arguments)
     settings = resolve(values, PACKAGE_PARAMETERS)
-    require_outputs(arguments.out, arguments.json)
     cup, package = cup_of(settings), package_of(settings)
     target = TARGETS[arguments.to]
     lost = limits(target, cup)
-    write_text(arguments.out, target.write(cup, package))
+    gravity = tuple(gravity_of(settings).tolist())
+    write_text(arguments.out, target.write(Exported(cup, package, gravity, grip_of(settings))))
     content = {'format': arguments.to, 'file': arguments.out, 'not_expressed': lost}
     put_json(arguments.json, content, console)
     with console.results_to_stderr(arguments.json == STDOUT):

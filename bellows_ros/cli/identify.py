@@ -1,6 +1,7 @@
 """`bellows identify`: find a cup's stiffness and damping in recordings."""
 
 import argparse
+from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from .commands import NOT_USABLE, OK
@@ -8,20 +9,28 @@ from .console import Console, Progress
 from .options import (
     add_json_option,
     add_parameter_options,
+    add_span_options,
     given_parameters,
+    INPUTS,
+    Output,
+    put_json,
     require_outputs,
     STDOUT,
-    uninterrupted,
+    THESIS_CUP,
 )
+from .signals import uninterrupted
 
 if TYPE_CHECKING:
-    from bellows_ros.workflows.identify import Identification
+    from bellows_ros.workflows.identification import Identification
+    from bellows_ros.workflows.release import ReleaseResult
 
 DESCRIPTION = (
     'Find the stiffness K and the damping P of a cup in recordings of the tool arm and of the '
     "package it holds. The parameter file says what is known (the package, the cup's length, the "
-    'topics), how to fit, and what else to look at: recordings at rest, other recordings to '
-    'validate on, the structures compared.'
+    'topics), how to fit, and what else to look at: standstills, other recordings to '
+    'validate on, the structures compared. With --summary-out one recording is only reduced to '
+    'what a fit needs of it, anywhere and by any scheduler; --summaries fits all of them. With '
+    '--release the cup is known, and the valve is found from recordings of tosses.'
 )
 EXAMPLES = (
     ('bellows identify bags/identification --params bags/package.yaml \\\n'
@@ -36,145 +45,282 @@ EXAMPLES = (
      'with standstills under three masses, from which the nominal length is found, too'),
     ('bellows identify recording --params my_cell.yaml --json - | jq .stiffness',
      'use the result in a script'),
-)  # fmt: skip
+    ('parallel bellows identify {} --params cell.yaml --summary-out {/}.npz ::: bags/*',
+     'reduce many recordings to small files, here with GNU parallel, and then'),
+    ('bellows identify --summaries *.npz --out cup.yaml --json fit.json',
+     'fit a cup to all of them'),
+    ('bellows identify tosses --release --params bags/tossing.yaml --out release.yaml',
+     'find delay, tau and blow-off of the valve, and how well they repeat'),
+)
 
 
-MOST_ON_A_PAGE = 20
-"""Recordings of which one page is still read."""
+FOUND = 'the fit cannot be used'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        'bags', metavar='BAG', nargs='*',
+        'bags', metavar='BAG', nargs='*', type=Path,
         help="recording: a rosbag2 folder, or a .mcap or .db3 file; over the parameter 'bags'",
-    )  # fmt: skip
+    )
     add_parameter_options(parser)
+    add_span_options(parser)
     parser.add_argument(
-        '--out', metavar='FILE', default='',
+        '--out', metavar='FILE', default='', type=Output,
         help='write the cup as a parameter file, for the predictor and bellows replay',
-    )  # fmt: skip
+    )
     add_json_option(parser, 'the result with its uncertainties')
     parser.add_argument(
-        '--report', metavar='FILE', default='', help='write a page with plots (HTML)'
+        '--report', metavar='FILE', default='', type=Output,
+        help='write a page with plots (HTML)'
+    )
+    parser.add_argument(
+        '--typical', metavar='PLAN', default=None, type=Path,
+        help='say first how well the cup predicts this motion of yours, a plan as of bellows '
+        'plan, and what to record again to better it',
+    )
+    parser.add_argument(
+        '--force', action='store_true',
+        help='write the cup file of a cup that is refused, too; its header says so',
     )
     parser.add_argument(
         '--jobs', metavar='N', type=int, default=None,
         help='read N recordings at a time, -1 for one per core (extra parallel); one that cannot '
         'be used is then reported and left out',
-    )  # fmt: skip
+    )
     parser.add_argument(
         '--dask', metavar='ADDRESS', default='',
         help='let the workers of a Dask scheduler read them instead (extra dask), for example '
         'tcp://host:8786; they must see the recordings under the same paths',
-    )  # fmt: skip
+    )
+    parser.add_argument(
+        '--summary-out', metavar='FILE', default='', type=Output,
+        help='only reduce the recording to what a fit needs of it, written here (.npz)',
+    )
+    parser.add_argument(
+        '--summaries', metavar='FILE', nargs='+', default=[], type=Path,
+        help='fit a cup to recordings that --summary-out has reduced, instead of BAG',
+    )
+    parser.add_argument(
+        '--release', action='store_true',
+        help='find release.* instead, from tosses with the cup that the parameters describe; the '
+        "valve is on 'topics.valve'",
+    )
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Identify, write, report."""
     settings = _settings(arguments)
     cup_file, json_file, page = (
-        str(settings[f'output.{name}']) for name in ('parameters', 'json', 'report'))
-    require_outputs(cup_file, json_file, page)
+        str(settings.get(f'output.{name}', '')) for name in ('parameters', 'json', 'report'))
+    require_outputs((cup_file, json_file, page), [f for n in INPUTS for f in settings.get(n, ())])
+    if arguments.release:
+        return _release(arguments, settings, console)
+    if arguments.summary_out:
+        return _reduce(arguments, settings, console)
     with console.progress() as progress:
-        result = _identified(arguments, settings, progress)
-    usable = result.fit.usable
-    _write(result, cup_file if usable else '', json_file, console)
+        result = _with_typical(arguments, settings, progress)
+    usable = not result.refusals
+    written = usable or (arguments.force and result.fit.usable)
+    _write(result, cup_file if written else '', json_file, arguments.force, console)
     if page:
         from bellows_ros.report.build import write_page
 
         write_page(result, page)
     with console.results_to_stderr(json_file == STDOUT):
-        _say(result, settings, console)
-        _say_files(usable, cup_file, json_file, console)
+        _say(result, console)
+        _say_files(usable, written, cup_file, json_file, console)
         if page:
             console.say(f'Wrote {page}.')
     return OK if usable else NOT_USABLE
 
 
-def _identified(
-    arguments: argparse.Namespace, settings: dict[str, Any], progress: Progress
-) -> 'Identification':
-    """Return the result, of one process or of many."""
+def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: Console) -> int:
+    """Identify the valve, write, report."""
     from bellows_ros.errors import BellowsError
 
-    if arguments.jobs is None and not arguments.dask:
-        from bellows_ros.workflows.identify import identify
+    others = ('summaries', 'summary_out', 'report', 'jobs', 'dask')
+    given = [f'--{name.replace("_", "-")}' for name in others if getattr(arguments, name)]
+    if given:
+        raise BellowsError(f'--release does not go with {", ".join(given)}. Leave it out.')
+    from bellows_ros.files.parameter_files import write_parameters
+    from bellows_ros.workflows.release import identify_release
 
-        return identify(settings, progress, arguments.params)
-    from bellows_ros.workflows.batch import identify_many
-
-    if settings['output.report'] and len(settings['bags']) > MOST_ON_A_PAGE:
-        raise BellowsError(
-            f'A report shows every recording: of at most {MOST_ON_A_PAGE}, not of '
-            f'{len(settings["bags"])} as with --jobs and --dask. Leave the report out.'
-        )
-    return identify_many(settings, arguments.jobs or 1, arguments.dask, progress, arguments.params)
-
-
-def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return what is set: by files, --set, and always what has an argument of its own."""
-    values = given_parameters(arguments.params, arguments.overrides, 'identifier')
-    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-    from bellows_ros.errors import BellowsError
-
-    named = {
-        'bags': arguments.bags,
-        'output.parameters': arguments.out,
-        'output.json': arguments.json,
-        'output.report': arguments.report,
-    }
-    required = () if values.get('package.files') else PACKAGE_PARAMETERS
-    settings = {**values, **{name: value for name, value in named.items() if value}}
-    checked = resolve(settings, required)
-    if not checked['bags']:
-        raise BellowsError(
-            'No recording is given. Name one or more: bellows identify BAG ... --params FILE, '
-            "or set the parameter 'bags'."
-        )
-    return {**settings, **{name: checked[name] for name in named}}
-
-
-def _write(result: 'Identification', cup_file: str, json_file: str, console: Console) -> None:
-    """Write what is wanted, all of it even when Ctrl-C comes in between."""
-    from bellows_ros.files.results import format_json
-    from bellows_ros.workflows.identify import save
-
+    with console.progress() as progress:
+        result = identify_release(settings, progress, arguments.params)
     with uninterrupted():
-        save(result, cup_file, '' if json_file == STDOUT else json_file)
-    if json_file == STDOUT:
-        console.raw(format_json(result.as_json()))
+        if arguments.out:
+            write_parameters(arguments.out, result.parameters())
+        put_json(str(arguments.json), result.as_json(), console)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        if 'cup.stiffness' not in settings:
+            console.warn(THESIS_CUP)
+        _say_release(result, console)
+        for file in (arguments.out, arguments.json):
+            if file not in ('', STDOUT):
+                console.say(f'Wrote {file}.')
+    return OK
 
 
-def _say(result: 'Identification', settings: dict[str, Any], console: Console) -> None:
-    """Print the cup and what it rests on."""
-    from .words import cup_table, listed, sample_lines
+def _say_release(result: 'ReleaseResult', console: Console) -> None:
+    """Print delay, tau and impulse with their errors, and how well they repeat."""
+    from .words import aligned, listed
 
-    fit = result.fit
-    bags = listed([str(bag) for bag in result.values['bags']])
-    console.say(f'Cup identified from {bags}', 'bold')
-    console.say(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
-    console.say()
-    for line in cup_table(fit):
+    fit, milli = result.fit, 1e3
+    rows = [('', '', 'standard error', 'scatter')]
+    for name, unit in (('delay', 'ms'), ('tau', 'ms'), ('impulse', 'mN s')):
+        value, error = milli * vars(fit)[name], milli * vars(fit)[f'{name}_error']
+        scatter = vars(fit).get(f'{name}_scatter')
+        if value == value:  # what is not identifiable is NaN
+            rows.append((f'release.{name}', f'{value:.2f} {unit}', f'{error:.2f} {unit}',
+                         '' if scatter is None else f'{milli * scatter:.2f} {unit}'))
+    console.say(f'Release identified from {len(result.tosses)} tosses in {listed(result.bags)}',
+                'bold')
+    for line in aligned(rows, right=True):
         console.say(f'  {line}'.rstrip())
     console.say()
-    for line in sample_lines(fit, result.reports):
-        console.paragraph(line)
-    console.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
-    for line in result.findings:
-        console.paragraph(line)
+    if fit.delay == fit.delay:
+        console.paragraph(
+            f'From toss to toss the cup lets go within {milli * fit.delay_scatter:.2f} ms (one '
+            f'sigma) of what valve and load say; at the {result.speed:.2f} m/s of the '
+            f'fastest that is {milli * fit.delay_scatter * result.speed:.1f} mm along the flight.')
+    console.paragraph(f'chi2 per pose: {result.chi2:.2f}; 1 where model and noise are right.')
     for warning in result.warnings:
         console.warn(warning)
 
 
-def _say_files(usable: bool, cup_file: str, json_file: str, console: Console) -> None:
+def _reduce(arguments: argparse.Namespace, settings: dict[str, Any], console: Console) -> int:
+    """Write a recording's summary."""
+    from bellows_ros.workflows.identify import write_summary
+
+    part = write_summary(settings, arguments.summary_out, arguments.params)
+    found = part.statistics
+    put_json(str(arguments.json), {
+        'file': str(arguments.summary_out), 'structure': found.structure.name,
+        'samples_used': found.used, 'samples_rejected': found.rejected,
+        'recording': part.report}, console)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        console.say(
+            f'Wrote {arguments.summary_out}: {found.used} samples used, {found.rejected} '
+            f'rejected, {found.structure.name}.')
+    return OK
+
+
+def _identified(
+    arguments: argparse.Namespace, settings: dict[str, Any], progress: Progress
+) -> 'Identification':
+    """Return the result, of recordings or of summaries."""
+    from bellows_ros.workflows.identify import identify, identify_summaries
+
+    if arguments.summaries:
+        return identify_summaries(arguments.summaries, settings, progress)
+    return identify(settings, progress, arguments.params, arguments.jobs, arguments.dask)
+
+
+def _with_typical(
+    arguments: argparse.Namespace, settings: dict[str, Any], progress: Progress
+) -> 'Identification':
+    """Return the result, with the accuracy along a typical motion where one is given."""
+    if not arguments.typical:
+        return _identified(arguments, settings, progress)
+    from dataclasses import replace
+
+    from bellows_ros.core.parameters import resolve
+    from bellows_ros.workflows.plan import read_plan
+    from bellows_ros.workflows.typical import typical
+
+    filled: dict[str, Any] = resolve({'package.com': (0.0, 0.0, 0.0), **settings})
+    source = read_plan(arguments.typical, filled)  # before a long fit
+    result = _identified(arguments, settings, progress)
+    if not result.fit.usable:
+        return result
+    return replace(result, typical=typical(arguments.typical, source, result))
+
+
+def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what is set: by files, --set, and always what has an argument of its own."""
+    values = given_parameters(arguments, 'identifier')
+    from bellows_ros.errors import BellowsError
+
+    named = {
+        'bags': [str(bag) for bag in arguments.bags],
+        'output.parameters': str(arguments.out),
+        'output.json': str(arguments.json),
+        'output.report': str(arguments.report),
+    }
+    settings = {**values, **{name: value for name, value in named.items() if value}}
+    if arguments.summaries:
+        if settings.get('bags') or arguments.summary_out:
+            raise BellowsError(
+                '--summaries are fitted instead of recordings: give neither a BAG nor '
+                '--summary-out with them.'
+            )
+        return settings
+    if not settings.get('bags'):
+        raise BellowsError(
+            'No recording is given. Name one or more: bellows identify BAG ... --params FILE, '
+            "or set the parameter 'bags'."
+        )
+    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+
+    checked = resolve(settings, () if values.get('package.files') else PACKAGE_PARAMETERS)
+    return {**settings, **{name: checked[name] for name in named}}
+
+
+def _write(
+    result: 'Identification', cup_file: str, json_file: str, force: bool, console: Console
+) -> None:
+    """Write what is wanted, all of it even when Ctrl-C comes in between."""
+    from bellows_ros.files.results import format_json
+    from bellows_ros.workflows.identification import save
+
+    with uninterrupted():
+        save(result, cup_file, '' if json_file == STDOUT else json_file, force)
+    if json_file == STDOUT:
+        console.raw(format_json(result.as_json()))
+
+
+def _say(result: 'Identification', console: Console) -> None:
+    """Print the cup and what it rests on."""
+    from .words import cup_table, listed, sample_lines
+
+    fit = result.fit
+    bags = listed(result.bags)
+    first = result.verdict.sentences if result.verdict else ()
+    for line in first:
+        console.paragraph(line)
+    console.say(f'Cup identified from {bags}', 'bold')
+    console.say(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
+    console.say()
+    if result.typical:
+        console.paragraph(result.typical.sentence)
+        console.say()
+    for line in cup_table(fit):
+        console.say(f'  {line}'.rstrip())
+    console.say()
+    for line in sample_lines(fit, [part.report for part in result.parts]):
+        console.paragraph(line)
+    console.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
+    for line in result.findings[len(first):]:
+        console.paragraph(line)
+    for reason in result.refusals:
+        console.paragraph(reason, 'red')
+    for warning in result.warnings:
+        console.warn(warning)
+
+
+def _say_files(
+    usable: bool, written: bool, cup_file: str, json_file: str, console: Console
+) -> None:
     """Print what was written and what comes next."""
     console.say()
     if json_file not in ('', STDOUT):
         console.say(f'Wrote {json_file}.')
     if not usable:
         kept = f'{cup_file} was not written' if cup_file else 'do not use it'
-        console.paragraph(f'This is no cup that can hold a package: {kept}.', 'red')
+        if written and cup_file:
+            kept = f'{cup_file} was written all the same, as --force says'
+        console.paragraph(f'This cup is refused: {kept}.', 'red')
     elif cup_file:
         console.say(f'Wrote {cup_file}. Next, see how well it predicts another recording:')
         console.say(f'  bellows replay BAG --params {cup_file}')

@@ -2,11 +2,23 @@
 
 import argparse
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, TYPE_CHECKING
+
+from bellows_ros.errors import BellowsError
 
 from .commands import OK
 from .console import Console
-from .options import add_bag_argument, add_json_option, put_json, require_outputs, STDOUT
+from .options import (
+    add_bag_argument,
+    add_json_option,
+    add_span_options,
+    given_span,
+    Output,
+    parse_override,
+    put_json,
+    STDOUT,
+)
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.info import Info, TopicInfo
@@ -20,34 +32,41 @@ EXAMPLES = (
     ('bellows info recording --write-params my_cell.yaml',
      'a parameter file with its topics; only the package is to be filled in'),
     ('bellows info recording --json - | jq .settings', 'the same for a script'),
-)  # fmt: skip
+)
 WORLDS = {
     'z_up': 'z up (recording.world: z_up)',
     'motive_y_up': "Motive's, y up (recording.world: motive_y_up)",
 }
 UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_frame',
-           'cup.length')  # fmt: skip
+           'cup.length')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_bag_argument(parser)
+    add_span_options(parser)
     parser.add_argument(
-        '--write-params', metavar='FILE', default='',
+        '--write-params', metavar='FILE', default='', type=Output,
         help='write a parameter file for this recording, for bellows identify and the nodes',
-    )  # fmt: skip
+    )
+    parser.add_argument(
+        '--force', action='store_true', help='replace a parameter file that is there already'
+    )
     add_json_option(parser, 'what was found')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Look, write, report."""
-    require_outputs(arguments.json, arguments.write_params)
+    if arguments.write_params and Path(arguments.write_params).exists() and not arguments.force:
+        raise BellowsError(
+            f"Parameter file '{arguments.write_params}' exists. Give another name, or --force to "
+            'replace it with all that was filled in.')
     from bellows_ros.files.atomic import write_text
     from bellows_ros.workflows.info import info
 
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
-        found = info(arguments.bag)
+        found = info(arguments.bag, dict(map(parse_override, given_span(arguments))))
     put_json(arguments.json, found.as_json(), console)
     if arguments.write_params:
         write_text(arguments.write_params, parameter_file(found))
@@ -83,7 +102,8 @@ def _table(found: 'Info') -> list[str]:
     from .words import aligned
 
     starts = [topic.start_ns for topic in found.topics if topic.kind]
-    rows = [('topic', 'type', 'messages', 'rate', 'jitter', 'from', 'to', 'gaps')]
+    rows: list[tuple[str, ...]] = [
+        ('topic', 'type', 'messages', 'rate', 'jitter', 'from', 'to', 'gaps')]
     for topic in found.topics:
         row = [topic.name, topic.type_name.replace('/msg/', '/'), str(topic.messages)]
         rows.append((*row, *(_timing(topic, min(starts)) if topic.kind else [''] * 5)))
@@ -96,7 +116,7 @@ def _timing(topic: 'TopicInfo', start_ns: int) -> list[str]:
     return [
         f'{topic.rate_hz:.1f} Hz', f'{topic.jitter_s * 1e3:.2f} ms', f'{begin:.2f} s',
         f'{begin + topic.duration_s:.2f} s', str(len(topic.gaps)),
-    ]  # fmt: skip
+    ]
 
 
 def _flaws(topic: 'TopicInfo') -> Iterator[str]:

@@ -2,24 +2,35 @@
 
 import argparse
 from collections.abc import Sequence
-from contextlib import contextmanager
 from pathlib import Path
 import re
-import signal
-import threading
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Mapping
 
     from bellows_ros.core.parameters import Parameter, Value
 
     from .console import Console
 
 STDOUT = '-'
+INPUTS = ('bags', 'validation.bags', 'static.bags', 'static.files', 'package.files')
+"""Parameters that name what is read."""
+
+SPAN = {'from': 'recording.start', 'to': 'recording.end'}
+"""The parameters that options for a part of a recording set."""
+
 THESIS_CUP = 'cup.stiffness is not set: this is the cup of the thesis, (4.78, 4.79).'
+
+
+class Output(str):
+    """The name of a file that a command writes; what it reads is a Path."""
+
+
+class Folder(Output):
+    """The name of a folder that a command makes."""
 
 
 def add_bag_argument(parser: argparse.ArgumentParser) -> None:
@@ -27,7 +38,7 @@ def add_bag_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'bag', metavar='BAG', type=Path,
         help='recording: a rosbag2 folder, or a .mcap or .db3 file',
-    )  # fmt: skip
+    )
 
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
@@ -35,20 +46,61 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--params', metavar='FILE', action='append', default=[], type=Path,
         help='parameter file (YAML, as ROS nodes take it); may be repeated, later ones prevail',
-    )  # fmt: skip
+    )
     parser.add_argument(
         '--set', metavar='NAME=VALUE', action='append', default=[], dest='overrides',
         help='set one parameter, over those of the files; may be repeated. '
         "All of them, with units and defaults: 'bellows parameters'",
-    )  # fmt: skip
+    )
+
+
+def add_span_options(parser: argparse.ArgumentParser) -> None:
+    """Add --from and --to, which set recording.start and recording.end."""
+    for name, which in (('from', 'earlier'), ('to', 'later')):
+        parser.add_argument(
+            f'--{name}', metavar='S', dest=SPAN[name], default='',
+            help=f"leave out what is {which}, in seconds from the recording's start",
+        )
 
 
 def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
     """Add --json."""
     parser.add_argument(
-        '--json', metavar='FILE', default='',
+        '--json', metavar='FILE', default='', type=Output,
         help=f"write {what} as JSON; '-' for stdout (the summary then goes to stderr)",
-    )  # fmt: skip
+    )
+
+
+def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add a plan, and how it is to be read."""
+    parser.add_argument(
+        'plan', metavar='PLAN', type=Path,
+        help='a recording with a MultiDOFJointTrajectory, Path or JointTrajectory, with tool '
+        'poses, joint states or transforms; such a message or a motion of simulate as YAML; a TUM '
+        'or EuRoC file',
+    )
+    parser.add_argument(
+        '--topic', metavar='TOPIC', default='', help='of the plan, where a recording has several')
+    add_arm_options(parser)
+
+
+def add_arm_options(parser: argparse.ArgumentParser) -> None:
+    """Add --urdf and --tool-link."""
+    parser.add_argument(
+        '--urdf', metavar='FILE', type=Path,
+        help="the arm, where its joints are given; that on the recording's /robot_description "
+        'when left out',
+    )
+    parser.add_argument(
+        '--tool-link', metavar='LINK', default='', help='link of the arm at the tool tip E')
+
+
+def require_free(bag: str, force: bool) -> None:
+    """Refuse a recording that exists, unless it may be replaced."""
+    if bag and Path(bag).exists() and not force:
+        raise BellowsError(
+            f"Output '{bag}' exists. Give another name, or --force to replace the recording."
+        )
 
 
 def put_json(target: str, content: 'Mapping[str, Any]', console: 'Console') -> None:
@@ -62,35 +114,40 @@ def put_json(target: str, content: 'Mapping[str, Any]', console: 'Console') -> N
 
 
 def given_parameters(
-    files: Sequence[Path], overrides: Sequence[str], node: str | None = None
+    arguments: argparse.Namespace, node: str | None = None
 ) -> 'dict[str, Value]':
     """
     Return the parameters of the files and, over them, those of the command line.
 
     Parameters
     ----------
-    files : sequence of Path
-        Parameter files; later ones prevail.
-    overrides : sequence of str
-        'name=value'.
+    arguments : Namespace
+        With `params`, files of which later ones prevail, and `overrides`, each 'name=value'.
     node : str, optional
         Only what a file holds for this node.
 
     Raises
     ------
     BellowsError
-        If a file cannot be read, or a name or value is not allowed.
+        If a file cannot be read, a name or value is not allowed, or an output of the command line
+        is read because a parameter says so.
 
     """
     from bellows_ros.files.parameter_files import read_parameters
 
-    values: dict[str, Value] = {}
-    for file in files:
+    values: dict[str, Any] = {}
+    for file in arguments.params:
         values.update(read_parameters(file, node))
-    for override in overrides:
+    for override in [*arguments.overrides, *given_span(arguments)]:
         name, value = parse_override(override)
         values[name] = value
+    require_named_outputs(arguments, [file for name in INPUTS for file in values.get(name, ())])
     return values
+
+
+def given_span(arguments: argparse.Namespace) -> list[str]:
+    """Return what --from and --to set, each 'name=value'."""
+    return [f'{name}={text}' for name in SPAN.values() if (text := getattr(arguments, name, ''))]
 
 
 def parse_override(text: str) -> 'tuple[str, Value]':
@@ -114,7 +171,8 @@ def parse_override(text: str) -> 'tuple[str, Value]':
             f"--set takes NAME=VALUE, got '{text}'. For example: --set fit.structure=full"
         )
     try:
-        return name, validate(name, _parsed(lookup(name), value))
+        parameter = lookup(name)
+        return parameter.name, validate(name, _parsed(parameter, value))
     except BellowsError as error:
         raise BellowsError(f'--set {name}: {error}') from None
 
@@ -153,32 +211,33 @@ def _number(text: str) -> int | float | str:
     return text
 
 
-def require_outputs(*paths: str) -> None:
+def require_outputs(outputs: 'Iterable[str]', inputs: 'Iterable[str | Path]') -> None:
     """
-    Refuse files that cannot be written, before any work; '' and '-' are none.
+    Refuse output that cannot be written or is an input, before any work; '' and '-' are none.
 
     Raises
     ------
     BellowsError
-        If a folder is missing, something else is in a file's place, or two are the same.
+        If a folder is missing, something else is in a file's place, two are the same, or one is
+        read or lies in what is read.
 
     """
     from bellows_ros.files.atomic import require_file_target
+    from bellows_ros.files.bag_folder import require_no_input
 
-    targets = [require_file_target(path) for path in paths if path not in ('', STDOUT)]
+    read, targets = list(inputs), []
+    for output in outputs:
+        if output not in ('', STDOUT):
+            require_no_input(output, read)
+            targets += [] if isinstance(output, Folder) else [require_file_target(output)]
     if len(set(targets)) < len(targets):
         raise BellowsError(f"Two outputs have the same name, '{targets[0]}'. Give another to one.")
 
 
-@contextmanager
-def uninterrupted() -> 'Iterator[None]':
-    """Put Ctrl-C off while finished work is written, so that all of it is or nothing."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    asked: list[Any] = []
-    before = signal.signal(signal.SIGINT, lambda *of_signal: asked.append(of_signal))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] = ()) -> None:
+    """Refuse every `Output` of a command line that may not be, by every `Path` and other input."""
+    named = [item for value in vars(arguments).values()
+             for item in (value if isinstance(value, list) else [value])]
+    require_outputs(
+        [item for item in named if isinstance(item, Output)],
+        [*inputs, *(item for item in named if isinstance(item, Path))])

@@ -4,6 +4,8 @@ import argparse
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from bellows_ros.errors import BellowsError
+
 from .commands import OK
 from .console import Console
 from .options import (
@@ -11,8 +13,8 @@ from .options import (
     add_json_option,
     add_parameter_options,
     given_parameters,
+    Output,
     put_json,
-    require_outputs,
     STDOUT,
     THESIS_CUP,
 )
@@ -32,7 +34,7 @@ EXAMPLES = (
      'tool, cup and package moving'),
     ('bellows plot spectra recording --out spectra.svg --json spectra.json',
      'with the numbers, for pictures of your own'),
-)  # fmt: skip
+)
 
 WHAT = {
     'motion': 'tool and package against time, all axes',
@@ -45,6 +47,7 @@ WHAT = {
 }
 
 OF_THE_RECORDING = ('motion', 'spectra', 'path')  # pictures that need no cup
+FASTEST = 100.0
 WHOLE = (float('-inf'), float('inf'))  # s
 
 Settings = Mapping[str, Any]
@@ -55,43 +58,49 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'what', metavar='WHAT', choices=WHAT,
         help='; '.join(f'{name}: {text}' for name, text in WHAT.items()),
-    )  # fmt: skip
+    )
     add_bag_argument(parser)
     add_parameter_options(parser)
     parser.add_argument(
-        '--out', metavar='FILE', required=True,
+        '--out', metavar='FILE', required=True, type=Output,
         help='picture to write: .png, .svg or .pdf; of an animation .gif or .mp4',
-    )  # fmt: skip
+    )
     add_json_option(parser, 'the numbers that are drawn, in SI units,')
     parser.add_argument(
         '--theme', choices=('light', 'dark'), default='light', help='for paper, or for the dark'
     )
     parser.add_argument(
+        '--speed', metavar='S', type=float, default=0.25,
+        help='of an animation: seconds of the recording per second (default: %(default)g)',
+    )
+    parser.add_argument(
         '--from', metavar='SECONDS', type=float, dest='first', default=WHOLE[0],
         help="where the picture begins, after the recording's first stamp; not of spectra",
-    )  # fmt: skip
+    )
     parser.add_argument(
         '--to', metavar='SECONDS', type=float, dest='last', default=WHOLE[1],
         help='where it ends',
-    )  # fmt: skip
+    )
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, draw, write."""
     from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 
-    values = given_parameters(arguments.params, arguments.overrides)
+    values = given_parameters(arguments)
     given = 'cup.stiffness' in values
     recorded = arguments.what in OF_THE_RECORDING and not (arguments.what == 'spectra' and given)
     settings = resolve(values, () if recorded else PACKAGE_PARAMETERS)
-    require_outputs(arguments.out, arguments.json)
     _require_ending(arguments.what, arguments.out)
     _require_whole(arguments)
+    if not 0.0 < arguments.speed <= FASTEST:
+        raise BellowsError(
+            f'--speed must be above 0 and at most {FASTEST:g}, got {arguments.speed:g}.')
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         shown = _shown(arguments, settings, given, progress)
         note = f'{arguments.bag}' + ('' if given or arguments.what in OF_THE_RECORDING
-                                     else '; cup of the thesis')  # fmt: skip
+                                     else '; cup of the thesis')
         if arguments.what == 'animation':
             _animate(arguments, shown, note, progress)
         else:
@@ -106,8 +115,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _require_ending(what: str, out: str) -> None:
     """Refuse a name that does not suit what is drawn, before any work."""
-    from bellows_ros.errors import BellowsError
-
     endings = ('.gif', '.mp4') if what == 'animation' else ('.png', '.svg', '.pdf')
     if not out.lower().endswith(endings):
         raise BellowsError(
@@ -118,8 +125,6 @@ def _require_ending(what: str, out: str) -> None:
 
 def _require_whole(arguments: argparse.Namespace) -> None:
     """Refuse a part of the time for spectra, before any work."""
-    from bellows_ros.errors import BellowsError
-
     span = (arguments.first, arguments.last)
     if arguments.what == 'spectra' and span != WHOLE:
         raise BellowsError('Spectra are of the whole recording: leave out --from and --to.')
@@ -162,19 +167,19 @@ def _draw(arguments: argparse.Namespace, shown: Any, note: str) -> None:
 
 def _prediction(shown: Any, note: str, theme: str) -> Any:
     """Return the picture of a replay."""
-    from bellows_ros.plots.prediction import Comparison, prediction_figure
+    from bellows_ros.plots.prediction import prediction_figure
 
-    compared = Comparison(
-        shown.seconds, shown.replay.measured, shown.replay.predicted, shown.replay.scores)
-    title = 'Held package: predicted, and measured'
-    return prediction_figure(compared, title, f'relative to the tool; {note}', theme)
+    title = 'Package: predicted, and measured'
+    note = f'relative to the tool; {note}'
+    return prediction_figure(shown.seconds, shown.live, title, note, theme)
 
 
 def _animate(arguments: argparse.Namespace, shown: Any, note: str, progress: Any) -> None:
     """Draw an animation and write it."""
     from bellows_ros.plots.animation import write_animation
 
-    write_animation(arguments.out, shown, note, arguments.theme, progress)
+    note = f'{note}; {arguments.speed:g} times real time'
+    write_animation(arguments.out, shown, note, arguments.theme, progress, arguments.speed)
 
 
 def _put_data(arguments: argparse.Namespace, shown: Any, console: Console) -> None:

@@ -1,84 +1,228 @@
-"""`bellows replay`: predict a recording with a cup, and score the prediction."""
+"""`bellows replay`: predict a recording with a cup, and say what the cup is worth."""
 
 import argparse
 from typing import TYPE_CHECKING
 
-from .commands import OK
+from .commands import NOT_USABLE, OK
 from .console import Console
 from .options import (
     add_bag_argument,
     add_json_option,
     add_parameter_options,
+    add_span_options,
     given_parameters,
+    Output,
     put_json,
-    require_outputs,
     STDOUT,
     THESIS_CUP,
 )
 
 if TYPE_CHECKING:
+    from bellows_ros.workflows.observe import Observed
     from bellows_ros.workflows.replay import Replay
 
 DESCRIPTION = (
-    "Send a recording's tool-arm messages through the prediction code of the node predictor, at "
-    'full speed and without ROS, and compare its poses with the measured ones, as seen from the '
-    'tool.'
+    'Predict a recording with a cup, from its start to its end: the model sees how the tool '
+    'moves, and nothing of the package. Say how far the package is off per axis, how much of that '
+    'is measurement noise, whether what is left looks like noise, and what the live predictor '
+    'makes of the recorded messages. Take a recording that the cup was not identified from.'
 )
 EXAMPLES = (
     ('bellows replay bags/validation --params cup.yaml',
-     'how well the cup identified before predicts another recording'),
+     'what the cup identified before is worth'),
+    ('bellows replay bags/validation --params cup.yaml --report replay.html',
+     'the same as a page with plots, which needs no network'),
     ('bellows replay bags/validation --params cup.yaml \\\n'
      '      --set topics.tool_twist= --json replay.json',
-     'the same without twists, with all figures in a file'),
-)  # fmt: skip
+     'without twists, with all figures in a file'),
+    ('bellows replay bags/validation --params cup.yaml --observe camera/box \\\n'
+     '      --set measured.noise="[0.002, 0.01]"',
+     'with a camera: prediction alone, camera alone, and both'),
+    ('bellows replay second --params cup.yaml --limit 5',
+     'in a script: exit code 1 unless every axis that moves is within 5 %'),
+)
+PERCENT = 100.0
+FOUND = 'an axis that moves is above --limit'
+LEGEND = (
+    'RMS and peak: error of a free simulation from start to end. live: RMS error of the live '
+    'predictor, from the messages as they came. noise: RMS error that measurement noise alone '
+    'would make. NRMSE: RMS error over motion. one-step: whether the errors are white where the '
+    'model is corrected at every sample.'
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_bag_argument(parser)
     add_parameter_options(parser)
-    add_json_option(parser, 'the scores')
+    add_span_options(parser)
+    add_json_option(parser, 'all figures')
+    parser.add_argument(
+        '--report', metavar='FILE', default='', type=Output, help='write a page with plots (HTML)'
+    )
+    parser.add_argument(
+        '--observe', metavar='TOPIC', default='',
+        help='poses of the package as a camera sees them, which correct another live prediction: '
+             'see measured.*',
+    )
+    parser.add_argument(
+        '--limit', metavar='PERCENT', type=float, default=None,
+        help='end with 1 if the NRMSE of an axis that moves is above this',
+    )
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Replay, write, report."""
     from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 
-    values = given_parameters(arguments.params, arguments.overrides)
+    values = given_parameters(arguments)
     settings = resolve(values, PACKAGE_PARAMETERS)
-    require_outputs(arguments.json)
+    from bellows_ros.core.identification.validation.validation import LIMIT
     from bellows_ros.workflows.replay import replay
 
     with console.progress() as progress:
-        result = replay(arguments.bag, settings, progress)
-    put_json(arguments.json, result.as_json(), console)
+        result = replay(arguments.bag, settings, progress, arguments.observe)
+    limit = LIMIT if arguments.limit is None else arguments.limit / PERCENT
+    put_json(arguments.json, result.as_json(limit, arguments.params), console)
+    if arguments.report:
+        _write_report(result, arguments)
     with console.results_to_stderr(arguments.json == STDOUT):
         if 'cup.stiffness' not in values:
             console.warn(THESIS_CUP)
-        _say(result, arguments, console)
-    return OK
+        _say(result, limit, arguments, console)
+    failing = result.validation.failing(limit)
+    return NOT_USABLE if failing and arguments.limit is not None else OK
 
 
-def _say(result: 'Replay', arguments: argparse.Namespace, console: Console) -> None:
-    """Print the scores and the counts."""
+def _write_report(result: 'Replay', arguments: argparse.Namespace) -> None:
+    """Write the page."""
+    from bellows_ros.files.atomic import write_text
+    from bellows_ros.report.build import replay_report
+
+    write_text(arguments.report, replay_report(result, arguments.params))
+
+
+def _say(
+    result: 'Replay', limit: float, arguments: argparse.Namespace, console: Console
+) -> None:
+    """Print the errors per axis and what they mean."""
     from bellows_ros.workflows.recordings import offset_sentence
 
-    from .words import count_lines, score_table
+    from .words import count_lines
 
-    console.say(f'Prediction of {arguments.bag}', 'bold')
-    console.say('(package relative to the tool, predicted minus measured)', 'dim')
+    console.say(f'Replay of {arguments.bag}', 'bold')
+    console.paragraph(
+        f'(package relative to the tool, predicted minus measured; from {start_words(result)})',
+        'dim')
     console.say()
-    for line in score_table(result.scores):
+    for line in error_table(result):
         console.say(f'  {line}')
     console.say()
-    for line in (*offset_sentence(arguments.bag, result.time_offset),
-                 *count_lines(result.counts)):
+    console.paragraph(LEGEND, 'dim')
+    console.say()
+    for line in (*verdict_lines(result, limit), *margin_lines(result),
+                 *offset_sentence(arguments.bag, result.time_offset)):
         console.paragraph(line)
-    took = result.took
-    console.paragraph(
-        f'Predicting took {took["predicting"]:.2f} s, {result.real_time_factor:.0f} times '
-        f'faster than real time; reading and preparing took {took["preparing"]:.2f} s, '
-        f'comparing {took["comparing"]:.2f} s.'
-    )
-    if arguments.json not in ('', STDOUT):
-        console.say(f'Wrote {arguments.json}.')
+    if result.live:
+        for line in count_lines(result.live.counts):
+            console.paragraph(line)
+        console.paragraph(
+            f'Predicting live took {result.live.took:.2f} s, '
+            f'{result.live.real_time_factor:.0f} times faster than real time.')
+    if result.observed:
+        _say_observed(result.observed, console)
+    for warning in result.warnings:
+        console.warn(warning)
+    for path in (arguments.json, arguments.report):
+        if path not in ('', STDOUT):
+            console.say(f'Wrote {path}.')
+
+
+def margin_lines(result: 'Replay') -> list[str]:
+    """Return how firmly the grip held, where that is known."""
+    return [result.margin.sentence] if result.margin else []
+
+
+def _say_observed(found: 'Observed', console: Console) -> None:
+    """Print what measured poses add, and what was found to be wrong."""
+    console.say()
+    console.say(f'With {found.topic}, RMS error', 'bold')
+    for line in observed_table(found):
+        console.say(f'  {line}')
+    used = ', '.join(f'{count} {what}' for what, count in found.counts.items())
+    console.paragraph(f'Measured poses: {used}.')
+    for line in found.alarm_lines:
+        console.warn(f'Alarm at {line}')
+
+
+def start_words(result: 'Replay') -> str:
+    """Return where the free simulation began."""
+    rest = result.validation.start == 'equilibrium'
+    return 'static equilibrium' if rest else 'the measured state'
+
+
+def error_table(result: 'Replay') -> list[str]:
+    """Return errors, what noise makes of them, and whether they are white, a line per axis."""
+    from bellows_ros.core.score import AXES
+
+    from .words import aligned, MILLI, percent, short
+
+    found, live = result.validation, result.live
+    white = found.one_step.whiteness.words if found.one_step else ('-',) * 6
+    rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE', 'one-step')]
+    for i, name in enumerate(AXES):
+        errors = (found.scores.rms, live.scores.rms if live else None, found.noise,
+                  found.scores.largest)
+        rows.append((
+            f'{name:2} {"mm" if i < 3 else "mrad"}',
+            *('-' if error is None else short(MILLI * error[i]) for error in errors),
+            percent(found.scores.nrmse[i], 1) + (' ' if found.moves[i] else '*'),
+            white[i].removesuffix(' white'),
+        ))
+    return aligned(rows, right=True)
+
+
+def observed_table(found: 'Observed') -> list[str]:
+    """Return the errors of prediction and camera, each alone and both, a line per axis."""
+    from bellows_ros.core.score import AXES
+
+    from .words import aligned, MILLI, short
+
+    rows = [('axis', *found.ways)]
+    rows += [
+        (f'{name:2} {"mm" if i < 3 else "mrad"}',
+         *(short(MILLI * way.scores.rms[i]) for way in found.ways.values()))
+        for i, name in enumerate(AXES)
+    ]
+    return aligned(rows, right=True)
+
+
+def verdict_lines(result: 'Replay', limit: float) -> list[str]:
+    """Return what the figures mean, in sentences."""
+    from bellows_ros.core.score import AXES
+
+    from .words import listed
+
+    found = result.validation
+    moving = [name for name, moves in zip(AXES, found.moves, strict=True) if moves]
+    still = [name for name in AXES if name not in moving]
+    lines = []
+    failing = found.failing(limit)
+    if moving and not failing:
+        lines.append(f'All axes that move are within {PERCENT * limit:g} %: {listed(moving)}.')
+    if failing:
+        lines.append(f'Above {PERCENT * limit:g} % of the motion: {listed(failing)}.')
+    if not moving:
+        lines.append('No axis moves enough for a verdict: record a larger motion.')
+    if still:
+        lines.append(
+            f'* {listed(still)} moves too little for a verdict: noise alone would be more than '
+            '5 % of its motion.'
+        )
+    if found.one_step:
+        lines.append(
+            f'One-step prediction errors: chi^2 per degree of freedom '
+            f'{found.one_step.chi2:.3f}; 1 where model and noise explain all.'
+        )
+    lines.append(f'{found.scores.samples} samples compared.')
+    return lines

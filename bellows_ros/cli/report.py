@@ -7,7 +7,7 @@ from typing import Any
 
 from .commands import OK
 from .console import Console
-from .options import add_json_option, put_json, require_outputs, STDOUT
+from .options import add_json_option, Output, put_json, require_named_outputs, STDOUT
 
 DESCRIPTION = (
     'Write one HTML file that needs no network: the cup with its intervals, measured and '
@@ -18,7 +18,7 @@ EXAMPLES = (
     ('bellows report fit.json --out report.html', 'a page on a fit made with --json fit.json'),
     ('bellows report fit.json --validation bags/validation --out report.html',
      'with another recording that the fit has not seen'),
-)  # fmt: skip
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,18 +26,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'fit', metavar='FIT', type=Path, help='result file, as bellows identify --json writes'
     )
-    parser.add_argument('--out', metavar='FILE', required=True, help='the page to write')
+    parser.add_argument(
+        '--out', metavar='FILE', required=True, type=Output, help='the page to write'
+    )
     parser.add_argument(
         '--validation', metavar='BAG', action='append', default=[], type=Path,
         help='recording that the fit has not seen, of the same cup and package; may be repeated',
-    )  # fmt: skip
+    )
     add_json_option(parser, 'how well the validations went')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Write the page, or say what is wrong with the result."""
+    from bellows_ros.files.content import content_of
+
+    with content_of(arguments.fit):
+        return _report(arguments, console)
+
+
+def _report(arguments: argparse.Namespace, console: Console) -> int:
     """Read, simulate, write."""
-    require_outputs(arguments.out, arguments.json)
-    from bellows_ros.core.parameters import resolve
+    from bellows_ros.core.identification.advice.excitation import excitation_of
+    from bellows_ros.core.identification.reduction import reduced
+    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+    from bellows_ros.core.structure import structure_named
     from bellows_ros.files.atomic import write_text
     from bellows_ros.files.results import read_result
     from bellows_ros.report.build import (
@@ -46,26 +58,34 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         values_of_recordings,
     )
     from bellows_ros.workflows.recordings import load
-    from bellows_ros.workflows.validate import validate
+    from bellows_ros.workflows.replay import validated
 
     content = read_result(arguments.fit)
     _require_settings(arguments.fit, content)
-    bags = [str(bag) for bag in content['settings']['bags']]
+    bags = [str(recording['bag']) for recording in content['recordings']]
+    require_named_outputs(arguments, bags)
     with console.progress() as progress:
-        recordings = []
+        recordings, parts = [], []
         for number, (bag, own) in enumerate(zip(bags, values_of_recordings(content), strict=True)):
             progress(f'reading {bag}', number / (len(bags) + len(arguments.validation) + 1))
-            recordings.append(load(bag, resolve(own)).recording)
+            each = resolve(own)
+            recordings.append(load(bag, each))
+            parts.append(reduced(recordings[-1], each).information)
+        required = PACKAGE_PARAMETERS if arguments.validation else ()
+        values = resolve(cup_values(content), required)
         validations = []
         for number, bag in enumerate(arguments.validation, len(bags)):
             progress(f'simulating {bag}', number / (len(bags) + len(arguments.validation) + 1))
-            validations.append(validate(bag, cup_values(content)))
-        write_text(arguments.out, identification_report(content, recordings, validations))
+            validations.append(validated(values, load(bag, values)))
+        excitation = excitation_of(
+            parts, structure_named(content['structure']), content['method'] == 'least_squares')
+        write_text(arguments.out, identification_report(
+            content, recordings, excitation, validations))
     others = changed(content)
     put_json(arguments.json, {
         'file': arguments.out, 'changed_recordings': others,
         'validations': [validation.as_json() for validation in validations],
-    }, console)  # fmt: skip
+    }, console)
     with console.results_to_stderr(arguments.json == STDOUT):
         for bag in others:
             console.warn(f'{bag} is not what it was when the cup was identified from it.')

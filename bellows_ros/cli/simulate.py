@@ -7,16 +7,15 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bellows_ros.errors import BellowsError
-
 from .commands import OK
 from .console import Console
 from .options import (
     add_json_option,
     add_parameter_options,
+    Folder,
     given_parameters,
     put_json,
-    require_outputs,
+    require_free,
     STDOUT,
     THESIS_CUP,
 )
@@ -34,7 +33,7 @@ EXAMPLES = (
     ('bellows simulate --params bags/cup.yaml --set package.mass=2.5 \\\n'
      '      --motion config/motion_example.yaml --out heavy --force',
      'with a heavier package, over the recording that is there'),
-)  # fmt: skip
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,9 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--motion', metavar='FILE', required=True, type=Path,
         help='motion file (YAML): how the tool moves, and how both are tracked; '
         'config/motion_example.yaml explains every setting',
-    )  # fmt: skip
+    )
     parser.add_argument(
-        '--out', metavar='BAG', required=True, help='folder of the recording, made by this'
+        '--out', metavar='BAG', required=True, type=Folder,
+        help='folder of the recording, made by this'
     )
     parser.add_argument(
         '--force', action='store_true', help='replace a recording that is there already'
@@ -59,9 +59,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.files.safe_yaml import load
     from bellows_ros.workflows.simulate import simulate_recording
 
-    values = given_parameters(arguments.params, arguments.overrides)
-    require_outputs(arguments.json)
-    _require_free(Path(arguments.out), arguments.force)
+    values = given_parameters(arguments)
+    require_free(arguments.out, arguments.force)
     motion = load(arguments.motion)
     with console.progress() as progress:
         report = simulate_recording(
@@ -73,14 +72,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             console.warn(THESIS_CUP)
         _say(report, console)
     return OK
-
-
-def _require_free(bag: Path, force: bool) -> None:
-    """Refuse a recording that exists, unless it may be replaced."""
-    if bag.exists() and not force:
-        raise BellowsError(
-            f"Output '{bag}' exists. Give another name, or --force to replace the recording."
-        )
 
 
 def as_json(report: 'SimulationReport') -> dict[str, object]:
@@ -95,6 +86,8 @@ def as_json(report: 'SimulationReport') -> dict[str, object]:
         ],
         'largest_bending_rad': report.largest_bending,
         'largest_bending_time_s': report.largest_bending_time,
+        'margin': report.margin and report.margin._asdict(),
+        'tosses': [toss._asdict() for toss in report.tosses],
         'warnings': list(report.warnings),
     }
 
@@ -109,6 +102,12 @@ def _say(report: 'SimulationReport', console: Console) -> None:
                     + (f', with {" and ".join(put_in)}' if put_in else ''))
     console.say(f'The cup bends by up to {math.degrees(report.largest_bending):.1f} degrees, '
                 f'at {report.largest_bending_time:.2f} s.')
+    if report.margin:
+        console.paragraph(report.margin.sentence)
+    if report.tosses:
+        late = [1e3 * (toss.release_time - toss.valve_time) for toss in report.tosses]
+        console.say(f'{len(late)} tosses, let go {min(late):.1f} to {max(late):.1f} ms after the '
+                    'valve.')
     if report.truth:
         console.say(f'The true motion: {report.truth}')
     for warning in report.warnings:

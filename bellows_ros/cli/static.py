@@ -12,9 +12,11 @@ from .console import Console
 from .options import (
     add_json_option,
     add_parameter_options,
+    add_span_options,
     given_parameters,
+    Output,
     put_json,
-    require_outputs,
+    require_named_outputs,
     STDOUT,
 )
 
@@ -37,44 +39,47 @@ EXAMPLES = (
      'the same with masses from a file: recordings: [{bag: m05, mass: 0.5}, ...]'),
     ('bellows static bags/static --params bags/cup.yaml',
      'check the spring of a cup in several orientations of the tool'),
-)  # fmt: skip
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        'bags', metavar='BAG', nargs='*',
+        'bags', metavar='BAG', nargs='*', type=Path,
         help='recording: a rosbag2 folder, or a .mcap or .db3 file; over the parameter '
         "'static.bags'",
-    )  # fmt: skip
+    )
     parser.add_argument(
         '--mass', metavar='KG', action='append', type=float, default=[], dest='masses',
         help='mass held in a recording, once for each BAG in their order, over package.mass',
-    )  # fmt: skip
+    )
     parser.add_argument(
         '--list', metavar='FILE', type=Path, dest='listed',
         help='YAML file with recordings: a list of bag, mass and, where it differs, com',
-    )  # fmt: skip
+    )
     add_parameter_options(parser)
+    add_span_options(parser)
     parser.add_argument(
-        '--out', metavar='FILE', default='',
+        '--out', metavar='FILE', default='', type=Output,
         help='write the parameters of --params and --set with the nominal length found',
-    )  # fmt: skip
+    )
     add_json_option(parser, 'all that was found')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Find, write, report."""
-    settings = given_parameters(arguments.params, arguments.overrides)
-    require_outputs(arguments.out, arguments.json)
+    settings = given_parameters(arguments)
+    from bellows_ros import __version__
     from bellows_ros.workflows.static import save_length, static_check
 
     bags = _bags(arguments, settings)
+    require_named_outputs(arguments, [bag for bag, _ in bags])
     with console.progress() as progress:
         result = static_check(bags, settings, progress)
     if arguments.out:
         save_length(result, arguments.out, settings)
-    put_json(arguments.json, result.as_json(), console)
+    content = {**result.as_json(), 'settings': settings, 'version': __version__}
+    put_json(arguments.json, content, console)
     with console.results_to_stderr(arguments.json == STDOUT):
         _say(result, console)
         for file in (arguments.out, arguments.json):
@@ -88,7 +93,7 @@ def _bags(
 ) -> 'list[StaticBag]':
     """Return the recordings with their masses; those of static.bags where none is named."""
     from bellows_ros.core.parameters import resolve
-    from bellows_ros.workflows.static import read_list, static_bags, StaticBag
+    from bellows_ros.workflows.static import read_list, static_bags
 
     masses = arguments.masses
     if masses and len(masses) != len(arguments.bags):
@@ -97,8 +102,8 @@ def _bags(
             'once for each BAG, in their order, or not at all.'
         )
     listed = read_list(arguments.listed) if arguments.listed else []
-    named = [
-        StaticBag(bag, mass)
+    named: list[StaticBag] = [
+        (str(bag), {} if mass is None else {'package.mass': mass})
         for bag, mass in zip(arguments.bags, masses or [None] * len(arguments.bags), strict=True)
     ]
     if not (named or listed) and settings.get('static.bags'):
@@ -116,7 +121,7 @@ def _say(result: 'StaticResult', console: Console) -> None:
     from .words import aligned
 
     console.say('Standstills', 'bold')
-    for line in aligned(_hold_rows(result), right=True):
+    for line in aligned(_standstill_rows(result), right=True):
         console.say(f'  {line}')
     console.say()
     _say_length(result, console)
@@ -130,18 +135,21 @@ def _say(result: 'StaticResult', console: Console) -> None:
         console.warn(warning)
 
 
-def _hold_rows(result: 'StaticResult') -> list[tuple[str, ...]]:
+def _standstill_rows(result: 'StaticResult') -> list[tuple[str, ...]]:
     """Return the standstills as rows of a table: the lip as seen from the tool."""
-    rows = [('pose', 'recording', 'mass', 'for', 'tilt', 'x', 'y', 'length', 'bending', 'turn')]
+    from bellows_ros.workflows.static import standstills_in
+
+    rows: list[tuple[str, ...]] = [
+        ('pose', 'recording', 'mass', 'for', 'tilt', 'x', 'y', 'length', 'bending', 'turn')]
     for recording in result.recordings:
-        for hold in recording.holds:
-            x, y, z, rx, ry, rz = hold.lip(recording.held.com).tolist()
+        for still in standstills_in(recording)[0]:
+            x, y, z, rx, ry, rz = still.lip.tolist()
             rows.append((
-                str(len(rows)), Path(recording.bag).name, f'{recording.held.mass:.4g} kg',
-                f'{hold.duration:.1f} s', f'{math.degrees(hold.tilt):.1f} deg',
+                str(len(rows)), Path(recording.name).name, f'{recording.payload.mass:.4g} kg',
+                f'{still.duration:.1f} s', f'{math.degrees(still.tilt):.1f} deg',
                 f'{x * 1e3:.2f} mm', f'{y * 1e3:.2f} mm', f'{-z * 1e3:.3f} mm',
                 f'{math.hypot(rx, ry) * 1e3:.1f} mrad', f'{rz * 1e3:.1f} mrad',
-            ))  # fmt: skip
+            ))
     return rows
 
 
@@ -152,11 +160,11 @@ def _say_length(result: 'StaticResult', console: Console) -> None:
         console.paragraph(f'No nominal length: {result.no_length}')
         return
     console.say('Nominal length', 'bold')
-    console.say(f'  l0 {length.length * 1e3:.3f} ± {length.length_std * 1e3:.3f} mm')
+    console.say(f'  l0 {length.words}')
     console.paragraph(
         f'  polynomial of order {len(length.coefficients) - 1} through {len(length.loads)} '
         f'standstills; a straight line through the linear range gives '
-        f'{length.linear_length * 1e3:.3f} ± {length.linear_length_std * 1e3:.3f} mm.'
+        f'{length.linear_length * 1e3:.3f} mm.'
     )
     beyond = length.linear_load < float(length.loads.max())
     console.paragraph(

@@ -8,9 +8,10 @@ from .options import (
     add_bag_argument,
     add_json_option,
     add_parameter_options,
+    add_span_options,
     given_parameters,
+    Output,
     put_json,
-    require_outputs,
     STDOUT,
     THESIS_CUP,
 )
@@ -24,15 +25,17 @@ EXAMPLES = (
     ('bellows view bags/validation --params cup.yaml', 'open a window, until it is closed'),
     ('bellows view bags/validation --params cup.yaml --out replay.rrd',
      "write a file, for 'rerun replay.rrd' on any machine"),
-)  # fmt: skip
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_bag_argument(parser)
     add_parameter_options(parser)
+    add_span_options(parser)
     parser.add_argument(
-        '--out', metavar='FILE', default='', help='write an .rrd file and open no window'
+        '--out', metavar='FILE', default='', type=Output,
+        help='write an .rrd file and open no window'
     )
     add_json_option(parser, 'the scores')
 
@@ -43,9 +46,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.plots.viewer import open_view, require_viewer, write_view
     from bellows_ros.workflows.plot import replayed
 
-    values = given_parameters(arguments.params, arguments.overrides)
+    values = given_parameters(arguments)
     settings = resolve(values, PACKAGE_PARAMETERS)
-    require_outputs(arguments.out, arguments.json)
     _require_ending(arguments.out)
     require_viewer()
     with console.progress() as progress:
@@ -53,7 +55,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         if arguments.out:
             progress('writing')
             write_view(arguments.out, shown, str(arguments.bag))
-    put_json(arguments.json, shown.replay.as_json(), console)
+    put_json(arguments.json, shown.live.as_json(), console)
     with console.results_to_stderr(arguments.json == STDOUT):
         if 'cup.stiffness' not in values:
             console.warn(THESIS_CUP)

@@ -2,24 +2,25 @@
 
 from collections.abc import Mapping, Sequence
 import math
+import shutil
 from typing import Any
 
-from bellows_ros.core.score import AXES, Scores
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.score import AXES
+from bellows_ros.core.structure import structure_named
 
 STIFFNESS_UNITS = ('N/m',) * 3 + ('N m/rad',) * 3
 DAMPING_UNITS = ('N s/m',) * 3 + ('N m s/rad',) * 3
 MILLI = 1e3
+GUTTER, INDENTED = 2, 2
 SHOWN = 5
 
 
 def cup_table(fit: Any) -> list[str]:
-    """Return K and P with standard errors, a line per direction; of a full fit all entries."""
+    """Return K and P with standard errors, a line per direction; with couplings all entries."""
+    structure = structure_named(fit.structure)
     rows = [('axis', 'stiffness K', 'damping P')]
-    for axes in _tied(fit.structure):
+    for axes in structure.tied_axes:
         i = axes[0]
         rows.append(
             (
@@ -29,17 +30,10 @@ def cup_table(fit: Any) -> list[str]:
             )
         )
     lines = aligned(rows)
-    if fit.structure == 'full':
+    if structure.couples:
         lines += ['', 'K in N/m, N and N m/rad:', *_matrix(fit.stiffness)]
         lines += ['', 'P in N s/m, N s and N m s/rad:', *_matrix(fit.damping)]
     return lines
-
-
-def _tied(structure: str) -> Sequence[tuple[int, ...]]:
-    """Return the axes that share a number."""
-    if structure == 'axisymmetric':
-        return ((0, 1), (2,), (3, 4), (5,))
-    return tuple((i,) for i in range(6))
 
 
 def _matrix(matrix: Array) -> list[str]:
@@ -51,10 +45,10 @@ def with_error(value: float, error: float) -> str:
     """
     Return a value to the decimal place of its standard error's second figure, and the error.
 
-    An infinite error is said: the value tells nothing.
+    An infinite error is said: the value is meaningless.
     """
     if math.isinf(error):
-        return f'{value:.3g} (not told)'
+        return f'{value:.3g} (not identifiable)'
     if not (math.isfinite(error) and error > 0.0 and math.isfinite(value)):
         return f'{value:.5g}'
     decimals = max(0, 1 - math.floor(math.log10(error)))
@@ -62,37 +56,45 @@ def with_error(value: float, error: float) -> str:
 
 
 def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
-    """Return rows as lines with columns below each other; all but the first right-aligned."""
+    """
+    Return rows as lines with columns below each other; all but the first right-aligned.
+
+    On a terminal that is too narrow, columns follow in blocks, each with the first one again.
+    """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
-    for row in rows:
-        cells = [
-            cell.rjust(width) if right and number else cell.ljust(width)
-            for number, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        lines.append('  '.join(cells).rstrip())
+    for block in _blocks(widths, shutil.get_terminal_size((0, 0)).columns - INDENTED):
+        for row in rows:
+            cells = [
+                row[i].rjust(widths[i]) if right and i else row[i].ljust(widths[i])
+                for i in (0, *block)
+            ]
+            lines.append('  '.join(cells).rstrip())
     return lines
 
 
-def score_table(scores: Scores) -> list[str]:
-    """Return RMS and largest error and NRMSE, a line per axis."""
-    rows = [('axis', 'RMS error', 'largest', 'of the motion')]
-    for i, name in enumerate(AXES):
-        unit = 'mm' if i < 3 else 'mrad'
-        rows.append(
-            (
-                name,
-                f'{scores.rms[i] * MILLI:.3g} {unit}',
-                f'{scores.largest[i] * MILLI:.3g} {unit}',
-                percent(scores.nrmse[i]),
-            )
-        )
-    return aligned(rows, right=True)
+def _blocks(widths: Sequence[int], room: int) -> list[list[int]]:
+    """Return the columns beside the first in blocks that fit; in one where no width is known."""
+    blocks, used = [list[int]()], widths[0]
+    for number, width in enumerate(widths[1:], 1):
+        if blocks[-1] and 0 < room < used + GUTTER + width:
+            blocks.append([])
+            used = widths[0]
+        blocks[-1].append(number)
+        used += GUTTER + width
+    return blocks
 
 
-def percent(ratio: float) -> str:
+def short(value: float) -> str:
+    """Return a positive number in at most six characters."""
+    if value >= 1e3:
+        return f'{value:.0f}'
+    return f'{value:.3g}' if value >= 0.01 else f'{value:.4f}'
+
+
+def percent(ratio: float, decimals: int = 2) -> str:
     """Return a ratio in percent, or a dash where nothing moved."""
-    return f'{100.0 * ratio:.2f} %' if math.isfinite(ratio) else '-'
+    return f'{100.0 * ratio:.{decimals}f} %' if math.isfinite(ratio) else '-'
 
 
 def listed(items: Sequence[str]) -> str:
@@ -110,28 +112,29 @@ def sample_lines(fit: Any, reports: Sequence[Any]) -> list[str]:
     ----------
     fit : bellows_ros.core.identification.result.Fit
         The fit.
-    reports : sequence of bellows_ros.core.recording.preparation.Report
-        One per recording.
+    reports : sequence of mapping
+        What became of each recording, as in the JSON file.
 
     """
     lines = [f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.']
-    streams = [stream for report in reports for stream in (report.tool, report.package)]
-    return lines + [f'  {stream.name}: {line}' for stream in streams
-                    if (line := stream_line(stream))]  # fmt: skip
+    streams = [report[name] for report in reports for name in ('tool_pose', 'package_pose')]
+    return lines + [f'  {stream["topic"]}: {line}' for stream in streams
+                    if (line := stream_line(stream))]
 
 
-def stream_line(stream: Any) -> str:
+def stream_line(stream: Mapping[str, Any]) -> str:
     """Return what was wrong with the poses of a topic, or nothing."""
-    gaps = stream.timing.gaps
-    lost = sum(gap.duration_s for gap in gaps)
+    gaps, outliers, touched = (
+        stream[name] for name in ('gaps', 'outliers', 'filtered_samples_left_out'))
+    lost = sum(gap['duration_s'] for gap in gaps)
     found = [
         *(many(len(indices), f'message {reason.replace("_", " ")}', f'messages {reason}')
-          for reason, indices in stream.refused.items() if indices),
-        *([many(stream.marked, 'outlier', 'outliers')] if stream.marked else []),
+          for reason, indices in stream['refused'].items() if indices),
+        *([many(outliers, 'outlier', 'outliers')] if outliers else []),
         *([f'{many(len(gaps), "gap", "gaps")} of {lost:.2g} s together'] if gaps else []),
-    ]  # fmt: skip
-    touched = f'; {stream.touched} filtered samples touch these' if stream.touched else ''
-    return ', '.join(found) + touched if found else ''
+    ]
+    left_out = f'; {touched} filtered samples touch these' if touched else ''
+    return ', '.join(found) + left_out if found else ''
 
 
 def many(count: int, one: str, several: str) -> str:
@@ -144,6 +147,6 @@ def count_lines(counts: Mapping[str, int]) -> list[str]:
     known = ('poses', 'twists', 'predictions', 'twists estimated')
     poses, twists, predictions, estimated = (counts.get(name, 0) for name in known)
     line = (f'{many(poses, "pose", "poses")} and {many(twists, "twist", "twists")} in, '
-            f'{many(predictions, "prediction", "predictions")} out')  # fmt: skip
+            f'{many(predictions, "prediction", "predictions")} out')
     line += f'; {many(estimated, "twist", "twists")} estimated from poses.' if estimated else '.'
     return [line, *(f'  {name}: {count}' for name, count in counts.items() if name not in known)]

@@ -37,7 +37,7 @@ def with_chosen_cup(values: Mapping[str, Any]) -> dict[str, Any]:
     chosen = {
         f'cup.{key.removeprefix(prefix)}': value
         for key, value in values.items() if key.startswith(prefix)
-    }  # fmt: skip
+    }
     kept = {key: value for key, value in values.items() if not key.startswith('envelope.')}
     return {**kept, **chosen}
 
@@ -51,5 +51,5 @@ def _why_unknown(name: str, known: list[str]) -> str:
         )
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     hint = f"Did you mean '{near[0]}'?" if near else (
-        f'Cups there: {", ".join(known) or "none"}.')  # fmt: skip
+        f'Cups there: {", ".join(known) or "none"}.')
     return f"cup.name is '{name}', but there are no parameters cups.{name}.*. {hint}"

@@ -8,9 +8,11 @@ from bellows_ros.core.tuples import (
     add,
     apply,
     apply_transposed,
+    quaternion_conjugate,
     quaternion_product,
     rotation_matrix,
     scale,
+    subtract,
 )
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -20,13 +22,16 @@ _ITERATIONS = 50
 _LARGEST_MOVE = 0.3  # m or rad, of one iteration
 
 
-def static_equilibrium(model: ModelTuple, tool: State) -> State:
+def static_equilibrium(
+    model: ModelTuple, tool: State, near: State | None = None
+) -> State:
     """
     Return the state in which the package hangs at rest from a tool at rest (3.9).
 
     The load is put on in steps from the nominal pose, each solved by Newton's method, so that of
-    several equilibria the one that a real cup reaches is found. It is sought in tool axes: where
-    in the world the tool is does not matter.
+    several equilibria the one that a real cup reaches is found; or all of it is at once on a
+    package that is near to its rest. It is sought in tool axes: where in the world the tool is
+    does not matter.
 
     Raises
     ------
@@ -39,9 +44,14 @@ def static_equilibrium(model: ModelTuple, tool: State) -> State:
     origin = (zero, (0.0, 0.0, 0.0, 1.0), zero, zero)
     R_world_tool = rotation_matrix(tool[1])
     gravity_in_tool = apply_transposed(R_world_tool, gravity)
-    body = resting_on_tool(model, origin)
+    if near is None:
+        body, loads = resting_on_tool(model, origin), _LOADS
+    else:
+        shift = apply_transposed(R_world_tool, subtract(near[0], tool[0]))
+        turn = quaternion_product(quaternion_conjugate(tool[1]), near[1])
+        body, loads = (shift, turn, zero, zero), 1
     loaded = model
-    for load in np.linspace(0.0, 1.0, _LOADS + 1)[1:]:
+    for load in np.linspace(0.0, 1.0, loads + 1)[1:]:
         loaded = (cup, package, scale(float(load), gravity_in_tool))
         body = _newton_equilibrium(loaded, origin, body)
     if np.linalg.eigvals(linearise(loaded, origin, body).body_pose).real.max() >= 0.0:
@@ -60,14 +70,14 @@ def _newton_equilibrium(model: ModelTuple, tool: State, body: State) -> State:
             step = np.linalg.solve(jacobian, -residual)
         except np.linalg.LinAlgError:
             break
-        size = float(np.linalg.norm(step))
+        before, size = size, float(np.linalg.norm(step))
         if not math.isfinite(size):
             break
         step *= _LARGEST_MOVE / max(size, _LARGEST_MOVE)
         body = displaced(body, tuple(step[:3].tolist()), tuple(step[3:].tolist()))
-        if size < 1e-13:
+        if size < 1e-9 and size > 0.1 * before or size < 1e-13:  # as near as rounding lets it
             break
-    if size < 1e-9:  # as near as rounding lets it
+    if size < 1e-9:
         return body
     raise _no_equilibrium(model)
 

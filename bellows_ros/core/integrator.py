@@ -49,7 +49,7 @@ def tool_segment(start: State, end: State, duration: float) -> Segment:
         duration,
         start[0], a1, hermite_quadratic(step, a1, a1_end), hermite_cubic(step, a1, a1_end),
         start[1], c1, hermite_quadratic(phi, c1, c1_end), hermite_cubic(phi, c1, c1_end),
-    )  # fmt: skip
+    )
 
 
 @kernel
@@ -92,7 +92,7 @@ def tool_at(segment: Segment, s: float) -> State:
 
 
 @kernel
-def moved(body: State, h: float, do: Vector, sigma: Vector, dv: Vector, dw: Vector) -> State:
+def stage_state(body: State, h: float, do: Vector, sigma: Vector, dv: Vector, dw: Vector) -> State:
     """Return the state moved by h along the rates of position, rotation vector and twist."""
     return (
         add_scaled(body[0], h, do),
@@ -127,31 +127,31 @@ def renormalised(q: Quaternion) -> Quaternion:
 
 
 @kernel
-def step(
+def stages(
     model: ModelTuple, body: State, tool: State, tool_middle: State, tool_end: State, h: float
-) -> State:
-    """Return the package's state h later, the tool given at start, middle and end (RKMK4)."""
+) -> tuple[State, State, State, State]:
+    """Return the package's states at the second to fourth stage of a step, and at its end."""
     half = 0.5 * h
     do1 = apply(rotation_matrix(body[1]), body[2])
     ds1 = body[3]
     dv1, dw1 = body_acceleration(model, tool, body)
 
-    body2 = moved(body, half, do1, ds1, dv1, dw1)
+    body2 = stage_state(body, half, do1, ds1, dv1, dw1)
     do2 = apply(rotation_matrix(body2[1]), body2[2])
     ds2 = rotation_rate(scale(half, ds1), body2[3])
     dv2, dw2 = body_acceleration(model, tool_middle, body2)
 
-    body3 = moved(body, half, do2, ds2, dv2, dw2)
+    body3 = stage_state(body, half, do2, ds2, dv2, dw2)
     do3 = apply(rotation_matrix(body3[1]), body3[2])
     ds3 = rotation_rate(scale(half, ds2), body3[3])
     dv3, dw3 = body_acceleration(model, tool_middle, body3)
 
-    body4 = moved(body, h, do3, ds3, dv3, dw3)
+    body4 = stage_state(body, h, do3, ds3, dv3, dw3)
     do4 = apply(rotation_matrix(body4[1]), body4[2])
     ds4 = rotation_rate(scale(h, ds3), body4[3])
     dv4, dw4 = body_acceleration(model, tool_end, body4)
 
-    end = moved(
+    end = stage_state(
         body,
         h,
         weighted(do1, do2, do3, do4),
@@ -159,7 +159,15 @@ def step(
         weighted(dv1, dv2, dv3, dv4),
         weighted(dw1, dw2, dw3, dw4),
     )
-    return (end[0], renormalised(end[1]), end[2], end[3])
+    return body2, body3, body4, (end[0], renormalised(end[1]), end[2], end[3])
+
+
+@kernel
+def step(
+    model: ModelTuple, body: State, tool: State, tool_middle: State, tool_end: State, h: float
+) -> State:
+    """Return the package's state h later, the tool given at start, middle and end (RKMK4)."""
+    return stages(model, body, tool, tool_middle, tool_end, h)[3]
 
 
 @kernel

@@ -138,7 +138,7 @@ def lip_relative_to_tool(
     com: Vector,
     o_A_E: Vector, R_A_E: Matrix, v_E: Vector, w_E: Vector,
     o_A_B: Vector, R_A_B: Matrix, v_B: Vector, w_B: Vector,
-) -> tuple[Vector, Matrix, Vector, Vector]:  # fmt: skip
+) -> tuple[Vector, Matrix, Vector, Vector]:
     """
     Return E_o_S, E_R_S and the body twist S_v_ES of the lip relative to the tool.
 
@@ -172,14 +172,14 @@ def newton_euler(
 
 
 @kernel
-def held_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
+def lip_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
     """Return the wrench of the cup on the package at the lip, in S axes, in a given state."""
     cup, package, _ = model
     o_E_S, R_E_S, v_ES, w_ES = lip_relative_to_tool(
         package[1],
         tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
         body[0], rotation_matrix(body[1]), body[2], body[3],
-    )  # fmt: skip
+    )
     return cup_wrench(cup, o_E_S, R_E_S, v_ES, w_ES)
 
 
@@ -187,6 +187,6 @@ def held_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
 def body_acceleration(model: ModelTuple, tool: State, body: State) -> tuple[Vector, Vector]:
     """Return the rate of the package's body twist, m/s^2 and rad/s^2 (3.42)."""
     _, package, gravity = model
-    f, m = held_wrench(model, tool, body)
+    f, m = lip_wrench(model, tool, body)
     f, m = wrench_at_com(package[1], f, m)
     return newton_euler(package, gravity, rotation_matrix(body[1]), body[2], body[3], f, m)

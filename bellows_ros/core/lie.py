@@ -21,11 +21,10 @@ are summed.
 from collections.abc import Callable
 from math import factorial
 
+from bellows_ros.core.arrays import Array
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-Array = NDArray[np.float64]
+from numpy.typing import ArrayLike
 
 # rad. At this angle the series below reach double precision, and the closed forms have lost at
 # most two digits, of terms that are 1/12 and 1/60 in size.
@@ -254,6 +253,13 @@ def rotation_to_quaternion(R: ArrayLike) -> Array:
     sign = np.where(q[..., 3:] < 0.0, -1.0, 1.0)
     result: Array = q * sign / np.linalg.norm(q, axis=-1, keepdims=True)
     return result
+
+
+def rpy_rotation(rpy: Array) -> Array:
+    """Return R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) of roll, pitch, yaw in rad, as URDF has it."""
+    roll, pitch, yaw = exp_so3(np.diag(rpy))
+    R: Array = yaw @ pitch @ roll
+    return R
 
 
 def quaternion_product(p: ArrayLike, q: ArrayLike) -> Array:

@@ -1,11 +1,12 @@
 """Small motions about a state: derivatives of the package's acceleration, modes and step sizes."""
 
-from collections.abc import Callable
 import math
 from typing import NamedTuple
 
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.jacobians import body_jacobians, Square, tool_jacobians
 from bellows_ros.core.jit import kernel
-from bellows_ros.core.kernels import body_acceleration, ModelTuple, State
+from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.tuples import (
     apply,
     exp_quaternion,
@@ -14,15 +15,9 @@ from bellows_ros.core.tuples import (
     Vector,
 )
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 PHASE_PER_STEP = 0.1
 """Largest |eigenvalue| * step (rad) of one integration step: RK4 is accurate and stable there."""
-
-_DISPLACEMENT = 1e-6  # m and rad, of central differences
-_SPEED = 1e-3  # m/s and rad/s
 
 
 @kernel
@@ -49,7 +44,7 @@ def displaced(body: State, delta: Vector, phi: Vector) -> State:
     )
 
 
-class Slopes(NamedTuple):
+class Jacobian(NamedTuple):
     """
     Derivatives (6, 6) of the package's acceleration about a state.
 
@@ -63,39 +58,16 @@ class Slopes(NamedTuple):
     tool_twist: Array
 
 
-def linearise(model: ModelTuple, tool: State, body: State) -> Slopes:
+def linearise(model: ModelTuple, tool: State, body: State) -> Jacobian:
     """Return the derivatives of the package's acceleration about a state."""
+    of_body, of_tool = body_jacobians(model, tool, body), tool_jacobians(model, tool, body)
+    return Jacobian(*(_matrix(square) for square in (*of_body, *of_tool)))
 
-    def pushed(state: State, delta: list[float]) -> State:
-        return displaced(
-            state, (delta[0], delta[1], delta[2]), (delta[3], delta[4], delta[5]))
 
-    def sped_up(state: State, delta: list[float]) -> State:
-        o, q, v, w = state
-        return (
-            o, q,
-            (v[0] + delta[0], v[1] + delta[1], v[2] + delta[2]),
-            (w[0] + delta[3], w[1] + delta[4], w[2] + delta[5]),
-        )  # fmt: skip
-
-    def slope(change: Callable[[State, list[float]], State], of_tool: bool, step: float) -> Array:
-        columns = []
-        for delta in np.eye(6) * step:
-            ends = [
-                body_acceleration(
-                    model,
-                    change(tool, side.tolist()) if of_tool else tool,
-                    body if of_tool else change(body, side.tolist()),
-                )
-                for side in (delta, -delta)
-            ]
-            columns.append((np.ravel(ends[0]) - np.ravel(ends[1])) / (2.0 * step))
-        return np.array(columns).T
-
-    return Slopes(
-        slope(pushed, False, _DISPLACEMENT), slope(sped_up, False, _SPEED),
-        slope(pushed, True, _DISPLACEMENT), slope(sped_up, True, _SPEED),
-    )  # fmt: skip
+def _matrix(square: Square) -> Array:
+    """Return a 6x6 matrix of the kernels as an array."""
+    parts = np.reshape(square, (2, 2, 3, 3))
+    return np.asarray(parts.transpose(0, 2, 1, 3).reshape(6, 6))
 
 
 def system_matrix(model: ModelTuple) -> Array:
@@ -107,8 +79,8 @@ def system_matrix(model: ModelTuple) -> Array:
     """
     zero = (0.0, 0.0, 0.0)
     tool = (zero, (0.0, 0.0, 0.0, 1.0), zero, zero)
-    slopes = linearise(model, tool, resting_on_tool(model, tool))
-    return np.block([[np.zeros((6, 6)), np.eye(6)], [slopes.body_pose, slopes.body_twist]])
+    jacobian = linearise(model, tool, resting_on_tool(model, tool))
+    return np.block([[np.zeros((6, 6)), np.eye(6)], [jacobian.body_pose, jacobian.body_twist]])
 
 
 def largest_step(model: ModelTuple) -> float:

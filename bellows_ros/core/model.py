@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from bellows_ros.core import jit
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.inertia import check_inertia
 from bellows_ros.core.kernels import (
     Blocks,
@@ -22,8 +23,6 @@ from bellows_ros.core.parameters import inertia_matrix, matrix
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-Array = NDArray[np.float64]
 
 STANDARD_GRAVITY = 9.81
 """Gravitational acceleration of the source, m/s^2."""
@@ -73,6 +72,13 @@ class Cup:
         If a matrix is not 6x6, finite and symmetric, or the length is not positive. Definiteness
         is not asked for: the model is defined without it.
 
+    Examples
+    --------
+    >>> K = np.diag([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35])
+    >>> P = np.diag([55.0, 55.0, 24.0, 0.06, 0.06, 0.1])
+    >>> bellows_ros.Cup(stiffness=K, damping=P, length=0.046).length
+    0.046
+
     """
 
     stiffness: Array
@@ -101,7 +107,7 @@ class Cup:
         return (
             0.5 * float(self.length), float(self.length),
             blocks(self.stiffness), blocks(self.damping),
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)
@@ -122,6 +128,12 @@ class Package:
     ------
     BellowsError
         If the mass is not positive or no rigid body can have the inertia.
+
+    Examples
+    --------
+    >>> inertia = np.diag([0.00438, 0.00654, 0.00984])
+    >>> bellows_ros.Package(mass=1.8, inertia=inertia, com=(0.0, 0.0, -0.03)).mass
+    1.8
 
     """
 

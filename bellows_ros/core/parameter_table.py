@@ -4,13 +4,14 @@ The one table of all parameters: of both nodes, the parameter files and the comm
 A 6x6 matrix is 36 numbers, row-major; an inertia is [ixx, iyy, izz, ixy, ixz, iyz]; units are SI.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 import re
 from types import MappingProxyType
 from typing import Literal
 
-from bellows_ros.core.nearest_name import hint
+from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.errors import BellowsError
 
 Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_array']
@@ -20,6 +21,13 @@ Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 THESIS_STIFFNESS = (6417.0, 6417.0, 1.153e4, 3.868, 3.868, 1.123)
 THESIS_DAMPING = (66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736)
 THESIS_LENGTH = 0.0481
+
+# What else people call some of the parameters, and how alike names must be to be meant.
+OTHER_WORDS = MappingProxyType({
+    'weight': 'package.mass', 'payload': 'package.mass', 'center_of_mass': 'package.com',
+    'centre_of_mass': 'package.com', 'spring': 'cup.stiffness', 'nominal_length': 'cup.length',
+})
+ALIKE, CERTAIN = 0.75, 0.9
 
 
 @dataclass(frozen=True)
@@ -79,7 +87,7 @@ class Parameter:
         unit = f' ({self.unit})' if self.unit else ''
         if self.choices:
             return 'one of ' + ', '.join(self.choices)
-        return _KIND_WORDS[self.kind].format(count=self.length) + self._range() + unit
+        return _KIND_MESSAGES[self.kind].format(count=self.length) + self._range() + unit
 
     def _range(self) -> str:
         """Return the range in words, with a leading blank, or nothing."""
@@ -91,7 +99,7 @@ class Parameter:
         return f',{each} {text}' if text else ''
 
 
-_KIND_WORDS: Mapping[Kind, str] = MappingProxyType(
+_KIND_MESSAGES: Mapping[Kind, str] = MappingProxyType(
     {
         'bool': 'true or false',
         'integer': 'a whole number',
@@ -135,6 +143,12 @@ _TABLE = (
         _IDENTIFIER, required_text=True,
     ),
     Parameter(
+        'topics.valve', 'string', 'vacuum/valve', '',
+        "Topic (Bool) with false where the valve is switched off, for identify --release; '' for "
+        'none.',
+        _IDENTIFIER,
+    ),
+    Parameter(
         'recording.world', 'string', 'z_up', '',
         'World frame of the recording: z up, or y up as Motive records it, equation (4.1).',
         _IDENTIFIER, choices=('z_up', 'motive_y_up'),
@@ -143,6 +157,12 @@ _TABLE = (
         'recording.package_frame', 'string', 'com', '',
         "Frame the package poses are of: its centre of mass B, or the cup's lip S.",
         _IDENTIFIER, choices=('com', 'lip'),
+    ),
+    Parameter(
+        'recording.package_world', 'string', '', '',
+        "Pose of the world of the package's poses in that of the tool's, where a robot driver and "
+        "motion capture give them: 'x y z qx qy qz qw' (m), or estimate; '' where it is one.",
+        _IDENTIFIER,
     ),
     Parameter(
         'recording.align_at_rest', 'bool', False, '',
@@ -154,6 +174,16 @@ _TABLE = (
         'recording.rest_duration', 'double', 1.0, 's',
         'How long the recording stands still at its beginning; used with recording.align_at_rest.',
         _IDENTIFIER, above=0.0, maximum=600.0,
+    ),
+    Parameter(
+        'recording.start', 'double', 0.0, 's',
+        "What is earlier is left out, from the recording's first stamp on.",
+        _IDENTIFIER, minimum=0.0, maximum=1e6,
+    ),
+    Parameter(
+        'recording.end', 'double', 0.0, 's',
+        "What is later is left out, from the recording's first stamp on; 0 for to the end.",
+        _IDENTIFIER, minimum=0.0, maximum=1e6,
     ),
     Parameter(
         'package.mass', 'double', None, 'kg',
@@ -172,6 +202,32 @@ _TABLE = (
         _BOTH, minimum=-10.0, maximum=10.0, length=3, example='[0.0, 0.0, -0.03]',
     ),
     Parameter(
+        'package.mass_std', 'double', 0.0, 'kg',
+        'Standard deviation of the mass, for what is predicted of plans.',
+        _PREDICTOR, minimum=0.0, maximum=1e4,
+    ),
+    Parameter(
+        'package.inertia_std', 'double_array', (0.0,) * 6, 'kg m^2',
+        'Standard deviations of the inertia: ixx, iyy, izz, ixy, ixz, iyz.',
+        _PREDICTOR, minimum=0.0, maximum=1e6, length=6,
+    ),
+    Parameter(
+        'package.com_std', 'double_array', (0.0,) * 3, 'm',
+        'Standard deviations of the centre of mass in the frame S.',
+        _PREDICTOR, minimum=0.0, maximum=10.0, length=3,
+    ),
+    Parameter(
+        'package.size', 'double_array', (0.0,) * 3, 'm',
+        'Sides of the package along x, y and z of B, for where it lands; 0 where they are not '
+        'known.',
+        _PREDICTOR, minimum=0.0, maximum=10.0, length=3,
+    ),
+    Parameter(
+        'package.size_center', 'double_array', (0.0,) * 3, 'm',
+        'Centre of the box of package.size in B; 0 where the centre of mass is in its middle.',
+        _PREDICTOR, minimum=-10.0, maximum=10.0, length=3,
+    ),
+    Parameter(
         'package.attached', 'bool', True, '',
         'Whether the cup holds the package when the node becomes active; a vacuum signal decides '
         'instead where there is one.',
@@ -179,8 +235,8 @@ _TABLE = (
     ),
     Parameter(
         'package.files', 'string_array', (), '',
-        'Parameter files with package.*, one for each of the recordings, where these held '
-        'different packages; none where they held the same.',
+        'Parameter files, one for each of the recordings, with package.*, topics.*, recording.*, '
+        'tool_twist.* and gravity.direction as far as these differ; none where they do not.',
         _IDENTIFIER,
     ),
     Parameter(
@@ -242,6 +298,22 @@ _TABLE = (
         'cup.max_moment', 'double', 0.0, 'N m',
         'Largest moment at the lip that the cup can hold; 0 where it is not known.',
         _PREDICTOR, minimum=0.0, maximum=1e6,
+    ),
+    Parameter(
+        'cup.lip_radius', 'double', 0.0, 'm',
+        'Radius of the lip on the package, for the safety factor of the grip; 0 where it is not '
+        'known.',
+        _PREDICTOR, minimum=0.0, maximum=1.0,
+    ),
+    Parameter(
+        'cup.suction_area', 'double', 0.0, 'm^2',
+        'Area that the vacuum acts on; 0 for that of a disc of the radius cup.lip_radius.',
+        _PREDICTOR, minimum=0.0, maximum=10.0,
+    ),
+    Parameter(
+        'cup.friction', 'double', 0.5, '',
+        'Coefficient of friction between lip and package.',
+        _PREDICTOR, above=0.0, maximum=10.0,
     ),
     Parameter(
         'envelope.deflection_low', 'double_array', (0.0,) * 6, 'm, rad',
@@ -306,9 +378,10 @@ _TABLE = (
     ),
     Parameter(
         'fit.structure', 'string', 'axisymmetric', '',
-        'Form of K and P: diagonal and equal laterally (4 + 4 unknowns), diagonal (6 + 6), or '
-        'full (21 + 21).',
-        _IDENTIFIER, choices=('axisymmetric', 'diagonal', 'full'),
+        'Form of K and P: ' + '; '.join(
+            f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)' for s in STRUCTURES.values())
+        + '.',
+        _IDENTIFIER, choices=tuple(STRUCTURES),
     ),
     Parameter(
         'fit.compare_recordings', 'bool', False, '',
@@ -318,30 +391,58 @@ _TABLE = (
     Parameter(
         'fit.compare_structures', 'bool', False, '',
         'Whether the structures of K and P are compared by AIC, BIC and held-out parts, and one '
-        'is advised, as the command ladder does.',
+        'is advised, as the command structures does.',
         _IDENTIFIER,
     ),
     Parameter(
         'fit.time_offset', 'bool', False, '',
         'Whether the time by which the stamps of the tool are behind those of the package, up to '
-        '0.05 s, is found and taken off, for every recording: for streams of two clocks.',
+        '0.1 s, is found and taken off, for every recording: for streams of two clocks.',
         _IDENTIFIER,
     ),
     Parameter(
-        'gravity', 'double', 9.81, 'm/s^2',
-        'Magnitude of gravity, along -z of the world.',
+        'gravity.magnitude', 'double', 9.81, 'm/s^2',
+        'Magnitude of gravity; gravity alone is short for it.',
         _BOTH, minimum=0.0, maximum=100.0, read_only=True,
     ),
     Parameter(
+        'gravity.direction', 'double_array', (0.0, 0.0, -1.0), '',
+        'Direction of gravity in the world, of any length: another than -z where the world is the '
+        'base of an arm on a wall or a ceiling.',
+        _BOTH, minimum=-1e3, maximum=1e3, length=3, read_only=True,
+    ),
+    Parameter(
         'tool_pose.type', 'string', 'pose', '',
-        'What tool_arm/pose brings: PoseStamped, TransformStamped or Odometry, whose twist is not '
-        'read.',
-        _PREDICTOR, choices=('pose', 'transform', 'odometry'), read_only=True,
+        'What tool_arm/pose brings: PoseStamped, PoseWithCovarianceStamped, TransformStamped or '
+        'Odometry, whose covariance and twist are not read; or tf, where the pose is that of '
+        'frames.tool in frames.world.',
+        _PREDICTOR, choices=('pose', 'pose_with_covariance', 'transform', 'odometry', 'tf'),
+        read_only=True,
     ),
     Parameter(
         'tool_twist.frame', 'string', 'world', '',
         "Axes of the tool tip's twist, linear and angular: the world's or the tool's own.",
         _BOTH, choices=('world', 'tool'), read_only=True,
+    ),
+    Parameter(
+        'plan.frame', 'string', '', '',
+        "Frame that plans must be in; '' for any.",
+        _PREDICTOR,
+    ),
+    Parameter(
+        'plan.rate', 'double', 20.0, 'Hz',
+        'How often the rest of a plan is predicted anew while the tool drives it, at most.',
+        _PREDICTOR, above=0.0, maximum=50.0,
+    ),
+    Parameter(
+        'steer.method', 'string', 'inverse', '',
+        'How the node steers: by the inverse of cup and package, or by input shaping.',
+        _PREDICTOR, choices=('inverse', 'zv', 'zvd'),
+    ),
+    Parameter(
+        'tool_link', 'string', '', '',
+        "Link of the arm's URDF at the tool tip E, z along the cup, for plans of its joints.",
+        _PREDICTOR,
     ),
     Parameter(
         'frames.package', 'string', 'package', '',
@@ -352,6 +453,16 @@ _TABLE = (
         'frames.lip', 'string', 'cup_lip', '',
         "Name of the frame S of the cup's lip in what is published.",
         _PREDICTOR, required_text=True,
+    ),
+    Parameter(
+        'frames.world', 'string', 'world', '',
+        'Frame of tf that the poses of the tool are taken in, with tool_pose.type tf.',
+        _PREDICTOR, required_text=True, read_only=True,
+    ),
+    Parameter(
+        'frames.tool', 'string', 'tool0', '',
+        'Frame of tf that is the tool tip E, with tool_pose.type tf.',
+        _PREDICTOR, required_text=True, read_only=True,
     ),
     Parameter(
         'frames.tf', 'bool', True, '',
@@ -372,6 +483,40 @@ _TABLE = (
         'tool_noise.rotation', 'double', 5e-4, 'rad',
         "Standard deviation of the tool pose's rotation about each axis, for the covariance.",
         _PREDICTOR, minimum=0.0, maximum=1.0,
+    ),
+    Parameter(
+        'measured.type', 'string', 'pose', '',
+        'What package/measured brings: PoseStamped, PoseWithCovarianceStamped or Odometry.',
+        _PREDICTOR, choices=('pose', 'pose_with_covariance', 'odometry'), read_only=True,
+    ),
+    Parameter(
+        'measured.noise', 'double_array', (2e-3, 1e-2), 'm, rad',
+        'Standard deviations of a measured pose of the package, position and rotation in each '
+        'axis, where the message brings no covariance.',
+        _PREDICTOR, minimum=1e-6, maximum=1.0, length=2,
+    ),
+    Parameter(
+        'measured.frame', 'string', 'com', '',
+        "Frame of the package that is measured: its centre of mass B, or the cup's lip S.",
+        _PREDICTOR, choices=('com', 'lip'),
+    ),
+    Parameter(
+        'measured.offset', 'double_array', (0.0,) * 6, 'm, rad',
+        'Pose of the marker that is measured in the frame that measured.frame names: position '
+        'and rotation vector.',
+        _PREDICTOR, minimum=-10.0, maximum=10.0, length=6,
+    ),
+    Parameter(
+        'payload.estimate', 'bool', False, '',
+        'Whether mass and centre of mass of each package are estimated from its measured poses, '
+        'from package.* and its standard deviations (10 % and 10 mm where these are 0).',
+        _PREDICTOR,
+    ),
+    Parameter(
+        'alarm.false_per_hour', 'double', 1.0, '1/h',
+        'How many alarms there may be in an hour of sound work with measured poses of the '
+        'package; 0 for no alarms.',
+        _PREDICTOR, minimum=0.0, maximum=1e3,
     ),
     Parameter(
         'coast.limit', 'double', 0.1, 's',
@@ -399,6 +544,72 @@ _TABLE = (
         'vacuum.detach_above', 'double', 80000.0, 'Pa',
         'Absolute pressure in the cup above which the package is gone.',
         _PREDICTOR, minimum=0.0, maximum=1e6,
+    ),
+    Parameter(
+        'vacuum.ambient', 'double', 101325.0, 'Pa',
+        'Absolute pressure around the cup, from which vacuum/pressure is taken off.',
+        _PREDICTOR, minimum=0.0, maximum=1e6,
+    ),
+    Parameter(
+        'vacuum.holding', 'double', 0.0, 'Pa',
+        'Pressure below ambient in the cup while it holds the package, for the safety factor of '
+        'the grip where vacuum/pressure is not heard; 0 where it is not known.',
+        _PREDICTOR, minimum=0.0, maximum=1e6,
+    ),
+    Parameter(
+        'safety.least', 'double', 1.5, '',
+        'Least safety factor of the grip: below it there is a warning, below 1 the cup lets go.',
+        _PREDICTOR, minimum=1.0, maximum=100.0,
+    ),
+    Parameter(
+        'release.delay', 'double', 0.0, 's',
+        'Time from switching the valve until the suction force begins to fall.',
+        _PREDICTOR, minimum=0.0, maximum=1.0,
+    ),
+    Parameter(
+        'release.delay_std', 'double', 0.0, 's',
+        'Standard deviation of release.delay from toss to toss.',
+        _PREDICTOR, minimum=0.0, maximum=1.0,
+    ),
+    Parameter(
+        'release.tau', 'double', 0.0, 's',
+        'Time constant with which the suction force falls from then on; 0 for at once.',
+        _PREDICTOR, minimum=0.0, maximum=1.0,
+    ),
+    Parameter(
+        'release.tau_std', 'double', 0.0, 's',
+        'Standard deviation of release.tau.',
+        _PREDICTOR, minimum=0.0, maximum=1.0,
+    ),
+    Parameter(
+        'release.impulse', 'double', 0.0, 'N s',
+        'Impulse of the blow-off on the package as it is let go, along -z of the lip; 0 for none.',
+        _PREDICTOR, minimum=-10.0, maximum=10.0,
+    ),
+    Parameter(
+        'release.impulse_std', 'double', 0.0, 'N s',
+        'Standard deviation of release.impulse.',
+        _PREDICTOR, minimum=0.0, maximum=10.0,
+    ),
+    Parameter(
+        'landing.height', 'double', 0.0, 'm',
+        'Height of the floor on which a tossed package lands, in the world, against gravity.',
+        _PREDICTOR, minimum=-100.0, maximum=100.0,
+    ),
+    Parameter(
+        'landing.rate', 'double', 50.0, 'Hz',
+        'How often package/landing is published, at most.',
+        _PREDICTOR, above=0.0, maximum=50.0,
+    ),
+    Parameter(
+        'landing.aim', 'bool', False, '',
+        'Whether release/at says when to switch the valve for landing.target.',
+        _PREDICTOR,
+    ),
+    Parameter(
+        'landing.target', 'double_array', (0.0,) * 2, 'm',
+        'Where the package should land: x and y of B in the frame of the tool.',
+        _PREDICTOR, minimum=-100.0, maximum=100.0, length=2,
     ),
     Parameter(
         'validation.bags', 'string_array', (), '',
@@ -431,12 +642,15 @@ _TABLE = (
         'Whether the node identifier ends when it has finished, or stays to show its result.',
         _IDENTIFIER,
     ),
-)  # fmt: skip
+)
 
 PARAMETERS: Mapping[str, Parameter] = MappingProxyType({p.name: p for p in _TABLE})
 
 # A file may hold several cups, and cup.name chooses: cups.NAME.stiffness is like cup.stiffness.
 NAMED_CUP = re.compile(r'cups\.([A-Za-z][A-Za-z0-9_]*)\.([a-z_]+)')
+
+SHORT_FORMS: Mapping[str, str] = MappingProxyType({'gravity': 'gravity.magnitude'})
+"""Names that stand for others; `lookup` gives the parameter with its full name."""
 
 # What neither node can do without and nobody can guess.
 PACKAGE_PARAMETERS = ('package.mass', 'package.inertia', 'package.com')
@@ -457,6 +671,7 @@ def lookup(name: str) -> Parameter:
         If there is none; the message names the nearest.
 
     """
+    name = SHORT_FORMS.get(name, name)
     if name in PARAMETERS:
         return PARAMETERS[name]
     named = NAMED_CUP.fullmatch(name)
@@ -469,15 +684,33 @@ def _hint(name: str, named: re.Match[str] | None) -> str:
     """Return what helps to find the right name."""
     if named:
         of_cups = [f'cups.{named[1]}.{key[4:]}' for key in PARAMETERS if key.startswith('cup.')]
-        return hint(name, [key for key in of_cups if key != f'cups.{named[1]}.name'])
+        return _nearest(name, [key for key in of_cups if key != f'cups.{named[1]}.name'])
     if name.startswith('cups.'):
         return ("A cup's parameters are cups.NAME.stiffness and so on; NAME has letters, digits "
-                'and underscores.')  # fmt: skip
-    return hint(name, PARAMETERS)
+                'and underscores.')
+    return _nearest(name, [*PARAMETERS, *SHORT_FORMS])
 
 
-def short(value: object) -> str:
-    """Return a value in at most 80 characters, printable."""
+def _nearest(name: str, known: Sequence[str]) -> str:
+    """Return the name that was meant, or those to choose from: of the same group where it is."""
+    name = name[:80]
+    group, _, leaf = name.rpartition('.')
+    inside = [other for other in known if other.startswith(f'{name}.')]
+    beside = inside or [other for other in known if group and other.startswith(f'{group}.')]
+    words = {word: other for word, other in OTHER_WORDS.items() if other in known}
+    leaves = {} if beside else {o.rpartition('.')[2]: o for o in reversed(known)}
+    near = get_close_matches(name, known, 1, CERTAIN) if group else []
+    near += [words[word] for word in get_close_matches(leaf, words, 1, ALIKE)]
+    near += [] if inside else get_close_matches(name, beside, 1, ALIKE)
+    near += [] if inside else get_close_matches(name, known, 1, ALIKE)
+    near += [leaves[word] for word in get_close_matches(leaf, leaves, 1)]
+    if near:
+        return f"Did you mean '{near[0]}'?"
+    return f'Known {"there " if beside else ""}are: {", ".join(beside or known)}.'
+
+
+def short(value: object, most: int = 80) -> str:
+    """Return a value in so many characters at most, printable."""
     text = value if isinstance(value, str) else repr(value)
-    text = ''.join(c if c.isprintable() else '?' for c in text[:81])
-    return text if len(text) <= 80 else text[:77] + '...'
+    text = ''.join(c if c.isprintable() else '?' for c in text[:most + 1])
+    return text if len(text) <= most else text[:most - 3] + '...'

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Mapping
 import math
 from types import MappingProxyType
 
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.gravity import require_direction
 from bellows_ros.core.inertia import check_inertia
 from bellows_ros.core.parameter_table import (
     Kind,
@@ -23,7 +25,7 @@ from bellows_ros.core.parameter_table import (
 )
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 __all__ = [
     'lookup',
@@ -38,13 +40,22 @@ __all__ = [
     'require_damping',
     'require_stiffness',
     'resolve',
+    'short',
     'validate',
 ]
 
-Array = NDArray[np.float64]
 
 SYMMETRIC_WITHIN = 1e-9
 """Relative difference of a matrix and its transpose that is taken for rounding."""
+
+UNIT_WITHIN = 1e-3
+"""Length by which a quaternion written with few digits may differ from 1."""
+
+ESTIMATE = 'estimate'
+"""The value of recording.package_world with which it is found."""
+
+SOFTEST = 1e-6
+"""Smallest eigenvalue (N/m, N m/rad) of a stiffness: a million times softer than any cup."""
 
 
 def validate(name: str, value: object) -> Value:
@@ -70,6 +81,8 @@ def validate(name: str, value: object) -> Value:
 
     """
     parameter = lookup(name)
+    if name == 'recording.package_world':
+        value = _world_text(parameter, value)
     normal = _CONVERTERS[parameter.kind](parameter, value)
     check = _PHYSICAL.get(name) or _PHYSICAL.get(NAMED_CUP.sub(r'cup.\2', name))
     if check:
@@ -100,7 +113,7 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
         For an unknown name, a value that is not allowed, or a required parameter that is missing.
 
     """
-    given = {name: validate(name, value) for name, value in values.items()}
+    given = {lookup(name).name: validate(name, value) for name, value in values.items()}
     _require(given, required)
     named = {name: value for name, value in given.items() if name not in PARAMETERS}
     filled = {**{p.name: given.get(p.name, p.default) for p in PARAMETERS.values()}, **named}
@@ -108,6 +121,11 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
     for body in ('tool', 'package'):
         _check_window(resolved, f'filter.{body}')
     return resolved
+
+
+def pose_text(pose: Array) -> str:
+    """Return position and quaternion (7,) as the parameter recording.package_world has them."""
+    return ' '.join(f'{x:.10g}' for x in pose)
 
 
 def matrix(values: ArrayLike) -> Array:
@@ -123,7 +141,7 @@ def inertia_matrix(values: ArrayLike) -> Array:
 
 def require_stiffness(stiffness: Array, name: str = 'cup.stiffness') -> None:
     """
-    Refuse a 6x6 matrix that is not symmetric positive definite.
+    Refuse a 6x6 matrix that is not symmetric positive definite, or softer than any cup.
 
     Raises
     ------
@@ -132,6 +150,11 @@ def require_stiffness(stiffness: Array, name: str = 'cup.stiffness') -> None:
 
     """
     smallest, rounding = _smallest_eigenvalue(name, stiffness)
+    if rounding < smallest < SOFTEST:
+        raise BellowsError(
+            f'{name} is too soft to hold anything: its smallest eigenvalue is {smallest:.6g}, it '
+            f'must be at least {SOFTEST:g}. Check its units: N/m, N and N m/rad.'
+        )
     if smallest <= rounding:
         raise BellowsError(
             f'{name} is not positive definite: its smallest eigenvalue is '
@@ -203,6 +226,27 @@ def _to_doubles(parameter: Parameter, value: object) -> Value:
     return tuple(_number(parameter, x, f' at index {i}') for i, x in enumerate(items))
 
 
+def _world_text(parameter: Parameter, value: object) -> str:
+    """Return seven numbers, given as a list or a text, as a text; others as they are."""
+    parts = value.replace(',', ' ').strip('[] ').split() if isinstance(value, str) else value
+    if parts in ([], [ESTIMATE]):
+        return ''.join(parts)
+    try:
+        pose = np.array(parts, dtype=np.float64)
+    except (TypeError, ValueError):
+        pose = np.empty(0)
+    if pose.shape != (7,) or not np.all(np.isfinite(pose)):
+        raise BellowsError(
+            f"{parameter.name} must be seven numbers 'x y z qx qy qz qw', or {ESTIMATE}, or '', "
+            f'got {short(value)}. {parameter.description}')
+    if abs(float(np.linalg.norm(pose[3:])) - 1.0) > UNIT_WITHIN:
+        raise BellowsError(
+            f'{parameter.name}: the quaternion must be of length 1, got '
+            f'{np.linalg.norm(pose[3:]):.6g}. Its order is qx qy qz qw.')
+    pose[3:] /= np.linalg.norm(pose[3:])
+    return pose_text(pose)
+
+
 def _to_strings(parameter: Parameter, value: object) -> Value:
     """Return a tuple of non-empty texts."""
     texts = tuple(_text(parameter, x) for x in _items(parameter, value))
@@ -229,6 +273,10 @@ def _items(parameter: Parameter, value: object) -> list[object]:
         return list(value.tolist())
     if isinstance(value, list | tuple | array):
         return list(value)
+    if isinstance(value, str):  # which `ros2 param set` makes of a list of 0 and 0.5
+        numbers = parameter.kind == 'double_array'
+        hint = '. Write every number with a decimal point: 0.0, not 0' if numbers else ''
+        raise _refuse(parameter, f"the text '{short(value)}'{hint}")
     raise _refuse(parameter, short(value))
 
 
@@ -306,5 +354,6 @@ _PHYSICAL: Mapping[str, Callable[[Parameter, Value], None]] = MappingProxyType(
         'package.inertia': lambda p, value: check_inertia(inertia_matrix(value)),
         'cup.stiffness': lambda p, value: require_stiffness(matrix(value), p.name),
         'cup.damping': lambda p, value: require_damping(matrix(value), p.name),
+        'gravity.direction': lambda p, value: require_direction(value),
     }
 )

@@ -2,8 +2,9 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.lie import apply, Array, dexp, dexp_inverse, exp_so3, log_so3
-from bellows_ros.core.trajectory import checked_stamps, frozen, NS_PER_S, Stamps, Trajectory
+from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.lie import apply, dexp, dexp_inverse, exp_so3, log_so3
+from bellows_ros.core.trajectory import checked_stamps, frozen, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -67,7 +68,7 @@ def resample(
     return Trajectory(
         frozen(wanted), frozen(position), frozen(rotation),
         None if twist is None else frozen(twist), None, valid,
-    )  # fmt: skip
+    )
 
 
 def _geodesic(

@@ -9,9 +9,9 @@ these increments (4.19, 4.44).
 from collections.abc import Callable
 from math import pi
 
+from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.lie import (
     apply,
-    Array,
     d2exp,
     dexp,
     exp_so3,
@@ -23,7 +23,6 @@ from bellows_ros.core.lie import (
 from bellows_ros.core.trajectory import (
     Filtered,
     frozen,
-    Mask,
     Trajectory,
     uniform_rate_hz,
     valid_windows,
@@ -71,8 +70,8 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
     # Time in half windows keeps the powers within -1..1, so the least-squares problem is well
     # conditioned.
     time = np.arange(-half_window, half_window + 1) / half_window
-    basis, triangle = np.linalg.qr(np.vander(time, order + 1, increasing=True))
-    coefficients = np.linalg.solve(triangle, basis.T)[:3]
+    basis, r_factor = np.linalg.qr(np.vander(time, order + 1, increasing=True))
+    coefficients = np.linalg.solve(r_factor, basis.T)[:3]
     scale = rate_hz / half_window
     fitted = coefficients * np.array([[1.0], [scale], [2.0 * scale**2]])
     # Exactly even, odd and even in time, as they are before rounding.
@@ -115,6 +114,19 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
     BellowsError
         If the window or the order leaves no such polynomial, the trajectory is shorter than one
         window, or its rate is not uniform.
+
+    Examples
+    --------
+    A point on a parabola, at 100 Hz: the filter gives its acceleration.
+
+    >>> t = np.arange(50) / 100
+    >>> poses = bellows_ros.Trajectory(
+    ...     stamps_ns=np.arange(50) * 10_000_000,
+    ...     position=np.column_stack([2.0 * t**2, 0.0 * t, 0.0 * t]),
+    ...     rotation=np.broadcast_to(np.eye(3), (50, 3, 3)))
+    >>> filtered = bellows_ros.savgol(poses, half_window=8, order=4)
+    >>> len(filtered), filtered.acceleration[0, :3].round(6).tolist()
+    (34, [4.0, 0.0, 0.0])
 
     """
     _require_fit(half_window, order)

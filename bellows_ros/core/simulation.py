@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.equilibrium import static_equilibrium
 from bellows_ros.core.integrator import advance
 from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import (
     lip_relative_to_tool,
+    lip_wrench,
     ModelTuple,
     spring_energy,
     spring_frames,
@@ -26,9 +28,7 @@ from bellows_ros.core.tuples import (
 )
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-Array = NDArray[np.float64]
+from numpy.typing import ArrayLike
 
 
 def state_row(position: ArrayLike, quaternion_xyzw: ArrayLike, twist: ArrayLike) -> State:
@@ -82,6 +82,23 @@ def simulate(
     BellowsError
         If there is no static equilibrium to start from, or the simulation does not stay finite.
 
+    Examples
+    --------
+    A tool that moves steadily along x for a second: the package, which hung straight below it,
+    is pulled along and swings.
+
+    >>> t = np.linspace(0.0, 1.0, 501)
+    >>> tool = bellows_ros.Trajectory(
+    ...     stamps_ns=np.arange(501) * 2_000_000,
+    ...     position=np.column_stack([0.2 * t, 0.0 * t, 0.0 * t]),
+    ...     rotation=np.broadcast_to(np.eye(3), (501, 3, 3)),
+    ...     twist=np.tile([0.2, 0.0, 0.0, 0.0, 0.0, 0.0], (501, 1)))
+    >>> cup = bellows_ros.read_cup('bags/cup.yaml')
+    >>> package = bellows_ros.read_package('bags/package.yaml')
+    >>> moved = bellows_ros.simulate(cup, package, tool)
+    >>> len(moved), bool(moved.position[-1, 0] > 0.15)
+    (501, True)
+
     """
     model = model_tuple(cup, package, gravity)
     rows = tool_rows(tool)
@@ -108,7 +125,7 @@ def simulate(
 
 def _substeps(
     model: ModelTuple, durations: Array, substeps: int | None
-) -> NDArray[np.int64]:
+) -> Stamps:
     """Return the number of integration steps for each time between tool samples."""
     if substeps is not None:
         return np.full(len(durations), substeps, dtype=np.int64)
@@ -117,7 +134,7 @@ def _substeps(
 
 
 def simulate_rows(
-    model: ModelTuple, start: State, tool: Array, durations: Array, substeps: NDArray[np.int64]
+    model: ModelTuple, start: State, tool: Array, durations: Array, substeps: Stamps
 ) -> Array:
     """Return the package's state rows (N, 13) for as many tool rows and the times between."""
     out = np.empty((len(tool), 13))
@@ -161,6 +178,22 @@ def _simulate(
         body = advance(model, body, before, after, durations[k], substeps[k])
         write_row(out[k + 1], body)
         before = after
+
+
+def lip_wrenches(model: ModelTuple, tool: Trajectory, body: Trajectory) -> Array:
+    """Return the wrenches (N, 6) of the cup on the package at the lip, in S axes, N and N m."""
+    out = np.empty((len(tool), 6))
+    _lip_wrenches(model, tool_rows(tool), tool_rows(body), out)
+    return out
+
+
+@kernel
+def _lip_wrenches(model: ModelTuple, tool: Array, body: Array, out: Array) -> None:
+    """Write the wrench of every row."""
+    for k in range(len(out)):
+        f, m = lip_wrench(model, row_state(tool[k]), row_state(body[k]))
+        out[k, 0], out[k, 1], out[k, 2] = f
+        out[k, 3], out[k, 4], out[k, 5] = m
 
 
 @dataclass(frozen=True)
@@ -209,7 +242,7 @@ def state_energies(model: ModelTuple, tool: State, body: State) -> tuple[float, 
         com,
         tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
         o, rotation_matrix(body[1]), v, w,
-    )  # fmt: skip
+    )
     kinetic = 0.5 * (mass * dot(v, v) + dot(w, apply(inertia, w)))
     elastic = spring_energy(spring_frames(cup, o_E_S, R_E_S), R_E_S, cup[2])
     return kinetic, elastic, -mass * dot(gravity, o)

@@ -9,13 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from bellows_ros.core.lie import adjoint, apply, Array, transform
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.lie import adjoint, apply, transform
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-Stamps = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 # Largest entry of R^T R - I that is still taken for rounding of a recorded rotation.
 ORTHONORMAL_WITHIN = 1e-6
@@ -153,6 +151,13 @@ class Trajectory:
         If shapes disagree, stamps do not increase, a number is not finite or a rotation is not
         orthonormal.
 
+    Examples
+    --------
+    >>> poses = bellows_ros.Trajectory(
+    ...     stamps_ns=[0, 10_000_000], position=np.zeros((2, 3)), rotation=[np.eye(3)] * 2)
+    >>> poses.seconds.tolist()
+    [0.0, 0.01]
+
     """
 
     stamps_ns: Stamps
@@ -205,7 +210,7 @@ class Trajectory:
             )
         return apply(adjoint(transform(self.rotation, self.position)), body)
 
-    def select(self, index: slice | Mask | NDArray[np.int64]) -> 'Trajectory':
+    def select(self, index: slice | Mask | Stamps) -> 'Trajectory':
         """
         Return the samples that a slice, a mask or increasing indices pick.
 
@@ -378,7 +383,7 @@ def frozen(array: Array | Stamps) -> Any:
 
 
 def _is_frozen(array: NDArray[Any]) -> bool:
-    """Tell whether nobody can write to an array, nor to the one that it is a part of."""
+    """Return whether nobody can write to an array, nor to the one that it is a part of."""
     base = array.base
     owner_frozen = base is None or (isinstance(base, np.ndarray) and not base.flags.writeable)
     return owner_frozen and not array.flags.writeable

@@ -104,6 +104,64 @@ def multiply_transposed(A: Matrix, B: Matrix) -> Matrix:
 
 
 @kernel
+def multiply(A: Matrix, B: Matrix) -> Matrix:
+    """Return A B."""
+    return (
+        A[0] * B[0] + A[1] * B[3] + A[2] * B[6],
+        A[0] * B[1] + A[1] * B[4] + A[2] * B[7],
+        A[0] * B[2] + A[1] * B[5] + A[2] * B[8],
+        A[3] * B[0] + A[4] * B[3] + A[5] * B[6],
+        A[3] * B[1] + A[4] * B[4] + A[5] * B[7],
+        A[3] * B[2] + A[4] * B[5] + A[5] * B[8],
+        A[6] * B[0] + A[7] * B[3] + A[8] * B[6],
+        A[6] * B[1] + A[7] * B[4] + A[8] * B[7],
+        A[6] * B[2] + A[7] * B[5] + A[8] * B[8],
+    )
+
+
+@kernel
+def transposed(A: Matrix) -> Matrix:
+    """Return A^T."""
+    return (A[0], A[3], A[6], A[1], A[4], A[7], A[2], A[5], A[8])
+
+
+@kernel
+def add_scaled_matrix(A: Matrix, factor: float, B: Matrix) -> Matrix:
+    """Return A + factor * B."""
+    return (
+        A[0] + factor * B[0], A[1] + factor * B[1], A[2] + factor * B[2],
+        A[3] + factor * B[3], A[4] + factor * B[4], A[5] + factor * B[5],
+        A[6] + factor * B[6], A[7] + factor * B[7], A[8] + factor * B[8],
+    )
+
+
+@kernel
+def scale_matrix(factor: float, A: Matrix) -> Matrix:
+    """Return factor * A."""
+    return (
+        factor * A[0], factor * A[1], factor * A[2],
+        factor * A[3], factor * A[4], factor * A[5],
+        factor * A[6], factor * A[7], factor * A[8],
+    )
+
+
+@kernel
+def hat(a: Vector) -> Matrix:
+    """Return the matrix a^ of the cross product: a^ b = a x b."""
+    return (0.0, -a[2], a[1], a[2], 0.0, -a[0], -a[1], a[0], 0.0)
+
+
+@kernel
+def outer(a: Vector, b: Vector) -> Matrix:
+    """Return a b^T."""
+    return (
+        a[0] * b[0], a[0] * b[1], a[0] * b[2],
+        a[1] * b[0], a[1] * b[1], a[1] * b[2],
+        a[2] * b[0], a[2] * b[1], a[2] * b[2],
+    )
+
+
+@kernel
 def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
     """Return the Hamilton product p q, the rotation q followed by p."""
     return (
@@ -188,9 +246,9 @@ def body_rate(phi: Vector, phi_dot: Vector) -> Vector:
     if squared < SMALL_ANGLE_SQUARED:
         x = squared
         first = 1 / 2 - x * (1 / 24 - x * (1 / 720 - x * (
-            1 / 40320 - x * (1 / 3628800 - x * (1 / 479001600)))))
+            1 / 40320 - x * (1 / 3628800 - x * (1 / 479001600 - x / 87178291200)))))
         second = 1 / 6 - x * (1 / 120 - x * (1 / 5040 - x * (
-            1 / 362880 - x * (1 / 39916800 - x * (1 / 6227020800)))))
+            1 / 362880 - x * (1 / 39916800 - x * (1 / 6227020800 - x / 1307674368000)))))
     else:
         angle = math.sqrt(squared)
         first = (1.0 - math.cos(angle)) / squared

@@ -11,18 +11,21 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.cli.commands import INTERRUPTED, NOT_USABLE, OK
 from bellows_ros.cli.console import Console
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.live.replay import compare_recorded
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.score import Comparison
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.plots.prediction import Comparison, prediction_figure
+from bellows_ros.plots.prediction import prediction_figure
 from bellows_ros.plots.style import write_figure
-from bellows_ros.workflows.identify import Identification, identify, save
+from bellows_ros.workflows.identification import Identification, save
+from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.recordings import load as load_recording
-from bellows_ros.workflows.recordings import Loaded
-from bellows_ros.workflows.replay import compare
 import numpy as np
 
 from .domain import isolate
@@ -69,11 +72,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         '--bags', metavar='FOLDER', type=Path, default=Path('bags'),
         help=f'has {IDENTIFICATION}, {VALIDATION} and {KNOWN} (default: %(default)s)',
-    )  # fmt: skip
+    )
     parser.add_argument(
         '--out', metavar='FOLDER', type=Path, default=Path('demo_output'),
         help='gets the pictures, the cup, the fit and the log (default: %(default)s)',
-    )  # fmt: skip
+    )
     return parser
 
 
@@ -145,7 +148,7 @@ def _predict_and_compare(
         exchange = predict_live(recorded, out, progress)
     console.say('3. Compare its poses with the measured ones', 'bold')
     comparison = _compare(recorded, exchange)
-    _draw(comparison, out)
+    _draw(recorded.since_start(comparison.stamps_ns), comparison, out)
     return Outcome(
         fit=found.fit,
         scores=comparison.scores,
@@ -158,7 +161,7 @@ def _predict_and_compare(
     )
 
 
-def predict_live(recorded: Loaded, out: Path, progress: Progress) -> 'Exchange':
+def predict_live(recorded: Recording, out: Path, progress: Progress) -> 'Exchange':
     """
     Play a recording's tool-arm messages to the node predictor at recorded speed.
 
@@ -166,7 +169,7 @@ def predict_live(recorded: Loaded, out: Path, progress: Progress) -> 'Exchange':
 
     Parameters
     ----------
-    recorded : Loaded
+    recorded : Recording
         The recording.
     out : Path
         Folder with cup.yaml, the node's parameters; gets its log.
@@ -188,20 +191,13 @@ def predict_live(recorded: Loaded, out: Path, progress: Progress) -> 'Exchange':
             return player.play(progress)
 
 
-def _compare(recorded: Loaded, exchange: 'Exchange') -> Comparison:
+def _compare(recorded: Recording, exchange: 'Exchange') -> Comparison:
     """Return the node's predictions beside the measured coordinates, at the measured stamps."""
     if not len(exchange.stamps_ns):
         raise BellowsError('The predictor has not answered. See its log, predictor.log.')
     stamps, first = np.unique(exchange.stamps_ns, return_index=True)
     live = Trajectory(stamps, exchange.position[first], exchange.rotation[first])
-    recording = recorded.recording
-    compared = compare(live, recording.measured_tool, recording.measured_package)
-    return Comparison(
-        seconds=recorded.recording.since_start(compared.stamps_ns),
-        measured=compared.measured,
-        predicted=compared.predicted,
-        scores=compared.scores,
-    )
+    return compare_recorded(live, recorded.measured_tool, recorded.measured_package)
 
 
 def _noise(motion: Path) -> tuple[float, float] | None:
@@ -212,9 +208,9 @@ def _noise(motion: Path) -> tuple[float, float] | None:
     return noise.get('position', 0.0), noise.get('rotation', 0.0)
 
 
-def _draw(comparison: Comparison, out: Path) -> None:
+def _draw(seconds: Array, comparison: Comparison, out: Path) -> None:
     """Write the pictures."""
-    title = 'Held package: predicted live, and measured'
+    title = 'Package: predicted live, and measured'
     note = 'relative to the tool; the cup was identified from another recording'
     for theme, name in PICTURES.items():
-        write_figure(out / name, prediction_figure(comparison, title, note, theme))
+        write_figure(out / name, prediction_figure(seconds, comparison, title, note, theme))

@@ -49,7 +49,7 @@ def unused_domain() -> int:
 
 
 def _is_free(port: int) -> bool:
-    """Tell whether no socket of this machine has the UDP port."""
+    """Return whether no socket of this machine has the UDP port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(('', port))
@@ -59,7 +59,7 @@ def _is_free(port: int) -> bool:
 
 
 def _reserve(domain: int) -> bool:
-    """Take a name that only one process of this machine can have, and tell whether it did."""
+    """Take a name that only one process of this machine can have, and return whether it did."""
     name = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
         name.bind(f'\0bellows_ros domain {domain}')  # abstract: it vanishes with the process

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from bellows_ros.cli.words import aligned, cup_table, percent
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.score import AXES, Scores
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 MILLI = 1e3
 MICRO = 1e6
@@ -77,7 +75,7 @@ def _errors(scores: Scores) -> list[str]:
                 AXES[i], f'{rms[i]:.3f} mm', percent(scores.nrmse[i]),
                 f'  {AXES[i + 3]}', f'{rms[i + 3]:.3f} mrad', percent(scores.nrmse[i + 3]),
             )
-        )  # fmt: skip
+        )
     return aligned(rows, right=True)
 
 

@@ -2,18 +2,18 @@
 Output that is written whole or not at all: beside its place, then renamed into it.
 
 A process that is killed leaves the old output or the new one, and at most a hidden file or folder
-whose name begins with '.bellows-' beside it.
+beside it, which the next process removes that writes there.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 import os
 from pathlib import Path
-import secrets
 import shutil
 import stat
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.temporary import hidden_name, remove_abandoned, REPLACED
 
 # Of renameat2(2): names are relative to the working folder; both files exist and change places.
 _HERE, _EXCHANGE = -100, 2
@@ -42,7 +42,7 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
 
     """
     target = require_file_target(path)
-    beside = target.with_name(_hidden_name())
+    beside = _beside(target)
     try:
         _write_synced(beside, data, _permissions(target))
         os.replace(beside, target)
@@ -103,7 +103,7 @@ def new_folder(path: str | os.PathLike[str], replace: bool = False) -> Iterator[
     """
     target = _folder_target(path, replace)
     try:
-        work = target.with_name(_hidden_name())
+        work = _beside(target)
         work.mkdir()
         try:
             yield work / target.name
@@ -130,7 +130,7 @@ def _move_into_place(work: Path, target: Path, replace: bool) -> None:
     finished = work / target.name
     if replace and target.exists():
         if not _exchange(finished, target):  # then there is a moment without either
-            os.rename(target, work / 'replaced')
+            os.rename(target, work / REPLACED)
             os.rename(finished, target)
     elif os.path.lexists(target):
         raise FileExistsError(f"'{target}' has appeared in the meantime")
@@ -140,7 +140,7 @@ def _move_into_place(work: Path, target: Path, replace: bool) -> None:
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Give two folders each other's names in one step, and tell whether the system can."""
+    """Give two folders each other's names in one step, and return whether the system can."""
     import ctypes
 
     try:
@@ -158,9 +158,10 @@ def _no_folder(path: str | os.PathLike[str], target: Path) -> BellowsError:
     )
 
 
-def _hidden_name() -> str:
-    """Return a name nobody else uses."""
-    return f'.bellows-{secrets.token_hex(8)}.tmp'
+def _beside(target: Path) -> Path:
+    """Return a hidden place beside a target, and remove what dead processes have left there."""
+    remove_abandoned(target.parent)
+    return target.with_name(hidden_name())
 
 
 def _permissions(target: Path) -> int | None:

@@ -5,17 +5,19 @@ The same content, name and rosbags version give the same bytes.
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 import heapq
 import os
 from pathlib import Path
+import sqlite3
 from typing import Any, Literal
 
+from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, cdr
+from bellows_ros.files import atomic, cdr, mcap
 from bellows_ros.files.bag_folder import METADATA
 import numpy as np
-from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
@@ -30,6 +32,23 @@ COMPRESSIONS = {
 }
 _VERSION: Literal[9] = 9  # of metadata.yaml, as ROS 2 Jazzy writes it
 _BATCH = 8192
+
+_PLUGINS: Any = Writer.STORAGE_PLUGINS
+
+
+class _SealedMcap(_PLUGINS[StoragePlugin.MCAP]):  # type: ignore[misc]
+    """MCAP files with checksums."""
+
+    def close(self, version: int, metadata: str) -> None:
+        """End the file, and write its checksums."""
+        super().close(version, metadata)
+        mcap.seal(self.path)
+
+
+class _Writer(Writer):
+    """Writes sealed files."""
+
+    STORAGE_PLUGINS = {**_PLUGINS, StoragePlugin.MCAP: _SealedMcap}
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +76,11 @@ class Recorded:
 
     topic: str
     type_name: str
-    stamps_ns: NDArray[np.int64]
-    values: NDArray[np.float64]
+    stamps_ns: Stamps
+    values: Array
     frame_id: str = 'world'
     child_frame_id: str = ''
-    log_times_ns: NDArray[np.int64] | None = None
+    log_times_ns: Stamps | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and ranges."""
@@ -79,7 +98,7 @@ class Recorded:
         if count and (np.min(self.stamps_ns) < 0 or np.min(self._log_times()) < 0):
             raise BellowsError(f"Topic '{self.topic}' has times before 1970.")
 
-    def _log_times(self) -> NDArray[np.int64]:
+    def _log_times(self) -> Stamps:
         """Return when each message was received, ns."""
         return np.asarray(self.stamps_ns if self.log_times_ns is None else self.log_times_ns)
 
@@ -96,9 +115,35 @@ class Recorded:
                 yield int(log_times[i]), number, data
 
 
+@dataclass(frozen=True, eq=False)
+class Encoded:
+    """
+    Messages of any type to record on one topic.
+
+    Parameters
+    ----------
+    topic, type_name : str
+    stamps_ns : int array (N,)
+        When each message was received, ns, in order.
+    data : sequence of bytes
+        Each as CDR with its four-byte head.
+
+    """
+
+    topic: str
+    type_name: str
+    stamps_ns: Stamps
+    data: Sequence[bytes]
+
+    def messages(self, number: int) -> Iterator[tuple[int, int, bytes]]:
+        """Yield log time, the given number and bytes of each message."""
+        for stamp_ns, data in zip(self.stamps_ns, self.data, strict=True):
+            yield int(stamp_ns), number, data
+
+
 def write_bag(
     path: str | os.PathLike[str],
-    recorded: Sequence[Recorded],
+    recorded: Sequence[Recorded | Encoded],
     storage: str = 'mcap',
     compression: str = 'none',
     replace: bool = False,
@@ -110,7 +155,7 @@ def write_bag(
     ----------
     path : path
         Folder to make.
-    recorded : sequence of Recorded
+    recorded : sequence of Recorded or Encoded
         Several may share a topic of one type.
     storage : str
         'mcap' or 'sqlite3'.
@@ -131,14 +176,23 @@ def write_bag(
         raise BellowsError(f"Recording '{path}' would be empty. Give messages to record.")
     if replace:
         _require_replaceable(Path(path))
-    with atomic.new_folder(path, replace) as folder:
-        writer = Writer(folder, version=_VERSION, storage_plugin=STORAGES[storage])
+    with atomic.new_folder(path, replace) as folder, _errors_of_the_system():
+        writer = _Writer(folder, version=_VERSION, storage_plugin=STORAGES[storage])
         writer.set_compression(COMPRESSIONS[compression], CompressionFormat.ZSTD)
         with writer:
             connections = _connections(writer, recorded)
             streams = [r.messages(number) for number, r in enumerate(recorded)]
             for log_time_ns, number, data in heapq.merge(*streams, key=lambda m: m[:2]):
                 writer.write(connections[number], log_time_ns, data)
+
+
+@contextmanager
+def _errors_of_the_system() -> Iterator[None]:
+    """Turn what SQLite says of a full disk into what the system says of other files."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise OSError(f'SQLite says {error}') from None
 
 
 def _width(layout: cdr.Layout) -> int:
@@ -172,7 +226,7 @@ def _require_replaceable(folder: Path) -> None:
         )
 
 
-def _connections(writer: Writer, recorded: Sequence[Recorded]) -> list[Connection]:
+def _connections(writer: Writer, recorded: Sequence[Recorded | Encoded]) -> list[Connection]:
     """Add the topics to a recording, each once."""
     types: Any = get_typestore(Stores.ROS2_JAZZY)
     made: dict[tuple[str, str], Connection] = {}

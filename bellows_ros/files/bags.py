@@ -2,30 +2,35 @@
 Reading rosbag2 recordings: SQLite and MCAP, plain and zstd, by folder or by file.
 
 Files are not trusted: sizes are bounded, and whatever is wrong with one is a BellowsError that
-says what to do.
+says what to do. What a recorder that crashed has left is read as far as it goes, with a note.
 """
 
 from array import array
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 import os
 from pathlib import Path
 import shutil
-import tempfile
 from typing import BinaryIO, NamedTuple
 
 from bellows_ros.core.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import cdr, mcap, sqlite_storage, streams
-from bellows_ros.files.bag_folder import storage_files
+from bellows_ros.files.bag_folder import differing_counts, Listing, listing
 from bellows_ros.files.compression import open_plain, unzstd, ZSTD_MAGIC, ZstdError
 from bellows_ros.files.storage import DamagedError, Message, Topic, Wanted
+from bellows_ros.files.temporary import scratch_folder
 import numpy as np
 
 # A recording of a topic may have so many messages: five hours at 500 Hz, some 1 GB once read.
 LARGEST_COUNT = 10_000_000
+# A message that is not a single pose or twist has at most so many bytes.
+LARGEST_PLAN = 2**28
 # A compressed SQLite file is decompressed beside the system's temporary files, up to this size.
 LARGEST_TEMPORARY = 16 * 2**30
+
+SHORTEST = 16
+"""Bytes of any message with a header: its encoding, stamp, and the length of a frame's name."""
 
 _BATCH = 8192
 _COPY_STEP = 2**20
@@ -42,7 +47,32 @@ class TopicCount(NamedTuple):
     messages: int
 
 
-def topics(path: str | os.PathLike[str]) -> list[TopicCount]:
+class Contents(NamedTuple):
+    """
+    What was read of a recording.
+
+    Parameters
+    ----------
+    streams : dict of role to PoseStream or TwistStream
+    problems : dict of role to BellowsError
+        Why the other roles cannot be read.
+    notes : tuple of str
+        What is missing in the recording, or differs from what it says of itself.
+
+    """
+
+    streams: dict[str, Stream]
+    problems: dict[str, BellowsError]
+    notes: tuple[str, ...]
+
+    def all_streams(self) -> dict[str, Stream]:
+        """Return the streams, or raise the first problem."""
+        for problem in self.problems.values():
+            raise problem
+        return self.streams
+
+
+def topics(path: str | os.PathLike[str], notes: list[str] | None = None) -> list[TopicCount]:
     """
     Return the topics of a recording, by name.
 
@@ -50,6 +80,8 @@ def topics(path: str | os.PathLike[str]) -> list[TopicCount]:
     ----------
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
+    notes : list of str, optional
+        Gets what is missing in the recording, or differs from what it says of itself.
 
     Raises
     ------
@@ -58,12 +90,76 @@ def topics(path: str | os.PathLike[str]) -> list[TopicCount]:
 
     """
     counts: dict[Topic, int] = {}
-    for _ in _messages(Path(path), lambda topic: False, counts):
+    listed = listing(path)
+    found = list(listed.notes)
+    for _ in _messages(listed, lambda topic: False, counts, found):
         pass
+    if notes is not None:
+        notes += [*found, *differing_counts(listed, counts)]
     return sorted(TopicCount(t.name, t.type_name, n) for t, n in counts.items())
 
 
+def read_messages(
+    path: str | os.PathLike[str], names: Collection[str] = ()
+) -> tuple[list[Message], list[str]]:
+    """
+    Return the messages of topics as they were recorded, in the order of their log times.
+
+    Parameters
+    ----------
+    path : path
+        rosbag2 folder, or a bare .mcap or .db3 file.
+    names : collection of str, optional
+        Topics with poses or twists; all of these where none is named.
+
+    Returns
+    -------
+    list of Message
+    list of str
+        What is missing in the recording, differs from what it says of itself, or was left out.
+
+    Raises
+    ------
+    BellowsError
+        If there is no such recording, it is damaged, lacks a topic, or has more messages than can
+        be read.
+
+    """
+    bag, wanted = Path(path), {_absolute(name) for name in names}
+
+    def chosen(topic: Topic) -> bool:
+        readable = topic.type_name in cdr.LAYOUTS and topic.encoding == 'cdr'
+        return readable and (not wanted or topic.name in wanted)
+
+    counts: dict[Topic, int] = {}
+    found: list[Message] = []
+    listed = listing(bag)
+    notes = list(listed.notes)
+    for message in _messages(listed, chosen, counts, notes):
+        if len(found) == LARGEST_COUNT:
+            raise BellowsError(f"Recording '{bag}' has more than {LARGEST_COUNT} messages on "
+                               'these topics. Name fewer of them.')
+        found.append(message._replace(data=_plain(message.data)))
+    _require_messages(bag, counts, notes)
+    here = {topic.name for topic in counts if chosen(topic)}
+    if wanted - here or not here:
+        there = ', '.join(sorted(f'{t.name} ({t.type_name})' for t in counts))
+        raise BellowsError(
+            f"Recording '{bag}' has no poses or twists on "
+            f'{", ".join(sorted(wanted - here)) or "any topic"}; there are: {there}.')
+    whole = [message for message in found if len(message.data) >= SHORTEST]
+    if len(whole) < len(found):
+        notes.append(f'{len(found) - len(whole)} damaged messages are left out.')
+    notes += differing_counts(listed, counts)
+    return sorted(whole, key=lambda message: message.log_time_ns), notes
+
+
 def read_streams(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> dict[str, Stream]:
+    """Return the streams of a recording, all that are wanted; see `read_contents`."""
+    return read_contents(path, wanted).all_streams()
+
+
+def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Contents:
     """
     Read the streams of a recording.
 
@@ -78,31 +174,71 @@ def read_streams(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> dic
 
     Returns
     -------
-    dict of role to PoseStream or TwistStream
+    Contents
         Poses from PoseStamped, PoseWithCovarianceStamped, TransformStamped and Odometry; twists
         from TwistStamped and Odometry, whose twists are in the axes of its child frame. Stamps are
-        those of the headers. What was left out is in `refused`, with indices into the topic's
-        messages in the order they were recorded in.
+        those of the headers. What was left out is in `refused` of a stream, with indices into the
+        topic's messages in the order they were recorded in. A role has a problem where the
+        recording lacks its topic, or the topic has another type or nothing usable.
 
     Raises
     ------
     BellowsError
-        If there is no such recording, it is damaged, lacks a topic, or a topic has another type or
-        nothing usable.
+        If there is no such recording, it is damaged, or has no messages.
 
     """
     bag = Path(path)
+    listed = listing(bag)
     names = {role: _absolute(topic) for role, topic in wanted.items() if topic}
     collectors = {role: _Collector(name, role) for role, name in names.items()}
     counts: dict[Topic, int] = {}
+    notes = list(listed.notes)
     takers: dict[Topic, list[_Collector]] = {}
-    for message in _messages(bag, _chooser(collectors), counts):
+    for message in _messages(listed, _chooser(collectors), counts, notes):
         if message.topic not in takers:
             takers[message.topic] = [c for c in collectors.values() if c.accepts(message.topic)]
         for collector in takers[message.topic]:
             collector.add(message)
-    _require_messages(bag, counts)
-    return {role: _stream(bag, counts, collector) for role, collector in collectors.items()}
+    _require_messages(bag, counts, notes)
+    notes += differing_counts(listed, counts)
+    contents = Contents({}, {}, tuple(notes))
+    for role, collector in collectors.items():
+        try:
+            contents.streams[role] = _stream(bag, counts, collector)
+        except BellowsError as problem:
+            contents.problems[role] = problem
+    return contents
+
+
+def messages_of(
+    path: str | os.PathLike[str], types: Collection[str], topic: str = ''
+) -> Iterator[tuple[str, str, int, bytes]]:
+    """
+    Yield topic, type, log time (ns) and CDR of messages of some types, in the order of the files.
+
+    Parameters
+    ----------
+    path : path
+        rosbag2 folder, or a bare .mcap or .db3 file.
+    types : collection of str
+        As in 'trajectory_msgs/msg/JointTrajectory'.
+    topic : str, optional
+        Only of this one.
+
+    Raises
+    ------
+    BellowsError
+        If there is no such recording, or it is damaged.
+
+    """
+    name = _absolute(topic) if topic else ''
+    for message in _messages(
+        listing(path),
+        lambda t: t.type_name in types and t.encoding == 'cdr' and name in ('', t.name), {}, [],
+    ):
+        data = message.data
+        plain = unzstd(data, LARGEST_PLAN) if data.startswith(ZSTD_MAGIC) else data
+        yield message.topic.name, message.topic.type_name, message.log_time_ns, bytes(plain)
 
 
 def _absolute(topic: str) -> str:
@@ -130,6 +266,7 @@ class _Collector:
         self.role = role
         self.type_name = ''
         self.types = accepted_types(role)
+        self._problem: BellowsError | None = None
         self._log_times = array('q')
         self._batch: list[bytes] = []
         self._decoded: list[cdr.Decoded] = []
@@ -141,35 +278,45 @@ class _Collector:
         )
 
     def add(self, message: Message) -> None:
-        """Take one message."""
-        if self.type_name not in ('', message.topic.type_name):
-            raise BellowsError(
-                f"Topic '{self.name}' has messages of two types, {self.type_name} and "
-                f'{message.topic.type_name}. Record them under two names.'
-            )
-        if len(self._log_times) == LARGEST_COUNT:
-            raise BellowsError(
-                f"Topic '{self.name}' has more than {LARGEST_COUNT} messages. "
-                'Give a part of the recording.'
-            )
+        """Take one message, unless one before could not be taken."""
+        if self._problem is None:
+            self._problem = self._why_not(message)
+        if self._problem is not None:
+            return
         self.type_name = message.topic.type_name
         self._log_times.append(max(0, min(message.log_time_ns, _LARGEST_INT64)))
         self._batch.append(_plain(message.data))
         if len(self._batch) == _BATCH:
             self._flush()
 
+    def _why_not(self, message: Message) -> BellowsError | None:
+        """Return why a message cannot be taken, or None."""
+        if self.type_name not in ('', message.topic.type_name):
+            return BellowsError(
+                f"Topic '{self.name}' has messages of two types, {self.type_name} and "
+                f'{message.topic.type_name}. Record them under two names.'
+            )
+        if len(self._log_times) == LARGEST_COUNT:
+            return BellowsError(
+                f"Topic '{self.name}' has more than {LARGEST_COUNT} messages. "
+                'Give a part of the recording.'
+            )
+        return None
+
     def decoded(self) -> cdr.Decoded:
-        """Return all messages, in the order they were recorded in."""
+        """Return all messages, in the order they were recorded in; raise what stopped it."""
+        if self._problem is not None:
+            raise self._problem
         self._flush()
         frames, frame = _joined_frames(self._decoded)
         stamps_ns = np.concatenate([d.stamps_ns for d in self._decoded])
         values = np.concatenate([d.values for d in self._decoded])
         self._decoded.clear()
-        log_times = np.array(self._log_times)
-        if np.all(log_times[1:] >= log_times[:-1]):
-            return cdr.Decoded(stamps_ns, values, frame, frames)
-        order = np.argsort(log_times, kind='stable')
-        return cdr.Decoded(stamps_ns[order], values[order], frame[order], frames)
+        order = np.argsort(self._log_times, kind='stable')
+        arrivals_ns = np.array(self._log_times)[order]
+        if np.array_equal(order, np.arange(len(order))):
+            return cdr.Decoded(stamps_ns, values, frame, frames, arrivals_ns)
+        return cdr.Decoded(stamps_ns[order], values[order], frame[order], frames, arrivals_ns)
 
     def _flush(self) -> None:
         """Decode what has come."""
@@ -219,13 +366,13 @@ def _stream(bag: Path, counts: Mapping[Topic, int], collector: _Collector) -> St
     return stream
 
 
-def _require_messages(bag: Path, counts: Mapping[Topic, int]) -> None:
+def _require_messages(bag: Path, counts: Mapping[Topic, int], notes: list[str]) -> None:
     """Refuse a recording without messages."""
     if not any(counts.values()):
-        raise BellowsError(
-            f"Recording '{bag}' is empty: it has {len(counts)} topics and no message. "
-            'Record while the topics are published.'
-        )
+        raise BellowsError(' '.join([
+            f"Recording '{bag}' is empty: it has {len(counts)} topics and no message.", *notes,
+            'Record while the topics are published.',
+        ]))
 
 
 def _require_topic(bag: Path, counts: Mapping[Topic, int], collector: _Collector) -> None:
@@ -261,11 +408,15 @@ def _alternatives(counts: Mapping[Topic, int], collector: _Collector) -> str:
     return 'no topic there is of a fitting type; there are: ' + (', '.join(others) or 'none')
 
 
-def _messages(bag: Path, wanted: Wanted, counts: dict[Topic, int]) -> Iterator[Message]:
+def _messages(
+    listed: Listing, wanted: Wanted, counts: dict[Topic, int], notes: list[str]
+) -> Iterator[Message]:
     """Yield the wanted messages of all files of a recording, file by file."""
-    for path in storage_files(bag):
+    for path in listed.files:
+        lost: list[str] = []
         try:
-            yield from _file_messages(path, wanted, counts)
+            yield from _file_messages(path, wanted, counts, lost)
+            notes += [f"File '{path}' is not whole: {what}." for what in lost]
         except DamagedError as error:
             raise BellowsError(
                 f"File '{path}' cannot be read as a recording: {error}. "
@@ -280,18 +431,20 @@ def _messages(bag: Path, wanted: Wanted, counts: dict[Topic, int]) -> Iterator[M
             raise BellowsError(f"File '{path}' cannot be read: {error}.") from None
 
 
-def _file_messages(path: Path, wanted: Wanted, counts: dict[Topic, int]) -> Iterator[Message]:
+def _file_messages(
+    path: Path, wanted: Wanted, counts: dict[Topic, int], lost: list[str]
+) -> Iterator[Message]:
     """Yield the wanted messages of a file; its first bytes tell its storage and compression."""
     with open_plain(path) as (file, compressed):
         magic = file.read(len(sqlite_storage.MAGIC))
         file.seek(0)
         if magic.startswith(mcap.MAGIC):
-            yield from mcap.scan(file, wanted, counts)
+            yield from mcap.scan(file, wanted, counts, lost)
         elif magic == sqlite_storage.MAGIC:
             with _on_disk(path, file, compressed) as plain:
                 yield from sqlite_storage.scan(plain, wanted, counts)
         elif not magic:
-            raise DamagedError('it is empty')
+            lost.append('it is empty')
         else:
             raise DamagedError('it is neither an MCAP nor an SQLite file')
 
@@ -302,8 +455,8 @@ def _on_disk(path: Path, file: BinaryIO, compressed: bool) -> Iterator[Path]:
     if not compressed:
         yield path
         return
-    with tempfile.TemporaryDirectory(prefix='bellows_') as folder:
-        plain = Path(folder) / path.stem
+    with scratch_folder() as folder:
+        plain = folder / path.stem
         _copy(file, plain)
         yield plain
 

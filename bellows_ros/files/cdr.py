@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import struct
 from types import MappingProxyType
 
+from bellows_ros.core.arrays import Array, Stamps
 import numpy as np
-from numpy.typing import NDArray
 
-Indices = NDArray[np.int64]
+Indices = Stamps
 
 # A stamped pose or twist is at most this long; longer ones are not decoded.
 LARGEST_MESSAGE = 4096
@@ -22,6 +22,9 @@ LARGEST_MESSAGE = 4096
 _STAMP_AT, _STRINGS_AT = 4, 12
 _LARGEST_PADDING = 3  # at the end, to a multiple of four
 _NS_PER_S = 1_000_000_000
+
+BOOL = 'std_msgs/msg/Bool'
+"""Type of the messages of a valve."""
 
 
 @dataclass(frozen=True)
@@ -82,13 +85,16 @@ class Decoded:
         Index into `frames`; -1 where the message could not be decoded.
     frames : list of tuple of str
         The frame names met: frame_id, and child_frame_id where the type has one.
+    arrivals_ns : int array (N,), optional
+        When the messages were received, ns, not decreasing, where that is known.
 
     """
 
-    stamps_ns: NDArray[np.int64]
-    values: NDArray[np.float64]
-    frame: NDArray[np.int64]
+    stamps_ns: Stamps
+    values: Array
+    frame: Stamps
     frames: list[tuple[str, ...]]
+    arrivals_ns: Stamps | None = None
 
 
 def decode(messages: Sequence[bytes], layout: Layout, part: slice) -> Decoded:
@@ -113,7 +119,7 @@ def decode(messages: Sequence[bytes], layout: Layout, part: slice) -> Decoded:
     stamps_ns = np.zeros(count, dtype=np.int64)
     values = np.zeros((count, part.stop - part.start))
     frame = np.full(count, -1, dtype=np.int64)
-    frames: list[tuple[str, ...]] = []
+    numbers: dict[tuple[str, ...], int] = {}
     for (head, size), members in _alike(messages, layout.strings).items():
         names, dtype = _names(head, layout.strings), _dtype(head, size, layout)
         if names is None or dtype is None:
@@ -123,15 +129,8 @@ def decode(messages: Sequence[bytes], layout: Layout, part: slice) -> Decoded:
         stamps_ns[index] = rows['sec'].astype(np.int64) * _NS_PER_S + rows['nanosec']
         values[index] = rows['doubles'][:, part]
         sound = (rows['sec'] >= 0) & (rows['nanosec'] < _NS_PER_S)
-        frame[index[sound]] = _index(frames, names)
-    return Decoded(stamps_ns, values, frame, frames)
-
-
-def _index(frames: list[tuple[str, ...]], names: tuple[str, ...]) -> int:
-    """Return the index of frame names, which are added when new."""
-    if names not in frames:
-        frames.append(names)
-    return frames.index(names)
+        frame[index[sound]] = numbers.setdefault(names, len(numbers))
+    return Decoded(stamps_ns, values, frame, list(numbers))
 
 
 def _alike(messages: Sequence[bytes], strings: int) -> dict[tuple[bytes, int], list[int]]:
@@ -206,7 +205,7 @@ def _doubles_at(head: bytes) -> int:
 
 
 def encode(
-    stamps_ns: Indices, values: NDArray[np.float64], names: Sequence[str], layout: Layout
+    stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layout
 ) -> list[bytes]:
     """
     Encode messages of one type, little-endian.
@@ -253,3 +252,14 @@ def _head(names: Sequence[str]) -> bytes:
         text = name.encode() + b'\0'
         head += bytes(-len(head) % 4) + struct.pack('<I', len(text)) + text
     return head
+
+
+def encode_bool(value: bool) -> bytes:
+    """Return a std_msgs/Bool."""
+    return b'\0\1\0\0' + bytes([value])
+
+
+def decode_bool(message: bytes) -> bool | None:
+    """Return what a std_msgs/Bool says; None where it is damaged."""
+    sound = len(message) > 4 and message[0] == 0 and message[1] <= 1 and message[4] <= 1
+    return bool(message[4]) if sound else None

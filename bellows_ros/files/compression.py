@@ -39,9 +39,11 @@ def open_plain(path: Path) -> Iterator[tuple[BinaryIO, bool]]:
             yield cast(BinaryIO, plain), True
 
 
-def unzstd(data: bytes, limit: int) -> bytes:
+def unzstd(data: bytes, limit: int, cut: bool = False) -> bytes:
     """
     Decompress zstd frames that hold no more than a number of bytes together.
+
+    Of data that is cut short, what there is.
 
     Raises
     ------
@@ -50,14 +52,14 @@ def unzstd(data: bytes, limit: int) -> bytes:
 
     """
     try:
-        return _decompress(zstd.ZstdDecompressor, data, limit)
+        return _decompress(zstd.ZstdDecompressor, data, limit, cut)
     except zstd.ZstdError as error:
         raise BellowsError(f'zstd data is damaged: {error}') from None
 
 
-def unlz4(data: bytes, limit: int) -> bytes:
+def unlz4(data: bytes, limit: int, cut: bool = False) -> bytes:
     """
-    Decompress lz4 frames that hold no more than a number of bytes together.
+    Decompress lz4 frames that hold no more than a number of bytes together; see `unzstd`.
 
     Raises
     ------
@@ -66,12 +68,12 @@ def unlz4(data: bytes, limit: int) -> bytes:
 
     """
     try:
-        return _decompress(lz4.frame.LZ4FrameDecompressor, data, limit)
+        return _decompress(lz4.frame.LZ4FrameDecompressor, data, limit, cut)
     except RuntimeError as error:  # what lz4 raises for damaged frames
         raise BellowsError(f'lz4 data is damaged: {error}') from None
 
 
-def _decompress(new_decompressor: Any, data: bytes, limit: int) -> bytes:
+def _decompress(new_decompressor: Any, data: bytes, limit: int, cut: bool) -> bytes:
     """Decompress frame after frame."""
     pieces = []
     left = limit
@@ -81,7 +83,7 @@ def _decompress(new_decompressor: Any, data: bytes, limit: int) -> bytes:
         left -= len(piece)
         if left < 0:
             raise BellowsError(f'decompressed data is longer than the {limit} bytes expected')
-        if not frame.eof:
+        if not (frame.eof or cut):
             raise BellowsError('compressed data ends early')
         pieces.append(piece)
         data = frame.unused_data

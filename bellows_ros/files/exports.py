@@ -1,18 +1,20 @@
 """
-Cups for simulators: MuJoCo (MJCF), Drake and SDF, and what each cannot say.
+Cups for other programs: MuJoCo (MJCF), Drake, SDF, OpenPLX and C, and what each cannot say.
 
-All put a spring with the diagonals of K and P between the tool tip and the package, in the middle
-of the cup. None has the energy (3.17) of the thesis, off-diagonal entries, or a damper of (3.35).
+The simulators put a spring with the diagonals of K and P between the tool tip and the package, in
+the middle of the cup. None has the energy (3.17) of the thesis, off-diagonal entries, or a damper
+of (3.35). The header in C (bellows_cup.h, and the numbers behind it) is the model itself.
 """
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.holding import Grip
+from bellows_ros.core.linearisation import largest_step
+from bellows_ros.core.model import Cup, model_tuple, Package, STANDARD_GRAVITY
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 # A link of SDF without a mass weighs 1 kg. The tool and the links between single joints have this
 # part of the package's mass and inertia instead.
@@ -20,22 +22,42 @@ DUMMY = 1e-3
 AXES = ('x', 'y', 'z')
 
 
+HEADER = Path(__file__).with_name('bellows_cup.h')
+"""The model in C, without numbers."""
+
+DOWN = (0.0, 0.0, -STANDARD_GRAVITY)
+
+
+class Exported(NamedTuple):
+    """What is exported."""
+
+    cup: Cup
+    package: Package
+    gravity: tuple[float, float, float] = DOWN
+    """In the world, m/s^2."""
+    grip: Grip | None = None
+
+
 class Target(NamedTuple):
-    """A simulator's format: what writes it, and what it cannot express."""
+    """A format: what writes it, and what it cannot express."""
 
     name: str
-    write: Callable[[Cup, Package], str]
+    write: Callable[[Exported], str]
     limits: tuple[str, ...]
+    whole: bool = False
+    """Whether it has all entries of K and P."""
 
 
 def limits(target: Target, cup: Cup) -> list[str]:
     """Return what is lost on the way to a format, with what of this cup is left out."""
     lost = list(target.limits)
+    if target.whole:
+        return lost
     for name, matrix in (('K', cup.stiffness), ('P', cup.damping)):
         coupling = _coupling(matrix)
         if coupling > 0.0:
             lost.insert(0, f'The off-diagonal entries of {name} are left out; the largest couples '
-                           f'two axes by {100 * coupling:.2g} %.')  # fmt: skip
+                           f'two axes by {100 * coupling:.2g} %.')
     return lost
 
 
@@ -63,8 +85,9 @@ def _inertia(package: Package) -> tuple[float, ...]:
     return tuple(float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
 
 
-def mjcf(cup: Cup, package: Package) -> str:
+def mjcf(exported: Exported) -> str:
     """Return a MuJoCo model (XML)."""
+    cup, package, *_ = exported
     stiffness, damping = (np.diag(m).tolist() for m in (cup.stiffness, cup.damping))
     joints = [
         f'        <joint name="cup_{kind}_{axis}" type="{kind}" axis="{_unit(i % 3)}" '
@@ -98,8 +121,9 @@ def _unit(axis: int) -> str:
     return ' '.join('1' if i == axis else '0' for i in range(3))
 
 
-def drake(cup: Cup, package: Package) -> str:
+def drake(exported: Exported) -> str:
     """Return a model for Drake: SDF with its roll-pitch-yaw bushing."""
+    cup, package, *_ = exported
     stiffness, damping = np.diag(cup.stiffness), np.diag(cup.damping)
     half = f'0 0 {-cup.length / 2.0!r} 0 0 0'
     return '\n'.join([
@@ -129,8 +153,9 @@ def drake(cup: Cup, package: Package) -> str:
     ])
 
 
-def sdf(cup: Cup, package: Package) -> str:
+def sdf(exported: Exported) -> str:
     """Return a model in SDF: six joints in a row, with dummy links between them."""
+    cup, package, *_ = exported
     half = f'0 0 {-cup.length / 2.0!r} 0 0 0'
     links = [f'between_{i}' for i in range(1, 6)]
     chain = ['tool', *links, 'package']
@@ -195,6 +220,53 @@ def _joint(cup: Cup, number: int, parent: str, child: str) -> list[str]:
     ]
 
 
+def header(exported: Exported) -> str:
+    """Return a header in C11: the model, and the numbers of this cup and package."""
+    model = model_tuple(exported.cup, exported.package, exported.gravity)
+    grip = exported.grip or (0.0, 1.0, 0.0)
+    return '\n'.join([
+        HEADER.read_text(),
+        f'static const bellows_model bellows_exported = {_braced(model)};',
+        '/* Suction force (N; 0 where not known), radius of the lip (m), friction. */',
+        f'static const bellows_grip bellows_exported_grip = {_braced(grip)};',
+        '/* Longest step of integration, s. */',
+        f'static const double bellows_exported_longest = {largest_step(model)!r};',
+        '', '#endif', '',
+    ])
+
+
+def _braced(values: Any) -> str:
+    """Return nested tuples of numbers as C initialises structs; a matrix is an array in one."""
+    if not isinstance(values, tuple):
+        return float(values).hex()
+    inner = ', '.join(_braced(value) for value in values)
+    return f'{{{{{inner}}}}}' if len(values) == 9 else f'{{{inner}}}'
+
+
+def openplx(exported: Exported) -> str:
+    """Return the six-dof suction cup of OpenPLX, the same while it rests and holds."""
+    cup = exported.cup
+    lines = [
+        '# A bellows suction cup. Put it on your gripper; geometry and package are yours.',
+        'BellowsCup is Robotics.EndEffectors.SixDofSuctionCup:',
+        f'    resting_height: {cup.length!r}',
+        f'    collapsed_height: {cup.length!r}',
+    ]
+    if exported.grip:
+        lines += [f'    {name}_radius: {exported.grip[1]!r}' for name in ('lip', 'mounting')]
+    axes = {
+        'lip_normal': (2, 2), 'radial_axis': (0, 1), 'around_lip_normal': (5, 5),
+        'around_radial_axis': (3, 4)}
+    for state in ('resting', 'collapsed'):
+        for axis, (i, j) in axes.items():
+            for what, unit, matrix in (
+                    ('flexibility', 'stiffness', cup.stiffness),
+                    ('dissipation', 'damping_constant', cup.damping)):
+                mean = 0.5 * float(matrix[i, i] + matrix[j, j])
+                lines.append(f'    {state}_elasto_dynamics.{axis}_{what}.{unit}: {mean!r}')
+    return '\n'.join([*lines, ''])
+
+
 _ANGLES = (
     'Rotation angles are taken one after the other and springs are linear in them; (3.17) '
     'has the sine of one rotation. The difference is below 5 % up to 15 degrees.'
@@ -223,4 +295,14 @@ TARGETS: Mapping[str, Target] = {
         'the package each, and need time steps of 0.1 ms or less.',
         _TOOL_AXES,
     )),
-}  # fmt: skip
+    'openplx': Target('OpenPLX (SixDofSuctionCup)', openplx, (
+        'It is round: of x and y, and of the turns about them, the means are taken.',
+        'A lock between gripper and lip is linear in its six deflections; (3.17) has the sine of '
+        'one rotation.',
+        'The package is not in it: give your own body its mass and inertia.',
+        'Written by the documentation of OpenPLX 0.19, and not tried with a simulator.',
+    )),
+    'c': Target('C (C11, a header)', header, (
+        'Release, flight and uncertainties; of the model itself nothing is lost.',
+    ), whole=True),
+}

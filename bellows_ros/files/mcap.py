@@ -1,13 +1,15 @@
 """
-Reading the messages of an MCAP file, front to back.
+Reading the messages of an MCAP file, front to back, and writing the checksums of one.
 
 The file is read as a stream and nothing in it is believed that could cost memory: sizes are
 bounded before they are allocated, chunks are decompressed one at a time up to the size they
-declare, and indexes are not used. The format is specified at https://mcap.dev/spec.
+declare, and indexes are not used. A file that does not end as it should, as of a recorder that
+crashed, is read up to the break. The format is specified at https://mcap.dev/spec.
 """
 
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 import struct
 from typing import BinaryIO
 import zlib
@@ -19,16 +21,20 @@ from bellows_ros.files.storage import DamagedError, LARGEST_RECORD, Message, Top
 MAGIC = b'\x89MCAP0\r\n'
 
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
-_STATISTICS = 0x0B
-_READ = {_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS}
+_STATISTICS, _DATA_END = 0x0B, 0x0F
+_READ = {_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END}
 _RECORD_HEAD = struct.Struct('<BQ')
 _MESSAGE_HEAD = struct.Struct('<HIQQ')
+_CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
+_SUMMARY_CHECKSUM_AT = 16  # behind two offsets, in the footer
 _SKIP_STEP = 2**20
 
 Record = tuple[int, memoryview]
 
 
-def scan(file: BinaryIO, wanted: Wanted, counts: dict[Topic, int]) -> Iterator[Message]:
+def scan(
+    file: BinaryIO, wanted: Wanted, counts: dict[Topic, int], notes: list[str]
+) -> Iterator[Message]:
     """
     Yield the messages of the wanted topics in the order they are stored in.
 
@@ -40,17 +46,91 @@ def scan(file: BinaryIO, wanted: Wanted, counts: dict[Topic, int]) -> Iterator[M
         Topic to whether its messages are yielded.
     counts : dict
         Filled while reading: every topic, with its number of messages.
+    notes : list of str
+        Filled while reading: what was lost because the recording was not ended.
 
     Raises
     ------
     DamagedError
-        If the file is truncated or damaged.
+        If the file is damaged though it ends as it should, or is no MCAP file.
 
     """
+    source = _Source(file)
+    if source.read(len(MAGIC)) != MAGIC:
+        raise DamagedError('it does not begin as an MCAP file does')
+    scanned = _Scan(wanted, counts)
     try:
-        yield from _Scan(wanted, counts).messages(_file_records(file))
-    except (struct.error, UnicodeDecodeError) as error:
-        raise DamagedError(f'a record is damaged ({error})') from None
+        yield from scanned.messages(_file_records(source))
+    except (struct.error, UnicodeDecodeError, DamagedError) as error:
+        named = isinstance(error, DamagedError)
+        reason = str(error) if named else f'a record is damaged ({error})'
+        if source.ends_well():
+            raise DamagedError(reason) from None
+        notes.append(_what_is_lost(scanned, source, reason))
+
+
+def _what_is_lost(scanned: '_Scan', source: '_Source', reason: str) -> str:
+    """Return in words how far a file was read that was not ended."""
+    return (
+        f'its recording was not ended, {reason}: {sum(scanned.met.values())} messages were read; '
+        f'the last {source.at - source.whole} of {source.at} bytes are damaged or cut short'
+    )
+
+
+class _Source:
+    """
+    The bytes of a file, one after the other.
+
+    Attributes
+    ----------
+    at : int
+        How many were read.
+    whole : int
+        How many of these hold whole records.
+    checksum : int
+        Of all bytes so far, or of those behind the end of the data.
+
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        """Start at the beginning."""
+        self._file = file
+        self._tail = b''
+        self.at = self.whole = self.checksum = 0
+
+    def read(self, size: int) -> bytes:
+        """Read so many bytes, or what is left."""
+        data = self._file.read(size)
+        self.at += len(data)
+        self.checksum = zlib.crc32(data, self.checksum)
+        self._tail = (self._tail + data[-len(MAGIC):])[-len(MAGIC):]
+        return data
+
+    def read_all(self, size: int) -> bytes:
+        """Read exactly so many bytes."""
+        data = self.read(size)
+        if len(data) != size:
+            raise _truncated()
+        return data
+
+    def skip(self, size: int) -> None:
+        """Pass over so many bytes, which must be there."""
+        while size:
+            step = len(self.read(min(size, _SKIP_STEP)))
+            if not step:
+                raise _truncated()
+            size -= step
+
+    def ends_well(self) -> bool:
+        """Read what is left, and return whether it ends as an MCAP file does."""
+        while self.read(_SKIP_STEP):
+            pass
+        return self.at >= 2 * len(MAGIC) and self._tail == MAGIC
+
+
+def _truncated() -> DamagedError:
+    """Return the error for a file that ends in the middle."""
+    return DamagedError('a record goes beyond its end')
 
 
 class _Scan:
@@ -63,7 +143,7 @@ class _Scan:
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, Topic] = {}
         self._wanted_channels: dict[int, Topic] = {}
-        self._met: Counter[int] = Counter()
+        self.met: Counter[int] = Counter()
 
     def messages(self, records: Iterator[Record]) -> Iterator[Message]:
         """Yield the wanted messages among records, and those in their chunks."""
@@ -88,16 +168,16 @@ class _Scan:
         if channel not in self._channels:
             raise DamagedError(f'a message belongs to channel {channel}, which is not defined')
         self._counts[self._channels[channel]] += 1
-        self._met[channel] += 1
+        self.met[channel] += 1
 
     def _compare(self, fields: '_Fields') -> None:
         """Refuse a file in which not all messages were met that its statistics count."""
         fields.block(42)  # totals and times
         counted = bytes(fields.block(fields.number('<I')))
         for channel, count in struct.iter_unpack('<HQ', counted):
-            if self._met[channel] != count:
+            if self.met[channel] != count:
                 raise DamagedError(
-                    f'it has {self._met[channel]} messages in channel {channel}, but says {count}'
+                    f'it has {self.met[channel]} messages in channel {channel}, but says {count}'
                 )
 
     def _add_schema(self, fields: '_Fields') -> None:
@@ -137,95 +217,130 @@ class _Fields:
 
     def block(self, size: int) -> memoryview:
         """Take a number of bytes."""
-        block = self._body[self._at:self._at + size]
+        block = self.rest(size)
         if len(block) != size:
             raise DamagedError(f'a field of {size} bytes has only {len(block)}')
-        self._at += size
+        return block
+
+    def rest(self, size: int) -> memoryview:
+        """Take up to a number of bytes."""
+        block = self._body[self._at:self._at + size]
+        self._at += len(block)
         return block
 
 
-def _file_records(file: BinaryIO) -> Iterator[Record]:
-    """Yield the records that matter, and check that the file is whole to its end."""
-    if file.read(len(MAGIC)) != MAGIC:
-        raise DamagedError('it does not begin as an MCAP file does')
+def _file_records(source: _Source) -> Iterator[Record]:
+    """
+    Yield the records that matter, and check that the file is whole to its end.
+
+    Of a chunk at which the file ends, what there is of it.
+    """
     kind = 0
     while kind != _FOOTER:
-        kind, size = _RECORD_HEAD.unpack(_read(file, _RECORD_HEAD.size))
+        source.whole, checksum = source.at, source.checksum
+        head = source.read_all(_RECORD_HEAD.size)
+        kind, size = _RECORD_HEAD.unpack(head)
+        if not kind:
+            raise DamagedError('a record has no kind')
         if kind not in _READ:
-            _skip(file, size)
-        elif size > LARGEST_RECORD:
+            source.skip(size)
+            continue
+        if size > LARGEST_RECORD:
             raise DamagedError(f'a record says it is {size} bytes long')
-        else:
-            yield kind, memoryview(_read(file, size))
-    if _read(file, len(MAGIC)) != MAGIC or file.read(1):
+        body = source.read(size)
+        if kind == _DATA_END:
+            _require_checksum(_Fields(memoryview(body)).number('<I'), checksum, 'its data')
+            source.checksum = 0
+        elif kind == _FOOTER:
+            before = zlib.crc32(body[:_SUMMARY_CHECKSUM_AT], zlib.crc32(head, checksum))
+            fields = _Fields(memoryview(body))
+            fields.block(_SUMMARY_CHECKSUM_AT)
+            _require_checksum(fields.number('<I'), before, 'its summary')
+        if len(body) == size or kind == _CHUNK:
+            yield kind, memoryview(body)
+        if len(body) != size:
+            raise _truncated()
+    source.whole = source.at
+    if source.read(len(MAGIC)) != MAGIC or source.read(1):
         raise DamagedError('it does not end as an MCAP file does')
 
 
-def _read(file: BinaryIO, size: int) -> bytes:
-    """Read exactly so many bytes."""
-    data = file.read(size)
-    if len(data) != size:
-        raise _truncated()
-    return data
-
-
-def _skip(file: BinaryIO, size: int) -> None:
-    """Pass over so many bytes, which must be there."""
-    while size:
-        step = len(file.read(min(size, _SKIP_STEP)))
-        if not step:
-            raise _truncated()
-        size -= step
-
-
-def _truncated() -> DamagedError:
-    """Return the error for a file that ends in the middle."""
-    return DamagedError(
-        'it ends in the middle: it was truncated, or its recording not ended properly. '
-        "What is left may be recovered with 'mcap recover'"
-    )
+def _require_checksum(said: int, found: int, of: str) -> None:
+    """Refuse what has another checksum than is said; 0 stands for none."""
+    if said and said != found:
+        raise DamagedError(f'the checksum of {of} is wrong')
 
 
 def _chunk_records(chunk: memoryview) -> Iterator[Record]:
-    """Yield the records of a chunk."""
+    """Yield the records of a chunk; of one that is cut short, those that are whole."""
     records = memoryview(_chunk_data(_Fields(chunk)))
     at = 0
     while at < len(records):
         kind, size = _RECORD_HEAD.unpack_from(records, at)
         at += _RECORD_HEAD.size
-        if size > len(records) - at or kind == _CHUNK:
+        if size > len(records) - at or kind in (0, _CHUNK):
             raise DamagedError('a record inside a chunk is damaged')
         yield kind, records[at:at + size]
         at += size
 
 
 def _chunk_data(fields: _Fields) -> bytes:
-    """Return the decompressed records of a chunk, checked against its size and its checksum."""
+    """
+    Return the decompressed records of a chunk, checked against its size and its checksum.
+
+    Of one that is cut short, what there is.
+    """
     fields.block(16)  # first and last time
     size, checksum = fields.number('<Q'), fields.number('<I')
     compression = fields.text()
-    stored = bytes(fields.block(fields.number('<Q')))
+    stored_size = fields.number('<Q')
+    stored = bytes(fields.rest(stored_size))
+    cut = len(stored) != stored_size
     if size > LARGEST_RECORD:
         raise DamagedError(f'a chunk says it is {size} bytes long')
-    data = _decompress(compression, stored, size)
+    data = _decompress(compression, stored, size, cut)
+    if cut:
+        return data
     if len(data) != size:
         raise DamagedError(f'a chunk has {len(data)} bytes, but says {size}')
-    if checksum and zlib.crc32(data) != checksum:
-        raise DamagedError('the checksum of a chunk is wrong')
+    _require_checksum(checksum, zlib.crc32(data), 'a chunk')
     return data
 
 
-def _decompress(compression: str, stored: bytes, size: int) -> bytes:
+def _decompress(compression: str, stored: bytes, size: int, cut: bool) -> bytes:
     """Return the bytes of a chunk."""
     try:
         if compression == '':
             return stored
         if compression == 'zstd':
-            return unzstd(stored, size)
+            return unzstd(stored, size, cut)
         if compression == 'lz4':
-            return unlz4(stored, size)
+            return unlz4(stored, size, cut)
     except BellowsError as error:
         raise DamagedError(f'a chunk cannot be decompressed: {error}') from None
     raise DamagedError(
         f"its compression '{compression[:20]}' is not supported; zstd, lz4 and none are"
     )
+
+
+def seal(path: Path) -> None:
+    """Write the checksums of a sound MCAP file that was written without them."""
+    with path.open('r+b') as file:
+        checksum = zlib.crc32(file.read(len(MAGIC)))
+        kind = 0
+        while kind != _FOOTER:
+            head = file.read(_RECORD_HEAD.size)
+            kind, size = _RECORD_HEAD.unpack(head)
+            at, body = file.tell(), bytearray(file.read(size))
+            before, checksum = checksum, zlib.crc32(head, checksum)
+            if kind == _CHUNK:
+                records = _chunk_data(_Fields(memoryview(body)))
+                struct.pack_into('<I', body, _CHUNK_CHECKSUM_AT, zlib.crc32(records))
+            elif kind == _DATA_END:
+                struct.pack_into('<I', body, 0, before)
+            elif kind == _FOOTER:
+                offsets = body[:_SUMMARY_CHECKSUM_AT]
+                struct.pack_into('<I', body, _SUMMARY_CHECKSUM_AT, zlib.crc32(offsets, checksum))
+            file.seek(at)
+            file.write(body)
+            checksum = 0 if kind == _DATA_END else zlib.crc32(body, checksum)

@@ -22,9 +22,9 @@ from pathlib import Path
 import re
 from typing import TextIO
 
+from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import NDArray
 
 SEEN_QUALITY = 0.99  # appendix H
 FEWEST_MARKERS = 3  # of a rigid body, for a pose
@@ -33,15 +33,14 @@ UNITS = {'meters': 1.0, 'centimeters': 0.01, 'millimeters': 0.001, 'inches': 0.0
 START = re.compile(
     r'(\d{4})-(\d\d)-(\d\d) (\d{1,2})[.:](\d\d)[.:](\d\d)(?:[.,](\d{1,6}))?\s*([AaPp]?)')
 SETTINGS = ('Format Version', 'Rotation Type', 'Coordinate Space', 'Length Units',
-            'Capture Start Time')  # fmt: skip
+            'Capture Start Time')
 LARGEST_FILE = 2**31
 HEAD_ROWS = 12  # in which the table must begin
 POSE = ('Rotation X', 'Rotation Y', 'Rotation Z', 'Rotation W', 'Position X', 'Position Y',
-        'Position Z')  # fmt: skip
+        'Position Z')
 TIME = 1  # column
 NS_PER_S = 1e9
 
-Array = NDArray[np.float64]
 Heads = Mapping[str, Sequence[str]]
 
 
@@ -65,7 +64,7 @@ class MotiveBody:
     """
 
     name: str
-    stamps_ns: NDArray[np.int64]
+    stamps_ns: Stamps
     values: Array
     missing: int
     unseen: int
@@ -112,7 +111,7 @@ def read_motive(
 
 
 def is_motive(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a file begins as Motive's exports do."""
+    """Return whether a file begins as Motive's exports do."""
     with Path(path).open('rb') as file:
         return file.read(200).lstrip(b'\xef\xbb\xbf"').startswith(b'Format Version')
 
@@ -139,11 +138,11 @@ def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody
         found.append(MotiveBody(
             name, stamps[kept], np.hstack([scale * pose[kept, 4:], pose[kept, :4]]),
             int(np.count_nonzero(~there)), int(np.count_nonzero(there & ~enough)),
-        ))  # fmt: skip
+        ))
     return tuple(found)
 
 
-def _whole_ns(seconds: Array) -> NDArray[np.int64]:
+def _whole_ns(seconds: Array) -> Stamps:
     """Return times in whole ns."""
     return np.rint(seconds * NS_PER_S).astype(np.int64)
 
@@ -266,7 +265,7 @@ def _numbers(path: Path, rows: Iterator[list[str]], columns: Sequence[int]) -> A
 
 def _pose_and_seen(
     table: Array, place: Mapping[int, int], columns: _Columns
-) -> tuple[Array, NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Return a body's poses (N, 7), and how many of its markers are seen (infinite if unsaid)."""
     pose = table[:, [place[c] for c in columns.pose]]
     if columns.qualities:

@@ -71,6 +71,11 @@ def read_parameters(path: str | os.PathLike[str], node: str | None = None) -> di
         With the file and the line: not readable, not YAML, an unknown name, or a value that is not
         allowed.
 
+    Examples
+    --------
+    >>> bellows_ros.read_parameters('bags/package.yaml')['package.com']
+    (0.0, 0.0, -0.03)
+
     """
     file = Path(path)
     content, lines = safe_yaml.load_with_lines(file)
@@ -88,7 +93,7 @@ def read_parameters(path: str | os.PathLike[str], node: str | None = None) -> di
                 raise BellowsError(
                     f"{file}, line {line}: '{name}' is given before with another value. Keep one."
                 )
-            values[name] = checked
+            values[lookup(name).name] = checked
     return values
 
 
@@ -115,13 +120,20 @@ def write_parameters(
     BellowsError
         If a value is not allowed, or the file cannot be written; what was there is then untouched.
 
+    Examples
+    --------
+    >>> bellows_ros.write_parameters(
+    ...     folder / 'cell.yaml', {'recording.package_frame': 'lip'}, ['What I know of my cell'])
+    >>> bellows_ros.read_parameters(folder / 'cell.yaml')
+    {'recording.package_frame': 'lip'}
+
     """
     atomic.write_text(path, format_parameters(values, header))
 
 
 def format_parameters(values: Mapping[str, object], header: Sequence[str] = ()) -> str:
     """Return the text of a parameter file; see `write_parameters`."""
-    checked = {name: validate(name, value) for name, value in values.items()}
+    checked = {lookup(name).name: validate(name, value) for name, value in values.items()}
     lines = [_comment(line) for line in header]
     lines += ['/**:', f'{_INDENT}{_SECTION}:']
     body = list(_body(checked))
@@ -273,7 +285,10 @@ def _double(value: float) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Return a text in single quotes."""
+    """Return a text in single quotes, or in double ones where it needs escapes."""
+    if not text.isprintable():
+        escaped = (c if c.isprintable() and c not in '"\\' else f'\\U{ord(c):08x}' for c in text)
+        return f'"{"".join(escaped)}"'
     doubled = text.replace("'", "''")
     return f"'{doubled}'"
 

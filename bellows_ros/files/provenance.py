@@ -1,6 +1,6 @@
 """Where a result comes from: digests of the files that went into it, and versions of the tools."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 import hashlib
 from importlib import metadata
 import os
@@ -10,7 +10,7 @@ from typing import Any
 
 from bellows_ros import __version__
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_folder import storage_files
+from bellows_ros.files.bag_folder import listing
 
 CHUNK = 2**20
 TOOLS = ('numpy', 'scipy', 'numba', 'rosbags')
@@ -34,9 +34,13 @@ def digests(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
         raise BellowsError(f"'{path}' cannot be read for its digest: {error.strerror}.") from None
 
 
-def recording_digest(path: str | os.PathLike[str]) -> str:
+def recording_digest(
+    path: str | os.PathLike[str], files: Sequence[Mapping[str, Any]] = ()
+) -> str:
     """
     Return the SHA-256 of a recording's messages as stored, the same wherever and however it lies.
+
+    Its `digests` are taken again only where they are not given.
 
     Raises
     ------
@@ -44,7 +48,8 @@ def recording_digest(path: str | os.PathLike[str]) -> str:
         If there is no such recording, or it cannot be read.
 
     """
-    parts = [part['sha256'] for file in storage_files(path) for part in digests(file)]
+    known = {file['name']: file['sha256'] for file in files or digests(path)}
+    parts = [known[file.name] for file in listing(path).files]
     return hashlib.sha256(' '.join(parts).encode()).hexdigest()
 
 

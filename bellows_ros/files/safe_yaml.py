@@ -14,6 +14,8 @@ from bellows_ros.errors import BellowsError
 import yaml
 
 LARGEST_FILE = 2**20
+# Values and keys in a file; as many take some seconds.
+LARGEST_COUNT = 50_000
 
 Lines = dict[tuple[str, ...], int]
 
@@ -22,10 +24,16 @@ class _Loader(yaml.SafeLoader):
     """PyYAML's safe loader, stricter."""
 
     aliases_allowed = False
+    count = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Refuse tags, and aliases."""
+        """Refuse tags, aliases, and more than anyone writes."""
         event = self.peek_event()  # type: ignore[no-untyped-call]
+        self.count += 1
+        if self.count > LARGEST_COUNT:
+            raise yaml.composer.ComposerError(
+                None, None, f'more than {LARGEST_COUNT} values are not read', event.start_mark
+            )
         alias = isinstance(event, yaml.AliasEvent)
         if getattr(event, 'tag', None) or (alias and not self.aliases_allowed):
             reason = 'aliases (*name)' if alias else 'tags (!name)'
@@ -58,16 +66,20 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-# As in ROS: 1e-05 is a number though YAML 1.1 wants a point in it, and 2024-05-01 is a text.
+# As in ROS: 1e-05 is a number though YAML 1.1 wants a point in it; 2024-05-01 and 1:30 are texts.
+_NUMBERS = {
+    'int': r'[-+]?(0b[01_]+|0[0-7_]*|[1-9][0-9_]*|0x[0-9a-fA-F_]+)$',
+    'float': r'[-+]?([0-9][0-9_]*\.[0-9_]*([eE][-+]?[0-9]+)?|\.[0-9][0-9_]*([eE][-+]?[0-9]+)?'
+             r'|[0-9]+[eE][-+]?[0-9]+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$',
+}
+_OTHERWISE = {f'tag:yaml.org,2002:{name}' for name in (*_NUMBERS, 'timestamp')}
 _Loader.yaml_implicit_resolvers = {
-    first: [(tag, form) for tag, form in forms if tag != 'tag:yaml.org,2002:timestamp']
+    first: [(tag, form) for tag, form in forms if tag not in _OTHERWISE]
     for first, forms in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-_Loader.add_implicit_resolver(
-    'tag:yaml.org,2002:float',
-    re.compile(r'[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$'),
-    list('-+0123456789'),
-)
+for _name, _form in _NUMBERS.items():
+    _Loader.add_implicit_resolver(
+        f'tag:yaml.org,2002:{_name}', re.compile(_form), list('-+.0123456789'))
 
 
 class _LoaderWithAliases(_Loader):
@@ -146,6 +158,6 @@ def _read(path: Path) -> str:
     if len(data) > LARGEST_FILE:
         raise BellowsError(f"File '{path}' is larger than {LARGEST_FILE} bytes.")
     try:
-        return data.decode()
+        return data.decode().removesuffix('---\n')  # which ends what ROS prints
     except UnicodeDecodeError as error:
         raise BellowsError(f"File '{path}' is not text in UTF-8: {error}.") from None

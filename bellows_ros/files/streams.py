@@ -3,14 +3,13 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.lie import quaternion_to_rotation
+from bellows_ros.core.recording.screening import unusable_stamps
 from bellows_ros.core.trajectory import PoseStream, TwistStream
 from bellows_ros.files.cdr import Decoded
 import numpy as np
-from numpy.typing import NDArray
 
-Mask = NDArray[np.bool_]
-Array = NDArray[np.float64]
 Refused = dict[str, tuple[int, ...]]
 
 # A quaternion shorter than this is zero; one whose norm is off by more than that is no unit
@@ -32,6 +31,7 @@ REASONS: Mapping[str, str] = MappingProxyType(
         'frame_id': 'name another frame than most',
         'duplicate_stamp': 'repeat the stamp before',
         'backward_stamp': 'have a stamp before an earlier one',
+        'future_stamp': 'have a stamp ahead of its time',
     }
 )
 
@@ -120,7 +120,7 @@ def _norm(values: Array) -> Array:
 
 def _sift(
     decoded: Decoded, lengths: Array, unusable: Mapping[str, Mask], frame_name: int = 0
-) -> tuple[NDArray[np.int64], str, Refused]:
+) -> tuple[Stamps, str, Refused]:
     """Return the indices of the usable messages, their frame, and the others by reason."""
     finite = np.isfinite(decoded.values).all(axis=1)
     tests = {
@@ -136,34 +136,26 @@ def _sift(
         left = _refuse(refused, reason, left, bad[left])
     frame = _most_common(decoded.frame[left])
     left = _refuse(refused, 'frame_id', left, decoded.frame[left] != frame)
-    left = _increasing(refused, left, decoded.stamps_ns)
+    arrivals = None if decoded.arrivals_ns is None else decoded.arrivals_ns[left]
+    unusable = unusable_stamps(decoded.stamps_ns[left], arrivals)
+    for reason, bad in unusable.items():
+        _refuse(refused, reason, left, bad)
+    left = left[~np.logical_or.reduce(list(unusable.values()))]
     return left, decoded.frames[frame][frame_name] if len(left) else '', refused
 
 
 def _refuse(
-    refused: Refused, reason: str, left: NDArray[np.int64], bad: Mask
-) -> NDArray[np.int64]:
+    refused: Refused, reason: str, left: Stamps, bad: Mask
+) -> Stamps:
     """Note the bad ones of the messages left, and return the others."""
     if bad.any():
         refused[reason] = tuple(int(i) for i in left[bad])
     return left[~bad]
 
 
-def _most_common(frame: NDArray[np.int64]) -> int:
+def _most_common(frame: Stamps) -> int:
     """Return the frame most messages have; of equals, the one met first."""
     return int(np.argmax(np.bincount(frame))) if len(frame) else 0
-
-
-def _increasing(
-    refused: Refused, left: NDArray[np.int64], stamps_ns: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Return the messages whose stamps are above all before them."""
-    stamps = stamps_ns[left]
-    largest_before = np.concatenate([[np.int64(-1)], np.maximum.accumulate(stamps)[:-1]])
-    largest_before = largest_before[: len(stamps)]
-    _refuse(refused, 'duplicate_stamp', left, stamps == largest_before)
-    _refuse(refused, 'backward_stamp', left, stamps < largest_before)
-    return left[stamps > largest_before]
 
 
 def _rotations(quaternion_xyzw: Array) -> Array:

@@ -1,110 +1,75 @@
 """
-Summaries of recordings as files, so that any scheduler can make them anywhere.
+Sufficient statistics of recordings as files, so that any scheduler can make them anywhere.
 
-A file is a NumPy archive (.npz) without pickled objects: a JSON header, and the arrays of
-`core.identification.regression.summaries.Summary` and
-`core.identification.advice.evidence.Evidence`.
+A file is a NumPy archive (.npz) without pickled objects: a JSON header with the names of fields,
+and all numbers of a `core.identification.reduction.Reduced` as arrays.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields, is_dataclass
 import io
 import json
 import os
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 import zipfile
+import zlib
 
-from bellows_ros.core.identification.advice.evidence import DRAWS, Evidence
-from bellows_ros.core.identification.advice.package_check import (
-    CentreOfMass,
-    Checked,
-    CupLength,
-)
-from bellows_ros.core.identification.envelope import Envelope, known_envelope
-from bellows_ros.core.identification.regression.moments import Moments
-from bellows_ros.core.identification.regression.summaries import couples, Summary
-from bellows_ros.core.identification.structure import Structure, structure_named
+from bellows_ros.core.identification.advice.information import DRAWS
+from bellows_ros.core.identification.reduction import Reduced
+from bellows_ros.core.parameters import resolve
+from bellows_ros.core.structure import Structure, structure_named
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
 from bellows_ros.files.results import format_json
 import numpy as np
 
-FORMAT = 'bellows_ros summary 2'
-LARGEST_FILE = 4 * 2**30
+FORMAT = 'bellows_ros summary 5'
 LARGEST_HEADER = 64 * 2**20
 
-_MOMENTS = ('wrench', 'strain', 'twist', 'strain_noise', 'twist_noise')
-_ARRAYS = (
-    'triangles', 'samples', 'starts', 'noise', 'rows', 'added', 'bands_hz', 'means', 'scatters')
+LARGEST_RATIO = 30
+"""Unpacked over stored bytes, beyond 64 MiB: numbers of a motion are far from it."""
+
+LARGEST_NUMBER = 1e30
+"""Beyond what any recording gives; its square is still a number."""
 
 
 @dataclass(frozen=True, eq=False)
-class SummaryFile:
+class Summary:
     """
-    A recording's summary and where it comes from.
+    What a file holds.
 
     Parameters
     ----------
-    summary : Summary
-        What the fit needs.
-    evidence : Evidence
-        What the recording tells.
-    envelope : Envelope
-        What it has seen of the cup.
-    checked : Checked
-        What it says of the cup's length and of the centre of mass.
-    bag : str
-        The recording.
-    digest : str
-        Of its messages as stored.
+    part : Reduced
+        What a recording was reduced to.
     settings : mapping
         All parameters it was prepared with.
-    report : mapping
-        What became of the recording, as in the JSON file of a fit.
+    assumed : tuple of str
+        What was not given and taken from the thesis, in sentences.
+    parameter_files : tuple of mapping
+        Path and digests of files that the parameters are from.
 
     """
 
-    summary: Summary
-    evidence: Evidence
-    envelope: Envelope
-    checked: Checked
-    bag: str
-    digest: str
+    part: Reduced
     settings: Mapping[str, Any]
-    report: Mapping[str, Any]
+    assumed: tuple[str, ...]
+    parameter_files: tuple[Mapping[str, Any], ...]
 
 
-def write_summary(path: str | os.PathLike[str], content: SummaryFile) -> None:
+def write_summary(path: str | os.PathLike[str], content: Summary) -> None:
     """Write a summary, whole or not at all; raise BellowsError if it cannot be written."""
-    summary, evidence = content.summary, content.evidence
-    moments = [summary.moments, *(getattr(evidence, kind) for kind in _MOMENTS)]
-    header = {
-        'format': FORMAT,
-        'bag': content.bag,
-        'digest': content.digest,
-        'envelope': content.envelope.parameters(),
-        'settings': content.settings,
-        'report': content.report,
-        'structure': summary.structure.name,
-        'cup_length': summary.cup_length,
-        'used': summary.used,
-        'rejected': summary.rejected,
-        'counts': [part.count for part in moments],
-        'centre': content.checked.centre and asdict(content.checked.centre),
-        'length': content.checked.length and asdict(content.checked.length),
-    }
+    arrays: dict[str, Any] = {}
+    header = {'format': FORMAT, 'content': _packed(content, 'content', arrays)}
     packed = io.BytesIO()
     np.savez_compressed(
-        packed, triangles=summary.triangles, samples=summary.samples, starts=summary.starts,
-        noise=summary.noise, rows=evidence.rows, added=evidence.added, bands_hz=evidence.bands_hz,
-        means=[part.mean for part in moments], scatters=[part.scatter for part in moments],
-        header=np.frombuffer(format_json(header).encode(), np.uint8),
-    )  # fmt: skip
+        packed, header=np.frombuffer(format_json(header).encode(), np.uint8), **arrays)
     atomic.write_bytes(path, packed.getvalue())
 
 
-def read_summary(path: str | os.PathLike[str]) -> SummaryFile:
+def read_summary(path: str | os.PathLike[str]) -> Summary:
     """
     Read a summary.
 
@@ -116,100 +81,128 @@ def read_summary(path: str | os.PathLike[str]) -> SummaryFile:
     """
     file = Path(path)
     try:
-        header, arrays = _content(file)
-        known = known_envelope(header['envelope'])
-        if known is None:
-            raise ValueError('it has no envelope')
-        summary, evidence = _parts(header, arrays)
-        return SummaryFile(
-            summary, evidence, known,
-            Checked(_length(header['length']), _centre(header['centre'])), header['bag'],
-            header['digest'], header['settings'], header['report'],
-        )  # fmt: skip
+        content, arrays = _content(file)
+        summary: Summary = _unpacked(Summary, content, arrays)
+        resolve(summary.settings)
+        _require_whole(summary.part)
+        return summary
     except OSError as error:
         raise BellowsError(f"Summary '{file}' cannot be read: {error.strerror}.") from None
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (ArithmeticError, BellowsError, EOFError, LookupError, RuntimeError, SyntaxError,
+            TypeError, ValueError, zipfile.BadZipFile, zlib.error) as error:
         raise BellowsError(
-            f"'{file}' is no summary that can be used: {error}. Make it with "
-            "'bellows summarize BAG --params FILE --out FILE'."
+            f"'{file}' is no summary that can be used: {str(error)[:300]}. Make it with "
+            "'bellows identify BAG --params FILE --summary-out FILE'."
         ) from None
 
 
-def _content(file: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+def _content(file: Path) -> tuple[Any, dict[str, Any]]:
     """Return header and arrays of a file, after a look at how large they say they are."""
     with zipfile.ZipFile(file) as archive:
-        sizes = {item.filename: item.file_size for item in archive.infolist()}
-    if sum(sizes.values()) > LARGEST_FILE or sizes['header.npy'] > LARGEST_HEADER:
-        raise ValueError(f'it is larger than {LARGEST_FILE} bytes')
-    with np.load(file, allow_pickle=False) as archive:
-        header = json.loads(archive['header'].tobytes())
+        items = {item.filename.removesuffix('.npy'): item for item in archive.infolist()}
+        size = sum(item.file_size for item in items.values())
+        if (size > max(LARGEST_HEADER, LARGEST_RATIO * file.stat().st_size)
+                or items['header'].file_size > LARGEST_HEADER):
+            raise ValueError(f'it says that it holds {size} bytes, too many for its size')
+        header = json.loads(_array(archive.read(items.pop('header'))).tobytes())
         if header['format'] != FORMAT:
             raise ValueError(f"its format is '{header['format']:.40}', not '{FORMAT}'")
-        return header, {name: archive[name] for name in _ARRAYS}
+        return header['content'], {
+            name: _array(archive.read(item)) for name, item in items.items()}
 
 
-def _parts(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> tuple[Summary, Evidence]:
-    """Return what a file holds, or raise ValueError where its parts do not fit."""
-    structure = structure_named(header['structure'])
-    _require_whole(arrays, structure)
-    moments = [
-        Moments(int(count), mean, scatter) for count, mean, scatter in zip(
-            header['counts'], arrays['means'], arrays['scatters'], strict=True)
-    ]  # fmt: skip
-    summary = Summary(
-        structure, float(header['cup_length']), int(header['used']), int(header['rejected']),
-        moments[0], arrays['triangles'], arrays['samples'], arrays['starts'], arrays['noise'],
-    )  # fmt: skip
-    evidence = Evidence(
-        **dict(zip(_MOMENTS, moments[1:], strict=True)),
-        bands_hz=arrays['bands_hz'], rows=arrays['rows'], added=arrays['added'],
-    )  # fmt: skip
-    return summary, evidence
+def _array(data: bytes) -> Any:
+    """Return the array of a .npy file, without room for more than there is in it."""
+    stream = io.BytesIO(data)
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError('an array has an unknown version')
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    numbers = np.frombuffer(data, dtype, offset=stream.tell())
+    return numbers.reshape(shape, order='F' if fortran else 'C')
 
 
-def _require_whole(arrays: Mapping[str, Any], structure: Structure) -> None:
+def _packed(value: Any, name: str, arrays: dict[str, Any]) -> Any:
+    """Return a value as JSON, its numbers put into arrays under its name."""
+    if isinstance(value, Structure):
+        return value.name
+    names = [own.name for own in fields(value) if own.init] if is_dataclass(value) else getattr(
+        value, '_fields', None)
+    if names is not None:
+        return {own: _packed(getattr(value, own), f'{name}.{own}', arrays) for own in names}
+    if isinstance(value, float | np.ndarray):
+        arrays[name] = value
+        return name
+    return value
+
+
+def _unpacked(kind: Any, value: Any, arrays: Mapping[str, Any]) -> Any:
+    """Return what was packed, of a type; raise TypeError if it is of another."""
+    if isinstance(kind, UnionType):
+        if value is None:
+            return None
+        kind = get_args(kind)[0]
+    if kind is Structure:
+        return structure_named(value)
+    if is_dataclass(kind) or hasattr(kind, '_fields'):
+        kinds = get_type_hints(kind)
+        return kind(**{
+            own: _unpacked(kinds[own], part, arrays) for own, part in _is(value, dict).items()})
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is np.ndarray:
+        return _numbers(arrays[value], get_args(inner[1])[0])
+    if kind is float:
+        return float(_numbers(arrays[value], float).reshape(()))
+    if origin is tuple:
+        return tuple(_unpacked(inner[0], part, arrays) for part in _is(value, list))
+    return _is(value, dict if origin is Mapping else kind)
+
+
+def _numbers(array: Any, kind: type) -> Any:
+    """Return an array of a type; raise TypeError if it is of another or of too large numbers."""
+    if array.dtype != kind or (np.abs(array[np.isfinite(array)]) > LARGEST_NUMBER).any():
+        raise TypeError('one of its arrays is damaged')
+    return array
+
+
+def _is(value: Any, kind: type) -> Any:
+    """Return a value of a type, or raise TypeError."""
+    if type(value) is not kind:
+        raise TypeError(f'{str(value)[:40]} stands for {kind.__name__}')
+    return value
+
+
+def _require_whole(part: Reduced) -> None:
     """Raise ValueError where an array is not as the structure wants it."""
-    size, kinds = 2 * structure.size + 1, 1 + len(_MOMENTS)
-    few = (6 if couples(structure) else 1) * size
-    shapes = {
-        'triangles': (len(arrays['triangles']), 6, size, size),
-        'samples': (len(arrays['samples']), 18),
-        'starts': (len(arrays['starts']),),
-        'rows': (1 + DRAWS, few, 6, size),
-        'added': (size - 1, 6, 6),
-        'bands_hz': (2, 6),
-        'means': (kinds, 6),
-        'scatters': (kinds, 6, 6),
-        'noise': (6, size, 6, size),
-    }
-    for name, shape in shapes.items():
-        array = arrays[name]
-        unknown = name == 'bands_hz' and np.isnan(array)
-        if array.shape != shape or not np.all(np.isfinite(array) | unknown):
-            raise ValueError(f"its array '{name}' is damaged")
-    starts, samples = arrays['starts'], arrays['samples']
-    if len(starts) and (np.any(np.diff(starts) <= 0) or not 0 == starts[0] <= len(samples)):
-        raise ValueError("its array 'starts' is damaged")
-
-
-def _centre(values: Mapping[str, Any] | None) -> CentreOfMass | None:
-    """Return where a recording wants the centre of mass; what is null there is infinite."""
-    if values is None:
-        return None
-    shift, error, noise = (
-        np.array([_finite_or_not(value) for value in values[name]])
-        for name in ('shift', 'shift_std', 'noise_shift')
-    )
-    return CentreOfMass(shift, error, noise, float(values['residual']))
-
-
-def _length(values: Mapping[str, Any] | None) -> CupLength | None:
-    """Return by how much a recording wants the cup longer; what is null there is infinite."""
-    if values is None:
-        return None
-    return CupLength(**{name: _finite_or_not(value) for name, value in values.items()})
-
-
-def _finite_or_not(value: float | None) -> float:
-    """Return a number; what is null stands for infinity."""
-    return np.inf if value is None else float(value)
+    sums, rows, world = part.statistics, part.information, part.package_world
+    size = 2 * sums.structure.size + 1
+    few = (6 if sums.structure.couples else 1) * size
+    moments = (sums.moments, rows.wrench, rows.strain, rows.twist, rows.strain_noise,
+               rows.twist_noise)
+    wanted: list[tuple[Any, tuple[int, ...]]] = [
+        (sums.r_factors, (len(sums.r_factors), 6, size, size)),
+        (rows.rows, (1 + DRAWS, few, 6, size)),
+        (rows.added, (size - 1, 6, 6)),
+        (np.nan_to_num(rows.bands_hz), (2, 6)),
+        *((own.mean, (6,)) for own in moments),
+        *((own.scatter, (6, 6)) for own in moments),
+    ]
+    if rows.passed is not None:
+        wanted += [(rows.passed.power, (6,)), (rows.passed.lost, (6,)),
+                   (rows.passed.floor, (6,)),
+                   (np.array([rows.passed.of_noise, rows.passed.end_hz]), (2,))]
+    if world is not None:
+        wanted += [(world.pose, (7,)), (world.std, (6,))]
+    if sums.noise is not None:
+        wanted.append((sums.noise, (6, size, 6, size)))
+    if sums.lip is not None:
+        count = len(sums.lip.index)
+        wanted += [(sums.lip.position, (count, 3)), (sums.lip.rotation, (count, 3, 3)),
+                   (sums.lip.twist, (count, 6)), (sums.lip.wrench, (count, 6)),
+                   (sums.lip.stamps_ns, (count,)), (np.array(sums.lip.window), ())]
+    if any(array.shape != shape or not np.isfinite(array).all() for array, shape in wanted):
+        raise ValueError('one of its arrays is damaged')
+    texts = (part.report['bag'], *_is(part.report['warnings'], list))
+    if not all(isinstance(text, str) for text in texts) or not (
+            sums.used > 0 and 0.0 < sums.cup_length < np.inf
+            and (len(sums.r_factors) or sums.lip is not None and sums.lip.window > 0.0)):
+        raise ValueError('its report is damaged')

@@ -1,23 +1,66 @@
 """
-Trajectories as text: TUM (read and written) and EuRoC (read).
+Trajectories as text: TUM and EuRoC (read and written), and KITTI (read).
 
 TUM has a pose per line, `time x y z qx qy qz qw`, in s and m, with blanks between; evo and many
-SLAM tools take it. EuRoC has commas, ns, and the quaternion's w first.
+SLAM tools take it. EuRoC has commas, ns, and the quaternion's w first. KITTI has the upper three
+rows of a pose's matrix in a line, and the times (s) in another file.
 """
 
 import os
 from pathlib import Path
 
+from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
 import numpy as np
-from numpy.typing import NDArray
 
 LARGEST_FILE = 2**31
 NS_PER_S = 10**9
 
-Stamps = NDArray[np.int64]
-Array = NDArray[np.float64]
+NO_ROTATION = 0.01
+"""R^T R of a KITTI pose may differ from I by so much; then it is made a rotation."""
+
+
+def read_trajectory(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
+    """Read a EuRoC file, which ends in .csv, or a KITTI or TUM file; see `read_tum`."""
+    if Path(path).suffix.lower() == '.csv':
+        return read_euroc(path)
+    lines = _lines(path, None)
+    return read_kitti(path) if lines and len(lines[0][1]) == 12 else read_tum(path)
+
+
+def read_kitti(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
+    """
+    Read the poses of a KITTI file, and their times (s) of a file beside it.
+
+    That is named NAME_times.txt, or times.txt. See `read_tum` for what is returned.
+    """
+    file = Path(path)
+    lines = _lines(path, None)
+    for number, cells in lines:
+        _require(path, number, len(cells) == 12, f'12 numbers, got {len(cells)}')
+    beside = [file.with_name(f'{file.stem}_times.txt'), file.with_name('times.txt')]
+    times = next((each for each in beside if each.is_file()), None)
+    if times is None:
+        raise BellowsError(
+            f"'{path}' is of KITTI, without times. Put them into '{beside[0]}', one (s) per line.")
+    stamps = [_seconds_to_ns(times, number, cells[0]) for number, cells in _lines(times, None)]
+    if len(stamps) != len(lines):
+        raise BellowsError(
+            f"'{path}' has {len(lines)} poses, and '{times}' {len(stamps)} times; expected one "
+            'for each.')
+    rows = np.array([_floats(path, number, cells) for number, cells in lines]).reshape(-1, 3, 4)
+    R, unit = rows[:, :, :3], np.eye(3)
+    off = np.abs(np.einsum('nji,njk->nik', R, R) - unit).max(axis=(1, 2))
+    bad = np.flatnonzero(~(off < NO_ROTATION) | ~(np.linalg.det(R) > 0.0))
+    if len(bad):
+        raise BellowsError(
+            f"'{path}', line {lines[bad[0]][0]}: the first three columns are no rotation, by "
+            f'{off[bad[0]]:.2g}. A KITTI line has the rows of [R t], row by row.')
+    u, _, v = np.linalg.svd(R)
+    values = np.hstack([rows[:, :, 3], rotation_to_quaternion(u @ v)])
+    return _arrays(path, stamps, values.tolist())
 
 
 def read_tum(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
@@ -80,6 +123,73 @@ def write_tum(path: str | os.PathLike[str], stamps_ns: Stamps, values: Array) ->
     ]
     head = '# time x y z qx qy qz qw (s, m)'
     atomic.write_text(path, '\n'.join([head, *lines]) + '\n')
+
+
+def write_euroc(path: str | os.PathLike[str], stamps_ns: Stamps, values: Array) -> None:
+    """
+    Write a EuRoC file with velocities, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Text file.
+    stamps_ns : int array (N,)
+        Times, ns.
+    values : array (N, 13)
+        Position (m), quaternion (x, y, z, w), linear and angular velocity (m/s, rad/s).
+
+    Raises
+    ------
+    BellowsError
+        If it cannot be written.
+
+    """
+    order = [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]
+    lines = [f'{stamp},' + ','.join(f'{x:.9g}' for x in row) for stamp, row in zip(
+        stamps_ns.tolist(), values[:, order].tolist(), strict=True)]
+    head = '#time (ns),x,y,z (m),qw,qx,qy,qz,vx,vy,vz (m/s),wx,wy,wz (rad/s)'
+    atomic.write_text(path, '\n'.join([head, *lines]) + '\n')
+
+
+def write_urscript(
+    path: str | os.PathLike[str], seconds: Array, position: Array, rotation_vector: Array,
+    frame: str,
+) -> None:
+    """
+    Write a program that a Universal Robots arm runs: its tool goes through poses in equal steps.
+
+    Parameters
+    ----------
+    path : path
+        Text file.
+    seconds : array (N,)
+        Times in equal steps.
+    position, rotation_vector : array (N, 3)
+        Of the tool tip in a frame, m and rad.
+    frame : str
+        Name of that frame.
+
+    Raises
+    ------
+    BellowsError
+        If it cannot be written.
+
+    """
+    step = float(seconds[1] - seconds[0])
+    lines = [
+        'def bellows_motion():',
+        f'  # poses of the tool tip in {frame!r}; set where that is in the base of the arm,',
+        '  # and the tool tip (TCP) in the installation',
+        '  world = p[0, 0, 0, 0, 0, 0]',
+        '  def to(pose):',
+        f'    servoj(get_inverse_kin(pose_trans(world, pose)), t={step:g}, '
+        'lookahead_time=0.03, gain=2000)',
+        '  end']
+    poses = ['p[' + ', '.join(f'{x:.6f}' for x in row) + ']'
+             for row in np.hstack([position, rotation_vector]).tolist()]
+    lines += [f'  movej(get_inverse_kin(pose_trans(world, {poses[0]})))',
+              *(f'  to({pose})' for pose in poses), '  stopj(2.0)', 'end']
+    atomic.write_text(path, '\n'.join(lines) + '\n')
 
 
 def _lines(path: str | os.PathLike[str], separator: str | None) -> list[tuple[int, list[str]]]:

@@ -5,12 +5,12 @@ import math
 import time
 from typing import Any
 
-from rclpy.node import Node
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from .conversions import stamp_to_ns
+from .guarding import GuardedNode
 from .tool_inputs import SensorInput
 from ..core.live.health import Status, vacuum_status
 from ..core.live.vacuum import PressureSwitch, why_no_pressure
@@ -24,12 +24,14 @@ class Attachment:
 
     Parameters
     ----------
-    node : rclpy.node.Node
+    node : GuardedNode
         Serves and subscribes.
     values : mapping
         Parameters by name.
     change : callable
         Takes True to attach, False to detach, and why; returns whether it is done.
+    hear : callable
+        Takes each pressure in the cup, Pa.
 
     Attributes
     ----------
@@ -41,10 +43,11 @@ class Attachment:
     """
 
     def __init__(
-        self, node: Node, values: Mapping[str, Any], change: Callable[[bool, str], bool]
+        self, node: GuardedNode, values: Mapping[str, Any], change: Callable[[bool, str], bool],
+        hear: Callable[[float], None],
     ) -> None:
         """Serve, and listen to the vacuum where the parameters say so."""
-        self._change = change
+        self._change, self._hear = change, hear
         self.set_values(values)
         self._kind = signal = values['vacuum.signal']
         self.held = values['package.attached'] and signal == 'none'
@@ -81,16 +84,19 @@ class Attachment:
 
     def _on_held(self, message: Bool) -> None:
         """Follow a vacuum switch."""
+        assert self.signal
         self.signal.arrivals.add(time.monotonic_ns(), math.nan)  # without a stamp
         self._follow(message.data)
 
     def _on_pressure(self, message: FluidPressure) -> None:
         """Follow the pressure in the cup."""
+        assert self.signal
         self.signal.note(time.monotonic_ns(), stamp_to_ns(message.header.stamp))
         pressure = message.fluid_pressure
         if reason := why_no_pressure(pressure):
             self._refused[reason] += 1
         else:
+            self._hear(pressure)
             self._follow(self._switch.held(pressure, bool(self._said)))
 
     def _follow(self, held: bool) -> None:
@@ -100,7 +106,9 @@ class Attachment:
             self.held = held
             self._change(held, 'vacuum')
 
-    def status(self, name: str) -> Status:
-        """Return the line of the diagnostics on the vacuum signal."""
+    def status(self, name: str) -> Status | None:
+        """Return the line of the diagnostics on the vacuum signal, where one is asked for."""
+        if self.signal is None:
+            return None
         speaks_once = self._kind == 'bool'
         return vacuum_status(name, self.signal.seen(self._refused), self.held, speaks_once)

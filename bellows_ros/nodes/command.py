@@ -7,7 +7,9 @@ right is said without a traceback and ends with 2.
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 import importlib.util
+from pathlib import Path
 import signal
 import sys
 from types import FrameType
@@ -15,6 +17,7 @@ from typing import Any
 
 from .help_text import help_text, Interface
 from .. import __version__
+from ..core.parameter_table import short
 from ..errors import BellowsError
 from ..extras import install
 from ..threads import keep_linear_algebra_single
@@ -107,17 +110,22 @@ def _refuse_arguments(name: str, own: Sequence[str]) -> None:
     """Raise BellowsError if there are arguments that nobody takes."""
     if own:
         raise BellowsError(
-            f"Unknown argument '{own[0]}'. Parameters and remappings stand behind --ros-args, "
-            f'for example: {name} --ros-args --params-file FILE. See {name} --help.'
+            f"Unknown argument '{short(own[0])}'. Parameters and remappings stand behind "
+            f'--ros-args, for example: {name} --ros-args --params-file FILE. See {name} --help.'
         )
+
+
+def require_ros() -> None:
+    """Raise BellowsError where ROS is missing, before any work."""
+    if importlib.util.find_spec('rclpy') is None:
+        raise BellowsError(NO_ROS)
 
 
 def _run_node(load_node: Callable[[], Callable[[], Any]], argv: list[str], stop: _Stop) -> None:
     """Make the node and spin it until it has finished or the process is asked to end."""
-    if importlib.util.find_spec('rclpy') is None:
-        raise BellowsError(NO_ROS)
+    require_ros()
     make_node = load_node()
-    import rclpy
+    from rclpy.utilities import try_shutdown
 
     from .spinning import spin
 
@@ -125,7 +133,41 @@ def _run_node(load_node: Callable[[], Callable[[], Any]], argv: list[str], stop:
         _initialise(argv)
         spin(make_node(), lambda: stop.asked)
     finally:
-        rclpy.try_shutdown()
+        try_shutdown()
+
+
+def parameter_files(arguments: Sequence[str]) -> list[str]:
+    """Return the parameter files that arguments name, in their order."""
+    return [
+        after for before, after in zip(arguments, arguments[1:], strict=False)
+        if before == '--params-file'
+    ]
+
+
+def origin_of(name: str, arguments: Sequence[str]) -> str:
+    """Return which argument a parameter's value is from, the last one; '' where none names it."""
+    from ..files.parameter_files import read_parameters
+
+    found = ''
+    for before, after in zip(arguments, arguments[1:], strict=False):
+        if before in ('-p', '--param') and after.partition(':=')[0] == name:
+            found = after
+        elif before == '--params-file':
+            with suppress(BellowsError):  # of other nodes, which ROS reads
+                found = after if name in read_parameters(after) else found
+    return found
+
+
+def _refuse_large(file: str) -> None:
+    """Refuse a file that ROS would read for minutes, deaf to Ctrl-C; others ROS refuses itself."""
+    from ..files.safe_yaml import LARGEST_FILE
+
+    path = Path(file)
+    size = path.stat().st_size if path.is_file() else 0
+    if size > LARGEST_FILE:
+        raise BellowsError(
+            f"Parameter file '{short(file)}' is too large: {size} bytes, at most {LARGEST_FILE}. "
+            'Is it a recording or a result?')
 
 
 def _initialise(argv: list[str]) -> None:
@@ -133,6 +175,8 @@ def _initialise(argv: list[str]) -> None:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
+    for file in parameter_files(argv):
+        _refuse_large(file)
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of all errors of rcl
@@ -140,4 +184,5 @@ def _initialise(argv: list[str]) -> None:
             'failed to initialize rcl: ')
         same = 'Sequence should be of same type' in what
         hint = ' Write all numbers of a list alike: 2.0, not 2.' if same else ''
-        raise BellowsError(f'ROS cannot start with these arguments: {what}.{hint}') from None
+        why = f'{short(what, 400)}.{hint}'
+        raise BellowsError(f'ROS cannot start with these arguments: {why}') from None

@@ -9,7 +9,15 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped, WrenchStamped
+from geometry_msgs.msg import (
+    InertiaStamped,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    TransformStamped,
+    TwistStamped,
+    Vector3Stamped,
+    WrenchStamped,
+)
 from nav_msgs.msg import Odometry
 import numpy as np
 
@@ -18,15 +26,21 @@ from ..core.live import Prediction
 from ..core.live.health import Status
 from ..core.live.load import deflection, deflection_rotation
 from ..core.live.uncertainty import in_world_axes
+from ..core.observer import Payload
 from ..core.tuples import Quaternion, Vector
 
 TOOL_POSES = {
     'pose': (PoseStamped, attrgetter('pose.position', 'pose.orientation')),
     'transform': (
         TransformStamped, attrgetter('transform.translation', 'transform.rotation')),
+    'pose_with_covariance': (
+        PoseWithCovarianceStamped, attrgetter('pose.pose.position', 'pose.pose.orientation')),
     'odometry': (Odometry, attrgetter('pose.pose.position', 'pose.pose.orientation')),
 }
 """By the name of the parameter tool_pose.type: the message, and what is in it."""
+
+LARGEST_FACTOR = 1000.0
+"""Safety factors are sent no larger than this, as infinity is none in many plots."""
 
 NANOSECONDS = 1_000_000_000
 NO_STAMP = 0
@@ -92,23 +106,32 @@ def write_wrench(message: WrenchStamped, frame_id: str, prediction: Prediction) 
     write_vector(message.wrench.torque, prediction.moment)
 
 
+def write_safety(
+    message: Vector3Stamped, frame_id: str, stamp_ns: int, factors: tuple[float, float]
+) -> None:
+    """Write the safety factors against peel (x) and slip (y), and the smaller one (z)."""
+    write_stamp(message.header.stamp, stamp_ns)
+    message.header.frame_id = frame_id
+    peel, slip = (min(factor, LARGEST_FACTOR) for factor in factors)
+    write_vector(message.vector, (peel, slip, min(peel, slip)))
+
+
 def write_odometry(
     message: Odometry, frame_id: str, child_frame_id: str, prediction: Prediction,
-    covariance: np.ndarray,
-) -> None:  # fmt: skip
+    root: np.ndarray,
+) -> None:
     """
     Write pose and twist of the package with their covariances (REP-103: row-major, xyz first).
 
-    The covariance (12, 12) is in body axes; that of the pose is turned into the world's, that of
-    the twist stays in those of the child frame.
+    The root (12, n) of the covariance is in body axes; that of the pose is turned into the
+    world's, that of the twist stays in those of the child frame.
     """
     write_pose_in(message, frame_id, prediction)
     message.child_frame_id = child_frame_id
     write_vector(message.twist.twist.linear, prediction.linear)
     write_vector(message.twist.twist.angular, prediction.angular)
-    in_world = in_world_axes(covariance[:6, :6], prediction.quaternion_xyzw)
-    message.pose.covariance = in_world.ravel()
-    message.twist.covariance = covariance[6:, 6:].ravel()
+    message.pose.covariance = in_world_axes(root[:6], prediction.quaternion_xyzw).ravel()
+    message.twist.covariance = (root[6:] @ root[6:].T).ravel()
 
 
 def write_pose_in(message: Odometry, frame_id: str, prediction: Prediction) -> None:
@@ -117,6 +140,17 @@ def write_pose_in(message: Odometry, frame_id: str, prediction: Prediction) -> N
     message.header.frame_id = frame_id
     write_vector(message.pose.pose.position, prediction.position)
     write_quaternion(message.pose.pose.orientation, prediction.quaternion_xyzw)
+
+
+def write_payload(message: InertiaStamped, frame_id: str, payload: Payload) -> None:
+    """Write a payload as it is estimated, in the frame of the lip."""
+    write_stamp(message.header.stamp, payload.stamp_ns)
+    message.header.frame_id = frame_id
+    inertia, entries = message.inertia, payload.inertia
+    inertia.m = payload.mass
+    write_vector(inertia.com, payload.com)
+    inertia.ixx, inertia.ixy, inertia.ixz = entries[0], entries[1], entries[2]
+    inertia.iyy, inertia.iyz, inertia.izz = entries[4], entries[5], entries[8]
 
 
 def write_deflection(
@@ -145,4 +179,4 @@ def diagnostic(status: Status, hardware_id: str) -> DiagnosticStatus:
         level=bytes([status.level]), name=status.name, message=status.message,
         hardware_id=hardware_id,
         values=[KeyValue(key=key, value=value) for key, value in status.values.items()],
-    )  # fmt: skip
+    )

@@ -1,20 +1,17 @@
 """Play a recording's tool-arm messages to a running predictor, and keep what it answers."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
-import gc
+from functools import partial
 import time
 from typing import Any
 
+from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 from geometry_msgs.msg import PoseStamped, TwistStamped
 import numpy as np
-from numpy.typing import NDArray
-import rclpy
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -28,6 +25,7 @@ from .conversions import (
     write_stamp,
     write_vector,
 )
+from .player import ros, send_all
 
 QUEUE = 10_000
 """Messages kept on the way: nothing is lost because this process was busy."""
@@ -40,15 +38,7 @@ ANSWER_TIMEOUT = 5.0
 
 PROBE_PERIOD = 0.05
 PROBE_LEAD_NS = 3_600_000_000_000
-"""Probes are stamped an hour before the recording, so that they are told apart from it."""
-
-LAST_MOMENT = 200e-6
-"""So long (s) before a message is due nothing else is done."""
-
-LEAD_TIME = 0.2
-
-Stamps = NDArray[np.int64]
-Array = NDArray[np.float64]
+"""Probes are stamped an hour before the recording, so that they differ from it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +110,7 @@ class Player:
 
         """
         say = progress or (lambda stage, fraction: None)
-        with _ros() as (context, executor):
+        with ros() as (context, executor):
             node = Node('demo_player', context=context)
             executor.add_node(node)
             try:
@@ -200,23 +190,19 @@ class Player:
         self, executor: SingleThreadedExecutor, say: Callable[[str, float], None]
     ) -> list[float]:
         """Send every message when it is due; note when each pose was sent, return how late."""
-        lateness: list[float] = []
-        duration = self._plan[-1][0]
-        start = time.monotonic() + LEAD_TIME
-        shown = 0.0
-        with _no_collection():
-            for due, stamp_ns, message in self._plan:
-                if due > shown:
-                    say('playing the recording', due / duration)
-                    shown += 1.0
-                _spin_until(executor, start + due)
-                if isinstance(message, PoseStamped):
-                    self._sent_ns[stamp_ns] = time.monotonic_ns()
-                    lateness.append(self._sent_ns[stamp_ns] * 1e-9 - start - due)
-                    self._pose_out.publish(message)
-                else:
-                    self._twist_out.publish(message)
-        return lateness
+        lateness = send_all(
+            executor, [(due, partial(self._send, stamp_ns, message))
+                       for due, stamp_ns, message in self._plan], say)
+        return [late for late, (_, _, message) in zip(lateness, self._plan, strict=True)
+                if isinstance(message, PoseStamped)]
+
+    def _send(self, stamp_ns: int, message: PoseStamped | TwistStamped) -> None:
+        """Send a message; note when each pose was sent."""
+        if isinstance(message, PoseStamped):
+            self._sent_ns[stamp_ns] = time.monotonic_ns()
+            self._pose_out.publish(message)
+        else:
+            self._twist_out.publish(message)
 
     def _receive(self, message: PoseStamped) -> None:
         """Keep a prediction and when it came, unless it answers a probe, however late."""
@@ -289,35 +275,3 @@ def _plan(
     sends.sort(key=lambda send: send[0])  # stable
     first_ns = sends[0][0]
     return [((stamp_ns - first_ns) * 1e-9, stamp_ns, message) for stamp_ns, message in sends]
-
-
-def _spin_until(executor: SingleThreadedExecutor, due: float) -> None:
-    """Receive until a message is due (s, monotonic)."""
-    while (left := due - time.monotonic()) > LAST_MOMENT:
-        executor.spin_once(timeout_sec=left - LAST_MOMENT)
-    while time.monotonic() < due:
-        pass
-
-
-@contextmanager
-def _ros() -> Iterator[tuple[Context, SingleThreadedExecutor]]:
-    """Provide a ROS context of its own and an executor."""
-    context = Context()
-    rclpy.init(args=[], context=context)
-    executor = SingleThreadedExecutor(context=context)
-    try:
-        yield context, executor
-    finally:
-        executor.shutdown()
-        context.try_shutdown()
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Keep the garbage collector from striking between two messages."""
-    gc.collect()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()

@@ -16,7 +16,8 @@ from .parameters import ros_parameter, TableNode
 from ..core.parameters import parameters_of, validate, Value
 from ..errors import BellowsError
 from ..report.build import write_page
-from ..workflows.identify import identify, save
+from ..workflows.identification import save
+from ..workflows.identify import identify
 
 TICK = 0.1
 LONGEST_WAIT = 10.0
@@ -105,8 +106,7 @@ class IdentifierNode(TableNode):
             self.get_logger().info(line)
         for warning in result.warnings:
             self.get_logger().warning(warning)
-        if not result.fit.usable:
-            raise BellowsError(' '.join([*result.assumed, *result.fit.warnings]))
+        result.require_usable()
         found = {k: v for k, v in result.parameters().items() if k.startswith(OF_THE_CUP)}
         self._cup = {name: validate(name, value) for name, value in found.items()}
         self.values = {**self.values, **{name: self._cup[name] for name in SHOWN}}

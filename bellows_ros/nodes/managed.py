@@ -1,5 +1,6 @@
 """A managed node that refuses what it cannot do, where rclpy would end it, and tidies up."""
 
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
@@ -8,6 +9,7 @@ from rclpy.lifecycle.node import LifecycleNodeMixin
 from rclpy.task import Future
 
 from .parameters import TableNode
+from ..core.parameter_table import short
 from ..errors import BellowsError
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -66,7 +68,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
             self.configure()
         except Exception as error:  # noqa: BLE001 (rclpy would swallow whatever it is)
             kind = '' if isinstance(error, BellowsError) else f'{type(error).__name__}: '
-            self._why_not = f'{kind}{error}'
+            self._why_not = f'{kind}{short(str(error), 1000)}'
             self.get_logger().error(f'Cannot be configured: {self._why_not}')
             self.give_back()
             return FAILURE
@@ -74,11 +76,12 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
 
     def give_back(self) -> None:
         """Destroy the topics and services that were made to be configured."""
-        for entities, destroy in (
+        made: tuple[tuple[Iterable[Any], Callable[[Any], object]], ...] = (
             (self.publishers, self.destroy_lifecycle_publisher),
             (self.subscriptions, self.destroy_subscription),
             (self.services, self.destroy_service),
-        ):
+        )
+        for entities, destroy in made:
             for entity in set(entities) - self._before:
                 destroy(entity)
 
@@ -89,11 +92,13 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         wanted = request.transition
         allowed = self._state_machine.available_transitions
         if any(wanted.label == label if wanted.label else wanted.id == number
-               for number, label, *_ in allowed):  # fmt: skip
-            return super()._LifecycleNodeMixin__on_change_state(request, response)
+               for number, label, *_ in allowed):
+            change = super()._LifecycleNodeMixin__on_change_state  # type: ignore[misc]
+            return self.guarded(change, ChangeState.Response)(request, response)
+        name = short(wanted.label) or wanted.id
         self.get_logger().warning(
-            f"Transition '{wanted.label or wanted.id}' refused: from '{self.lifecycle_state}' "
-            f'only {", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.'
+            f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
+            f' {", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.'
         )
         response.success = False
         return response

@@ -4,7 +4,13 @@ from collections.abc import Callable, Mapping
 import importlib.util
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped, WrenchStamped
+from geometry_msgs.msg import (
+    PoseStamped,
+    TransformStamped,
+    TwistStamped,
+    Vector3Stamped,
+    WrenchStamped,
+)
 from nav_msgs.msg import Odometry
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -16,11 +22,13 @@ from .conversions import (
     write_deflection,
     write_odometry,
     write_pose,
+    write_safety,
     write_transform,
     write_twist,
     write_wrench,
 )
 from .markers import gone, Picture
+from ..core.arrays import Array
 from ..core.kernels import ModelTuple
 from ..core.live import Prediction
 from ..core.live.samples import ORIGIN, ZERO
@@ -58,7 +66,8 @@ class Topic:
             kind, name, qos or QoSProfile(depth=QUEUE),
             event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )  # fmt: skip
+        )
+        self.name = str(self._publisher.topic_name)
         self.publish: Callable[[Any], None] = self._publisher.publish
 
     def _on_matched(self, matched: Any) -> None:
@@ -77,6 +86,11 @@ class Outputs:
     values : mapping
         Parameters by name.
 
+    Attributes
+    ----------
+    model : tuple
+        Cup, package and gravity.
+
     """
 
     def __init__(self, node: Any, values: Mapping[str, Any]) -> None:
@@ -85,12 +99,14 @@ class Outputs:
         self._twist = Topic(node, TwistStamped, 'package/twist')
         self._odometry = Topic(node, Odometry, 'package/odometry')
         self._wrench = Topic(node, WrenchStamped, 'cup/wrench')
+        self._safety = Topic(node, Vector3Stamped, 'cup/safety_factor')
         self._deflection = Topic(node, PoseStamped, 'cup/deflection')
         self._markers = Topic(node, MarkerArray, 'package/markers')
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state = Topic(node, String, 'package/state', latched)
         self._tf = self._tf_topic(node) if values['frames.tf'] else None
         self._messages = PoseStamped(), TwistStamped(), WrenchStamped()
+        self._factors = Vector3Stamped()
         self._said = ''
         self._extrapolated_ns = -1
 
@@ -106,7 +122,7 @@ class Outputs:
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Go on with another cup or package."""
-        self._model, self._values = model, values
+        self.model, self._values = model, values
         self._uncertainty = Uncertainty(model, values)
         self._picture = Picture(values)
         self._warm_up()
@@ -114,17 +130,28 @@ class Outputs:
     def _warm_up(self) -> None:
         """Compile what is shown of a prediction, so that nothing compiles when one comes."""
         still = Prediction(1, *ORIGIN, ZERO, ZERO)
-        write_deflection(PoseStamped(), '', self._model, still)
-        Picture(self._values).of('', self._model, still)
+        write_deflection(PoseStamped(), '', self.model, still)
+        Picture(self._values).of('', self.model, still)
+
+    @property
+    def topic(self) -> str:
+        """Full name of the topic with the package's poses."""
+        return self._pose.name
 
     @property
     def covariance_known(self) -> bool:
         """Whether the last covariance that was sent is one."""
         return self._uncertainty.known
 
-    def publish(self, prediction: Prediction, frame_id: str) -> None:
+    def covariance(self, prediction: Prediction) -> Array:
+        """Return how sure a prediction is (12, 12); see `Uncertainty`."""
+        return self._uncertainty.covariance(prediction)
+
+    def publish(
+        self, prediction: Prediction, frame_id: str, factors: tuple[float, float] | None
+    ) -> None:
         """
-        Send a prediction; a message is serialised at once and can be used again.
+        Send a prediction and its safety factors; a message is serialised at once and used again.
 
         One for each pose goes where no other goes. Elsewhere stamps never go back behind one that
         was extrapolated.
@@ -132,6 +159,10 @@ class Outputs:
         late = self._is_late(prediction)
         if not (late if self._values['coast.poses'] else prediction.coasting):
             self._publish_plain(prediction, frame_id)
+            if factors and self._safety.wanted:
+                write_safety(
+                    self._factors, self._values['frames.lip'], prediction.stamp_ns, factors)
+                self._safety.publish(self._factors)
         if not late:
             self._publish_more(prediction, frame_id)
 
@@ -149,14 +180,14 @@ class Outputs:
         if self._deflection.wanted:
             message = PoseStamped()
             write_deflection(
-                message, self._values['frames.lip'] + NOMINAL, self._model, prediction)
+                message, self._values['frames.lip'] + NOMINAL, self.model, prediction)
             self._deflection.publish(message)
         if self._markers.wanted and self._picture.is_due(prediction.stamp_ns):
-            self._markers.publish(self._picture.of(frame_id, self._model, prediction))
+            self._markers.publish(self._picture.of(frame_id, self.model, prediction))
         if self._tf and self._tf.wanted:
             write_transform(
                 self._tf_message.transforms[0], frame_id, self._values['frames.package'],
-                prediction)  # fmt: skip
+                prediction)
             self._tf.publish(self._tf_message)
 
     def _publish_plain(self, prediction: Prediction, frame_id: str) -> None:
@@ -176,8 +207,8 @@ class Outputs:
         message = Odometry()
         write_odometry(
             message, frame_id, self._values['frames.package'], prediction,
-            self._uncertainty.covariance(prediction),
-        )  # fmt: skip
+            self._uncertainty.root(prediction),
+        )
         self._odometry.publish(message)
 
     def say_state(self, state: str) -> None:

@@ -10,11 +10,11 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.exceptions import ParameterNotDeclaredException
-from rclpy.node import Node
+from rclpy.exceptions import ParameterException, ParameterNotDeclaredException
 from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
 
+from .guarding import GuardedNode
 from ..core import parameters as table
 from ..errors import BellowsError
 
@@ -69,7 +69,7 @@ def _set_range(described: ParameterDescriptor, kind: str, low: float, high: floa
         described.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
 
 
-class TableNode(Node):
+class TableNode(GuardedNode):
     """
     A node whose parameters are those of the table.
 
@@ -166,14 +166,15 @@ class TableNode(Node):
         """Take part in ROS, or say in words why that cannot be."""
         try:
             super().__init__(user, start_parameter_services=False, **options)
-        except RuntimeError as error:  # the base of all errors of rcl
+        except (RuntimeError, ParameterException) as error:  # the bases of rcl's and rclpy's
             why = ' '.join(str(error).partition(', at /')[0].split())
-            raise BellowsError(f"ROS cannot make the node '{user}': {why}.") from None
+            raise BellowsError(
+                f"ROS cannot make the node '{user}': {table.short(why, 400)}.") from None
 
     def _take_given(self) -> None:
         """Check what files and the command line say, and fill in the defaults."""
         given = {
-            name: parameter.value
+            table.lookup(name).name: parameter.value
             for name, parameter in self._parameter_overrides.items()
             if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))
         }
@@ -188,7 +189,11 @@ class TableNode(Node):
         if not changing:
             return SetParametersResult(successful=True)
         try:
+            for parameter in changing:  # before rclpy, which says less
+                _require_sound(parameter)
             return self.set_parameters_atomically(changing)
+        except BellowsError as error:
+            return _refused(str(error))
         except ParameterNotDeclaredException:
             unknown = [p.name for p in changing if not self.has_parameter(p.name)]
             return _refused(_why_unknown(unknown[0], self.get_name()))
@@ -256,6 +261,15 @@ class TogetherParameterService(ParameterService):
 def _refused(reason: str) -> SetParametersResult:
     """Return the answer to a call that changed nothing."""
     return SetParametersResult(successful=False, reason=reason)
+
+
+def _require_sound(parameter: Parameter) -> None:
+    """Raise BellowsError for a parameter without a name, and for a value that is not allowed."""
+    if not parameter.name:
+        raise BellowsError(
+            "A parameter without a name cannot be set. 'ros2 param list' shows the names.")
+    if _is_ours(parameter):
+        table.validate(parameter.name, _as_double(parameter).value)
 
 
 def _is_ours(parameter: Parameter) -> bool:

@@ -15,18 +15,25 @@ INTERFACE = Interface(
     ),
     topics=(
         ('tool_arm/pose', 'geometry_msgs/PoseStamped, subscribed',
-         'Pose of the tool tip E in the world, m; TransformStamped or Odometry with '
-         'tool_pose.type.'),
+         'Pose of the tool tip E in the world, m; PoseWithCovarianceStamped, '
+         'TransformStamped or Odometry with tool_pose.type.'),
         ('tool_arm/twist', 'geometry_msgs/TwistStamped, subscribed, optional',
          'Velocity of the tool tip, m/s, and angular velocity, rad/s, in the axes that '
          'tool_twist.frame names; paired with the pose by stamp. Without it they are estimated '
          'from the poses.'),
+        ('package/measured', 'geometry_msgs/PoseStamped, subscribed, optional',
+         'Measured pose of the package in the frame of the tool poses, at any rate, up to 0.5 s '
+         'late, which corrects the prediction; PoseWithCovarianceStamped or Odometry with '
+         'measured.type.'),
         ('package/pose', 'geometry_msgs/PoseStamped, published',
          'Pose of the centre of mass B in the world, m; one for each tool pose, with its stamp.'),
         ('package/twist', 'geometry_msgs/TwistStamped, published',
          'Velocity of B, m/s, and angular velocity, rad/s, in axes of B.'),
         ('cup/wrench', 'geometry_msgs/WrenchStamped, published',
          "Force, N, and moment, N m, of the cup on the package at the lip's centre, in lip axes."),
+        ('cup/safety_factor', 'geometry_msgs/Vector3Stamped, published',
+         'Safety factor of the grip: x against peeling, y against slipping, z the smaller one, no '
+         'larger than 1000; where cup.lip_radius and the vacuum are known.'),
         ('package/odometry', 'nav_msgs/Odometry, published',
          'Pose and twist of B with covariances from cup.*_std and tool_noise.* (1e6 on the '
          'diagonal where not known); goes on, with growing covariance, while the tool is '
@@ -36,9 +43,37 @@ INTERFACE = Interface(
         ('package/markers', 'visualization_msgs/MarkerArray, published',
          'Package, cup and force for RViz.'),
         ('package/state', 'std_msgs/String, published, latched',
-         'waiting, predicting, coasting, lost, detached or inactive.'),
+         'waiting, settling, predicting, coasting, lost, detached or inactive; after the valve '
+         'released, flying and landed; for 5 s after an alarm "alarm: " and its cause.'),
+        ('package/estimated', 'geometry_msgs/InertiaStamped, published',
+         'Mass, centre of mass in the frame of the lip, and inertia as they are estimated with '
+         'payload.estimate; standard deviations are in the diagnostics.'),
+        ('package/landing', 'geometry_msgs/PoseWithCovarianceStamped, published',
+         'Where it would land if the valve were switched now; needs package.size.'),
+        ('package/landing_markers', 'visualization_msgs/MarkerArray, published',
+         'Flight path and landing ellipse for RViz.'),
+        ('release/at', 'std_msgs/Header, published',
+         'When to switch the valve for landing.target; needs landing.aim.'),
+        ('tool_arm/plan', 'trajectory_msgs/MultiDOFJointTrajectory, subscribed',
+         'A plan of the tool, answered on package/plan at once, and at plan.rate while the tool '
+         'drives it; a stamp of 0 starts with the tool.'),
+        ('package/plan', 'trajectory_msgs/MultiDOFJointTrajectory, published',
+         'B along the plan, or along what is left of it.'),
+        ('package/plan_path', 'nav_msgs/Path, published', 'The same for RViz.'),
+        ('package/predict_at', 'std_msgs/Header, subscribed',
+         'Asks where the package will be at a stamp, the tool going on by its plan or steadily.'),
+        ('package/predicted_at', 'nav_msgs/Odometry, published', 'The answer.'),
+        ('tool_arm/steer', 'trajectory_msgs/MultiDOFJointTrajectory, subscribed',
+         'A motion wanted of the tool, or, where its joint is named as frames.package, of B.'),
+        ('tool_arm/steered', 'trajectory_msgs/MultiDOFJointTrajectory, published',
+         'The answer: the motion of the tool that leaves the package without swing.'),
+        ('vacuum/valve', 'std_msgs/Bool, subscribed',
+         'Whether the vacuum valve is on: off tosses the package, on takes up the next.'),
         ('/diagnostics', 'diagnostic_msgs/DiagnosticArray, published',
          'Health of prediction, inputs and load at 1 Hz.'),
+        ('/tf', 'tf2_msgs/TFMessage, subscribed, with tool_pose.type tf',
+         'Transforms that lead from frames.world to frames.tool, instead of tool_arm/pose; with '
+         'those of /tf_static.'),
         ('/tf', 'tf2_msgs/TFMessage, published',
          'The frame of the package, where tf2_msgs is installed and frames.tf is set.'),
         ('vacuum/held', 'std_msgs/Bool, subscribed, with vacuum.signal bool',
@@ -60,7 +95,7 @@ INTERFACE = Interface(
         'predictor --ros-args --params-file package.yaml '
         '-r tool_arm/pose:=/tcp_pose_broadcaster/pose',
     ),
-)  # fmt: skip
+)
 
 
 def _load_node() -> Callable[[], Any]:

@@ -1,6 +1,7 @@
 """The node that publishes where the held package is: convert, predict, convert back."""
 
 from collections.abc import Iterable
+import sys
 import time
 from typing import Any
 
@@ -12,19 +13,26 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
 from .attachment import Attachment
+from .command import origin_of
 from .conversions import quaternion_xyzw, stamp_to_ns, TOOL_POSES, vector
 from .diagnostics import Diagnostics
 from .managed import ManagedNode
+from .observing import Observing
 from .outputs import Outputs
 from .parameters import Values
+from .planning import Planning
 from .reports import summary
-from .tool_inputs import SensorInput
+from .tool_inputs import SensorInput, TransformInput
+from .tossing import Tossing
 from ..core.cups import with_chosen_cup
+from ..core.gravity import gravity_of
+from ..core.holding import grip_of
 from ..core.live import LivePredictor, Prediction, warm_up
-from ..core.live.load import Load
+from ..core.live.check import check_live
 from ..core.live.uncertainty import warm_up_uncertainty
-from ..core.live.vacuum import check_thresholds
 from ..core.model import cup_of, package_of
+from ..core.parameter_table import short
+from ..core.tuples import Quaternion, Vector
 from ..errors import BellowsError
 
 TICK = 0.02
@@ -40,6 +48,10 @@ LOAD_TICKS = 3
 """Every so many ticks the cup's deflection is compared with what its identification has seen."""
 
 REPORT_PERIOD = 1.0
+
+CLOCKS_APART_NS = 500_000_000
+"""The valve is switched at the newest pose where the node's clock differs by more (ns)."""
+
 BACKWARD = Duration(nanoseconds=-1)
 
 FROM_THESIS = {
@@ -69,10 +81,10 @@ class PredictorNode(ManagedNode):
 
     """
 
-    _live: LivePredictor | None = None
+    _live: LivePredictor = None  # type: ignore[assignment]  # none until it is configured
 
     def __init__(self, **options: Any) -> None:
-        """Check the parameters, and start unless told not to."""
+        """Check the parameters, and start unless autostart is off."""
         super().__init__('predictor', **options)
         self._active = self._twists_exist = False
         self._idle_ticks = self._ticks = self._ticked_ns = 0
@@ -82,8 +94,8 @@ class PredictorNode(ManagedNode):
         self._diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=BACKWARD, on_clock_change=True),
-            post_callback=self._on_clock_jump,
-        )  # fmt: skip
+            post_callback=self.guarded(self._on_clock_jump),
+        )
         self._start_timers()
         if self.values['autostart']:
             self.start()
@@ -101,24 +113,37 @@ class PredictorNode(ManagedNode):
     def configure(self) -> None:
         """Prepare the model, compile all it needs, and only then make the topics."""
         values = with_chosen_cup(self.values)
-        model = (cup_of(values), package_of(values), values['gravity'], values['tool_twist.frame'])
+        cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
+        model = cup, package, gravity, values['tool_twist.frame']
         warm_up(*model)
         live = LivePredictor(*model)
         warm_up_uncertainty()
         self._outputs = Outputs(self, values)
-        kind, self._pose_of = TOOL_POSES[values['tool_pose.type']]
-        self._pose_in = SensorInput(self, kind, 'tool_arm/pose', self._on_pose)
+        self._pose_in = self._listen(values)
         self._twist_in = SensorInput(
             self, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
-        self._attachment = Attachment(self, values, self._attach)
+        self._attachment = Attachment(
+            self, values, self._attach, lambda pressure: self._diagnostics.load.hear(pressure))
         self.create_service(Trigger, '~/reset', self._on_reset)
+        self._planning = Planning(self, lambda: self._last)
+        self._tossing = Tossing(self, self._on_valve, self._planning.future)
+        self._observing = Observing(self, values['measured.type'])
         self._apply(live, values)
         self._diagnostics.watch(
-            live, self._pose_in, self._twist_in, self._attachment, self._outputs, values)
+            live, self._pose_in, self._twist_in, self._attachment, self._outputs,
+            self._observing, self._planning, values)
         self._live = live
         self._say_model(values)
         for name in self.unmatched_qos_overrides():
-            self.get_logger().warning(f"No topic of this node takes the QoS override '{name}'.")
+            self.get_logger().warning(
+                f"No topic of this node takes the QoS override '{short(name)}'.")
+
+    def _listen(self, values: Values) -> SensorInput:
+        """Listen to the tool's poses, of whatever type."""
+        if values['tool_pose.type'] == 'tf':
+            return TransformInput(self, values, self._take_pose)
+        kind, self._pose_of = TOOL_POSES[values['tool_pose.type']]
+        return SensorInput(self, kind, 'tool_arm/pose', self._on_pose)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start from rest at the next tool pose."""
@@ -135,6 +160,7 @@ class PredictorNode(ManagedNode):
         self._outputs.say_state('inactive')
         self._active, self._last = False, None
         self._live.reset()
+        self._planning.forget()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -164,7 +190,7 @@ class PredictorNode(ManagedNode):
             return
         self.get_logger().info(summary(self._live))
         self._diagnostics.forget()
-        self._live = None
+        del self._live
         self.give_back()
 
     def _say_model(self, values: Values) -> None:
@@ -181,24 +207,33 @@ class PredictorNode(ManagedNode):
                 f"Not set, so using the cup of the thesis: {', '.join(thesis)}. "
                 "Identify your own with 'bellows identify'."
             )
-        log(f"Package of {values['package.mass']:g} kg.")
+        origin = short(origin_of('package.mass', sys.argv), 200)
+        log(f"Package of {values['package.mass']:g} kg" + (f', from {origin}.' if origin else '.'))
+        log(f'Listens to {self._pose_in.topic} and {self._twist_in.topic}, publishes '
+            f'{self._outputs.topic}.')
+        heard = values['vacuum.signal'] == 'pressure'
+        if grip_of(values, 0.0 if heard else None) is None:
+            log('No safety factor of the grip: set cup.lip_radius and vacuum.holding.')
 
     # --------------------------------------------------------------- messages
 
     def _on_pose(self, message: Any) -> None:
         """Predict with a pose of the tool."""
+        header = message.header
+        position, orientation = self._pose_of(message)
+        self._take_pose(stamp_to_ns(header.stamp), header.frame_id, vector(position),
+                        quaternion_xyzw(orientation))
+
+    def _take_pose(
+        self, stamp_ns: int, frame_id: str, position: Vector, orientation: Quaternion
+    ) -> None:
+        """Predict with a pose of the tool, wherever it is from."""
         if not self._active:
             return
-        header, arrival_ns = message.header, time.monotonic_ns()
-        position, orientation = self._pose_of(message)
-        stamp_ns = stamp_to_ns(header.stamp)
+        arrival_ns = time.monotonic_ns()
         self._pose_in.note(arrival_ns, stamp_ns)
         self._publish(
-            self._live.on_pose(
-                stamp_ns, header.frame_id, vector(position), quaternion_xyzw(orientation),
-                arrival_ns,
-            )
-        )  # fmt: skip
+            self._live.on_pose(stamp_ns, frame_id, position, orientation, arrival_ns))
         self._diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
 
     def _on_twist(self, message: TwistStamped) -> None:
@@ -217,8 +252,8 @@ class PredictorNode(ManagedNode):
     def _publish(self, predictions: Iterable[Prediction]) -> None:
         """Send predictions, and watch what the cup carries."""
         for prediction in predictions:
-            self._outputs.publish(prediction, self._live.frame_id)
-            self._diagnostics.load.watch_force(prediction)
+            factors = self._diagnostics.load.watch_force(prediction)
+            self._outputs.publish(prediction, self._live.frame_id, factors)
             self._last = prediction
 
     # ----------------------------------------------------------------- events
@@ -231,6 +266,12 @@ class PredictorNode(ManagedNode):
         self._live.expect_twists = self._twists_exist
         if self._active and not self._twists_exist:
             self._publish(self._live.flush())
+
+    def on_failure(self) -> None:
+        """Start afresh where a callback stopped half-way."""
+        if self._live is not None:
+            self._live.start_afresh('failure')
+            self._last = None
 
     def _on_clock_jump(self, jump: TimeJump) -> None:
         """Start afresh where simulated time was set back, or was switched on or off."""
@@ -251,12 +292,29 @@ class PredictorNode(ManagedNode):
             response.message = 'Starts from static equilibrium at the next tool pose.'
         return response
 
+    def _on_valve(self, on: bool) -> None:
+        """Toss the package when its valve is switched off; take up the next one with it on."""
+        if not self._active:
+            return
+        if not self._tossing.flight.known:
+            self.get_logger().warning(
+                'vacuum/valve is heard, and package.size is not set: the package counts as held. '
+                'Set package.size and landing.height.', once=True)
+            return
+        stamp_ns, newest_ns = self.get_clock().now().nanoseconds, self._live.newest_ns
+        if abs(stamp_ns - newest_ns) > CLOCKS_APART_NS:  # stamps are of another clock
+            stamp_ns = newest_ns
+        self._live.switch_valve(on, stamp_ns)
+        self._say_state()
+
     def _attach(self, held: bool, why: str) -> bool:
         """Take up or let go the package; return whether the node is active."""
         if not self._active:
             return False
+        if not held and self._tossing.flight.state:  # the vacuum falls, as the valve has it
+            return True
         self._publish(self._live.set_attached(held))
-        self._last = None
+        self._last, self._outputs.model = None, self._live.model
         self.get_logger().info(f'{"Attached" if held else "Detached"} ({why}).')
         self._say_state()
         return True
@@ -276,6 +334,11 @@ class PredictorNode(ManagedNode):
             self._publish(live.coast(self._ticked_ns))
         if self._last is not None and self._ticks % LOAD_TICKS == 0:
             self._diagnostics.load.watch_deflection(live.model, self._last)
+        self._planning.follow()
+        flight = self._tossing.flight
+        if self._last is not None and flight.known and not flight.state:
+            self._tossing.publish(
+                live.model, self._last, live.frame_id, self._outputs.covariance)
         self._say_state()
 
     def _is_late(self) -> bool:
@@ -287,7 +350,9 @@ class PredictorNode(ManagedNode):
 
     def _say_state(self) -> None:
         """Say what is going on when it has changed."""
-        self._outputs.say_state(self._live.phase(time.monotonic_ns()))
+        alarm = self._observing.alarm
+        self._outputs.say_state(
+            f'alarm: {alarm.cause}' if alarm else self._live.phase(time.monotonic_ns()))
 
     # ------------------------------------------------------------- parameters
 
@@ -300,12 +365,7 @@ class PredictorNode(ManagedNode):
                 f"{idle[0]} is not in use while cup.name is '{name}'. Set "
                 f"cups.{name}.{idle[0].removeprefix('cup.')}, or set cup.name to ''."
             )
-        chosen = with_chosen_cup(values)
-        cup, package = cup_of(chosen), package_of(chosen)
-        check_thresholds(values)
-        Load(chosen)
-        if self._live is not None:
-            self._live.check_model(cup, package)
+        check_live(with_chosen_cup(values))
 
     def on_values(self, names: list[str]) -> None:
         """Go on with the new cup and package; the package keeps its motion."""
@@ -321,14 +381,19 @@ class PredictorNode(ManagedNode):
     def _apply(self, live: LivePredictor, values: Values) -> None:
         """Hand values to what uses them between two messages."""
         live.coast_limit_ns = round(values['coast.limit'] * 1e9)
+        self._observing.set_values(live, self._outputs, values)
         self._outputs.set_model(live.model, values)
+        self._planning.set_model(live, values)
+        if live.flight is None or not live.flight.state:
+            self._tossing.set_model(live.model, values)
+            live.flight = self._tossing.flight
 
     # ---------------------------------------------------------------- reports
 
     def _say_report(self) -> None:
         """Say how the node is, to the log where something is wrong."""
         self._diagnostics.log(self._twists_exist)
-        self._diagnostics.publish(self.lifecycle_state)
+        self._diagnostics.publish(self.lifecycle_state, self._last)
 
     def close(self) -> None:
         """Say what came and went, and end."""

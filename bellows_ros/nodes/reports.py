@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from ..core.live import LivePredictor, LONGEST_GAP_NS
+from ..core.parameter_table import short
 
 _REFUSED_POSES = {
     'nan': 'nan (a number in it is not finite)',
@@ -13,13 +14,14 @@ _REFUSED_POSES = {
     'backward_stamp': 'backward stamp',
     'future_stamp': 'stamp in the future',
     'repeated_pose': 'the very same pose although the tool moves (tracking lost?)',
-    'jump': 'too far from the pose before (tracking lost?)',
+    'jump': 'too far from the pose before (tracking lost, or two tools on one topic?)',
     'frame_id': "frame_id is not '{frame}'",
 }
 _REFUSED_TWISTS = {
     'twist_nan': 'nan (a number in it is not finite)',
     'twist_too_fast': 'faster than any arm',
     'twist_frame_id': 'frame_id has changed',
+    'twist_misses_pose': 'the tool does not move like that from pose to pose',
     'twist_unpaired': 'no pose near its stamp',
 }
 _RESTARTS = {
@@ -29,11 +31,14 @@ _RESTARTS = {
     'clock_jump': 'the clock of the simulation was set, or switched on or off',
     'frame_changed': "the tool's poses are in another frame now, '{frame}'",
     'moved': "the tool's poses are at another place than it could have reached",
-    'diverged': 'the prediction diverged; check cup.stiffness, cup.damping and the package',
+    'failure': 'a callback failed, which is a fault of this node',
+    'diverged': 'the prediction diverged, its lip further away than any cup reaches; check '
+                'cup.stiffness, cup.damping and the package',
 }
 NO_EQUILIBRIUM = (
     'Nothing is published: the cup cannot hold the package at rest in this tool pose. '
-    'Check package.mass, package.com, cup.stiffness and their units.'
+    'Check package.mass, package.com, cup.stiffness and their units, and that z of the tool '
+    'points from the cup back into the arm.'
 )
 
 
@@ -86,7 +91,7 @@ class InputReport:
             for reason, words in table.items():
                 count = refused[reason] - self._refused[reason]
                 if count and (alone or reason != 'twist_unpaired'):  # else it was not needed
-                    why = words.format(frame=self._live.frame_id)
+                    why = words.format(frame=short(self._live.frame_id))
                     yield f'{_many(count, thing)} refused: {why}.'
 
     def _fresh_starts(self) -> Iterator[str]:
@@ -95,7 +100,7 @@ class InputReport:
             count = self._live.restarts[reason] - self._restarts[reason]
             if count:
                 times = '' if count == 1 else f' {count} times'
-                why = words.format(frame=self._live.frame_id)
+                why = words.format(frame=short(self._live.frame_id))
                 yield f'Started again from static equilibrium{times}: {why}.'
 
 

@@ -28,7 +28,7 @@ def executor_for(node: Any) -> Any:
     it says so with a RuntimeError as soon as it is spun.
     """
     try:
-        from rclpy.experimental import EventsExecutor
+        from rclpy.experimental.events_executor import EventsExecutor
     except ImportError:
         return _waiting(node)
     executor = EventsExecutor(context=node.context)
@@ -59,7 +59,8 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
     Parameters
     ----------
     node : rclpy.node.Node
-        With a future `finished`, whose exception is raised here, and a method `close`.
+        With a future `finished`, whose exception is raised here, and methods `close` and
+        `note_failure`.
     is_asked_to_stop : callable
         Looked at after each callback, and every `LONGEST_WAIT`.
 
@@ -79,11 +80,21 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
         node.close()
 
 
+def _spin_once(executor: Any, node: Any) -> None:
+    """Do the next thing; what fails in rclpy's own callbacks does not end the node either."""
+    try:
+        executor.spin_once(timeout_sec=LONGEST_WAIT)
+    except Exception as error:  # noqa: BLE001 (whatever it is, the node goes on)
+        if not node.context.ok():
+            raise
+        node.note_failure(error)
+
+
 def _spin(executor: Any, node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
     """Do one thing after the other, and collect garbage now and then."""
     due = time.monotonic() + COLLECT_EVERY
     while not (is_asked_to_stop() or node.finished.done()):
-        executor.spin_once(timeout_sec=LONGEST_WAIT)
+        _spin_once(executor, node)
         if time.monotonic() > due:
             gc.collect()
             due = time.monotonic() + COLLECT_EVERY

@@ -1,22 +1,26 @@
 """Subscriptions to sensors: best effort unless overridden, watched for rate, age and QoS."""
 
 from collections.abc import Callable, Mapping
+import importlib.util
 import time
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.qos import (
-    qos_check_compatible,
-    QoSCompatibility,
+    DurabilityPolicy,
     QoSPolicyKind,
     QoSProfile,
     ReliabilityPolicy,
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from ..core.live.health import InputSeen, OTHER_TYPE
+from .conversions import quaternion_xyzw, stamp_to_ns, vector
+from .guarding import GuardedNode
+from ..core.live.health import InputSeen, Mismatch
+from ..core.live.samples import PoseSample
 from ..core.live.timing import Arrivals
+from ..core.live.transforms import Chain
+from ..errors import BellowsError
 
 QUEUE = 500
 """Messages kept on each topic: at 1 kHz the longest gap that the motion is followed across."""
@@ -24,15 +28,8 @@ QUEUE = 500
 OVERRIDABLE = (
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
     QoSPolicyKind.DURABILITY,
-)  # fmt: skip
+)
 """Durability for the last word of a vacuum switch that speaks only when it changes."""
-
-POLICY_WORDS = {
-    'reliability': ('reliab', 'best effort'),
-    'durability': ('durab', 'volatile', 'transient'),
-    'deadline': ('deadline',),
-    'liveliness': ('liveliness', 'lease'),
-}
 
 
 class SensorInput:
@@ -50,27 +47,29 @@ class SensorInput:
         Takes each message.
     on_publishers : callable, optional
         Takes the number of matching publishers when it changes.
+    qos : QoSProfile, optional
+        As for any sensor unless given: without asking for lost messages.
 
     """
 
     def __init__(
-        self, node: Node, kind: type, topic: str, callback: Callable[[Any], None],
-        on_publishers: Callable[[int], None] | None = None,
-    ) -> None:  # fmt: skip
+        self, node: GuardedNode, kind: type, topic: str, callback: Callable[[Any], None],
+        on_publishers: Callable[[int], None] | None = None, qos: QoSProfile | None = None,
+    ) -> None:
         """Listen as to any sensor, without asking for lost messages; QoS can be overridden."""
         self._node, self._type = node, f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
         self.arrivals = Arrivals()
         self._refused: Mapping[str, int] = {}
         events = None
         if on_publishers:
-            events = SubscriptionEventCallbacks(
-                matched=lambda matched: on_publishers(matched.current_count))
+            events = SubscriptionEventCallbacks(matched=node.guarded(
+                lambda matched: on_publishers(matched.current_count)))
         self._subscription = node.create_subscription(
             kind, topic, callback,
-            QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT),
+            qos or QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT),
             event_callbacks=events,
             qos_overriding_options=QoSOverridingOptions(OVERRIDABLE),
-        )  # fmt: skip
+        )
 
     @property
     def topic(self) -> str:
@@ -86,7 +85,7 @@ class SensorInput:
         """
         if self.arrivals.is_empty:
             self._clock = self._node.get_clock()
-            self._is_simulated = self._clock.ros_time_is_active
+            self._is_simulated = bool(getattr(self._clock, 'ros_time_is_active', False))
         now_ns = self._clock.now().nanoseconds if self._is_simulated else time.time_ns()
         self.arrivals.add(arrival_ns, (now_ns - stamp_ns) * 1e-9)
 
@@ -99,24 +98,83 @@ class SensorInput:
         return InputSeen(
             self.topic, publishers, self._mismatch(publishers), self.arrivals.take(), silent,
             {reason: count - before.get(reason, 0) for reason, count in refused.items()}, refused,
-        )  # fmt: skip
+        )
 
-    def _mismatch(self, publishers: int) -> str:
-        """Return the QoS policy, or else type, for which a publisher cannot be heard, if any."""
+    def _mismatch(self, publishers: int) -> Mismatch | None:
+        """Return for what a publisher cannot be heard, if any."""
         if self._subscription.get_publisher_count() >= publishers:
-            return ''
+            return None
+        asked = self._subscription.qos_profile
         for other in self._node.get_publishers_info_by_topic(self.topic):
+            offered = other.qos_profile
             if other.topic_type != self._type:
-                return f'{OTHER_TYPE}{other.topic_type}'
-            fits, why = qos_check_compatible(other.qos_profile, self._subscription.qos_profile)
-            if fits == QoSCompatibility.ERROR:
-                return _policy_in(str(why).lower())
-        return ''
+                return Mismatch('type', other.topic_type)
+            if (asked.reliability == ReliabilityPolicy.RELIABLE
+                    and offered.reliability == ReliabilityPolicy.BEST_EFFORT):
+                return Mismatch('qos', 'reliability')
+            if (asked.durability == DurabilityPolicy.TRANSIENT_LOCAL
+                    and offered.durability == DurabilityPolicy.VOLATILE):
+                return Mismatch('qos', 'durability')
+        return None
 
 
-def _policy_in(why: str) -> str:
-    """Return the name of the policy that an explanation speaks of."""
-    for policy, words in POLICY_WORDS.items():
-        if any(word in why for word in words):
-            return policy
-    return 'policy'
+class TransformInput(SensorInput):
+    """
+    The poses of the tool by tf: the way from `frames.world` to `frames.tool`.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    values : mapping
+        Parameters by name.
+    take : callable
+        Takes stamp (ns), frame, position and quaternion of each pose.
+
+    Raises
+    ------
+    BellowsError
+        Where tf2_msgs is not installed.
+
+    """
+
+    def __init__(
+        self, node: GuardedNode, values: Mapping[str, Any], take: Callable[..., None]
+    ) -> None:
+        """Listen to transforms, and to the static ones, which come once."""
+        if importlib.util.find_spec('tf2_msgs') is None:
+            raise BellowsError(
+                'tool_pose.type is tf, but tf2_msgs is not installed. Install it (apt: '
+                'ros-jazzy-tf2-msgs), or give the pose on tool_arm/pose.')
+        from tf2_msgs.msg import TFMessage
+
+        self._take, self._chain = take, Chain(values['frames.world'], values['frames.tool'])
+        super().__init__(node, TFMessage, '/tf', self._on_moving)
+        self._static = SensorInput(node, TFMessage, '/tf_static', self._on_static, qos=QoSProfile(
+            depth=QUEUE, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+
+    def _on_moving(self, message: Any) -> None:
+        """Give the poses that a message makes known."""
+        self._add(message, static=False)
+        for pose in self._chain.due():
+            self._take(pose.stamp_ns, self._chain.world, *pose[1:])
+
+    def _on_static(self, message: Any) -> None:
+        """Remember what does not move."""
+        self._add(message, static=True)
+
+    def _add(self, message: Any, static: bool) -> None:
+        """Put the transforms of a message into the tree."""
+        for stamped in message.transforms:
+            header, own = stamped.header, stamped.transform
+            self._chain.add(header.frame_id, stamped.child_frame_id, PoseSample(
+                stamp_to_ns(header.stamp), vector(own.translation),
+                quaternion_xyzw(own.rotation)), static)
+
+    def seen(self, refused: Mapping[str, int]) -> InputSeen:
+        """Return what came since the last call, with what had no transforms of its time."""
+        return super().seen({**refused, 'no_transform': self._chain.dropped})
+
+    def _mismatch(self, publishers: int) -> Mismatch | None:
+        """Return why there is no pose, where there is a publisher."""
+        missing = self._chain.missing if publishers and self.arrivals.is_empty else ''
+        return Mismatch('frames', missing) if missing else super()._mismatch(publishers)

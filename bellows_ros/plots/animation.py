@@ -9,20 +9,19 @@ import os
 from pathlib import Path
 import shutil
 import subprocess
-import tempfile
-from typing import Any, Protocol
+from typing import Any
 
+from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
 from bellows_ros.files.atomic import write_bytes
+from bellows_ros.files.temporary import scratch_folder
+from bellows_ros.workflows.plot import Replayed
 import numpy as np
-from numpy.typing import NDArray
 
-from .recording import HasMotion
 from .shapes import bellows_rings, SIDES
 from .style import drawing, Theme, THEMES
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
@@ -32,39 +31,24 @@ NO_FFMPEG = (
 )
 SIZE, DPI = (8.0, 4.5), 80
 ARM = 0.10  # m, of the tool that is drawn above its tip
+NEAR_ZOOM, FAR_ZOOM = 1.6, 1.3  # as large as the box stays inside of, wherever it swings
 VIEW = {'elev': 14.0, 'azim': -60.0}
 EDGES = ((0, 1), (1, 3), (3, 2), (2, 0), (4, 5), (5, 7), (7, 6), (6, 4), (0, 4), (1, 5), (2, 6),
-         (3, 7))  # fmt: skip
-
-
-class HasReplay(Protocol):
-    """A replay with the poses of all bodies; see `workflows.plot.Replayed`."""
-
-    seconds: Array
-    position: Array
-    rotation: Array
-    cup_length: float
-    com: Array
-    box: Array
-
-    @property
-    def motion(self) -> HasMotion:
-        """Measured poses at the same times."""
-        ...
+         (3, 7))
 
 
 def write_animation(
-    path: str | os.PathLike[str], replayed: HasReplay, note: str, theme: str = 'light',
-    progress: Progress | None = None,
-) -> None:  # fmt: skip
+    path: str | os.PathLike[str], replayed: Replayed, note: str, theme: str = 'light',
+    progress: Progress | None = None, speed: float = 1.0,
+) -> None:
     """
-    Write a replay as a GIF, or as an MP4 where ffmpeg is there, at recorded speed.
+    Write a replay as a GIF, or as an MP4 where ffmpeg is there.
 
     Parameters
     ----------
     path : path
         Ends in .gif or .mp4.
-    replayed : HasReplay
+    replayed : Replayed
         What is shown.
     note : str
         Which recording and cup.
@@ -72,6 +56,8 @@ def write_animation(
         For paper or for the dark.
     progress : callable, optional
         Called with what is being done and the part (0 to 1) that is done.
+    speed : float
+        Seconds of the recording per second of the animation.
 
     Raises
     ------
@@ -84,7 +70,7 @@ def write_animation(
         raise BellowsError(f"Animation '{path}' must end in .gif or .mp4.")
     rate_hz = FRAMES_PER_SECOND[ending]
     encode = _gif if ending == '.gif' else partial(_mp4, ffmpeg=_ffmpeg())
-    chosen = _frames(replayed.seconds, rate_hz)
+    chosen = _frames(replayed.seconds, rate_hz / speed)
     pictures = _drawn(replayed, chosen, note, THEMES[theme], progress or (lambda what, part: None))
     write_bytes(path, encode(pictures, rate_hz))
 
@@ -102,15 +88,15 @@ def _ffmpeg() -> str:
     return str(found)
 
 
-def _frames(seconds: Array, rate_hz: float) -> NDArray[np.int64]:
+def _frames(seconds: Array, rate_hz: float) -> Stamps:
     """Return the samples to show."""
     times = np.arange(seconds[0], seconds[-1], 1.0 / rate_hz)
-    chosen: NDArray[np.int64] = np.minimum(np.searchsorted(seconds, times), len(seconds) - 1)
+    chosen: Stamps = np.minimum(np.searchsorted(seconds, times), len(seconds) - 1)
     return chosen
 
 
 def _drawn(
-    replayed: HasReplay, chosen: NDArray[np.int64], note: str, colours: Theme, progress: Progress
+    replayed: Replayed, chosen: Stamps, note: str, colours: Theme, progress: Progress
 ) -> Iterator[Any]:
     """Yield each picture as an array (H, W, 3) of bytes."""
     with drawing(colours) as figures:
@@ -123,17 +109,17 @@ def _drawn(
             progress('drawing', number / len(chosen))
             drawn = [_draw(space, replayed, int(i), colours, near) for space, near in spaces]
             clock = figure.text(0.985, 0.03, f'{replayed.seconds[i]:.2f} s', ha='right',
-                                fontsize=11)  # fmt: skip
+                                fontsize=11)
             canvas.draw()
             yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
             for artist in (clock, *drawn[0], *drawn[1]):
                 artist.remove()
 
 
-def _spaces(figure: Any, replayed: HasReplay, note: str, colours: Theme) -> list[tuple[Any, bool]]:
+def _spaces(figure: Any, replayed: Replayed, note: str, colours: Theme) -> list[tuple[Any, bool]]:
     """Return the two panels: the whole way, and the cup from near, which moves with the tool."""
     figure.text(0.03, 0.935, 'Predicted, and measured as an outline', fontsize=12,
-                fontweight='bold')  # fmt: skip
+                fontweight='bold')
     figure.text(0.03, 0.885, note, color=colours.quiet)
     bodies = np.vstack([replayed.motion.tool_position, replayed.position])
     low, high = bodies.min(axis=0), bodies.max(axis=0)
@@ -145,18 +131,18 @@ def _spaces(figure: Any, replayed: HasReplay, note: str, colours: Theme) -> list
         (0.48, True, np.array([0.0, 0.0, -0.15 * size]), size, 'moving with the tool tip'),
     ):
         space = figure.add_axes((left, -0.06, 0.54, 0.98), projection='3d',
-                                computed_zorder=False)  # fmt: skip
+                                computed_zorder=False)
         space.set_axis_off()
         space.view_init(**VIEW)
         for name, c in zip('xyz', centre, strict=True):
             getattr(space, f'set_{name}lim')(c - half, c + half)
-        space.set_box_aspect((1.0, 1.0, 1.0), zoom=1.6)
+        space.set_box_aspect((1.0, 1.0, 1.0), zoom=NEAR_ZOOM if near else FAR_ZOOM)
         figure.text(left + 0.27, 0.03, words, ha='center', color=colours.quiet)
         panels.append((space, near))
     return panels
 
 
-def _draw(space: Any, replayed: HasReplay, i: int, colours: Theme, near: bool) -> list[Any]:
+def _draw(space: Any, replayed: Replayed, i: int, colours: Theme, near: bool) -> list[Any]:
     """Draw one moment into a panel and return what was drawn."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
@@ -167,19 +153,19 @@ def _draw(space: Any, replayed: HasReplay, i: int, colours: Theme, near: bool) -
     lip_o = body_o - body_R @ replayed.com
     faces = [_face(body_o, body_R, replayed.box, k) for k in range(6)]
     package = Poly3DCollection(faces, facecolor=colours.predicted, alpha=0.55,
-                               edgecolor=colours.text, linewidth=0.8)  # fmt: skip
+                               edgecolor=colours.text, linewidth=0.8)
     cup = Poly3DCollection(_cup(tool_o, tool_R, lip_o, body_R), facecolor=colours.measured,
-                           edgecolor=colours.quiet, linewidth=0.3)  # fmt: skip
+                           edgecolor=colours.quiet, linewidth=0.3)
     arm = np.array([tool_o, tool_o + tool_R @ np.array([0.0, 0.0, ARM])])
     corners = _corners(replayed.motion.package_position[i] - shift,
-                       replayed.motion.package_rotation[i], replayed.box)  # fmt: skip
+                       replayed.motion.package_rotation[i], replayed.box)
     outline = Line3DCollection([corners[list(edge)] for edge in EDGES], colors=colours.error,
-                               linewidths=1.3)  # fmt: skip
+                               linewidths=1.3)
     for order, thing in enumerate((package, cup, outline), 1):
         thing.set_zorder(order)
         space.add_collection3d(thing)
     drawn = space.plot(*arm.T, color=colours.quiet, linewidth=7.0, solid_capstyle='butt',
-                       zorder=2)  # fmt: skip
+                       zorder=2)
     return [package, cup, outline, *drawn]
 
 
@@ -195,14 +181,15 @@ def _face(o: Array, R: Array, box: Array, number: int) -> Array:
     axis, side = number // 2, number % 2
     corners = _corners(o, R, box).reshape(2, 2, 2, 3)
     square = np.take(corners, side, axis=axis).reshape(4, 3)
-    return square[[0, 1, 3, 2]]
+    face: Array = square[[0, 1, 3, 2]]
+    return face
 
 
 def _cup(top_o: Array, top_R: Array, lip_o: Array, lip_R: Array) -> list[Array]:
     """Return the faces of a bellows."""
     rings = bellows_rings(top_o, top_R, lip_o, lip_R)
     return [np.array([a[k], a[k + 1], b[k + 1], b[k]])
-            for a, b in zip(rings, rings[1:], strict=False) for k in range(SIDES - 1)]  # fmt: skip
+            for a, b in zip(rings, rings[1:], strict=False) for k in range(SIDES - 1)]
 
 
 def _gif(pictures: Iterator[Any], rate_hz: float) -> bytes:
@@ -214,7 +201,7 @@ def _gif(pictures: Iterator[Any], rate_hz: float) -> bytes:
     images[0].save(
         data, 'gif', save_all=True, append_images=images[1:], loop=0,
         duration=round(1000.0 / rate_hz), optimize=False,
-    )  # fmt: skip
+    )
     return data.getvalue()
 
 
@@ -222,11 +209,11 @@ def _mp4(pictures: Iterator[Any], rate_hz: float, ffmpeg: str) -> bytes:
     """Return an MP4, made by ffmpeg, that plays everywhere and before it is loaded to its end."""
     first = next(pictures)
     height, width = first.shape[:2]
-    with tempfile.TemporaryDirectory(prefix='bellows_') as folder:
-        target = Path(folder) / 'animation.mp4'
+    with scratch_folder() as folder:
+        target = folder / 'animation.mp4'
         command = [ffmpeg, '-loglevel', 'error', '-f', 'rawvideo', '-pix_fmt', 'rgb24', '-s',
                    f'{width}x{height}', '-r', f'{rate_hz:g}', '-i', '-', '-pix_fmt', 'yuv420p',
-                   '-movflags', '+faststart', str(target)]  # fmt: skip
+                   '-movflags', '+faststart', str(target)]
         with subprocess.Popen(command, stdin=subprocess.PIPE) as process, \
                 suppress(BrokenPipeError):  # it has ended early: its code tells
             for picture in chain((first,), pictures):

@@ -1,9 +1,9 @@
 """Pictures of what a cup carries: load against deflection, and what a fit leaves over."""
 
-from typing import Any, Protocol
+from typing import Any
 
+from bellows_ros.workflows.plot import Loads
 import numpy as np
-from numpy.typing import NDArray
 
 from .panels import (
     arrange_pair,
@@ -19,29 +19,16 @@ from .panels import (
 )
 from .style import drawing, THEMES
 
-Array = NDArray[np.float64]
-
 MOST_POINTS = 4000
 
 
-class HasLoads(Protocol):
-    """Loads and deflections in the middle of the cup; see `workflows.plot.Loads`."""
-
-    seconds: Array
-    deflection: Array
-    load: Array
-    residual: Array
-    stiffness: Array
-    valid: NDArray[np.bool_]
-
-
-def deflection_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
+def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     """
     Draw the load that the motion needs against the deflection, and the cup's stiffness.
 
     Parameters
     ----------
-    loads : HasLoads
+    loads : Loads
         What is drawn.
     note : str
         Which recording and cup.
@@ -60,25 +47,25 @@ def deflection_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
         figure, panels = six(
             figures, 'Load on the cup against its deflection', note, colours, ('N', 'N m'))
         legend(figure, (('needed by the motion', colours.measured, 4.0),
-                        ('stiffness of the cup', colours.predicted, 1.4)))  # fmt: skip
+                        ('stiffness of the cup', colours.predicted, 1.4)))
         for axis, panel in enumerate(panels):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
             panel.plot(MILLI * x, y, '.', color=colours.measured, markersize=2.8, alpha=0.8,
-                       markeredgewidth=0.0)  # fmt: skip
+                       markeredgewidth=0.0)
             ends = np.array([x.min(), x.max()])
             panel.plot(MILLI * ends, loads.stiffness[axis] * ends, color=colours.predicted,
-                       linewidth=1.3)  # fmt: skip
-            panel.set_xlabel('mm' if axis < 3 else 'mrad', labelpad=1.0)
+                       linewidth=1.3)
+            panel.set_xlabel(f'deflection ({"mm" if axis < 3 else "mrad"})', labelpad=1.0)
     return figure
 
 
-def residual_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
+def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     """
     Draw the load that the motion needs, and below it what of it the cup does not explain.
 
     Parameters
     ----------
-    loads : HasLoads
+    loads : Loads
         What is drawn.
     note : str
         Which recording and cup.
@@ -96,7 +83,7 @@ def residual_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
         figure = figures.Figure(figsize=SIZE)
         head(figure, 'Load on the cup, and the unexplained part', note, colours)
         legend(figure, (('needed by the motion', colours.measured, 2.4),
-                        ('unexplained', colours.error, 1.0)))  # fmt: skip
+                        ('unexplained', colours.error, 1.0)))
         panels = pairs(
             figure, left=LEFT, right=0.985, top=0.87, bottom=0.075, hspace=0.24, wspace=0.26)
         for axis, (upper, lower) in enumerate(panels):
@@ -106,7 +93,7 @@ def residual_figure(loads: HasLoads, note: str, theme: str = 'light') -> Any:
             part = rms / max(float(np.nanstd(load[:, axis])), 1e-12)
             unit = 'N' if axis < 3 else 'N m'
             upper.set_title(f'unexplained RMS {rms:.2g} {unit}, {100 * part:.2g} % of the load',
-                            loc='right', fontsize=8.5, color=colours.quiet, pad=4.0)  # fmt: skip
+                            loc='right', fontsize=8.5, color=colours.quiet, pad=4.0)
             arrange_pair((upper, lower), axis, loads.seconds, unit, unit, colours)
             for panel in (upper, lower):
                 panel.yaxis.set_label_coords(-0.155, 0.5)

@@ -3,13 +3,11 @@
 from collections.abc import Sequence
 from typing import Any
 
+from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.score import AXES
 import numpy as np
-from numpy.typing import NDArray
 
 from .style import Theme
-
-Array = NDArray[np.float64]
 
 SIZE = (9.4, 6.9)  # inches
 LEFT = 0.095  # of the panels, in parts of the width
@@ -55,11 +53,11 @@ def legend(figure: Any, entries: Sequence[tuple[str, str, float]]) -> None:
     from matplotlib.lines import Line2D
 
     lines = [Line2D([], [], color=colour, linewidth=width, label=label)
-             for label, colour, width in entries]  # fmt: skip
+             for label, colour, width in entries]
     figure.legend(
         handles=lines, loc='upper right', bbox_to_anchor=(0.992, 0.985), ncols=len(lines),
         fontsize=9.5, handlelength=1.8, columnspacing=1.6,
-    )  # fmt: skip
+    )
 
 
 def label_abscissa(panel: Any, axis: int, label: str) -> None:
@@ -118,7 +116,7 @@ def arrange_pair(
     label_abscissa(lower, axis, 'time (s)')
 
 
-def broken(values: Array, valid: NDArray[np.bool_]) -> Array:
+def broken(values: Array, valid: Mask) -> Array:
     """Return values with NaN where they are not valid, so that lines are interrupted."""
     shape = (len(values),) + (1,) * (values.ndim - 1)
     result: Array = np.where(valid.reshape(shape), values, np.nan)

@@ -5,17 +5,14 @@ The content of Figs. 4.16 and 4.17 of the thesis on one page, with what is left 
 axis, to its own scale.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
-from bellows_ros.core.score import Scores
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.score import Comparison
 import numpy as np
-from numpy.typing import NDArray
 
 from .panels import arrange_pair, draw_strip, pairs
 from .style import drawing, Theme, THEMES
-
-Array = NDArray[np.float64]
 
 SIZE = (11.0, 8.4)  # inches
 LEFT, RIGHT, BETWEEN = 0.085, 0.985, 0.19  # parts of the width; of a column between two
@@ -28,36 +25,18 @@ GAP_PERIODS = 3.0
 LEAST_SPAN = 2.0  # mm or mrad; an axis that hardly moves is not blown up beyond this
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """
-    Measured and predicted coordinates of the package relative to the tool.
-
-    Parameters
-    ----------
-    seconds : array (N,)
-        From the recording's first stamp, s.
-    measured, predicted : array (N, 6)
-        Position (m) and rotation vector (rad) in tool axes.
-    scores : Scores
-        Errors of the prediction.
-
-    """
-
-    seconds: Array
-    measured: Array
-    predicted: Array
-    scores: Scores
-
-
-def prediction_figure(comparison: Comparison, title: str, note: str, theme: str = 'light') -> Any:
+def prediction_figure(
+    seconds: Array, comparison: Comparison, title: str, note: str, theme: str = 'light'
+) -> Any:
     """
     Draw a comparison.
 
     Parameters
     ----------
+    seconds : array (N,)
+        From the recording's first stamp, s.
     comparison : Comparison
-        What is drawn.
+        What is drawn; each line is interrupted where its own values are missing.
     title, note : str
         What is shown, and under which conditions.
     theme : {'light', 'dark'}
@@ -75,8 +54,9 @@ def prediction_figure(comparison: Comparison, title: str, note: str, theme: str 
         columns = pairs(
             figure, left=LEFT, right=RIGHT, top=0.855, bottom=0.065, hspace=0.2, wspace=BETWEEN)
         for axis, panels in enumerate(columns):
-            _draw_axis(panels, comparison, axis, colours)
-            arrange_pair(panels, axis, comparison.seconds, UNITS[axis], 'error', colours)
+            _draw_axis(panels, seconds, comparison, axis, colours)
+            unit = UNITS[axis]
+            arrange_pair(panels, axis, seconds, unit, f'error\n({unit})', colours)
     return figure
 
 
@@ -95,7 +75,7 @@ def _write_head(figure: Any, title: str, note: str, colours: Theme) -> None:
     figure.legend(
         handles=lines, loc='upper right', bbox_to_anchor=(0.992, 0.982), ncols=3, fontsize=9.5,
         handlelength=1.8, columnspacing=1.6,
-    )  # fmt: skip
+    )
 
 
 def _line(colour: str, width: float, label: str) -> Any:
@@ -105,26 +85,27 @@ def _line(colour: str, width: float, label: str) -> Any:
     return Line2D([], [], color=colour, linewidth=width, label=label)
 
 
-def _draw_axis(panels: Any, comparison: Comparison, axis: int, colours: Theme) -> None:
+def _draw_axis(
+    panels: Any, seconds: Array, comparison: Comparison, axis: int, colours: Theme
+) -> None:
     """Draw one coordinate and its error."""
     upper, lower = panels
-    seconds, measured, predicted = (
-        with_gaps(comparison.seconds, values)
-        for values in (comparison.seconds, comparison.measured[:, axis] * MILLI,
+    times, measured, predicted = (
+        with_gaps(seconds, values)
+        for values in (seconds, comparison.measured[:, axis] * MILLI,
                        comparison.predicted[:, axis] * MILLI)
-    )  # fmt: skip
-    upper.plot(seconds, measured, color=colours.measured, linewidth=3.6)
-    upper.plot(seconds, predicted, color=colours.predicted, linewidth=0.9)
+    )
+    upper.plot(times, measured, color=colours.measured, linewidth=3.6)
+    upper.plot(times, predicted, color=colours.predicted, linewidth=0.9)
     _widen(upper)
-    error = predicted - measured
-    draw_strip(lower, seconds, error, colours)
+    draw_strip(lower, times, predicted - measured, colours)
     scores, unit = comparison.scores, UNITS[axis]
     upper.set_title(
         f'error RMS {figures(scores.rms[axis] * MILLI)} {unit}, largest '
         f'{figures(scores.largest[axis] * MILLI)} {unit}, '
         f'{percent(scores.nrmse[axis])} of the motion',
         loc='right', fontsize=8.5, color=colours.quiet, pad=4.0,
-    )  # fmt: skip
+    )
 
 
 def figures(value: float) -> str:

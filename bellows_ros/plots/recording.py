@@ -1,43 +1,22 @@
 """Pictures of what was recorded: motion on all axes, spectra, and the path in space."""
 
-from typing import Any, Protocol
+from typing import Any
 
+from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.workflows.plot import Motion, Spectra
 import numpy as np
-from numpy.typing import NDArray
 
 from .panels import broken, head, label_abscissa, legend, MILLI, six, time_axes
 from .style import drawing, Theme, THEMES
 
-Array = NDArray[np.float64]
 
-
-class HasMotion(Protocol):
-    """Tool and package at common times; see `workflows.plot.Motion`."""
-
-    seconds: Array
-    tool_position: Array
-    tool_rotation: Array
-    package_position: Array
-    package_rotation: Array
-    relative: Array
-    valid: NDArray[np.bool_]
-
-
-class HasSpectra(Protocol):
-    """Densities of the tool-relative coordinates; see `workflows.plot.Spectra`."""
-
-    frequency_hz: Array
-    measured: Array
-    error: Array | None
-
-
-def motion_figure(motion: HasMotion, note: str, theme: str = 'light') -> Any:
+def motion_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
     """
     Draw tool and package against time, each axis, from where they start.
 
     Parameters
     ----------
-    motion : HasMotion
+    motion : Motion
         What is drawn.
     note : str
         Which recording.
@@ -70,21 +49,21 @@ def motion_figure(motion: HasMotion, note: str, theme: str = 'light') -> Any:
     return figure
 
 
-def _mark_invalid(panels: list[Any], motion: HasMotion, colours: Theme) -> None:
+def _mark_invalid(panels: list[Any], motion: Motion, colours: Theme) -> None:
     """Mark the times without usable poses at the foot of each panel."""
     wrong = motion.seconds[~motion.valid]
     for panel in panels:
         panel.plot(wrong, np.zeros_like(wrong), '|', color=colours.error, markersize=7.0,
-                   transform=panel.get_xaxis_transform(), clip_on=False)  # fmt: skip
+                   transform=panel.get_xaxis_transform(), clip_on=False)
 
 
-def spectra_figure(spectra: HasSpectra, note: str, theme: str = 'light') -> Any:
+def spectra_figure(spectra: Spectra, note: str, theme: str = 'light') -> Any:
     """
     Draw the spectra of the package's motion seen from the tool, and of a prediction's error.
 
     Parameters
     ----------
-    spectra : HasSpectra
+    spectra : Spectra
         What is drawn.
     note : str
         Which recording.
@@ -108,22 +87,22 @@ def spectra_figure(spectra: HasSpectra, note: str, theme: str = 'light') -> Any:
         legend(figure, entries)
         for axis, panel in enumerate(panels):
             panel.loglog(spectra.frequency_hz[keep], MILLI * spectra.measured[keep, axis],
-                         color=colours.measured, linewidth=2.2)  # fmt: skip
+                         color=colours.measured, linewidth=2.2)
             if spectra.error is not None:
                 panel.loglog(spectra.frequency_hz[keep], MILLI * spectra.error[keep, axis],
-                             color=colours.error, linewidth=1.1)  # fmt: skip
+                             color=colours.error, linewidth=1.1)
             panel.set_xlim(spectra.frequency_hz[keep][0], spectra.frequency_hz[-1])
             label_abscissa(panel, axis, 'frequency (Hz)')
     return figure
 
 
-def path_figure(motion: HasMotion, note: str, theme: str = 'light') -> Any:
+def path_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
     """
     Draw the paths of tool and package in space, with the axes of both now and then.
 
     Parameters
     ----------
-    motion : HasMotion
+    motion : Motion
         What is drawn.
     note : str
         Which recording.
@@ -140,7 +119,7 @@ def path_figure(motion: HasMotion, note: str, theme: str = 'light') -> Any:
         figure = figures.Figure(figsize=(8.4, 8.0))
         head(figure, 'Paths of tool tip and package', note, colours)
         legend(figure, (('tool tip E', colours.measured, 3.0),
-                        ('package B', colours.predicted, 1.2)))  # fmt: skip
+                        ('package B', colours.predicted, 1.2)))
         space = figure.add_axes((0.02, 0.04, 0.92, 0.86), projection='3d')
         _paint_space(space, colours)
         tool = broken(motion.tool_position, motion.valid)
@@ -150,14 +129,14 @@ def path_figure(motion: HasMotion, note: str, theme: str = 'light') -> Any:
         for i in _now_and_then(motion):
             space.plot(*np.array([tool[i], package[i]]).T, color=colours.quiet, linewidth=0.6)
         space.plot(*tool[int(np.argmax(motion.valid))][:, None], 'o', color=colours.text,
-                   markersize=4.0)  # fmt: skip
+                   markersize=4.0)
         set_equal(space, np.vstack([tool, package]))
         for name in 'xyz':
             getattr(space, f'set_{name}label')(f'{name} (m)')
     return figure
 
 
-def _now_and_then(motion: HasMotion) -> NDArray[np.int64]:
+def _now_and_then(motion: Motion) -> Stamps:
     """Return some forty valid samples."""
     usable = np.flatnonzero(motion.valid)
     return usable[:: max(1, len(usable) // 40)]

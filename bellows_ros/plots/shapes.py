@@ -1,9 +1,7 @@
 """The shape of a bellows, for pictures that move."""
 
+from bellows_ros.core.arrays import Array
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 RINGS, SIDES = 25, 13  # of the drawn cup; the last point of a ring is its first one again
 CONVOLUTIONS = 2.5
@@ -31,9 +29,9 @@ def bellows_rings(top_o: Array, top_R: Array, lip_o: Array, lip_R: Array) -> Arr
     reach = float(np.linalg.norm(lip_o - top_o))
     rates = -reach * top_R[:, 2], -reach * lip_R[:, 2]
     spine = ((2 * s**3 - 3 * s**2 + 1) * top_o + (s**3 - 2 * s**2 + s) * rates[0]
-             + (3 * s**2 - 2 * s**3) * lip_o + (s**3 - s**2) * rates[1])  # fmt: skip
+             + (3 * s**2 - 2 * s**3) * lip_o + (s**3 - s**2) * rates[1])
     radius = RADIUS * (0.75 + 0.2 * np.cos(2.0 * np.pi * CONVOLUTIONS * (s - 1.0)))
     angle = np.linspace(0.0, 2.0 * np.pi, SIDES)
     circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(SIDES)])
     return np.array([o + r * (circle @ ((1 - t) * top_R + t * lip_R).T)
-                     for o, r, t in zip(spine, radius, s, strict=True)])  # fmt: skip
+                     for o, r, t in zip(spine, radius, s, strict=True)])

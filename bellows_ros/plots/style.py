@@ -2,7 +2,8 @@
 How pictures look: two themes, on paper and in the dark, and files that appear whole.
 
 What is measured is a wide pale line and what is predicted a thin strong one on top of it, so that
-they differ without colour too; the pair of colours is told apart by all common kinds of sight.
+they differ without colour too; the two colours can be distinguished with all common kinds of
+colour vision.
 """
 
 from collections.abc import Iterator, Mapping
@@ -47,7 +48,7 @@ THEMES: Mapping[str, Theme] = MappingProxyType(
             grid='#262c36', measured='#5b7fa6', predicted='#ffb454', error='#b7a8ff',
         ),
     }
-)  # fmt: skip
+)
 
 
 @contextmanager
@@ -99,11 +100,17 @@ def _settings(theme: Theme) -> dict[Any, Any]:
     }
 
 
-def write_figure(path: str | os.PathLike[str], figure: Any) -> None:
-    """Write a figure in the format of the name's ending, whole or not at all."""
+def require_picture(path: str | os.PathLike[str]) -> str:
+    """Return the format of a picture by its name's ending; refuse any other."""
     ending = Path(path).suffix.lower().lstrip('.')
     if ending not in ('png', 'svg', 'pdf'):
         raise BellowsError(f"Picture '{path}' must end in .png, .svg or .pdf.")
+    return ending
+
+
+def write_figure(path: str | os.PathLike[str], figure: Any) -> None:
+    """Write a figure in the format of the name's ending, whole or not at all."""
+    ending = require_picture(path)
     data = io.BytesIO()
     metadata = {'png': {'Software': None}, 'svg': {'Date': None}, 'pdf': {'CreationDate': None}}
     import matplotlib

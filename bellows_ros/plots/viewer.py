@@ -16,25 +16,23 @@ import os
 from pathlib import Path
 import subprocess
 import sys
-import tempfile
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Any
 
+from bellows_ros.core.arrays import Stamps
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.score import AXES
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
 from bellows_ros.files.atomic import write_bytes
+from bellows_ros.files.temporary import scratch_folder
+from bellows_ros.workflows.plot import Replayed
 import numpy as np
-from numpy.typing import NDArray
 
-from .animation import HasReplay
 from .panels import MILLI
 from .prediction import UNITS
 from .shapes import bellows_rings, RINGS, SIDES
 from .style import THEMES
-
-Array = NDArray[np.float64]
 
 NO_RERUN = (
     f'The view needs Rerun, which is not here. Install it: {install("view")}. For a picture that '
@@ -49,18 +47,7 @@ COLOURS = THEMES['dark']
 XYZ_COLOURS = ((232, 88, 88), (86, 190, 96), (92, 138, 255))
 
 
-class HasView(HasReplay, Protocol):
-    """A replay with its coordinates; see `workflows.plot.Replayed`."""
-
-    deflection: Array
-
-    @property
-    def replay(self) -> Any:
-        """Replay with `measured` and `predicted` coordinates (N, 6) of B in the tool."""
-        ...
-
-
-def write_view(path: str | os.PathLike[str], replayed: HasView, note: str) -> None:
+def write_view(path: str | os.PathLike[str], replayed: Replayed, note: str) -> None:
     """
     Write a replay as a recording of Rerun, whole or not at all.
 
@@ -68,7 +55,7 @@ def write_view(path: str | os.PathLike[str], replayed: HasView, note: str) -> No
     ----------
     path : path
         Ends in .rrd.
-    replayed : HasView
+    replayed : Replayed
         What is shown.
     note : str
         Which recording and cup.
@@ -89,13 +76,13 @@ def write_view(path: str | os.PathLike[str], replayed: HasView, note: str) -> No
     write_bytes(path, data)
 
 
-def open_view(replayed: HasView, note: str) -> None:
+def open_view(replayed: Replayed, note: str) -> None:
     """
     Show a replay in a window of Rerun, until it is closed.
 
     Parameters
     ----------
-    replayed : HasView
+    replayed : Replayed
         What is shown.
     note : str
         Which recording and cup.
@@ -106,8 +93,8 @@ def open_view(replayed: HasView, note: str) -> None:
         If Rerun is missing, or ends with an error, as it does without a display.
 
     """
-    with tempfile.TemporaryDirectory(prefix='bellows_') as folder:
-        path = Path(folder) / f'view{ENDING}'
+    with scratch_folder() as folder:
+        path = folder / f'view{ENDING}'
         write_view(path, replayed, note)
         done = subprocess.run([sys.executable, '-m', 'rerun', '--hide-welcome-screen', str(path)])
     if done.returncode != 0:
@@ -144,7 +131,7 @@ def _recording(rr: Any, note: str) -> Iterator[Any]:
         recording.disconnect()
 
 
-def _fill(rr: Any, recording: Any, replayed: HasView) -> None:
+def _fill(rr: Any, recording: Any, replayed: Replayed) -> None:
     """Send all that is shown."""
     recording.send_blueprint(_blueprint(rr, replayed))
     recording.log('world', rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -162,7 +149,7 @@ def _fill(rr: Any, recording: Any, replayed: HasView) -> None:
     _send_series(rr, recording, replayed, times)
 
 
-def _send_bodies(rr: Any, recording: Any, replayed: HasView) -> None:
+def _send_bodies(rr: Any, recording: Any, replayed: Replayed) -> None:
     """Send what hangs on the moving frames: the arm, axes, boxes."""
     half = [0.5 * replayed.box]
     axes = rr.Arrows3D(vectors=AXES_LENGTH * np.eye(3), radii=0.001, colors=XYZ_COLOURS)
@@ -178,7 +165,7 @@ def _send_bodies(rr: Any, recording: Any, replayed: HasView) -> None:
         colors=[_rgb(COLOURS.error)]), static=True)
 
 
-def _send_cup(rr: Any, recording: Any, replayed: HasView) -> None:
+def _send_cup(rr: Any, recording: Any, replayed: Replayed) -> None:
     """Send the cup between tool and predicted package, some times a second."""
     step = max(1, round(1.0 / (CUPS_PER_SECOND * float(np.median(np.diff(replayed.seconds))))))
     shown = np.arange(0, len(replayed.seconds), step)
@@ -192,34 +179,34 @@ def _send_cup(rr: Any, recording: Any, replayed: HasView) -> None:
     outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
     count = RINGS * SIDES
     recording.log('world/cup', rr.Mesh3D.from_fields(
-        triangle_indices=_triangles(), albedo_factor=_rgb(COLOURS.measured)), static=True)
+        triangle_indices=_r_factors(), albedo_factor=_rgb(COLOURS.measured)), static=True)
     recording.send_columns(
         'world/cup', [rr.TimeColumn(TIMELINE, duration=replayed.seconds[shown])],
         rr.Mesh3D.columns(
             vertex_positions=rings.reshape(-1, 3), vertex_normals=outward.reshape(-1, 3),
         ).partition([count] * len(shown)),
-    )  # fmt: skip
+    )
 
 
-def _triangles() -> NDArray[np.int64]:
+def _r_factors() -> Stamps:
     """Return the corners (T, 3) of the triangles between the rings."""
     ring, side = (x.ravel() for x in np.mgrid[:RINGS - 1, :SIDES - 1])
     a = ring * SIDES + side
     return np.concatenate([
         np.column_stack([a, a + 1, a + SIDES]), np.column_stack([a + 1, a + SIDES + 1, a + SIDES]),
-    ])  # fmt: skip
+    ])
 
 
-def _send_series(rr: Any, recording: Any, replayed: HasView, times: list[Any]) -> None:
+def _send_series(rr: Any, recording: Any, replayed: Replayed, times: list[Any]) -> None:
     """Send the time series, in mm and mrad."""
-    replay = replayed.replay
+    live = replayed.live
     for axis, name in enumerate(AXES):
         for path, label, colour, width, values in (
-            (f'package/{name}/measured', 'measured', _rgb(COLOURS.measured), 3.0, replay.measured),
+            (f'package/{name}/measured', 'measured', _rgb(COLOURS.measured), 3.0, live.measured),
             (f'package/{name}/predicted', 'predicted', _rgb(COLOURS.predicted), 1.2,
-             replay.predicted),
+             live.predicted),
             (f'error/{name}', name, XYZ_COLOURS[axis % 3], 1.0,
-             replay.predicted - replay.measured),
+             live.predicted - live.measured),
             (f'deflection/{name}', name, XYZ_COLOURS[axis % 3], 1.2, replayed.deflection),
         ):
             recording.log(path, rr.SeriesLines(
@@ -228,7 +215,7 @@ def _send_series(rr: Any, recording: Any, replayed: HasView, times: list[Any]) -
                 path, times, rr.Scalars.columns(scalars=MILLI * values[:, axis]))
 
 
-def _blueprint(rr: Any, replayed: HasView) -> Any:
+def _blueprint(rr: Any, replayed: Replayed) -> Any:
     """Return how the viewer is laid out: space on the left, series on the right; it plays."""
     rrb = rr.blueprint
     bodies = np.vstack([replayed.motion.tool_position, replayed.position])
@@ -237,7 +224,7 @@ def _blueprint(rr: Any, replayed: HasView) -> Any:
     eye = rrb.EyeControls3D(
         position=centre + reach * EYE, look_target=centre, eye_up=(0.0, 0.0, 1.0))
     axes = [rrb.TimeSeriesView(origin=f'package/{name}', name=f'{name} of B in the tool')
-            for name in AXES]  # fmt: skip
+            for name in AXES]
     views = SimpleNamespace(
         package=rrb.Grid(*axes, grid_columns=2, name='Package in the tool'),
         **{what: rrb.Vertical(*(
@@ -246,7 +233,7 @@ def _blueprint(rr: Any, replayed: HasView) -> Any:
             for unit, names in (('mm', AXES[:3]), ('mrad', AXES[3:]))), name=words)
            for what, words in (('deflection', 'Deflection of the cup'),
                                ('error', 'Predicted minus measured'))},
-    )  # fmt: skip
+    )
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(origin='world', name='Tool, cup, package', eye_controls=eye),
@@ -254,7 +241,7 @@ def _blueprint(rr: Any, replayed: HasView) -> Any:
         rrb.BlueprintPanel(state='collapsed'), rrb.SelectionPanel(state='collapsed'),
         rrb.TimePanel(state='collapsed', timeline=TIMELINE, play_state='playing',
                       loop_mode='all'),
-    )  # fmt: skip
+    )
 
 
 def _rgb(colour: str) -> tuple[int, ...]:

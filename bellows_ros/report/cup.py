@@ -4,17 +4,17 @@ from collections.abc import Mapping, Sequence
 import math
 from typing import Any
 
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.advice.excitation import Excitation
-from bellows_ros.core.identification.judgement.whiteness import Spectrum
-from bellows_ros.core.identification.structure import AXES, structure_named
+from bellows_ros.core.identification.equations.validity_range import Spectra
+from bellows_ros.core.identification.result import UNITS
+from bellows_ros.core.spectra import Spectrum
+from bellows_ros.core.structure import AXES, structure_named
 from bellows_ros.workflows.result_json import NORMAL_95
 import numpy as np
-from numpy.typing import NDArray
 
 from .page import bullets, figures, folded, heading, paragraph, table
 from .svg import Curve, interval_chart, line_chart
-
-Array = NDArray[np.float64]
 
 LOWEST_HZ = 0.2
 """Lower end of spectra on a logarithmic axis."""
@@ -22,7 +22,6 @@ LOWEST_HZ = 0.2
 WIDE = 3.0
 """Ratio of numbers from which an axis is logarithmic."""
 
-UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}
 NAMES = {'K': ('stiffness', 'Stiffness K'), 'P': ('damping', 'Damping P')}
 
 
@@ -38,17 +37,17 @@ def cup_content(content: Mapping[str, Any]) -> list[str]:
             '95 % intervals, in percent of the entry; off the diagonal in percent of the root of '
             'the two diagonal entries. Dashed where the recordings say nothing.', 'quiet'),
         bullets(_facts(content)),
-    ]  # fmt: skip
+    ]
     for matrix, (key, title) in NAMES.items():
         unit = ', '.join(UNITS[matrix])
         cells = [[name, *(f'{x:.6g}' for x in row)]
-                 for name, row in zip(AXES, content[key], strict=True)]  # fmt: skip
+                 for name, row in zip(AXES, content[key], strict=True)]
         parts.append(folded(f'{title} ({unit})', table(['', *AXES], cells)))
     return parts
 
 
 def entry_rows(content: Mapping[str, Any]) -> list[tuple[str, float, float, float, str]]:
-    """Return label, value, standard error (NaN: not told), scale and unit of each parameter."""
+    """Return label, value, standard error (NaN: not known), scale and unit of each parameter."""
     structure = structure_named(content['structure'])
     rows = []
     for matrix, (key, _) in NAMES.items():
@@ -56,7 +55,7 @@ def entry_rows(content: Mapping[str, Any]) -> list[tuple[str, float, float, floa
         errors = np.array(
             [[math.nan if x is None else x for x in row] for row in content[f'{key}_std']])
         labels = [label for label in structure.labels if label.startswith(matrix)]
-        for label, ((i, j), *_) in zip(labels, structure.entries, strict=True):
+        for label, (i, j) in zip(labels, structure.leads, strict=True):
             scale = math.sqrt(abs(values[i, i] * values[j, j]))
             unit = UNITS[matrix][(i > 2) + (j > 2)]
             rows.append((label, float(values[i, j]), float(errors[i, j]), scale, unit))
@@ -66,7 +65,7 @@ def entry_rows(content: Mapping[str, Any]) -> list[tuple[str, float, float, floa
 def _shown(label: str, value: float, error: float, unit: str) -> tuple[str, ...]:
     """Return a row of the table."""
     if not math.isfinite(error):
-        return label, f'{value:.5g}', 'not told', 'not told', unit
+        return label, f'{value:.5g}', 'not identifiable', '', unit
     low, high = value - NORMAL_95 * error, value + NORMAL_95 * error
     digits = max(0, 1 - math.floor(math.log10(error))) if error > 0.0 else 6
     numbers = [f'{number:.{digits}f}' for number in (value, error, low, high)]
@@ -84,7 +83,7 @@ def _intervals(
         half = 100.0 * NORMAL_95 * error / scale if scale else math.nan
         diagonal = '-' not in label
         centre = 0.0 if diagonal else 100.0 * value / scale if scale else math.nan
-        text = f'±{half:.2g} %' if math.isfinite(half) else 'not told'
+        text = f'±{half:.2g} %' if math.isfinite(half) else 'not identifiable'
         items.append((label, centre, half, text))
     return interval_chart(items, '% of the entry', f'Intervals of {NAMES[matrix][1]}')
 
@@ -95,7 +94,7 @@ def _facts(content: Mapping[str, Any]) -> list[str]:
         f'{content["samples_used"]} samples used, {content["samples_rejected"]} left out.',
         f'Condition number {content["condition_number"]:.3g}.'
         if content['condition_number'] is not None else 'Condition number not finite.',
-    ]  # fmt: skip
+    ]
     if content.get('chi2') is not None:
         found.append(f'Chi² per degree of freedom of the fit {content["chi2"]:.4f}.')
     if not content.get('usable', True):
@@ -104,7 +103,7 @@ def _facts(content: Mapping[str, Any]) -> list[str]:
 
 
 def envelope_content(content: Mapping[str, Any]) -> list[str]:
-    """Return the ranges that the fit has seen, of the result's envelope."""
+    """Return the validity range of a result."""
     seen = content['envelope']
     rows = []
     for i, name in enumerate(seen['directions']):
@@ -120,34 +119,35 @@ def envelope_content(content: Mapping[str, Any]) -> list[str]:
         table(('lip in the tool', 'seen', 'fastest'), rows),
         bullets([f'95 % of the power of the shift lies in {bands[0]}, of the rotation in '
                  f'{bands[1]}.', f'Mass: {mass} kg.']),
-    ]  # fmt: skip
+    ]
 
 
-def excitation_content(found: Excitation, names: Sequence[str]) -> list[str]:
-    """Return what the recordings can tell."""
+def excitation_content(found: Excitation, spectra: Mapping[str, Spectra]) -> list[str]:
+    """Return what is identifiable from the recordings."""
     rows = []
     for i, axis in enumerate(found.axes):
         unit, milli = ('mm', 'mm/s') if i < 3 else ('mrad', 'mrad/s')
         rows.append(
             (axis.name, f'{1e3 * axis.motion:.3g} {unit}', f'{1e3 * axis.strain_noise:.2g} {unit}',
              f'{1e3 * axis.twist:.4g} {milli}', f'{1e3 * axis.twist_noise:.2g} {milli}',
-             f'{axis.band_hz[0]:.3g} to {axis.band_hz[1]:.3g} Hz'))  # fmt: skip
-    told = [
+             f'{axis.band_hz[0]:.3g} to {axis.band_hz[1]:.3g} Hz'))
+    parameters = [
         (p.label, f'{100.0 * p.noise_share:.2g} %' if math.isfinite(p.noise_share) else '-',
-         'not told' if p.untold else 'weakly told' if p.weak else 'well told')
+         'not identifiable' if not p.identifiable else 'weakly' if p.weak else 'well')
         for p in found.parameters
-    ]  # fmt: skip
+    ]
     return [
-        paragraph(f'{found.rank} of {found.size} combinations of parameters are told; scaled '
-                  f'condition number {found.condition_number:.3g}.'),
+        paragraph(f'{found.rank} of {found.size} combinations of parameters are identifiable; '
+                  f'scaled condition number {found.condition_number:.3g}.'),
         bullets(found.warnings, 'warning'),
         table(('lip in the tool', 'RMS motion', 'of noise', 'RMS rate', 'of noise', 'band'), rows),
-        folded('Each parameter', table(('parameter', 'noise in what tells it', ''), told, (0, 2))),
-        *(part for name, spectra in zip(names, found.spectra, strict=True)
+        folded(
+            'Each parameter', table(('parameter', 'noise', 'identifiable'), parameters, (0, 2))),
+        *(part for name, own in spectra.items()
           for part in (heading(name), figures([
-              ('Rate of the shift', _rates(spectra.twist, 0, 'm²/s²/Hz')),
-              ('Rate of the rotation', _rates(spectra.twist, 3, 'rad²/s²/Hz'))]))),
-    ]  # fmt: skip
+              ('Rate of the shift', _rates(own.twist, 0, 'm²/s²/Hz')),
+              ('Rate of the rotation', _rates(own.twist, 3, 'rad²/s²/Hz'))]))),
+    ]
 
 
 def _rates(spectrum: Spectrum, first: int, unit: str) -> str:
@@ -158,9 +158,9 @@ def _rates(spectrum: Spectrum, first: int, unit: str) -> str:
         Curve(spectrum.frequency[shown], spectrum.density[shown, first + i], kind,
               AXES[first + i])
         for i, kind in enumerate(kinds)
-    ]  # fmt: skip
+    ]
     return line_chart(curves, 'frequency (Hz)', unit, log=(True, True),
-                      description='Spectra of the excitation')  # fmt: skip
+                      description='Spectra of the excitation')
 
 
 def iteration_content(iterations: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -170,7 +170,7 @@ def iteration_content(iterations: Sequence[Mapping[str, Any]]) -> list[str]:
     charts = [('Chi² per degree of freedom', line_chart(
         [Curve(number, chi2, 'predicted')], 'step', 'chi²',
         log=(False, bool(chi2.max() > WIDE * chi2.min() > 0.0)),
-        description='Chi squared over the steps'))]  # fmt: skip
+        description='Chi squared over the steps'))]
     for key in ('stiffness', 'damping'):
         diagonals = np.array([np.diag(np.array(step[key], dtype=float)) for step in iterations])
         last = np.where(diagonals[-1] != 0.0, diagonals[-1], 1.0)
@@ -178,13 +178,13 @@ def iteration_content(iterations: Sequence[Mapping[str, Any]]) -> list[str]:
         curves = [
             Curve(number, diagonals[:, i] / last[i], kind, AXES[i])
             for i, kind in enumerate(kinds) if not _tied(diagonals, i)
-        ]  # fmt: skip
+        ]
         charts.append((f'{key.capitalize()}, diagonal over its final value', line_chart(
-            curves, 'step', 'ratio', description=f'{key} over the steps')))  # fmt: skip
+            curves, 'step', 'ratio', description=f'{key} over the steps')))
     stages = [int(step.get('stage', 0)) for step in iterations]
     return [paragraph(f'{len(iterations)} steps in {len(set(stages))} stages.'), figures(charts)]
 
 
 def _tied(diagonals: Array, axis: int) -> bool:
-    """Tell whether a direction has the numbers of the one before it, step for step."""
+    """Return whether a direction has the numbers of the one before it, step for step."""
     return axis in (1, 4) and bool(np.all(diagonals[:, axis] == diagonals[:, axis - 1]))

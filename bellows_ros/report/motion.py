@@ -1,21 +1,15 @@
 """What a free simulation of a recording shows: motion, residuals, spectra, whiteness."""
 
-from bellows_ros.core.identification.judgement.validation import LIMIT, Validation
-from bellows_ros.core.identification.judgement.whiteness import (
-    CONFIDENT,
-    SMALL,
-    Spectrum,
-    Whiteness,
-)
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.validation.validation import LIMIT, Validation
+from bellows_ros.core.identification.validation.whiteness import CONFIDENT, SMALL, Whiteness
 from bellows_ros.core.score import AXES
-from bellows_ros.workflows.validate import Validated
+from bellows_ros.core.spectra import Spectrum
+from bellows_ros.workflows.replay import Replay
 import numpy as np
-from numpy.typing import NDArray
 
 from .page import figures, heading, paragraph, table, warnings
 from .svg import Curve, line_chart
-
-Array = NDArray[np.float64]
 
 MILLI = 1e3
 UNITS = ('mm',) * 3 + ('mrad',) * 3
@@ -27,42 +21,44 @@ LOWEST_HZ = 0.4
 """Lower end of spectra on a logarithmic axis."""
 
 
-def motion_content(validated: Validated) -> list[str]:
+def motion_content(replayed: Replay) -> list[str]:
     """Return tables and figures of a recording that was simulated freely."""
-    found = validated.validation
+    found = replayed.validation
     start = 'static equilibrium' if found.start == 'equilibrium' else 'the measured state'
     return [
-        warnings(validated.warnings),
+        paragraph(_verdict(found)),
+        *([paragraph(replayed.margin.sentence)] if replayed.margin else []),
+        warnings(replayed.warnings),
         paragraph(
             f'The model ran freely from {start} to the end: it saw the motion of the tool, and '
             f'nothing of the package. {found.scores.samples} samples are compared. Coordinates '
             'are those of the centre of mass B in the axes of the tool E: position, and rotation '
-            'vector.'
+            'vector. NRMSE is the RMS error over the RMS motion, noise included; the model error '
+            'is what is left of it without the noise.'
         ),
         _score_table(found),
-        paragraph(_verdict(found)),
         heading('Measured and simulated, and the difference'),
-        figures(_motion_figures(found, validated.recording.since_start(found.stamps_ns))),
+        figures(_motion_figures(found, replayed.recording.since_start(found.stamps_ns))),
         heading('Spectra'),
         paragraph(
-            'Power spectral densities of the motion, of the error of the free simulation, and of '
-            'the one-step prediction errors: the model is corrected at every sample there, and '
+            'Amplitude spectral densities of the motion, of the error of the free simulation, and '
+            'of the one-step prediction errors: the model is corrected at every sample there, and '
             'what is left is flat if nothing but noise is. Lost samples of motion and error are '
             'interpolated.', 'quiet'),
         figures([(AXES[i], _spectrum(found, i)) for i in range(6)]),
         heading('Whiteness'),
         *_whiteness(found),
-    ]  # fmt: skip
+    ]
 
 
 def _score_table(found: Validation) -> str:
     """Return errors per axis."""
     head = ('axis', 'RMS error', 'of noise alone', 'largest', 'motion', 'NRMSE',
-            'model error', 'judged')  # fmt: skip
+            'model error', 'judged')
     rows = []
     for i, name in enumerate(AXES):
         numbers = (found.scores.rms[i], found.noise[i], found.scores.largest[i],
-                   found.scores.motion[i])  # fmt: skip
+                   found.scores.motion[i])
         rows.append(
             (
                 name,
@@ -89,16 +85,12 @@ def _percent(ratio: float) -> str:
 
 def _verdict(found: Validation) -> str:
     """Return what the table says, in words."""
-    text = (
-        'NRMSE is the RMS error over the RMS motion, noise included; the model error is what is '
-        'left of it without the noise. '
-    )
     failing = found.failing()
     if failing:
-        return f'{text}Above {100 * LIMIT:g} %: {", ".join(failing)}.'
+        return f'Errors above {100 * LIMIT:g} % of the motion: {", ".join(failing)}.'
     if not found.moves.any():
-        return f'{text}No axis moves enough to be judged.'
-    return f'{text}All axes that move are within {100 * LIMIT:g} %.'
+        return 'No axis moves enough for a verdict.'
+    return f'All axes that move are predicted within {100 * LIMIT:g} % of their motion.'
 
 
 def _motion_figures(found: Validation, seconds: Array) -> list[tuple[str, str]]:
@@ -107,18 +99,18 @@ def _motion_figures(found: Validation, seconds: Array) -> list[tuple[str, str]]:
     for first in range(3):
         for i in (first, first + 3):
             measured, predicted = (MILLI * part[:, i] for part in (found.measured,
-                                                                   found.predicted))  # fmt: skip
+                                                                   found.predicted))
             motion = line_chart(
                 [Curve(seconds, measured, 'measured', 'measured'),
                  Curve(seconds, predicted, 'predicted', 'simulated')],
                 '', f'{AXES[i]} ({UNITS[i]})', least_span=LEAST_SPAN,
                 description=f'Measured and simulated {AXES[i]} over time',
-            )  # fmt: skip
+            )
             error = line_chart(
                 [Curve(seconds, predicted - measured, 'error', 'simulated minus measured')],
                 'time (s)', f'error ({UNITS[i]})', ERROR_SIZE,
                 description=f'Error of {AXES[i]} over time',
-            )  # fmt: skip
+            )
             items.append(('', motion + error))
     return items
 
@@ -132,15 +124,15 @@ def _spectrum(found: Validation, axis: int) -> str:
     if found.one_step:
         curves.append(_density(found.one_step.spectrum, axis, 'predicted', 'one-step error'))
     return line_chart(
-        curves, 'frequency (Hz)', f'{UNITS[axis]}²/Hz', log=(True, True),
+        curves, 'frequency (Hz)', f'{UNITS[axis]}/√Hz', log=(True, True),
         description=f'Spectra of {AXES[axis]}',
-    )  # fmt: skip
+    )
 
 
 def _density(found: Spectrum, axis: int, kind: str, label: str) -> Curve:
     """Return a spectrum in mm or mrad as a curve."""
     shown = found.frequency >= LOWEST_HZ
-    return Curve(found.frequency[shown], MILLI**2 * found.density[shown, axis], kind, label)
+    return Curve(found.frequency[shown], MILLI * np.sqrt(found.density[shown, axis]), kind, label)
 
 
 def _whiteness(found: Validation) -> list[str]:
@@ -158,11 +150,11 @@ def _whiteness(found: Validation) -> list[str]:
         table(
             ('errors', 'axis', 'Q', 'probability', 'largest autocorrelation', 'verdict'),
             [row for name, test in tests for row in _test_rows(name, test)], (0, 1, 5)),
-    ]  # fmt: skip
+    ]
     if found.one_step:
         content.append(paragraph(
             f'Chi² per degree of freedom of the one-step errors: {found.one_step.chi2:.4f}; 1 '
-            'where the model and the noise explain all.'))  # fmt: skip
+            'where the model and the noise explain all.'))
     shown = found.one_step.whiteness if found.one_step else found.whiteness
     content.append(figures([(AXES[i], _correlation(shown, i)) for i in range(6)]))
     return content
@@ -174,7 +166,7 @@ def _test_rows(name: str, test: Whiteness) -> list[tuple[str, ...]]:
         (name, AXES[i], f'{test.statistic[i]:.1f}', _probability(float(test.p_value[i])),
          f'{test.largest[i]:.3f}', test.words[i])
         for i in range(6)
-    ]  # fmt: skip
+    ]
 
 
 def _probability(p: float) -> str:
@@ -191,4 +183,4 @@ def _correlation(test: Whiteness, axis: int) -> str:
          Curve(lags, test.autocorrelation[:, axis], 'error')],
         'lag (samples)', 'autocorrelation', ERROR_SIZE,
         description=f'Autocorrelation of {AXES[axis]}',
-    )  # fmt: skip
+    )

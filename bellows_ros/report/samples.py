@@ -1,8 +1,8 @@
 """Which samples of a recording were used, and what was wrong with the others."""
 
-from bellows_ros.core.recording.preparation import Recording, StreamReport
+from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.recording.recording import Recording, StreamReport
 import numpy as np
-from numpy.typing import NDArray
 
 from .page import bullets, figure, table
 from .svg import strip_chart
@@ -29,11 +29,11 @@ def samples_content(recording: Recording) -> list[str]:
             ('topic', 'poses', 'rate', 'refused', 'outliers', 'gaps', 'left out by the filter'),
             [_stream_row(stream) for stream in (report.tool, report.package)]),
         bullets(report.warnings, 'warning'),
-    ]  # fmt: skip
+    ]
 
 
 def spans(
-    mask: NDArray[np.bool_], seconds: NDArray[np.float64], step: float
+    mask: Mask, seconds: Array, step: float
 ) -> list[tuple[float, float]]:
     """Return start and end (s) of the stretches of samples in a mask; each lasts a step."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
@@ -46,10 +46,10 @@ def spans(
 def _stream_row(stream: StreamReport) -> tuple[str, ...]:
     """Return what became of a topic's poses."""
     refused = [f'{len(where)} {reason.replace("_", " ")}'
-               for reason, where in stream.refused.items() if where]  # fmt: skip
+               for reason, where in stream.refused.items() if where]
     longest = max((gap.duration_s for gap in stream.timing.gaps), default=0.0)
     gaps = f'{len(stream.timing.gaps)}, longest {longest:.3g} s' if longest else '0'
     return (
         stream.name, str(stream.samples), f'{stream.timing.rate_hz:.6g} Hz',
         ', '.join(refused) or '0', str(stream.marked), gaps, str(stream.touched),
-    )  # fmt: skip
+    )

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 from html import escape
 import math
 
+from bellows_ros.core.arrays import Array
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 LEFT, RIGHT, TOP, BOTTOM = 58.0, 12.0, 10.0, 34.0
 LETTER = 6.6  # width of a character of the charts' text, about
@@ -77,7 +75,7 @@ def round_numbers(low: float, high: float, most: int) -> list[float]:
     raw = (high - low) / max(most, 1)
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(factor * power for factor in (1.0, 2.0, 5.0, 10.0, 20.0)
-                if (high - low) / (factor * power) <= most)  # fmt: skip
+                if (high - low) / (factor * power) <= most)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [number * step for number in range(first, last + 1)]
 

@@ -5,25 +5,24 @@ from dataclasses import dataclass
 import os
 from typing import Any
 
-from bellows_ros.core.identification.judgement.comparison import (
+from bellows_ros.core.identification.validation.comparison import (
     Change,
     compare_fits,
     FitComparison,
     Fitted,
 )
-from bellows_ros.core.identification.structure import structure_named
 from bellows_ros.core.model import Cup, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.structure import structure_named
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.content import content_of
 from bellows_ros.files.results import read_result
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 Path = str | os.PathLike[str]
 
 NOT_COMPARED = ('output.', 'predictor', 'exit_when_done', 'envelope.', 'cup.stiffness',
-                'cup.damping')  # fmt: skip
+                'cup.damping')
 """Settings that say nothing about how the fit was made."""
 
 
@@ -93,17 +92,18 @@ def compare_files(before: Path, after: Path) -> Comparison:
 
     """
     contents = read_result(before), read_result(after)
-    values = _settings(before, contents[0])
-    fits = compare_fits(
-        _fitted(before, contents[0]), _fitted(after, contents[1]), package_of(values),
-        values['gravity'],
-    )  # fmt: skip
-    return Comparison(
-        paths=(os.fspath(before), os.fspath(after)),
-        fits=fits,
-        settings=tuple(_differences(*contents)),
-        shared=_shared(*contents),
-    )
+    with content_of(before, after):
+        values = _settings(before, contents[0])
+        fits = compare_fits(
+            _fitted(before, contents[0]), _fitted(after, contents[1]), package_of(values),
+            values['gravity.magnitude'],
+        )
+        return Comparison(
+            paths=(os.fspath(before), os.fspath(after)),
+            fits=fits,
+            settings=tuple(_differences(*contents)),
+            shared=_shared(*contents),
+        )
 
 
 def _fitted(path: Path, content: Mapping[str, Any]) -> Fitted:
@@ -118,7 +118,7 @@ def _fitted(path: Path, content: Mapping[str, Any]) -> Fitted:
         cup = Cup(
             np.array(content['stiffness'], dtype=float), np.array(content['damping'], dtype=float),
             float(content['cup_length']),
-        )  # fmt: skip
+        )
         return Fitted(structure, cup, covariance[np.ix_(order, order)])
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise BellowsError(
@@ -145,7 +145,7 @@ def _differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Di
     return [
         Difference(name, sides[0].get(name), sides[1].get(name))
         for name in names if sides[0].get(name) != sides[1].get(name)
-    ]  # fmt: skip
+    ]
 
 
 def _described(content: Mapping[str, Any]) -> dict[str, Any]:

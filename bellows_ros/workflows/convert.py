@@ -1,4 +1,4 @@
-"""Poses from Motive exports, TUM and EuRoC files to recordings, and from recordings to TUM."""
+"""Poses of files, joints or transforms to recordings, and from recordings to TUM."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -11,13 +11,16 @@ from bellows_ros import __version__
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_writer import Recorded, write_bag
-from bellows_ros.files.bags import accepted_types, read_streams, topics
+from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
+from bellows_ros.files.bags import accepted_types, messages_of, read_streams, topics
 from bellows_ros.files.motive import FEWEST_MARKERS, is_motive, read_motive
-from bellows_ros.files.trajectory_files import read_euroc, read_tum, write_tum
+from bellows_ros.files.plans import joints_or_tf
+from bellows_ros.files.trajectory_files import read_trajectory, write_tum
+from bellows_ros.files.transforms import poses_in, read_transforms
 import numpy as np
 
 POSE = 'geometry_msgs/msg/PoseStamped'
+TOOL_POSE, PACKAGE_POSE = '/tool_arm/pose', '/package/pose'
 MOTIVE_FRAME = 'motive'
 WORLD_FRAME = 'world'
 TEXT_ENDINGS = ('.tum', '.txt')
@@ -87,8 +90,8 @@ def to_bag(
     Parameters
     ----------
     sources : sequence of path
-        Motive CSV exports, whose every rigid body becomes a topic, or TUM or EuRoC files, each a
-        topic.
+        Motive CSV exports, whose every rigid body becomes a topic, or TUM, KITTI or EuRoC
+        files, each a topic.
     out : path
         Folder to make.
     names : sequence of str, optional
@@ -126,7 +129,105 @@ def to_bag(
     return Conversion(
         os.fspath(out), tuple(converted for converted, _ in named),
         'motive_y_up' if motive else 'z_up', _notes(named),
-    )  # fmt: skip
+    )
+
+
+def tool_to_bag(
+    bag: str | os.PathLike[str], out: str | os.PathLike[str], tool_link: str, urdf: str = '',
+    topic: str = '', storage: str = 'mcap', replace: bool = False,
+) -> Conversion:
+    """
+    Write a recording with poses of the tool from one that has joint states or transforms.
+
+    Its poses and twists of whatever are copied.
+
+    Parameters
+    ----------
+    bag : path
+        rosbag2 folder, or a bare .mcap or .db3 file.
+    out : path
+        Folder to make.
+    tool_link : str
+        Link or frame at the tool tip E.
+    urdf : str, optional
+        File with the arm; without it that on /robot_description, or else the transforms count.
+    topic : str, optional
+        For the tool's poses; '/tool_arm/pose' when left out.
+    storage : str
+        'mcap' or 'sqlite3'.
+    replace : bool
+        Whether a recording that is there may be replaced.
+
+    Raises
+    ------
+    BellowsError
+        If the recording has no way to the tool.
+
+    """
+    read = joints_or_tf(bag, urdf, tool_link)
+    name = f'/{(topic or TOOL_POSE).lstrip("/")}'
+    stamps = read.stamp_ns + read.times_ns
+    others: dict[tuple[str, str], list[tuple[int, bytes]]] = {}
+    types = {*accepted_types('pose'), *accepted_types('twist')}
+    for there, kind, log_ns, data in messages_of(bag, types):
+        others.setdefault((there, kind), []).append((log_ns, data))
+    if any(there == name for there, _ in others):
+        raise BellowsError(
+            f"Topic '{name}' is in recording '{bag}' already. Give the tool's another: --topic.")
+    recorded: list[Recorded | Encoded] = [Recorded(name, POSE, stamps, read.poses, read.frame_id)]
+    bodies = [Converted(name, f"{tool_link} in '{read.frame_id}' of {bag}", len(stamps), {})]
+    for (there, kind), messages in others.items():
+        times, data_of = zip(*messages, strict=True)
+        recorded.append(Encoded(there, kind, np.array(times, dtype=np.int64), data_of))
+        bodies.append(Converted(there, os.fspath(bag), len(times), {}))
+    write_bag(out, recorded, storage, replace=replace)
+    return Conversion(os.fspath(out), tuple(bodies), 'z_up')
+
+
+def transforms_to_bag(
+    bag: str | os.PathLike[str], out: str | os.PathLike[str], tool_frame: str, package_frame: str,
+    world_frame: str = '', names: Sequence[str] = (), storage: str = 'mcap',
+    replace: bool = False,
+) -> Conversion:
+    """
+    Write a recording with poses of tool and package from one with transforms.
+
+    Parameters
+    ----------
+    bag : path
+        rosbag2 folder, or a bare .mcap or .db3 file, with /tf and perhaps /tf_static.
+    out : path
+        Folder to make.
+    tool_frame, package_frame : str
+        Frames of the tool tip E and of the package.
+    world_frame : str
+        In which the poses are wanted; the farthest one above the tool when left out.
+    names : sequence of str, optional
+        Topics of both; '/tool_arm/pose' and '/package/pose' when left out.
+    storage : str
+        'mcap' or 'sqlite3'.
+    replace : bool
+        Whether a recording that is there may be replaced.
+
+    Raises
+    ------
+    BellowsError
+        If the transforms do not lead from both to the world.
+
+    """
+    links, recorded, bodies = read_transforms(bag), list[Recorded](), list[Converted]()
+    names = names or (TOOL_POSE, PACKAGE_POSE)
+    if len(set(names)) != 2:
+        raise BellowsError('Name two topics with --topic, of the tool and of the package.')
+    for frame, topic in zip((tool_frame, package_frame), names, strict=True):
+        stamps, T, world_frame = poses_in(links, frame, world_frame, f"'{bag}'")
+        rows = np.hstack([T[:, :3, 3], rotation_to_quaternion(T[:, :3, :3])])
+        item = Converted(f'/{topic.lstrip("/")}', f"{frame} in '{world_frame}' of {bag}",
+                         len(stamps), {})
+        recorded.append(Recorded(item.topic, POSE, stamps, rows, world_frame))
+        bodies.append(item)
+    write_bag(out, recorded, storage, replace=replace)
+    return Conversion(os.fspath(out), tuple(bodies), 'z_up')
 
 
 def _require_poses(bodies: Sequence[Converted]) -> None:
@@ -134,7 +235,7 @@ def _require_poses(bodies: Sequence[Converted]) -> None:
     if any(body.poses for body in bodies):
         return
     lost = {body.source: ', '.join(f'{n} {reason}' for reason, n in body.left_out.items())
-            for body in bodies}  # fmt: skip
+            for body in bodies}
     raise BellowsError(
         'No pose can be used: ' + '; '.join(f'{name}: {why}' for name, why in lost.items())
         + '. Fewer markers are enough with --markers N.'
@@ -144,7 +245,7 @@ def _require_poses(bodies: Sequence[Converted]) -> None:
 def _notes(items: Sequence[tuple[Converted, Recorded]]) -> tuple[str, ...]:
     """Return what is odd about the bodies: never tracked, or without a date."""
     notes = [f'{converted.source} was tracked in no frame; its topic is empty.'
-             for converted, _ in items if not converted.poses]  # fmt: skip
+             for converted, _ in items if not converted.poses]
     undated = [c.source for c, r in items if len(r.stamps_ns) and r.stamps_ns[0] < EARLIEST_NS]
     if undated:
         notes.append(
@@ -166,7 +267,7 @@ def _read(source: Path, fewest_markers: int) -> list[tuple[Converted, Recorded]]
     """Return the bodies in a file, with what was left out."""
     if not source.is_file():
         raise BellowsError(
-            f"'{source}' is not a file. Give a Motive CSV export, or a TUM or EuRoC file."
+            f"'{source}' is not a file. Give a Motive CSV export, or a TUM, KITTI or EuRoC file."
         )
     if source.suffix.lower() == '.csv' and is_motive(source):
         return [
@@ -174,8 +275,7 @@ def _read(source: Path, fewest_markers: int) -> list[tuple[Converted, Recorded]]
                   {'not tracked': body.missing, 'too few markers': body.unseen})
             for body in read_motive(source, fewest_markers)
         ]
-    read = read_euroc if source.suffix.lower() == '.csv' else read_tum
-    stamps, values = read(source)
+    stamps, values = read_trajectory(source)
     return [_item(source.stem, str(source), stamps, values, WORLD_FRAME, {})]
 
 

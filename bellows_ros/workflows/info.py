@@ -1,19 +1,21 @@
 """What is in a recording, how good it is, and how it would be read: topics, rates, gaps, roles."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 import os
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from bellows_ros import __version__
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import exp_so3, log_so3
-from bellows_ros.core.recording.alignment import in_world
+from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.grid import timing
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
-from bellows_ros.errors import BellowsError
-from bellows_ros.files.bags import accepted_types, read_streams, topics
+from bellows_ros.files.bags import accepted_types, read_contents, topics
+from bellows_ros.workflows.recordings import part_of
 from bellows_ros.workflows.roles import (
     Guess,
     likely_alone,
@@ -23,13 +25,12 @@ from bellows_ros.workflows.roles import (
     TwistGuess,
 )
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 Stream = PoseStream | TwistStream
 
 START_SECONDS = 0.2  # over which the pose at rest is averaged
 STILL_POSITION, STILL_ROTATION = 1e-3, 5e-3  # m and rad; more, beyond the noise, is motion
+LARGE_WAY = 20.0  # m; more is no cell, but millimetres
 STILL_DEVIATIONS = 6.0
 SHORTEST_REST = 0.5  # s, for an alignment at rest
 REST_USED = 0.9  # of the standstill that was found
@@ -140,7 +141,9 @@ class Info:
         return content | {'version': __version__}
 
 
-def info(path: str | os.PathLike[str]) -> Info:
+def info(
+    path: str | os.PathLike[str], span: Mapping[str, Any] = MappingProxyType({})
+) -> Info:
     """
     Look into a recording.
 
@@ -148,6 +151,8 @@ def info(path: str | os.PathLike[str]) -> Info:
     ----------
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
+    span : mapping
+        Parameters 'recording.start' and 'recording.end', s, where only a part is looked at.
 
     Raises
     ------
@@ -155,15 +160,18 @@ def info(path: str | os.PathLike[str]) -> Info:
         If there is no such recording, or it is damaged.
 
     """
-    found = topics(path)
+    notes: list[str] = []
+    found = topics(path, notes)
     pose_types, twist_types = accepted_types('pose'), accepted_types('twist')
     wanted = {
         f'{topic.name} {kind}': topic.name
         for topic in found if topic.messages
         for kind, types in (('pose', pose_types), ('twist', twist_types))
         if topic.type_name in types
-    }  # fmt: skip
+    }
     streams, problems = _read(path, wanted)
+    streams = {role: own for role, own in part_of(streams, *(
+        span.get(name, 0.0) for name in ('recording.start', 'recording.end'))).items() if len(own)}
     start_ns = min((int(s.stamps_ns[0]) for s in streams.values()), default=0)
     described = tuple(
         _topic(topic.name, topic.type_name, topic.messages, streams, problems, start_ns)
@@ -171,36 +179,28 @@ def info(path: str | os.PathLike[str]) -> Info:
     )
     poses = {s.name: s for s in streams.values() if isinstance(s, PoseStream) and len(s) > 2}
     twists = {s.name: s for s in streams.values() if isinstance(s, TwistStream) and len(s) > 2}
-    return _assigned(path, described, poses, twists)
+    assigned = _assigned(path, described, poses, twists)
+    return replace(
+        assigned, notes=(*notes, *assigned.notes), settings={**assigned.settings, **span})
 
 
 def _read(
     path: str | os.PathLike[str], wanted: Mapping[str, str]
 ) -> tuple[dict[str, Stream], dict[str, str]]:
-    """Return the streams that can be read, and why the others cannot."""
+    """Return the streams that can be read, and why other topics cannot."""
     if not wanted:
         return {}, {}
-    try:
-        return read_streams(path, wanted), {}
-    except BellowsError:
-        pass  # one of them; which one is found one by one
-    streams: dict[str, Stream] = {}
-    problems: dict[str, str] = {}
-    for role, topic in wanted.items():
-        try:
-            streams |= read_streams(path, {role: topic})
-        except BellowsError as error:
-            problems[topic] = str(error)
-    return streams, problems
+    contents = read_contents(path, wanted)
+    return contents.streams, {wanted[role]: str(e) for role, e in contents.problems.items()}
 
 
 def _topic(
     name: str, type_name: str, messages: int, streams: Mapping[str, Stream],
     problems: Mapping[str, str], start_ns: int,
-) -> TopicInfo:  # fmt: skip
+) -> TopicInfo:
     """Return what is known of a topic."""
     mine = {kind: streams[f'{name} {kind}'] for kind in ('pose', 'twist')
-            if f'{name} {kind}' in streams}  # fmt: skip
+            if f'{name} {kind}' in streams}
     if not mine:
         return TopicInfo(name, type_name, messages, problem=problems.get(name, ''))
     stream = next(iter(mine.values()))
@@ -210,7 +210,7 @@ def _topic(
         start_ns=int(stream.stamps_ns[0]),
         duration_s=float(stream.stamps_ns[-1] - stream.stamps_ns[0]) / NS_PER_S,
         refused={reason: len(where) for reason, where in stream.refused.items()}, **quality,
-    )  # fmt: skip
+    )
 
 
 def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
@@ -241,14 +241,14 @@ def _motion(poses: Trajectory) -> Motion | None:
 def _assigned(
     path: str | os.PathLike[str], described: tuple[TopicInfo, ...],
     poses: Mapping[str, PoseStream], twists: Mapping[str, TwistStream],
-) -> Info:  # fmt: skip
+) -> Info:
     """Return the recording with roles, settings and notes."""
     pair = likely_pair(poses)
     tool, package = (pair.tool, pair.package) if pair else likely_alone(poses)
     twist = likely_twist(poses[tool.topic], twists) if tool else None
     settings: dict[str, Any] = {'bags': (os.fspath(path),)}
     settings |= {f'topics.{role}': guess.topic for role, guess in
-                 (('tool_pose', tool), ('package_pose', package)) if guess}  # fmt: skip
+                 (('tool_pose', tool), ('package_pose', package)) if guess}
     settings['topics.tool_twist'] = twist.topic if twist else ''
     if twist:
         settings['tool_twist.frame'] = twist.frame
@@ -269,8 +269,13 @@ def _quality_notes(
     """Return what is wrong with the topics that would be used."""
     used = {guess.topic for guess in guesses if guess}
     notes = [f'{topic.name} cannot be used: {topic.problem}' for topic in described
-             if topic.problem]  # fmt: skip
+             if topic.problem]
     for topic in described:
+        if topic.motion and max(topic.motion.position) > LARGE_WAY:
+            notes.append(
+                f'{topic.name} moves through {max(topic.motion.position):.0f} m: are its '
+                'positions in millimetres? They must be in metres (REP-103).'
+            )
         if topic.name not in used:
             continue
         if topic.rate_hz < LOW_RATE_HZ:
@@ -295,8 +300,8 @@ def _at_rest(
     poses: Mapping[str, PoseStream], pair: Pair
 ) -> tuple[float, dict[str, Any], list[str]]:
     """Return how long both stand still, the settings that follow, and what to know."""
-    bodies = [in_world(poses[guess.topic].trajectory(), pair.world)
-              for guess in (pair.tool, pair.package)]  # fmt: skip
+    bodies = [in_world(poses[guess.topic].trajectory(), world_rotation(pair.world))
+              for guess in (pair.tool, pair.package)]
     begin = max(int(body.stamps_ns[0]) for body in bodies)
     bodies = [body.select(body.stamps_ns >= begin) for body in bodies]
     rest_s = min(_standstill(body) for body in bodies)
@@ -348,7 +353,9 @@ def _standstill(body: Trajectory) -> float:
     turn = np.linalg.norm(log_so3(reference.T @ body.rotation), axis=1)
     moves = np.zeros(len(body), dtype=bool)
     for size, least in ((way, STILL_POSITION), (turn, STILL_ROTATION)):
-        moves |= size > least + STILL_DEVIATIONS * np.median(size[: len(start)])
+        # Second differences are of the noise alone, also where the body moves at once.
+        noise = np.median(np.abs(np.diff(size, 2))) if len(size) > 2 else 0.0
+        moves |= size > least + STILL_DEVIATIONS * noise
     # A jump of tracking is over at once, a motion is not.
     lasting = moves & np.roll(moves, -max(1, len(start) // 4))
     return float(body.seconds[int(np.argmax(lasting))] if lasting.any() else body.seconds[-1])

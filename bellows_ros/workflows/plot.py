@@ -5,29 +5,29 @@ from dataclasses import dataclass, fields, replace
 import os
 from typing import Any, TypeVar
 
-from bellows_ros.core.identification.judgement.whiteness import interpolated, spectrum
-from bellows_ros.core.identification.wrenches import lip_relative, needed_wrench
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.identification.equations.wrenches import lip_relative, needed_wrench
 from bellows_ros.core.kernels import spring_frames
 from bellows_ros.core.lie import apply, exp_so3, log_so3, wrench_transform
 from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.core.model import Cup, cup_of, package_of, regressor
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.recording.preparation import Recording
+from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.score import relative_coordinates, score
+from bellows_ros.core.spectra import interpolated, spectrum
 from bellows_ros.core.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
-from bellows_ros.workflows.recordings import load
-from bellows_ros.workflows.replay import Replay, replay
+from bellows_ros.workflows.recordings import load, NO_INERTIA
+from bellows_ros.workflows.replay import Live, predicted_live
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 SPECTRUM_SECONDS = 4.0  # of a segment: lines of 0.25 Hz
-NOT_SAMPLES = {'stiffness', 'motion', 'replay', 'cup_length', 'com', 'box', 'scores', 'counts',
-               'real_time_factor', 'took', 'bag', 'time_offset'}  # fmt: skip
-TRACKED = {'package.com': (0.0, 0.0, 0.0)}  # puts B where the package is tracked
+NOT_SAMPLES = {'stiffness', 'motion', 'live', 'cup_length', 'com', 'box', 'scores', 'counts',
+               'real_time_factor', 'took'}
+TRACKED = {'package.mass': 1.0, 'package.inertia': NO_INERTIA, 'package.com': (0.0, 0.0, 0.0)}
+"""Puts B where the package is tracked; a motion has no mass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Motion:
     package_position: Array
     package_rotation: Array
     relative: Array
-    valid: NDArray[np.bool_]
+    valid: Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,19 +108,20 @@ class Loads:
     load: Array
     residual: Array
     stiffness: Array
-    valid: NDArray[np.bool_]
+    valid: Mask
 
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
     """
-    A replayed recording, with the poses of all bodies.
+    A replayed recording, with the poses of all bodies, wherever the tool is known.
 
     Parameters
     ----------
     seconds : array (N,)
         From the recording's first stamp, s.
-    replay : Replay
+    live : Live
+        What the live predictor gives.
     motion : Motion
         Measured, at the same times.
     position, rotation : array (N, 3), (N, 3, 3)
@@ -135,7 +136,7 @@ class Replayed:
     """
 
     seconds: Array
-    replay: Replay
+    live: Live
     motion: Motion
     position: Array
     rotation: Array
@@ -146,7 +147,7 @@ class Replayed:
 
 
 Timed = TypeVar('Timed', Motion, Loads, Replayed)
-Group = TypeVar('Group', Motion, Loads, Replayed, Replay)
+Group = TypeVar('Group', Motion, Loads, Replayed, Live)
 
 
 def motion(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Motion:
@@ -155,7 +156,7 @@ def motion(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Motio
 
     Without package.com, B is where the package is tracked.
     """
-    return _motion(load(bag, resolve({**TRACKED, **settings})).recording)
+    return _motion(load(bag, resolve({**TRACKED, **settings})))
 
 
 def _motion(recording: Recording) -> Motion:
@@ -165,7 +166,7 @@ def _motion(recording: Recording) -> Motion:
         recording.since_start(tool.stamps_ns), tool.position, tool.rotation,
         package.position, package.rotation, relative_coordinates(tool, package),
         tool.valid & package.valid,
-    )  # fmt: skip
+    )
 
 
 def spectra(bag: str | os.PathLike[str], settings: Mapping[str, object], cup: bool) -> Spectra:
@@ -175,19 +176,18 @@ def spectra(bag: str | os.PathLike[str], settings: Mapping[str, object], cup: bo
     Samples that are missing are interpolated linearly. Without a cup no package is needed, as for
     `motion`.
     """
-    recording = load(bag, resolve({**TRACKED, **settings})).recording
-    moved = _motion(recording)
+    values: dict[str, Any] = resolve({**TRACKED, **settings})
+    recording = load(bag, values)
+    shown = _motion(recording)
     rate_hz = uniform_rate_hz(recording.measured_package.stamps_ns)
-    relative = np.where(moved.valid[:, None], moved.relative, np.nan)
+    relative = np.where(shown.valid[:, None], shown.relative, np.nan)
     measured = spectrum(interpolated(relative), rate_hz, SPECTRUM_SECONDS)
     error = None
     if cup:
-        result = replay(bag, settings)
-        at = np.searchsorted(recording.measured_package.stamps_ns, result.stamps_ns)
+        live = predicted_live(recording, values)
         difference = np.full_like(relative, np.nan)
-        difference[at] = result.predicted - result.measured
-        predicted = slice(at[0], at[-1] + 1)
-        difference[predicted] = interpolated(difference[predicted])
+        at = np.searchsorted(recording.measured_package.stamps_ns, live.stamps_ns)
+        difference[at] = interpolated(live.error)
         error = np.sqrt(spectrum(difference, rate_hz, SPECTRUM_SECONDS).density)
     return Spectra(measured.frequency, np.sqrt(measured.density), error)
 
@@ -195,10 +195,10 @@ def spectra(bag: str | os.PathLike[str], settings: Mapping[str, object], cup: bo
 def loads(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Loads:
     """Return what the cup carried in a recording, by inverse dynamics, and its deflection."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
-    recording = load(bag, values).recording
+    recording = load(bag, values)
     cup, package = cup_of(values), package_of(values)
     o, R, v = lip_relative(recording.tool, recording.package, package.com)
-    at_lip = needed_wrench(package, recording.package, values['gravity'])
+    at_lip = needed_wrench(package, recording.package, values['gravity.magnitude'])
     T_middle_lip = np.eye(4)
     T_middle_lip[2, 3] = -cup.length / 2.0
     to_middle = wrench_transform(T_middle_lip)
@@ -241,10 +241,11 @@ def replayed(
     settings: Mapping[str, object],
     progress: Progress | None = None,
 ) -> Replayed:
-    """Return a replay with the poses of all bodies; raises what `replay` raises."""
+    """Return a replay with the poses of all bodies; raises what reading and predicting raise."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
-    result = replay(bag, settings, progress)
-    recording = load(bag, values).recording
+    recording = load(bag, values)
+    found = predicted_live(recording, values, *filter(None, [progress]))
+    result = _picked(found, np.isfinite(found.predicted[:, 0]))
     index = np.searchsorted(recording.measured_package.stamps_ns, result.stamps_ns)
     measured = _picked(_motion(recording), index)
     package, length = package_of(values), cup_of(values).length
@@ -255,7 +256,7 @@ def replayed(
         measured.seconds, result, measured,
         position, measured.tool_rotation @ bent, np.hstack([shift, result.predicted[:, 3:]]),
         length, package.com, np.array(equivalent_box(values)),
-    )  # fmt: skip
+    )
 
 
 def within(shown: Timed, first: float, last: float) -> Timed:
@@ -285,13 +286,13 @@ def within(shown: Timed, first: float, last: float) -> Timed:
         )
     groups: dict[str, Any] = {}
     if isinstance(shown, Replayed):
-        result = _picked(shown.replay, part)
+        result = _picked(shown.live, part)
         scores = score(result.measured, result.predicted)
-        groups = {'motion': _picked(shown.motion, part), 'replay': replace(result, scores=scores)}
+        groups = {'motion': _picked(shown.motion, part), 'live': replace(result, scores=scores)}
     return replace(_picked(shown, part), **groups)
 
 
-def _picked(group: Group, index: NDArray[np.int64] | NDArray[np.bool_]) -> Group:
+def _picked(group: Group, index: Stamps | Mask) -> Group:
     """Return a group of arrays at some samples; what is not one per sample stays."""
     picked = {
         field.name: getattr(group, field.name)[index]
@@ -306,10 +307,10 @@ def data_json(shown: Motion | Spectra | Loads | Replayed) -> dict[str, Any]:
         return dict(vars(shown))
     return {
         'seconds': shown.seconds,
-        'measured': shown.replay.measured,
-        'predicted': shown.replay.predicted,
+        'measured': shown.live.measured,
+        'predicted': shown.live.predicted,
         'deflection': shown.deflection,
         'position': shown.position,
         'rotation': shown.rotation,
-        'scores': shown.replay.as_json(),
+        'scores': shown.live.as_json(),
     }

@@ -4,58 +4,58 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 import os
-from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.identification.advice.time_offset import time_offset
-from bellows_ros.core.identification.methods import samples_of
-from bellows_ros.core.identification.structure import structure_named
-from bellows_ros.core.model import Package, package_of
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS
-from bellows_ros.core.recording.preparation import (
-    prepare,
-    PrepareSettings,
-    Recording,
-    TimeOffset,
+from bellows_ros.core.model import package_of
+from bellows_ros.core.parameters import ESTIMATE, PACKAGE_PARAMETERS
+from bellows_ros.core.recording.package_world import (
+    closed_form,
+    in_tool_world,
+    PackageWorld,
+    pose_of,
+    require_one_frame,
+    shifted_pose,
 )
-from bellows_ros.core.savgol import savgol
+from bellows_ros.core.recording.preparation import filter_streams
+from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
+from bellows_ros.core.structure import structure_named
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bags import read_streams
+from bellows_ros.files.bags import read_contents
 from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.provenance import digests, recording_digest
+import numpy as np
 
-NOT_TOLD = (
-    'This recording does not tell by how much the stamps of the tool are behind those of the '
-    'package: it was used as it is stamped. Record a motion that is richer in all directions, '
-    'with clocks that differ by less than 50 ms.'
+NO_OFFSET = (
+    'By how much the stamps of the tool are behind those of the package is not identifiable from '
+    'this recording: it was used as it is stamped. Record a motion that is richer in all '
+    'directions, with clocks that differ by less than 100 ms.'
 )
 """Said where a time offset is wanted and cannot be found."""
+
+ARRAYS = ('stamps_ns', 'position', 'rotation', 'linear', 'angular')
+"""What streams hold of each message."""
 
 NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 """Stands for the inertia (kg m^2) of what hangs at rest, where it takes no part."""
 
 
+OF_A_RECORDING = ('topics.', 'recording.', 'tool_twist.', 'gravity.direction')
+"""Parameters, beside the package's, in which recordings of one cup may differ."""
+
+
 @dataclass(frozen=True)
 class Failed:
-    """A recording that cannot be used, its place in `bags`, and why."""
+    """A recording that cannot be used, and why."""
 
-    number: int
     bag: str
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class Loaded:
-    """A recording's streams as recorded, and what was made of them."""
-
-    path: Path
-    tool_pose: PoseStream
-    package_pose: PoseStream
-    tool_twist: TwistStream | None
-    recording: Recording
-
-
-def load(path: str | os.PathLike[str], values: Mapping[str, Any]) -> Loaded:
+def load(
+    path: str | os.PathLike[str], values: Mapping[str, Any], name: str = '',
+    with_digest: bool = False,
+) -> Recording:
     """
     Read a recording and prepare it.
 
@@ -65,6 +65,10 @@ def load(path: str | os.PathLike[str], values: Mapping[str, Any]) -> Loaded:
         rosbag2 folder, or a bare .mcap or .db3 file.
     values : mapping
         Parameters by name, as `core.parameters.resolve` returns them.
+    name : str
+        What the user calls it; the path where left out.
+    with_digest : bool
+        Whether the digests of its files are computed.
 
     Raises
     ------
@@ -73,59 +77,124 @@ def load(path: str | os.PathLike[str], values: Mapping[str, Any]) -> Loaded:
 
     """
     roles = ('tool_pose', 'package_pose', 'tool_twist')
-    streams: Mapping[str, Any] = read_streams(
-        path, {role: values[f'topics.{role}'] for role in roles}
-    )
-    tool, package = streams['tool_pose'], streams['package_pose']
-    twist = streams.get('tool_twist')
-    recording = prepare(tool, package, _settings(values), twist)
-    loaded = Loaded(Path(path), tool, package, twist, recording)
-    return _in_time(loaded, values) if values['fit.time_offset'] else loaded
+    contents = read_contents(path, {role: values[f'topics.{role}'] for role in roles})
+    streams = part_of(contents.all_streams(), values['recording.start'], values['recording.end'])
+    empty = [own.name for own in streams.values() if not len(own)]
+    if empty:
+        raise BellowsError(
+            f"Topic '{empty[0]}' has nothing from recording.start to recording.end.")
+    recording = _prepared(
+        streams['tool_pose'], streams['package_pose'], streams.get('tool_twist'), values)
+    report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
+    files = tuple(digests(path)) if with_digest else ()
+    return replace(
+        recording, name=name or os.fspath(path), report=report, files=files,
+        digest=recording_digest(path, files) if with_digest else '')
 
 
-def _in_time(loaded: Loaded, values: Mapping[str, Any]) -> Loaded:
-    """Return a recording with the tool's stamps by the clock of the package, if that is told."""
-    found = _time_offset(loaded.recording, values)
-    if found is None:
-        report = loaded.recording.report
-        return _reported(loaded, warnings=(*report.warnings, NOT_TOLD))
-    tool, twist = _earlier(loaded.tool_pose, found.value), loaded.tool_twist
-    if twist is not None:
-        twist = _earlier(twist, found.value)
-    recording = prepare(tool, loaded.package_pose, _settings(values), twist)
-    moved = replace(loaded, tool_pose=tool, tool_twist=twist, recording=recording)
-    return _reported(moved, time_offset=found)
+def part_of(
+    streams: Mapping[str, Any], start: float, end: float
+) -> dict[str, Any]:
+    """
+    Return streams from a time to another, empty ones too.
+
+    Parameters
+    ----------
+    streams : mapping of PoseStream or TwistStream
+        By role.
+    start, end : float
+        Seconds from the first stamp of all; an end of 0 is that of the recording.
+
+    Raises
+    ------
+    BellowsError
+        If the end is not after the start, or there is nothing at all.
+
+    """
+    if not (start or end):
+        return dict(streams)
+    first = min((int(own.stamps_ns[0]) for own in streams.values()), default=0)
+    last = max((int(own.stamps_ns[-1]) for own in streams.values()), default=0)
+    begins = first + round(start * NS_PER_S)
+    ends = first + round(end * NS_PER_S) if end else last
+    if ends <= begins or begins >= last:
+        raise BellowsError(
+            f'There is nothing from recording.start, {start:g} s, to recording.end, {end:g} s (0: '
+            f'the end): the recording lasts {(last - first) / NS_PER_S:.1f} s.')
+    parts = {}
+    for role, own in streams.items():
+        inside = (own.stamps_ns >= begins) & (own.stamps_ns <= ends)
+        parts[role] = replace(own, **{
+            name: getattr(own, name)[inside] for name in ARRAYS if hasattr(own, name)})
+    return parts
 
 
-def _time_offset(recording: Recording, values: Mapping[str, Any]) -> TimeOffset | None:
-    """Return the time by which the tool's stamps are behind the package's, if that is told."""
-    half_window = recording.tool_weights.shape[1] // 2
-    tool = savgol(recording.aligned_tool, half_window, values['filter.tool.order'])
-    samples = samples_of(recording, package_of(values), values['gravity'])
-    structure = structure_named(values['fit.structure'])
-    return time_offset(tool, samples, values['cup.length'], structure)
+def _prepared(
+    tool: PoseStream, package: PoseStream, twist: TwistStream | None, values: Mapping[str, Any]
+) -> Recording:
+    """Return streams prepared, in one world and with one clock."""
+    settings, world = prepare_settings(values), values['recording.package_world']
+    if world == '':
+        require_one_frame(tool, package)
+        pose = None
+    elif world == ESTIMATE:
+        origin = np.zeros(3) if settings.package_frame == 'lip' else -settings.payload.com
+        pose = closed_form(tool, package, values['cup.length'], origin, settings.align_at_rest)
+    else:
+        pose = pose_of(world)
+    recorded = package
+    if pose is not None:
+        package = in_tool_world(recorded, pose, tool.frame_id)
+    filtered = filter_streams(tool, package, settings, twist)
+    recording = filtered.joined()
+    if not (world == ESTIMATE or values['fit.time_offset']):
+        return recording
+    from bellows_ros.core.identification.hypotheses.free import refined_preparation  # late: rare
 
-
-def _earlier(stream: Any, seconds: float) -> Any:
-    """Return a stream with earlier stamps."""
-    return replace(stream, stamps_ns=stream.stamps_ns - round(seconds * NS_PER_S))
-
-
-def _reported(loaded: Loaded, **changes: Any) -> Loaded:
-    """Return the same with changes of the report."""
-    recording = loaded.recording
-    report = replace(recording.report, **changes)
-    return replace(loaded, recording=replace(recording, report=report))
+    wanted = (values['cup.length'], structure_named(values['fit.structure']), world == ESTIMATE,
+              values['fit.time_offset'])
+    changes = dict[str, Any]()
+    for rough in (True, False) if world == ESTIMATE else (False,):
+        found = refined_preparation(recording, *wanted, rough)
+        if found.world is not None and pose is not None:
+            pose = shifted_pose(pose, settings.R_world_recorded, found.middle, found.world)
+            changes['package_world'] = PackageWorld(pose, found.world_std)
+            package = in_tool_world(recorded, pose, tool.frame_id)
+            filtered = filter_streams(
+                tool, package, settings, twist, None if rough else found.alignment)
+            recording = filtered.joined()
+    if values['fit.time_offset']:
+        if found.offset is None:
+            changes['warnings'] = (*recording.report.warnings, NO_OFFSET)
+        else:
+            filtered, changes['time_offset'] = filtered.earlier(found.offset), found.offset
+    recording = filtered.joined()
+    return replace(recording, report=replace(recording.report, **changes))
 
 
 def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:
-    """Return a sentence about the clocks of a recording, or none where that is not told."""
+    """Return a sentence about the clocks of a recording, or none where the offset is not known."""
     if offset is None or not math.isfinite(offset.std):
         return []
     where = 'behind' if offset.value >= 0.0 else 'ahead of'
     return [
         f'{bag}: the stamps of the tool were {1e3 * abs(offset.value):.3f} ± '
         f'{1e3 * offset.std:.3f} ms {where} those of the package, which was taken out.'
+    ]
+
+
+def world_sentence(bag: object, found: PackageWorld | None) -> list[str]:
+    """Return a sentence about the worlds of tool and package, or none where that is given."""
+    if found is None:
+        return []
+    position, errors, turns = (
+        ', '.join(f'{1e3 * x:.3f}' for x in part)
+        for part in (found.pose[:3], found.std[:3], found.std[3:]))
+    quaternion = ', '.join(f'{x:.6f}' for x in found.pose[3:])
+    return [
+        f'{bag}: recording.package_world was found: position {position} mm, quaternion (x y z w) '
+        f"{quaternion}; standard errors {errors} mm at the middle of the package's way, {turns} "
+        'mrad.'
     ]
 
 
@@ -156,7 +225,7 @@ def repeats(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
 
 def values_of_each(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """
-    Return the parameters for each of `bags`, with the package that it held.
+    Return the parameters for each of `bags`, with the package that it held and its topics.
 
     Raises
     ------
@@ -167,7 +236,7 @@ def values_of_each(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return _each(values, 'bags', 'package.files', PACKAGE_PARAMETERS)
 
 
-def values_at_rest(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def values_of_static(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """
     Return the parameters for each of `static.bags`, with what hung there.
 
@@ -185,22 +254,10 @@ def values_at_rest(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return each
 
 
-def packages_differ(held: Sequence[Package]) -> bool:
-    """Tell whether the packages of recordings have different masses."""
-    return len({package.mass for package in held}) > 1
-
-
-def names_of(bags: Sequence[object], held: Sequence[Package]) -> list[str]:
-    """Return the names of recordings, with masses where these tell them apart."""
-    if not packages_differ(held):
-        return [str(bag) for bag in bags]
-    return [f'{bag} ({package.mass:.4g} kg)' for bag, package in zip(bags, held, strict=True)]
-
-
 def _each(
     values: Mapping[str, Any], bags_in: str, files_in: str, needed: Sequence[str]
 ) -> list[Mapping[str, Any]]:
-    """Return the parameters for each recording; every file of a package has what is needed."""
+    """Return the parameters for each recording, with what its file says of it and its package."""
     files, bags = values[files_in], values[bags_in]
     if not files:
         return [values] * len(bags)
@@ -211,25 +268,29 @@ def _each(
         )
     each: list[Mapping[str, Any]] = []
     for file in files:
-        own = {n: v for n, v in read_parameters(file).items() if n in PACKAGE_PARAMETERS}
-        missing = [name for name in needed if name not in own]
+        own = {n: v for n, v in read_parameters(file).items()
+               if n in PACKAGE_PARAMETERS or n.startswith(OF_A_RECORDING)}
+        missing = [name for name in needed if name not in own and name not in values]
         if missing:
             raise BellowsError(f"Parameter file '{file}' lacks {', '.join(missing)}.")
         each.append({**values, **own})
     return each
 
 
-def _settings(values: Mapping[str, Any]) -> PrepareSettings:
+def prepare_settings(values: Mapping[str, Any]) -> PrepareSettings:
     """Return the settings of the preparation that parameters stand for."""
     return PrepareSettings(
         world=values['recording.world'],
+        gravity_direction=values['gravity.direction'],
         package_frame=values['recording.package_frame'],
         align_at_rest=values['recording.align_at_rest'],
         rest_duration=values['recording.rest_duration'],
-        com=values['package.com'],
+        payload=package_of(values),
+        gravity=values['gravity.magnitude'],
         tool_half_window=values['filter.tool.half_window'],
         tool_order=values['filter.tool.order'],
         package_half_window=values['filter.package.half_window'],
         package_order=values['filter.package.order'],
+        relative=values['filter.relative'],
         tool_twist_frame=values['tool_twist.frame'],
     )

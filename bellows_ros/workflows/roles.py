@@ -10,20 +10,18 @@ from dataclasses import dataclass
 from itertools import permutations
 import re
 
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import apply
-from bellows_ros.core.recording.alignment import in_world, WORLDS
+from bellows_ros.core.recording.alignment import in_world, world_rotation, WORLDS
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 TOOL_WORDS = frozenset({'tool', 'tcp', 'ee', 'eef', 'effector', 'flange', 'arm', 'robot',
-                        'gripper', 'tip'})  # fmt: skip
+                        'gripper', 'tip'})
 PACKAGE_WORDS = frozenset({'package', 'packet', 'parcel', 'box', 'carton', 'object', 'item',
-                           'payload', 'load', 'plate', 'workpiece'})  # fmt: skip
+                           'payload', 'load', 'plate', 'workpiece'})
 
 LONGEST_DISTANCE = 1.0  # m, between tool and package
 LARGEST_CHANGE = 0.25  # of the distance, between its quartiles, of a package that is held
@@ -107,14 +105,14 @@ def likely_alone(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess |
     return guesses[0], guesses[1]
 
 
-def _words(topic: str) -> set[str]:
+def _message(topic: str) -> set[str]:
     """Return the words a topic's name is made of."""
     return set(re.findall(r'[a-z]+', topic.lower()))
 
 
 def _said(topic: str, words: frozenset[str]) -> set[str]:
     """Return which of some words are in a topic's name."""
-    return _words(topic) & words
+    return _message(topic) & words
 
 
 def _by_name(topic: str, words: frozenset[str]) -> str:
@@ -145,7 +143,7 @@ def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
         )
         score += 2.0
     for name, words, why in ((tool.name, TOOL_WORDS, why_tool),
-                             (package.name, PACKAGE_WORDS, why_package)):  # fmt: skip
+                             (package.name, PACKAGE_WORDS, why_package)):
         if _said(name, words):
             why.append(_by_name(name, words))
             score += 1.5
@@ -154,7 +152,7 @@ def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
     return Pair(
         Guess(tool.name, tuple(why_tool)), Guess(package.name, tuple(why_package)), world,
         distance, score,
-    )  # fmt: skip
+    )
 
 
 def _range_mm(distances: Array) -> str:
@@ -179,7 +177,8 @@ def _from_tool_to_package(tool: PoseStream, package: PoseStream) -> Array | None
 def _hanging(tool: PoseStream, apart: Array) -> tuple[str, bool]:
     """Return the world in which what is so far from the tool is lowest, and whether it hangs."""
     still = Trajectory(tool.stamps_ns[:1], apart[None], np.eye(3)[None])
-    down = {world: -float(in_world(still, world).position[0, 2]) for world in WORLDS}
+    turned = {world: in_world(still, world_rotation(world)) for world in WORLDS}
+    down = {world: -float(poses.position[0, 2]) for world, poses in turned.items()}
     world = max(down, key=lambda name: down[name])
     reach = float(np.linalg.norm(apart))
     below = reach > 0.0 and down[world] > reach * np.cos(BELOW_WITHIN)
@@ -201,7 +200,7 @@ def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> TwistGu
         return TwistGuess(name, (why,), frame)
     for name, twist in twists.items():
         if compared[name] is None and _share_stamps(tool, twist):
-            why = 'its stamps are those of the tool, which moves too little to tell its axes'
+            why = 'its stamps are those of the tool, which moves too little to find its axes'
             return TwistGuess(name, (why,), 'world')
     return None
 
@@ -218,7 +217,7 @@ def _compared(tool: PoseStream, twist: TwistStream) -> tuple[float, str] | None:
 
 
 def _share_stamps(tool: PoseStream, twist: TwistStream) -> bool:
-    """Tell whether most twists have the stamp of a pose."""
+    """Return whether most twists have the stamp of a pose."""
     return bool(np.mean(np.isin(twist.stamps_ns, tool.stamps_ns)) > 0.5)
 
 

@@ -5,18 +5,23 @@ What a motion file may hold, with units, stands in config/motion_example.yaml.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import io
 import math
 import os
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.lie import Array, rotation_to_quaternion, transform
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.gravity import levelling
+from bellows_ros.core.holding import grip_of, Margin, margin
+from bellows_ros.core.landing import release_deviations
+from bellows_ros.core.lie import apply, rotation_to_quaternion, transform
 from bellows_ros.core.linearisation import largest_step
-from bellows_ros.core.model import Cup, cup_of, model_tuple, Package, package_of
+from bellows_ros.core.model import Cup, cup_of, model_tuple, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.simulation import simulate
+from bellows_ros.core.release import release_of
+from bellows_ros.core.simulation import lip_wrenches, simulate
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
 from bellows_ros.core.synthetic.sensing import (
     measure_poses,
@@ -27,10 +32,12 @@ from bellows_ros.core.synthetic.sensing import (
     schedule,
     WORLDS,
 )
-from bellows_ros.core.trajectory import NS_PER_S, Stamps, Trajectory
+from bellows_ros.core.synthetic.tossing import Thrown, tossed
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
+from bellows_ros.files.cdr import BOOL, encode_bool
 import numpy as np
 
 Progress = Callable[[str], None]
@@ -83,6 +90,10 @@ class SimulationReport:
         When it was reached, s after the beginning.
     warnings : tuple of str
         What the reader should know before using the recording.
+    margin : Margin or None
+        The smallest safety factor of the grip while the package is held; None if not known.
+    tosses : tuple of Thrown
+        With valve and blow-off as they were drawn.
 
     """
 
@@ -94,19 +105,30 @@ class SimulationReport:
     largest_bending: float
     largest_bending_time: float
     warnings: tuple[str, ...]
+    margin: Margin | None
+    tosses: tuple[Thrown, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """True trajectories of tool E and package B at common stamps, with body twists."""
+    """
+    True trajectories of tool E and package B at common stamps, with body twists.
+
+    Tossed, the package hangs where `held`; where it lies after a toss it is not `tracked`.
+    """
 
     tool: Trajectory
     package: Trajectory
+    held: Mask
+    tracked: Mask
+    tosses: tuple[Thrown, ...] = ()
 
     def at(self, stamps_ns: Stamps) -> 'Truth':
         """Return the samples at some of the stamps."""
         index = np.searchsorted(self.tool.stamps_ns, stamps_ns)
-        return Truth(self.tool.select(index), self.package.select(index))
+        return replace(
+            self, tool=self.tool.select(index), package=self.package.select(index),
+            held=self.held[index], tracked=self.tracked[index])
 
 
 def simulate_recording(
@@ -146,25 +168,21 @@ def simulate_recording(
 
     """
     say = progress or (lambda sentence: None)
-    values = resolve(parameters, PACKAGE_PARAMETERS)
-    cup, package, gravity = _model(values)
+    values: dict[str, Any] = resolve(parameters, PACKAGE_PARAMETERS)
+    cup, package = cup_of(values), package_of(values)
+    R_world_level = levelling(values['gravity.direction']).T
     recipe = read_recipe(motion, package.com)
     bag = Path(out)
     truth_file = _output_files(bag, recipe.truth, replace)
     plans = _plans(recipe)
     say(f'simulating {recipe.motion.duration:g} s')
-    truth = _simulated(cup, package, gravity, recipe, plans)
-    recorded = _recorded(recipe, plans, truth)
+    truth = _simulated(values, recipe, plans)
+    recorded = _recorded(recipe, plans, truth, WORLDS[recipe.world] @ R_world_level)
     say(f'writing {sum(len(r.stamps_ns) for r in recorded)} messages to {bag}')
     write_bag(bag, recorded, recipe.storage, recipe.compression, replace)
     if truth_file:
-        atomic.write_bytes(truth_file, _truth_bytes(cup, recipe, plans, truth))
-    return _report(bag, truth_file, recipe, plans, recorded, truth)
-
-
-def _model(values: Mapping[str, Any]) -> tuple[Cup, Package, float]:
-    """Return cup, package and gravity (m/s^2) of complete parameters."""
-    return cup_of(values), package_of(values), values['gravity']
+        atomic.write_bytes(truth_file, _truth_bytes(cup, recipe, plans, truth, R_world_level))
+    return _report(values, bag, truth_file, recipe, plans, recorded, truth)
 
 
 def _output_files(bag: Path, truth: bool, replace: bool) -> Path | None:
@@ -192,14 +210,15 @@ def _plans(recipe: Recipe) -> dict[str, Schedule]:
 
 
 def _simulated(
-    cup: Cup, package: Package, gravity: float, recipe: Recipe, plans: Mapping[str, Schedule]
+    values: Mapping[str, Any], recipe: Recipe, plans: Mapping[str, Schedule]
 ) -> Truth:
     """Simulate at all sampling times of both streams, and as finely in between as truth needs."""
-    motion = recipe.motion
+    motion, cup, package = recipe.motion, cup_of(values), package_of(values)
+    model = model_tuple(cup, package, values['gravity.magnitude'])
     rate = max(
         LEAST_RATE,
         SAMPLES_PER_PERIOD * motion.highest_frequency,
-        STEPS_PER_LARGEST / largest_step(model_tuple(cup, package, gravity)),
+        STEPS_PER_LARGEST / largest_step(model),
     )
     count = motion.duration * (rate + recipe.tool.rate_hz + recipe.package.rate_hz)
     if count > LARGEST_COUNT:
@@ -210,23 +229,30 @@ def _simulated(
     fine = sample_stamps(rate, motion.duration, recipe.start_ns)
     stamps_ns = np.unique(np.concatenate([fine, *(p.sampled_ns for p in plans.values())]))
     tool = motion.trajectory(stamps_ns, recipe.start_ns)
-    return Truth(tool, simulate(cup, package, tool, gravity=gravity))
+    if not recipe.releases:
+        always = np.ones(len(tool), dtype=bool)
+        hanging = simulate(cup, package, tool, gravity=values['gravity.magnitude'])
+        return Truth(tool, hanging, always, always)
+    normal = generator(recipe.seed, 'release').standard_normal((len(recipe.releases), 3))
+    return Truth(tool, *tossed(
+        model, grip_of(values), release_of(values), tool, recipe.releases, recipe.pickup,
+        normal * release_deviations(values)))
 
 
 def _recorded(
-    recipe: Recipe, plans: Mapping[str, Schedule], truth: Truth
-) -> list[Recorded]:
-    """Return the messages of all topics."""
-    world, seed = WORLDS[recipe.world], recipe.seed
+    recipe: Recipe, plans: Mapping[str, Schedule], truth: Truth, world: Array
+) -> list[Recorded | Encoded]:
+    """Return the messages of all topics in recorded axes, by the rotation (3, 3) to them."""
+    seed = recipe.seed
     tool = truth.at(plans['tool'].sampled_ns).tool
-    package = truth.at(plans['package'].sampled_ns).package
+    at = truth.at(plans['package'].sampled_ns)
+    seen = replace(plans['package'], kept=plans['package'].kept & at.tracked)
     poses = {
         'tool': measure_poses(tool, recipe.tool, plans['tool'], world, generator(seed, 'tool')),
         'package': measure_poses(
-            package, recipe.package, plans['package'], world, generator(seed, 'package')
-        ),
+            at.package, recipe.package, seen, world, generator(seed, 'package')),
     }
-    recorded = [
+    recorded: list[Recorded | Encoded] = [
         _messages(recipe, 'tool_pose', poses['tool'].stamps_ns, _pose_values(poses['tool']))
     ]
     if recipe.tool_twist:
@@ -238,7 +264,19 @@ def _recorded(
         recorded.append(_messages(recipe, 'tool_twist', twists.stamps_ns, values))
     values = _pose_values(poses['package'])
     recorded.append(_messages(recipe, 'package_pose', poses['package'].stamps_ns, values))
+    if recipe.releases:
+        recorded.append(_valve(recipe))
     return recorded
+
+
+def _valve(recipe: Recipe) -> Encoded:
+    """Return the valve's messages: on, off at each release, and on again at each pick-up."""
+    off = np.array(recipe.releases)
+    on = off + recipe.pickup
+    times = np.sort(np.concatenate([[0.0], off, on[on <= recipe.motion.duration]]))
+    stamps_ns = recipe.start_ns + np.round(times * NS_PER_S).astype(np.int64)
+    data = [encode_bool(k % 2 == 0) for k in range(len(times))]
+    return Encoded(recipe.topics['valve'], BOOL, stamps_ns, data)
 
 
 def _pose_values(poses: Measured) -> Array:
@@ -260,16 +298,21 @@ def _messages(recipe: Recipe, role: str, stamps_ns: Stamps, values: Array) -> Re
 
 
 def _truth_bytes(
-    cup: Cup, recipe: Recipe, plans: Mapping[str, Schedule], truth: Truth
+    cup: Cup, recipe: Recipe, plans: Mapping[str, Schedule], truth: Truth, turn: Array
 ) -> bytes:
-    """Return an .npz file with the true motion at the times at which the package was sampled."""
+    """
+    Return an .npz file with the true motion at the times at which the package was sampled.
+
+    The motion is planned where z is up; `turn` is the rotation (3, 3) from there to the world.
+    """
     sampled_ns = plans['package'].sampled_ns
+    sampled_ns = sampled_ns[truth.at(sampled_ns).tracked]
     at = truth.at(sampled_ns)
     arrays = {
         't': (sampled_ns - recipe.start_ns) / NS_PER_S,
-        'tool': transform(at.tool.rotation, at.tool.position),
+        'tool': transform(turn @ at.tool.rotation, apply(turn, at.tool.position)),
         'tool_twist': np.asarray(at.tool.twist),
-        'package': transform(at.package.rotation, at.package.position),
+        'package': transform(turn @ at.package.rotation, apply(turn, at.package.position)),
         'package_twist': np.asarray(at.package.twist),
         'K': cup.stiffness,
         'P': cup.damping,
@@ -279,17 +322,28 @@ def _truth_bytes(
     return file.getvalue()
 
 
+def _margin(values: Mapping[str, Any], truth: Truth) -> Margin | None:
+    """Return the smallest safety factor of the grip while the package is held."""
+    grip = grip_of(values)
+    if grip is None:
+        return None
+    model = model_tuple(cup_of(values), package_of(values), values['gravity.magnitude'])
+    wrench = lip_wrenches(model, truth.tool, truth.package)
+    return margin(grip, wrench[truth.held], truth.tool.seconds[truth.held])
+
+
 def _report(
+    values: Mapping[str, Any],
     bag: Path,
     truth_file: Path | None,
     recipe: Recipe,
     plans: Mapping[str, Schedule],
-    recorded: list[Recorded],
+    recorded: list[Recorded | Encoded],
     truth: Truth,
 ) -> SimulationReport:
     """Return what was recorded."""
     seconds = truth.tool.seconds
-    angle = bending(truth.tool, truth.package)
+    angle = np.where(truth.held, bending(truth.tool, truth.package), 0.0)
     worst = int(np.argmax(angle))
     return SimulationReport(
         bag=bag,
@@ -300,6 +354,8 @@ def _report(
         largest_bending=float(angle[worst]),
         largest_bending_time=float(seconds[worst]),
         warnings=_bending_warning(angle, seconds),
+        margin=_margin(values, truth),
+        tosses=truth.tosses,
     )
 
 

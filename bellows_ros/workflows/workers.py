@@ -1,27 +1,38 @@
 """Work on recordings one by one, elsewhere: in processes on this machine, or on a Dask cluster."""
 
 import asyncio
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
+from functools import cache
 import importlib
 import logging
 import os
+import tempfile
+import threading
+import time
 from typing import Any
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
+from bellows_ros.files.temporary import remove_abandoned
 from bellows_ros.workflows.recordings import Failed
 
 ANSWER_WITHIN = 10.0
 """Seconds in which a Dask scheduler must answer."""
 
+LOOK_EVERY = 0.5
+"""Seconds between two looks of a process at whether its parent is still there."""
+
 Work = tuple[int, str, dict[str, Any]]
 """Place in the parameter `bags`, recording, and its parameters."""
-Task = Callable[[int, str, Mapping[str, Any]], Any]
-"""Makes of one such piece of work a result with `number` and `digest`, or a `Failed`."""
+Task = Callable[..., Any]
+"""Makes something of a recording (its name, its parameters, and perhaps its path)."""
+Outcome = tuple[int, Any]
+"""Place of a piece of work, and what was made of it, or a `Failed`."""
 
 
-def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Any]:
+def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
     """Yield the results of processes on this machine, as they come."""
     if jobs == 1 or len(work) == 1:
         yield from (_tried(task, *item) for item in work)
@@ -31,21 +42,52 @@ def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Any]:
     while left:
         begun: list[int] = []
         try:
-            for result in _in_pool(joblib, jobs, task, _noted(list(left.values()), begun)):
-                del left[result.number]
-                yield result
+            with closing(_in_pool(joblib, jobs, task, _noted([*left.values()], begun))) as results:
+                for number, result in results:
+                    del left[number]
+                    yield number, result
         except BrokenProcessPool:
             # One of those begun has ended its process; in a pool of its own it ends no other.
             for number in (number for number in begun if number in left):
                 yield _alone(joblib, task, left.pop(number))
 
 
-def _in_pool(joblib: Any, jobs: int, task: Task, work: Iterable[Work]) -> Iterator[Any]:
-    """Yield the results of a pool of processes, which is handed no more than it works on."""
+def _in_pool(
+    joblib: Any, jobs: int, task: Task, work: Iterable[Work]
+) -> Generator[Outcome, None, None]:
+    """
+    Yield the results of a pool of processes, which is handed no more than it works on.
+
+    Whatever ends this generator early ends the processes, and what they left is removed.
+    """
     parallel = joblib.Parallel(
         jobs, backend='loky', return_as='generator_unordered', batch_size=1, pre_dispatch='n_jobs')
-    results: Iterator[Any] = parallel(joblib.delayed(_tried)(task, *item) for item in work)
-    return results
+    watched = joblib.delayed(_watched)
+    results = parallel(watched(os.getpid(), task, *item) for item in work)
+    try:
+        yield from results
+    finally:
+        results.close()
+        remove_abandoned(tempfile.gettempdir())
+
+
+def _watched(
+    parent: int, task: Task, number: int, bag: str, values: Mapping[str, Any]
+) -> Outcome:
+    """Return what `_tried` returns, in a process that ends with the one that has started it."""
+    _end_with(parent)
+    return _tried(task, number, bag, values)
+
+
+@cache
+def _end_with(parent: int) -> None:
+    """End this process, from a thread, once its parent is gone: even one that was killed."""
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(LOOK_EVERY)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _noted(work: Iterable[Work], begun: list[int]) -> Iterator[Work]:
@@ -55,36 +97,38 @@ def _noted(work: Iterable[Work], begun: list[int]) -> Iterator[Work]:
         yield item
 
 
-def _alone(joblib: Any, task: Task, item: Work) -> Any:
+def _alone(joblib: Any, task: Task, item: Work) -> Outcome:
     """Return the result of a process that works on nothing else."""
     try:
         (result,) = _in_pool(joblib, 2, task, [item])
         return result
     except BrokenProcessPool:
         number, bag, _ = item
-        return Failed(
-            number, bag, 'the process that read it was ended from outside, twice. If memory was '
+        return number, Failed(
+            bag, 'the process that read it was ended from outside, twice. If memory was '
             'short, take fewer jobs, or a shorter recording.'
-        )  # fmt: skip
+        )
 
 
-def _tried(task: Task, number: int, bag: str, values: Mapping[str, Any]) -> Any:
+def _tried(task: Task, number: int, bag: str, values: Mapping[str, Any], **more: Any) -> Outcome:
     """Return what a task makes of a recording, or why there is none, whatever went wrong."""
     try:
-        return task(number, bag, values)
+        return number, task(bag, values, **more)
+    except BellowsError as error:
+        return number, Failed(bag, str(error))
     except Exception as error:  # noqa: BLE001 (one recording must not end the work on others)
         return _broken(number, bag, error)
 
 
-def _broken(number: int, bag: str, error: Exception) -> Failed:
+def _broken(number: int, bag: str, error: Exception) -> Outcome:
     """Return what is said of a recording on which the work broke off."""
-    return Failed(number, bag, f'{type(error).__name__}: {error}')
+    return number, Failed(bag, f'{type(error).__name__}: {error}')
 
 
-def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Any]:
+def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]:
     """Yield the results of a Dask cluster's workers."""
     distributed = _imported('distributed', 'dask', '--dask')
-    logging.getLogger('distributed.client').setLevel(logging.CRITICAL)  # errors are told here
+    logging.getLogger('distributed.client').setLevel(logging.CRITICAL)  # errors are reported here
     try:
         # A client that reaches nobody cannot be closed; so it is made where somebody answers.
         asyncio.run(_reach(distributed, address))
@@ -96,7 +140,8 @@ def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Any]:
         ) from None
     with client:
         futures = [
-            client.submit(_tried, task, number, os.path.abspath(bag), own, pure=False)
+            client.submit(
+                _tried, task, number, bag, own, path=os.path.abspath(bag), pure=False)
             for number, bag, own in work
         ]
         for future, (number, bag, _) in zip(futures, work, strict=True):
@@ -110,10 +155,10 @@ async def _reach(distributed: Any, address: str) -> None:
     await comm.close()
 
 
-def _result_of(future: Any, number: int, bag: str, address: str) -> Any:
+def _result_of(future: Any, number: int, bag: str, address: str) -> Outcome:
     """Return the result of a Dask worker, or why there is none; raise where Dask is gone."""
     try:
-        result = future.result()
+        result: Outcome = future.result()
     except Exception as error:  # noqa: BLE001 (a worker can raise whatever it likes)
         if future.status == 'error':
             return _broken(number, bag, error)

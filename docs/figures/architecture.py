@@ -12,20 +12,19 @@ ROOMS = {
     'nodes': (0.3, 5.95, 2.5, 1.15, 'predictor, identifier;\nonly these know ROS'),
     'demo': (3.1, 5.95, 1.5, 1.15, 'make demo'),
     'cli': (4.9, 5.95, 4.7, 1.15, 'the command bellows'),
-    'bench': (4.9, 4.55, 2.0, 0.85, 'measures speed'),
-    'report': (7.2, 4.55, 2.4, 0.85, 'pages on a fit'),
-    'workflows': (0.3, 2.85, 6.6, 1.15,
-                  'identify, replay, simulate, info:\nfiles in, core, files out'),
-    'plots': (7.2, 2.85, 2.4, 1.15, 'pictures; only this\nknows matplotlib'),
+    'report': (7.7, 4.3, 1.9, 1.15, 'pages on a fit'),
+    'plots': (4.9, 4.3, 2.4, 1.15, 'pictures; only this\nknows matplotlib'),
+    'workflows': (0.3, 2.95, 9.3, 0.85,
+                  'identify, replay, simulate, info, plan, toss: files in, core, files out'),
     'files': (0.3, 1.55, 9.3, 0.85, 'bags, parameter files, results: read with suspicion, written '
               'whole or not at all'),
     'core': (0.3, 0.25, 9.3, 0.85, 'model, integrator, filter, preparation, identification, live '
              'prediction: numbers only'),
-}  # fmt: skip
-# Arrows (x, from, to), each straight down from a room into one below.
-IMPORTS = ((1.5, 5.95, 4.0), (3.85, 5.95, 4.0), (5.9, 5.95, 5.4), (8.4, 5.95, 5.4),
-           (5.9, 4.55, 4.0), (8.4, 4.55, 4.0), (3.6, 2.85, 2.4), (8.4, 2.85, 2.4),
-           (4.95, 1.55, 1.1))  # fmt: skip
+}
+# Arrows (x, y, x, y) from a room into one below, or beside.
+IMPORTS = ((1.5, 5.95, 1.5, 3.8), (3.85, 5.95, 3.85, 3.8), (6.1, 5.95, 6.1, 5.45),
+           (8.65, 5.95, 8.65, 5.45), (7.7, 4.87, 7.3, 4.87), (6.1, 4.3, 6.1, 3.8),
+           (8.65, 4.3, 8.65, 3.8), (4.95, 2.95, 4.95, 2.4), (4.95, 1.55, 4.95, 1.1))
 
 
 def draw(theme: Theme) -> Any:
@@ -43,13 +42,13 @@ def draw(theme: Theme) -> Any:
                 (left + 0.06, bottom + 0.06), width - 0.12, height - 0.12,
                 boxstyle='round,pad=0.06', facecolor=theme.grid, edgecolor=theme.quiet))
             axes.text(left + 0.18, bottom + height - 0.16, name, fontweight='bold', fontsize=11,
-                      va='top')  # fmt: skip
+                      va='top')
             axes.text(left + 0.18, bottom + height - 0.52, words, fontsize=9.5, va='top',
-                      color=theme.quiet, linespacing=1.3)  # fmt: skip
-        for x, start, end in IMPORTS:
-            axes.annotate('', xy=(x, end), xytext=(x, start),
+                      color=theme.quiet, linespacing=1.3)
+        for x, y, to_x, to_y in IMPORTS:
+            axes.annotate('', xy=(to_x, to_y), xytext=(x, y),
                           arrowprops={'arrowstyle': '-|>', 'color': theme.text, 'linewidth': 1.3,
-                                      'shrinkA': 1, 'shrinkB': 1})  # fmt: skip
+                                      'shrinkA': 1, 'shrinkB': 1})
     return figure
 
 

@@ -27,7 +27,7 @@ def response(theme: Theme) -> Any:
                 omega = 2.0 * np.pi * frequency[:, None]
                 got = np.cos(omega * time) @ weights(n, order, RATE_HZ)[2]
                 panel.plot(frequency, -100.0 * got / omega[:, 0] ** 2, color=colour,
-                           label=f'order {order}')  # fmt: skip
+                           label=f'order {order}')
             panel.axhline(100.0, color=theme.quiet, linewidth=0.6)
             panel.set_title(f'half window {n} samples, {1e3 * n / RATE_HZ:.0f} ms', fontsize=10)
             panel.set_xlabel('frequency (Hz)')
@@ -73,7 +73,7 @@ def _ratios(known: Any, truth: Any, half_window: int, order: int) -> Any:
     settings = {**known, 'bags': [str(ROOT / 'bags' / 'identification')],
                 'filter.tool.half_window': round(half_window * 500.0 / RATE_HZ),
                 'filter.package.half_window': half_window,
-                'filter.tool.order': order, 'filter.package.order': order}  # fmt: skip
+                'filter.tool.order': order, 'filter.package.order': order}
     fit = identify(settings).fit
     ratios = []
     for name, got in (('stiffness', fit.stiffness), ('damping', fit.damping)):

@@ -24,7 +24,7 @@ def main() -> None:
         data = io.BytesIO()
         small.quantize(COLOURS, dither=Image.Dither.NONE).save(data, 'png', optimize=True)
         write_bytes(IMAGES / 'deflection.png', data.getvalue())
-        bellows(['plot', 'animation', 'bags/validation', *CUP, '--from', '3', '--to', '7', '--out',
+        bellows(['plot', 'animation', 'bags/validation', *CUP, '--from', '3', '--to', '4', '--out',
                  str(IMAGES / 'replay.gif')])
 
 

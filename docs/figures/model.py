@@ -58,27 +58,27 @@ def _measures(axes: Any, nominal: Frame, theme: Theme) -> None:
         x = 0.072
         axes.annotate('', xy=(x, top), xytext=(x, bottom),
                       arrowprops={'arrowstyle': '<->', 'color': theme.quiet, 'linewidth': 0.9,
-                                  'shrinkA': 0, 'shrinkB': 0})  # fmt: skip
+                                  'shrinkA': 0, 'shrinkB': 0})
         axes.text(x + 0.004, 0.5 * (top + bottom), words, va='center', fontsize=11)
         for height in (top, bottom):
             axes.plot([0.03, x + 0.004], [height, height], color=theme.quiet, linewidth=0.5,
-                      linestyle=':', zorder=1)  # fmt: skip
+                      linestyle=':', zorder=1)
 
 
 def _middle(axes: Any, tool: Frame, lip: Frame, theme: Theme) -> None:
     """Show S1 and S2, which meet in the middle of the cup while it is not deflected."""
     first, second = lip.moved(0.0, LENGTH / 2), tool.moved(0.0, -LENGTH / 2)
     ends = ((first, lip, r'$S_1$', theme.predicted, (0.050, -0.012)),
-            (second, tool, r'$S_2$', theme.error, (0.050, 0.012)))  # fmt: skip
+            (second, tool, r'$S_2$', theme.error, (0.050, 0.012)))
     for middle, end, name, colour, shift in ends:
         axes.plot(*np.array([middle.origin, end.origin]).T, color=colour, linewidth=1.6,
-                  linestyle='--', zorder=9)  # fmt: skip
+                  linestyle='--', zorder=9)
         axes.plot(*middle.origin, 's', color=colour, markersize=6, zorder=10)
         place = np.asarray(middle.origin) + shift
         axes.annotate(
             name, xy=middle.origin, xytext=place, color=colour, fontsize=12, va='center',
             arrowprops={'arrowstyle': '-', 'color': colour, 'linewidth': 0.8}, zorder=11,
-        )  # fmt: skip
+        )
 
 
 def bending(theme: Theme) -> Any:

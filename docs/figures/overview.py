@@ -61,15 +61,15 @@ def _write(axes: Any, theme: Theme) -> None:
          'stiffness K, damping P: identified once,\nfrom recordings'),
         (CENTRE.at(0.078, 0.004), 0.078, theme.predicted, 'package, centre of mass B',
          'pose and twist, and what the cup carries:\npredicted, live'),
-    )  # fmt: skip
+    )
     for start, height, colour, head, text in notes:
         axes.annotate(
             '', xy=start, xytext=(0.300, height),
             arrowprops={'arrowstyle': '-', 'color': theme.quiet, 'linewidth': 0.8, 'shrinkB': 0},
-        )  # fmt: skip
+        )
         axes.text(0.306, height, head, color=colour, fontsize=12, fontweight='bold', va='center')
         axes.text(0.306, height - 0.013, text, color=theme.quiet, fontsize=10.5, va='top',
-                  linespacing=1.35)  # fmt: skip
+                  linespacing=1.35)
     axes.text(0.306, -0.004, 'A: world, z up', color=theme.quiet, fontsize=10.5, va='center')
 
 

@@ -8,11 +8,9 @@ the page.
 from dataclasses import dataclass
 from typing import Any
 
+from bellows_ros.core.arrays import Array
 from bellows_ros.plots.style import Theme, THEMES
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 RED, GREEN, BLUE = '#d1443c', '#2e8b57', '#3f6fd8'  # x, y, z, as everywhere
 ON_DARK = {RED: '#ff7b72', GREEN: '#3fb950', BLUE: '#a5c8ff'}
@@ -48,7 +46,7 @@ class Frame:
 
 
 def draw_frame(axes: Any, frame: Frame, name: str, length: float, theme: Theme,
-               name_at: tuple[float, float] = (-0.35, -0.35)) -> None:  # fmt: skip
+               name_at: tuple[float, float] = (-0.35, -0.35)) -> None:
     """Draw x in red and z in blue, y as a cross that goes into the page, and the name."""
     paints = ON_DARK if theme is THEMES['dark'] else {c: c for c in ON_DARK}
     for direction, paint, label in ((frame.x, paints[RED], 'x'), (frame.z, paints[BLUE], 'z')):
@@ -58,13 +56,13 @@ def draw_frame(axes: Any, frame: Frame, name: str, length: float, theme: Theme,
             arrowprops={'arrowstyle': '-|>', 'color': paint, 'linewidth': 1.8,
                         'shrinkA': 0, 'shrinkB': 0, 'mutation_scale': 11},
             zorder=8,
-        )  # fmt: skip
+        )
         end = np.asarray(frame.origin) + 1.22 * length * direction
         axes.text(*end, label, color=paint, ha='center', va='center', fontsize=8.5, zorder=9)
     axes.plot(*frame.origin, 'o', color=paints[GREEN], markersize=5.0, zorder=9)
     place = frame.at(name_at[0] * length, name_at[1] * length)
     axes.text(*place, name, color=theme.text, ha='center', va='center', fontsize=12,
-              fontweight='bold', zorder=9)  # fmt: skip
+              fontweight='bold', zorder=9)
 
 
 def outline_of_cup(top: Frame, lip: Frame) -> Array:
@@ -89,7 +87,7 @@ def _spine(top: Frame, lip: Frame, s: Array) -> Array:
     points: Array = (
         (2 * t**3 - 3 * t**2 + 1) * start + (t**3 - 2 * t**2 + t) * rate_0
         + (3 * t**2 - 2 * t**3) * end + (t**3 - t**2) * rate_1
-    )  # fmt: skip
+    )
     return points
 
 
@@ -100,7 +98,7 @@ def draw_cup(axes: Any, top: Frame, lip: Frame, fill: str, edge: str) -> None:
 
 
 def draw_box(axes: Any, frame: Frame, x: tuple[float, float], z: tuple[float, float],
-             fill: str, edge: str, **style: Any) -> None:  # fmt: skip
+             fill: str, edge: str, **style: Any) -> None:
     """Draw a rectangle given by its extent in a frame."""
     corners = [frame.at(a, b) for a, b in ((x[0], z[0]), (x[1], z[0]), (x[1], z[1]), (x[0], z[1]))]
     style = {'linewidth': 1.2, 'zorder': 3, **style}

@@ -1,7 +1,7 @@
 """
 The notebooks: run from their first cell to their last, as a reader would, with what they print.
 
-`python docs/tools/notebooks.py` runs both and writes their outputs into them. What is stored is so
+`python docs/tools/notebooks.py` runs all and writes their outputs into them. What is stored is so
 what the code gives; test/docs/test_notebooks.py runs them again and compares.
 """
 
@@ -51,7 +51,7 @@ def main() -> None:
     for path in notebooks():
         book = executed(path)
         book.metadata = {'kernelspec': book.metadata.kernelspec,
-                         'language_info': {'name': 'python'}}  # fmt: skip
+                         'language_info': {'name': 'python'}}
         nbformat.write(book, path)
         print(f'ran {path.name}')
 

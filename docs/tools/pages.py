@@ -12,7 +12,8 @@ when that is not so:
 
 Blocks that would install something, or reach for ROS, are only checked, with or without comment.
 
-`python docs/tools/pages.py` runs all pages and writes what the commands print now into them.
+`python docs/tools/pages.py` runs all pages, or those it is given, and writes what the commands
+print now into them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -142,7 +143,7 @@ def _joined(lines: Sequence[str], at: int) -> tuple[str, int]:
 
 
 def matches(expected: str, got: str) -> bool:
-    """Tell whether an output is the one shown, but for numbers, blanks and lines left out."""
+    """Return whether an output is the one shown, but for numbers, blanks and lines left out."""
     parts = [re.escape(_plain(part)) for part in re.split(r'(?m)^\.\.\.$', expected)]
     pattern = r'\s?.*?\s?'.join(parts)
     return re.fullmatch(pattern, _plain(got), re.DOTALL) is not None
@@ -162,7 +163,7 @@ def make_folder(folder: Path) -> None:
 def environment(base: Mapping[str, str]) -> dict[str, str]:
     """Return variables under which the commands of this Python come first."""
     path = os.pathsep.join([str(Path(sys.executable).parent), base.get('PATH', '')])
-    return {**base, 'PATH': path, 'COLUMNS': '80', 'MPLBACKEND': 'Agg'}
+    return {**base, 'PATH': path, 'COLUMNS': '100', 'MPLBACKEND': 'Agg'}
 
 
 def run(
@@ -173,11 +174,11 @@ def run(
         ['bash', '-c', PRELUDE + command.text], cwd=folder, env=dict(variables), text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
         timeout=TIMEOUT,
-    )  # fmt: skip
+    )
 
 
 def refresh(page: Path) -> bool:
-    """Write what the commands of a page print now into it; tell whether that changed it."""
+    """Write what the commands of a page print now into it; return whether that changed it."""
     text = page.read_text()
     lines = text.splitlines()
     with tempfile.TemporaryDirectory() as name:
@@ -199,7 +200,7 @@ def refresh(page: Path) -> bool:
 
 
 def _shortened(output: str) -> bool:
-    """Tell whether a shown output has been shortened by hand."""
+    """Return whether a shown output has been shortened by hand."""
     return ANY in output.splitlines()
 
 
@@ -209,8 +210,8 @@ def _blank_end(lines: Sequence[str], first: int, last: int) -> int:
 
 
 def main() -> None:
-    """Refresh all pages."""
-    for page in pages():
+    """Refresh the pages that are named, or all."""
+    for page in [Path(name).resolve() for name in sys.argv[1:]] or pages():
         if refresh(page):
             print(f'changed {page.relative_to(ROOT)}')
 

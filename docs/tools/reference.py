@@ -30,7 +30,7 @@ def parameters() -> Iterator[str]:
         'Units are SI. A 6x6 matrix is 36 numbers, row by row; translations x, y, z come first, '
         'then rotations x, y, z. In a parameter file for ROS every number of a real parameter '
         'has a decimal point.', '',
-    )  # fmt: skip
+    )
     groups = dict.fromkeys(_group(name) for name in PARAMETERS)
     for group in groups:
         yield f'## {group}'
@@ -55,7 +55,7 @@ def _parameter(parameter: Parameter) -> str:
     fixed = ' Cannot change while a node runs.' if parameter.read_only else ''
     users = ', '.join(parameter.used_by)
     return (f'| `{parameter.name}` | {parameter.unit} | {_default(parameter)} | {_cell(allowed)} '
-            f'| {users} | {_cell(parameter.description)}{fixed} |')  # fmt: skip
+            f'| {users} | {_cell(parameter.description)}{fixed} |')
 
 
 def _default(parameter: Parameter) -> str:
@@ -93,7 +93,7 @@ def topics() -> Iterator[str]:
         'Of the node `predictor`. Names are relative: remap them with `-r FROM:=TO`, or put the '
         'node into a namespace.', '',
         '| name | type | meaning |', '|---|---|---|',
-    )  # fmt: skip
+    )
     for name, kind, text in INTERFACE.topics:
         yield f'| `{name}` | {_cell(kind)} | {_cell(text)} |'
     yield from (
@@ -117,7 +117,7 @@ def topics() -> Iterator[str]:
         'arrival.', '',
         'The node `identifier` has no topics: it reads recordings, and shows its result as its '
         'parameters `cup.stiffness` and `cup.damping`.', '',
-    )  # fmt: skip
+    )
 
 
 def commands() -> Iterator[str]:
@@ -125,13 +125,13 @@ def commands() -> Iterator[str]:
     yield from ('# The command bellows', '', GENERATED, '',
                 'The work of the nodes from a shell, without ROS. Each command has `--help` with '
                 'examples; `source <(bellows completion)` completes commands, options and '
-                'parameters in bash.', '')  # fmt: skip
+                'parameters in bash.', '')
     for name, text in COMMANDS.items():
         module = importlib.import_module(f'bellows_ros.cli.{name}')
         parser = argparse.ArgumentParser(add_help=False)
         module.add_arguments(parser)
         yield from (f'## bellows {name}', '', f'{text[0].upper()}{text[1:]}.', '',
-                    module.DESCRIPTION, '')  # fmt: skip
+                    module.DESCRIPTION, '')
         rows = [_argument(action) for action in parser._actions]
         if rows:
             yield from ('| argument | meaning |', '|---|---|', *rows, '')

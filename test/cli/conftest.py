@@ -1,6 +1,6 @@
 """The command as a process of its own, and small recordings of a known cup for it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 import subprocess
 import sys
@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 import yaml
+
+from .served import Server
 
 # The cup and the package that the recordings are made with.
 STIFFNESS = (5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35)
@@ -48,6 +50,9 @@ MOTION: Mapping[str, Any] = {
     },
 }
 
+# What starts processes itself does so from a process that was started as usual.
+ALONE = {'--jobs', '--dask'}
+
 Run = Callable[..., 'subprocess.CompletedProcess[str]']
 
 
@@ -67,23 +72,28 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob('*')) if path.is_file()
-    }  # fmt: skip
+    }
 
 
 @pytest.fixture(scope='session')
-def bellows(user_environment: dict[str, str]) -> Run:
+def bellows(user_environment: dict[str, str]) -> Iterator[Run]:
     """Give a function that runs `bellows` with arguments, in a folder."""
+    server = Server(user_environment)
 
     def run(
         *arguments: object, cwd: Path | None = None, **environment: str
     ) -> 'subprocess.CompletedProcess[str]':
+        words = list(map(str, arguments))
+        if not environment and not ALONE & set(words):
+            return server.run(words, cwd or Path.cwd())
         return subprocess.run(
-            [sys.executable, '-m', 'bellows_ros.cli', *map(str, arguments)],
+            [sys.executable, '-m', 'bellows_ros.cli', *words],
             cwd=cwd, env={**user_environment, **environment}, capture_output=True, text=True,
             stdin=subprocess.DEVNULL, timeout=100,
-        )  # fmt: skip
+        )
 
-    return run
+    yield run
+    server.close()
 
 
 @pytest.fixture(scope='session')
@@ -102,6 +112,6 @@ def workshop(tmp_path_factory: pytest.TempPathFactory, bellows: Run) -> Path:
     done = bellows(
         'simulate', '--params', 'cup.yaml', '--motion', 'motion.yaml', '--out', 'recording',
         cwd=folder,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     return folder

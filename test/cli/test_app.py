@@ -26,12 +26,14 @@ def test_help_names_every_command(bellows: Run) -> None:
 
 @pytest.mark.parametrize('name', COMMANDS)
 def test_every_command_has_help_with_examples(name: str, bellows: Run) -> None:
-    """Show arguments, examples and exit codes."""
+    """Show arguments, examples, and in a line what it ends with."""
     done = bellows(name, '--help')
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout.startswith(f'usage: bellows {name}')
-    assert f'examples:\n  bellows {name}' in done.stdout
-    assert 'exit codes' in done.stdout
+    assert 'examples:\n' in done.stdout and f'bellows {name}' in done.stdout.split('examples:')[1]
+    assert done.stdout.count('Ends with 0 when done, ') == 1
+    found = name in ('compare', 'identify', 'merge', 'replay')
+    assert ('1 if ' in done.stdout.splitlines()[-1]) == found
     assert max(map(len, done.stdout.splitlines())) < 100
     assert '--json' in done.stdout or name == 'completion'
 
@@ -66,7 +68,10 @@ def test_version(bellows: Run) -> None:
         (['xyz'], "'xyz' is no command. There are: "),
         (['--colour'], "'--colour' is no command."),
         (['replay'], 'the following arguments are required: BAG'),
-        (['replay', 'bag', '--jsn', 'x'], 'unrecognized arguments: --jsn'),
+        (['replay', 'bag', '--jsn', 'x'], "'--jsn' is no option. Did you mean '--json'?"),
+        (['replay', 'bag', '--jsn=x'], "'--jsn' is no option. Did you mean '--json'?"),
+        (['plot', 'path', 'bag', '--outt', 'x'], "'--outt' is no option. Did you mean '--out'?"),
+        (['replay', 'bag', '--xyzzy'], 'unrecognized arguments: --xyzzy'),
         (['simulate', '--out', 'x'], '--motion'),
     ],
 )
@@ -108,7 +113,7 @@ pty.spawn([sys.executable, '-m', 'bellows_ros.cli', 'parameters', 'gravity'])
     done = subprocess.run(
         [sys.executable, '-c', code], env=user_environment, capture_output=True,
         stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+    )
     assert b'gravity' in done.stdout
     assert (b'\x1b[1m' in done.stdout) == coloured
 

@@ -1,4 +1,4 @@
-"""`bellows completion`, as bash uses it."""
+"""`bellows completion`, as bash and zsh use it."""
 
 import shutil
 import subprocess
@@ -8,46 +8,85 @@ from bellows_ros.cli.commands import COMMANDS
 from bellows_ros.cli.completion import script
 import pytest
 
-pytestmark = pytest.mark.skipif(shutil.which('bash') is None, reason='no bash here')
+BASH = """{script}
+COMP_WORDS=({line}); COMP_CWORD={last}; _bellows; printf "%s\\n" "${{COMPREPLY[@]}}"
+"""
+# What zsh's own functions do with the words they get, without a terminal: those that begin so.
+ZSH = """
+compdef() {{ }}
+offer() {{
+    local word
+    for word in "$@"; do [[ $word == $words[CURRENT]* ]] && print -r -- $word; done
+}}
+compadd() {{
+    local suffix
+    [[ $1 == -S ]] && {{ suffix=$2; shift 2 }}
+    shift
+    offer ${{^@}}$suffix
+}}
+_describe() {{ [[ $1 == -o ]] && shift; offer "${{(@)${{(@P)2}}%%:*}}" }}
+_files() {{ offer *(N) }}
+{script}
+words=({line}); CURRENT={count}; _bellows; true
+"""
 
 
-def complete(*words: str) -> list[str]:
-    """Return what bash offers for the last of some words."""
+def complete(shell: str, *words: str) -> list[str]:
+    """Return what a shell offers for the last of some words."""
+    if shutil.which(shell) is None:
+        pytest.skip(f'no {shell} here')
     line = ' '.join(f"'{word}'" for word in words)
-    code = (f'{script()}\nCOMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _bellows; '
-            'printf "%s\\n" "${COMPREPLY[@]}"')
-    done = subprocess.run(['bash', '-c', code], capture_output=True, text=True)
+    code = {'bash': BASH, 'zsh': ZSH}[shell].format(
+        script=script(shell), line=line, last=len(words) - 1, count=len(words))
+    plain = {'bash': ['--norc'], 'zsh': ['-f']}[shell]
+    done = subprocess.run([shell, *plain, '-c', code], capture_output=True, text=True)
     assert done.stderr == ''
     return done.stdout.split()
 
 
-def test_commands_are_offered() -> None:
+shells = pytest.mark.parametrize('shell', ['bash', 'zsh'])
+
+
+@shells
+def test_commands_are_offered(shell: str) -> None:
     """List all, and those that begin so."""
-    assert set(COMMANDS) <= set(complete('bellows', ''))
-    assert complete('bellows', 'ide') == ['identify']
+    assert set(COMMANDS) <= set(complete(shell, 'bellows', ''))
+    assert complete(shell, 'bellows', 'ide') == ['identify']
 
 
+@shells
 @pytest.mark.parametrize('name', COMMANDS)
-def test_options_of_every_command_are_offered(name: str) -> None:
+def test_options_of_every_command_are_offered(name: str, shell: str) -> None:
     """Know --help everywhere, and what belongs to one command only there."""
-    offered = complete('bellows', name, '--')
+    offered = complete(shell, 'bellows', name, '--')
     assert '--help' in offered
     assert ('--motion' in offered) == (name == 'simulate')
 
 
-def test_parameters_are_offered_behind_set() -> None:
+@shells
+def test_parameters_are_offered_behind_set(shell: str) -> None:
     """Leave the value to be typed."""
-    assert complete('bellows', 'identify', '--set', 'fit.st') == ['fit.structure=']
+    assert complete(shell, 'bellows', 'identify', '--set', 'fit.st') == ['fit.structure=']
 
 
-def test_known_values_are_offered() -> None:
+@shells
+def test_known_values_are_offered(shell: str) -> None:
     """Complete the kinds of pictures, and the values of an option."""
-    assert complete('bellows', 'plot', 'sp') == ['spectra']
-    assert complete('bellows', 'export', 'cup.yaml', '--to', 'm') == ['mjcf']
+    assert complete(shell, 'bellows', 'plot', 'sp') == ['spectra']
+    assert complete(shell, 'bellows', 'export', 'cup.yaml', '--to', 'm') == ['mjcf']
 
 
-def test_files_are_offered_elsewhere(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+@shells
+def test_files_are_offered_elsewhere(
+    shell: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Complete recordings and parameter files."""
     (tmp_path / 'my_cell.yaml').touch()
     monkeypatch.chdir(tmp_path)
-    assert complete('bellows', 'identify', '--params', 'my') == ['my_cell.yaml']
+    assert complete(shell, 'bellows', 'identify', '--params', 'my') == ['my_cell.yaml']
+
+
+def test_the_shell_in_use_is_the_default(bellows: Any) -> None:
+    """Print what `source` takes in the user's shell; that for bash where it is another."""
+    for shell, first in (('/bin/zsh', '#compdef'), ('/bin/bash', '# '), ('/bin/fish', '# ')):
+        assert bellows('completion', SHELL=shell).stdout.startswith(first)

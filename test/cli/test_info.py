@@ -7,8 +7,9 @@ from typing import Any
 
 from bellows_ros.core.lie import apply
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
-from bellows_ros.files.bag_writer import write_bag
+from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.parameter_files import read_parameters
+import numpy as np
 import pytest
 
 from ..workflows.test_info import motion, poses
@@ -21,7 +22,7 @@ def test_it_says_what_is_there(bellows: Run, workshop: Path) -> None:
     done = bellows('info', 'recording', cwd=workshop)
     assert (done.returncode, done.stderr) == (0, '')
     for words in ('/tool_arm/pose', '300.0 Hz', 'probably /package/pose', 'hangs below it',
-                  '1 gap, the longest', 'stand still for the first'):  # fmt: skip
+                  '1 gap, the longest', 'stand still for the first'):
         assert words in done.stdout, done.stdout
 
 
@@ -50,12 +51,21 @@ def test_the_parameter_file_serves_once_the_package_is_filled_in(
     """Lead from a recording to a cup without writing a topic's name."""
     file = tmp_path / 'my_cell.yaml'
     done = bellows('info', 'recording', '--write-params', file, cwd=workshop)
+    filled = 'filled in by hand'
+    (file.parent / 'mine.yaml').write_text(filled)
+    again = bellows(
+        'info', 'recording', '--write-params', file.parent / 'mine.yaml', cwd=workshop)
+    assert again.returncode == 2 and '--force' in again.stderr
+    assert (file.parent / 'mine.yaml').read_text() == filled
+    forced = bellows('info', 'recording', '--write-params', file.parent / 'mine.yaml',
+                     '--force', cwd=workshop)
+    assert forced.returncode == 0 and (file.parent / 'mine.yaml').read_text() != filled
     assert done.returncode == 0 and f'--params {file}' in done.stdout
     refused = bellows('identify', '--params', file, cwd=workshop)
     assert refused.returncode == 2 and 'package.mass' in refused.stderr
 
     package = ('mass: 1.8', 'inertia: [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0]',
-               'com: [0.0, 0.0, -0.03]')  # fmt: skip
+               'com: [0.0, 0.0, -0.03]')
     text = file.read_text()
     for line in package:
         name = line.partition(':')[0]
@@ -84,3 +94,37 @@ def test_bad_input_ends_with_2_and_writes_nothing(
     assert done.returncode == 2 and 'does not exist' in done.stderr
     assert 'Traceback' not in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_names_in_a_recording_give_no_orders_to_the_terminal(
+    bellows: Run, tmp_path: Path
+) -> None:
+    """Escape what a terminal would act upon, and lines that would pass for the command's own."""
+    topic, frame = '/tool\x1b]0;title\x07\u202e', 'a\x1b[2J\nWorld    probably down'
+    stamps = np.arange(1, 400) * 5_000_000
+    values = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (len(stamps), 1))
+    write_bag(tmp_path / 'bag', [
+        Recorded(topic, 'geometry_msgs/msg/PoseStamped', stamps, values, frame)])
+    for arguments in (['info', 'bag'], ['info', 'bag', '--json', '-'],
+                      ['identify', 'bag', '--set', f'topics.tool_pose={topic}']):
+        done = bellows(*arguments, cwd=tmp_path)
+        said = done.stdout + done.stderr
+        assert 'tool' in said
+        assert all(c.isprintable() or c == '\n' for c in said), repr(said)
+        assert '\nWorld' not in said
+
+
+def test_a_part_of_a_recording_is_looked_at(
+        bellows: Run, workshop: Path, tmp_path: Path) -> None:
+    """Describe what lies between --from and --to, and write them down."""
+    out = tmp_path / 'cell.yaml'
+    span = ('--from', '1', '--to', '2.5')
+    done = bellows('info', 'recording', *span, '--json', '-', '--write-params', str(out),
+                   cwd=workshop)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert all(1.4 < topic['duration_s'] <= 1.5 for topic in found['topics'] if topic['kind'])
+    written = read_parameters(out)
+    assert (written['recording.start'], written['recording.end']) == (1.0, 2.5)
+    done = bellows('info', 'recording', '--from', 'soon', cwd=workshop)
+    assert done.returncode == 2 and 'recording.start' in done.stderr

@@ -5,7 +5,8 @@ import os
 import signal
 
 from bellows_ros.cli.console import CLEAR_LINE, Console, progress_line
-from bellows_ros.cli.options import parse_override, uninterrupted
+from bellows_ros.cli.options import parse_override
+from bellows_ros.cli.signals import uninterrupted
 import pytest
 
 
@@ -39,13 +40,14 @@ def test_overrides_are_read_in_the_kind_of_the_parameter(
 
 def test_an_interrupt_waits_for_finished_work_to_be_written() -> None:
     """Let nothing stop the writing half way, and give Ctrl-C back after it."""
-    before = signal.getsignal(signal.SIGINT)
-    written = []
-    with uninterrupted():
-        os.kill(os.getpid(), signal.SIGINT)
-        written.append('all')
-    assert written == ['all']
-    assert signal.getsignal(signal.SIGINT) is before
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        before = signal.getsignal(number)
+        written = []
+        with uninterrupted():
+            os.kill(os.getpid(), number)
+            written.append('all')
+        assert written == ['all']
+        assert signal.getsignal(number) is before
 
 
 @pytest.mark.parametrize(

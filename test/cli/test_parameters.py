@@ -22,7 +22,8 @@ def test_names_choose(bellows: Run) -> None:
     """Show only those whose names begin as asked for."""
     done = bellows('parameters', 'filter.tool', 'gravity')
     names = [line for line in done.stdout.splitlines() if not line.startswith(' ')]
-    assert names == ['filter.tool.half_window', 'filter.tool.order', 'gravity']
+    assert names == [
+        'filter.tool.half_window', 'filter.tool.order', 'gravity.magnitude', 'gravity.direction']
 
 
 def test_an_unknown_name_is_refused(bellows: Run) -> None:

@@ -20,7 +20,7 @@ Run = Any
     ('what', 'name', 'start'),
     [('motion', 'a.png', b'\x89PNG'), ('prediction', 'a.svg', b'<?xml'),
      ('animation', 'a.gif', b'GIF8')],
-)  # fmt: skip
+)
 def test_pictures_are_written(
     what: str, name: str, start: bytes, bellows: Run, workshop: Path, tmp_path: Path
 ) -> None:
@@ -129,4 +129,4 @@ def test_a_missing_cup_is_said(bellows: Run, workshop: Path, tmp_path: Path) -> 
     """Warn where a picture shows the cup of the thesis."""
     done = bellows('plot', 'deflection', 'recording', '--params', 'package.yaml', '--out',
                    tmp_path / 'a.png', cwd=workshop)
-    assert done.returncode == 0 and 'cup of the thesis' in done.stdout
+    assert done.returncode == 0 and 'cup of the thesis' in done.stderr

@@ -15,7 +15,7 @@ def test_the_recording_holds_what_was_reported(
     done = bellows(
         'simulate', '--params', workshop / 'cup.yaml', '--motion', workshop / 'motion.yaml',
         '--out', tmp_path / 'new', '--json', '-',
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert report['duration_s'] == MOTION['duration']
@@ -42,7 +42,7 @@ def test_set_changes_the_cup(bellows: Run, workshop: Path, tmp_path: Path) -> No
     done = bellows(
         'simulate', '--params', workshop / 'cup.yaml', '--set', 'package.mass=2.5',
         '--motion', workshop / 'motion.yaml', '--out', tmp_path / 'heavy',
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     assert contents(tmp_path / 'heavy') != contents(workshop / 'recording')
 
@@ -52,6 +52,30 @@ def test_a_cup_that_is_not_given_is_said(bellows: Run, workshop: Path, tmp_path:
     done = bellows(
         'simulate', '--params', workshop / 'package.yaml', '--motion', workshop / 'motion.yaml',
         '--out', tmp_path / 'new',
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
-    assert 'Warning: cup.stiffness is not set: this is the cup of the thesis' in done.stdout
+    assert 'Warning: cup.stiffness is not set: this is the cup of the thesis' in done.stderr
+
+
+def test_the_margin_is_said_by_simulate_and_found_by_replay(
+    bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Smallest safety factor, mode and instant; replay sees the motion through noise."""
+    grip = ('--set', 'cup.lip_radius=0.02', '--set', 'vacuum.holding=60000')
+    done = bellows(
+        'simulate', '--params', workshop / 'cup.yaml', *grip, '--motion',
+        workshop / 'motion.yaml', '--out', tmp_path / 'new', '--json', '-')
+    assert done.returncode == 0, done.stderr
+    truth = json.loads(done.stdout)['margin']
+    assert truth['mode'] in ('peel', 'slip') and 0.0 < truth['time'] < MOTION['duration']
+    assert f'safety factor of the grip is {truth["factor"]:.3g}' in ' '.join(done.stderr.split())
+    page = tmp_path / 'page.html'
+    again = bellows('replay', tmp_path / 'new', '--params', workshop / 'cup.yaml', *grip,
+                    '--report', page, '--json', '-')
+    assert again.returncode == 0, again.stderr
+    found = json.loads(again.stdout)['margin']
+    assert found['mode'] == truth['mode'] and abs(found['time'] - truth['time']) < 0.02
+    assert abs(found['factor'] - truth['factor']) < 0.02 * truth['factor']
+    assert 'smallest safety factor of the grip' in page.read_text()
+    assert 'safety factor' not in bellows(
+        'replay', tmp_path / 'new', '--params', workshop / 'cup.yaml').stdout

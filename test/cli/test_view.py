@@ -10,6 +10,7 @@ import pytest
 Run = Any
 
 
+@pytest.mark.extras
 def test_a_file_is_written_for_the_viewer(bellows: Run, workshop: Path, tmp_path: Path) -> None:
     """Write it, say how it is opened, and give the scores."""
     pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")
@@ -42,6 +43,7 @@ def test_what_is_missing_is_said_before_any_work(
     assert 'Traceback' not in done.stderr and list((tmp_path / 'out').iterdir()) == []
 
 
+@pytest.mark.extras
 def test_without_a_display_it_says_what_to_do(bellows: Run, workshop: Path) -> None:
     """Let Rerun say why, and name the way to see it elsewhere."""
     pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")

@@ -2,7 +2,7 @@
 
 from bellows_ros.core import jit
 from bellows_ros.core.integrator import advance, tool_at, tool_segment
-from bellows_ros.core.kernels import held_wrench
+from bellows_ros.core.kernels import lip_wrench
 from bellows_ros.core.lie import log_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import model_tuple
 from bellows_ros.core.simulation import energies, simulate, state_row
@@ -70,12 +70,12 @@ def test_energy_never_grows_with_damping():
 
 @pytest.fixture(scope='module')
 def shaken():
-    """Return a model, an analytic tool motion, a start, and DOP853's solution of 5 s at 1 ms."""
+    """Return a model, an analytic tool motion, a start, and DOP853's solution of 1 s at 1 ms."""
     rng = np.random.default_rng(7)
     cup, package, motion = random_cup(rng), random_package(rng), ShakenTool(rng)
     T = np.eye(4)
     T[:3, 3] = package.com - np.array([0.0, 0.0, cup.length])
-    times = np.arange(0, 5001) * 1e-3
+    times = np.arange(0, 1001) * 1e-3
     gravity = np.array([0.0, 0.0, -GRAVITY])
     twist = np.zeros(6)
     solution = oracle.solve(cup, package, gravity, motion.at, T, twist, times)
@@ -84,7 +84,7 @@ def shaken():
 
 def test_agrees_with_dop853_on_the_plain_equations(shaken):
     cup, package, motion, start, (position, rotation, twist) = shaken
-    body = simulate(cup, package, motion.trajectory(5.0, 1000), start)
+    body = simulate(cup, package, motion.trajectory(1.0, 1000), start)
     assert np.abs(body.position - position).max() < 1e-8
     assert angle_between(body.rotation, rotation).max() < 1e-8
     assert_allclose(body.twist, twist, atol=1e-5)
@@ -109,7 +109,7 @@ def test_observed_order_is_four(shaken):
     cup, package, motion, start, (position, rotation, _) = shaken
     errors = []
     for rate in (125, 250, 500):
-        body = simulate(cup, package, motion.trajectory(5.0, rate), start, substeps=1)
+        body = simulate(cup, package, motion.trajectory(1.0, rate), start, substeps=1)
         truth = slice(None, None, 1000 // rate)
         error = np.abs(body.position - position[truth]).max()
         errors.append([error, angle_between(body.rotation, rotation[truth]).max()])
@@ -212,7 +212,7 @@ def test_package_stays_put_in_equilibrium_and_the_cup_carries_its_weight():
     body = simulate(cup, package, still_tool(T, 10**9, 500), rest)
     assert_allclose(body.position[-1], rest[0], atol=1e-11)
     assert_allclose(body.twist[-1], 0.0, atol=1e-10)
-    force, moment = held_wrench(model, tool, rest)
+    force, moment = lip_wrench(model, tool, rest)
     R = quaternion_to_rotation(np.array(rest[1]))
     assert_allclose(R @ force, [0.0, 0.0, package.mass * GRAVITY], atol=1e-9)
     assert_allclose(moment, np.cross(package.com, force), atol=1e-10)

@@ -83,11 +83,17 @@ def test_parameters_are_found_by_their_user():
 
 
 def test_resolve_fills_in_defaults_but_not_the_package():
-    values = resolve({'gravity': 9})
-    assert values['gravity'] == 9.0 and isinstance(values['gravity'], float)
+    values = resolve({'gravity.magnitude': 9})
+    assert values['gravity.magnitude'] == 9.0
+    assert isinstance(values['gravity.magnitude'], float)
     assert values['filter.tool.half_window'] == 0
     assert not set(PACKAGE_PARAMETERS) & set(values)
     assert set(resolve(PACKAGE, PACKAGE_PARAMETERS)) == set(PARAMETERS)
+
+
+def test_gravity_alone_is_its_magnitude():
+    assert resolve({'gravity': 9})['gravity.magnitude'] == 9.0
+    assert 'gravity' not in resolve({'gravity': 9})
 
 
 def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
@@ -190,7 +196,8 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
         ('package.com', {0: 1}, '3 numbers'),
         ('cup.length', 48.1, r'\(m\)'),
         ('cup.length', 0, 'above 0'),
-        ('gravity', -9.81, 'at least 0'),
+        ('gravity', -9.81, 'gravity.magnitude must be a number, at least 0'),
+        ('gravity.direction', [0.0, 0.0, 0.0], 'nothing is down'),
         ('filter.tool.half_window', 25.0, 'a whole number'),
         ('filter.tool.half_window', True, 'a whole number'),
         ('filter.tool.half_window', -1, 'at least 0'),
@@ -198,7 +205,7 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
         ('recording.align_at_rest', 1, 'true or false'),
         ('recording.align_at_rest', 'yes', 'true or false'),
         ('recording.world', 'y_up', 'z_up, motive_y_up'),
-        ('fit.structure', 'Full', 'axisymmetric, diagonal, full'),
+        ('fit.structure', 'Full', 'axisymmetric, axisymmetric_coupled, diagonal, full'),
         ('topics.tool_pose', '', 'empty'),
         ('topics.tool_pose', 'a\nb', 'control character'),
         ('topics.tool_pose', 7, 'a text'),

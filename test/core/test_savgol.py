@@ -1,10 +1,10 @@
 """The filter against polynomials, a slow reference, and the synthetic motions of the thesis."""
 
+from fractions import Fraction
 from math import factorial, pi
 
 from bellows_ros.core import lie
 from bellows_ros.core import savgol as module
-from bellows_ros.core.differences import central_differences
 from bellows_ros.core.savgol import savgol, weights
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.linalg import expm
-from scipy.signal import savgol_coeffs
 from scipy.spatial.transform import Rotation
 
 RATE_HZ = 360.0
@@ -59,14 +58,28 @@ def rms(error):
 
 
 @pytest.mark.parametrize('half_window, order', [(1, 2), (3, 2), (5, 4), (15, 3), (25, 4), (30, 7)])
-def test_weights_agree_with_scipy(half_window, order):
-    result = weights(half_window, order, RATE_HZ)
-    for derivative, row in enumerate(result):
-        expected = savgol_coeffs(
-            2 * half_window + 1, order, deriv=derivative, delta=1 / RATE_HZ, use='dot'
-        )
-        # SciPy's least squares in powers up to 30^7 keeps fewer digits than this fit.
-        assert_allclose(row, expected, atol=1e-9 * np.abs(expected).max())
+def test_weights_are_the_exact_rational_ones(half_window, order):
+    result = weights(half_window, order, 1.0)
+    for row, expected in zip(result, rational_weights(half_window, order), strict=True):
+        assert_allclose(row, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
+
+
+def rational_weights(half_window, order):
+    """Solve the normal equations of the fit in whole samples by elimination, without rounding."""
+    times, size = range(-half_window, half_window + 1), order + 1
+    rows = [
+        [Fraction(sum(t ** (i + j) for t in times)) for j in range(size)]
+        + [Fraction(i == derivative) for derivative in range(3)] for i in range(size)]
+    for i in range(size):
+        pivot = rows[i][i]  # positive, as the matrix is positive definite
+        rows[i] = [value / pivot for value in rows[i]]
+        for k in set(range(size)) - {i}:
+            factor = rows[k][i]
+            rows[k] = [a - factor * b for a, b in zip(rows[k], rows[i], strict=True)]
+    return np.array([
+        [float(factorial(d) * sum(row[size + d] * t**i for i, row in enumerate(rows)))
+         for t in times]
+        for d in range(3)])
 
 
 @pytest.mark.parametrize('half_window, order', [(1, 2), (5, 2), (25, 4), (50, 6), (4, 8)])
@@ -308,6 +321,15 @@ def test_noise_free_sine_is_damped_as_the_weights_say():
     assert_allclose(result.acceleration[:, :3], damped, atol=1e-6)
 
 
+def central_differences(poses):
+    """Return spatial twists and accelerations by central differences (F.49-F.54)."""
+    R, o, step = poses.rotation, poses.position, np.diff(poses.stamps_ns)[0] * 2e-9
+    rate = lie.log_so3(R[2:] @ R[:-2].swapaxes(1, 2)) / step
+    velocity = (o[2:] - o[:-2]) / step + np.cross(o[1:-1], rate)
+    twist = np.concatenate([velocity, rate], axis=1)
+    return twist[1:-1], (twist[2:] - twist[:-2]) / step
+
+
 @pytest.mark.parametrize('seed', range(3))
 def test_synthetic_motions_of_the_thesis(seed):
     """Both cases at once (4.34-4.39, 4.56-4.62), with its noise, rate, window and order."""
@@ -316,17 +338,15 @@ def test_synthetic_motions_of_the_thesis(seed):
     noisy = trajectory_of(
         o + sigma * rng.normal(size=o.shape), lie.exp_so3(xi + sigma * rng.normal(size=xi.shape))
     )
+    found = {
+        name: (result.spatial_twist, result.spatial_acceleration)
+        for name, result in (('parabola', savgol(noisy, HALF_WINDOW, ORDER)),
+                             ('quartic', savgol(noisy, HALF_WINDOW, 4)))}
     errors = {}
-    for name, result in (
-        ('parabola', savgol(noisy, HALF_WINDOW, ORDER)),
-        ('quartic', savgol(noisy, HALF_WINDOW, 4)),
-        ('differences', central_differences(noisy)),
-    ):
-        k = (count - len(result)) // 2
+    for name, own in {**found, 'differences': central_differences(noisy)}.items():
+        k = (count - len(own[0])) // 2
         errors[name] = (
-            rms(result.spatial_twist - twist[k:count - k]),
-            rms(result.spatial_acceleration - acceleration[k:count - k]),
-        )
+            rms(own[0] - twist[k:count - k]), rms(own[1] - acceleration[k:count - k]))
     v, dv = zip(errors['parabola'], errors['differences'], strict=True)
     # Noise makes 0.25 m/s and 80 m/s^2 of the differences, 0.004 and 0.2 of the parabola. Its
     # velocities are limited by the bend that 47 samples of a parabola cannot follow (0.05 m/s).

@@ -11,7 +11,7 @@ from bellows_ros.core.linearisation import (
     system_matrix,
 )
 from bellows_ros.core.model import Cup, model_tuple, Package
-from bellows_ros.core.simulation import simulate, state_energies, state_row
+from bellows_ros.core.simulation import lip_wrenches, simulate, state_energies, state_row
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from .cases import still_tool
+from .plans import CUP, Move, PACKAGE
 
 PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
 LEVEL = state_row((0, 0, 0), (0, 0, 0, 1), np.zeros(6))
@@ -81,7 +82,7 @@ def test_slopes_predict_small_changes():
     rng = np.random.default_rng(4)
     model = model_tuple(Cup.thesis(), PLATE, 9.81)
     tool, body = LEVEL, static_equilibrium(model, LEVEL)
-    slopes = linearise(model, tool, body)
+    jacobian = linearise(model, tool, body)
     d, v, e, u = 1e-5 * rng.standard_normal((4, 6))
 
     def moved(state, pose, twist):
@@ -91,8 +92,8 @@ def test_slopes_predict_small_changes():
     ends = [
         np.ravel(body_acceleration(model, moved(tool, s * e, s * u), moved(body, s * d, s * v)))
         for s in (1.0, -1.0)]
-    expected = (slopes.body_pose @ d + slopes.body_twist @ v
-                + slopes.tool_pose @ e + slopes.tool_twist @ u)
+    expected = (jacobian.body_pose @ d + jacobian.body_twist @ v
+                + jacobian.tool_pose @ e + jacobian.tool_twist @ u)
     assert_allclose((ends[0] - ends[1]) / 2, expected, rtol=1e-6, atol=1e-8)
 
 
@@ -123,3 +124,17 @@ def test_a_package_that_would_fall_over_has_no_equilibrium():
     on_top = Package(50.0, np.eye(3), (0.0, 0.0, 0.5))
     with pytest.raises(BellowsError, match='falling over'):
         static_equilibrium(model_tuple(Cup.thesis(), on_top, 9.81), LEVEL)
+
+
+def test_the_wrench_at_the_lip_is_what_the_motion_needs():
+    """Newton and Euler of the simulated motion, differentiated: m (a - g), moved to the lip."""
+    tool = Move([0.4, -0.2, 0.1], [0.3, -0.2, 0.6], 0.6).plan(2000)
+    body = simulate(CUP, PACKAGE, tool)
+    rate = np.gradient(body.twist, 1.0 / 2000.0, axis=0)
+    v, w = body.twist[:, :3], body.twist[:, 3:]
+    gravity = np.swapaxes(body.rotation, 1, 2) @ [0.0, 0.0, -9.81]
+    f = PACKAGE.mass * (rate[:, :3] + np.cross(w, v) - gravity)
+    L = w @ PACKAGE.inertia
+    m = rate[:, 3:] @ PACKAGE.inertia + np.cross(w, L) + np.cross(PACKAGE.com, f)
+    found = lip_wrenches(model_tuple(CUP, PACKAGE, 9.81), tool, body)
+    assert_allclose(found[1:-1], np.hstack([f, m])[1:-1], atol=2e-3)

@@ -19,6 +19,7 @@ from .conftest import load
 
 PAGES = load('tools', 'pages')
 ALL = {str(page.relative_to(PAGES.ROOT)): page for page in PAGES.pages()}
+SLOW = ('prediction_error', 'tosses', 'excite')
 EXECUTABLES = ('predictor', 'identifier', 'bellows')
 
 
@@ -32,7 +33,14 @@ def runnable() -> list[str]:
     return [name for name, page in ALL.items() if with_mode(page, 'run', 'fails')]
 
 
-@pytest.mark.parametrize('name', runnable())
+LONG = ('choosing', 'exciting', 'filter', 'formats', 'many_recordings', 'toss', 'validation',
+        'with_a_camera')
+"""Pages of which `make test-long` runs the commands."""
+
+
+@pytest.mark.parametrize('name', [
+    pytest.param(name, marks=[pytest.mark.stress] if Path(name).stem in LONG else [])
+    for name in runnable()])
 def test_commands_do_what_the_page_shows(
     name: str, tmp_path: Path, user_environment: dict[str, str], pages: ModuleType
 ) -> None:
@@ -42,7 +50,7 @@ def test_commands_do_what_the_page_shows(
     variables = pages.environment(user_environment)
     for block in with_mode(ALL[name], 'run', 'fails'):
         for number, command in enumerate(block.commands, 1):
-            if 'prediction_error' in command.text and not COMPILED:
+            if not COMPILED and any(words in command.text for words in SLOW):
                 continue  # takes minutes interpreted; run where numba is
             done = pages.run(command, tmp_path, variables)
             where = f'{name}, line {block.line}: {command.text}\n'
@@ -71,7 +79,7 @@ def checked() -> list[Any]:
     return [
         pytest.param(block, id=f'{name}:{block.line}')
         for name, page in ALL.items() for block in PAGES.blocks(page.read_text())
-    ]  # fmt: skip
+    ]
 
 
 @pytest.mark.parametrize('block', checked())

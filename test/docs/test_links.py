@@ -89,7 +89,7 @@ def test_guides_name_every_command(root: Path) -> None:
     text = ''.join(page.read_text() for page in [root / 'README.md', *docs.glob('*.md')])
     assert [name for name in COMMANDS if f'bellows {name}' not in text] == []
     for page in (root / 'README.md', docs / 'tutorial.md', docs / 'choosing.md'):
-        assert 'bellows ladder' in page.read_text(), page.name
+        assert 'bellows structures' in page.read_text(), page.name
 
 
 def test_pages_are_built_without_a_warning(root: Path, tmp_path: Path) -> None:

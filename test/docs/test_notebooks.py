@@ -11,7 +11,10 @@ from .conftest import load
 NOTEBOOKS = load('tools', 'notebooks')
 
 
-@pytest.mark.parametrize('path', NOTEBOOKS.notebooks(), ids=lambda path: path.name)
+@pytest.mark.extras
+@pytest.mark.parametrize('path', [
+    pytest.param(path, marks=[pytest.mark.stress] if path.name == 'toss.ipynb' else [])
+    for path in NOTEBOOKS.notebooks()], ids=lambda path: path.name)
 def test_a_notebook_gives_what_is_stored_in_it(path: Path, pages: ModuleType) -> None:
     """Run every cell; compare what they print but for the numbers, and count the pictures."""
     pytest.importorskip('nbclient', reason="no notebook runner here (pip install '.[notebook]')")
@@ -24,6 +27,7 @@ def test_a_notebook_gives_what_is_stored_in_it(path: Path, pages: ModuleType) ->
     assert sum(NOTEBOOKS.pictures(now)) >= 2
 
 
+@pytest.mark.extras
 @pytest.mark.parametrize('path', NOTEBOOKS.notebooks(), ids=lambda path: path.name)
 def test_a_notebook_was_run_from_top_to_bottom(path: Path) -> None:
     """Count the cells without a gap, keep no errors and warnings, and link to what is there."""

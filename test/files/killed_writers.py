@@ -1,7 +1,7 @@
 """
 Kill processes while they write, and say what they leave.
 
-    python -m test.files.killed_writers FOLDER SEED
+    python -m test.files.killed_writers FOLDER SEED KILLS
 
 A process of its own that forks the writers: what they write is made before, so that the kills
 fall into the writing. Prints for each kind of output how many kills left nothing, the old or the
@@ -26,7 +26,6 @@ from bellows_ros.files.results import write_json
 from bellows_ros.files.trajectory_files import write_tum
 import numpy as np
 
-KILLS = 30  # of each kind
 LONG = 2.0  # durations of a write in which it is killed
 HIDDEN = '.bellows-'
 POSE = 'geometry_msgs/msg/PoseStamped'
@@ -141,12 +140,12 @@ def kill_one(path: Path, write: Write, after: float) -> None:
     assert os.WIFSIGNALED(status), path
 
 
-def kill_many(folder: Path, name: str, rng: np.random.Generator) -> Counter[str]:
+def kill_many(folder: Path, name: str, rng: np.random.Generator, kills: int) -> Counter[str]:
     """Kill writers of one kind of output, and count what they leave."""
     folder.mkdir()
     contents, seconds = whole(folder, name)
     found: Counter[str] = Counter()
-    for k in range(KILLS):
+    for k in range(kills):
         shutil.rmtree(folder)
         folder.mkdir()
         old = k % 2  # every other time there is nothing yet
@@ -169,8 +168,9 @@ def judged(now: Content, contents: list[Content], old: bool) -> str:
 
 def main() -> None:
     """Kill writers of every kind."""
-    folder, rng = Path(sys.argv[1]), np.random.default_rng(int(sys.argv[2]))
-    print(json.dumps({name: kill_many(folder / f'of_{name}', name, rng) for name in WRITERS}))
+    folder, rng, kills = Path(sys.argv[1]), np.random.default_rng(int(sys.argv[2])), sys.argv[3]
+    print(json.dumps({
+        name: kill_many(folder / f'of_{name}', name, rng, int(kills)) for name in WRITERS}))
 
 
 if __name__ == '__main__':

@@ -1,5 +1,8 @@
 """Recordings that are written: read back by this package and by rosbags, whole or not at all."""
 
+import resource
+import signal
+
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bag_writer, cdr
 from bellows_ros.files.bag_writer import COMPRESSIONS, Recorded, STORAGES, write_bag
@@ -44,6 +47,24 @@ def test_every_form_is_read_by_this_package_and_by_rosbags(tmp_path, storage, co
         [[m.pose.position.x, m.pose.orientation.w] for _, m in messages],
         made.pose_values(COUNT)[:, [0, 6]])
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.fixture
+def no_room():
+    """Let no file grow beyond some bytes, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+@pytest.mark.parametrize('storage, compression', FORMS)
+def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, no_room, storage, compression):
+    with pytest.raises(BellowsError, match='cannot be written: .* Nothing was changed'):
+        write_bag(tmp_path / 'bag', [recorded()], storage, compression)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize('kind', sorted(cdr.LAYOUTS))

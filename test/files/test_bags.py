@@ -3,6 +3,7 @@
 import os
 import shutil
 import sqlite3
+import time
 import tracemalloc
 
 from bellows_ros.core.lie import quaternion_to_rotation
@@ -173,6 +174,8 @@ def faulty(index, reason):
         t = made.stamps(100)[index - 1]
     elif reason == 'backward_stamp':
         t = made.stamps(100)[index - 1] - 1
+    elif reason == 'future_stamp':
+        t += 3_600_000_000_000
     data = made.encoded(made.POSE, t, pose=pose, **options)
     return data[:-9] if reason == 'malformed' else data
 
@@ -341,11 +344,57 @@ def test_a_missing_recording_is_refused(tmp_path):
         topics(tmp_path / 'nothing')
 
 
-def test_a_folder_without_metadata_is_refused_with_what_it_holds(tmp_path):
-    assert 'no metadata.yaml' in error_of(tmp_path)
+def test_a_folder_without_metadata_is_read_with_a_note(tmp_path):
+    """As a recorder leaves it that crashed in its twelfth file, while it compressed another."""
+    assert 'no metadata.yaml and no storage file' in error_of(tmp_path)
+    folder, messages = tmp_path / 'crashed', made.poses(12)
+    folder.mkdir()
+    for k, message in enumerate(messages):
+        part = made.storage_file(one_topic(tmp_path / f'{k}', [message]))
+        shutil.copy(part, folder / f'crashed_{k}.mcap')
+    (folder / 'crashed_3.mcap.zstd').write_bytes(b'half')
+    (folder / 'notes.txt').write_text('by hand')
+    whole = (folder / 'crashed_11.mcap').read_bytes()
+    (folder / 'crashed_11.mcap').write_bytes(whole[:len(whole) // 2])
+    contents = bags.read_contents(folder, {'p': 'a'})
+    stream = contents.all_streams()['p']
+    assert_array_equal(stream.stamps_ns, made.stamps(12)[:len(stream)])
+    assert len(stream) >= 11 and stream.refused == {}
+    first, last = contents.notes
+    assert 'has no metadata.yaml: its recorder has crashed' in first
+    assert 'crashed_0.mcap, crashed_1.mcap, crashed_2.mcap, crashed_3.mcap' in first
+    assert 'crashed_11.mcap' in last and 'was not ended' in last
+    (folder / 'other.db3').write_bytes(b'')
+    assert 'files of two storages' in error_of(folder)
+
+
+def test_other_numbers_of_messages_than_metadata_says_are_noted(tmp_path):
+    content = {('/a', made.POSE): made.poses(9), ('/b', made.POSE): made.poses(4)}
+    folder = made.write(tmp_path / 'b', content)
+    assert bags.read_contents(folder, {'p': 'a'}).notes == ()
+    change_metadata(folder, message_count=15)
+    (note,) = bags.read_contents(folder, {'p': 'a'}).notes
+    assert 'has 13 messages, but metadata.yaml says 15.' in note
+    about = yaml.safe_load((folder / 'metadata.yaml').read_text())
+    listed = about['rosbag2_bagfile_information']['topics_with_message_count']
+    listed[0]['message_count'] = 11
+    change_metadata(folder, topics_with_message_count=listed)
+    notes = []
+    topics(folder, notes)
+    assert "says 15: '/a' 9 of 11. Was it copied whole?" in notes[0]
+    for wrong in ('x', None, [], {'a': 1}, [7], [{'topic_metadata': 3}]):
+        change_metadata(folder, message_count=wrong, topics_with_message_count=wrong)
+        (note,) = bags.read_contents(folder, {'p': 'a'}).notes
+        assert 'has 13 messages' in note
+
+
+def test_links_in_a_circle_are_refused(tmp_path):
     folder = one_topic(tmp_path / 'b', made.poses(4))
-    (folder / 'metadata.yaml').unlink()
-    assert "It holds b.mcap: run 'ros2 bag reindex'" in error_of(folder)
+    file = made.storage_file(folder)
+    file.unlink()
+    file.symlink_to(file.name)
+    assert file.name in error_of(folder)
+    assert error_of(file)
 
 
 @pytest.mark.parametrize('storage', made.PLUGINS)
@@ -361,7 +410,7 @@ def test_an_empty_recording_is_refused(tmp_path, storage):
 def test_a_file_without_a_byte_is_refused(tmp_path, storage):
     folder = one_topic(tmp_path / 'b', made.poses(4), storage=storage)
     made.storage_file(folder).write_bytes(b'')
-    assert 'it is empty' in error_of(folder)
+    assert 'is not whole: it is empty' in error_of(folder)
 
 
 def test_a_wrong_topic_is_refused_with_those_that_are_there(bag):
@@ -549,14 +598,36 @@ def test_a_database_that_computes_without_end_is_refused(tmp_path, monkeypatch):
     assert 'interrupted' in error_of(folder)
 
 
-def test_messages_of_any_size_in_a_database_do_not_fill_the_memory(tmp_path):
-    folder = altered_database(
-        tmp_path,
+COMPUTED = {
+    'generated': [
+        'ALTER TABLE messages ADD COLUMN more AS (data || data) VIRTUAL',
+        'ALTER TABLE messages RENAME COLUMN data TO old',
+        'ALTER TABLE messages RENAME COLUMN more TO data'],
+    'of any size': [
         'ALTER TABLE messages ADD COLUMN big AS (zeroblob(900000000)) VIRTUAL',
         'ALTER TABLE messages RENAME COLUMN data TO old',
-        'ALTER TABLE messages RENAME COLUMN big TO data',
-    )
-    assert 'too big' in error_of(folder)
+        'ALTER TABLE messages RENAME COLUMN big TO data'],
+    'in another table': [
+        'CREATE TABLE other (x TEXT, y AS (hex(zeroblob(100000000 * x))) VIRTUAL NOT NULL)',
+        "INSERT INTO other (x) VALUES ('1')"],
+    'virtual': [
+        'DROP TABLE messages',
+        'CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data)'],
+}
+
+
+@pytest.mark.parametrize('kind', COMPUTED)
+def test_a_database_that_computes_what_it_holds_is_refused(tmp_path, kind):
+    assert 'is computed, not stored' in error_of(altered_database(tmp_path, *COMPUTED[kind]))
+
+
+def test_constraints_of_a_database_are_not_computed(tmp_path):
+    folder = altered_database(
+        tmp_path, 'CREATE TABLE other (x TEXT CHECK (length(hex(zeroblob(50000000 + x))) > 0))',
+        'PRAGMA ignore_check_constraints = ON', *["INSERT INTO other VALUES ('1')"] * 50)
+    begin = time.process_time()
+    assert len(read_streams(folder, {'p': 'a'})['p']) == 4
+    assert time.process_time() - begin < 1.0
 
 
 def test_negative_receive_times_do_no_harm(tmp_path):

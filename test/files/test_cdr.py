@@ -1,5 +1,7 @@
 """Decoding and encoding of messages, against rosbags' own."""
 
+import time
+
 from bellows_ros.files import cdr
 from hypothesis import given, strategies
 import numpy as np
@@ -94,7 +96,7 @@ def test_strings_are_walked_through_where_they_change(monkeypatch):
     values = made.pose_values(30)
     frames = 10 * ['world'] + [''] + 9 * ['a'] + 10 * ['world']
     data = [made.encoded(made.POSE, t, pose=v, frame_id=f)
-            for t, v, f in zip(made.stamps(30), values, frames, strict=True)]  # fmt: skip
+            for t, v, f in zip(made.stamps(30), values, frames, strict=True)]
     decoded = cdr.decode(data, cdr.LAYOUTS[made.POSE], slice(0, 7))
     assert_array_equal(decoded.values, values)
     assert [decoded.frames[i] for i in decoded.frame] == [(frame,) for frame in frames]
@@ -152,3 +154,15 @@ def test_messages_that_are_too_long_are_not_decoded():
     data = made.encoded(made.POSE, made.EPOCH_NS, pose=[0.0] * 7, frame_id=name)
     decoded = cdr.decode([data], cdr.LAYOUTS[made.POSE], slice(0, 7))
     assert_array_equal(decoded.frame, [-1])
+
+
+def test_every_message_may_name_another_frame_at_no_more_than_its_own_cost():
+    """Fifty thousand names: what looks each up in a list of all takes half a minute."""
+    layout, count = cdr.LAYOUTS[made.POSE], 50_000
+    (data,) = cdr.encode(made.stamps(1), made.pose_values(1), ['00000'], layout)
+    messages = [data.replace(b'00000', b'%05d' % i) for i in range(count)]
+    begin = time.process_time()
+    decoded = cdr.decode(messages, layout, layout.pose)
+    assert time.process_time() - begin < 8.0
+    assert decoded.frames == [(f'{i:05d}',) for i in range(count)]
+    assert_array_equal(decoded.frame, np.arange(count))

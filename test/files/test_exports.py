@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.simulation import simulate
 from bellows_ros.core.trajectory import Trajectory
-from bellows_ros.files.exports import limits, TARGETS
+from bellows_ros.files.exports import Exported, limits, TARGETS
 import numpy as np
 import pytest
 
@@ -16,7 +16,7 @@ K, P = (np.diag(m).tolist() for m in (CUP.stiffness, CUP.damping))
 
 def parsed(name: str) -> ElementTree.Element:
     """Return a model's root."""
-    return ElementTree.fromstring(TARGETS[name].write(CUP, PACKAGE))
+    return ElementTree.fromstring(TARGETS[name].write(Exported(CUP, PACKAGE)))
 
 
 def numbers(text: str | None) -> list[float]:
@@ -64,13 +64,26 @@ def test_sdf_is_a_chain_of_six_joints() -> None:
     assert springs == K
 
 
+def test_openplx_has_the_springs_of_a_round_cup() -> None:
+    """Along the normal of the lip and across it, resting and collapsed, each once."""
+    lines = TARGETS['openplx'].write(Exported(CUP, PACKAGE)).splitlines()
+    assert lines[1] == 'BellowsCup is Robotics.EndEffectors.SixDofSuctionCup:'
+    found = dict(line.strip().split(': ') for line in lines[2:])
+    assert len(found) == len(lines) - 2 == 2 + 16
+    for axis, (i, j) in {'lip_normal': (2, 2), 'around_radial_axis': (3, 4)}.items():
+        key = f'collapsed_elasto_dynamics.{axis}_{{}}'
+        assert float(found[key.format('flexibility.stiffness')]) == 0.5 * (K[i] + K[j])
+        assert float(found[key.format('dissipation.damping_constant')]) == 0.5 * (P[i] + P[j])
+    assert float(found['resting_height']) == CUP.length
+
+
 # What SDFormat 1.9 says of the elements used: their children, and those that are required.
 SDF = {
     'sdf': 'model*', 'model': 'link* joint frame', 'link': 'pose inertial', 'frame': 'pose',
     'inertial': 'pose mass* inertia*', 'inertia': 'ixx* iyy* izz* ixy* ixz* iyz*',
     'joint': 'parent* child* axis', 'axis': 'xyz* dynamics limit*',
     'dynamics': 'damping spring_reference* spring_stiffness*', 'limit': 'lower* upper*',
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize('name', ['drake', 'sdf'])
@@ -100,25 +113,31 @@ def test_what_is_lost_is_said(name: str) -> None:
     coupled = np.array(CUP.stiffness)
     coupled[0, 1] = coupled[1, 0] = 0.2 * coupled[0, 0]
     lost = limits(TARGETS[name], Cup(coupled, CUP.damping, CUP.length))
+    if TARGETS[name].whole:
+        assert lost == limits(TARGETS[name], CUP)
+        return
     assert 'off-diagonal entries of K' in lost[0] and '20 %' in lost[0]
 
 
+@pytest.mark.extras
 def test_mujoco_lets_the_package_sag_as_far_as_it_should() -> None:
     """Load the model where MuJoCo is installed, and wait until it hangs still."""
     mujoco = pytest.importorskip('mujoco', reason='no MuJoCo here (pip install mujoco)')
     model = mujoco.MjModel.from_xml_string(
-        TARGETS['mjcf'].write(CUP, Package(2.17, PACKAGE.inertia, (0.0, 0.0, -0.03))))
+        TARGETS['mjcf'].write(
+            Exported(CUP, Package(2.17, PACKAGE.inertia, (0.0, 0.0, -0.03)))))
     data = mujoco.MjData(model)
     for _ in range(10000):
         mujoco.mj_step(model, data)
     np.testing.assert_allclose(data.qpos[2], -2.17 * 9.81 / K[2], rtol=1e-3)
 
 
+@pytest.mark.extras
 def test_mujoco_swings_as_the_model_does() -> None:
     """Pull the package 2 mm aside without gravity, let go, and compare half a second."""
     mujoco = pytest.importorskip('mujoco', reason='no MuJoCo here (pip install mujoco)')
     package = Package(2.17, PACKAGE.inertia, (0.0, 0.0, -0.03))
-    model = mujoco.MjModel.from_xml_string(TARGETS['mjcf'].write(CUP, package))
+    model = mujoco.MjModel.from_xml_string(TARGETS['mjcf'].write(Exported(CUP, package)))
     model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
     count, step = round(0.5 / model.opt.timestep), round(1e9 * model.opt.timestep)
@@ -139,6 +158,7 @@ def test_mujoco_swings_as_the_model_does() -> None:
     np.testing.assert_allclose(theirs, ours.position, atol=1e-5)
 
 
+@pytest.mark.extras
 @pytest.mark.parametrize('name', ['drake', 'sdf'])
 def test_drake_lets_the_package_sag_as_far_as_it_should(name: str) -> None:
     """Load both kinds of SDF where Drake is installed, and wait until the package hangs still."""
@@ -146,7 +166,7 @@ def test_drake_lets_the_package_sag_as_far_as_it_should(name: str) -> None:
     builder = drake.DiagramBuilder()
     plant, _ = drake.AddMultibodyPlantSceneGraph(builder, 0.0)
     still = Package(2.17, PACKAGE.inertia, (0.0, 0.0, -0.03))
-    drake.Parser(plant).AddModelsFromString(TARGETS[name].write(CUP, still), 'sdf')
+    drake.Parser(plant).AddModelsFromString(TARGETS[name].write(Exported(CUP, still)), 'sdf')
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName('tool'))
     plant.Finalize()
     simulator = drake.Simulator(builder.Build())

@@ -12,35 +12,36 @@ import numpy as np
 import pytest
 
 from . import killed_writers
-from .killed_writers import HIDDEN, KILLS, WRITERS
+from .killed_writers import HIDDEN, WRITERS
 
 ROOT = Path(__file__).parents[2]
 ROWS = 4000
+KILLS = 10  # of each kind
 
 pytestmark = pytest.mark.timeout(400)
 
 
 @pytest.fixture(scope='module')
 def killed(tmp_path_factory):
-    """Kill writers of every kind of output, and provide what they left."""
+    """Kill writers of every kind, and provide what they left; `make stress` does more."""
+    folder = str(tmp_path_factory.mktemp('k'))
     done = subprocess.run(
-        [sys.executable, '-m', killed_writers.__name__, str(tmp_path_factory.mktemp('k')), '7'],
+        [sys.executable, '-m', killed_writers.__name__, folder, '7', str(KILLS)],
         cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
-def test_two_hundred_kills_leave_nothing_torn(killed):
+def test_kills_leave_nothing_torn(killed):
     careful = {name: found for name, found in killed.items() if name != 'careless'}
-    assert KILLS * len(careful) >= 200
     for name, found in careful.items():
         whole = found.get('old', 0) + found.get('new', 0)
         assert whole + found.get('nothing', 0) == KILLS, (name, found)
         assert found['in the way'] == 0
     # The kills have come before, during and after the writing.
     total = {key: sum(found.get(key, 0) for found in careful.values())
-             for key in ('old', 'new', 'nothing', 'hidden')}  # fmt: skip
-    assert all(count >= 10 for count in total.values()), total
+             for key in ('old', 'new', 'nothing', 'hidden')}
+    assert all(count >= 3 for count in total.values()), total
 
 
 def test_the_kills_find_what_is_written_carelessly(killed):
@@ -77,7 +78,7 @@ def kill_while_it_writes(process, folder, after):
 def test_the_command_is_killed_while_it_writes(tmp_path, storage):
     out, rng = tmp_path / 'recording', np.random.default_rng(8)
     sources = [trajectory(tmp_path / f'{k}.tum', k) for k in (0, 1)]
-    for k in range(5):
+    for k in range(3):
         process = subprocess.Popen(
             [sys.executable, '-m', 'bellows_ros.cli', 'convert', str(sources[k % 2]),
              '--topic', '/p', '--storage', storage, '--out', str(out), '--force'],

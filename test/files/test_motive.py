@@ -75,10 +75,10 @@ def layout(path: Path, columns: list[Column], settings: str, timecode: bool = Fa
     rows += [['', label, *extra, *(getattr(c, field) for c in columns)] for label, field in labels]
     rows.append(['', '', *extra, *(c.quantity for c in columns)])
     rows.append(['Frame', 'Time (Seconds)', *(['TimeCode'] if timecode else []),
-                 *(c.axis for c in columns)])  # fmt: skip
+                 *(c.axis for c in columns)])
     for frame in range(len(columns[0].cells)):
         rows.append([str(frame), f'{frame / RATE:.6f}', *(['15:26:46:12.02'] if timecode else []),
-                     *(c.cells[frame] for c in columns)])  # fmt: skip
+                     *(c.cells[frame] for c in columns)])
     with path.open('w', newline='', encoding='utf-8') as file:
         csv.writer(file, lineterminator='\r\n').writerows(rows)
     return path
@@ -87,9 +87,9 @@ def layout(path: Path, columns: list[Column], settings: str, timecode: bool = Fa
 def pose(name: str, kind: str = 'Rigid Body') -> list[Column]:
     """Return the columns of a body that stands still in two frames, with its mean marker error."""
     found = [Column(kind, name, 'Rotation', axis, (value, value))
-             for axis, value in zip('XYZW', ('0', '0.6', '0', '-0.8'), strict=True)]  # fmt: skip
+             for axis, value in zip('XYZW', ('0', '0.6', '0', '-0.8'), strict=True)]
     found += [Column(kind, name, 'Position', axis, (value, value))
-              for axis, value in zip('XYZ', ('100', '1200', '5'), strict=True)]  # fmt: skip
+              for axis, value in zip('XYZ', ('100', '1200', '5'), strict=True)]
     return [*found, Column(kind, name, 'Mean Marker Error', '', ('0.02', '0.02'))]
 
 

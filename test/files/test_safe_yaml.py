@@ -10,6 +10,8 @@ from hypothesis import given, settings, strategies
 import pytest
 import yaml
 
+PATIENCE = 20.0  # s, for what takes three
+
 
 def load(path, text, **options):
     """Load a text as a file."""
@@ -22,6 +24,9 @@ def load(path, text, **options):
     [
         ('1e-05', 1e-5), ('-2E+3', -2e3), ('1.5e4', 1.5e4), ('6417.0', 6417.0), ('12', 12),
         ('.nan', pytest.approx(float('nan'), nan_ok=True)), ('true', True), ('~', None),
+        ('1:30', '1:30'), ('1:30.5', '1:30.5'), ('0x1F', 31), ('-0b11', -3), ('017', 15),
+        ('08', '08'), ('1_000', 1000), ('+.5', 0.5), ('-.inf', -float('inf')), ('0', 0),
+        ('1.', 1.0), ('0.5e-3', 0.5e-3), ('.', '.'), ('+', '+'), ('1.2.3', '1.2.3'),
         ('2024-05-01', '2024-05-01'), ('e5', 'e5'), ("'1'", '1'), ('[1, a]', [1, 'a']),
     ],
 )
@@ -59,12 +64,23 @@ def test_errors_name_the_line(tmp_path, text, line, reason):
         (b'a: \0', 'not valid YAML'),
         (b'x: ' + b'1' * 5000, 'cannot be read'),
         (b'#' * 2**21, 'larger than'),
+        (b'- 1\n' * (2**18 - 1), 'more than 50000 values'),
+        (b'[' + b'1,' * (2**19 - 1) + b']', 'more than 50000 values'),
     ],
 )
 def test_what_is_no_yaml_is_refused(tmp_path, data, reason):
     (tmp_path / 'a').write_bytes(data)
+    begin = time.process_time()
     with pytest.raises(BellowsError, match=reason):
         safe_yaml.load(tmp_path / 'a')
+    assert time.process_time() - begin < PATIENCE
+
+
+def test_a_megabyte_that_looks_like_one_number_is_a_text(tmp_path):
+    """Digits with colons are a number to the base of 60 in YAML 1.1, computed for minutes."""
+    begin = time.process_time()
+    assert load(tmp_path / 'a', 'x: 1' + ':1' * (2**19 - 9))['x'].startswith('1:1')
+    assert time.process_time() - begin < PATIENCE
 
 
 def test_what_is_no_file_is_refused(tmp_path):

@@ -3,7 +3,13 @@
 from pathlib import Path
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.trajectory_files import read_euroc, read_tum, write_tum
+from bellows_ros.files.trajectory_files import (
+    read_euroc,
+    read_trajectory,
+    read_tum,
+    write_euroc,
+    write_tum,
+)
 import numpy as np
 import pytest
 
@@ -58,3 +64,39 @@ def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
     """Name it."""
     with pytest.raises(BellowsError, match=r'none\.tum'):
         read_tum(tmp_path / 'none.tum')
+
+
+KITTI = '0.8 -0.6 0 1\n 0.6 0.8 0 2 0 0 1 3\n'.replace('\n', ' ') + '\n1 0 0 4 0 1 0 5 0 0 1 6\n'
+
+
+def test_kitti_takes_its_times_from_beside(tmp_path: Path) -> None:
+    """Read rows of matrices, told from TUM by their count; both names of the times."""
+    (tmp_path / '00.txt').write_text(KITTI)
+    (tmp_path / 'times.txt').write_text('0.0\n1.5e-1\n')
+    stamps, values = read_trajectory(tmp_path / '00.txt')
+    np.testing.assert_array_equal(stamps, [0, 150_000_000])
+    turn = np.sin(0.5 * np.arctan2(0.6, 0.8))
+    np.testing.assert_allclose(values[0], [1, 2, 3, 0, 0, turn, np.sqrt(1 - turn**2)], atol=1e-12)
+    (tmp_path / '00_times.txt').write_text('7.0\n')
+    with pytest.raises(BellowsError, match='has 2 poses, and .*00_times.txt. 1 times'):
+        read_trajectory(tmp_path / '00.txt')
+
+
+def test_kitti_that_is_none_is_refused(tmp_path: Path) -> None:
+    """Say which file the times belong into, and where no rotation is."""
+    file = tmp_path / 'a.kitti'
+    file.write_text(KITTI)
+    with pytest.raises(BellowsError, match=r'without times. Put them into .*a_times.txt'):
+        read_trajectory(file)
+    (tmp_path / 'a_times.txt').write_text('0\n1\n')
+    file.write_text(KITTI.replace('0.8 -0.6', '0.8 0.6'))
+    with pytest.raises(BellowsError, match='line 1: the first three columns are no rotation'):
+        read_trajectory(file)
+
+
+def test_euroc_goes_out_and_comes_back(tmp_path: Path) -> None:
+    """Keep stamps exactly and numbers to nine digits."""
+    write_euroc(tmp_path / 'a.csv', STAMPS, np.hstack([VALUES, np.ones((2, 6))]))
+    stamps, values = read_trajectory(tmp_path / 'a.csv')
+    np.testing.assert_array_equal(stamps, STAMPS)
+    np.testing.assert_allclose(values, VALUES, rtol=1e-8)

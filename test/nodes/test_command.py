@@ -8,7 +8,9 @@ import sys
 from typing import Any
 
 from bellows_ros.core.parameters import parameters_of
+from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.nodes import identifier, predictor
+from bellows_ros.nodes.command import origin_of
 from bellows_ros.nodes.help_text import help_text
 import pytest
 
@@ -17,7 +19,7 @@ LONGEST_HELP = 0.3  # s of the processor
 PACKAGE = [
     '-p', 'package.mass:=2.17', '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
     '-p', 'package.com:=[0.0, 0.0, -0.03]',
-]  # fmt: skip
+]
 WITHOUT_ROS = """
 import sys
 
@@ -95,6 +97,8 @@ def test_missing_ros_is_said_plainly(
     (['--ros-args', *PACKAGE, '-p', 'cup.stiffness:=[1.0, 2]'], 'alike: 2.0, not 2.'),
     (['--ros-args', *PACKAGE, '-p', 'cup.length:=long'], 'cup.length must be a number'),
     (['--ros-args', '--params-file', 'nowhere.yaml'], "'--params-file nowhere.yaml'"),
+    (['--ros-args', *PACKAGE, '-p', 'use_sim_time:=hello'], "expecting type 'bool'"),
+    (['a\x1b[31mb'], "Unknown argument 'a?[31mb'"),
     (['package.yaml'], "Unknown argument 'package.yaml'"),
 ])
 def test_what_the_user_can_put_right_ends_with_2(
@@ -106,6 +110,19 @@ def test_what_the_user_can_put_right_ends_with_2(
     assert done.returncode == 2, done.stderr
     assert words.lower() in done.stderr.lower()
     assert 'Traceback' not in done.stderr
+
+
+def test_a_file_that_ros_would_read_for_minutes_is_refused(
+        root: Path, user_environment: dict[str, str], tmp_path: Path) -> None:
+    """Refuse 10 MB of parameters at once."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    file = tmp_path / 'large.yaml'
+    lines = ''.join(f'    some.name{k}: 1.0\n' for k in range(400_000))
+    file.write_text(f'/**:\n  ros__parameters:\n{lines}')
+    done = run(user_environment, root, '-m', 'bellows_ros.nodes.predictor', '--ros-args',
+               '--params-file', str(file))
+    assert done.returncode == 2
+    assert 'is too large' in done.stderr and 'Traceback' not in done.stderr
 
 
 @pytest.fixture
@@ -159,3 +176,17 @@ def send(writer: Any, message: Any) -> None:
     message.header.stamp.sec += message.header.stamp.nanosec // 1_000_000_000
     message.header.stamp.nanosec %= 1_000_000_000
     writer.publish(message)
+
+
+def test_the_last_argument_with_a_parameter_is_its_origin(root: Path, tmp_path: Path) -> None:
+    """Say which file the package is from, as a cup file may hold another one."""
+    other = tmp_path / 'other.yaml'
+    other.write_text('camera:\n  ros__parameters:\n    odd: [1, "a"]\n')
+    cup, package = (str(root / 'bags' / name) for name in ('cup.yaml', 'package.yaml'))
+    files = ['--params-file', package, '--params-file', cup]
+    assert origin_of('package.mass', ['--ros-args', *files]) == (
+        cup if 'package.mass' in read_parameters(cup) else package)
+    assert origin_of('cup.name', files) == ''
+    assert origin_of('package.mass', [
+        *files, '--params-file', package, '--params-file', str(other)]) == package
+    assert origin_of('package.mass', [*files, '-p', 'package.mass:=2.0']) == 'package.mass:=2.0'

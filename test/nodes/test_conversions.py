@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 PREDICTION = Prediction(
     1_700_000_000_987_654_321, (0.1, 0.2, 0.3), (0.5, -0.5, 0.5, -0.5), (1.0, 2.0, 3.0),
     (4.0, 5.0, 6.0), (7.0, 8.0, 9.0), (10.0, 11.0, 12.0),
-)  # fmt: skip
+)
 
 
 @given(st.integers(-(2**31), 2**31 - 1), st.integers(0, 10**9 - 1))

@@ -85,12 +85,12 @@ def sending(partner: Any, period: float = 0.002, **options: Any) -> Iterator[Non
 
 
 def send_burst(partner: Any) -> int:
-    """Send 20 poses, 2 ms apart, and return the stamp of the last once all are answered."""
-    before, begin = len(partner.poses), now_ns()
-    for k in range(20):
+    """Send poses, 2 ms apart, until it settles; return the last stamp when all are answered."""
+    before, begin, count = len(partner.poses), now_ns(), 60
+    for k in range(count):
         partner.send_pose(begin + k * 2 * MS)
-    partner.wait_for_poses(before + 20)
-    return begin + 38 * MS
+    partner.wait_for_poses(before + count)
+    return begin + (count - 1) * 2 * MS
 
 
 def is_lost(partner: Any) -> bool:
@@ -148,6 +148,34 @@ def test_another_type_on_the_topic_is_named(
     context.try_shutdown()
 
 
+def test_a_tool_whose_z_points_down_is_said(
+        make_partner: Callable[..., Any], listener: Listener) -> None:
+    """Call it what it is where the driver's tool frame is the usual one, z out of the flange."""
+    partner = make_partner(with_twists=False)
+    with sending(partner, xyzw=(1.0, 0.0, 0.0, 0.0)):
+        assert listener.sees('prediction', ERROR, 'The package is above the tool: z of the tool')
+    with sending(partner):
+        assert listener.sees('prediction', OK, 'Predicting.')
+
+
+def test_what_lacks_for_long_is_logged_once(
+        make_predictor: Callable[..., Any], listener: Listener, monkeypatch: pytest.MonkeyPatch,
+        capfd: pytest.CaptureFixture[str]) -> None:
+    """Log an absent driver when it has lasted, and not each second."""
+    from bellows_ros.nodes import diagnostics
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    monkeypatch.setattr(diagnostics, 'LOGGED_AFTER', 0.5)
+    node = make_predictor()
+    assert 'Listens to /tool_arm/pose and /tool_arm/twist, publishes /package/pose.' in (
+        capfd.readouterr().err)
+    reports: list[Any] = []
+    node.create_subscription(DiagnosticArray, '/diagnostics', reports.append, 10)
+    assert listener.ros.spin_until(lambda: len(reports) >= 4)
+    log = capfd.readouterr().err
+    assert log.count('[WARN]') == log.count('Nobody publishes /tool_arm/pose') == 1
+
+
 def test_refused_messages_are_counted_in_the_diagnostics(
         make_partner: Callable[..., Any], listener: Listener) -> None:
     """Count NaN poses, which drivers do publish."""
@@ -183,11 +211,47 @@ def test_vacuum_signal_that_nobody_sends_is_named(
     assert listener.sees('vacuum', WARN, 'the package counts as held')
 
 
-def test_margin_warns(make_partner: Callable[..., Any], listener: Listener) -> None:
-    """Warn when less than a fifth of the holding force is left."""
+def test_force_near_its_limit_warns(
+        make_partner: Callable[..., Any], listener: Listener) -> None:
+    """Warn when little of the holding force is left."""
     partner = make_partner({**PACKAGE, 'cup.max_force': 22.0}, with_twists=False)
     with sending(partner):
-        assert listener.sees('load', WARN, 'Only 3% of what the cup can hold is left.')
+        assert listener.sees('load', WARN, '1.03 (force), below safety.least')
+
+
+def test_safety_factor_is_published_and_follows_the_vacuum(
+        make_partner: Callable[..., Any], listener: Listener) -> None:
+    """Send peel, slip and the smaller one; warn, then say an error, as the vacuum goes."""
+    from geometry_msgs.msg import Vector3Stamped
+    from sensor_msgs.msg import FluidPressure
+
+    partner = make_partner({
+        **PACKAGE, 'cup.lip_radius': 0.02, 'cup.suction_area': 1e-3, 'vacuum.signal': 'pressure',
+        'vacuum.detach_above': 100000.0}, with_twists=False)
+    heard: list[Any] = []
+    reader = partner.node.create_subscription(
+        Vector3Stamped, 'cup/safety_factor', heard.append, 1000)
+    vacuum = partner.node.create_publisher(FluidPressure, 'vacuum/pressure', 10)
+    assert partner.ros.spin_until(
+        lambda: reader.get_publisher_count() and vacuum.get_subscription_count())
+    weight = PACKAGE['package.mass'] * 9.81
+
+    def breathe(below: float) -> None:
+        vacuum.publish(FluidPressure(fluid_pressure=101325.0 - below))
+
+    breathe(60e3)
+    with sending(partner):
+        assert partner.ros.spin_until(lambda: len(heard) > 20)
+        last = heard[-1].vector
+        assert np.isclose(last.x, 60.0 / weight, rtol=1e-3)
+        assert np.isclose(last.y, 60.0 / weight, rtol=1e-3) and last.z == min(last.x, last.y)
+        assert heard[-1].header.frame_id == 'cup_lip'
+        assert listener.sees('load', OK, 'Within what is known.')
+        breathe(25e3)
+        assert listener.sees('load', WARN, 'below safety.least, 1.5: move slower')
+        breathe(15e3)
+        assert listener.sees('load', ERROR, 'below 1: the cup lets go')
+        assert listener.value('load', 'limited by') in ('peel', 'slip')
 
 
 def test_pause_is_bridged_by_odometry_and_then_nothing_comes(
@@ -275,14 +339,18 @@ def test_stamps_of_odometry_never_go_back(make_partner: Callable[..., Any]) -> N
 
 def test_all_outputs_agree(make_partner: Callable[..., Any]) -> None:
     """Find the same package in odometry, deflection and markers as in the pose."""
-    from geometry_msgs.msg import PoseStamped
+    from geometry_msgs.msg import PoseStamped, Vector3Stamped
     from nav_msgs.msg import Odometry
     from visualization_msgs.msg import MarkerArray
 
-    partner = make_partner({**PACKAGE, 'coast.limit': 0.0}, with_twists=False)
-    got: dict[str, list[Any]] = {'odometry': [], 'deflection': [], 'markers': []}
-    kinds = {'odometry': (Odometry, 'package/odometry'), 'markers': (
-        MarkerArray, 'package/markers'), 'deflection': (PoseStamped, 'cup/deflection')}
+    partner = make_partner({
+        **PACKAGE, 'coast.limit': 0.0, 'cup.lip_radius': 0.02, 'vacuum.holding': 5e4,
+    }, with_twists=False)
+    got: dict[str, list[Any]] = {'odometry': [], 'deflection': [], 'markers': [], 'safety': []}
+    kinds = {
+        'odometry': (Odometry, 'package/odometry'), 'deflection': (PoseStamped, 'cup/deflection'),
+        'markers': (MarkerArray, 'package/markers'),
+        'safety': (Vector3Stamped, 'cup/safety_factor')}
     for name, (kind, topic) in kinds.items():
         reader = partner.node.create_subscription(kind, topic, got[name].append, 1000)
         assert partner.ros.spin_until(reader.get_publisher_count)
@@ -298,6 +366,8 @@ def test_all_outputs_agree(make_partner: Callable[..., Any]) -> None:
     assert (odometry.header.frame_id, odometry.child_frame_id) == ('world', 'package')
     covariance = np.reshape(odometry.pose.covariance, (6, 6))
     assert (np.diag(covariance) > 0.0).all()
+    suction, weight = 5e4 * np.pi * 0.02 ** 2, 2.17 * 9.81
+    assert np.isclose(got['safety'][-1].vector.z, suction / weight, rtol=1e-6)
     shift = got['deflection'][-1].pose.position
     assert_allclose((shift.x, shift.y, shift.z), (0.0, 0.0, -2.17 * 9.81 / 11530.0), atol=1e-9)
     assert got['deflection'][-1].header.frame_id == 'cup_lip_nominal'

@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.timeout(400), pytest.mark.xdist_group('hot path')]
 
 # A process of its own: in this one other tests have imported and compiled everything already.
 SCRIPT = """
 import gc, json, sys, time, tracemalloc
 import rclpy
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped, WrenchStamped
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import MarkerArray
 from rclpy.node import Node
@@ -28,11 +28,13 @@ from bellows_ros.nodes.spinning import executor_for
 VALUES = {
     'package.mass': 2.17, 'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
     'package.com': [0.0, 0.0, -0.03], 'cup.max_force': 100.0, 'cup.max_moment': 10.0,
+    'cup.lip_radius': 0.02, 'vacuum.holding': 60000.0,
     'cup.stiffness_std': [100.0] * 36, 'cup.damping_std': [1.0] * 36, 'coast.limit': 0.2,
 }
 OUTPUTS = {
     'package/pose': PoseStamped, 'package/twist': TwistStamped, 'cup/wrench': WrenchStamped,
     'package/odometry': Odometry, 'cup/deflection': PoseStamped, 'package/markers': MarkerArray,
+    'cup/safety_factor': Vector3Stamped,
 }
 STEP_NS = 2_000_000
 

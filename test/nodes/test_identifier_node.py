@@ -103,7 +103,7 @@ def test_all_that_the_command_can_do_the_node_can(
     """Give packages in files, standstills, structures, validation and a page as parameters."""
     cup = read_parameters(root / 'bags/cup.yaml')
     bags, files = [], []
-    for number, mass in enumerate((0.8, 1.6)):
+    for number, mass in enumerate((0.8, 1.2, 1.6)):
         bags.append(str(tmp_path / f'm{number}'))
         simulate_recording({**cup, 'package.mass': mass}, RESTING, bags[-1])
         files.append(str(tmp_path / f'm{number}.yaml'))
@@ -121,11 +121,11 @@ def test_all_that_the_command_can_do_the_node_can(
     assert node.finished.result() is None
     assert abs(node.get_parameter('cup.length').value - cup['cup.length']) < 1e-4
     content = read_result(tmp_path / 'fit.json')
-    assert content['static']['standstills'] == 6
-    assert content['ladder']['advised'] == 'axisymmetric'
+    assert content['with_standstills']['standstills'] == 9
+    assert content['structures']['advised'] == 'axisymmetric'
     assert content['validations'][0]['above_limit'] == []
     assert content['recordings'][0]['package']['mass'] == 1.8
-    assert 'At rest</h2>' in (tmp_path / 'page.html').read_text()
+    assert 'Standstills</h2>' in (tmp_path / 'page.html').read_text()
 
 
 def test_packages_in_files_are_enough(ros: Any, root: Path) -> None:

@@ -14,7 +14,7 @@ from .conftest import PACKAGE
 MS = 1_000_000
 START = 1_700_000_000_000_000_000
 ALL = ('package/pose', 'package/twist', 'package/odometry', 'cup/wrench', 'cup/deflection',
-       'package/markers')  # fmt: skip
+       'package/markers')
 
 
 class Manager:

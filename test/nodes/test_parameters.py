@@ -86,7 +86,8 @@ def test_stiffness_and_damping_change_together(
     (INDEFINITE, P, 'cup.stiffness is not positive definite'),
     (K, P[:35], 'got 35'),
     (K, [*P[:35], float('nan')], 'nan'),
-    (K, 'stiff', 'DOUBLE_ARRAY'),
+    (K, 'stiff', "the text 'stiff'"),
+    ((1e-300 * np.eye(6)).ravel().tolist(), P, 'too soft'),
 ])
 @pytest.mark.parametrize('order', [1, -1])
 def test_neither_changes_where_one_is_refused(
@@ -125,8 +126,8 @@ def test_what_does_not_belong_together_is_set_one_by_one(
     """Set what can be set; a fixed parameter with its own value is no failure of a load."""
     node = make_predictor()
     results = caller.set_parameters(
-        gravity=9.81, tool_twist__frame='tool', frames__package='box', cup__stifness=K,
-        bags=['a'])  # fmt: skip
+        gravity__magnitude=9.81, tool_twist__frame='tool', frames__package='box', cup__stifness=K,
+        bags=['a'])
 
     assert [successful for successful, _ in results] == [True, False, True, False, False]
     assert 'read-only' in results[1][1]
@@ -174,6 +175,30 @@ def test_what_is_set_to_what_it_is_has_no_effect(
               for name in before if node.has_parameter(name)}
     assert caller.set_parameters(**dumped) == [(True, '')] * len(dumped)
     assert node.values is before and node._live.model is model
+
+
+@pytest.mark.parametrize(('name', 'value', 'reason'), [
+    ('', 1.0, 'without a name'),
+    ('package.com', '[0, 0, -0.05]', 'Write every number with a decimal point: 0.0, not 0'),
+    ('package.mass', '2,5', 'got 2,5 (str)'),
+    ('cup.name', 'a\x1b[31mb', "'a?[31mb'"),
+    ('x\x1b[31m\n', 1.0, "'x?[31m?'"),
+])
+def test_what_is_wrong_with_a_value_is_said(
+        name: str, value: Any, reason: str, make_predictor: Callable[..., Any],
+        caller: Caller) -> None:
+    """Name it in both services, in printable characters."""
+    node = make_predictor()
+    before = node.values
+    odd = [Parameter(name, value=value).to_parameter_msg()]
+    one_by_one = caller.call(
+        'set_parameters', SetParameters, SetParameters.Request(parameters=odd)).results
+    at_once = caller.call('set_parameters_atomically', SetParametersAtomically,
+                          SetParametersAtomically.Request(parameters=odd)).result
+    for result in (*one_by_one, at_once):
+        assert not result.successful
+        assert reason in result.reason and result.reason.isprintable()
+    assert node.values is before
 
 
 def test_atomic_service_sets_all_or_none(

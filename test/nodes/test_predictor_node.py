@@ -26,7 +26,7 @@ def numbers(messages: list[Any]) -> np.ndarray:
     return np.array([
         [m.pose.position.x, m.pose.position.y, m.pose.position.z, m.pose.orientation.x,
          m.pose.orientation.y, m.pose.orientation.z, m.pose.orientation.w] for m in messages
-    ])  # fmt: skip
+    ])
 
 
 def test_standing_tool_carries_the_package_at_rest(make_partner: Callable[..., Any]) -> None:
@@ -77,11 +77,11 @@ def test_poses_alone_are_enough(make_partner: Callable[..., Any]) -> None:
     assert partner.predictor._live.twists_estimated == 5
 
 
-@pytest.mark.parametrize('kind', ['pose', 'transform', 'odometry'])
+@pytest.mark.parametrize('kind', ['pose', 'pose_with_covariance', 'transform', 'odometry'])
 def test_the_pose_may_come_in_each_type_that_drivers_send(
         kind: str, make_predictor: Callable[..., Any], ros: Any) -> None:
-    """Predict the same from PoseStamped, TransformStamped and Odometry."""
-    from geometry_msgs.msg import PoseStamped, TransformStamped
+    """Predict the same from PoseStamped, with covariance, TransformStamped and Odometry."""
+    from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
     from nav_msgs.msg import Odometry
     from rclpy.node import Node
 
@@ -89,14 +89,14 @@ def test_the_pose_may_come_in_each_type_that_drivers_send(
     node, answers = Node('driver', context=ros.context), []
     ros.executor.add_node(node)
     reader = node.create_subscription(PoseStamped, 'package/pose', answers.append, 10)
-    message = {'pose': PoseStamped, 'transform': TransformStamped, 'odometry': Odometry}[kind]()
+    message = {'pose': PoseStamped, 'pose_with_covariance': PoseWithCovarianceStamped,
+               'transform': TransformStamped, 'odometry': Odometry}[kind]()
     writer = node.create_publisher(type(message), 'tool_arm/pose', 10)
     assert ros.spin_until(
         lambda: reader.get_publisher_count() and writer.get_subscription_count())
     message.header.frame_id, message.header.stamp.sec = 'base', 1_700_000_000
-    part = {'pose': 'pose', 'transform': 'transform', 'odometry': 'pose'}[kind]
-    pose = getattr(message, part)
-    pose = pose.pose if kind == 'odometry' else pose
+    pose = message.transform if kind == 'transform' else message.pose
+    pose = pose.pose if kind in ('odometry', 'pose_with_covariance') else pose
     place = pose.translation if kind == 'transform' else pose.position
     turn = pose.rotation if kind == 'transform' else pose.orientation
     place.x, place.y, place.z = 1.0, 2.0, 3.0
@@ -225,7 +225,7 @@ def test_topics_follow_namespace_and_remaps(make_partner: Callable[..., Any]) ->
         with_twists=False,
         cli_args=['--ros-args', '-r', '__ns:=/cell', '-r', 'tool_arm/pose:=/driver/tcp_pose',
                   '-r', '__node:=left_cup'],
-    )  # fmt: skip
+    )
     partner.send_pose(START)
     partner.wait_for_poses(1)
 
@@ -240,7 +240,7 @@ def test_qos_can_be_overridden(make_predictor: Callable[..., Any]) -> None:
 
     node = make_predictor(cli_args=[
         '--ros-args', '-p', 'qos_overrides./tool_arm/pose.subscription.reliability:=reliable',
-        '-p', 'qos_overrides./tool_arm/pose.subscription.depth:=7'])  # fmt: skip
+        '-p', 'qos_overrides./tool_arm/pose.subscription.depth:=7'])
     qos = {end.topic_name: end.qos_profile for end in node.subscriptions}
 
     assert qos['/tool_arm/pose'].reliability == ReliabilityPolicy.RELIABLE
@@ -289,7 +289,7 @@ def test_cup_too_soft_for_the_package_is_said_once(
     heavy = {
         'package.mass': 1e4, 'package.inertia': [1e3, 1e3, 1e3, 0.0, 0.0, 0.0],
         'package.com': [5.0, 0.0, -5.0],
-    }  # fmt: skip
+    }
     partner = make_partner(heavy, with_twists=False)
     for step in range(10):
         partner.send_pose(START + step * MS)

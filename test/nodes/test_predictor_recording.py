@@ -65,7 +65,7 @@ def errors(poses: list[Any], truth: np.ndarray) -> tuple[float, float]:
         1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
         2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
         2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
-    ], axis=-1).reshape(-1, 3, 3)  # fmt: skip
+    ], axis=-1).reshape(-1, 3, 3)
     chord = np.linalg.norm(R - truth[:, :3, :3], axis=(1, 2)) / np.sqrt(2.0)  # 2 sin(angle / 2)
     distance = np.linalg.norm(p - truth[:, :3, 3], axis=1)
     return float(distance.max()), float(2.0 * np.arcsin(chord.max() / 2.0))

@@ -40,8 +40,18 @@ def test_refusals_are_counted_since_the_last_report() -> None:
         '3 poses refused: nan (a number in it is not finite).',
         "1 pose refused: frame_id is not 'world'.",
         '1 twist refused: nan (a number in it is not finite).',
-    ], [])  # fmt: skip
+    ], [])
     assert report.take(twists_exist=False) == ([], [])
+
+
+def test_a_long_or_unprintable_frame_is_cut() -> None:
+    """Keep a frame of a megabyte, and escape codes, out of the log."""
+    live = make_live()
+    report = reports.InputReport(live)
+    for frame_id in ('\x1b[2J' + 'w' * 2**20, 'elsewhere'):
+        live.on_pose(START, frame_id, STILL, UPRIGHT)
+    (sentence,), _ = report.take(twists_exist=False)
+    assert "frame_id is not '?[2Jwww" in sentence and len(sentence) < 200
 
 
 def test_fresh_start_and_missing_twists_are_explained() -> None:

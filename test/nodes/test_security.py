@@ -11,10 +11,10 @@ import pytest
 
 from .conftest import PACKAGE
 
-ROS_OPTIONAL = {'/tf', '/clock', '/parameter_events', '/vacuum/held', '/vacuum/pressure',
-                '/rosout'}  # fmt: skip
+ROS_OPTIONAL = {'/tf', '/tf_static', '/clock', '/parameter_events', '/vacuum/held',
+                '/vacuum/pressure', '/rosout'}
 ENCLAVE = ('identity_ca.cert.pem', 'cert.pem', 'key.pem', 'permissions_ca.cert.pem',
-           'governance.p7s', 'permissions.p7s')  # fmt: skip
+           'governance.p7s', 'permissions.p7s')
 
 
 def permitted(root: Path, node: str) -> dict[tuple[str, str], set[str]]:

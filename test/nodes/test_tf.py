@@ -6,11 +6,14 @@ from pathlib import Path
 import sys
 from typing import Any
 
+from bellows_ros.core.parameter_table import THESIS_LENGTH
+from bellows_ros.errors import BellowsError
 from numpy.testing import assert_allclose
 import pytest
 
 from . import tf2_interface
 from .conftest import PACKAGE
+from .test_health import ERROR, Listener
 
 pytestmark = pytest.mark.timeout(600)  # tf2_msgs may have to be built
 
@@ -64,10 +67,64 @@ def test_tf_shows_the_package_where_the_pose_has_it(
     assert len({message.transforms[0].transform.translation.x for message in got}) > 10
 
 
+def send(writer: Any, kind: Any, stamp_ns: int, *links: tuple[str, str, float]) -> None:
+    """Send transforms of frames that are shifted along z."""
+    from geometry_msgs.msg import TransformStamped
+
+    message = kind()
+    for parent, child, z in links:
+        stamped = TransformStamped(child_frame_id=child)
+        stamped.header.frame_id = parent
+        stamped.header.stamp.sec, stamped.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+        stamped.transform.translation.z = z
+        message.transforms.append(stamped)
+    writer.publish(message)
+
+
+def test_the_tool_may_come_by_tf(
+        make_predictor: Callable[..., Any], tf2_msgs: Any, ros: Any) -> None:
+    """Predict along static and moving links, and say what is missing before."""
+    from geometry_msgs.msg import PoseStamped
+    from rclpy.node import Node
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    listener = Listener(ros)
+    driver, got = Node('driver', context=ros.context), list[Any]()
+    ros.executor.add_node(driver)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    static = driver.create_publisher(tf2_msgs.TFMessage, '/tf_static', latched)
+    send(static, tf2_msgs.TFMessage, 0, ('map', 'base', 2.0), ('flange', 'cup', -0.1))
+    predictor = make_predictor({
+        **PACKAGE, 'tool_pose.type': 'tf', 'frames.world': 'map', 'frames.tool': 'cup'})
+    (heard,) = (end for end in predictor.subscriptions if end.topic_name == '/tf')
+    reader = driver.create_subscription(PoseStamped, 'package/pose', got.append, 100)
+    moving = driver.create_publisher(tf2_msgs.TFMessage, '/tf', 100)
+    assert ros.spin_until(
+        lambda: reader.get_publisher_count() and moving.get_subscription_count()
+        and heard.get_publisher_count() == 2), 'it hears itself and the driver'
+    assert listener.sees('tool pose', ERROR, "lead up to 'map' and 'flange'")
+    for k in range(5):
+        send(moving, tf2_msgs.TFMessage, START + k * MS, ('base', 'flange', -0.5),
+             ('world', 'camera', 1.0 * k))
+    assert ros.spin_until(lambda: len(got) == 5)
+    assert {pose.header.frame_id for pose in got} == {'map'}
+    assert [pose.header.stamp.nanosec for pose in got] == [k * MS for k in range(5)]
+    stretched = THESIS_LENGTH + 2.17 * 9.81 / 1.153e4
+    for pose in got:
+        assert_allclose(pose.pose.position.z, 2.0 - 0.5 - 0.1 - stretched - 0.03, atol=1e-6)
+
+
 def test_tf_can_be_left_to_others(make_predictor: Callable[..., Any], tf2_msgs: Any) -> None:
     """Advertise no /tf where frames.tf says so."""
     node = make_predictor({**PACKAGE, 'frames.tf': False})
     assert '/tf' not in {publisher.topic_name for publisher in node.publishers}
+
+
+@pytest.mark.skipif(importlib.util.find_spec('tf2_msgs') is not None, reason='tf2_msgs is here')
+def test_a_tool_by_tf_needs_its_messages(make_predictor: Callable[..., Any]) -> None:
+    """Say what to install."""
+    with pytest.raises(BellowsError, match='ros-jazzy-tf2-msgs'):
+        make_predictor({**PACKAGE, 'tool_pose.type': 'tf'})
 
 
 @pytest.mark.skipif(importlib.util.find_spec('tf2_msgs') is not None, reason='tf2_msgs is here')

@@ -25,7 +25,7 @@ KINDS = ('generator_c', 'typesupport_fastrtps_c', 'typesupport_introspection_c',
 USED = ('geometry_msgs', 'std_msgs', 'builtin_interfaces')
 RUNTIME = ('rosidl_runtime_c', 'rcutils', 'fastcdr', 'rosidl_typesupport_c',
            'rosidl_typesupport_fastrtps_c', 'rosidl_typesupport_fastrtps_cpp',
-           'rosidl_typesupport_introspection_c')  # fmt: skip
+           'rosidl_typesupport_introspection_c')
 
 # ROS opens the libraries by their bare names: those that are loaded already are found so.
 LOAD = f"""
@@ -108,7 +108,7 @@ def _link(target: Path, objects: list[str], needed: Iterable[str]) -> None:
          *(f'-L{folder}' for folder in folders), *(f'-Wl,-rpath,{f}' for f in folders),
          *(f'-l:{name}' for name in needed), *(f'-l{name}' for name in (*RUNTIME, *used)),
          '-Wl,--allow-shlib-undefined'],
-        check=True, timeout=120)  # fmt: skip
+        check=True, timeout=120)
 
 
 def _library(kind: str) -> str:

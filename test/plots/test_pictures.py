@@ -135,6 +135,15 @@ def test_an_animation_runs_at_recorded_speed(replayed: Any, tmp_path: Path) -> N
         assert shown == pytest.approx(SPAN, rel=0.05)  # GIF counts in hundredths of a second
 
 
+def test_an_animation_can_be_slower_than_real_time(replayed: Any, tmp_path: Path) -> None:
+    """Write the more pictures, and show them at the same rate."""
+    image = pytest.importorskip('PIL.Image', reason='Pillow comes with matplotlib')
+    write_animation(tmp_path / 'a.gif', replayed, 'note', speed=0.25)
+    with image.open(tmp_path / 'a.gif') as picture:
+        shown = picture.n_frames * picture.info['duration'] / 1e3
+        assert shown == pytest.approx(4.0 * SPAN, rel=0.05)
+
+
 def test_an_animation_with_another_ending_is_refused(replayed: Any, tmp_path: Path) -> None:
     """Say which endings there are."""
     with pytest.raises(BellowsError, match=r'\.gif or \.mp4'):
@@ -142,6 +151,7 @@ def test_an_animation_with_another_ending_is_refused(replayed: Any, tmp_path: Pa
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.extras
 def test_a_film_has_every_frame(replayed: Any, tmp_path: Path) -> None:
     """Write an MP4 at recorded speed, and decode it again."""
     try:
@@ -174,3 +184,16 @@ def test_without_a_working_ffmpeg_nothing_is_written(
     with pytest.raises(BellowsError, match=words):
         write_animation(tmp_path / 'a.mp4', replayed, 'note')
     assert [path.name for path in tmp_path.iterdir()] == ['programs']
+
+
+def test_the_whole_box_is_in_the_picture(replayed: Any, tmp_path: Path) -> None:
+    """Keep the predicted box off all edges of the picture in every frame."""
+    image = pytest.importorskip('PIL.Image', reason='Pillow comes with matplotlib')
+    write_animation(tmp_path / 'a.gif', replayed, 'note')
+    with image.open(tmp_path / 'a.gif') as picture:
+        for number in range(picture.n_frames):
+            picture.seek(number)
+            pixels = np.asarray(picture.convert('RGB')).astype(int)
+            red = pixels[..., 0] - pixels[..., 1] > 60
+            assert red.any()
+            assert not (red[0].any() or red[-1].any() or red[:, 0].any() or red[:, -1].any())

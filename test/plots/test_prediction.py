@@ -3,15 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.score import score
+from bellows_ros.core.score import Comparison, score
 from bellows_ros.errors import BellowsError
-from bellows_ros.plots.prediction import (
-    Comparison,
-    figures,
-    percent,
-    prediction_figure,
-    with_gaps,
-)
+from bellows_ros.plots.prediction import figures, percent, prediction_figure, with_gaps
 from bellows_ros.plots.style import THEMES, write_figure
 import numpy as np
 import pytest
@@ -19,21 +13,24 @@ import pytest
 pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
 
 
+SECONDS = np.arange(400) / 100.0 + 0.5 * (np.arange(400) >= 200)
+
+
 @pytest.fixture(scope='module')
 def comparison() -> Comparison:
-    """Give made-up coordinates with a gap and known errors."""
-    seconds = np.arange(400) / 100.0
-    seconds[200:] += 0.5
+    """Give made-up coordinates with known errors: 0.5 s lost, and once the package alone."""
     amplitude = np.array([0.01, 0.008, 0.0005, 0.2, 0.1, 0.0])
-    measured = amplitude * np.sin(3.0 * seconds[:, None])
+    measured = amplitude * np.sin(3.0 * SECONDS[:, None])
     predicted = measured + np.array([1e-3, -1e-3, 1e-4, 2e-3, 1e-3, 0.0])
-    return Comparison(seconds, measured, predicted, score(measured, predicted))
+    measured[60:65] = np.nan
+    stamps = np.rint(1e9 * SECONDS).astype(np.int64)
+    return Comparison(stamps, measured, predicted, score(measured, predicted))
 
 
 @pytest.fixture(scope='module', params=THEMES)
 def figure(request: pytest.FixtureRequest, comparison: Comparison) -> Any:
     """Give the picture in each theme."""
-    return prediction_figure(comparison, 'Title', 'conditions', request.param)
+    return prediction_figure(SECONDS, comparison, 'Title', 'conditions', request.param)
 
 
 def lines(panel: Any) -> list[Any]:
@@ -50,7 +47,7 @@ def test_each_axis_has_both_curves_and_their_difference(
         upper, lower = figure.axes[2 * axis: 2 * axis + 2]
         measured, predicted = (line.get_ydata() for line in lines(upper))
         (error,) = (line.get_ydata() for line in lines(lower))
-        kept = ~np.isnan(measured)
+        kept = ~np.isnan(predicted)
         np.testing.assert_allclose(measured[kept], 1e3 * comparison.measured[:, axis], atol=1e-12)
         np.testing.assert_allclose(
             predicted[kept], 1e3 * comparison.predicted[:, axis], atol=1e-12)
@@ -60,11 +57,18 @@ def test_each_axis_has_both_curves_and_their_difference(
         assert f'{figures(1e3 * comparison.scores.rms[axis])} {unit}' in upper.get_title('right')
 
 
-def test_curves_are_interrupted_in_gaps(figure: Any) -> None:
-    """Draw no line where nothing was measured."""
-    for panel in figure.axes:
-        for line in lines(panel):
-            assert np.count_nonzero(np.isnan(line.get_ydata())) == 1
+def test_curves_are_interrupted_where_their_own_samples_are_lost(figure: Any) -> None:
+    """Draw the prediction through what only the package has lost, and nothing without a tool."""
+    for upper, lower in zip(figure.axes[::2], figure.axes[1::2], strict=True):
+        (error,) = lines(lower)
+        lost = [np.count_nonzero(np.isnan(line.get_ydata())) for line in (*lines(upper), error)]
+        assert lost == [6, 1, 6]
+
+
+def test_error_strips_have_units(figure: Any) -> None:
+    """Say mm or mrad beside each strip."""
+    for axis, strip in enumerate(figure.axes[1::2]):
+        assert strip.get_ylabel().endswith('(mm)' if axis < 3 else '(mrad)')
 
 
 def test_text_stays_inside_and_apart(figure: Any) -> None:
@@ -96,7 +100,7 @@ def test_files_are_written_and_repeatable(
     """Write the same bytes for the same picture."""
     names = [tmp_path / f'{i}.{ending}' for i in range(2)]
     for name in names:
-        write_figure(name, prediction_figure(comparison, 'Title', 'conditions'))
+        write_figure(name, prediction_figure(SECONDS, comparison, 'Title', 'conditions'))
     first, second = (name.read_bytes() for name in names)
     assert first.startswith(start)
     assert first == second

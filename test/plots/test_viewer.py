@@ -29,7 +29,7 @@ def replayed() -> Any:
         seconds=t, motion=motion, position=motion.package_position + 5e-3, rotation=rotation,
         deflection=2.0 * measured, cup_length=0.05, com=np.array([0.0, 0.0, -0.03]),
         box=np.array([0.2, 0.16, 0.06]),
-        replay=SimpleNamespace(measured=measured, predicted=measured + 5e-3))
+        live=SimpleNamespace(measured=measured, predicted=measured + 5e-3))
 
 
 def read(path: Path) -> dict[tuple[str, str], Any]:
@@ -45,6 +45,7 @@ def read(path: Path) -> dict[tuple[str, str], Any]:
     return found
 
 
+@pytest.mark.extras
 def test_what_is_written_is_what_was_replayed(replayed: Any, tmp_path: Path) -> None:
     """Hold every sample: poses in m, time series in mm and mrad, time in ns from the start."""
     pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")
@@ -52,8 +53,8 @@ def test_what_is_written_is_what_was_replayed(replayed: Any, tmp_path: Path) -> 
     found = read(tmp_path / 'a.rrd')
     for axis, name in enumerate(AXES):
         for path, values in (
-            (f'/package/{name}/measured', replayed.replay.measured),
-            (f'/package/{name}/predicted', replayed.replay.predicted),
+            (f'/package/{name}/measured', replayed.live.measured),
+            (f'/package/{name}/predicted', replayed.live.predicted),
             (f'/error/{name}', np.full((COUNT, 6), 5e-3)),
             (f'/deflection/{name}', replayed.deflection),
         ):
@@ -65,6 +66,7 @@ def test_what_is_written_is_what_was_replayed(replayed: Any, tmp_path: Path) -> 
     np.testing.assert_allclose(times, 1e9 * replayed.seconds, atol=1.0)
 
 
+@pytest.mark.extras
 def test_the_cup_is_drawn_sixty_times_a_second(replayed: Any, tmp_path: Path) -> None:
     """Move the corners of a mesh that stays the same."""
     pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")
@@ -72,9 +74,9 @@ def test_the_cup_is_drawn_sixty_times_a_second(replayed: Any, tmp_path: Path) ->
     found = read(tmp_path / 'a.rrd')
     corners = found['/world/cup', 'Mesh3D:vertex_positions']
     assert [len(x) for x in corners.to_pylist()] == [RINGS * SIDES] * (COUNT // 2)
-    (triangles,) = found['/world/cup', 'Mesh3D:triangle_indices'].to_pylist()
-    assert len(triangles) == 2 * (RINGS - 1) * (SIDES - 1)
-    assert np.max(triangles) == RINGS * SIDES - 1
+    (r_factors,) = found['/world/cup', 'Mesh3D:triangle_indices'].to_pylist()
+    assert len(r_factors) == 2 * (RINGS - 1) * (SIDES - 1)
+    assert np.max(r_factors) == RINGS * SIDES - 1
 
 
 def test_a_bellows_begins_at_the_tool_and_ends_at_the_lip() -> None:

@@ -8,11 +8,11 @@ from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.provenance import digests
 from bellows_ros.files.results import format_json
 from bellows_ros.report import motion, samples
-from bellows_ros.report.build import cup_values, identification_report, validation_report
+from bellows_ros.report.build import cup_values, identification_report, replay_report
 from bellows_ros.report.cup import iteration_content
 from bellows_ros.report.page import page, table, warnings
 from bellows_ros.workflows.identify import identify
-from bellows_ros.workflows.validate import validate
+from bellows_ros.workflows.replay import replay
 import numpy as np
 import pytest
 
@@ -58,8 +58,9 @@ def parsed(html):
 def result(root):
     """Return the identification of a shipped recording, short for speed."""
     known = read_parameters(root / 'bags/package.yaml')
-    return identify({**known, 'bags': [str(root / 'bags/validation')]}, None,
-                    [root / 'bags/package.yaml'])  # fmt: skip
+    return identify({**known, 'bags': [str(root / 'bags/validation')],
+                     'output.report': 'page.html'}, None,
+                    [root / 'bags/package.yaml'])
 
 
 @pytest.fixture(scope='module')
@@ -71,7 +72,7 @@ def content(result):
 @pytest.fixture(scope='module')
 def html(content, result):
     """Return its page."""
-    return identification_report(content, result.recordings)
+    return identification_report(content, result.recordings, result.excitation)
 
 
 def test_the_page_is_well_formed_and_needs_nothing_else(html):
@@ -84,19 +85,19 @@ def test_the_page_is_well_formed_and_needs_nothing_else(html):
     assert 'url(' not in html and '@import' not in html and 'http' not in html
 
 
-def test_the_same_numbers_give_the_same_bytes(html, content, result):
+def test_the_same_numbers_give_the_same_bytes(html, content, result, root):
     """Have no time of making in it; make all numbers again from the file."""
-    again = identify(result.values, None, result.parameter_files)
+    again = identify(result.values, None, [root / 'bags/package.yaml'])
     assert json.loads(format_json(again.as_json())) == content
-    assert identification_report(content, again.recordings) == html
+    assert identification_report(content, again.recordings, again.excitation) == html
 
 
 def test_every_part_is_there(html):
     """Show what a reader looks for."""
     text = ' '.join(parsed(html).text)
     for words in ('Stiffness K', 'Measured and simulated', 'Spectra', 'Whiteness', 'Excitation',
-                  'What the fit has seen', 'Samples of', 'Where this comes from', 'All settings',
-                  '95 % interval'):  # fmt: skip
+                  'Validity range', 'Samples of', 'Where this comes from', 'All settings',
+                  '95 % interval'):
         assert words in text
     assert text.count('Measured and simulated') == 1
 
@@ -121,19 +122,19 @@ def test_light_and_dark(html):
 
 def test_a_validation_is_shown_before_the_fit(content, result, root):
     """Put what the fit has not seen first."""
-    other = validate(root / 'bags/static', cup_values(content))
-    html = identification_report(content, result.recordings, [other])
+    other = replay(root / 'bags/static', cup_values(content))
+    html = identification_report(content, result.recordings, result.excitation, [other])
     assert html.index('Not used in the fit') < html.index('Used in the fit')
     for file in digests(root / 'bags/static'):
         assert file['sha256'] in html
 
 
-def test_a_validation_has_a_page_of_its_own(content, root):
-    """Make a page from a validation alone, the same twice."""
-    found = validate(root / 'bags/validation', cup_values(content))
-    html = validation_report(found)
+def test_a_replay_has_a_page_of_its_own(content, root):
+    """Make a page from a replay alone, the same twice."""
+    found = replay(root / 'bags/validation', cup_values(content))
+    html = replay_report(found)
     parsed(html)
-    assert html == validation_report(found)
+    assert html == replay_report(found)
     assert 'One-step' in html or 'one step' in html
     assert 'White: a probability of 0.01 or more; nearly white: less, but' in html
     assert 'always coloured' not in html
@@ -142,7 +143,7 @@ def test_a_validation_has_a_page_of_its_own(content, root):
 def test_a_cup_that_cannot_be_simulated_still_has_its_page(content, result):
     """Say why there is no simulation."""
     soft = {**content, 'stiffness': np.diag([50.0, 50, 50, 0.01, 0.01, 0.01]).tolist()}
-    html = identification_report(soft, result.recordings)
+    html = identification_report(soft, result.recordings, result.excitation)
     assert 'cannot be simulated' in html
 
 
@@ -150,8 +151,9 @@ def test_parameters_that_are_not_told_are_named(content, result):
     """Show no interval where there is none."""
     std = [row[:] for row in content['damping_std']]
     std[2][2] = None
-    html = identification_report({**content, 'damping_std': std}, result.recordings)
-    assert 'not told' in html and 'class="endless"' in html
+    html = identification_report(
+        {**content, 'damping_std': std}, result.recordings, result.excitation)
+    assert 'not identifiable' in html and 'class="endless"' in html
 
 
 def test_times_count_from_the_first_stamp_recorded(content, result, root, monkeypatch):
@@ -159,8 +161,8 @@ def test_times_count_from_the_first_stamp_recorded(content, result, root, monkey
     strips, curves = [], []
     monkeypatch.setattr(samples, 'strip_chart', lambda rows, *rest: strips.extend(rows) or '')
     monkeypatch.setattr(motion, 'line_chart', lambda found, *_, **__: curves.extend(found) or '')
-    validated = validate(root / 'bags/validation', cup_values(content))
-    validation_report(validated)
+    validated = replay(root / 'bags/validation', cup_values(content))
+    replay_report(validated)
     start_ns = validated.recording.aligned_package.stamps_ns[0]  # the tool begins with it
     used = validated.recording.package.stamps_ns[validated.recording.valid]
     assert strips[0][2][0][0] == pytest.approx((used[0] - start_ns) / 1e9) and used[0] > start_ns
@@ -173,7 +175,7 @@ def test_the_iteration_is_drawn():
     """Draw cost and parameters over the steps."""
     steps = [{'stage': 0, 'number': i, 'chi2': 10.0 / (i + 1),
               'stiffness': np.diag([float(i + 1)] * 6).tolist(), 'damping': np.eye(6).tolist()}
-             for i in range(5)]  # fmt: skip
+             for i in range(5)]
     words, charts = iteration_content(steps)
     assert '5 steps' in words
     assert charts.count('<svg') == 3
@@ -184,3 +186,17 @@ def test_nothing_becomes_markup():
     html = page('<b>', '&', [table(['<i>'], [['<u>']]), warnings(['<s>'])])
     found = parsed(html)
     assert not {tag for tag, _ in found.tags} & {'b', 'i', 'u', 's'}
+
+
+def test_pages_open_with_their_verdict(content, result, root):
+    """Say in the first sentence whether the cup can be used, or how it has predicted."""
+    found = replay(root / 'bags/validation', cup_values(content))
+    for html, verdict in (
+        (identification_report(content, result.recordings, result.excitation),
+         'The fit can be used.'),
+        (identification_report(
+            {**content, 'usable': False}, result.recordings, result.excitation),
+         'The fit cannot be used'),
+        (replay_report(found), 'All axes that move are predicted within 5 %'),
+    ):
+        assert html.partition('</h2>')[2].lstrip().startswith(f'<p>{verdict}')

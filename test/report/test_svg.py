@@ -76,7 +76,7 @@ def test_round_numbers_lie_in_the_range(low, high):
 
 
 def test_intervals_are_to_scale_and_endless_ones_dashed():
-    """Draw twice the length for twice the width; mark what is not told."""
+    """Draw twice the length for twice the width; mark what is not known."""
     svg = interval_chart(
         [('a', 0.0, 1.0, '1'), ('b', 0.0, 2.0, '2'), ('c', 0.0, np.nan, '-')], '%')
     ends = re.findall(r'class="interval" d="M([\d.]+) [\d.]+H([\d.]+)', svg)
@@ -88,7 +88,7 @@ def test_intervals_are_to_scale_and_endless_ones_dashed():
 def test_strips_begin_and_end_where_they_should():
     """Draw a span over half of the axis with half of its width."""
     svg = strip_chart([('used', 'used', [(0.0, 10.0)]), ('lost', 'lost', [(2.0, 7.0)])],
-                      (0.0, 10.0), 's')  # fmt: skip
+                      (0.0, 10.0), 's')
     whole, half = (float(r.get('width')) for r in ET.fromstring(svg).iter('rect'))
     assert_allclose(half, 0.5 * whole, atol=0.1)
 

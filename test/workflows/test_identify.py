@@ -11,9 +11,10 @@ from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json, read_result
 from bellows_ros.report.build import write_page
 from bellows_ros.workflows.compare import compare_files
-from bellows_ros.workflows.identify import identify, save, UNKNOWN_STD
+from bellows_ros.workflows.identification import save, UNKNOWN_STD
+from bellows_ros.workflows.identify import identify
+from bellows_ros.workflows.replay import replay
 from bellows_ros.workflows.simulate import simulate_recording
-from bellows_ros.workflows.validate import validate
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -77,14 +78,14 @@ def test_shipped_recording(shipped):
                     rtol=0.1)
 
 
-def test_wrong_axes_of_the_world_are_told(shipped, root):
+def test_wrong_axes_of_the_world_is_said(shipped, root):
     result, _ = shipped
     assert result.warnings == ()
     wrong = identify({
         **read_parameters(root / 'bags/package.yaml'), 'bags': [str(root / 'bags/validation')],
         'recording.world': 'motive_y_up'})
-    told = [warning for warning in wrong.warnings if 'does not explain' in warning]
-    assert len(told) == 1 and 'recording.world' in told[0]
+    found = [warning for warning in wrong.warnings if 'does not explain' in warning]
+    assert len(found) == 1 and 'recording.world' in found[0]
 
 
 def test_files_hold_the_result_and_the_cup_file_serves_both_nodes(shipped, tmp_path):
@@ -113,16 +114,15 @@ def test_files_hold_the_result_and_the_cup_file_serves_both_nodes(shipped, tmp_p
 def test_same_recording_and_settings_give_the_same_bits(shipped, root, method):
     settings = {**shipped[0].values, 'fit.method': method,
                 'bags': [str(root / 'bags/validation')]}
-    told = []
+    found = []
     texts = [
-        format_json(identify(settings, lambda what, part: told.append(what)).as_json())
+        format_json(identify(settings, lambda what, part: found.append(what)).as_json())
         for _ in range(2)]
     assert texts[0] == texts[1]
-    steps = [what for what in told if what.startswith('step')]
-    if method == 'prediction_error':  # cost, time left and parameters of every step
+    steps = [what for what in found if what.startswith('step')]
+    if method == 'prediction_error':  # cost and parameters of every step
         assert all(re.match(r'step \d+: chi\^2 [\d.]+.*; K [\d.e+ ]+, P [\d.e+ ]+$', s)
                    for s in steps)
-        assert sum(' s left;' in step for step in steps) >= len(steps) - 2
         assert len(steps) == 2 * len(json.loads(texts[0])['iterations'])
     else:
         assert steps == []
@@ -133,17 +133,17 @@ def test_two_recordings_are_one_fit(shipped, root):
     both = identify({**result.values, 'bags': [
         str(root / 'bags/identification'), str(root / 'bags/validation')]})
     assert both.fit.samples_used > result.fit.samples_used
-    assert len(both.reports) == 2
+    assert len(both.parts) == 2
     K = np.reshape(truth['cup.stiffness'], (6, 6))
     assert_allclose(np.diag(both.fit.stiffness), np.diag(K), rtol=0.03)
 
 
 def test_progress_goes_from_reading_to_done(shipped):
-    told = []
-    identify(shipped[0].values, lambda what, part: told.append((what, part)))
-    assert told[0][0].startswith('reading')
-    assert told[-1] == ('done', 1.0)
-    parts = [part for _, part in told]
+    found = []
+    identify(shipped[0].values, lambda what, part: found.append((what, part)))
+    assert found[0][0].startswith('reading')
+    assert found[-1] == ('done', 1.0)
+    parts = [part for _, part in found]
     assert parts == sorted(parts)
 
 
@@ -186,11 +186,11 @@ def two_packages(tmp_path_factory, root):
     for number, (mass, inertia) in enumerate((
             (1.8, [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0]),
             (1.2, [0.003, 0.0045, 0.0068, 0.0, 0.0, 0.0]))):
-        held = {'package.mass': mass, 'package.inertia': inertia, 'package.com': [0, 0, -0.03]}
+        payload = {'package.mass': mass, 'package.inertia': inertia, 'package.com': [0, 0, -0.03]}
         bags.append(str(folder / f'bag{number}'))
-        simulate_recording({**cup, **held}, {**motion, 'seed': number}, folder / f'bag{number}')
+        simulate_recording({**cup, **payload}, {**motion, 'seed': number}, folder / f'bag{number}')
         files.append(str(folder / f'package{number}.yaml'))
-        write_parameters(files[-1], resolve(held), [])
+        write_parameters(files[-1], resolve(payload), [])
     return bags, files
 
 
@@ -206,7 +206,7 @@ def test_each_recording_may_have_its_own_package(two_packages, root, method):
         'fit.method': method, 'fit.compare_recordings': True})
     K = np.diag(np.reshape(truth['cup.stiffness'], (6, 6)))
     assert_allclose(np.diag(result.fit.stiffness), K, rtol=0.03)
-    assert [package.mass for package in result.held] == [1.8, 1.2]
+    assert [part.payload.mass for part in result.parts] == [1.8, 1.2]
     assert result.consistency is not None
     assert result.consistency.probability > 1e-2
     assert result.consistency.verdict in result.findings
@@ -228,17 +228,42 @@ def test_package_files_must_be_one_for_each_recording(two_packages):
         identify({'bags': bags, 'package.files': files[:1]})
 
 
+def test_each_recording_may_have_its_own_topics(two_packages, root, tmp_path):
+    """Take topics and axes of each recording from its file; the package's from there, too."""
+    bags, files = two_packages
+    truth = read_parameters(root / 'bags/cup.yaml')
+    motion = yaml.safe_load((root / 'bags/identification.yaml').read_text()) | {
+        'duration': 12.0, 'seed': 7, 'world': 'motive_y_up',
+        'topics': {'tool_pose': '/arm', 'package_pose': '/box'}}
+    own = {n: v for n, v in read_parameters(files[1]).items() if n.startswith('package.')}
+    simulate_recording({**truth, **own}, motion, tmp_path / 'other')
+    write_parameters(tmp_path / 'other.yaml', {
+        **own, 'topics.tool_pose': '/arm', 'topics.package_pose': '/box',
+        'recording.world': 'motive_y_up'}, [])
+    result = identify({
+        'bags': [bags[0], str(tmp_path / 'other')],
+        'package.files': [files[0], str(tmp_path / 'other.yaml')],
+        'topics.tool_pose': '/tool_arm/pose', 'topics.package_pose': '/package/pose',
+        'cup.length': truth['cup.length'], 'fit.compare_recordings': True})
+    K = np.diag(np.reshape(truth['cup.stiffness'], (6, 6)))
+    assert_allclose(np.diag(result.fit.stiffness), K, rtol=0.03)
+    assert [part.report['tool_pose']['topic'] for part in result.parts] == [
+        '/tool_arm/pose', '/arm']
+    assert result.consistency.probability > 1e-3
+
+
 def test_pages_of_several_packages(two_packages, root, tmp_path):
     """Simulate each recording with what it held: with another package it would be far off."""
     bags, files = two_packages
     result = identify({
         'bags': bags, 'package.files': files, 'topics.tool_pose': '/tool_arm/pose',
         'topics.package_pose': '/package/pose',
-        'cup.length': read_parameters(root / 'bags/cup.yaml')['cup.length']})
+        'cup.length': read_parameters(root / 'bags/cup.yaml')['cup.length'],
+        'output.report': str(tmp_path / 'page.html')})
     write_page(result, tmp_path / 'page.html')
     page = (tmp_path / 'page.html').read_text()
     assert page.count('The model ran freely') == 2
-    assert 'goes beyond what the fit of the cup has seen' not in page
+    assert 'leaves the validity range of the fit' not in page
 
 
 MASSES = (0.6, 1.2, 2.0)
@@ -271,21 +296,22 @@ def test_standstills_join_the_fit_and_tell_the_length(shipped, at_rest, tmp_path
     result, truth = shipped
     wrong = {**result.values, 'cup.length': 0.0475}
     joined = identify({**wrong, **at_rest, 'static.length': True})
-    assert_allclose(joined.values['cup.length'], truth['cup.length'], rtol=0, atol=1e-4)
-    assert joined.fit.rest.holds == 3 * len(MASSES) and joined.fit.rest.chi2 < 2.0
-    assert joined.fit.rest.narrowed[0] < 0.95 and joined.fit.rest.narrowed[2] < 0.95
-    assert joined.spring.passed
+    assert_allclose(joined.cup_length, truth['cup.length'], rtol=0, atol=1e-4)
+    assert joined.fit.standstills.count == 3 * len(MASSES) and joined.fit.standstills.chi2 < 2.0
+    assert joined.fit.standstills.narrowed[0] < 0.95 and joined.fit.standstills.narrowed[2] < 0.95
+    assert joined.static.spring.passed
     K = np.diag(np.reshape(truth['cup.stiffness'], (6, 6)))
     assert_allclose(np.diag(joined.fit.stiffness), K, rtol=0.01)
     assert any('Nominal length with the fit: 4' in line for line in joined.findings)
     save(joined, tmp_path / 'cup.yaml', tmp_path / 'fit.json')
     values = read_parameters(tmp_path / 'cup.yaml')
-    assert values['cup.length'] == joined.values['cup.length']
+    assert values['cup.length'] == joined.cup_length
     assert not any(name.startswith('static.') for name in values)
     content = read_result(tmp_path / 'fit.json')
-    assert content['static']['standstills'] == 9
-    assert [entry['mass'] for entry in content['at_rest']['recordings']] == list(MASSES)
+    assert content['with_standstills']['standstills'] == 9
+    assert [entry['package']['mass'] for entry in content['static']['recordings']] == list(MASSES)
     assert content['settings']['static.bags'] == at_rest['static.bags']
+    assert content['settings']['cup.length'] == 0.0475, 'what was given, not what was found'
     assert len(content['provenance']['recordings']) == 1 + len(MASSES)
 
 
@@ -317,22 +343,22 @@ def test_structures_and_validation_come_with_the_fit(shipped, root):
     result = identify({
         **shipped[0].values, 'fit.compare_structures': True,
         'validation.bags': [str(root / 'bags/validation')]})
-    assert result.ladder.advised == 'axisymmetric'
+    assert result.selection.advised == 'axisymmetric'
     (validated,) = result.validations
     assert validated.validation.failing() == ()
     assert any(line.startswith('Take fit.structure: axisymmetric') for line in result.findings)
     assert any('all within 5 %' in line for line in result.findings)
-    assert f'{validated.bag}: The recording goes beyond' in result.warnings[-1]
+    assert f'{validated.bag}: The recording leaves the validity range' in result.warnings[-1]
     assert 'bending about x is -23' in result.warnings[-1]  # twice what the fit has seen
     content = json.loads(format_json(result.as_json()))
-    assert content['ladder']['advised'] == 'axisymmetric'
+    assert content['structures']['advised'] == 'axisymmetric'
     assert content['validations'][0]['above_limit'] == []
 
 
 def test_the_recording_of_a_fit_is_not_beyond_it(shipped, root):
     """Warn of nothing where a cup is tried on what it is from."""
     known = shipped[0].parameters()
-    assert validate(root / 'bags/identification', known).warnings == ()
+    assert replay(root / 'bags/identification', known).warnings == ()
 
 
 def test_a_length_that_is_not_given_is_said_to_be_that_of_the_thesis(shipped, root, at_rest):
@@ -349,11 +375,13 @@ def test_a_length_that_is_not_given_is_said_to_be_that_of_the_thesis(shipped, ro
 
 def test_a_wrong_centre_of_mass_is_suspected(shipped):
     result = identify({**shipped[0].values, 'package.com': (0.0, 0.0, -0.026)})
-    (centre,) = (warning for warning in result.warnings if 'centre of mass' in warning)
-    assert '-4.0 mm in z from package.com' in centre and 'Check package.com, cup.length' in centre
-    assert not any('centre of mass' in warning for warning in shipped[0].warnings)
-    (recording,) = result.as_json()['recordings']
-    assert recording['centre_of_mass']['off'] is True
+    assert result.findings[0].startswith(
+        'The centre of mass is not where package.com says, but z -4.00 ± 0.00')
+    assert '-0.0300].' in result.findings[0] and result.refusals
+    first = json.loads(format_json(result.as_json()))['verdict']['hypotheses'][0]
+    assert (first['name'], first['setting']) == ('com', 'package.com')
+    assert first['certain'] and first['material']
+    assert not shipped[0].refusals and not shipped[0].verdict.diagnosis.findings[1:]
 
 
 @pytest.fixture(scope='module')
@@ -376,14 +404,15 @@ def test_streams_of_two_clocks_give_the_cup_of_one(shipped, behind, tmp_path):
     (offset,), (error,) = result.fit.delays, result.fit.delays_std
     assert abs(offset - 0.005) < 4.0 * error < 1e-4
     (unseen,) = set(result.warnings) - set(shipped[0].warnings)
-    assert 'goes beyond what the fit of the cup has seen' in unseen
+    assert 'leaves the validity range of the fit' in unseen
     assert result.validations[0].validation.failing() == ()
     assert abs(result.validations[0].time_offset.value + 0.012) < 5e-5
     assert any(f'{1e3 * offset:.3f} ±' in line and 'behind' in line for line in result.findings)
     assert any('ahead of those of the package' in line for line in result.findings)
     content = json.loads(format_json(result.as_json()))
     assert content['time_offsets'] == [offset] and content['time_offsets_std'] == [error]
-    assert content['recordings'][0]['time_offset'] == {'value': offset, 'std': error}
+    assert content['recordings'][0]['time_offset'] == {
+        'value': offset, 'std': error, 'unit': 's'}
     save(result, tmp_path / 'cup.yaml', None)
     assert 'ms behind those of the package' in (tmp_path / 'cup.yaml').read_text()
 
@@ -414,14 +443,15 @@ def sideways(tmp_path_factory, root):
     return str(bag)
 
 
-def test_what_is_not_told_is_infinite_everywhere(shipped, sideways, tmp_path):
-    """See torsion untold in the fit, null in JSON, 1e9 in the cup file, named by the page."""
-    result = identify({**shipped[0].values, 'bags': [sideways]})
+def test_what_is_not_identifiable_is_infinite_everywhere(shipped, sideways, tmp_path):
+    """See torsion unknown in the fit, null in JSON, 1e9 in the cup file, named by the page."""
+    result = identify({
+        **shipped[0].values, 'bags': [sideways], 'output.report': str(tmp_path / 'page.html')})
     fit = result.fit
     assert np.isinf(fit.stiffness_std[5, 5]) and np.isinf(fit.damping_std[5, 5])
     assert np.isfinite(fit.stiffness_std[0, 0])
-    told = result.excitation.parameters
-    assert {p.label for p in told if p.untold} >= {'K rz', 'P rz'}
+    found = result.excitation.parameters
+    assert {p.label for p in found if not p.identifiable} >= {'K rz', 'P rz'}
     assert any('Torsion is hardly excited' in warning for warning in result.warnings)
     content = json.loads(format_json(result.as_json()))
     assert content['stiffness_std'][5][5] is None
@@ -434,7 +464,7 @@ def test_what_is_not_told_is_infinite_everywhere(shipped, sideways, tmp_path):
                                             'cup.damping': shipped[1]['cup.damping']})
     assert values['cup.stiffness_std'][35] == UNKNOWN_STD
     write_page(result, tmp_path / 'page.html')
-    assert 'not told' in (tmp_path / 'page.html').read_text()
+    assert 'not identifiable' in (tmp_path / 'page.html').read_text()
     save(result, None, tmp_path / 'a.json')
     save(shipped[0], None, tmp_path / 'b.json')
     compared = compare_files(tmp_path / 'a.json', tmp_path / 'b.json')
@@ -470,14 +500,22 @@ def test_exchanged_topics_are_refused_before_the_fit(shipped, method):
     values = shipped[0].values
     exchanged = {'topics.tool_pose': values['topics.package_pose'], 'topics.tool_twist': '',
                  'topics.package_pose': values['topics.tool_pose'], 'fit.method': method}
-    with pytest.raises(BellowsError, match='topics.package_pose exchanged'):
+    with pytest.raises(BellowsError, match='topics.package_pose are exchanged'):
         identify({**values, **exchanged})
 
 
 def test_a_wrong_length_is_suspected(shipped):
     result = identify({**shipped[0].values, 'cup.length': 0.047})
-    (length,) = (warning for warning in result.warnings if 'cup.length seems' in warning)
-    assert 'seems 1.0 mm too long' in length
-    (recording,) = result.as_json()['recordings']
-    assert recording['cup_length']['off'] is True
-    assert not any('cup.length' in warning for warning in shipped[0].warnings)
+    assert result.findings[0].startswith('cup.length is 1.00')
+    assert 'mm too long' in result.findings[0] and 'it would be 0.0460' in result.findings[0]
+    content = json.loads(format_json(result.as_json()))
+    assert content['usable'] is False and 'cup.length' in content['refusals'][-1]
+
+
+def test_a_refused_cup_is_written_by_force_alone_and_says_so(shipped, tmp_path):
+    result = identify({**shipped[0].values, 'cup.length': 0.047})
+    with pytest.raises(BellowsError, match='1.00.* mm too long'):
+        save(result, tmp_path / 'cup.yaml', tmp_path / 'fit.json')
+    assert not (tmp_path / 'cup.yaml').exists() and (tmp_path / 'fit.json').exists()
+    save(result, tmp_path / 'cup.yaml', None, force=True)
+    assert 'REFUSED, and written by force' in (tmp_path / 'cup.yaml').read_text()

@@ -4,16 +4,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.workflows.info import info, TopicInfo
 import numpy as np
-from numpy.typing import NDArray
 import pytest
-
-Array = NDArray[np.float64]
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 RATE_HZ, SECONDS, REST = 200.0, 6.0, 1.0
@@ -55,7 +53,7 @@ def test_names_say_nothing_but_poses_do(tmp_path: Path) -> None:
     m = motion()
     write_bag(tmp_path / 'bag', [poses('/a', m['t'], m['o_p'], m['R_p']),
                                  poses('/b', m['t'], m['o'], m['R']),
-                                 poses('/c', m['t'], 0.0 * m['o'] + 5.0, m['R'])])  # fmt: skip
+                                 poses('/c', m['t'], 0.0 * m['o'] + 5.0, m['R'])])
     found = info(tmp_path / 'bag')
     assert found.tool and found.tool.topic == '/b'
     assert found.package and found.package.topic == '/a'
@@ -88,6 +86,26 @@ def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(tmp_path: Path) -> None:
         twists('/speed', t, 0.0 * m['v'])])
     found = info(tmp_path / 'bag')
     assert found.twist and found.twist.topic == '/speed' and 'too little' in found.twist.why[0]
+
+
+def test_what_moves_at_once_does_not_stand_still(tmp_path: Path) -> None:
+    """Measure a rest by the noise, which a motion from the first pose on is not."""
+    m = motion()
+    later = {name: values[round(1.3 * REST * RATE_HZ):] for name, values in m.items()}
+    for name, parts, least, most in (('rest', m, 0.9, 1.2), ('moving', later, 0.0, 0.15)):
+        write_bag(tmp_path / name, [
+            poses('/tool', parts['t'], parts['o'], parts['R']),
+            poses('/box', parts['t'], parts['o_p'], parts['R_p'])])
+        rest = info(tmp_path / name).rest_s
+        assert rest is not None and least <= rest <= most
+
+
+def test_millimetres_are_noticed(tmp_path: Path) -> None:
+    """Ask where something moves further than any arm."""
+    m = motion()
+    write_bag(tmp_path / 'bag', [poses('/tool', m['t'], 1e3 * m['o'], m['R'])])
+    assert any('are its positions in millimetres?' in note for note in info(
+        tmp_path / 'bag').notes)
 
 
 def test_y_up_and_turned_markers_are_noticed(tmp_path: Path) -> None:
@@ -163,12 +181,27 @@ def test_a_missing_recording_is_an_error(tmp_path: Path) -> None:
     ('name', 'expected'),
     [('clean', ('/tool_arm/pose', '/package/pose', 'z_up', False)),
      ('lab', ('/mocap/tool_arm/pose', '/mocap/plate/pose', 'motive_y_up', True))],
-)  # fmt: skip
+)
 def test_recordings_with_known_truth_are_read_right(
     name: str, expected: tuple[Any, ...], rig: Path
 ) -> None:
     """Propose the settings with which these are identified."""
     settings = info(rig / name).settings
     keys = ('topics.tool_pose', 'topics.package_pose', 'recording.world',
-            'recording.align_at_rest')  # fmt: skip
+            'recording.align_at_rest')
     assert tuple(settings[key] for key in keys) == expected
+
+
+def test_topics_with_few_poses_or_poses_in_pairs_are_described(tmp_path: Path) -> None:
+    """Describe all of a sound recording beside three clicks of a goal and a driver of pairs."""
+    m = motion()
+    k = np.arange(len(m['t']))
+    write_bag(tmp_path / 'bag', [
+        poses('/tcp/pose', m['t'], m['o'], m['R']), poses('/box/pose', m['t'], m['o_p'], m['R_p']),
+        poses('/goal_pose', np.array([0.1, 2.2, 5.9]), m['o'][:3], m['R'][:3]),
+        poses('/pairs', (k // 2 * 2 + 0.1 * (k % 2)) / RATE_HZ, m['o'], m['R'])])
+    found = info(tmp_path / 'bag')
+    assert found.tool and found.tool.topic in ('/tcp/pose', '/pairs')
+    rates = {name: topic.rate_hz for name, topic in by_name(found.topics).items()}
+    assert rates['/pairs'] == pytest.approx(RATE_HZ, rel=0.01)
+    assert 0.1 < rates['/goal_pose'] < 1.0

@@ -1,6 +1,7 @@
 """Recordings as they are read and prepared, with one clock and with two."""
 
 from bellows_ros.core.parameters import resolve
+from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import replay
@@ -28,24 +29,24 @@ def test_the_tool_comes_to_the_clock_of_the_package(root, values, behind):
     """Find poses and twists, in all forms they are kept in, where they were before."""
     there = load(root / 'bags/validation', values)
     moved = load(behind, {**values, 'fit.time_offset': True})
-    offset = moved.recording.report.time_offset
+    offset = moved.report.time_offset
     assert abs(offset.value - 0.0123) < max(4.0 * offset.std, 2e-5)
     assert offset.std < 5e-5
     for stream in ('tool_pose', 'tool_twist', 'package_pose'):
         stamps, wanted = (getattr(loaded, stream).stamps_ns for loaded in (moved, there))
         assert_allclose(stamps, wanted, rtol=0.0, atol=1e9 * 5e-5)
-    first = moved.recording.tool.stamps_ns[0] - there.recording.tool.stamps_ns[0]
-    assert_array_equal(moved.recording.tool.stamps_ns - there.recording.tool.stamps_ns, first)
+    first = moved.tool.stamps_ns[0] - there.tool.stamps_ns[0]
+    assert_array_equal(moved.tool.stamps_ns - there.tool.stamps_ns, first)
     assert_allclose(
-        moved.recording.tool.position, there.recording.tool.position, rtol=0.0, atol=5e-5)
+        moved.tool.position, there.tool.position, rtol=0.0, atol=5e-5)
 
 
 def test_where_no_offset_is_wanted_none_is_looked_for(values, behind):
-    assert load(behind, values).recording.report.time_offset is None
+    assert load(behind, values).report.time_offset is None
 
 
 def test_a_recording_that_tells_no_offset_is_used_as_it_is_stamped(root, values):
-    recording = load(root / 'bags/static', {**values, 'fit.time_offset': True}).recording
+    recording = load(root / 'bags/static', {**values, 'fit.time_offset': True})
     assert recording.report.time_offset is None
     assert any('used as it is stamped' in warning for warning in recording.report.warnings)
 
@@ -54,6 +55,22 @@ def test_a_replay_compares_by_one_clock(root, values, behind):
     """Replay a late tool as well as one in time, to the noise of the poses."""
     found = replay(behind, {**values, 'fit.time_offset': True})
     in_time = replay(root / 'bags/validation', values)
-    assert_allclose(found.scores.rms, in_time.scores.rms, rtol=0.02)
+    assert_allclose(found.validation.scores.rms, in_time.validation.scores.rms, rtol=0.02)
+    assert_allclose(found.live.scores.rms, in_time.live.scores.rms, rtol=0.02)
     assert abs(found.as_json()['time_offset']['value'] - 0.0123) < 5e-5
     assert in_time.as_json()['time_offset'] is None
+
+
+def test_a_part_of_a_recording_is_what_lies_there(root, values):
+    bag = root / 'bags/validation'
+    whole = load(bag, values)
+    part = load(bag, {**values, 'recording.start': 2.0, 'recording.end': 5.0})
+    first = whole.tool_pose.stamps_ns[0]
+    for stream in ('tool_pose', 'package_pose', 'tool_twist'):
+        stamps = getattr(whole, stream).stamps_ns
+        wanted = stamps[(stamps >= first + 2 * 10**9) & (stamps <= first + 5 * 10**9)]
+        assert_array_equal(getattr(part, stream).stamps_ns, wanted)
+    assert 2.5 < part.tool.seconds[-1] <= 3.0
+    for start, end in ((3.0, 2.0), (1e5, 0.0)):
+        with pytest.raises(BellowsError, match='nothing from recording.start, .* lasts'):
+            load(bag, {**values, 'recording.start': start, 'recording.end': end})

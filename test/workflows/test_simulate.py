@@ -74,6 +74,26 @@ def recorded(tmp_path, content, name='bag'):
     return read_streams(tmp_path / name, ROLES), report
 
 
+@pytest.mark.parametrize('world', ['z_up', 'motive_y_up'])
+def test_a_world_on_a_wall_is_the_level_one_turned(tmp_path, world):
+    """Gravity along +x: what is recorded in A, (4.1) apart, is turned so that -z becomes x."""
+    level, _ = recorded(tmp_path, motion(), 'level')
+    values = {**PARAMETERS, 'gravity.direction': [2.0, 0.0, 0.0]}
+    simulate_recording(values, motion(world=world), tmp_path / 'wall')
+    wall = read_streams(tmp_path / 'wall', ROLES)
+    R_A_level = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    R_recorded_A = np.eye(3) if world == 'z_up' else np.array(
+        [[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    turn = R_recorded_A @ R_A_level
+    for role in ('tool_pose', 'pose'):
+        assert_allclose(wall[role].position, level[role].position @ turn.T, atol=1e-12)
+        assert_allclose(wall[role].rotation, turn @ level[role].rotation, atol=1e-12)
+    assert_allclose(wall['tool_twist'].linear, level['tool_twist'].linear @ turn.T, atol=1e-12)
+    truth, true_level = (np.load(tmp_path / f'{n}_truth.npz') for n in ('wall', 'level'))
+    assert_allclose(truth['package'][:, :3], R_A_level @ true_level['package'][:, :3], atol=1e-12)
+    assert_allclose(truth['package_twist'], true_level['package_twist'], atol=1e-12)
+
+
 def content_of(path: Path):
     """Return the bytes of all files in a folder."""
     return {p.relative_to(path): p.read_bytes() for p in sorted(path.rglob('*')) if p.is_file()}
@@ -346,6 +366,71 @@ def test_a_folder_that_is_missing_is_named_before_the_work(tmp_path):
     with pytest.raises(BellowsError, match='does not exist. Make it first'):
         simulate_recording(PARAMETERS, MOTION, tmp_path / 'no' / 'bag', said.append)
     assert said == []
+
+
+# ---- Tosses. ----
+
+THROW = {
+    'kind': 'waypoints', 'rest_duration': 0.3, 'start': {'position': [0.0, 0.0, 0.9]},
+    'waypoints': {'repeat': 1, 'poses': [
+        {'position': [0.8, 0.1, 1.1], 'rpy': [0.0, -0.3, 0.1], 'move': 0.6, 'hold': 1.0},
+        {'position': [0.0, 0.0, 0.9], 'move': 0.6, 'hold': 0.3}]},
+    'tool': {'rate_hz': 250.0}, 'package': {'rate_hz': 120.0}, 'truth': True,
+    'release': {'times': [0.6, 3.1], 'pickup': 1.1},
+}
+THROWN = {
+    **PARAMETERS, 'package.size': [0.2, 0.16, 0.06], 'cup.lip_radius': 0.03,
+    'vacuum.holding': 6e4, 'release.delay': 0.012, 'release.tau': 0.015, 'release.impulse': 0.02,
+    'release.delay_std': 1e-3,
+}
+
+
+def test_a_tossed_package_hangs_flies_and_is_picked_up(tmp_path):
+    """Held it is where it is without a release; free it falls as a stone; then it is not seen."""
+    report = simulate_recording(THROWN, THROW, tmp_path / 'toss')
+    simulate_recording(THROWN, {**THROW, 'release': {}}, tmp_path / 'held')
+    first, second = report.tosses
+    assert first.delay != second.delay == pytest.approx(0.012, abs=5e-3)
+    assert 0.612 < first.release_time < first.landing_time < 1.7
+    tossed, held = (np.load(tmp_path / f'{name}_truth.npz') for name in ('toss', 'held'))
+    hangs = held['t'] <= first.release_time
+    assert_allclose(tossed['package'][:hangs.sum()], held['package'][hangs], atol=1e-9)
+    flies = (tossed['t'] > first.release_time) & (tossed['t'] <= first.landing_time)
+    fall = np.diff(tossed['package'][flies, :3, 3], 2, axis=0) * 120.0 ** 2
+    # Stamps are whole nanoseconds: at 3 m/s that is 3e-9 m, and 4e-5 m/s^2.
+    assert_allclose(fall, np.tile([0.0, 0.0, -GRAVITY], (len(fall), 1)), atol=2e-4)
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1)
+    corners = signs * [[0.1], [0.08], [0.03]]
+    last = tossed['package'][np.flatnonzero(flies)[-1]]
+    assert 0.0 < (last[2, :3] @ corners + last[2, 3]).min() < 5.0 / 120.0
+    lies = (held['t'] > first.landing_time) & (held['t'] < 1.7)
+    assert not np.isin(held['t'][lies], tossed['t']).any()
+    again = np.argmax(tossed['t'] >= 1.7)
+    assert_allclose(tossed['package_twist'][again], 0.0, atol=1e-6)
+
+
+def test_the_valve_is_recorded(tmp_path):
+    """On at the beginning, off at the releases, on at the pick-ups: as ROS reads it."""
+    simulate_recording(THROWN, THROW, tmp_path / 'bag')
+    with AnyReader([tmp_path / 'bag']) as reader:
+        seen = [((log_ns - START_NS) / 1e9, reader.deserialize(raw, connection.msgtype).data)
+                for connection, log_ns, raw in reader.messages()
+                if connection.topic == '/vacuum/valve']
+    assert seen == [(0.0, True), (0.6, False), (1.7, True), (3.1, False), (4.2, True)]
+
+
+@pytest.mark.parametrize(('changes', 'message'), [
+    ({'times': [0.6, 1.6]}, 'further apart than release.pickup'),
+    ({'times': [9.0]}, 'must be before the end at 5.3 s'),
+    ({'pickup': 0.2}, 'lands'),
+    ({'pickup': 1.5, 'times': [0.6]}, 'the tool moves at'),
+    ({'time': [1.0]}, "Did you mean 'release.times'?"),
+])
+def test_tosses_that_cannot_be_leave_nothing_behind(tmp_path, changes, message):
+    with pytest.raises(BellowsError, match=message.replace('?', r'\?')):
+        simulate_recording(
+            THROWN, {**THROW, 'release': {**THROW['release'], **changes}}, tmp_path / 'bag')
+    assert list(tmp_path.iterdir()) == []
 
 
 # ---- The example that documents every setting. ----

@@ -1,4 +1,6 @@
-"""Recordings whose tool is stamped by another clock than the package."""
+"""Recordings that another laboratory would have made: of two clocks, or of two worlds."""
+
+from dataclasses import replace
 
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.files.bag_writer import Recorded, write_bag
@@ -12,18 +14,30 @@ TOPICS = {
 
 def late(bag, out, seconds):
     """Write a recording again with the tool stamped later, and return its path."""
-    streams = read_streams(bag, TOPICS)
+    def seen(role, stream):
+        """Return a stream with later stamps, if it is of the tool."""
+        behind = 0 if role == 'package_pose' else round(1e9 * seconds)
+        return replace(stream, stamps_ns=stream.stamps_ns + behind)
+
+    return rewritten((bag,), out, seen, TOPICS)
+
+
+def rewritten(bags, out, seen, topics=None):
+    """Write recordings as one, each stream of a role changed, and return the path."""
+    topics = topics or {role: topic for role, topic in TOPICS.items() if 'twist' not in role}
+    every = [read_streams(bag, topics) for bag in bags]
     recorded = []
-    for role, topic in TOPICS.items():
-        stream = streams[role]
+    for role, topic in topics.items():
+        streams = [seen(role, streams[role]) for streams in every]
         if role == 'tool_twist':
-            kind, values = 'Twist', np.hstack([stream.linear, stream.angular])
+            kind = 'Twist'
+            values = [np.hstack([s.linear, s.angular]) for s in streams]
         else:
             kind = 'Pose'
-            values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
-        behind = 0 if role == 'package_pose' else round(1e9 * seconds)
+            values = [np.hstack([s.position, rotation_to_quaternion(s.rotation)]) for s in streams]
         recorded.append(Recorded(
-            topic, f'geometry_msgs/msg/{kind}Stamped', stream.stamps_ns + behind, values,
-            stream.frame_id))
+            topic, f'geometry_msgs/msg/{kind}Stamped',
+            np.concatenate([s.stamps_ns for s in streams]), np.concatenate(values),
+            streams[0].frame_id))
     write_bag(out, recorded)
     return str(out)

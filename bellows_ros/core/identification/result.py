@@ -3,12 +3,23 @@
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 
-from bellows_ros.core.identification.structure import structure_named
-from bellows_ros.core.identification.unknown import without
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.equations.identifiable import without
+from bellows_ros.core.structure import Structure, structure_named, STRUCTURES
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}
+"""Of entries of K and P: of translations, of one of both, of rotations."""
+
+WRENCH_UNITS = ('N',) * 3 + ('N m',) * 3
+POSE_UNITS = ('m',) * 3 + ('rad',) * 3
+
+
+def parameter_units(structure: Structure) -> tuple[str, ...]:
+    """Return the units (2 n,) of a structure's parameters, in the order of its labels."""
+    return tuple(
+        UNITS[matrix][(row > 2) + (column > 2)]
+        for matrix in 'KP' for row, column in structure.leads)
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,27 +35,27 @@ class Iteration:
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
+class StandstillPart:
     """
     What standstills have added to a fit.
 
     Parameters
     ----------
-    holds : int
+    count : int
         How many.
     chi2 : float
         Squares of their whitened equations that the result leaves, per degree of freedom; 1 where
         the errors of the mean poses explain all. Above 1 the equations count by as much less.
     narrowed : ndarray (2 n,)
         Standard error of each parameter with the standstills over that without; 0 where they alone
-        tell it, 1 where they tell nothing.
+        determine it, 1 where they say nothing of it.
     length, length_std : float
         The cup's nominal length that belongs to the fit, and its standard error, m; 0 where the
         length was given as exact.
 
     """
 
-    holds: int
+    count: int
     chi2: float
     narrowed: Array
     length: float
@@ -59,16 +70,16 @@ class Fit:
     Parameters
     ----------
     method : str
-        'least_squares'.
+        'least_squares' or 'prediction_error', as in fit.method.
     structure : str
         Name of the structure of K and P.
     stiffness, damping : ndarray (6, 6)
         K (3.17) and P (3.33) in SI units, linear first.
     stiffness_std, damping_std : ndarray (6, 6)
-        Standard errors; 0 for entries that the structure fixes at zero, inf for those of which
-        the recordings tell nothing. Those of least squares hold the bias.
+        Standard errors; 0 for entries that the structure fixes at zero, inf for those that are
+        not identifiable. Those of least squares hold the bias.
     covariance : ndarray (2 n, 2 n)
-        Of the free parameters, in the order of the labels; what is not told has inf on the
+        Of the free parameters, in the order of the labels; what is not identifiable has inf on the
         diagonal and 0 beside it.
     labels : tuple of str
         Names of the free parameters: those of K, then those of P.
@@ -77,19 +88,24 @@ class Fit:
     condition_number : float
         Of the whitened regressor with columns scaled to unit length.
     weight : ndarray (6, 6)
-        W of (4.66), at the lip.
+        Inverse covariance of the residuals: W of (4.66) at the lip, or of the innovations.
     residual_rms : ndarray (6,)
-        RMS of the wrench that the fit leaves unexplained, N and N m.
+        RMS of what the fit leaves unexplained: of the wrench (N, N m), or of the pose (m, rad).
+    residual_units : tuple of 6 str
+        Of the residuals.
     warnings : tuple of str
         What a user must know, in sentences.
-    chi2 : float or None
-        Chi^2 per degree of freedom of the prediction errors; None for least squares.
+    converged : bool
+        Whether the minimum was found; if not, all standard errors are infinite.
+    chi2, robust_chi2 : float or None
+        Chi^2 per degree of freedom of the prediction errors, all of them, and from their median,
+        which outliers and heavy tails do not move; None for least squares.
     iterations : tuple of Iteration
         How the minimum was found; empty for least squares.
     delays, delays_std : tuple of float
         Times (s) by which each recording's tool stamps are behind the package's, where wanted, and
-        their standard errors; inf where a recording does not tell it.
-    rest : Rest or None
+        their standard errors; inf where it is not identifiable.
+    standstills : StandstillPart or None
         What standstills have added, where there were any.
     noise_rms : ndarray (6,) or None
         RMS of the wrench that noise alone would leave, N and N m; None where it is not known.
@@ -112,21 +128,24 @@ class Fit:
     condition_number: float
     weight: Array
     residual_rms: Array
+    residual_units: tuple[str, ...]
     warnings: tuple[str, ...] = ()
+    converged: bool = True
     chi2: float | None = None
+    robust_chi2: float | None = None
     iterations: tuple[Iteration, ...] = ()
     delays: tuple[float, ...] = ()
     delays_std: tuple[float, ...] = ()
-    rest: Rest | None = None
+    standstills: StandstillPart | None = None
     noise_rms: Array | None = None
     bias: Array | None = None
 
     def without(self, labels: Collection[str]) -> 'Fit':
         """Return the fit with infinite standard errors of some parameters."""
-        untold = np.array([label in labels for label in self.labels])
-        if not untold.any():
+        unknown = np.array([label in labels for label in self.labels])
+        if not unknown.any():
             return self
-        covariance = without(self.covariance, untold)
+        covariance = without(self.covariance, unknown)
         errors = structure_named(self.structure).spread(np.sqrt(np.diag(covariance)))
         return replace(
             self, covariance=covariance, stiffness_std=errors[0], damping_std=errors[1]
@@ -134,16 +153,17 @@ class Fit:
 
     @property
     def usable(self) -> bool:
-        """Whether the predictor can take it: K positive definite, P positive semidefinite."""
-        return not definiteness_warnings(self.stiffness, self.damping, self.structure)
+        """Whether it is a minimum that the predictor can take: K definite, P semidefinite."""
+        return self.converged and not definiteness_warnings(
+            self.stiffness, self.damping, self.structure)
 
 
 def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> tuple[str, ...]:
     """Return a sentence for each matrix that is not as a cup's must be, with what to do."""
+    simplest = next(iter(STRUCTURES.values()))
     simpler = (
-        ', or take fit.structure: axisymmetric, which has far fewer parameters'
-        if structure != 'axisymmetric'
-        else ''
+        f', or take fit.structure: {simplest.name}, which has fewer parameters'
+        if structure_named(structure).size > simplest.size else ''
     )
     messages = []
     for name, matrix, lowest in (('stiffness K', stiffness, 'definite'), (
@@ -154,8 +174,8 @@ def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> t
         if smallest < tolerance or (lowest == 'definite' and smallest <= 0.0):
             messages.append(
                 f'The {name} is not positive {lowest} (smallest eigenvalue {smallest:.3g}): the '
-                'recording does not tell all of it, and the predictor will refuse it. Record a '
-                f'motion that is richer in all directions{simpler}; check frames, alignment, '
+                'recording does not determine all of it, and the predictor will refuse it. Record '
+                f'a motion that is richer in all directions{simpler}; check frames, alignment, '
                 'package.mass, package.com and cup.length.'
             )
     return tuple(messages)

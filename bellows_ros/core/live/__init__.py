@@ -11,4 +11,4 @@ from bellows_ros.core.live.samples import Prediction
 
 __all__ = [
     'LivePredictor', 'LONGEST_GAP_NS', 'Prediction', 'REFUSALS', 'RESTARTS', 'warm_up',
-]  # fmt: skip
+]

@@ -9,34 +9,35 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-from bellows_ros.core.identification.envelope import Distance
-from bellows_ros.core.live.load import STRONGEST_BENDING
+from bellows_ros.core.envelope import Distance
+from bellows_ros.core.live.load import Safety, STRONGEST_BENDING
 from bellows_ros.core.live.timing import Quantiles, Rhythm
-
-SMALL_MARGIN = 0.2
-"""Of the largest force or moment; with less left somebody should look."""
 
 STRANGE_AGE = 1.0
 """Messages older or younger (s) than this have stamps of another clock."""
 
-TWIST_WORDS = {
+TWIST_MESSAGES = {
     'other_axes': 'The twists do not fit the poses in the axes of tool_twist.frame, but they do '
                   'in the other: change it between world and tool.',
     'does_not_fit': 'The twists do not fit the poses: check their units, and that they are of the '
                     'tool tip.',
-}  # fmt: skip
-PHASE_WORDS = {
+}
+PHASE_MESSAGES = {
     'detached': 'Detached: no package is held, nothing is predicted.',
     'waiting': 'Waiting for the first pose of the tool.',
+    'settling': 'Settling: the prediction started while the tool moved, or after doubtful poses.',
     'coasting': 'Coasting: no pose of the tool comes, its motion is extrapolated.',
     'lost': 'Lost: no pose of the tool that can be used; nothing is published until one comes.',
 }
 
 
-OTHER_TYPE = 'type '
-"""Begins the mismatch of an input whose publisher sends another type, which follows."""
+class Mismatch(NamedTuple):
+    """Why an input cannot be heard: `name` is a QoS policy, the other type, or what is missing."""
+
+    of: Literal['qos', 'type', 'frames']
+    name: str
 
 
 class Level(IntEnum):
@@ -62,8 +63,8 @@ class InputSeen(NamedTuple):
 
     topic: str
     publishers: int
-    mismatch: str
-    """Name of the QoS policy, or `OTHER_TYPE`, that does not match some publisher's, if any."""
+    mismatch: Mismatch | None
+    """What does not match some publisher's, if any."""
     rhythm: Rhythm
     silent: float
     """Seconds since the last message; infinite before the first."""
@@ -110,7 +111,7 @@ def _judge_input(seen: InputSeen, optional: bool) -> tuple[Level, str]:
             f'{total} of {seen.rhythm.messages} messages refused: {listed}.',
         )
     if seen.mismatch:
-        return Level.WARN, _mismatch_words(seen)
+        return Level.WARN, _mismatch_message(seen.topic, seen.mismatch)
     age = seen.rhythm.age.p50
     if abs(age) > STRANGE_AGE:
         side = 'behind' if age > 0.0 else 'ahead of'
@@ -130,13 +131,13 @@ def twist_status(name: str, seen: InputSeen, poses: int, alone: int) -> Status:
     return status._replace(level=Level.WARN, message=(
         f'{alone} of {poses} poses had no twist of their instant, and it was estimated: are the '
         'stamps of poses and twists from one clock?'
-    ))  # fmt: skip
+    ))
 
 
 def _judge_silence(seen: InputSeen, optional: bool, lowest: Level) -> tuple[Level, str]:
     """Return level and words on an input that sends nothing."""
     if seen.mismatch:
-        return lowest, _mismatch_words(seen)
+        return lowest, _mismatch_message(seen.topic, seen.mismatch)
     if seen.publishers == 0:
         if optional:
             return Level.OK, f'Nobody publishes {seen.topic}: estimated from the poses.'
@@ -150,18 +151,17 @@ def _judge_silence(seen: InputSeen, optional: bool, lowest: Level) -> tuple[Leve
     )
 
 
-def _mismatch_words(seen: InputSeen) -> str:
-    """Return what to say about a mismatch of QoS or type."""
-    if seen.mismatch.startswith(OTHER_TYPE):
-        return (
-            f'A publisher of {seen.topic} sends {seen.mismatch.removeprefix(OTHER_TYPE)}, which '
-            'is not what is listened to: see tool_pose.type, or remap the topic.'
-        )
-    return (
-        f'QoS does not match: a publisher of {seen.topic} offers another {seen.mismatch} than is '
-        f'asked for. Set qos_overrides.{seen.topic}.subscription.{seen.mismatch} to what it '
-        'offers.'
-    )
+def _mismatch_message(topic: str, mismatch: Mismatch) -> str:
+    """Return what to say about a mismatch of QoS, type or frames."""
+    of, name = mismatch
+    if of == 'frames':
+        return (f'No pose of the tool from {topic}: {name}. Check frames.world and frames.tool, '
+                'and what publishes them.')
+    if of == 'type':
+        return (f'A publisher of {topic} sends {name}, which is not what is listened to: see '
+                'tool_pose.type, or remap the topic.')
+    return (f'QoS does not match: a publisher of {topic} offers another {name} than is asked for. '
+            f'Set qos_overrides.{topic}.subscription.{name} to what it offers.')
 
 
 def vacuum_status(name: str, seen: InputSeen, held: bool, speaks_once: bool) -> Status:
@@ -174,7 +174,7 @@ def vacuum_status(name: str, seen: InputSeen, held: bool, speaks_once: bool) -> 
         'topic': seen.topic, 'publishers': str(seen.publishers), 'held': str(held).lower(),
         'rate (Hz)': number(seen.rhythm.rate_hz), 'silent for (s)': number(seen.silent),
         **{f'refused: {reason}': str(count) for reason, count in seen.total_refused.items()},
-    }  # fmt: skip
+    }
     return Status(name, *_judge_vacuum(seen, held, speaks_once), values)
 
 
@@ -183,7 +183,7 @@ def _judge_vacuum(seen: InputSeen, held: bool, speaks_once: bool) -> tuple[Level
     lost = Level.WARN if held else Level.ERROR  # not held, nothing is predicted
     counts = f'the package counts as {"" if held else "not "}held'
     if seen.mismatch:
-        return lost, _mismatch_words(seen)
+        return lost, _mismatch_message(seen.topic, seen.mismatch)
     if seen.publishers == 0:
         return lost, (
             f'Nobody publishes {seen.topic}: {counts}. Start the driver, remap the topic to its '
@@ -219,6 +219,8 @@ class PredictionSeen(NamedTuple):
     twist_verdict: str
     covariance_known: bool = True
     """Whether the odometry's covariance is one."""
+    above: bool = False
+    """Whether z of the tool points down, so that the package is above it."""
 
 
 def prediction_status(name: str, seen: PredictionSeen) -> Status:
@@ -243,49 +245,61 @@ def _judge_prediction(seen: PredictionSeen) -> tuple[Level, str]:
     restarts = {reason: count for reason, count in seen.restarts.items() if count}
     if 'no_equilibrium' in restarts:
         return Level.ERROR, 'The cup cannot hold the package at rest: nothing is published.'
+    if 'failure' in restarts:
+        return Level.ERROR, f'{restarts["failure"]} callbacks failed: see the log, and report it.'
     if seen.phase == 'lost':
-        return Level.ERROR, PHASE_WORDS['lost']
-    if seen.phase == 'coasting':
-        return Level.WARN, PHASE_WORDS['coasting']
+        return Level.ERROR, PHASE_MESSAGES['lost']
+    if seen.above:
+        return Level.ERROR, (
+            'The package is above the tool: z of the tool points down, but must point from the '
+            "cup back into the arm. Turn the driver's tool frame by 180 degrees about x, or set "
+            'gravity.direction where the arm hangs from another side.'
+        )
+    if seen.phase in ('coasting', 'settling'):
+        return Level.WARN, PHASE_MESSAGES[seen.phase]
     if restarts:
         listed = ', '.join(f'{count} {reason}' for reason, count in restarts.items())
         return Level.WARN, f'Started afresh from rest: {listed}.'
-    if seen.twist_verdict in TWIST_WORDS:
-        return Level.WARN, TWIST_WORDS[seen.twist_verdict]
+    if seen.twist_verdict in TWIST_MESSAGES:
+        return Level.WARN, TWIST_MESSAGES[seen.twist_verdict]
     if not seen.covariance_known:
         return Level.WARN, (
             'The covariance of package/odometry is not known: the package has no stable rest '
             'under the tool. Check package.com, and that z of the tool points away from the cup.'
         )
-    return Level.OK, PHASE_WORDS.get(seen.phase, 'Predicting.')
+    return Level.OK, PHASE_MESSAGES.get(seen.phase, 'Predicting.')
 
 
 def load_status(
-    name: str, margin: float | None, away: Distance | None, bending: float,
-    limits_known: bool, envelope_known: bool,
-) -> Status:  # fmt: skip
-    """Return the line on the cup's load: holding margin and what its identification has seen."""
+    name: str, safety: Safety | None, away: Distance | None, bending: float,
+    limits_known: bool, envelope_known: bool, least: float,
+) -> Status:
+    """Return the line on the cup's load: safety factor and what its identification has seen."""
     values = {
-        'holding margin': 'not known' if not limits_known else number(
-            math.nan if margin is None else margin),
+        'safety factor': 'not known' if not limits_known else number(
+            math.nan if safety is None else safety.factor),
+        'limited by': 'nothing' if safety is None else safety.mode,
         'distance from envelope': 'not known' if not envelope_known else number(
             math.nan if away is None else away.value),
         'largest bending (rad)': number(bending),
-    }  # fmt: skip
+    }
     known = limits_known or envelope_known
-    return Status(name, *_judge_load(margin, away, bending, known), values)
+    return Status(name, *_judge_load(safety, least, away, bending, known), values)
 
 
 def _judge_load(
-    margin: float | None, away: Distance | None, bending: float, known: bool
+    safety: Safety | None, least: float, away: Distance | None, bending: float, known: bool
 ) -> tuple[Level, str]:
     """Return level and words on the cup's load."""
-    if margin is not None and margin < 0.0:
-        return Level.ERROR, (
-            f'The load is {-margin:.0%} above what the cup can hold: it may let go.'
+    if safety is not None and safety.factor < least:
+        finding = f'The safety factor of the grip is {safety.factor:.2f} ({safety.mode}), '
+        if safety.factor < 1.0:
+            return Level.ERROR, (
+                f'{finding}below 1: the cup lets go. Move slower, or raise the vacuum.'
+            )
+        return Level.WARN, (
+            f'{finding}below safety.least, {least:g}: move slower, or raise the vacuum.'
         )
-    if margin is not None and margin < SMALL_MARGIN:
-        return Level.WARN, f'Only {margin:.0%} of what the cup can hold is left.'
     if bending > STRONGEST_BENDING:
         return Level.WARN, (
             f'The cup bends by {bending:.2g} rad: its restoring moment hardly grows any more.'
@@ -293,6 +307,9 @@ def _judge_load(
     if away is not None and away.outside:
         return Level.WARN, away.words
     if not known:
-        return Level.OK, 'No limits are known: see cup.max_force, cup.max_moment and envelope.*.'
-    seen = margin is not None or away is not None
+        return Level.OK, (
+            'No limits are known: see cup.lip_radius with vacuum.holding, cup.max_force, '
+            'cup.max_moment and envelope.*.'
+        )
+    seen = safety is not None or away is not None
     return Level.OK, 'Within what is known.' if seen else 'No load to be judged.'

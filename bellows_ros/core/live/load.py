@@ -6,7 +6,8 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
-from bellows_ros.core.identification.envelope import Distance, distance, known_envelope
+from bellows_ros.core.envelope import Distance, distance, known_envelope
+from bellows_ros.core.holding import grip_of, MODES, ratio, safety_factors
 from bellows_ros.core.jit import kernel
 from bellows_ros.core.kernels import lip_relative_to_tool, ModelTuple, State
 from bellows_ros.core.lie import log_so3
@@ -47,7 +48,7 @@ def _lip(model: ModelTuple, tool: State, body: State) -> tuple[Vector, Matrix, V
         model[1][1],
         tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
         body[0], rotation_matrix(body[1]), body[2], body[3],
-    )  # fmt: skip
+    )
 
 
 def deflection(model: ModelTuple, prediction: Prediction) -> Deflection:
@@ -88,19 +89,40 @@ def bending(lip: Deflection) -> float:
     return math.acos(min(1.0, max(-1.0, lip.rotation[8])))
 
 
+class Safety(NamedTuple):
+    """The smallest safety factor of the grip, and what limits it."""
+
+    factor: float
+    mode: str
+    """'peel', 'slip', or 'force' or 'moment' where cup.max_force or cup.max_moment does."""
+
+
 class Load:
     """
-    Watch predictions: the smallest holding margin and the largest distance from the envelope.
+    Watch predictions: the smallest safety factor and the largest distance from the envelope.
 
     Parameters
     ----------
     values : mapping
-        Parameters by name: cup.max_force, cup.max_moment, package.mass, envelope.*.
+        Parameters by name: those of `grip_of`, cup.max_force, cup.max_moment, vacuum.ambient,
+        safety.least, package.mass, envelope.*.
+    pressure : float, optional
+        Absolute pressure in the cup as it was heard last, Pa.
+
+    Attributes
+    ----------
+    least : float
+        Below this safety factor somebody should look.
+    pressure : float or None
+        As heard last.
 
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
+    def __init__(self, values: Mapping[str, Any], pressure: float | None = None) -> None:
         """Take the limits."""
+        self._values = values
+        self.hear(pressure)
+        self.least = float(values['safety.least'])
         self._max_force = values['cup.max_force']
         self._max_moment = values['cup.max_moment']
         self._mass = values['package.mass']
@@ -109,28 +131,48 @@ class Load:
 
     def _clear(self) -> None:
         """Begin again."""
-        self._margin = math.inf
+        self._safety: Safety | None = None
         self._distance: Distance | None = None
         self._bending = 0.0
 
     @property
     def limits_known(self) -> bool:
-        """Whether the largest force or moment is known."""
-        return bool(self._max_force > 0.0 or self._max_moment > 0.0)
+        """Whether anything is known of when the cup lets go."""
+        return self.grip_known or self._max_force > 0.0 or self._max_moment > 0.0
+
+    @property
+    def grip_known(self) -> bool:
+        """Whether radius of the lip and vacuum are known."""
+        return self._grip is not None
+
+    def hear(self, pressure: float | None) -> None:
+        """Take the absolute pressure (Pa) in the cup, where it is heard."""
+        self.pressure = pressure
+        below = None if pressure is None else self._values['vacuum.ambient'] - pressure
+        self._grip = grip_of(self._values, below)
 
     @property
     def envelope_known(self) -> bool:
         """Whether it is known what the identification has seen."""
         return self._envelope is not None
 
-    def watch_force(self, prediction: Prediction) -> None:
-        """Note the margin of a prediction: 1 without load, 0 where the cup lets go."""
+    def watch_force(self, prediction: Prediction) -> tuple[float, float] | None:
+        """Note the safety factors of a prediction; return those of the grip where it is known."""
+        factors = None
+        if self._grip is not None:
+            factors = safety_factors(self._grip, prediction.force, prediction.moment)
+            for factor, mode in zip(factors, MODES, strict=True):
+                self._note(factor, mode)
         if self._max_force > 0.0:
-            self._margin = min(
-                self._margin, 1.0 - math.hypot(*prediction.force) / self._max_force)
+            self._note(ratio(self._max_force, math.hypot(*prediction.force)), 'force')
         if self._max_moment > 0.0:
-            self._margin = min(
-                self._margin, 1.0 - math.hypot(*prediction.moment) / self._max_moment)
+            self._note(ratio(self._max_moment, math.hypot(*prediction.moment)), 'moment')
+        return factors
+
+    def _note(self, factor: float, mode: str) -> None:
+        """Keep the smallest safety factor."""
+        if self._safety is None or factor < self._safety.factor:
+            self._safety = Safety(factor, mode)
 
     def watch_deflection(self, model: ModelTuple, prediction: Prediction) -> None:
         """Note how far a prediction is from what the identification has seen."""
@@ -144,10 +186,9 @@ class Load:
         if self._distance is None or now.value > self._distance.value:
             self._distance = now
 
-    def take(self) -> tuple[float | None, Distance | None, float]:
-        """Return margin, distance and largest bending (rad) since the last call."""
-        margin = self._margin if math.isfinite(self._margin) else None
-        found = margin, self._distance, self._bending
+    def take(self) -> tuple[Safety | None, Distance | None, float]:
+        """Return safety factor, distance and largest bending (rad) since the last call."""
+        found = self._safety, self._distance, self._bending
         self._clear()
         return found
 

@@ -193,7 +193,7 @@ class Pairing:
         return TwistSample(
             stamp_ns, between(s, before.linear, behind.linear),
             between(s, before.angular, behind.angular),
-        )  # fmt: skip
+        )
 
     def _set_before(self, twist: TwistSample, served: bool = False) -> None:
         """Keep the last twist before the poses that wait."""

@@ -9,22 +9,24 @@ from __future__ import annotations
 
 import math
 
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.holding import ratio, safety_factors
 from bellows_ros.core.kernels import ModelTuple, State
-from bellows_ros.core.live.held_package import HeldPackage
+from bellows_ros.core.limits import LARGEST_RATE, LARGEST_SPEED
+from bellows_ros.core.live.flight import Flight
+from bellows_ros.core.live.load import deflection
 from bellows_ros.core.live.pairing import Pairing
+from bellows_ros.core.live.payload import LivePayload
 from bellows_ros.core.live.samples import PoseSample, Prediction, TwistSample
-from bellows_ros.core.live.screening import (
-    FrameChange,
-    LARGEST_RATE,
-    LARGEST_SPEED,
-    lengths,
-    LONGEST_GAP_NS,
-    Screen,
-)
-from bellows_ros.core.live.twist_check import in_tool_axes, TwistCheck
+from bellows_ros.core.live.screening import FrameChange, lengths, Screen
+from bellows_ros.core.live.twist_check import in_tool_axes, misfit, TwistCheck
 from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.observer import Observer
+from bellows_ros.core.screening import LONGEST_GAP_NS
 from bellows_ros.core.tool_twist import PoseHistory
 from bellows_ros.core.tuples import normalised, Quaternion, Vector
+import numpy as np
+from numpy.typing import ArrayLike
 
 COAST_AFTER_NS = 20_000_000
 """Shorter pauses (ns) between poses are nothing to be said."""
@@ -36,17 +38,17 @@ LONGEST_BURST_NS = 100_000_000
 """Pauses up to this (ns) that come again and again are those between bursts: nothing either."""
 
 COAST_LIMIT_NS = 100_000_000
-"""How long (ns) the tool is extrapolated unless told otherwise."""
+"""How long (ns) the tool is extrapolated by default."""
 
 REFUSALS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
     'future_stamp', 'frame_id', 'repeated_pose', 'jump', 'twist_nan', 'twist_too_fast',
-    'twist_frame_id', 'twist_unpaired',
-)  # fmt: skip
+    'twist_frame_id', 'twist_misses_pose', 'twist_unpaired',
+)
 RESTARTS = (
     'gap', 'clock_set_back', 'clock_set_forward', 'clock_jump', 'frame_changed', 'moved',
-    'diverged', 'no_equilibrium',
-)  # fmt: skip
+    'diverged', 'no_equilibrium', 'failure',
+)
 
 
 class LivePredictor:
@@ -61,8 +63,8 @@ class LivePredictor:
     Parameters
     ----------
     cup, package : Cup, Package
-    gravity : float
-        m/s^2, along -z of the world.
+    gravity : float or array_like (3,)
+        m/s^2, along -z of the world, or as a vector there.
     twist_frame : {'world', 'tool'}
         Axes of the linear and angular velocity given to `on_twist`; the linear one is the
         velocity of the tool point in either case.
@@ -75,8 +77,21 @@ class LivePredictor:
     ----------
     attached : bool
         Whether the cup holds the package; without it nothing is predicted.
+    flight : Flight or None
+        Follows the package after the valve, where one is set.
     poses_in, twists_in, predictions, twists_estimated, coasted : int
         Counts of what came, went out and was made up.
+
+    Examples
+    --------
+    >>> cup = bellows_ros.read_cup('bags/cup.yaml')
+    >>> package = bellows_ros.read_package('bags/package.yaml')
+    >>> predictor = bellows_ros.LivePredictor(cup, package, gravity=9.81)
+    >>> for k in range(1, 4):
+    ...     found = predictor.on_pose(
+    ...         k * 2_000_000, 'world', (0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0))
+    >>> [round(x, 5) for x in found[0].position]
+    [0.0, 0.0, 0.42208]
 
     """
 
@@ -84,7 +99,7 @@ class LivePredictor:
         self,
         cup: Cup,
         package: Package,
-        gravity: float,
+        gravity: ArrayLike,
         twist_frame: str = 'world',
         history: int = 5,
         coast_limit_ns: int = COAST_LIMIT_NS,
@@ -92,7 +107,7 @@ class LivePredictor:
         """Prepare the model; nothing is predicted before the first pose."""
         self._twist_in_world = twist_frame == 'world'
         self._history = PoseHistory(history)
-        self._package = HeldPackage(cup, package, gravity)
+        self._package = LivePayload(cup, package, gravity)
         self._screen = Screen()
         self._pairing = Pairing()
         self.twist_check = TwistCheck(self._twist_in_world)
@@ -102,6 +117,7 @@ class LivePredictor:
         self.poses_in = self.twists_in = self.predictions = self.twists_estimated = 0
         self.coasted = 0
         self.attached = True
+        self.flight: Flight | None = None
         self._twist_frame_id: str | None = None
         self._twist_frame_change = FrameChange()
         self._forget_arrivals()
@@ -129,6 +145,11 @@ class LivePredictor:
         return self._screen.frame_id
 
     @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest accepted pose, ns."""
+        return self._screen.newest_ns
+
+    @property
     def refused(self) -> dict[str, int]:
         """Counts of what was refused, by reason."""
         return {**self._counts, 'twist_unpaired': self._pairing.unpaired}
@@ -143,7 +164,7 @@ class LivePredictor:
             'twists interpolated': self.twists_interpolated,
             'twists unpaired': self._pairing.unpaired,
             **{f'fresh starts: {reason}': count for reason, count in self.restarts.items()},
-        }  # fmt: skip
+        }
 
     @property
     def twists_interpolated(self) -> int:
@@ -168,16 +189,22 @@ class LivePredictor:
         """
         Return what is going on at a time on the clock of arrivals.
 
-        'detached', 'waiting' (no pose has come yet), 'predicting', 'coasting' (no pose has come
-        for a moment) or 'lost' (none for longer than can be bridged, or no prediction from it).
+        'detached', 'waiting' (no pose has come yet), 'predicting', 'settling' (predicting, but
+        what the start was off by is still felt), 'coasting' (no pose has come for a moment) or
+        'lost' (none for longer than can be bridged, or no prediction from it); after the valve
+        'released', 'flying' or 'landed'.
         """
         if not self.attached:
             return 'detached'
+        if self.flight is not None and self.flight.state:
+            return self.flight.state
         if self._arrival_ns is None:
             return 'waiting'
         silent_ns = arrival_ns - self._arrival_ns
         if silent_ns <= self._patience_ns():
-            return 'predicting' if self._package.is_held or self.waiting else 'lost'
+            if not (self._package.is_held or self.waiting):
+                return 'lost'
+            return 'settling' if self._package.settling.now else 'predicting'
         return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
 
     def _patience_ns(self) -> int:
@@ -199,10 +226,6 @@ class LivePredictor:
         """Go on with another cup or package; pose and motion stay as they are."""
         self._package.set_model(cup, package)
 
-    def check_model(self, cup: Cup, package: Package) -> None:
-        """Raise BellowsError where nothing can be computed with a cup or package."""
-        self._package.prepared(cup, package)
-
     def reset(self) -> None:
         """Start from rest at the next pose, whatever its stamp and frame."""
         self._screen.reset()
@@ -223,9 +246,21 @@ class LivePredictor:
         self.attached = attached
         return predictions
 
+    def switch_valve(self, on: bool, stamp_ns: int) -> None:
+        """Toss the package, its valve being switched at a stamp, or take up the next one."""
+        if self.flight is None:
+            return
+        if not on:
+            self.flight.switch(stamp_ns)
+        elif self.flight.state:
+            self.flight.forget()
+            self._package.forget()
+
     def _forget_motion(self) -> None:
         """Drop the package's state and all that waits, but not the frame."""
-        self._package.forget()
+        if self.flight is not None:
+            self.flight.forget()
+        self._package.forget(is_another=False)
         self._pairing.clear()
         self._history.clear()
         self.twist_check.clear()
@@ -272,6 +307,8 @@ class LivePredictor:
             self._forget_motion()
         elif newest_ns >= 0:
             self._period_ns = stamp_ns - newest_ns
+        if self._screen.doubted:
+            self._package.settling.doubt(stamp_ns, *self._screen.jolt)
         self._note_arrival(arrival_ns)
         self._pairing.add_pose(PoseSample(stamp_ns, position, normalised(quaternion_xyzw)))
         return self._release(predictions)
@@ -303,6 +340,38 @@ class LivePredictor:
         self._pairing.add_twist(TwistSample(stamp_ns, linear, angular))
         return self._release([])
 
+    def observe(self, observer: Observer) -> None:
+        """Let measured poses of the package correct what is predicted from now on."""
+        self._package.observe(observer)
+
+    @property
+    def observer(self) -> Observer | None:
+        """What corrects the predictions with measured poses of the package, if anything."""
+        return self._package.observer
+
+    def on_measured(
+        self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
+        covariance: Array | None = None,
+    ) -> None:
+        """
+        Correct what is predicted next with a measured pose of the package, as `observe` has it.
+
+        It may be late, and out of order; what cannot be used is counted by the observer. The
+        covariance (6, 6) is that of the message, about axes of the world.
+        """
+        observer = self._package.observer
+        if observer is None:
+            return
+        seen = observer.sight.measurement(stamp_ns, position, quaternion_xyzw, covariance)
+        if isinstance(seen, str):
+            observer.counts[seen] += 1
+        elif frame_id != self.frame_id:
+            observer.counts['frame_id'] += 1
+        elif self.flight is not None and self.flight.is_free:
+            observer.counts['not_held'] += 1
+        else:
+            self._package.see(seen)
+
     def flush(self) -> list[Prediction]:
         """Predict for all poses that still wait, without their twists."""
         self._pairing.give_up_waiting()
@@ -333,46 +402,63 @@ class LivePredictor:
         """Advance the package to a pose's stamp, or start it from rest there."""
         self._history.append(*pose)
         before: State | None = None
-        if twist is None:
+        now = None if twist is None else self._measured(pose, twist)
+        if now is None:
             self.twists_estimated += 1
             self.twist_check.skip()
             now = self._history.state()
             if self._package.is_held:  # with a later pose known the slope before is known better
                 before = self._history.state(back=1)
-        else:
-            now = self._measured(pose, twist)
         if not self.attached:
             return None
-        prediction = self._package.follow(pose.stamp_ns, before, now)
-        if self._package.outcome:
-            self.restarts[self._package.outcome] += 1
+        flight = self.flight
+        if flight is not None and flight.is_free:
+            prediction = flight.fly(self.model, pose.stamp_ns, now)
+        else:
+            prediction = self._package.follow(pose.stamp_ns, before, now)
+            if self._package.outcome:
+                self.restarts[self._package.outcome] += 1
+            if flight is not None and prediction is not None:
+                prediction = flight.follow(self.model, prediction)
         if prediction is not None:
             self.predictions += 1
         return prediction
 
-    def _measured(self, pose: PoseSample, twist: TwistSample) -> State:
-        """Return the tool's state with the twist turned into tool axes."""
+    def _measured(self, pose: PoseSample, twist: TwistSample) -> State | None:
+        """Return the tool's state with the twist turned into tool axes; None if that is false."""
         q = pose.quaternion_xyzw
         if self.twist_check.is_due(pose.stamp_ns, q, twist.linear, twist.angular):
             self.twist_check.compare(self._history.state(back=2))
-        if not self._twist_in_world:
-            return pose.position, q, twist.linear, twist.angular
-        return pose.position, q, *in_tool_axes(q, twist.linear, twist.angular)
+        v, w = twist.linear, twist.angular
+        if self._twist_in_world:
+            v, w = in_tool_axes(q, v, w)
+        now, last = (pose.position, q, v, w), self._package.sample
+        if last is None:
+            return now
+        excess, doubt, off = misfit(last.tool, now, (pose.stamp_ns - last.stamp_ns) * 1e-9)
+        if excess > 1.0:
+            self._counts['twist_misses_pose'] += 1
+            return None
+        if doubt > 1.0:
+            self._package.settling.doubt(pose.stamp_ns, *off)
+        return now
 
 
-def warm_up(cup: Cup, package: Package, gravity: float, twist_frame: str) -> None:
+def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) -> None:
     """Predict on made-up data in a predictor that is thrown away: nothing compiles later."""
-    live = LivePredictor(cup, package, gravity, twist_frame)
+    live = LivePredictor(cup, package, np.linalg.norm(gravity), twist_frame)
+    safety_factors((ratio(1.0, 1.0), 1.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
     still, upright, arrival_ns = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0
-    for arrival_ns in range(1_000_000, 13_000_000, 1_000_000):
+    for arrival_ns in range(10_000_000, 150_000_000, 10_000_000):  # until it has settled
         live.on_pose(arrival_ns, 'world', still, upright, arrival_ns)
-        if arrival_ns > 6_000_000:  # first without twists, then with
+        if arrival_ns > 60_000_000:  # first without twists, then with
             live.on_twist(arrival_ns + 50_000, still, still)
     live.on_twist(arrival_ns + 500_000, still, still)
     live.on_twist(arrival_ns + 1_500_000, still, still)
     live.on_pose(arrival_ns + 1_000_000, 'world', (1e-6, 0.0, 0.0), upright, arrival_ns)
     live.flush()
-    live.coast(arrival_ns + COAST_AFTER_NS + 1_000_000)
+    for prediction in live.coast(arrival_ns + COAST_AFTER_NS + 1_000_000):
+        deflection(live.model, prediction)
 
 
 __all__ = ['LivePredictor', 'LONGEST_GAP_NS', 'REFUSALS', 'RESTARTS', 'warm_up']

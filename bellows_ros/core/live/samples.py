@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.kernels import State
 from bellows_ros.core.tuples import Quaternion, Vector
 
@@ -27,6 +28,20 @@ class TwistSample(NamedTuple):
     angular: Vector
 
 
+class Unsettled(NamedTuple):
+    """By how much the package's state may have been off at one time, in each direction."""
+
+    since_ns: int
+    shift: float
+    """m."""
+    turn: float
+    """rad."""
+    speed: float
+    """m/s."""
+    rate: float
+    """rad/s."""
+
+
 class Prediction(NamedTuple):
     """The package at one stamp; SI units."""
 
@@ -47,6 +62,10 @@ class Prediction(NamedTuple):
     """The tool's pose and body twist that the prediction was made with."""
     coasting: bool = False
     """True where no tool pose has come and the tool is extrapolated."""
+    unsettled: Unsettled | None = None
+    """What is left of an error at the start, or of doubted poses; None where nothing is."""
+    covariance: Array | None = None
+    """Of the state (12, 12) where an observer knows it, in body axes."""
 
     @property
     def body(self) -> State:

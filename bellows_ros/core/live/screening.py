@@ -4,7 +4,8 @@ Which poses of the tool can be used: a state machine over stamps, frames and val
 Each pose is accepted, refused with a reason, or accepted as a fresh start with a reason. What
 looks wrong once is refused; what goes on in a consistent way is believed after a short run, so
 that the predictor comes back by itself when a clock was set, a recording starts again, a driver
-changes its frame or a tool was moved while nobody saw it.
+changes its frame or a tool was moved while nobody saw it. Of two tools on one topic the one that
+came first is followed.
 """
 
 from __future__ import annotations
@@ -13,64 +14,75 @@ import math
 from typing import NamedTuple
 
 from bellows_ros.core.jit import kernel
+from bellows_ros.core.limits import LARGEST_RATE, LARGEST_SPEED
+from bellows_ros.core.live.samples import ZERO
+from bellows_ros.core.screening import ACCEPTED, GOOD, StampScreen, Verdict, why_no_pose
 from bellows_ros.core.tuples import (
     dot,
     log_quaternion,
     Quaternion,
     quaternion_conjugate,
     quaternion_product,
+    scale,
     subtract,
     Vector,
 )
-
-UNIT_WITHIN = 0.01
-"""A quaternion whose length is off by more is refused, by less is scaled to unit length."""
-
-LONGEST_GAP_NS = 500_000_000
-"""After a longer time without poses the package's motion is unknown: start from rest again."""
-
-BACKWARD_RUN = 5
-"""So many backward stamps in a row, themselves increasing, are a clock that was set back."""
-
-FAR_BACKWARD_RUN = 3
-"""The same where they lie further back than any late message: a recording that starts again."""
 
 FRAME_RUN = 3
 FRAME_RUN_NS = 150_000_000
 """A new frame is believed after so many poses in a row that span so much time (ns)."""
 
-LEAP_NS = 20_000_000
-LEAP_PERIODS = 4
-"""Stamps further ahead (ns, periods) of their arrival than before leap: one does not count."""
-
-SETTLED_AFTER = 10
-"""Poses after which it is known how far stamps lie behind their arrivals."""
-
 JUMP_RUN = 5
 """So many poses in a row, near each other but far from the last accepted, are a new place."""
 
-LARGEST_SPEED, SPEED_SLACK = 20.0, 0.05
-"""No arm is faster (m/s); and the position (m) by which a pose may be off all the same."""
+SPEED_SLACK, RATE_SLACK = 0.05, 0.3
+"""By so much (m, rad) a pose may be off from where an arm could be."""
 
-LARGEST_RATE, RATE_SLACK = 60.0, 0.3
-"""The same for rotations (rad/s, rad)."""
+HARDEST_JOLT, JOLT_SLACK = 100.0, 0.02
+"""No arm is thrown about with more (m/s^2); and by how much (m) a pose may be off all the same."""
 
-HARDEST_STOP, HARDEST_TURN_STOP = 30.0, 300.0
-"""No arm comes to a complete stop within one sample with more (m/s^2, rad/s^2)."""
+HARDEST_TURN_JOLT, TURN_JOLT_SLACK = 1000.0, 0.2
+"""The same for rotations (rad/s^2, rad)."""
 
-ACCEPTED = ''
+DOUBTED_JOLT, DOUBTED_JOLT_SLACK = 40.0, 0.015
+DOUBTED_TURN_JOLT, DOUBTED_TURN_JOLT_SLACK = 400.0, 0.15
+"""The same from which on what an arm does, or a tracker says, is doubted."""
+
+AFTER_JUMPS = 0.2
+"""Doubt begins at such a part of it where poses before were refused."""
+
+JITTER = 0.025
+"""Time (s) by which stamps may be off: those of arrival come in bursts."""
+
+HARDEST_STOP, STOP_SLACK = 30.0, 3e-4
+"""No arm comes to a complete stop within one sample with more (m/s^2); and the noise (m) of it."""
+
+HARDEST_TURN_STOP, TURN_STOP_SLACK = 300.0, 1.5e-3
+"""The same for rotations (rad/s^2, rad)."""
+
+UNKNOWN = -1.0
+"""Period of a pose of which it is not known how fast the tool was there."""
 
 
-class Verdict(NamedTuple):
-    """What is to be done with a pose."""
+class Step(NamedTuple):
+    """From one pose to a later one."""
 
-    refused: str
-    """Why it is refused, or nothing."""
-    restart: str
-    """Why everything starts afresh with this pose, or nothing."""
-
-
-GOOD = Verdict(ACCEPTED, '')
+    excess: float
+    """How far it goes, as a part of what can be; above 1 no arm does it."""
+    doubt: float
+    """The same for what is doubted."""
+    jolt: float
+    """How far it goes beside a steady motion, m."""
+    turn_jolt: float
+    """The same for rotations, rad."""
+    speed: float
+    """Smaller speed of this step and the one before, m/s: one jump is no motion."""
+    turn_speed: float
+    """Smaller rate of the two, rad/s."""
+    velocity: Vector
+    """In the axes of the poses' frame, m/s."""
+    rate: Vector
+    """In the tool's axes, rad/s."""
 
 
 class Reference(NamedTuple):
@@ -79,14 +91,13 @@ class Reference(NamedTuple):
     stamp_ns: int
     position: Vector
     quaternion_xyzw: Quaternion
-    step: tuple[float, float]
-    """Speed (m/s) and rate (rad/s) from the pose before."""
-    speed: float
-    """The smaller speed of the last two steps, m/s: one jump is no motion."""
-    rate: float
-    """The smaller rate of the last two steps, rad/s."""
     period: float
-    """Time since the pose before, s."""
+    """Time since the pose before, s; 0 for the first, whose tool is taken to be at rest."""
+    step: Step
+    """From the pose before."""
+
+
+REST = Step(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, ZERO, ZERO)
 
 
 @kernel
@@ -102,12 +113,45 @@ def lengths(a: Vector, b: Vector) -> tuple[float, float]:
 
 
 @kernel
-def separation(
-    o: Vector, q: Quaternion, other_o: Vector, other_q: Quaternion
-) -> tuple[float, float]:
-    """Return the distance (m) and the angle (rad) between two poses."""
+def change(a: Vector, b: Vector) -> tuple[float, float]:
+    """Return the length of b - a, and the smaller of both lengths where they agree."""
+    return length(subtract(b, a)), min(length(a), length(b)) if dot(a, b) > 0.0 else 0.0
+
+
+@kernel
+def step_between(
+    o: Vector, q: Quaternion, velocity: Vector, rate: Vector, period: float,
+    other_o: Vector, other_q: Quaternion, seconds: float,
+) -> tuple[float, float, float, float, float, float, Vector, Vector]:
+    """
+    Return the `Step` from a pose to another so many seconds later.
+
+    The change of velocity counts for the shorter of the two periods, and less in a steady motion,
+    so that neither bursts nor stamps with jitter make jolts of it.
+    """
+    shift = subtract(other_o, o)
     turn = log_quaternion(quaternion_product(quaternion_conjugate(q), other_q))
-    return length(subtract(other_o, o)), length(turn)
+    v, w = scale(1.0 / seconds, shift), scale(1.0 / seconds, turn)
+    kick, speed = change(velocity, v)
+    turn_kick, turn_speed = change(rate, w)
+    shorter = min(seconds, period) if period > 0.0 else seconds
+    jolt, turn_jolt = kick * shorter, turn_kick * shorter
+    jitter, turn_jitter = JITTER * speed, JITTER * turn_speed
+    squared = 0.5 * (seconds + shorter) * shorter
+    excess = max(
+        length(shift) / (SPEED_SLACK + LARGEST_SPEED * seconds),
+        length(turn) / (RATE_SLACK + LARGEST_RATE * seconds),
+    )
+    doubt = 0.0
+    if period != UNKNOWN:
+        excess = max(
+            excess, jolt / (JOLT_SLACK + jitter + HARDEST_JOLT * squared),
+            turn_jolt / (TURN_JOLT_SLACK + turn_jitter + HARDEST_TURN_JOLT * squared))
+    if period > 0.0:
+        doubt = max(
+            jolt / (DOUBTED_JOLT_SLACK + jitter + DOUBTED_JOLT * squared),
+            turn_jolt / (DOUBTED_TURN_JOLT_SLACK + turn_jitter + DOUBTED_TURN_JOLT * squared))
+    return excess, doubt, jolt, turn_jolt, speed, turn_speed, v, w
 
 
 class FrameChange:
@@ -131,7 +175,7 @@ class FrameChange:
         return self._run >= FRAME_RUN and stamp_ns - self._first_ns >= FRAME_RUN_NS
 
 
-class Screen:
+class Screen(StampScreen):
     """
     Judge the tool's poses one after the other.
 
@@ -141,6 +185,8 @@ class Screen:
         Frame of the accepted poses; '' before the first.
     newest_ns : int
         Stamp of the newest accepted pose, -1 before the first.
+    doubted : bool
+        Whether the newest accepted pose is doubted, by the `jolt` (m, rad) that led there.
 
     """
 
@@ -156,18 +202,17 @@ class Screen:
 
     def forget_motion(self) -> None:
         """Take whatever stamp and place come next, in the same frame."""
-        self.newest_ns = -1
+        self.forget_stamps()
         self._last: Reference | None = None
-        self._moved = (0.0, 0.0)  # distance (m) and angle (rad) from there, if judged by its place
-        self._newest_arrival_ns: int | None = None
-        self._least_age_ns = self._accepted = 0
-        self._leap_ns = -1
-        self._backward_run = 0
-        self._backward_last_ns = -1
-        self._ahead_ns = -1
-        self._leaps = False
+        self._step = REST  # from there, if judged by its place
+        self.doubted = False
         self._elsewhere: Reference | None = None
         self._elsewhere_run = 0
+
+    @property
+    def jolt(self) -> tuple[float, float]:
+        """How far (m, rad) the newest pose lies beside a steady motion."""
+        return self._step.jolt, self._step.turn_jolt
 
     def judge(
         self,
@@ -197,17 +242,20 @@ class Screen:
         """
         verdict = self._judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
         if not verdict.refused:
+            there = self._elsewhere if verdict.restart == 'moved' else None
             if verdict.restart:
                 self.forget_motion()
-            self._accept(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
-            self._leaps = verdict.restart == 'clock_set_forward'
+            self._accept(stamp_ns, frame_id, position, quaternion_xyzw)
+            if there is not None:  # where it has been seen to move
+                self._last = there
+            self.accept_stamp(stamp_ns, arrival_ns, verdict.restart)
         return verdict
 
     def _judge(
         self, stamp_ns: int, frame_id: str, o: Vector, q: Quaternion, arrival_ns: int | None
     ) -> Verdict:
         """Return the verdict of the first check that has something to say."""
-        reason = _why_no_pose(o, q)
+        reason = why_no_pose(o, q)
         if reason:
             return Verdict(reason, '')
         if stamp_ns <= 0:
@@ -216,132 +264,79 @@ class Screen:
             believed = self._change.is_believed(frame_id, stamp_ns)
             return Verdict(ACCEPTED, 'frame_changed') if believed else Verdict('frame_id', '')
         self._change.clear()
-        if self._last is None:
-            return GOOD
-        if stamp_ns == self.newest_ns:
-            return Verdict('duplicate_stamp', '')
-        if stamp_ns < self.newest_ns:
-            return self._judge_backward(stamp_ns)
-        if stamp_ns - self.newest_ns > LONGEST_GAP_NS:
-            return self._judge_ahead(stamp_ns, arrival_ns)
-        if arrival_ns is not None and self._leaps_alone(stamp_ns, arrival_ns - stamp_ns):
-            return Verdict('future_stamp', '')
+        verdict = self.judge_stamp(stamp_ns, arrival_ns)
+        if verdict is not GOOD:
+            return verdict
         return self._judge_place(stamp_ns, o, q)
 
-    def _accept(
-        self, stamp_ns: int, frame_id: str, o: Vector, q: Quaternion, arrival_ns: int | None
-    ) -> None:
+    def _accept(self, stamp_ns: int, frame_id: str, o: Vector, q: Quaternion) -> None:
         """Compare what follows with this pose."""
-        step = before = (0.0, 0.0)
-        seconds = 0.0
-        if self._last is not None:
-            before = self._last.step
-            seconds = (stamp_ns - self.newest_ns) * 1e-9
-            step = (self._moved[0] / seconds, self._moved[1] / seconds)
-        self._last = Reference(
-            stamp_ns, o, q, step, min(step[0], before[0]), min(step[1], before[1]), seconds)
-        self.frame_id, self.newest_ns = frame_id, stamp_ns
-        if arrival_ns is not None:
-            self._note_age(arrival_ns - stamp_ns)
-        self._newest_arrival_ns = arrival_ns
+        seconds = 0.0 if self._last is None else (stamp_ns - self.newest_ns) * 1e-9
+        self._last = Reference(stamp_ns, o, q, seconds, self._step)
+        self.frame_id = frame_id
         self._change.clear()
-        self._backward_run = self._elsewhere_run = 0
-        self._ahead_ns = -1
-
-    # ----------------------------------------------------------------- stamps
-
-    def _note_age(self, age_ns: int) -> None:
-        """Keep the least time between stamp and arrival; it grows again, as clocks drift."""
-        above = age_ns - self._least_age_ns
-        self._least_age_ns = self._least_age_ns + above // 1024 if (
-            self._accepted and above > 0) else age_ns  # fmt: skip
-        self._accepted += 1
-
-    def _leaps_alone(self, stamp_ns: int, age_ns: int) -> bool:
-        """Return whether a stamp lies in the future, and the one before it did not."""
-        ahead_ns = self._least_age_ns - age_ns
-        if ahead_ns <= LEAP_NS or self._accepted < SETTLED_AFTER or self._last is None:
-            self._leap_ns = -1
-            return False
-        if ahead_ns <= LEAP_PERIODS * self._last.period * 1e9:
-            return False
-        before, self._leap_ns = self._leap_ns, stamp_ns
-        return not 0 <= before < stamp_ns
-
-    def _judge_backward(self, stamp_ns: int) -> Verdict:
-        """Refuse stamps that go back until they have done so long enough."""
-        if self._backward_run and stamp_ns <= self._backward_last_ns:
-            self._backward_run = 0
-        self._backward_run += 1
-        self._backward_last_ns = stamp_ns
-        far = self.newest_ns - stamp_ns > LONGEST_GAP_NS
-        if self._backward_run >= (FAR_BACKWARD_RUN if far else BACKWARD_RUN):
-            return Verdict(ACCEPTED, 'clock_set_back')
-        return Verdict('backward_stamp', '')
-
-    def _judge_ahead(self, stamp_ns: int, arrival_ns: int | None) -> Verdict:
-        """Tell a pause, after which all starts from rest, from a stamp in the future."""
-        if arrival_ns is None or self._newest_arrival_ns is None:
-            return Verdict(ACCEPTED, 'gap')
-        waited = arrival_ns - self._newest_arrival_ns
-        if 2 * waited >= stamp_ns - self.newest_ns:
-            return Verdict(ACCEPTED, 'gap')
-        before, self._ahead_ns = self._ahead_ns, stamp_ns
-        if self._leaps or 0 <= before < stamp_ns:  # the next one too: the clock, or fast playback
-            return Verdict(ACCEPTED, 'clock_set_forward')
-        return Verdict('future_stamp', '')
+        self._elsewhere_run = 0
 
     # ------------------------------------------------------------------ places
 
     def _judge_place(self, stamp_ns: int, o: Vector, q: Quaternion) -> Verdict:
         """Refuse poses of a tracker that has lost its body: repeated, or far away."""
-        self._ahead_ns = -1
         last = self._last
         if last is None:
             return GOOD
         if o == last.position and q == last.quaternion_xyzw:
-            self._moved = (0.0, 0.0)
+            self._step, self.doubted = REST, False
             return Verdict('repeated_pose', '') if _cannot_stop(last) else GOOD
-        self._moved = separation(last.position, last.quaternion_xyzw, o, q)
-        if _is_reachable(self._moved, stamp_ns - last.stamp_ns):
+        if self._elsewhere_run:  # then the time since the last one tells of no burst
+            last = last._replace(period=(stamp_ns - last.stamp_ns) * 1e-9)
+        self._step = step = _step(last, stamp_ns, o, q)
+        if step.excess <= 1.0 and not (
+                self._elsewhere_run and self._is_elsewhere(stamp_ns, o, q)):
+            self.doubted = step.doubt > (AFTER_JUMPS if self._elsewhere_run else 1.0)
             return GOOD
-        elsewhere = self._elsewhere
-        self._elsewhere = Reference(stamp_ns, o, q, (0.0, 0.0), 0.0, 0.0, 0.0)
-        together = (
-            self._elsewhere_run and elsewhere is not None and stamp_ns > elsewhere.stamp_ns
-            and _is_reachable(
-                separation(elsewhere.position, elsewhere.quaternion_xyzw, o, q),
-                stamp_ns - elsewhere.stamp_ns)
-        )  # fmt: skip
-        self._elsewhere_run = self._elsewhere_run + 1 if together else 1
+        self._note_elsewhere(stamp_ns, o, q)
         if self._elsewhere_run >= JUMP_RUN:
             return Verdict(ACCEPTED, 'moved')
         return Verdict('jump', '')
 
+    def _is_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> bool:
+        """Return whether a pose goes on from the last that was refused, not the last accepted."""
+        there, last = self._elsewhere, self._last
+        if there is None or last is None or stamp_ns <= there.stamp_ns:
+            return False
+        return _beside(there, stamp_ns, o, q) < _beside(last, stamp_ns, o, q)
 
-def _why_no_pose(o: Vector, q: Quaternion) -> str:
-    """Return why numbers are no pose, or nothing."""
-    squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
-    if not math.isfinite(o[0] + o[1] + o[2] + squared):
-        return 'nan'
-    if squared < 1e-12:
-        return 'zero_quaternion'
-    if abs(squared - 1.0) > 2.0 * UNIT_WITHIN:
-        return 'not_unit'
-    return ''
+    def _note_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> None:
+        """Count poses that can come one after the other, far from the last accepted."""
+        before, run = self._elsewhere, self._elsewhere_run
+        self._elsewhere = Reference(stamp_ns, o, q, UNKNOWN, REST)
+        self._elsewhere_run = 1
+        if not run or before is None or stamp_ns <= before.stamp_ns:
+            return
+        step = _step(before, stamp_ns, o, q)
+        if step.excess <= 1.0:
+            seconds = (stamp_ns - before.stamp_ns) * 1e-9
+            self._elsewhere = Reference(stamp_ns, o, q, seconds, step)
+            self._elsewhere_run = run + 1
 
 
-def _is_reachable(moved: tuple[float, float], duration_ns: int) -> bool:
-    """Return whether an arm can go a distance (m) and an angle (rad) in that time."""
-    seconds = duration_ns * 1e-9
-    return (
-        moved[0] <= SPEED_SLACK + LARGEST_SPEED * seconds
-        and moved[1] <= RATE_SLACK + LARGEST_RATE * seconds
-    )
+def _step(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> Step:
+    """Return the step from a reference to a later pose."""
+    return Step(*step_between(
+        last.position, last.quaternion_xyzw, last.step.velocity, last.step.rate, last.period,
+        o, q, (stamp_ns - last.stamp_ns) * 1e-9))
+
+
+def _beside(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> tuple[float, float]:
+    """Return how far (m, rad) a pose is from where the motion at a reference leads."""
+    later = _step(last._replace(period=0.0), stamp_ns, o, q)
+    return later.jolt, later.turn_jolt
 
 
 def _cannot_stop(last: Reference) -> bool:
     """Return whether an arm moves too fast to stand still one sample later."""
+    step, period = last.step, last.period
     return (
-        last.speed > HARDEST_STOP * last.period or last.rate > HARDEST_TURN_STOP * last.period
+        (step.speed - HARDEST_STOP * period) * period > STOP_SLACK
+        or (step.turn_speed - HARDEST_TURN_STOP * period) * period > TURN_STOP_SLACK
     )

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from collections import deque
+import math
 
 from bellows_ros.core.jit import kernel
 from bellows_ros.core.kernels import State
 from bellows_ros.core.tuples import (
+    add,
+    apply,
     apply_transposed,
     dot,
+    log_quaternion,
     Quaternion,
+    quaternion_conjugate,
+    quaternion_product,
     rotation_matrix,
+    scale,
     subtract,
     Vector,
 )
@@ -32,6 +39,15 @@ LEVER = 0.1
 
 LEAST = 1e-3
 """Mean square speed (m^2/s^2) below which noise decides and nothing is said."""
+
+LARGEST_JERK, SLACK = 5e3, 0.015
+"""No arm has more (m/s^3); and the position (m) by which a pose may be off all the same."""
+
+LARGEST_TURN_JERK, TURN_SLACK = 5e4, 0.15
+"""The same for rotations (rad/s^3, rad)."""
+
+DOUBTED_JERK, DOUBTED_TURN_JERK = 5e2, 5e3
+"""From such on (m/s^3, rad/s^3) the twists of an arm are doubted."""
 
 
 @kernel
@@ -118,3 +134,28 @@ def in_tool_axes(q: Quaternion, linear: Vector, angular: Vector) -> tuple[Vector
     """Return a twist given in world axes in those of the tool."""
     R = rotation_matrix(q)
     return apply_transposed(R, linear), apply_transposed(R, angular)
+
+
+@kernel
+def misfit(
+    before: State, now: State, seconds: float
+) -> tuple[float, float, tuple[float, float]]:
+    """
+    Return how far a pose is from where the body twists at it and at the one before lead.
+
+    As a part of what any arm does, as a part of what is not doubted, and as a shift (m) and turn
+    (rad). The way between two poses differs from the mean of both velocities times the time by no
+    more than the largest jerk makes of it, j t^3 / 12.
+    """
+    R_before, R_now = rotation_matrix(before[1]), rotation_matrix(now[1])
+    mean = scale(0.5, add(apply(R_before, before[2]), apply(R_now, now[2])))
+    off = subtract(subtract(now[0], before[0]), scale(seconds, mean))
+    turn = log_quaternion(quaternion_product(quaternion_conjugate(before[1]), now[1]))
+    turn_off = subtract(turn, scale(0.5 * seconds, add(before[3], now[3])))
+    shift, angle = math.sqrt(dot(off, off)), math.sqrt(dot(turn_off, turn_off))
+    cubed = seconds * seconds * seconds / 12.0
+    excess = max(
+        shift / (SLACK + LARGEST_JERK * cubed), angle / (TURN_SLACK + LARGEST_TURN_JERK * cubed))
+    doubt = max(
+        shift / (SLACK + DOUBTED_JERK * cubed), angle / (TURN_SLACK + DOUBTED_TURN_JERK * cubed))
+    return excess, doubt, (shift, angle)

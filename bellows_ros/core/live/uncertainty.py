@@ -8,10 +8,13 @@ start:
   wrench is linear in it (4.67);
 - noise of the tool's pose, white from sample to sample, gives a constant part: that of a linear
   system driven for a long time;
-- while the tool is extrapolated its unknown acceleration is added.
+- while the tool is extrapolated its unknown acceleration is added;
+- what a start under a moving tool was off by is followed as it swings out.
 
 Rotation of the axes during the motion is neglected. All in body axes: displacement, rotation,
-linear and angular twist. Where the package has no stable rest it is not known, and says so.
+linear and angular twist. Every part is kept as a root (12, n), whose product with its transpose is
+the covariance: positive semidefinite, whatever is rounded. Where the package has no stable rest it
+is not known, and says so.
 """
 
 from __future__ import annotations
@@ -20,29 +23,19 @@ from collections.abc import Mapping
 import math
 from typing import Any
 
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.kernels import (
-    Blocks,
-    cup_wrench,
-    CupTuple,
-    ModelTuple,
-    newton_euler,
-    State,
-    wrench_at_com,
-)
+from bellows_ros.core.jacobians import parameter_jacobian
+from bellows_ros.core.kernels import Blocks, ModelTuple, State
 from bellows_ros.core.lie import hat
 from bellows_ros.core.linearisation import linearise
-from bellows_ros.core.live.load import deflection
-from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
-from bellows_ros.core.model import Cup, model_tuple, Package, unit_cups
+from bellows_ros.core.live.samples import ORIGIN, Prediction, Unsettled, ZERO
+from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.parameters import matrix
 from bellows_ros.core.tuples import rotation_matrix
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
-
-Array = NDArray[np.float64]
 
 STEP_NS = 4_000_000
 """Sensitivities go on in steps at least so long: the package's modes are slow against it."""
@@ -54,13 +47,12 @@ COASTING_ACCELERATION = 5.0
 COASTING_ANGULAR_ACCELERATION = 25.0
 """Standard deviations (m/s^2, rad/s^2) of what an arm may do while nobody sees it."""
 
-UNKNOWN = 1e6 * np.eye(12)
+UNKNOWN_ROOT = 1e3 * np.eye(12)
+UNKNOWN = UNKNOWN_ROOT @ UNKNOWN_ROOT.T
 """Stands for a covariance that is not known (m^2, rad^2, m^2/s^2, rad^2/s^2)."""
 
 RETRY_NS = 100_000_000
 """Time (ns) after which what is not known is tried again: that takes milliseconds."""
-
-UNIT_ROTATION = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 class Uncertainty:
@@ -85,11 +77,11 @@ class Uncertainty:
         """Take what is uncertain; the model is linearised at the first prediction."""
         self.known = True
         self._model = model
-        self._noise = np.repeat(
-            [values['tool_noise.position'] ** 2, values['tool_noise.rotation'] ** 2], 3)
-        self._units, self._std = _uncertain_entries(
+        self._noise = np.repeat([values['tool_noise.position'], values['tool_noise.rotation']], 3)
+        self._std = _entry_errors(
             model, matrix(values['cup.stiffness_std']), matrix(values['cup.damping_std']))
         self._sensitivity: Array | None = None
+        self._left, self._left_since_ns = np.eye(12), -1
         self._last_ns = self._measured_ns = self._tried_ns = -1
         self._period_ns = STEP_NS
 
@@ -98,39 +90,57 @@ class Uncertainty:
         Return how sure a prediction is (12, 12): pose, then twist, in body axes.
 
         Of displacement (m), rotation (rad), linear and angular twist (m/s, rad/s); `UNKNOWN` where
-        it cannot be told. Predictions are to be given in the order of their stamps.
+        it is not known. Predictions are to be given in the order of their stamps.
         """
+        root = self.root(prediction)
+        return np.asarray(root @ root.T)
+
+    def root(self, prediction: Prediction) -> Array:
+        """Return what gives the covariance when multiplied with its transpose (12, n)."""
         if not prediction.coasting:
             self._note_period(prediction.stamp_ns)
+        if prediction.covariance is not None:
+            self.known = True
+            return np.asarray(np.linalg.cholesky(prediction.covariance))
         if not self.known and abs(prediction.stamp_ns - self._tried_ns) < RETRY_NS:
-            return UNKNOWN
+            return UNKNOWN_ROOT
         try:
-            total = self._total(prediction)
-            self.known = bool(np.isfinite(total).all())
+            root = self._root(prediction)
+            self.known = bool(np.isfinite(root).all())
         except (BellowsError, ArithmeticError, ValueError):  # no rest, or none in finite numbers
             self.known = False
         if self.known:
-            return total
+            return root
         self._sensitivity, self._tried_ns = None, prediction.stamp_ns
-        return UNKNOWN
+        return UNKNOWN_ROOT
 
-    def _total(self, prediction: Prediction) -> Array:
-        """Return the covariance, whether its numbers are finite or not."""
-        S = self._sensitivity_at(prediction)
-        total: Array = S @ S.T + self._noise_part()
+    def _root(self, prediction: Prediction) -> Array:
+        """Return the root of all parts, whether its numbers are finite or not."""
+        parts = [self._sensitivity_at(prediction), self._noise_root()]
         if prediction.coasting:
-            total = total + _coasting_part((prediction.stamp_ns - self._measured_ns) * 1e-9)
-        own = _to_own_axes(prediction)
-        return np.asarray(own @ total @ own.T)
+            parts.append(_coasting_root((prediction.stamp_ns - self._measured_ns) * 1e-9))
+        if prediction.unsettled is not None:
+            parts.append(self._left_of(prediction.unsettled, prediction.stamp_ns))
+        return np.asarray(_to_own_axes(prediction) @ np.hstack(parts))
+
+    def _left_of(self, start: Unsettled, stamp_ns: int) -> Array:
+        """Return what is left (12, 12) of errors that a state had earlier, a column for each."""
+        if start.since_ns != self._left_since_ns:
+            seconds = max(0.0, (stamp_ns - start.since_ns) * 1e-9)
+            self._left, self._left_since_ns = expm(self._A * seconds), start.since_ns
+        return np.asarray(self._left * np.repeat(start[1:], 3))
 
     def _linearise(self, tool: State) -> None:
         """Take the small motions about the package's rest under a tool."""
         still = ZERO, tool[1], ZERO, ZERO
-        slopes = linearise(self._model, still, static_equilibrium(self._model, still))
-        self._A = np.block([[np.zeros((6, 6)), np.eye(6)], [slopes.body_pose, slopes.body_twist]])
-        self._tool_pose, self._tool_twist = slopes.tool_pose, slopes.tool_twist
+        jacobian = linearise(self._model, still, static_equilibrium(self._model, still))
+        self._A = np.block(
+            [[np.zeros((6, 6)), np.eye(6)], [jacobian.body_pose, jacobian.body_twist]]
+        )
+        self._tool_pose, self._tool_twist = jacobian.tool_pose, jacobian.tool_twist
         self._step_of = (0, np.eye(12), np.zeros((12, 12)))  # the one used last
         self._noise_of: dict[int, Array] = {}
+        self._left_since_ns = -1
 
     def _note_period(self, stamp_ns: int) -> None:
         """Remember the time between two poses, roughly: in powers of two of a microsecond."""
@@ -152,21 +162,17 @@ class Uncertainty:
         else:
             transition, gain = self._step(duration_ns)
             S = transition @ S + gain @ pushes
+            if prediction.unsettled is not None:
+                self._left = transition @ self._left
         self._sensitivity, self._last_ns = S, prediction.stamp_ns
         return S
 
     def _pushes(self, prediction: Prediction) -> Array:
         """Return the accelerations (12, n) due to one standard deviation of each parameter."""
-        lip = deflection(self._model, prediction)
-        o = (lip.shift[0], lip.shift[1], lip.shift[2] - self._model[0][1])
-        package = self._model[1]
-        pushes = np.zeros((12, len(self._units)))
-        for column, unit in enumerate(self._units):
-            f, m = cup_wrench(unit, o, lip.rotation, lip.linear, lip.angular)
-            f, m = wrench_at_com(package[1], f, m)
-            dv, dw = newton_euler(package, ZERO, UNIT_ROTATION, ZERO, ZERO, f, m)
-            pushes[6:, column] = (*dv, *dw)
-        return np.asarray(pushes * self._std)
+        pushes = np.zeros((12, len(self._std)))
+        parameter_jacobian(
+            self._model, prediction.tool, prediction.body, 0, len(self._std), pushes[6:], 0)
+        return (pushes * self._std)[:, self._std > 0.0]
 
     def _step(self, duration_ns: int) -> tuple[Array, Array]:
         """Return exp(A h) and its integral, for a duration rounded to 0.1 ms."""
@@ -178,18 +184,18 @@ class Uncertainty:
             self._step_of = key, exponential[:12, :12], exponential[:12, 12:]
         return self._step_of[1:]
 
-    def _noise_part(self) -> Array:
-        """Return the covariance due to white noise of the tool's pose at the samples' period."""
+    def _noise_root(self) -> Array:
+        """Return the root of what white noise of the tool's pose does at the samples' period."""
         if self._period_ns not in self._noise_of:
             self._noise_of[self._period_ns] = self._driven_by_noise(self._period_ns * 1e-9)
         return self._noise_of[self._period_ns]
 
     def _driven_by_noise(self, period: float) -> Array:
         """
-        Return the covariance after many samples e of noise, each held for a period.
+        Return the root after many samples e of noise, each held for a period.
 
         The tool's twist is the derivative of e. Integrated by parts, its slope B_v acts like the
-        slope A B_v of e, and B_v e remains.
+        slope A B_v of e, and B_v e remains. Of L and T L together a triangle (12, 12) is kept.
         """
         direct = np.vstack([np.zeros((6, 6)), self._tool_twist])
         drive = np.vstack([np.zeros((6, 6)), self._tool_pose]) + self._A @ direct
@@ -197,11 +203,11 @@ class Uncertainty:
         block[:12, :12], block[:12, 12:] = self._A, np.eye(12)
         exponential = expm(block * period)
         transition, gain = exponential[:12, :12], exponential[:12, 12:] @ drive
-        total: Array = gain * self._noise @ gain.T
+        root: Array = gain * self._noise
         for _ in range(DOUBLINGS):
-            total = total + transition @ total @ transition.T
+            root = _triangle(np.hstack([root, transition @ root]))
             transition = transition @ transition
-        return np.asarray(total + direct * self._noise @ direct.T)
+        return np.hstack([root, direct * self._noise])
 
 
 def warm_up_uncertainty() -> None:
@@ -211,20 +217,14 @@ def warm_up_uncertainty() -> None:
     values = {
         'cup.stiffness_std': (1.0,) * 36, 'cup.damping_std': (1.0,) * 36,
         'tool_noise.position': 1.0, 'tool_noise.rotation': 1.0,
-    }  # fmt: skip
+    }
     Uncertainty(model, values).covariance(Prediction(1, *ORIGIN, ZERO, ZERO))
 
 
-def _uncertain_entries(
-    model: ModelTuple, stiffness_std: Array, damping_std: Array
-) -> tuple[list[CupTuple], Array]:
-    """Return a unit cup and a standard deviation for each uncertain entry of K and P."""
-    pairs = [(i, j) for i in range(6) for j in range(i, 6)]
-    units = unit_cups(model[0][1], [_unit(i, j) for i, j in pairs])
-    told = _at_most_whole(stiffness_std, model[0][2]), _at_most_whole(damping_std, model[0][3])
-    std = [part[i, j] for part in told for i, j in pairs]
-    kept = [k for k, value in enumerate(std) if value > 0.0]
-    return [units[k] for k in kept], np.array([std[k] for k in kept])
+def _entry_errors(model: ModelTuple, stiffness_std: Array, damping_std: Array) -> Array:
+    """Return the standard deviations (42,) of the upper triangles of K and of P."""
+    known = _at_most_whole(stiffness_std, model[0][2]), _at_most_whole(damping_std, model[0][3])
+    return np.concatenate([part[np.triu_indices(6)] for part in known])
 
 
 def _at_most_whole(std: Array, blocks: Blocks) -> Array:
@@ -238,13 +238,6 @@ def _at_most_whole(std: Array, blocks: Blocks) -> Array:
     return np.minimum(std, np.outer(root, root))
 
 
-def _unit(i: int, j: int) -> Array:
-    """Return the symmetric matrix (6, 6) with ones in an entry and its mirror image."""
-    unit = np.zeros((6, 6))
-    unit[i, j] = unit[j, i] = 1.0
-    return unit
-
-
 def _to_own_axes(prediction: Prediction) -> Array:
     """Return the matrix that lets a twist's error follow the error phi of its axes: v x phi."""
     turn = np.eye(12)
@@ -252,16 +245,21 @@ def _to_own_axes(prediction: Prediction) -> Array:
     return turn
 
 
-def _coasting_part(seconds: float) -> Array:
-    """Return the covariance due to what the tool may have done since it was last seen."""
+def _coasting_root(seconds: float) -> Array:
+    """Return the root of what the tool may have done since it was last seen."""
     acceleration = np.repeat([COASTING_ACCELERATION, COASTING_ANGULAR_ACCELERATION], 3)
     pose, twist = 0.5 * acceleration * seconds ** 2, acceleration * seconds
-    return np.diag(np.concatenate([pose, twist]) ** 2)
+    return np.diag(np.concatenate([pose, twist]))
 
 
-def in_world_axes(covariance: Array, quaternion_xyzw: tuple[float, float, float, float]) -> Array:
-    """Return a pose covariance (6, 6) about fixed world axes (REP-103) from one in body axes."""
+def _triangle(root: Array) -> Array:
+    """Return the root (12, 12) of the same covariance as a wider one."""
+    _, R = np.linalg.qr(root.T)
+    return np.asarray(R.T)
+
+
+def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float]) -> Array:
+    """Return the covariance (6, 6) about fixed world axes (REP-103) of a root in body axes."""
     R = np.reshape(rotation_matrix(quaternion_xyzw), (3, 3))
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = R
-    return np.asarray(turn @ covariance @ turn.T)
+    turned = np.concatenate([R @ root[:3], R @ root[3:]])
+    return np.asarray(turned @ turned.T)

@@ -10,9 +10,11 @@ same transformations, with the identity in them.
 
 from dataclasses import dataclass
 
-from bellows_ros.core.lie import apply, Array, exp_so3, log_so3
+from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.gravity import DOWN, levelling
+from bellows_ros.core.lie import apply, exp_so3, log_so3
 from bellows_ros.core.recording.grid import DEVIATION_PER_MAD
-from bellows_ros.core.trajectory import frozen, Mask, NS_PER_S, Trajectory
+from bellows_ros.core.trajectory import frozen, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -106,7 +108,7 @@ class Alignment:
 
 
 @dataclass(frozen=True, eq=False)
-class Standstill:
+class BodyStandstill:
     """
     Where a body is while it stands still.
 
@@ -130,20 +132,16 @@ class Standstill:
     spread: dict[str, float]
 
 
-def in_world(poses: Trajectory, world: str) -> Trajectory:
+def world_rotation(world: str, gravity_direction: ArrayLike = DOWN) -> Array:
     """
-    Return recorded poses in the world A, z up (4.1).
+    Return the rotation (3, 3) from axes of a recording to those of a world A whose z is up.
 
     Parameters
     ----------
-    poses : Trajectory
-        Of any body, as recorded.
     world : str
-        'z_up': the recording's frame is the world; 'motive_y_up': Motive's axes, y up.
-
-    Returns
-    -------
-    Trajectory
+        'z_up': the recording's frame is the world; 'motive_y_up': Motive's axes, y up (4.1).
+    gravity_direction : array_like (3,)
+        Where things fall in that world, if not along -z.
 
     Raises
     ------
@@ -152,10 +150,16 @@ def in_world(poses: Trajectory, world: str) -> Trajectory:
 
     """
     require_choice('recording.world', world, WORLDS)
-    if world == 'z_up':
+    level = levelling(gravity_direction)
+    return level if world == 'z_up' else level @ R_WORLD_MOTIVE
+
+
+def in_world(poses: Trajectory, R_world_recorded: Array) -> Trajectory:
+    """Return recorded poses of any body in the world, by its `world_rotation`."""
+    if np.array_equal(R_world_recorded, np.eye(3)):
         return poses
-    position = apply(R_WORLD_MOTIVE, poses.position)
-    return _with_poses(poses, position, R_WORLD_MOTIVE @ poses.rotation)
+    position = apply(R_world_recorded, poses.position)
+    return _with_poses(poses, position, R_world_recorded @ poses.rotation)
 
 
 def as_recorded(package_frame: str, com: ArrayLike) -> Alignment:
@@ -178,14 +182,14 @@ def as_recorded(package_frame: str, com: ArrayLike) -> Alignment:
 
 
 def aligned_at_rest(
-    tool: Standstill, package: Standstill, package_frame: str, com: ArrayLike
+    tool: BodyStandstill, package: BodyStandstill, package_frame: str, com: ArrayLike
 ) -> Alignment:
     """
     Return the alignment that makes a standstill the nominal one (4.2-4.13).
 
     Parameters
     ----------
-    tool, package : Standstill
+    tool, package : BodyStandstill
         Of the recorded frames in the world, z up, at the same time.
     package_frame : str
         What the package's poses are poses of: 'com' or 'lip'. Only the origin counts.
@@ -225,7 +229,7 @@ def aligned_at_rest(
 
 def standstill(
     poses: Trajectory, start_ns: int, duration_s: float, noise: dict[str, float], body: str
-) -> Standstill:
+) -> BodyStandstill:
     """
     Return where a body stands still, having checked that it does.
 
@@ -244,7 +248,7 @@ def standstill(
 
     Returns
     -------
-    Standstill
+    BodyStandstill
 
     Raises
     ------
@@ -265,7 +269,7 @@ def standstill(
     position, rotation = _robust_mean(rest)
     spread = _spread(rest, position, rotation)
     _require_rest(rest, spread, noise, duration_s, body)
-    return Standstill(
+    return BodyStandstill(
         position, rotation, len(rest), {q: float(np.max(part)) for q, part in spread.items()}
     )
 

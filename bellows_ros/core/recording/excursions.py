@@ -9,7 +9,8 @@ or, near an end of the recording, the one end of an excursion that can be seen.
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from bellows_ros.core.lie import Array, log_so3
+from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.lie import log_so3
 from bellows_ros.core.recording.jumps import (
     any_within,
     Indices,
@@ -19,7 +20,7 @@ from bellows_ros.core.recording.jumps import (
     strength_of,
     WEAKER,
 )
-from bellows_ros.core.trajectory import Mask, NS_PER_S, Trajectory
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
 # Two jumps cancel when their sum is below this part of the larger one, ...
@@ -30,6 +31,12 @@ LATE = 210
 # Noise adds this part of the threshold, and sums of what does not stand out are below that part.
 NOISE_WITHIN = 0.35
 NOTHING_WITHIN = 0.85
+# A jump lasts if lines through so many samples on each side see this part of it. Those of an
+# excursion of more samples than that must last, the smaller being this part of the larger one;
+# what nothing cancels is a step only if it lasts. Bursts of noise, as real tracks have, do not.
+LINE_SIDE = 5
+LASTS_FROM = 0.5
+ALIKE_FROM = 0.5
 # How many of the jumps around one are tried for cancelling it.
 TRIED = 50
 # Without a cancelling jump, what lies between a jump and an end of the recording is marked up to
@@ -98,6 +105,7 @@ class Edge:
     # In world and in body axes (the body before, the body after the jump), position and rotation.
     forms: tuple[Array, Array]  # each (variants, 3)
     thresholds: tuple[float, float]  # of position and rotation
+    lasting: tuple[Array, Array] | None = None  # as lines on each side see it, where they can
 
 
 def edges_seen(
@@ -108,12 +116,45 @@ def edges_seen(
     both = np.maximum(from_short, from_long)
     peak = (both >= WEAKER) & ~overshadowed(both, short, long)
     edges = []
-    for i in np.flatnonzero(certain | peak):
+    at = np.flatnonzero(certain | peak)
+    lasting = _lasting(poses, at)
+    for k, i in enumerate(at):
         position, rotation = short if certain[i] or from_short[i] > from_long[i] else long
         thresholds = (float(position.threshold[i]), float(rotation.threshold[i]))
         forms = _forms(poses, int(i), position.jump[i], rotation.jump[i])
-        edges.append(Edge(int(i), int(i) + 1, float(both[i]), forms, thresholds))
+        seen = None if np.isnan(lasting[k]).any() else (lasting[k, 0], lasting[k, 1])
+        edges.append(Edge(int(i), int(i) + 1, float(both[i]), forms, thresholds, seen))
     return edges
+
+
+def _lasting(poses: Trajectory, at: Indices) -> Array:
+    """
+    Return the jumps after samples (K,) that lines through some samples on each side see (K, 2, 3).
+
+    A sample or two that are off, as in a burst of noise, hardly move a line. NaN near the ends.
+    """
+    m = LINE_SIDE
+    result = np.full((len(at), 2, 3), np.nan)
+    inside = (at >= m - 1) & (at < len(poses) - m)
+    i = at[inside]
+    around = i[:, None] + np.arange(1 - m, m + 1)
+    middle = 0.5 * (poses.stamps_ns[i + 1] - poses.stamps_ns[i]) / NS_PER_S
+    t = (poses.stamps_ns[around] - poses.stamps_ns[i, None]) / NS_PER_S - middle[:, None]
+    back = np.swapaxes(poses.rotation[i], -1, -2)[:, None]
+    for q, path in enumerate((
+        poses.position[around] - poses.position[i, None], log_so3(back @ poses.rotation[around]),
+    )):
+        before, after = (_at_zero(t[:, s], path[:, s]) for s in (slice(m), slice(m, None)))
+        result[inside, q] = after - before
+    return result
+
+
+def _at_zero(t: Array, y: Array) -> Array:
+    """Return lines through values y (K, m, 3) at times t (K, m), at time zero (K, 3)."""
+    centre = t.mean(axis=1, keepdims=True)
+    slope = np.einsum('km,kmi->ki', t - centre, y) / np.sum((t - centre) ** 2, axis=1)[:, None]
+    result: Array = y.mean(axis=1) - centre * slope
+    return result
 
 
 def _forms(poses: Trajectory, i: int, position: Array, rotation: Array) -> tuple[Array, Array]:
@@ -138,12 +179,14 @@ def edges_over_gaps(
     thresholds_over: dict[int, tuple[float, float]] = {}
     for i in np.flatnonzero(gap[1:-1]) + 1:
         slots = max(int(round(float(poses.stamps_ns[i + 1] - poses.stamps_ns[i]) / period)), 1)
+        # A velocity with a jump in it is none, nor is one over a gap; the other side must do.
+        beside = [k for k in (i - 1, i + 1) if not breaks[k]]
+        if not beside:
+            continue
         if slots not in thresholds_over:
             thresholds_over[slots] = _thresholds_over(poses, increments, breaks, slots)
-        # A velocity with a jump in it is none; that of the other side must do.
-        beside = [k for k in (i - 1, i + 1) if not breaks[k]] or [i - 1, i + 1]
         around = np.array([[beside[0], beside[-1]]])
-        jump = _jump_over(poses, increments, np.array([i]), np.array([i + 1]), around, slots)
+        jump = _jump_over(poses, increments, np.array([i]), np.array([i + 1]), around)
         size = [float(np.linalg.norm(part)) for part in jump]
         thresholds = tuple(map(max, thresholds_over[slots], SMALLEST_JUMP.values()))
         strength = max(a / b for a, b in zip(size, thresholds, strict=True))
@@ -153,18 +196,19 @@ def edges_over_gaps(
 
 
 def _jump_over(
-    poses: Trajectory, increments: dict[str, Array], i: Indices, j: Indices, around: Indices,
-    slots: int,
+    poses: Trajectory, increments: dict[str, Array], i: Indices, j: Indices, around: Indices
 ) -> tuple[Array, Array]:
     """
-    Return the jumps between samples i and j (K,), in the middle of the periods between them.
+    Return the jumps between samples i and j (K,), in the middle of the time between them.
 
     `around` (K, 2) are the intervals that tell the velocity before and after.
     """
     turn = log_so3(np.swapaxes(poses.rotation[i], -1, -2) @ poses.rotation[j])
     moved = {'position': poses.position[j] - poses.position[i], 'rotation': turn}
+    stamps = poses.stamps_ns
+    periods = ((stamps[j] - stamps[i])[:, None] / (stamps[around + 1] - stamps[around]))[..., None]
     position, rotation = (
-        moved[q] - slots * np.mean(increments[q][around], axis=1) for q in increments
+        moved[q] - np.mean(periods * increments[q][around], axis=1) for q in increments
     )
     return position, rotation
 
@@ -176,11 +220,11 @@ def _thresholds_over(
     if len(breaks) < slots + 2:
         return np.inf, np.inf
     free = np.flatnonzero(~any_within(breaks, slots + 2)) + 1
-    if len(free) < FEWEST_GAPS_TRIED:
+    if len(free) < FEWEST_GAPS_TRIED * slots:  # parts that overlap tell little more than one
         return np.inf, np.inf
     tried = free[:: len(free) // GAPS_TRIED + 1]
     around = tried[:, None] + np.array([-1, slots])
-    position, rotation = _jump_over(poses, increments, tried, tried + slots, around, slots)
+    position, rotation = _jump_over(poses, increments, tried, tried + slots, around)
     return (
         GAP_STANDS_OUT * float(np.max(np.linalg.norm(position, axis=1))),
         GAP_STANDS_OUT * float(np.max(np.linalg.norm(rotation, axis=1))),
@@ -196,7 +240,9 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Excursion], list[
     for k, edge in enumerate(edges):
         if edge.strength < 1.0 or k in used:
             continue
-        ends = [*_ends_ahead(edges, k, used), *_ends_behind(edges, k, used)]
+        found = (*_ends_ahead(edges, k, used), *_ends_behind(edges, k, used))
+        ends = [(a, b) for a, b in found if edges[b].before - edges[a].before <= LINE_SIDE
+                or _last_alike(edges[a], edges[b])]
         if not ends:
             single.append(edge)
             continue
@@ -205,13 +251,36 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Excursion], list[
         excursions.append(_run(poses, edges[first].after, edges[last].before, edge))
     steps = []
     for edge in single:
-        run = _to_the_end(edge, poses)
+        run = _to_the_end(edge, poses) if _lasts(edge) else _run(
+            poses, edge.before, edge.after, edge)
         if run is None:
             size = _size(edge)
             steps.append(Step(edge.before, int(poses.stamps_ns[edge.before]), *size))
         else:
             excursions.append(run)
     return sorted(excursions, key=lambda run: run.first), steps
+
+
+def _lasts(edge: Edge) -> bool:
+    """Return whether more than the samples beside a jump show it, or nothing can tell."""
+    if edge.lasting is None:
+        return True
+    sizes = (float(np.linalg.norm(form[0])) for form in edge.forms)
+    return any(
+        size >= WEAKER * threshold
+        and float(np.linalg.norm(lasting)) >= LASTS_FROM * size
+        for size, threshold, lasting in zip(sizes, edge.thresholds, edge.lasting, strict=True))
+
+
+def _last_alike(one: Edge, other: Edge) -> bool:
+    """Return whether two jumps last, and are of one size, as lines see them, or nothing tells."""
+    if one.lasting is None or other.lasting is None:
+        return _lasts(one) and _lasts(other)
+    stronger = one if one.strength >= other.strength else other
+    q = int(np.argmax([np.linalg.norm(form[0]) / threshold for form, threshold in zip(
+        stronger.forms, stronger.thresholds, strict=True)]))
+    sizes = sorted(float(np.linalg.norm(seen[q])) for seen in (one.lasting, other.lasting))
+    return _lasts(stronger) and sizes[0] >= ALIKE_FROM * sizes[1]
 
 
 def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int, int]]:
@@ -250,7 +319,7 @@ def _sum(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array
 
 
 def _cancels(edge: Edge, summed: tuple[Array, Array], within: float = CANCELS_WITHIN) -> bool:
-    """Tell whether a jump and others, summed with it, cancel, in the form that suits best."""
+    """Return whether a jump and others, summed with it, cancel, in the form that suits best."""
     for q in range(2):
         size, threshold = float(np.linalg.norm(edge.forms[q][0])), edge.thresholds[q]
         left = float(np.min(np.linalg.norm(summed[q], axis=1)))

@@ -8,8 +8,9 @@ so that arrays stay finite, and is invalid.
 
 from dataclasses import dataclass
 
+from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.resampling import resample
-from bellows_ros.core.trajectory import NS_PER_S, Stamps, Trajectory, UNIFORM_WITHIN
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory, UNIFORM_WITHIN
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -20,6 +21,10 @@ GAP_DEVIATIONS = 3.0
 # Steps within this part of the period count as uniform; `savgol` allows twice as much, measured
 # from the mean step instead of the period estimated here.
 COPIED_WITHIN = 0.5 * UNIFORM_WITHIN
+# Stamps come in bursts where the mean of so many steps is mostly not within these factors
+# of the usual step: half the samples may be lost, but none is there twice.
+STEPS_TOGETHER = 20
+MEAN_WITHIN = (0.8, 2.5)
 # A grid may have this many samples, or this many per message: a stamp far away is no recording.
 LARGEST_GRID = 1_000_000
 LARGEST_GRID_PER_MESSAGE = 10
@@ -157,11 +162,21 @@ def _period(steps: Stamps) -> float:
     Return the time between samples where none is missing, ns.
 
     The median step knows the period to the stamps' resolution; the mean of the steps near it,
-    which average that out, knows it better.
+    which average that out, knows it better. Of stamps in pairs or bursts only the mean over many
+    steps is the period.
     """
-    median = float(np.median(steps))
-    near = np.abs(steps - median) < 0.5 * median
-    return float(np.mean(steps[near]))
+    together = min(STEPS_TOGETHER, max(len(steps) // 4, 1))
+    usual = _usual(steps)
+    mean = _usual(np.convolve(steps, np.ones(together), 'valid')) / together
+    few, many = MEAN_WITHIN
+    return usual if few * usual <= mean <= many * usual else mean
+
+
+def _usual(values: Array | Stamps) -> float:
+    """Return the mean of the values near their median, or the median where there are none."""
+    median = float(np.median(values))
+    near = values[np.abs(values - median) < 0.5 * median]
+    return float(np.mean(near)) if len(near) else median
 
 
 def _longest_step(period: float, jitter: float) -> float:

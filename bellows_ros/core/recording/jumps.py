@@ -12,14 +12,14 @@ alike.
 from dataclasses import dataclass
 from math import sqrt
 
-from bellows_ros.core.lie import Array, log_so3
-from bellows_ros.core.trajectory import Mask, NS_PER_S, Stamps, Trajectory
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.lie import log_so3
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-Indices = NDArray[np.int64]
+Indices = Stamps
 
 # Samples on each side of the second, longer look, and how even their times must be.
 LONG_SIDE = 5

@@ -8,7 +8,7 @@ jump that nothing cancels is a step. Exact repeats of a pose are marked where th
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from bellows_ros.core.lie import Array
+from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.recording.excursions import (
     edges_over_gaps,
     edges_seen,
@@ -27,7 +27,7 @@ from bellows_ros.core.recording.jumps import (
     strength_of,
     uneven,
 )
-from bellows_ros.core.trajectory import Mask, PoseStream, Stamps, Trajectory
+from bellows_ros.core.trajectory import PoseStream, Trajectory
 import numpy as np
 
 # Fewer samples than this between gaps and marked samples cannot be judged, and are marked.
@@ -37,6 +37,9 @@ CATCHES_UP = 1.5
 # ... and has so many moves among so many intervals on each side.
 NEARBY = 5
 MOVES_NEARBY = 3
+# A pose that is published twice is followed by a step larger than the smallest ones, which are
+# rounding, by this factor, and than this (m or rad).
+BEYOND_ROUNDING, LEAST_STEP = 4.0, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +112,8 @@ def repeats_in_motion(poses: PoseStream | Trajectory) -> int:
     """
     Count the poses that repeat the one before while others near them, on both sides, do not.
 
+    A slow motion recorded without noise repeats its poses too, by rounding; these do not count.
+
     Parameters
     ----------
     poses : PoseStream or Trajectory
@@ -124,7 +129,15 @@ def repeats_in_motion(poses: PoseStream | Trajectory) -> int:
     at = np.flatnonzero(repeats)
     before = moved[at] > moved[np.maximum(at - NEARBY, 0)]
     after = moved[np.minimum(at + 1 + NEARBY, len(repeats))] > moved[at + 1]
-    return int(np.count_nonzero(before & after))
+    moves = np.append(np.flatnonzero(~repeats), -1)
+    next_move = moves[moved[at + 1].astype(int)]
+    seen = np.zeros(len(at), dtype=bool)
+    whole = poses if isinstance(poses, Trajectory) else poses.trajectory()
+    for increment in increments_of(whole).values():
+        length = np.linalg.norm(increment, axis=1)
+        smallest = length[length > 0.0].min(initial=np.inf)
+        seen |= length[next_move] > max(BEYOND_ROUNDING * smallest, LEAST_STEP)
+    return int(np.count_nonzero(before & after & seen))
 
 
 def _repeats(poses: PoseStream | Trajectory) -> Mask:

@@ -6,32 +6,36 @@ a uniform rate, is aligned at rest (4.2-4.13) and filtered (4.15-4.63); then the
 package's stamps. Nothing is repaired in silence: all that is left out is in the report.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any
 
-from bellows_ros.core.lie import apply, Array, log_so3
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.lie import apply, log_so3
 from bellows_ros.core.recording.alignment import (
     aligned_at_rest,
     Alignment,
     as_recorded,
+    BodyStandstill,
     in_world,
-    R_WORLD_MOTIVE,
-    Standstill,
     standstill,
 )
 from bellows_ros.core.recording.excursions import Step
 from bellows_ros.core.recording.grid import on_grid, Timing, timing
 from bellows_ros.core.recording.outliers import find_outliers, Outliers, repeats_in_motion
+from bellows_ros.core.recording.recording import (
+    PrepareSettings,
+    Recording,
+    Report,
+    StreamReport,
+    TimeOffset,
+)
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.savgol import savgol
 from bellows_ros.core.trajectory import (
     Filtered,
     frozen,
-    Mask,
     NS_PER_S,
     PoseStream,
-    Stamps,
     Trajectory,
     TwistStream,
     uniform_rate_hz,
@@ -52,171 +56,6 @@ JITTER_WARNED = 0.1
 STEP_JITTERS = 10.0
 
 
-@dataclass(frozen=True)
-class PrepareSettings:
-    """
-    How recorded streams become a recording; the names of the parameters they stand for.
-
-    Parameters
-    ----------
-    world : str
-        recording.world: 'z_up' or 'motive_y_up' (4.1).
-    package_frame : str
-        recording.package_frame: 'com' or 'lip'.
-    align_at_rest : bool
-        recording.align_at_rest: whether (4.2-4.13) are applied.
-    rest_duration : float
-        recording.rest_duration, s.
-    com : tuple of 3 floats
-        package.com: B in S, m.
-    tool_half_window, tool_order, package_half_window, package_order : int
-        filter.tool.half_window and so on; a half window of 0 is chosen from the rate.
-    tool_twist_frame : str
-        tool_twist.frame: axes of a recorded tool twist, 'world' or 'tool'; its linear part is the
-        velocity of the tool tip.
-
-    """
-
-    world: str = 'z_up'
-    package_frame: str = 'com'
-    align_at_rest: bool = False
-    rest_duration: float = 1.0
-    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    tool_half_window: int = 0
-    tool_order: int = 6
-    package_half_window: int = 0
-    package_order: int = 6
-    tool_twist_frame: str = 'world'
-
-
-@dataclass(frozen=True, eq=False)
-class StreamReport:
-    """
-    What became of the poses of one topic.
-
-    Parameters
-    ----------
-    name : str
-        Topic.
-    samples : int
-        Poses the stream has.
-    refused : mapping of str to tuple of int
-        Reason to the indices of the messages that were left out when reading.
-    timing : Timing
-        Rate, jitter, and gaps by sample.
-    outliers : Outliers
-        Excursions, frozen poses and steps, by sample, and the noise.
-    filled : int
-        Samples missing in gaps, put in as invalid.
-    touched : int
-        Filtered samples left out because their windows touch invalid ones.
-    standstill : Standstill or None
-        What alignment found, in the world, of the recorded frame.
-
-    """
-
-    name: str
-    samples: int
-    refused: Mapping[str, tuple[int, ...]]
-    timing: Timing
-    outliers: Outliers
-    filled: int
-    touched: int
-    standstill: Standstill | None
-
-    @property
-    def marked(self) -> int:
-        """Poses marked as wrong."""
-        return int(np.count_nonzero(~self.outliers.good))
-
-
-class TimeOffset(NamedTuple):
-    """Time by which the stamps of the tool are behind those of the package, and its error, s."""
-
-    value: float
-    std: float
-
-
-@dataclass(frozen=True, eq=False)
-class Report:
-    """
-    What became of a recording.
-
-    Parameters
-    ----------
-    tool, package : StreamReport
-        Of the two topics.
-    samples, valid : int
-        Common samples, and those of them to be used.
-    warnings : tuple of str
-        What the user should know, in words.
-    time_offset : TimeOffset or None
-        What was taken from the tool's stamps, where that was wanted and could be found.
-
-    """
-
-    tool: StreamReport
-    package: StreamReport
-    samples: int
-    valid: int
-    warnings: tuple[str, ...]
-    time_offset: TimeOffset | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """
-    Motion of tool and package at common stamps, at the package's rate.
-
-    Parameters
-    ----------
-    start_ns : int
-        First stamp of what was recorded, ns; the filters begin half a window later.
-    tool : Trajectory
-        Tool tip E in the world, filtered, with body twists of the filter.
-    package : Trajectory
-        Centre of mass B in the world, filtered, with body twists and their derivatives.
-    measured_tool, measured_package : Trajectory
-        E and B aligned but not filtered. The tool has the recorded body twists where there are
-        any; where poses or twists are missing or wrong, samples are not valid.
-    aligned_tool, aligned_package : Trajectory
-        E and B aligned but not filtered, each at its own uniform rate, from start to end.
-    tool_weights, package_weights : array (3, 2n+1)
-        Weights of the filters (see `Filtered`).
-    alignment : Alignment
-        From the recorded frames to E and B.
-    report : Report
-        What was left out, and why.
-
-    """
-
-    start_ns: int
-    tool: Trajectory
-    package: Trajectory
-    measured_tool: Trajectory
-    measured_package: Trajectory
-    aligned_tool: Trajectory
-    aligned_package: Trajectory
-    tool_weights: Array
-    package_weights: Array
-    alignment: Alignment
-    report: Report
-
-    @property
-    def valid(self) -> Mask:
-        """Where both filtered poses are to be used (N,)."""
-        return self.tool.valid & self.package.valid
-
-    @property
-    def measured(self) -> Mask:
-        """Where both unfiltered poses are to be used (N,)."""
-        return self.measured_tool.valid & self.measured_package.valid
-
-    def since_start(self, stamps_ns: Stamps) -> Array:
-        """Return times from the first recorded stamp, s (N,)."""
-        return (stamps_ns - self.start_ns) / NS_PER_S
-
-
 @dataclass(frozen=True, eq=False)
 class _Stream:
     """One topic's poses in the world at a uniform rate, and what was found on the way."""
@@ -225,6 +64,65 @@ class _Stream:
     timing: Timing
     outliers: Outliers
     poses: Trajectory
+    missing: int  # samples put in where the stream has a gap
+
+
+@dataclass(frozen=True, eq=False)
+class FilteredStreams:
+    """Streams that were cleaned, aligned and filtered, each at its own stamps."""
+
+    recorded: tuple[PoseStream, PoseStream, TwistStream | None]
+    settings: PrepareSettings
+    streams: tuple[_Stream, _Stream]
+    alignment: Alignment
+    stills: tuple[BodyStandstill | None, BodyStandstill | None]
+    aligned: tuple[Trajectory, Trajectory]
+    filtered: tuple[Filtered, Filtered]
+
+    def earlier(self, offset: TimeOffset) -> 'FilteredStreams':
+        """Return them with the stamps of the tool earlier by an offset."""
+        (tool, package, twist), shift = self.recorded, round(offset.value * NS_PER_S)
+
+        def moved(stamped: Any) -> Any:
+            """Return the same at earlier stamps."""
+            return stamped and replace(stamped, stamps_ns=stamped.stamps_ns - shift)
+
+        return replace(
+            self, recorded=(moved(tool), package, moved(twist)),
+            aligned=(moved(self.aligned[0]), self.aligned[1]),
+            filtered=(moved(self.filtered[0]), self.filtered[1]))
+
+    def joined(self) -> Recording:
+        """
+        Return the recording, the tool brought to the stamps of the package.
+
+        Raises
+        ------
+        BellowsError
+            If the streams do not overlap by the windows of the filters, or nothing valid is left.
+
+        """
+        tool, package, tool_twist = self.recorded
+        common = _common(self.filtered, self.recorded)
+        longest_ns = self.streams[0].timing.longest_step_ns
+        tool_there = resample(self.filtered[0], common, longest_ns)
+        package_there = _at(self.filtered[1], common)
+        reports = [
+            _stream_report(*parts)
+            for parts in zip(self.streams, self.filtered, self.stills, strict=True)]
+        measured_tool = resample(self.aligned[0], common, longest_ns)
+        if tool_twist is not None:
+            measured_tool = _with_twist(
+                measured_tool, tool_twist, self.alignment, self.settings)
+        valid = tool_there.valid & package_there.valid
+        _require_some(valid, reports)
+        warnings = tuple(_warnings(self.streams, self.alignment, self.settings))
+        return Recording(
+            self.settings, tool, package, tool_twist, tool_there, package_there, measured_tool,
+            _at(self.aligned[1], common), self.aligned[0], self.aligned[1],
+            self.filtered[0].weights, self.filtered[1].weights, self.alignment,
+            Report(reports[0], reports[1], len(common), int(np.count_nonzero(valid)), warnings),
+        )
 
 
 def prepare(
@@ -234,8 +132,19 @@ def prepare(
     tool_twist: TwistStream | None = None,
     alignment: Alignment | None = None,
 ) -> Recording:
+    """Prepare recorded streams: `filter_streams`, then `FilteredStreams.joined`."""
+    return filter_streams(tool, package, settings, tool_twist, alignment).joined()
+
+
+def filter_streams(
+    tool: PoseStream,
+    package: PoseStream,
+    settings: PrepareSettings,
+    tool_twist: TwistStream | None = None,
+    alignment: Alignment | None = None,
+) -> FilteredStreams:
     """
-    Prepare recorded streams.
+    Clean, align and filter recorded streams.
 
     Parameters
     ----------
@@ -251,80 +160,64 @@ def prepare(
         Of another recording of the same markers and the same grasp, used instead of a standstill
         of this one.
 
-    Returns
-    -------
-    Recording
-
     Raises
     ------
     BellowsError
-        If the streams do not overlap, are too short for the filters, do not begin at rest where
-        they should, or nothing valid is left.
+        If the streams do not overlap, are too short for the filters, or do not begin at rest
+        where they should.
 
     """
     _require_overlap(tool, package)
-    streams = _clean(tool, settings.world), _clean(package, settings.world)
+    turn = settings.R_world_recorded
+    streams = _clean(tool, turn), _clean(package, turn)
     alignment, stills = _aligned(streams, settings, alignment)
-    raw = alignment.tool(streams[0].poses), alignment.package(streams[1].poses)
+    aligned = alignment.tool(streams[0].poses), alignment.package(streams[1].poses)
     filtered = (
-        _filtered(raw[0], settings.tool_half_window, settings.tool_order, tool.name),
-        _filtered(raw[1], settings.package_half_window, settings.package_order, package.name),
+        _filtered(aligned[0], settings.tool_half_window, settings.tool_order, tool.name),
+        _filtered(aligned[1], settings.package_half_window, settings.package_order, package.name),
     )
-    common = _common(filtered, streams)
-    longest_ns = streams[0].timing.longest_step_ns
-    tool_there, package_there = resample(filtered[0], common, longest_ns), _at(filtered[1], common)
-    reports = [_stream_report(*parts) for parts in zip(streams, filtered, stills, strict=True)]
-    weights = filtered[0].weights, filtered[1].weights
-    del filtered  # as large as the recording itself: a tenth of the peak of memory
-    measured_tool = resample(raw[0], common, longest_ns)
-    if tool_twist is not None:
-        measured_tool = _with_twist(measured_tool, tool_twist, alignment, settings)
-    valid = tool_there.valid & package_there.valid
-    _require_some(valid, reports)
-    warnings = tuple(_warnings(streams, alignment, settings))
-    recorded = [stream for stream in (tool, package, tool_twist) if stream is not None]
-    return Recording(
-        min(int(stream.stamps_ns[0]) for stream in recorded),
-        tool_there,
-        package_there,
-        measured_tool,
-        _at(raw[1], common),
-        *raw,
-        *weights,
-        alignment,
-        Report(reports[0], reports[1], len(common), int(np.count_nonzero(valid)), warnings),
-    )
+    return FilteredStreams(
+        (tool, package, tool_twist), settings, streams, alignment, stills, aligned, filtered)
 
 
 def _aligned(
     streams: tuple[_Stream, _Stream], settings: PrepareSettings, given: Alignment | None
-) -> tuple[Alignment, tuple[Standstill | None, Standstill | None]]:
+) -> tuple[Alignment, tuple[BodyStandstill | None, BodyStandstill | None]]:
     """Return the alignment that was given or asked for, and the standstills it was found from."""
     if given is not None:
         return given, (None, None)
     if not settings.align_at_rest:
-        return as_recorded(settings.package_frame, settings.com), (None, None)
+        return as_recorded(settings.package_frame, settings.payload.com), (None, None)
     rest = _standstills(*streams, settings.rest_duration)
-    return aligned_at_rest(*rest, settings.package_frame, settings.com), rest
+    return aligned_at_rest(*rest, settings.package_frame, settings.payload.com), rest
 
 
-def _clean(recorded: PoseStream, world: str) -> _Stream:
+def _clean(recorded: PoseStream, R_world_recorded: Array) -> _Stream:
     """Return a topic's poses in the world at a uniform rate, with what is wrong in them marked."""
     if len(recorded) < 3:
         raise BellowsError(
             f"Topic '{recorded.name}' has {len(recorded)} usable poses, which is too few. "
             'Record for longer, or choose another topic.'
         )
-    poses = in_world(recorded.trajectory(), world)
+    poses = in_world(recorded.trajectory(), R_world_recorded)
     found_timing = timing(poses.stamps_ns)
     outliers = find_outliers(poses, found_timing.longest_step_ns)
     marked = Trajectory(poses.stamps_ns, poses.position, poses.rotation, valid=outliers.good)
-    return _Stream(recorded, found_timing, outliers, on_grid(marked, found_timing))
+    used = _between_good_ones(outliers.good)
+    filled = on_grid(marked.select(used), found_timing)
+    missing = len(filled) - (used.stop - used.start) if found_timing.uniform else 0
+    return _Stream(recorded, found_timing, outliers, filled, missing)
+
+
+def _between_good_ones(good: Mask) -> slice:
+    """Return the samples from the first to the last good one: a stray pose may be hours away."""
+    at = np.flatnonzero(good)
+    return slice(int(at[0]), int(at[-1]) + 1) if len(at) > 2 else slice(0, len(good))
 
 
 def _standstills(
     tool: _Stream, package: _Stream, duration_s: float
-) -> tuple[Standstill, Standstill]:
+) -> tuple[BodyStandstill, BodyStandstill]:
     """Return the standstills of both bodies, from where both streams have begun."""
     start = int(max(tool.poses.stamps_ns[0], package.poses.stamps_ns[0]))
     first, second = (
@@ -349,7 +242,7 @@ def _filtered(poses: Trajectory, half_window: int, order: int, name: str) -> Fil
 
 
 def _common(
-    filtered: tuple[Filtered, Filtered], streams: tuple[_Stream, _Stream]
+    filtered: tuple[Filtered, Filtered], recorded: tuple[PoseStream, PoseStream, Any]
 ) -> Stamps:
     """Return the package's stamps at which the filtered tool is known."""
     tool, package = filtered
@@ -357,7 +250,7 @@ def _common(
     common: Stamps = stamps[(stamps >= tool.stamps_ns[0]) & (stamps <= tool.stamps_ns[-1])]
     if not len(common):
         raise BellowsError(
-            f"Topics '{streams[0].recorded.name}' and '{streams[1].recorded.name}' overlap by "
+            f"Topics '{recorded[0].name}' and '{recorded[1].name}' overlap by "
             'less than the windows of the filters. Take smaller half windows or record longer.'
         )
     return common
@@ -388,8 +281,8 @@ def _with_twist(
         if settings.tool_twist_frame == 'tool':
             part = apply(alignment.R_tool_markers_tool.T, part)
         else:
-            in_axes = R_WORLD_MOTIVE if settings.world == 'motive_y_up' else np.eye(3)
-            part = apply(np.swapaxes(tool.rotation, -1, -2), apply(in_axes, part))
+            part = apply(settings.R_world_recorded, part)
+            part = apply(np.swapaxes(tool.rotation, -1, -2), part)
         parts.append(part)
     known = _covered(recorded.stamps_ns, tool.stamps_ns)
     twist = frozen(np.concatenate(parts, axis=1))
@@ -418,7 +311,9 @@ def _covered(stamps_ns: Stamps, wanted_ns: Stamps) -> Mask:
     return result
 
 
-def _stream_report(stream: _Stream, filtered: Filtered, still: Standstill | None) -> StreamReport:
+def _stream_report(
+    stream: _Stream, filtered: Filtered, still: BodyStandstill | None
+) -> StreamReport:
     """Return what became of a topic's poses."""
     at_centres = _at(stream.poses, filtered.stamps_ns).valid
     return StreamReport(
@@ -427,7 +322,7 @@ def _stream_report(stream: _Stream, filtered: Filtered, still: Standstill | None
         stream.recorded.refused,
         stream.timing,
         stream.outliers,
-        len(stream.poses) - len(stream.recorded) if stream.timing.uniform else 0,
+        stream.missing,
         int(np.count_nonzero(at_centres & ~filtered.valid)),
         still,
     )
@@ -478,7 +373,7 @@ def _warnings(
             f'The package was picked up {aside * 1e3:.1f} mm beside its middle. Alignment takes '
             'this out; check package.com and package.inertia, which it does not change.'
         )
-    lateral_com = float(np.hypot(*settings.com[:2]))
+    lateral_com = float(np.hypot(*settings.payload.com[:2]))
     if settings.align_at_rest and lateral_com > LATERAL_COM_WARNED:
         found.append(
             f'The centre of mass lies {lateral_com * 1e3:.1f} mm beside the axis of the cup, so '

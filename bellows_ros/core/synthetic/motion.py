@@ -8,21 +8,22 @@ rotation vector phi in the tool's axes at the start.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+import math
 
+from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.lie import (
     apply,
-    Array,
     dexp,
     exp_so3,
     log_so3,
     quaternion_to_rotation,
+    rpy_rotation,
 )
 from bellows_ros.core.synthetic.settings import Settings
-from bellows_ros.core.trajectory import NS_PER_S, Stamps, Trajectory
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 KINDS = ('multi_sine', 'chirp', 'waypoints', 'static')
 AXES = ('x', 'y', 'z')
@@ -105,6 +106,12 @@ class Motion(ABC):
         twist = np.hstack([apply(np.swapaxes(R, -1, -2), o_rate), w])
         return Trajectory(stamps_ns, o, R, twist)
 
+    def at_rate(self, rate_hz: float, start_ns: int = 10**9) -> Trajectory:
+        """Return the motion from its beginning to its end."""
+        count = math.floor(self.duration * rate_hz + 1e-9) + 1
+        stamps = np.round(np.arange(count) / rate_hz * NS_PER_S).astype(np.int64)
+        return self.trajectory(start_ns + stamps, start_ns)
+
 
 def smooth_step(s: Array) -> tuple[Array, Array]:
     """
@@ -142,7 +149,7 @@ class Oscillation(Motion):
     ramp_duration: float
     duration: float
     amplitude: Array
-    axis: NDArray[np.int64]
+    axis: Stamps
     frequency: Array
     phase: Array
 
@@ -227,7 +234,7 @@ class Waypoints(Motion):
         begin, here = self.rest_duration, self.start
         for segment in self.segments:
             now = t >= begin  # what a later segment covers, it overwrites
-            position[now], velocity[now], rotation[now], body_rate[now] = _moved(
+            position[now], velocity[now], rotation[now], body_rate[now] = _motion_along(
                 here, segment, t[now] - begin
             )
             begin, here = begin + segment.move + segment.hold, segment.goal
@@ -239,7 +246,7 @@ class Waypoints(Motion):
         return 1.0 / min(segment.move for segment in self.segments)
 
 
-def _moved(here: Pose, segment: Segment, tau: Array) -> tuple[Array, Array, Array, Array]:
+def _motion_along(here: Pose, segment: Segment, tau: Array) -> tuple[Array, Array, Array, Array]:
     """Return the state at times tau (N,) after a segment began at a pose."""
     step, slope = (x[:, None] for x in smooth_step(tau / segment.move))
     slope = slope / segment.move
@@ -267,7 +274,7 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
 
     """
     kind = settings.choice('kind', KINDS)
-    start = _pose(settings.block('start'))
+    start = pose_from(settings.block('start'))
     rest = settings.number('rest_duration', 2.0, 's', least=0.0, most=LONGEST)
     motion = (
         _oscillation(settings, kind, start, rest, phases)
@@ -282,7 +289,7 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
     return motion
 
 
-def _pose(settings: Settings) -> Pose:
+def pose_from(settings: Settings) -> Pose:
     """Return a pose given by position and either rpy or quaternion_xyzw; identity if neither."""
     position = settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m')
     rpy = settings.vector('rpy', 3, (0.0, 0.0, 0.0), unit='rad')
@@ -299,13 +306,6 @@ def _pose(settings: Settings) -> Pose:
             raise settings.refuse('quaternion_xyzw', 'of length 1', quaternion.tolist())
         return Pose(position, quaternion_to_rotation(quaternion / length))
     return Pose(position, rpy_rotation(rpy))
-
-
-def rpy_rotation(rpy: Array) -> Array:
-    """Return R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) of roll, pitch, yaw in rad, as URDF has it."""
-    roll, pitch, yaw = exp_so3(np.diag(rpy))
-    R: Array = yaw @ pitch @ roll
-    return R
 
 
 def _oscillation(
@@ -326,7 +326,7 @@ def _oscillation(
     return Oscillation(start, rest, ramp, duration, amplitude, axis, frequency, phase)
 
 
-def _sines(settings: Settings) -> tuple[NDArray[np.int64], Array, Array]:
+def _sines(settings: Settings) -> tuple[Stamps, Array, Array]:
     """Return axis, amplitude and constant frequencies of the components of a multi-sine."""
     parts = []
     for offset, name, unit in ((0, 'position', 'm'), (3, 'rotation', 'rad')):
@@ -360,7 +360,7 @@ def _lines(block: Settings, axis: str, unit: str) -> list[tuple[float, float]]:
     return list(zip(amplitude.tolist(), frequency.tolist(), strict=True))
 
 
-def _sweeps(settings: Settings) -> tuple[NDArray[np.int64], Array, Array]:
+def _sweeps(settings: Settings) -> tuple[Stamps, Array, Array]:
     """Return axis, amplitude and first and last frequency of the components of a chirp."""
     amplitude = np.concatenate(
         [
@@ -382,8 +382,9 @@ def _segments(settings: Settings, kind: str) -> tuple[Segment, ...]:
     if kind == 'static':
         common = _times(settings)
     segments = tuple(_segment(block, common) for block in settings.blocks('poses'))
+    repeat = 1 + settings.whole('repeat', 0, most=1000)
     settings.done()
-    return segments
+    return repeat * segments
 
 
 def _times(settings: Settings) -> tuple[float, float]:
@@ -395,4 +396,4 @@ def _times(settings: Settings) -> tuple[float, float]:
 def _segment(settings: Settings, common: tuple[float, float] | None) -> Segment:
     """Return one segment."""
     move, hold = _times(settings) if common is None else common
-    return Segment(_pose(settings), move, hold)
+    return Segment(pose_from(settings), move, hold)

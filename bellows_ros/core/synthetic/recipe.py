@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import re
 
-from bellows_ros.core.lie import Array
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.synthetic.motion import Motion, motion_from
 from bellows_ros.core.synthetic.sensing import (
     Sensor,
@@ -21,11 +21,12 @@ TOPICS = {
     'tool_pose': '/tool_arm/pose',
     'tool_twist': '/tool_arm/twist',
     'package_pose': '/package/pose',
+    'valve': '/vacuum/valve',
 }
 FRAME_IDS = {'z_up': 'world', 'motive_y_up': 'motive'}
 START_NS = 1_700_000_000_000_000_000
 
-_PURPOSES = ('phases', 'tool plan', 'tool', 'tool twist', 'package plan', 'package')
+_PURPOSES = ('phases', 'tool plan', 'tool', 'tool twist', 'package plan', 'package', 'release')
 _TOPIC = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
 
 
@@ -47,7 +48,7 @@ class Recipe:
     frame_id : str
         In every header.
     topics : mapping
-        Topic of 'tool_pose', 'tool_twist' and 'package_pose'.
+        Topic of 'tool_pose', 'tool_twist', 'package_pose' and 'valve'.
     storage, compression : str
         As `files.bag_writer.write_bag` takes them.
     seed : int
@@ -56,6 +57,10 @@ class Recipe:
         First stamp, ns.
     truth : bool
         Whether the true motion is written beside the recording.
+    releases : tuple of float
+        When the valve is switched off, s since the beginning.
+    pickup : float
+        How long after that the next package hangs, s.
 
     """
 
@@ -71,6 +76,8 @@ class Recipe:
     seed: int
     start_ns: int
     truth: bool
+    releases: tuple[float, ...]
+    pickup: float
 
 
 def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
@@ -96,6 +103,7 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
     moving = motion_from(settings, generator(seed, 'phases'))
     tool, tool_twist = _tool(settings.block('tool'))
     storage = settings.choice('storage', ('mcap', 'sqlite3'), 'mcap')
+    releases, pickup = _releases(settings.block('release'), moving.duration)
     recipe = Recipe(
         motion=moving,
         tool=tool,
@@ -109,9 +117,25 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
         seed=seed,
         start_ns=settings.whole('start_time_ns', START_NS, least=10**9, most=2**62),
         truth=settings.flag('truth', False),
+        releases=releases,
+        pickup=pickup,
     )
     settings.done()
     return recipe
+
+
+def _releases(settings: Settings, duration: float) -> tuple[tuple[float, ...], float]:
+    """Return when the valve is switched off, and how long after it the next package hangs."""
+    times = settings.numbers('times', 's', least=0.0, default=())
+    pickup = settings.number('pickup', 2.0, 's', above=0.0)
+    if (np.diff(times) <= pickup).any():
+        raise settings.refuse(
+            'times', f'further apart than release.pickup, {pickup:g} s, and in order',
+            times.tolist())
+    if (times >= duration).any():
+        raise settings.refuse('times', f'before the end at {duration:g} s', times.tolist())
+    settings.done()
+    return tuple(times.tolist()), pickup
 
 
 def _tool(settings: Settings) -> tuple[Sensor, TwistSensor | None]:

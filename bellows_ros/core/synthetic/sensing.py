@@ -12,15 +12,15 @@ the plate was not gripped at the markers' centre. Poses are then turned into the
 
 from dataclasses import dataclass, field
 
-from bellows_ros.core.lie import apply, Array, exp_so3
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.lie import apply, exp_so3
 from bellows_ros.core.synthetic.settings import Settings
-from bellows_ros.core.trajectory import NS_PER_S, Stamps, Trajectory
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
-Indices = NDArray[np.int64]
+Indices = Stamps
 
 R_MOTIVE_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 """From the world A (z up) to Motive's frame M (y up): the inverse of (4.1), which is (4.1)."""
@@ -121,7 +121,7 @@ class Schedule:
     sampled_ns: Stamps
     stamps_ns: Stamps
     jump: Indices
-    kept: NDArray[np.bool_]
+    kept: Mask
     jumps: tuple[int, ...]
     dropouts: tuple[int, ...]
 

@@ -9,11 +9,9 @@ import difflib
 import math
 from typing import Any
 
+from bellows_ros.core.arrays import Array
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 LONGEST_SHOWN = 60
 
@@ -47,7 +45,7 @@ class Settings:
         self._asked: list[str] = []
 
     def __contains__(self, name: str) -> bool:
-        """Tell whether a setting is given."""
+        """Return whether a setting is given."""
         return name in self._values
 
     def name(self, name: str) -> str:
@@ -64,7 +62,7 @@ class Settings:
         most: float = math.inf,
     ) -> float:
         """Return a finite number in a range; without a default it must be given."""
-        what = _number_words(unit, least, above, most)
+        what = _number_message(unit, least, above, most)
         value = self._take(name, default, what)
         if not _is_number(value) or not (least <= value <= most and value > above):
             raise self.refuse(name, what, value)
@@ -110,14 +108,17 @@ class Settings:
             raise self.refuse(name, what, value)
         return np.array(value, dtype=np.float64)
 
-    def numbers(self, name: str, unit: str = '', least: float = -math.inf) -> Array:
-        """Return one or more finite numbers, each at least the given one."""
+    def numbers(
+        self, name: str, unit: str = '', least: float = -math.inf,
+        default: Sequence[float] | None = None,
+    ) -> Array:
+        """Return finite numbers, each at least the given one; one or more without a default."""
         what = 'a list of numbers' + _in_unit(unit)
         what += f', each at least {least:g}' if math.isfinite(least) else ''
-        value = self._take(name, None, what)
-        if not _is_list(value) or not value or not all(map(_is_number, value)):
+        value = self._take(name, default, what)
+        if not _is_list(value) or not (value or default == ()) or not all(map(_is_number, value)):
             raise self.refuse(name, what, value)
-        if min(value) < least:
+        if min(value, default=least) < least:
             raise self.refuse(name, what, value)
         return np.array(value, dtype=np.float64)
 
@@ -133,9 +134,9 @@ class Settings:
             raise self.refuse(name, 'a list of one or more blocks', value)
         return [Settings(item, f'{self.name(name)}[{i}]') for i, item in enumerate(value)]
 
-    def done(self) -> None:
+    def done(self, ignored: Sequence[str] = ()) -> None:
         """
-        Refuse settings that nobody asked for.
+        Refuse settings that nobody asked for, but for those that are ignored.
 
         Raises
         ------
@@ -144,7 +145,7 @@ class Settings:
 
         """
         for name in self._values:
-            if name not in self._asked:
+            if name not in self._asked and name not in ignored:
                 near = difflib.get_close_matches(name, self._asked, n=1, cutoff=0.6)
                 known = ', '.join(dict.fromkeys(self._asked))
                 hint = f"Did you mean '{self.name(near[0])}'?" if near else f'Known here: {known}.'
@@ -170,12 +171,12 @@ def shown(value: object) -> str:
 
 
 def _is_list(value: object) -> bool:
-    """Tell whether a value is a list."""
+    """Return whether a value is a list."""
     return isinstance(value, list | tuple)
 
 
 def _is_number(value: object) -> bool:
-    """Tell whether a value is a finite number that a double can hold."""
+    """Return whether a value is a finite number that a double can hold."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     try:
@@ -189,7 +190,7 @@ def _in_unit(unit: str) -> str:
     return f' ({unit})' if unit else ''
 
 
-def _number_words(unit: str, least: float, above: float, most: float) -> str:
+def _number_message(unit: str, least: float, above: float, most: float) -> str:
     """Return what a number must be, in words."""
     limits = [f'above {above:g}'] if math.isfinite(above) else []
     limits += [f'at least {least:g}'] if math.isfinite(least) else []

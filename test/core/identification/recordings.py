@@ -1,6 +1,6 @@
 """Simulated recordings for the tests of identification, with the truth they hold."""
 
-from bellows_ros.core.identification.prediction.measured import measured_stretches
+from bellows_ros.core.identification.prediction.segments import measured_segments
 from bellows_ros.core.lie import dexp, exp_so3
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.simulation import simulate
@@ -50,17 +50,28 @@ def noisy(poses, position, rotation, rng):
         poses.rotation @ exp_so3(rotation * rng.standard_normal(shape)))
 
 
-def stretches(
-        seed, duration=12.0, tool_noise=(0.0, 0.0), package_noise=(1e-4, 5e-4), cup=None,
-        held=PLATE, rate_hz=250.0, recording=0, later=0.0, margin=0.0, damage=None, motion=Shake):
+def segments(
+    seed,
+    duration=12.0,
+    tool_noise=(0.0, 0.0),
+    package_noise=(1e-4, 5e-4),
+    cup=None,
+    payload=PLATE,
+    rate_hz=250.0,
+    recording=0,
+    later=0.0,
+    margin=0.0,
+    damage=None,
+    motion=Shake,
+):
     """Return a simulated recording as the prediction-error method takes it."""
     cup = cup or Cup.thesis()
     motion = motion(seed)
     tool = motion.trajectory(duration, rate_hz)
-    body = simulate(cup, held, tool, gravity=GRAVITY)
+    body = simulate(cup, payload, tool, gravity=GRAVITY)
     rng = np.random.default_rng(1000 + seed)
     seen = motion.trajectory(duration, rate_hz, later) if later else tool
     seen, package = noisy(seen, *tool_noise, rng), noisy(body, *package_noise, rng)
     if damage is not None:
         seen, package = damage(seen, package)
-    return measured_stretches(seen, package, held, GRAVITY, margin, recording)
+    return measured_segments(seen, package, payload, GRAVITY, margin, recording)

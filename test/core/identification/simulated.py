@@ -2,9 +2,17 @@
 
 import functools
 
+from bellows_ros.core.identification.advice.excitation import excitation_of
+from bellows_ros.core.identification.advice.information import information_of
+from bellows_ros.core.identification.equations.whitening import Moments
+from bellows_ros.core.identification.regression.least_squares import (
+    least_squares as fit_statistics,
+)
+from bellows_ros.core.identification.regression.sufficient import statistics
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.recording.preparation import prepare, PrepareSettings
+from bellows_ros.core.recording.preparation import prepare
+from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.simulation import simulate
 from bellows_ros.core.synthetic.motion import Oscillation, Pose, Segment, Waypoints
 from bellows_ros.core.synthetic.sensing import sample_stamps
@@ -34,7 +42,7 @@ def shake(axes=(0, 1, 2, 3, 4, 5), duration=10.0, seed=1):
         np.stack([frequency, frequency], 1), phase)
 
 
-def holds(rotation_vectors, hold=2.0):
+def standstills(rotation_vectors, hold=2.0):
     """Return a tool motion from pose to pose, each held still."""
     segments = tuple(
         Segment(Pose(np.zeros(3), exp_so3(np.array(phi, float))), 0.8, hold)
@@ -54,21 +62,21 @@ class Pair:
 
     known = {}
 
-    def __init__(self, cup, held):
-        self.both = cup, held
+    def __init__(self, cup, payload):
+        self.both = cup, payload
 
     @classmethod
-    def of(cls, cup, held):
+    def of(cls, cup, payload):
         """Return the pair of these very objects, which it keeps alive."""
-        return cls.known.setdefault((id(cup), id(held)), cls(cup, held))
+        return cls.known.setdefault((id(cup), id(payload)), cls(cup, payload))
 
 
 def record(
-    motion, cup=CUP, held=HELD, tool=NO_NOISE, package=NO_NOISE, rate_hz=120.0, seed=1,
+    motion, cup=CUP, payload=HELD, tool=NO_NOISE, package=NO_NOISE, rate_hz=120.0, seed=1,
     half_window=0, later=0.0,
 ):
     """Return the prepared recording of a motion, with white noise (m, rad per axis), tool late."""
-    truth, moved = truth_of(motion, Pair.of(cup, held), rate_hz)
+    truth, moved = truth_of(motion, Pair.of(cup, payload), rate_hz)
     draw = np.random.default_rng((seed, 2))
     streams = [
         PoseStream(
@@ -78,4 +86,31 @@ def record(
         for name, body, noise, behind in (
             ('tool', truth, tool, later), ('package', moved, package, 0.0))]
     return prepare(*streams, PrepareSettings(
-        com=tuple(held.com), tool_half_window=half_window, package_half_window=half_window))
+        payload=payload, gravity=GRAVITY, tool_half_window=half_window,
+        package_half_window=half_window))
+
+
+def least_squares(recordings, cup_length, structure, noises=()):
+    """Return the fit of samples, with their noises where they are known."""
+    known = noises or [None] * len(recordings)
+    return fit_statistics([statistics(samples, cup_length, structure, noise)
+                           for samples, noise in zip(recordings, known, strict=True)])
+
+
+def excitation(recordings, cup_length, structure, noises=(), filtered=True):
+    """Return what samples can tell, with their noises where they are known."""
+    known = noises or [None] * len(recordings)
+    return excitation_of([information_of(samples, cup_length, structure, noise)
+                          for samples, noise in zip(recordings, known, strict=True)],
+                         structure, filtered)
+
+
+def wrench_covariance(samples, structure):
+    """Return the covariance of the wrenches that samples need."""
+    return Moments.of(samples.lip.wrench).covariance(structure)
+
+
+def whitened_rows(samples, cup_length, structure, whitening):
+    """Return the whitened rows [A b] of samples."""
+    return np.vstack([rows.whitened(whitening).stacked
+                      for rows in samples.lip.equations(cup_length, structure)])

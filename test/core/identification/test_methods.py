@@ -1,8 +1,9 @@
 """What the methods of fitting make of prepared recordings."""
 
-from bellows_ros.core.identification.methods import samples_of, start_cup
-from bellows_ros.core.identification.regression.least_squares import least_squares
-from bellows_ros.core.identification.structure import STRUCTURES
+from bellows_ros.core.identification.equations.samples import samples_of
+from bellows_ros.core.identification.methods import start_cup
+from bellows_ros.core.identification.regression.sufficient import statistics
+from bellows_ros.core.structure import STRUCTURES
 import numpy as np
 from numpy.testing import assert_allclose
 
@@ -14,9 +15,10 @@ ROUND = STRUCTURES['axisymmetric']
 def test_the_prediction_error_starts_from_a_known_damping_where_least_squares_finds_none():
     """Start positive with a tool that is stamped 8 ms late, which turns damping negative."""
     recording = simulated.record(simulated.shake(seed=3), later=0.008)
-    samples = [samples_of(recording, simulated.HELD, simulated.GRAVITY)]
-    found = np.diag(least_squares(samples, simulated.CUP.length, ROUND).damping)
-    start = start_cup(samples, ROUND, simulated.CUP)
+    samples = [samples_of(recording)]
+    found = np.diag(simulated.least_squares(samples, simulated.CUP.length, ROUND).damping)
+    parts = [statistics(own, simulated.CUP.length, ROUND) for own in samples]
+    start = start_cup(parts, simulated.CUP)
     assert np.any(found < 0.0)
     assert_allclose(
         np.diag(start.damping), np.where(found < 0.0, np.diag(simulated.CUP.damping), found))

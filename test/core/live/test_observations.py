@@ -5,8 +5,8 @@ import math
 from bellows_ros.core.cups import with_chosen_cup
 from bellows_ros.core.inertia import box_inertia
 from bellows_ros.core.live import health
-from bellows_ros.core.live.health import InputSeen, Level, PredictionSeen
-from bellows_ros.core.live.load import deflection, equivalent_box, lip_position, Load
+from bellows_ros.core.live.health import InputSeen, Level, Mismatch, PredictionSeen
+from bellows_ros.core.live.load import deflection, equivalent_box, lip_position, Load, Safety
 from bellows_ros.core.live.samples import ORIGIN, Prediction
 from bellows_ros.core.live.timing import Arrivals, KEPT, Quantiles, Rhythm, Window
 from bellows_ros.core.live.vacuum import check_thresholds, PressureSwitch, why_no_pressure
@@ -86,8 +86,9 @@ def test_smallest_margin_and_largest_distance_are_kept():
     for case in (prediction(), prediction((0.0, 0.0, 30.0)), prediction(moment=(0.0, 1.2, 0.0))):
         load.watch_force(case)
     load.watch_deflection(MODEL, prediction(tilt=0.2))
-    margin, away, bending = load.take()
-    assert_allclose(margin, 0.25)
+    safety, away, bending = load.take()
+    assert_allclose(safety.factor, 4 / 3)
+    assert safety.mode == 'force'
     assert away.value > 1.0 and 'bending about x' in away.words
     assert_allclose(bending, 0.2)
     assert load.take() == (None, None, 0.0)
@@ -107,8 +108,12 @@ def test_box_of_an_inertia_is_the_box():
     ({'publishers': 0, 'rhythm': SILENT}, Level.ERROR, 'Nobody publishes /tool'),
     ({'rhythm': SILENT}, Level.ERROR, 'silent: no message for 3.0 s. Is the driver'),
     ({'rhythm': SILENT, 'silent': math.inf}, Level.ERROR, 'silent: no message so far'),
-    ({'rhythm': SILENT, 'mismatch': 'reliability'}, Level.ERROR,
+    ({'rhythm': SILENT, 'mismatch': Mismatch('qos', 'reliability')}, Level.ERROR,
      'Set qos_overrides./tool.subscription.reliability'),
+    ({'rhythm': SILENT, 'mismatch': Mismatch('type', 'std_msgs/msg/Bool')}, Level.ERROR,
+     'sends std_msgs/msg/Bool, which is not what is listened to: see tool_pose.type'),
+    ({'rhythm': SILENT, 'mismatch': Mismatch('frames', 'no way')}, Level.ERROR,
+     'No pose of the tool from /tool: no way. Check frames.world and frames.tool'),
     ({'refused': {'nan': 3, 'jump': 0}}, Level.WARN, '3 of 500 messages refused: 3 nan.'),
     ({'refused': {'frame_id': 500}}, Level.ERROR, '500 of 500'),
     ({'rhythm': GOOD._replace(age=Quantiles(*3 * [5.0]))}, Level.WARN, '5 s behind the clock'),
@@ -116,7 +121,7 @@ def test_box_of_an_inertia_is_the_box():
     ({'rhythm': GOOD._replace(age=Quantiles(*3 * [math.nan]))}, Level.OK, 'Hz'),
 ])
 def test_words_on_an_input(seen, level, words):
-    base = InputSeen('/tool', 1, '', GOOD, 3.0, {}, {'nan': 7})
+    base = InputSeen('/tool', 1, None, GOOD, 3.0, {}, {'nan': 7})
     status = health.input_status('predictor: tool pose', base._replace(**seen))
     assert status.level == level
     assert words in status.message
@@ -124,7 +129,7 @@ def test_words_on_an_input(seen, level, words):
 
 
 def test_an_optional_input_may_be_absent():
-    absent = InputSeen('/twist', 0, '', SILENT, math.inf, {}, {})
+    absent = InputSeen('/twist', 0, None, SILENT, math.inf, {}, {})
     assert health.input_status('x', absent, optional=True).level == Level.OK
     assert health.input_status('x', absent._replace(publishers=1), True).level == Level.WARN
 
@@ -132,7 +137,7 @@ def test_an_optional_input_may_be_absent():
 @pytest.mark.parametrize(('messages', 'alone', 'level'), [
     (500, 0, Level.OK), (500, 240, Level.OK), (500, 260, Level.WARN), (100, 400, Level.OK)])
 def test_twists_that_serve_no_pose_are_said(messages, alone, level):
-    seen = InputSeen('/twist', 1, '', GOOD._replace(messages=messages), 0.0, {}, {})
+    seen = InputSeen('/twist', 1, None, GOOD._replace(messages=messages), 0.0, {}, {})
     status = health.twist_status('x', seen, 500, alone)
     assert status.level == level
     assert (f'{alone} of 500 poses had no twist' in status.message) is (level == Level.WARN)
@@ -146,11 +151,11 @@ def test_twists_that_serve_no_pose_are_said(messages, alone, level):
     ({'rhythm': SILENT}, False, False, Level.ERROR, 'the package counts as not held'),
     ({'rhythm': SILENT, 'silent': math.inf}, False, True, Level.WARN, 'No word from /vacuum'),
     ({'publishers': 0}, False, True, Level.ERROR, 'Nobody publishes /vacuum'),
-    ({'mismatch': 'durability'}, True, True, Level.WARN, 'durability'),
+    ({'mismatch': Mismatch('qos', 'durability')}, True, True, Level.WARN, 'durability'),
     ({'refused': {'negative': 500}}, True, False, Level.WARN, '500 of 500 messages refused'),
 ])
 def test_words_on_the_vacuum(seen, held, speaks_once, level, words):
-    base = InputSeen('/vacuum', 1, '', GOOD, 3.0, {}, {})
+    base = InputSeen('/vacuum', 1, None, GOOD, 3.0, {}, {})
     status = health.vacuum_status('x', base._replace(**seen), held, speaks_once)
     assert status.level == level
     assert words in status.message
@@ -165,6 +170,7 @@ def test_words_on_the_vacuum(seen, held, speaks_once, level, words):
     ({'restarts': {'gap': 2}}, Level.WARN, '2 gap'),
     ({'restarts': {'no_equilibrium': 1}}, Level.ERROR, 'cannot hold'),
     ({'twist_verdict': 'other_axes'}, Level.WARN, 'tool_twist.frame'),
+    ({'above': True}, Level.ERROR, 'The package is above the tool: z of the tool points down'),
     ({'covariance_known': False}, Level.WARN, 'package/odometry is not known'),
 ])
 def test_words_on_the_prediction(seen, level, words):
@@ -176,17 +182,33 @@ def test_words_on_the_prediction(seen, level, words):
     assert status.values['compute time p99 (us)'] == '200'
 
 
-@pytest.mark.parametrize(('margin', 'bending', 'level', 'words'), [
-    (None, 0.1, Level.OK, 'No limits are known'), (0.5, 0.1, Level.OK, 'Within'),
-    (0.1, 0.1, Level.WARN, '10%'), (-0.2, 0.1, Level.ERROR, '20% above'),
-    (0.5, 0.7, Level.WARN, 'bends by 0.7 rad'),
+def test_the_safety_factor_follows_the_vacuum_that_is_heard():
+    values = resolve({**PACKAGE, 'cup.lip_radius': 0.02, 'cup.suction_area': 1e-3,
+                      'cup.friction': 0.4, 'vacuum.holding': 6e4})
+    load = Load(values)
+    assert load.grip_known
+    case = prediction(moment=(0.0, 0.1, 0.0))
+    assert_allclose(load.watch_force(case), (60 / (20 + 2 * 0.1 / 0.02), 60 / 20))
+    assert load.take()[0] == (2.0, 'peel')
+    load.hear(101325.0 - 3e4)
+    assert_allclose(load.watch_force(case), (1.0, 1.5))
+    assert Load(values, load.pressure).watch_force(case) == load.watch_force(case)
+    assert not Load({**values, 'cup.lip_radius': 0.0}).grip_known
+
+
+@pytest.mark.parametrize(('factor', 'bending', 'level', 'words'), [
+    (None, 0.1, Level.OK, 'No limits are known'), (2.0, 0.1, Level.OK, 'Within'),
+    (1.234, 0.1, Level.WARN, '1.23 (peel), below safety.least, 1.5'),
+    (0.8, 0.1, Level.ERROR, '0.80 (peel), below 1: the cup lets go'),
+    (2.0, 0.7, Level.WARN, 'bends by 0.7 rad'),
 ])
-def test_words_on_the_load(margin, bending, level, words):
-    status = health.load_status('x', margin, None, bending, margin is not None, False)
+def test_words_on_the_load(factor, bending, level, words):
+    safety = factor and Safety(factor, 'peel')
+    status = health.load_status('x', safety, None, bending, factor is not None, False, 1.5)
     assert status.level == level
     assert words in status.message
     assert status.values['distance from envelope'] == 'not known'
-    detached = health.load_status('x', None, None, 0.0, True, False)
+    detached = health.load_status('x', None, None, 0.0, True, False, 1.5)
     assert detached.message == 'No load to be judged.'
 
 

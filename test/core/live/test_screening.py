@@ -3,7 +3,9 @@
 import math
 
 from bellows_ros.core.live import screening
-from bellows_ros.core.live.screening import Screen, Verdict
+from bellows_ros.core.live.screening import Screen
+from bellows_ros.core.screening import BACKWARD_RUN, Verdict
+import numpy as np
 import pytest
 
 START = 1_760_000_000_000_000_000
@@ -82,7 +84,7 @@ def test_clock_set_back_is_believed_in_time(period_ns, offset_ns):
     verdicts = driver.send(30, offset_ns=offset_ns)
     assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
     assert {v.refused for v in verdicts} <= {'backward_stamp', 'duplicate_stamp', ''}
-    caught_up = -offset_ns <= screening.BACKWARD_RUN * period_ns  # sooner than it was believed
+    caught_up = -offset_ns <= BACKWARD_RUN * period_ns  # sooner than it was believed
     assert [v.restart for v in verdicts if v.restart] == ['clock_set_back'] * (not caught_up)
 
 
@@ -190,6 +192,57 @@ def test_scattered_places_are_never_believed():
     for k in range(50):
         assert driver.send(1, position=(3.0 + k % 7, 0.0, 0.0)) == [Verdict('jump', '')]
     assert driver.send(1) == [GOOD]
+
+
+@SPEEDS
+@pytest.mark.parametrize('apart', [0.04, 0.08, 0.3])
+def test_of_two_tools_on_one_topic_the_first_is_followed(period_ns, apart):
+    driver = Driver(period_ns=period_ns)
+    places = [(0.0, 0.0, 0.0), (apart, 0.0, 0.0)]
+    verdicts = [driver.send(1, position=places[k % 2])[0] for k in range(200)]
+    if apart < 0.05 and period_ns > 10 * MS:  # an arm could just do it: it is doubted
+        assert driver.screen.doubted
+        return
+    assert verdicts == [GOOD, Verdict('jump', '')] * 100
+    assert driver.send(20, position=places[0]) == [GOOD] * 20
+
+
+@pytest.mark.parametrize('place', [0, 1])
+def test_rest_after_two_tools_is_believed_at_once_or_soon(place):
+    driver = Driver()
+    for k in range(200):
+        driver.send(1, position=(0.04 * (k % 2), 0.0, 0.0))
+    verdicts = driver.send(100, position=(0.04 * place, 0.0, 0.0))
+    assert time_to_recover(driver, verdicts) <= 10 * MS
+    assert [v.restart for v in verdicts if v.restart] == ['moved'] * place
+
+
+@SPEEDS
+@pytest.mark.parametrize('speed', [0.5, 4.0, 8.0])
+def test_a_start_in_motion_is_believed_soon(period_ns, speed):
+    driver = Driver(speed=speed, period_ns=period_ns)
+    verdicts = driver.send(100)
+    assert sum(bool(v.refused) for v in verdicts) <= screening.JUMP_RUN
+    assert verdicts[10:] == [GOOD] * 90 and not driver.screen.doubted
+
+
+@pytest.mark.parametrize('noise', [1e-4, 1e-3])
+@pytest.mark.parametrize('period_ns', [MS, 2_777_778, 8 * MS])
+def test_noise_jitter_and_bursts_are_no_jumps(period_ns, noise):
+    rng = np.random.default_rng(3)
+    screen, stamp = Screen(), START
+    for k in range(3000):
+        sent = START + k * period_ns
+        jittered = sent + int(rng.normal(0.0, 0.1 * period_ns))
+        burst = sent if k % 500 < 250 else sent // (25 * MS) * (25 * MS) + k * 1000
+        stamp = max(stamp + 1000, min(jittered, burst))
+        t = (sent - START) * 1e-9
+        o = np.array([0.3 * math.sin(6.0 * t), 0.2 * math.sin(9.0 * t), 0.0])
+        o += noise * rng.standard_normal(3)
+        turn = 0.5 * math.sin(5.0 * t) + 5.0 * noise * rng.standard_normal()
+        q = (0.0, 0.0, math.sin(0.5 * turn), math.cos(0.5 * turn))
+        assert screen.judge(stamp, 'base', tuple(o.tolist()), q) == GOOD, k
+        assert not screen.doubted
 
 
 def test_sign_of_a_quaternion_is_no_jump():

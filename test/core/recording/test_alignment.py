@@ -6,6 +6,7 @@ from bellows_ros.core.recording.alignment import (
     as_recorded,
     in_world,
     standstill,
+    world_rotation,
 )
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
@@ -117,17 +118,35 @@ def test_motive_recordings_come_to_the_world():
     motive = Trajectory(
         tool.stamps_ns, apply(R_MOTIVE_WORLD, tool.position), R_MOTIVE_WORLD @ tool.rotation
     )
-    assert_same_poses(in_world(motive, 'motive_y_up'), tool, 1e-15)
-    assert in_world(tool, 'z_up') is tool
+    from_motive = world_rotation('motive_y_up')
+    assert_same_poses(in_world(motive, from_motive), tool, 1e-15)
+    assert in_world(tool, world_rotation('z_up')) is tool
     # Up is y there, and z here.
     up = Trajectory(tool.stamps_ns[:1], np.array([[0.0, 1.0, 0.0]]), np.eye(3)[None])
-    assert_array_equal(in_world(up, 'motive_y_up').position, [[0.0, 0.0, 1.0]])
+    assert_array_equal(in_world(up, from_motive).position, [[0.0, 0.0, 1.0]])
+
+
+def test_a_standstill_on_a_wall_is_aligned_in_a_world_that_is_levelled():
+    tool, lip = held(np.random.default_rng(47))
+    turn = exp_so3(np.array([0.2, -1.4, 0.3]))
+    recorded = [
+        Trajectory(body.stamps_ns, apply(turn, body.position), turn @ body.rotation)
+        for body in (moved(tool, np.zeros(3), TOOL_MARKERS),
+                     moved(lip, ASIDE, PACKAGE_MARKERS))]
+    level = world_rotation('z_up', turn @ [0.0, 0.0, -9.0])
+    bodies = [in_world(body, level) for body in recorded]
+    found = aligned_at_rest(*map(rest_of, bodies), 'lip', COM)
+    # levelled, the world may still be turned about z
+    back = level @ turn
+    assert_allclose(back @ [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], atol=1e-15)
+    assert_allclose(found.distance_at_rest, 0.05, atol=1e-12)
+    at_rest = found.tool(bodies[0]).rotation[0]
+    assert_allclose(at_rest, np.eye(3), atol=1e-12)
 
 
 def test_unknown_choices_are_refused():
-    tool, _ = held(np.random.default_rng(46))
     with pytest.raises(BellowsError, match="z_up, motive_y_up, not 'y_up'"):
-        in_world(tool, 'y_up')
+        world_rotation('y_up')
     with pytest.raises(BellowsError, match="com, lip, not 'plate'"):
         as_recorded('plate', COM)
 

@@ -48,6 +48,33 @@ def test_a_clock_that_runs_wrong_changes_the_rate_and_nothing_else(drift):
     assert_array_equal(on_grid(moving(stamps), timing(stamps)).stamps_ns, stamps)
 
 
+@pytest.mark.parametrize('steps_ms', [[1, 900], [900, 1], [5, 100, 5], [700, 3000]])
+def test_few_messages_at_any_times_have_a_rate(steps_ms):
+    found = timing(START + np.cumsum([0, *steps_ms]) * 1_000_000)
+    assert 1e3 / max(steps_ms) <= found.rate_hz <= 1e3 / min(steps_ms)
+    assert np.isfinite(found.jitter_s)
+
+
+@pytest.mark.parametrize('together', [2, 3, 5])
+@pytest.mark.parametrize('count', [400, 401])
+def test_poses_in_bursts_have_the_rate_of_their_mean_and_no_gaps(together, count):
+    """As a driver sends them that collects a few, each stamped when it is sent."""
+    k = np.arange(count)
+    stamps = START + (k // together) * 10_000_000 * together + (k % together) * 100_000
+    found = timing(stamps)
+    assert_allclose(found.rate_hz, 100.0, rtol=0.01)
+    assert found.gaps == ()
+    assert on_grid(moving(stamps), found).valid.all()
+
+
+def test_every_second_pose_lost_and_a_pause_do_not_change_the_rate():
+    rng = np.random.default_rng(3)
+    kept = np.flatnonzero(rng.random(3000) < 0.6)
+    stamps = rounded_stamps(360, 3000)[kept]
+    stamps[1000:] += 3_600_000_000_000
+    assert_allclose(timing(stamps).rate_hz, 360.0, rtol=1e-6)
+
+
 @pytest.mark.parametrize('lost', [1, 2, 12, 39, 400])
 def test_gaps_are_filled_on_the_grid_and_invalid(lost):
     poses = moving(rounded_stamps(360, 2000))

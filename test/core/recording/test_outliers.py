@@ -266,6 +266,16 @@ def test_poses_published_faster_than_measured_are_counted():
     assert_allclose(repeats_in_motion(slow), 2 / 3 * 0.8 * len(poses), rtol=0.01)
 
 
+@pytest.mark.parametrize('kind', [np.float64, np.float32])
+def test_slow_motion_without_noise_repeats_poses_by_rounding(kind):
+    stamps = np.arange(3000) * 3_000_000
+    t = stamps * 1e-9
+    x = (0.3 + 1e-5 * (1.0 - np.cos(t))).astype(kind).astype(float)
+    poses = Trajectory(stamps, np.column_stack([x, x, x]), np.tile(np.eye(3), (3000, 1, 1)))
+    assert np.sum(np.diff(x) == 0.0) > (900 if kind == np.float32 else -1)
+    assert repeats_in_motion(poses) == 0
+
+
 def test_a_turn_of_the_whole_recording_changes_nothing():
     rng = np.random.default_rng(30)
     poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
@@ -281,3 +291,38 @@ def test_few_samples_are_no_trouble(count):
     rng = np.random.default_rng(31)
     poses = noisy(rng, shaken(rng, Shake(360.0)), LAB).select(slice(0, count))
     assert found_in(poses).good.all()
+
+
+def uneven(seed, rough):
+    """
+    Give a motion at 300 Hz as tracking of a hand-held body gives it.
+
+    Stamps are rounded to 0.1 ms, at times every third step is a gap of up to 70 ms, and noise,
+    where it is rough, has heavy tails and comes in bursts.
+    """
+    rng = np.random.default_rng(seed)
+    lost = (rng.random(12_000) < 0.3) & (np.sin(0.001 * np.arange(12_000)) > 0.99)
+    steps = np.where(lost, rng.integers(2, 22, 12_000), 1) / 300.0
+    t = np.round(np.cumsum(steps + rng.normal(0.0, 2e-5, 12_000)), 4)
+    t = t[np.concatenate([[True], np.diff(t) > 1e-4])]
+    way = np.stack([0.3 * np.sin(2.0 * t), 0.3 * np.cos(1.7 * t), 0.1 * np.sin(2.9 * t)], axis=1)
+    turn = exp_so3(0.5 * np.stack([np.sin(1.5 * t), np.cos(1.2 * t), np.sin(0.7 * t)], axis=1))
+    noise = rng.normal(size=(len(t), 6))
+    if rough:
+        knots = np.arange(0, len(t) + 150, 150)
+        bursts = np.exp(np.interp(np.arange(len(t)), knots, rng.normal(0.0, 0.7, len(knots))))
+        noise = rng.standard_t(3, size=(len(t), 6)) * bursts[:, None]
+    return Trajectory(
+        np.round(1e9 * t).astype(np.int64), way + 4e-5 * noise[:, :3],
+        turn @ exp_so3(2.5e-4 * noise[:, 3:]))
+
+
+@pytest.mark.parametrize('rough, most', [(False, 0.0), (True, 0.003)])
+@pytest.mark.parametrize('seed', [30, 31, 34])
+def test_uneven_stamps_with_many_gaps_and_bursts_of_noise_are_no_faults(seed, rough, most):
+    poses = uneven(seed, rough)
+    found = found_in(poses)
+    isolated = sum(run.last - run.first + 1 for run in found.isolated)
+    assert np.count_nonzero(~found.good) - isolated <= most * len(poses)
+    assert len(found.steps) <= (1 if rough else 0)
+    assert all(run.last - run.first < 5 for run in found.excursions)

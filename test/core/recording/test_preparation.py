@@ -3,7 +3,9 @@
 from dataclasses import replace
 
 from bellows_ros.core.lie import apply, exp_so3, log_so3
-from bellows_ros.core.recording.preparation import prepare, PrepareSettings
+from bellows_ros.core.model import Package
+from bellows_ros.core.recording.preparation import prepare
+from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.savgol import savgol
 from bellows_ros.core.trajectory import PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
@@ -15,10 +17,18 @@ import pytest
 from .tracking import displaced, Noise, noisy, Shake, shaken, START
 
 COM = (0.0, 0.0, -0.03)
-WINDOWS = (25, 4, 25, 4)
-PLAIN = PrepareSettings('z_up', 'com', False, 1.0, COM, *WINDOWS)
+WINDOWS = {f'{body}_{name}': size for body in ('tool', 'package')
+           for name, size in (('half_window', 25), ('order', 4))}
+
+
+def weighing(com):
+    """Return a package with this centre of mass."""
+    return Package(1.0, np.eye(3), com)
+
+
+PLAIN = PrepareSettings(payload=weighing(COM), **WINDOWS)
 AT_REST = replace(PLAIN, align_at_rest=True)
-LAB = PrepareSettings('motive_y_up', 'lip', True, 1.5, COM, *WINDOWS)
+LAB = replace(AT_REST, world='motive_y_up', package_frame='lip', rest_duration=1.5)
 R_MOTIVE_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
 
@@ -190,7 +200,7 @@ def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
     rng = np.random.default_rng(68)
     tool, package = (noisy(rng, poses, Noise()) for poses in held(68))
     step = displaced(tool, slice(4000, None), np.array([0.05, 0, 0]), np.zeros(3), False)
-    settings = replace(AT_REST, com=(0.01, 0.0, -0.03))
+    settings = replace(AT_REST, payload=weighing((0.01, 0.0, -0.03)))
     aside = displaced(package, slice(None), np.array([0.01, 0, 0]), np.zeros(3), True)
     found = prepare(stream(step), stream(aside, '/package'), settings)
     jump, aside = found.report.warnings
@@ -306,3 +316,15 @@ def test_lab_recordings_lose_their_faults_and_become_the_true_poses(rig, name, j
         position, turn = difference(filtered, expected, found.valid)
         assert np.std(position) < 0.03e-3 and np.std(turn) < 0.14e-3
     assert_allclose(found.alignment.lateral_offset, [0.8e-3, -0.6e-3, 0.0], atol=0.03e-3)
+
+
+@pytest.mark.parametrize('at', [0, -1])
+def test_a_stray_pose_hours_away_costs_itself(at):
+    tool, package = held(75)
+    stamps = tool.stamps_ns.copy()
+    stamps[at] += 3_600_000_000_000 if at else -3_600_000_000_000
+    tool = Trajectory(stamps, tool.position, tool.rotation)
+    found = prepare(stream(tool), stream(package, '/package'), PLAIN)
+    assert found.report.tool.marked == 1
+    assert found.report.tool.filled == 0
+    assert found.report.valid >= len(package) - 52

@@ -1,87 +1,47 @@
 """
-What recordings can tell about a cup, said before anything is fitted.
+Which parts of a cup are identifiable from recordings, before anything is fitted.
 
-A parameter is told by what the motion changes in its direction. What the sensors add there looks
-like motion, too, but tells nothing, and makes least squares find too little (errors in variables):
-its part in the equations, and the shift that comes from it, are computed by adding noise of the
-same kind once more.
+What the motion changes in the direction of a parameter is information on it. What the sensors add
+there looks like motion, too, but is none, and makes least squares find too little (errors in
+variables). Its part in the equations, and the bias that it causes, are computed by adding noise of
+the same kind once more.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from bellows_ros.core.identification.advice.added_noise import FilterNoise
-from bellows_ros.core.identification.advice.evidence import (
-    Evidence,
-    evidence_of,
-    relative_spectra,
-    Spectra,
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.advice.identifiability import (
+    advice,
+    Axis,
+    Identifiability,
+    LARGEST_SHARE,
 )
+from bellows_ros.core.identification.advice.information import Information
 from bellows_ros.core.identification.advice.pass_band import too_fast
-from bellows_ros.core.identification.advice.told import advice, Told
-from bellows_ros.core.identification.regression.least_squares import (
-    column_sizes,
+from bellows_ros.core.identification.equations.r_factors import r_factor, Solution, solution
+from bellows_ros.core.identification.equations.whitening import (
+    joined,
+    Moments,
     regular,
-    Samples,
     whitening_of,
 )
-from bellows_ros.core.identification.regression.moments import joined, Moments
-from bellows_ros.core.identification.regression.triangles import triangle
-from bellows_ros.core.identification.structure import AXES, Structure
-from bellows_ros.core.trajectory import uniform_rate_hz
+from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.structure import AXES, Structure, structure_named
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 SMALLEST_RATIO = 0.5
 """An estimate that noise of the same size shrinks by more than this is off by its own size."""
 
-RANK_WITHIN = 1e-6
-"""Singular values below this part of the largest, with columns of unit length, tell nothing."""
-
-IN_NULL_SPACE = 0.05
-"""A parameter that has at least this part in a direction of which nothing is told is not told."""
-
 CORRELATED = 0.95
-"""Parameters with estimates correlated by more than this can hardly be told apart."""
-
-
-@dataclass(frozen=True, eq=False)
-class Axis:
-    """
-    How one direction is excited.
-
-    Parameters
-    ----------
-    name : str
-        'x' to 'rz'.
-    strain, motion : float
-        RMS of the lip's displacement in the tool from the nominal pose, and from its own mean; m
-        or rad.
-    twist : float
-        RMS of its velocity, m/s or rad/s.
-    band_hz : (float, float)
-        Frequencies between which 90 % of the velocity's power lies; nan where nothing moves.
-    strain_noise, twist_noise : float
-        Standard deviation of the noise in them after filtering; nan where it is not known.
-
-    """
-
-    name: str
-    strain: float
-    motion: float
-    twist: float
-    band_hz: tuple[float, float]
-    strain_noise: float
-    twist_noise: float
+"""Parameters with estimates correlated by more than this can hardly be separated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
     """
-    What recordings can tell.
+    What is identifiable from recordings.
 
     Parameters
     ----------
@@ -89,102 +49,67 @@ class Excitation:
         The structure of K and P that was asked for.
     axes : tuple of Axis
         The six directions.
-    parameters : tuple of Told
+    parameters : tuple of Identifiability
         The free parameters.
     rank, size : int
-        How many combinations of parameters are told, of how many.
+        How many combinations of parameters are identifiable, of how many.
     condition_number : float
         Of the whitened equations with columns of unit length.
     pairs : tuple of (str, str, float)
-        Parameters that can hardly be told apart, and the correlation of their estimates.
+        Parameters that can hardly be separated, and the correlation of their estimates.
     warnings : tuple of str
         What the user should know and do, in sentences.
-    spectra : tuple of Spectra
-        Of each recording, where the recordings themselves were described.
 
     """
 
     structure: str
     axes: tuple[Axis, ...]
-    parameters: tuple[Told, ...]
+    parameters: tuple[Identifiability, ...]
     rank: int
     size: int
     condition_number: float
     pairs: tuple[tuple[str, str, float], ...]
     warnings: tuple[str, ...]
-    spectra: tuple[Spectra, ...] = ()
 
     @property
-    def untold(self) -> tuple[str, ...]:
-        """Labels of the parameters that nothing but noise tells."""
-        return tuple(told.label for told in self.parameters if told.untold)
+    def not_identifiable(self) -> tuple[str, ...]:
+        """Labels of the parameters on which there is no information but that of noise."""
+        return tuple(own.label for own in self.parameters if not own.identifiable)
 
 
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    """A solution of whitened equations: x, nan where nothing is told, and how well it is told."""
-
-    x: Array
-    norm: Array
-    rank: int
-    condition_number: float
-    correlation: Array
-
-
-def describe_excitation(
-    recordings: Sequence[Samples],
-    cup_length: float,
-    structure: Structure,
-    noises: Sequence[FilterNoise] = (),
-    filtered: bool = True,
+def found_by(
+    fit: Fit, excitation: Excitation, source: str
 ) -> Excitation:
-    """
-    Say what recordings can tell about K and P.
-
-    Parameters
-    ----------
-    recordings : sequence of Samples
-        Prepared recordings.
-    cup_length : float
-        Nominal length l0, m.
-    structure : Structure
-        Which entries are to be found.
-    noises : sequence of FilterNoise, optional
-        Of each recording; without them nothing is said about noise.
-    filtered : bool
-        Whether to warn of what biases least squares of filtered motion: noise, and what is too
-        fast for the filter.
-
-    Raises
-    ------
-    BellowsError
-        If there is no valid sample, or there are noises of some recordings only.
-
-    """
-    recordings = list(recordings)
-    if noises and len(noises) != len(recordings):
-        raise BellowsError(f'{len(recordings)} recordings need as many noises, not {len(noises)}.')
-    _require_samples(sum(samples.count for samples in recordings))
-    spectra = [relative_spectra(samples, cup_length) for samples in recordings]
-    known: Sequence[FilterNoise | None] = noises or [None] * len(recordings)
-    parts = [
-        evidence_of(samples, cup_length, structure, noise, seen)
-        for samples, noise, seen in zip(recordings, known, spectra, strict=True)
-    ]
-    found = excitation_of(parts, structure, filtered)
-    warnings = found.warnings
-    if filtered:
-        rates_hz = [uniform_rate_hz(samples.package.stamps_ns) for samples in recordings]
-        twists = [recording.twist for recording in spectra]
-        warnings += tuple(too_fast(found.axes, twists, rates_hz, noises))
-    return replace(found, spectra=tuple(spectra), warnings=warnings)
+    """Return what recordings can tell with a fit's own verdicts on what is identifiable."""
+    structure = structure_named(fit.structure)
+    values = structure.parameters(fit.stiffness, fit.damping)
+    known = np.isfinite(np.diag(fit.covariance))
+    parameters = tuple(
+        replace(own, value=float(value), noise_share=min(own.noise_share, LARGEST_SHARE))
+        if seen else replace(own, value=np.nan, noise_share=1.0)
+        for own, value, seen in zip(excitation.parameters, values, known, strict=True))
+    spread = np.where(known, np.sqrt(np.diag(fit.covariance)), 1.0)
+    pairs = tuple(_correlated(fit.covariance / np.outer(spread, spread), fit.labels))
+    return replace(
+        excitation, parameters=parameters, rank=int(np.count_nonzero(known)), pairs=pairs,
+        warnings=tuple(advice(parameters, structure, len(known), pairs, source, False)))
 
 
 def excitation_of(
-    parts: Sequence[Evidence], structure: Structure, filtered: bool = True
+    parts: Sequence[Information], structure: Structure, filtered: bool = True
 ) -> Excitation:
     """
-    Say what recordings can tell about K and P, from the evidence of each.
+    Return what of K and P is identifiable, from the information of each recording.
+
+    Parameters
+    ----------
+    parts : sequence of Information
+        Of each recording.
+    structure : Structure
+        Which entries are to be found.
+    filtered : bool
+        Whether to warn of what biases least squares of filtered motion: noise, and what is too
+        fast for the filter.
 
     Raises
     ------
@@ -193,61 +118,35 @@ def excitation_of(
 
     """
     wrench = joined(part.wrench for part in parts)
-    _require_samples(wrench.count)
+    if not wrench.count:
+        raise BellowsError('No valid sample is left: nothing is identifiable.')
     whitening = whitening_of(regular(wrench.covariance(structure)))
-    solved = _solve(_triangle(parts, 0, whitening), structure)
-    shares, bias = _noise_effects(parts, structure, whitening, solved)
+    found = solution(_r_factor(parts, 0, whitening), structure)
+    x = np.where(found.identifiable, found.x, np.nan)
+    shares, bias = _noise_effects(parts, structure, whitening, found)
     parameters = tuple(
-        Told(label, float(x), 1.0 if np.isnan(x) else float(share), float(off))
-        for label, x, share, off in zip(structure.labels, solved.x, shares, bias, strict=True)
+        Identifiability(label, float(value), 1.0 if np.isnan(value) else float(share), float(off))
+        for label, value, share, off in zip(structure.labels, x, shares, bias, strict=True)
     )
-    pairs = tuple(_pairs(solved, structure.labels))
+    axes, pairs = _axes(parts), tuple(_pairs(found, structure.labels))
     source = 'this recording' if len(parts) == 1 else 'these recordings'
+    fast = too_fast(axes, [part.passed for part in parts if part.passed]) if filtered else ()
     return Excitation(
-        structure.name, _axes(parts), parameters, solved.rank, len(solved.x),
-        solved.condition_number, pairs,
-        tuple(advice(parameters, structure, solved.rank, pairs, source, filtered)),
-    )  # fmt: skip
+        structure.name, axes, parameters, found.rank, len(x), found.condition_number, pairs,
+        (*advice(parameters, structure, found.rank, pairs, source, filtered), *fast))
 
 
-def _require_samples(count: int) -> None:
-    """Raise BellowsError if there is no valid sample."""
-    if not count:
-        raise BellowsError('No valid sample is left of which to say what it tells.')
-
-
-def _triangle(parts: Sequence[Evidence], draw: int, whitening: Array) -> Array:
-    """Return the triangle of the whitened equations, as they are (0) or with noise once more."""
+def _r_factor(parts: Sequence[Information], draw: int, whitening: Array) -> Array:
+    """Return the R factor of the whitened equations, as they are (0) or with noise once more."""
     size = parts[0].rows.shape[-1]
-    return triangle(((whitening @ part.rows[draw]).reshape(-1, size) for part in parts), size)
-
-
-def _solve(R: Array, structure: Structure) -> _Solved:
-    """Solve the equations of a triangle as far as they tell something."""
-    unit = column_sizes(R[:-1, :-1], structure)
-    U, singular, Vt = np.linalg.svd(R[:-1, :-1] / unit)
-    told = singular > RANK_WITHIN * singular[0]
-    inverse = (Vt[told].T / singular[told]) @ U[:, told].T
-    x = inverse @ R[:-1, -1] / unit
-    gram = inverse @ inverse.T
-    spread = np.sqrt(np.diag(gram))
-    untold = (spread == 0.0) | np.any(np.abs(Vt[~told]) > IN_NULL_SPACE, axis=0)
-    safe = np.where(untold, 1.0, spread)
-    correlation = np.where(untold | untold[:, None], 0.0, gram / np.outer(safe, safe))
-    return _Solved(
-        np.where(untold, np.nan, x),
-        np.where(untold, 0.0, unit / safe),
-        int(np.count_nonzero(told)),
-        float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf,
-        correlation,
-    )
+    return r_factor(((whitening @ part.rows[draw]).reshape(-1, size) for part in parts), size)
 
 
 def _noise_effects(
-    parts: Sequence[Evidence], structure: Structure, whitening: Array, solved: _Solved
+    parts: Sequence[Information], structure: Structure, whitening: Array, found: Solution
 ) -> tuple[Array, Array]:
     """
-    Return the share of noise in what tells each parameter, and the bias that it causes.
+    Return the share of noise in the information on each parameter, and its bias.
 
     Noise that is added once more shrinks the estimates again. An estimate that goes as 1 / (1 + n)
     with the noise's variance n, as that of one parameter does, was off before by 1 - x / x', where
@@ -259,14 +158,14 @@ def _noise_effects(
         return np.full(2 * structure.size, np.nan), np.full(2 * structure.size, np.nan)
     added = np.sum([part.added for part in parts], axis=0)
     energy = np.einsum('ab,pbc,ac->p', whitening, added, whitening)
-    again = [_solve(_triangle(parts, draw, whitening), structure).x for draw in draws]
-    later = np.mean(again, axis=0)
+    again = [solution(_r_factor(parts, draw, whitening), structure) for draw in draws]
+    later = np.mean([np.where(noisy.identifiable, noisy.x, np.nan) for noisy in again], axis=0)
     with np.errstate(divide='ignore', invalid='ignore'):
-        share = np.minimum(energy / solved.norm**2, 1.0)
-        return share, 1.0 - 1.0 / np.maximum(later / solved.x, SMALLEST_RATIO)
+        share = np.minimum(energy * np.sum(found.inverse**2, axis=1), 1.0)
+        return share, 1.0 - 1.0 / np.maximum(later / found.x, SMALLEST_RATIO)
 
 
-def _axes(parts: Sequence[Evidence]) -> tuple[Axis, ...]:
+def _axes(parts: Sequence[Information]) -> tuple[Axis, ...]:
     """Return how the six directions are excited."""
     strain, twist, strain_noise, twist_noise = (
         joined(getattr(part, kind) for part in parts)
@@ -275,14 +174,14 @@ def _axes(parts: Sequence[Evidence]) -> tuple[Axis, ...]:
     columns = (
         _rms(strain), strain.std, _rms(twist), _bands(parts).T.tolist(), strain_noise.std,
         twist_noise.std,
-    )  # fmt: skip
+    )
     return tuple(
         Axis(name, float(lip), float(motion), float(rate), (low, high), float(shake), float(hum))
         for name, lip, motion, rate, (low, high), shake, hum in zip(AXES, *columns, strict=True)
     )
 
 
-def _bands(parts: Sequence[Evidence]) -> Array:
+def _bands(parts: Sequence[Information]) -> Array:
     """Return the frequencies (2, 6) in Hz between which most of the velocities' power lies."""
     ends = np.array([part.bands_hz for part in parts])
     known = np.isfinite(ends[:, 0])
@@ -296,11 +195,20 @@ def _rms(moments: Moments) -> Array:
     return np.asarray(np.hypot(moments.mean, moments.std))
 
 
-def _pairs(solved: _Solved, labels: Sequence[str]) -> Iterator[tuple[str, str, float]]:
-    """Yield the pairs of parameters that can hardly be told apart, the worst first."""
-    upper = np.abs(np.triu(solved.correlation, 1))
+def _pairs(found: Solution, labels: Sequence[str]) -> Iterator[tuple[str, str, float]]:
+    """Yield the pairs of parameters that can hardly be separated, the worst first."""
+    gram = found.inverse @ found.inverse.T
+    spread = np.where(found.identifiable, np.sqrt(np.diag(gram)), np.inf)
+    yield from _correlated(gram / np.outer(spread, spread), labels)
+
+
+def _correlated(
+    correlation: Array, labels: Sequence[str]
+) -> Iterator[tuple[str, str, float]]:
+    """Yield the pairs of parameters with nearly the same errors, the worst first."""
+    upper = np.abs(np.triu(correlation, 1))
     for flat in np.argsort(-upper, axis=None):
         i, j = divmod(int(flat), upper.shape[1])
         if upper[i, j] <= CORRELATED:
             return
-        yield labels[i], labels[j], float(solved.correlation[i, j])
+        yield labels[i], labels[j], float(correlation[i, j])

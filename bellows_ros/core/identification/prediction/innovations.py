@@ -10,12 +10,14 @@ that is known beforehand. With an exact tool the gain is zero and it is the free
 
 from typing import Any, NamedTuple
 
-from bellows_ros.core.identification.noise import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
+from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.integrator import advance
 from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.linearisation import displaced, largest_step, substeps_for
+from bellows_ros.core.recording.noise import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
 from bellows_ros.core.savgol import weights
+from bellows_ros.core.sensitivities import advance_jacobians
 from bellows_ros.core.simulation import row_state
 from bellows_ros.core.tuples import (
     add,
@@ -28,9 +30,6 @@ from bellows_ros.core.tuples import (
     Vector,
 )
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 CLIPPED_AT = 4.0
 """Standard deviations of an innovation beyond which it corrects the state no further."""
@@ -47,8 +46,6 @@ MOST_DOUBLINGS = 60
 
 Change = tuple[Vector, Vector, Vector, Vector]
 """Of position (m), rotation (rad), velocity (m/s) and rate (rad/s), in body axes."""
-
-_DIFFERENCE = 1e-6  # m, rad, m/s and rad/s, of central differences
 
 
 class Observer(NamedTuple):
@@ -139,58 +136,17 @@ def _one_step(
     """
     Return the transition (12, 12) of one step, and the effects B_j (12, 6) of the tool's poses.
 
-    By central differences of the integrator itself about a rest; the first of the poses lies half
-    a window of the twists before the step, the last one as much behind it.
+    The first of the poses lies half a window of the twists before the step, the last one as much
+    behind it.
     """
-    slopes = np.empty((3, 12, 12))
     substeps = substeps_for(period, largest_step(model))
-    _step_slopes(model, tool, body, period, substeps, slopes)
-    F, first, last = slopes
+    step = advance_jacobians(model, body, tool, tool, period, substeps)
     value, slope, _ = weights(TOOL_HALF_WINDOW, TOOL_ORDER, 1.0 / period)
     inputs = [np.zeros((12, 6)) for _ in range(LAGS + 1)]
-    for offset, effect in ((0, first), (1, last)):
+    for offset, effect in ((0, step.tool_start), (1, step.tool_end)):
         for j in range(LAGS):
             inputs[j + offset] += value[j] * effect[:, :6] + slope[j] * effect[:, 6:]
-    return F, inputs
-
-
-@kernel
-def _step_slopes(
-    model: ModelTuple, tool: State, body: State, period: float, substeps: int, out: Array
-) -> None:
-    """Write the derivatives of the next state by the body, the tool now, and the tool then."""
-    for slot in range(3):
-        for column in range(12):
-            size = _DIFFERENCE
-            ahead = moved(body, unit(column, size if slot == 0 else 0.0))
-            behind = moved(body, unit(column, -size if slot == 0 else 0.0))
-            now = moved(tool, unit(column, size if slot == 1 else 0.0))
-            before = moved(tool, unit(column, -size if slot == 1 else 0.0))
-            then = moved(tool, unit(column, size if slot == 2 else 0.0))
-            instead = moved(tool, unit(column, -size if slot == 2 else 0.0))
-            ahead = advance(model, ahead, now, then, period, substeps)
-            behind = advance(model, behind, before, instead, period, substeps)
-            difference = between(behind, ahead)
-            for part in range(4):
-                for row in range(3):
-                    out[slot, 3 * part + row, column] = difference[part][row] / (2.0 * size)
-
-
-@kernel
-def unit(column: int, size: float) -> Change:
-    """Return a change of one of the twelve coordinates."""
-    a, b, c = (
-        size if column % 3 == 0 else 0.0,
-        size if column % 3 == 1 else 0.0,
-        size if column % 3 == 2 else 0.0,
-    )
-    part = column // 3
-    return (
-        (a, b, c) if part == 0 else ZERO,
-        (a, b, c) if part == 1 else ZERO,
-        (a, b, c) if part == 2 else ZERO,
-        (a, b, c) if part == 3 else ZERO,
-    )
+    return step.body, inputs
 
 
 @kernel
@@ -207,7 +163,7 @@ def between(first: State, second: State) -> Change:
         apply_transposed(rotation_matrix(first[1]), subtract(second[0], first[0])),
         log_quaternion(quaternion_product(quaternion_conjugate(first[1]), second[1])),
         subtract(second[2], first[2]), subtract(second[3], first[3]),
-    )  # fmt: skip
+    )
 
 
 def _variances(noise: Noise) -> list[float]:
@@ -241,9 +197,9 @@ def innovations(
     start: State,
     tool: Array,
     package: Array,
-    valid: NDArray[np.bool_],
+    valid: Mask,
     durations: Array,
-    substeps: NDArray[np.int64],
+    substeps: Stamps,
     filtering: Observer,
 ) -> Array:
     """
@@ -280,7 +236,7 @@ def innovations(
 def _innovations(
     model: ModelTuple, body: State, tool: Any, package: Any, valid: Any, durations: Any,
     substeps: Any, gain: Any, limit: Any, out: Array,
-) -> None:  # fmt: skip
+) -> None:
     """Predict, compare and correct from row to row."""
     now = row_state(tool[0])
     recent = NO_INNOVATIONS
@@ -329,7 +285,7 @@ def row_product(gain: Any, i: int, e: Any) -> Any:
     return (
         row[0] * e[0] + row[1] * e[1] + row[2] * e[2]
         + row[3] * e[3] + row[4] * e[4] + row[5] * e[5]
-    )  # fmt: skip
+    )
 
 
 @kernel

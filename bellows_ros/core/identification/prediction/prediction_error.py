@@ -1,54 +1,51 @@
 """
-Prediction-error method: K, P and the start of every stretch from one-step prediction errors.
+Prediction-error method: K and P that predict every measured pose from those before it.
 
-The innovations (see `innovations`) are whitened by their own covariance and their squares
-minimised by SciPy's trust region with Huber's loss. The tool's noise enters as what it is, an
-input error; outliers neither steer the state nor count by more than Huber lets them. False minima
-are passed by starting with an observer that forgets quickly, as if the tool were noisier than it
-is, and taking that away in stages: each begins where the last one ended.
+The equations of motion hold along the true motions of tool and package; noise of their measured
+poses makes errors in them whose covariance is known. In units of it the errors are one-step
+prediction errors (see `whitening`), whose squares are minimised (see `minimum`).
 """
 
 from collections.abc import Callable
-import math
 import time
 
-from bellows_ros.core.identification.prediction.certainty import Certainty, certainty, HUBER_FROM
-from bellows_ros.core.identification.prediction.measured import Measured
-from bellows_ros.core.identification.prediction.objective import Objective, Stretch
-from bellows_ros.core.identification.prediction.parametrisation import (
-    Neighbourhood,
-    Parametrisation,
-    semidefinite,
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.equations.identifiable import without
+from bellows_ros.core.identification.prediction.cone import minimum_in_cone
+from bellows_ros.core.identification.prediction.covariance import Certainty, certainty
+from bellows_ros.core.identification.prediction.equations import Segment
+from bellows_ros.core.identification.prediction.minimum import Found, Search
+from bellows_ros.core.identification.prediction.segments import Measured
+from bellows_ros.core.identification.result import (
+    definiteness_warnings,
+    Fit,
+    Iteration,
+    POSE_UNITS,
 )
-from bellows_ros.core.identification.result import definiteness_warnings, Fit, Iteration
-from bellows_ros.core.identification.structure import Structure
-from bellows_ros.core.identification.unknown import without
 from bellows_ros.core.model import Cup
+from bellows_ros.core.structure import Structure
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Progress = Callable[[Iteration], None]
 
-INFLATIONS = (1.0,)
-"""Tool noise of the early stages, in parts of the package's, beside the tool's own."""
-
-FARTHEST = 3.0
-"""The free numbers stay this near to a stage's start: a factor of 20 in K and P."""
-
-MOST_ROUNDS = 3
-"""How often all stages are gone through where numbers end as far away as they may be."""
-
-MOST_ITERATIONS = 60
 LARGEST_CHI2 = 1.2
 """A chi^2 per degree of freedom above this is said to be too large."""
+
+SHORTEST_COLOUR = 0.6
+"""Noise of which the next pose keeps less than this is as good as white."""
+
+SOFTEST = 0.05
+"""Eigenvalues of K and P where the search for definite ones begins, in scaled units."""
+
+NOT_CONVERGED = (
+    'The search for the minimum of the prediction errors has not converged: K and P are not to '
+    'be used, and there are no standard errors. Take a simpler fit.structure, or record a motion '
+    'that is richer in all directions.')
 
 
 def prediction_error(
     recordings: list[Measured],
-    cup_length: float,
     structure: Structure,
     start: Cup,
     progress: Progress | None = None,
@@ -60,14 +57,11 @@ def prediction_error(
     Parameters
     ----------
     recordings : list of Measured
-        Stretches of recordings of one cup.
-    cup_length : float
-        Nominal length l0, m.
+        Segments of recordings of one cup.
     structure : Structure
-        Which entries of K and P are free; K is positive definite and P positive semidefinite by
-        construction.
+        Which entries of K and P are free; K is positive definite and P positive semidefinite.
     start : Cup
-        First guess, as from least squares.
+        First guess, as from least squares, with the nominal length l0.
     progress : callable, optional
         Called with every iteration.
     estimate_delay : bool
@@ -80,158 +74,107 @@ def prediction_error(
         If nothing can be compared.
 
     """
-    if not any(r.counted.any() for r in recordings):
+    if not any(r.package.valid.any() for r in recordings):
         raise BellowsError('No valid package pose to compare with. See the report for why.')
-    chart = _chart(structure, start)
-    theta = chart.numbers(start.stiffness, start.damping)
-    first = Cup(*chart.matrices(theta), cup_length)
     delays = 1 + max(r.recording for r in recordings) if estimate_delay else 0
-    objective = Objective(
-        [Stretch(r, first) for r in recordings], cup_length, chart, delays)
-    theta = np.concatenate([theta, np.zeros(objective.size - chart.size)])
-    log = _Log(objective, progress)
-    for _ in range(MOST_ROUNDS):
-        for stage, inflation in enumerate(INFLATIONS):
-            theta, _ = _minimised(objective, theta, inflation, log, stage, 1e-3)
-        theta, limits = _minimised(objective, theta, 0.0, log, len(INFLATIONS), 1e-8)
-        lost = _lost(chart, limits)
-        if not lost.any():
-            break
-    near = chart.near(theta[: chart.size])
-    theta[: chart.size] = 0.0
-    objective = objective.with_chart(near)
-    sure = certainty(objective, theta).without(lost)
-    return _fit(objective, near, theta - sure.pull, sure, log.iterations)
+    search = Search([Segment(r) for r in recordings], structure, start, delays)
+    iterations: list[Iteration] = []
+    began = time.perf_counter()
+
+    def note(theta: Array, chi2: float) -> None:
+        cup = search.cup(theta)
+        iterations.append(Iteration(
+            0, len(iterations), chi2, cup.stiffness, cup.damping, time.perf_counter() - began))
+        if progress is not None:
+            progress(iterations[-1])
+
+    found = search.found(note)
+    sure = certainty(search, found)
+    return _fit(search, found._replace(theta=_definite(search, found)), sure, iterations)
 
 
-def _chart(structure: Structure, start: Cup) -> Parametrisation:
-    """Return the parametrisation scaled by a start's diagonals, lifted where not positive."""
-    scales = []
-    for matrix in (start.stiffness, start.damping):
-        diagonal = np.diag(matrix).copy()
-        for part in (slice(0, 3), slice(3, 6)):  # metres and radians
-            diagonal[part] = np.maximum(diagonal[part], 0.05 * np.abs(diagonal[part]).max())
-        scales.append(diagonal)
-    return Parametrisation(structure, *scales)
-
-
-class _Log:
-    """The iterations, told to whoever wants to know."""
-
-    def __init__(self, objective: Objective, progress: Progress | None) -> None:
-        self.objective = objective
-        self.progress = progress
-        self.iterations: list[Iteration] = []
-        self.began = time.perf_counter()
-
-    def note(self, stage: int, theta: Array) -> None:
-        """Keep one iteration."""
-        r = self.objective.residuals(theta)
-        cup = self.objective.cup(theta)
-        iteration = Iteration(
-            stage, len(self.iterations), float(np.mean(r**2)), cup.stiffness, cup.damping,
-            time.perf_counter() - self.began,
-        )  # fmt: skip
-        self.iterations.append(iteration)
-        if self.progress is not None:
-            self.progress(iteration)
-
-
-def _minimised(
-    objective: Objective, theta: Array, inflation: float, log: _Log, stage: int, tolerance: float
-) -> tuple[Array, Array]:
-    """Return the free numbers at the minimum, and at which end of their reach (-1, 1) they are."""
-    from scipy.optimize import least_squares as minimise  # late: least squares need not load it
-
-    objective.inflation = inflation
-    base = theta - 1.0  # SciPy takes the first trust region from the size of the numbers
-
-    def jacobian(numbers: Array) -> Array:
-        log.note(stage, base + numbers)
-        return objective.jacobian(base + numbers)
-
-    reach = np.concatenate(
-        [np.full(objective.chart.size, FARTHEST),
-         np.full(12 * len(objective.stretches), 1e5), np.full(objective.delays, 50.0)]
-    )
-
-    def residuals(numbers: Array) -> Array:
-        return objective.residuals(base + numbers)
-
-    found = minimise(
-        residuals, np.ones_like(theta), jacobian,
-        bounds=(1.0 - reach, 1.0 + reach), x_scale='jac', loss='huber', f_scale=HUBER_FROM,
-        xtol=tolerance, ftol=tolerance, gtol=1e-12, max_nfev=MOST_ITERATIONS,
-    )  # fmt: skip
-    return np.asarray(base + found.x), np.asarray(found.active_mask)
-
-
-def _lost(chart: Parametrisation, limits: Array) -> Mask:
-    """Return which numbers have gone as far as they may because nothing holds them; P may be 0."""
-    lost: Mask = np.zeros(len(limits), dtype=bool)
-    if chart.structure.name != 'full':  # there each number is a parameter
-        half = chart.structure.size
-        lost[:half] = limits[:half] != 0
-        lost[half:chart.size] = limits[half:chart.size] > 0
-    return lost
+def _definite(search: Search, found: Found) -> Array:
+    """Return the free numbers of the likeliest definite K and P."""
+    cup = search.cup(found.theta)
+    if np.linalg.eigvalsh(cup.stiffness)[0] > 0.0 and np.linalg.eigvalsh(cup.damping)[0] >= 0.0:
+        return found.theta
+    scales = np.split(search.units[:search.count], 2)
+    roots = [np.sqrt(np.diag(search.structure.matrices(np.concatenate([s, s]))[0]))
+             for s in scales]
+    units = np.array([
+        np.array(search.structure.basis) * s[:, None, None] / np.outer(root, root)
+        for s, root in zip(scales, roots, strict=True)])
+    inside = found.theta.copy()
+    for half, unit in enumerate(units):
+        index = slice(half * len(unit), (half + 1) * len(unit))
+        values, vectors = np.linalg.eigh(np.tensordot(found.theta[index], unit, axes=1))
+        lifted = (vectors * np.maximum(values, SOFTEST)) @ vectors.T
+        inside[index] = search.structure.parameters(
+            lifted * np.outer(roots[half], roots[half]), lifted)[:len(unit)] / scales[half]
+    return minimum_in_cone(found.information, found.theta, inside, units)
 
 
 def _fit(
-    objective: Objective, near: Neighbourhood, theta: Array, sure: Certainty,
-    iterations: list[Iteration],
-) -> Fit:  # fmt: skip
+    search: Search, found: Found, sure: Certainty, iterations: list[Iteration]
+) -> Fit:
     """Return the result with uncertainties of the matrices' entries."""
-    size, structure = near.size, near.structure
-    stiffness, damping = near.matrices(theta[:size])
-    damping = semidefinite(damping)
-    covariance = without(
-        sure.covariance[:size, :size] * np.outer(near.scale, near.scale), ~sure.told[:size])
+    size, structure, measured = search.count, search.structure, [
+        segment.measured for segment in search.segments]
+    cup = search.cup(found.theta)
+    known = sure.identifiable & found.converged
+    unit = search.units
+    covariance = without((sure.covariance * np.outer(unit, unit))[:size, :size], ~known[:size])
     errors = structure.spread(np.sqrt(np.diag(covariance)))
-    innovation = objective.prepared(theta)[0].filtering.covariance
-    counted = [s.measured.counted for s in objective.stretches]
-    whitened = objective.residuals(theta).reshape(-1, 6)
-    rms = np.sqrt(np.mean(whitened**2, axis=0))
-    first = objective.size - objective.delays
-    std = np.where(sure.told, np.sqrt(np.diag(sure.covariance)), np.inf)
+    std = np.where(known, unit * np.sqrt(np.diag(sure.covariance)), np.inf)
+    noise = np.concatenate([own[:, :6] for own in found.noise])
+    used = int(sum(np.count_nonzero(m.package.valid) for m in measured))
     return Fit(
         method='prediction_error',
         structure=structure.name,
-        stiffness=stiffness,
-        damping=damping,
+        stiffness=cup.stiffness,
+        damping=cup.damping,
         stiffness_std=errors[0],
         damping_std=errors[1],
         covariance=covariance,
         labels=structure.labels,
-        samples_used=int(sum(np.count_nonzero(c) for c in counted)),
-        samples_rejected=int(sum(np.count_nonzero(~c) for c in counted)),
-        condition_number=_condition(sure.covariance[:size, :size]),
-        weight=np.asarray(np.linalg.inv(innovation)),
-        residual_rms=rms * np.sqrt(np.diag(innovation)),
+        samples_used=used,
+        samples_rejected=sum(len(m.package) for m in measured) - used,
+        condition_number=_condition(found.information[:size, :size]),
+        weight=np.diag(search.noises(search.segments[0], search.kept)[0].std ** -2),
+        residual_rms=np.sqrt(np.mean(noise**2, axis=0)),
+        residual_units=POSE_UNITS,
         warnings=(
-            *definiteness_warnings(stiffness, damping, structure.name), *_doubts(sure.chi2)),
+            *definiteness_warnings(cup.stiffness, cup.damping, structure.name),
+            *_doubts(search, sure), *(() if found.converged else (NOT_CONVERGED,))),
         chi2=sure.chi2,
+        robust_chi2=sure.robust_chi2,
+        converged=found.converged,
         iterations=tuple(iterations),
-        delays=tuple((1e-3 * theta[first:]).tolist()),
-        delays_std=tuple((1e-3 * std[first:]).tolist()),
+        delays=tuple((unit * found.theta)[size:].tolist()),
+        delays_std=tuple(std[size:].tolist()),
     )
 
 
-def _doubts(chi2: float) -> list[str]:
-    """Return what must be said of a chi^2 per degree of freedom."""
-    if chi2 <= LARGEST_CHI2:
-        return []
-    return [
-        f'The model does not explain the recording: chi^2 per degree of freedom is {chi2:.2f} '
-        'where 1 is expected. Check package.mass, package.com, the frames and whether one clock '
-        'stamped both streams (else set fit.time_offset), or take a richer fit.structure.'
-    ]
+def _doubts(search: Search, sure: Certainty) -> list[str]:
+    """Return what must be said of the noise, and of a chi^2 per degree of freedom."""
+    doubts = []
+    kept, period = max(search.kept), search.segments[0].period
+    if kept > SHORTEST_COLOUR:
+        doubts.append(
+            f'The noise is correlated over {-1e3 * period / np.log(kept):.0f} ms: motion capture '
+            'smoothing? The standard errors allow for it; poses that are not smoothed give '
+            'smaller ones.')
+    if sure.robust_chi2 > LARGEST_CHI2:
+        doubts.append(
+            'The model does not explain the recording: chi^2 per degree of freedom is '
+            f'{sure.robust_chi2:.2f} where 1 is expected. Check package.mass, package.com, the '
+            'frames and whether one clock stamped both streams (else set fit.time_offset), or '
+            'take a richer fit.structure.')
+    return doubts
 
 
-def _condition(covariance: Array) -> float:
-    """Return the condition number of the scaled problem behind a covariance."""
-    told = np.diag(covariance) > 0.0
-    if not told.any():
-        return math.inf
-    scale = np.sqrt(np.diag(covariance)[told])
-    values = np.linalg.eigvalsh(covariance[np.ix_(told, told)] / np.outer(scale, scale))
+def _condition(information: Array) -> float:
+    """Return the condition number of the scaled problem behind an information matrix."""
+    scale = np.sqrt(np.diag(information))
+    values = np.linalg.eigvalsh(information / np.outer(scale, scale))
     return float(np.sqrt(values[-1] / max(values[0], 1e-300)))

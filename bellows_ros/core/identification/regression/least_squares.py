@@ -1,214 +1,92 @@
 """
 Weighted linear least squares on accelerations (4.66-4.81).
 
-The rows of all samples are reduced to one small triangle by QR factorisations, block by block:
-the normal equations of the raw data are never formed, memory does not grow with the regressor,
-and the triangles of several recordings can be joined.
+Sufficient statistics of the recordings are weighted and joined by QR factorisations: the normal
+equations of the raw data are never formed.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import NamedTuple
 
-from bellows_ros.core.identification.regression.moments import joined, Moments
-from bellows_ros.core.identification.regression.triangles import triangle
-from bellows_ros.core.identification.result import definiteness_warnings, Fit
-from bellows_ros.core.identification.structure import Structure
-from bellows_ros.core.identification.unknown import IN_NULL_SPACE, Mask, without
-from bellows_ros.core.identification.wrenches import lip_relative, needed_wrench
-from bellows_ros.core.model import Package, regressor
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.identification.equations.equations import CLUSTER_WINDOWS, Rows, WRENCH
+from bellows_ros.core.identification.equations.identifiable import LEAST_SIGNAL, without
+from bellows_ros.core.identification.equations.r_factors import r_factor, solution
+from bellows_ros.core.identification.equations.whitening import joined, regular, whitening_of
+from bellows_ros.core.identification.regression.sufficient import Statistics
+from bellows_ros.core.identification.result import definiteness_warnings, Fit, WRENCH_UNITS
+from bellows_ros.core.structure import Structure
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
-BLOCK = 4096
-"""Samples whose regressor is in memory at a time."""
-
-LARGEST_CONDITION = 1e6
-"""Combinations of parameters that are told by less than this part of the best are not told."""
-
-UNTOLD_SHOWN = 4
-
-WRENCH = (
-    *((f'force along {axis}', 'N') for axis in 'xyz'),
-    *((f'moment about {axis}', 'N m') for axis in 'xyz'),
-)
-"""The components of a wrench at S, and their units."""
-
-NO_EFFECT = 1e-8
-"""A parameter whose column is smaller than this part of those of its kind has no effect."""
-
-LEVER = 0.01
-"""Moments are taken to be at least forces at such a lever, m, where they are compared."""
-
-NO_WRENCH, FLOOR = 1e-10, 1e-8
-"""Variances of a wrench (parts of their mean) that are none, and what is then added."""
-
-CLUSTER_WINDOWS = 4
-"""Residuals this many filter windows apart are taken as independent for standard errors."""
+SHOWN = 4
+"""Parameters that a sentence names."""
 
 CLUSTERS_PER_PARAMETER = 2
-"""Clusters that it takes at least to tell correlations of the estimates."""
+"""Clusters that correlations of the estimates need at least."""
 
 ENOUGH_CLUSTERS = 10
-"""Clusters that it takes at least to tell variances of the estimates."""
+"""Clusters that variances of the estimates need at least."""
 
 SMALLEST_SHARE = 1e-3
-"""Least part of a direction that other clusters must tell, for a cluster's residual to count."""
-
-LEAST_SIGNAL = 0.05
-"""Noise is taken to leave at least this part of what tells a direction."""
+"""Least information on a direction in other clusters, as a part, for a residual to count."""
 
 UNEXPLAINED, OF_THE_WRENCH = 1.5, 0.1
 """Residuals so many times those of noise, and by such a part of the wrench, are too large."""
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """
-    One prepared recording as least squares sees it.
-
-    Parameters
-    ----------
-    tool : Trajectory
-        N poses of E in the world with body twists.
-    package : Trajectory
-        N poses of B with body twists and accelerations, at the same stamps.
-    held : Package
-        Mass, inertia and centre of mass of the package in this recording.
-    gravity : float
-        m/s^2 along -z of the world.
-    window : float
-        Duration of the package's filter window, s: so far residuals are correlated.
-
-    """
-
-    tool: Trajectory
-    package: Trajectory
-    held: Package
-    gravity: float
-    window: float
-
-    def blocks(self) -> 'Iterator[Samples]':
-        """Yield the valid samples in blocks, in the order of time."""
-        valid = np.flatnonzero(self.tool.valid & self.package.valid)
-        for start in range(0, len(valid), BLOCK):
-            index = valid[start:start + BLOCK]
-            yield Samples(
-                self.tool.select(index), self.package.select(index), self.held, self.gravity,
-                self.window,
-            )  # fmt: skip
-
-    def thinned(self, most: int) -> 'Samples':
-        """Return every so many of the samples, about as many as asked for or a few more."""
-        step = slice(None, None, max(len(self.tool) // most, 1))
-        return replace(self, tool=self.tool.select(step), package=self.package.select(step))
-
-    @property
-    def count(self) -> int:
-        """Number of valid samples."""
-        return int(np.count_nonzero(self.tool.valid & self.package.valid))
-
-
-def least_squares(
-    recordings: list[Samples],
-    cup_length: float,
-    structure: Structure,
-    noise: Array | None = None,
-) -> Fit:
+def least_squares(parts: Sequence[Statistics]) -> Fit:
     """
     Fit K and P so that the cup's wrench is the one that the motion needs (4.66, 4.74).
 
     Parameters
     ----------
-    recordings : list of Samples
-        Recordings of one cup, each with the package it held.
-    cup_length : float
-        Nominal length l0, m.
-    structure : Structure
-        Which entries of K and P are free.
-    noise : ndarray (6, q, 6, q), optional
-        What noise adds to the products of the rows, of all recordings (see `noise_products`).
+    parts : sequence of Statistics
+        Of recordings of one cup, all with one structure and cup length.
 
     Returns
     -------
     Fit
         K and P with standard errors that allow for the correlation that the filter's window puts
-        into the residuals, and are infinite where the recordings tell nothing. Where the noise is
-        known, they hold the bias that it causes as well. A result that is not positive definite
+        into the residuals, and are infinite where a parameter is not identifiable. Where the noise
+        is known, they hold the bias that it causes as well. A result that is not positive definite
         is returned as it is, with a warning that says so.
 
     Raises
     ------
     BellowsError
-        If there are too few samples, or they tell nothing at all.
+        If there are none or too few samples, the parts differ in structure or length, or no
+        parameter is identifiable.
 
     """
-    count = sum(samples.count for samples in recordings)
-    rejected = sum(len(samples.tool) for samples in recordings) - count
-    require_enough(count, structure)
-    whitening = whitening_of(regular(wrench_covariance(recordings, structure)))
-    rows = partial(_rows, recordings, cup_length, structure, whitening)
-    return solved(rows, structure, whitening, count, rejected, noise)
-
-
-class Rows(NamedTuple):
-    """Whitened rows of the problem: A (N, 6, p), b (N, 6), and which of the N are a cluster."""
-
-    A: Array
-    b: Array
-    clusters: list[slice]
-
-
-def require_enough(count: int, structure: Structure) -> None:
-    """Raise BellowsError if there are fewer equations than parameters."""
-    if 6 * count <= 2 * structure.size:
+    structure = common_structure(parts)
+    used, rejected = sum(part.used for part in parts), sum(part.rejected for part in parts)
+    if 6 * used <= 2 * structure.size:
         raise BellowsError(
-            f'{count} valid samples are too few for {2 * structure.size} parameters. Record '
+            f'{used} valid samples are too few for {2 * structure.size} parameters. Record '
             'longer, or see in the report why samples were rejected.'
         )
+    whitening = whitening_of(regular(joined(part.moments for part in parts).covariance(structure)))
+    known = [part.noise for part in parts if part.noise is not None]
+    noise = np.sum(known, axis=0) if len(known) == len(parts) else None
 
+    def rows() -> Iterator[Rows]:
+        """Yield the whitened rows of all parts."""
+        return (own.whitened(whitening) for part in parts for own in part.rows())
 
-def regular(covariance: Array) -> Array:
-    """Return a covariance (6, 6) of wrenches that has a root where none act in some direction."""
-    force, moment = (float(np.mean(np.diag(covariance)[part]))
-                     for part in (slice(0, 3), slice(3, 6)))
-    scale = np.repeat([max(force, moment), max(moment, LEVER**2 * force)], 3)
-    if not scale[0] > 0.0:
-        return np.eye(6)
-    unit = np.sqrt(np.outer(scale, scale))
-    if np.linalg.eigvalsh(covariance / unit)[0] > NO_WRENCH:
-        return covariance
-    return np.asarray(covariance + FLOOR * np.diag(scale))
-
-
-def whitening_of(covariance: Array) -> Array:
-    """Return the root of the weight W that makes a covariance (6, 6) the identity."""
-    whitening: Array = np.linalg.inv(np.linalg.cholesky(covariance))
-    return whitening
-
-
-def solved(
-    rows: Callable[[], Iterable[Rows]],
-    structure: Structure,
-    whitening: Array,
-    used: int,
-    rejected: int,
-    noise: Array | None = None,
-) -> Fit:
-    """Return the fit of whitened rows, which are made anew whenever they are needed."""
-    x, inverse, condition, untold = _solve(_triangle(rows(), structure), structure)
+    R = r_factor((own.stacked for own in rows()), 2 * structure.size + 1)
+    x, inverse, identifiable, _, condition = solution(R, structure)
+    if not identifiable.any():
+        raise BellowsError(
+            f'{", ".join(structure.labels[:SHOWN])} and all others are not identifiable from '
+            'these recordings: nothing moves. Excite all six directions.'
+        )
     covariance, squares = _uncertainty(rows, whitening, x, inverse)
     bias = noise_rms = None
     if noise is not None:
         bias = _bias(noise, whitening, x, inverse)
         covariance = covariance + np.outer(bias, bias)
         noise_rms = _noise_rms(noise, x, used)
-    covariance = without(covariance, untold | np.isinf(np.diag(covariance)))
+    covariance = without(covariance, ~identifiable | np.isinf(np.diag(covariance)))
     residual_rms = np.sqrt(squares / used)
     stiffness, damping = structure.matrices(x)
     stiffness_std, damping_std = structure.spread(np.sqrt(np.diag(covariance)))
@@ -226,52 +104,28 @@ def solved(
         condition_number=condition,
         weight=whitening.T @ whitening,
         residual_rms=residual_rms,
+        residual_units=WRENCH_UNITS,
         noise_rms=noise_rms,
         bias=bias,
         warnings=(
             *definiteness_warnings(stiffness, damping, structure.name),
-            *untold_warnings(structure.labels, untold),
+            *identifiability_warnings(structure.labels, identifiable),
             *_short_warnings(covariance),
             *_doubts(residual_rms, noise_rms, whitening),
         ),
     )
 
 
-def wrench_covariance(recordings: list[Samples], structure: Structure) -> Array:
-    """Return Q (6, 6) of the needed wrenches (4.69), (4.80); see `Moments.covariance`."""
-    return joined(wrench_moments(r) for r in recordings).covariance(structure)
-
-
-def wrench_moments(recording: Samples) -> Moments:
-    """Return the moments of the wrenches that a recording needs."""
-    return joined(
-        Moments.of(needed_wrench(b.held, b.package, b.gravity)) for b in recording.blocks()
-    )
-
-
-def equations(
-    block: Samples, cup_length: float, structure: Structure
-) -> tuple[Array, Array, list[slice]]:
-    """Return a block's L (N, 6, p) and c (N, 6) of (4.67), (4.68), and its clusters."""
-    o_E_S, R_E_S, twist = lip_relative(block.tool, block.package, block.held.com)
-    L = regressor(cup_length, structure.basis, o_E_S, R_E_S, twist)
-    return L, needed_wrench(block.held, block.package, block.gravity), _clusters(block)
-
-
-def _rows(
-    recordings: list[Samples], cup_length: float, structure: Structure, whitening: Array
-) -> Iterator[Rows]:
-    """Yield the whitened rows of recordings, block by block."""
-    for recording in recordings:
-        for block in recording.blocks():
-            L, c, clusters = equations(block, cup_length, structure)
-            yield Rows(whitening @ L, c @ whitening.T, clusters)
-
-
-def _triangle(rows: Iterable[Rows], structure: Structure) -> Array:
-    """Return R of the QR factorisation of [A b] (4.71, 4.72)."""
-    size = 2 * structure.size + 1
-    return triangle((np.dstack([A, b]).reshape(-1, size) for A, b, _ in rows), size)
+def common_structure(parts: Sequence[Statistics]) -> Structure:
+    """Return the structure of all parts, or raise BellowsError if they are not of one cup."""
+    kinds = {(part.structure.name, part.cup_length) for part in parts}
+    if len(kinds) != 1:
+        found = ', '.join(f'{name} with {length:g} m' for name, length in sorted(kinds))
+        raise BellowsError(
+            'Recordings can be fitted together only where fit.structure and cup.length are the '
+            f'same; these have {found or "none"}. Use one parameter file for all of them.'
+        )
+    return parts[0].structure
 
 
 def _uncertainty(
@@ -360,67 +214,26 @@ def _with_correlations_of(covariance: Array, variances: Array) -> Array:
     return np.asarray(covariance * np.outer(size, size))
 
 
-def _clusters(block: Samples) -> list[slice]:
-    """Return the samples of a block cut into clusters that are several filter windows long."""
-    cluster_ns = int(CLUSTER_WINDOWS * block.window * NS_PER_S)
-    stamps = block.package.stamps_ns
-    starts = np.unique((stamps - stamps[0]) // cluster_ns, return_index=True)[1]
-    return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(stamps)], strict=True)]
-
-
-def _solve(triangle: Array, structure: Structure) -> tuple[Array, Array, float, Mask]:
-    """
-    Return x, the inverse of R, the scaled problem's condition number, and what is not told (4.74).
-
-    Of parameters that are not told, x holds the smallest that fit as well as any.
-    """
-    R, d = triangle[:-1, :-1], triangle[:-1, -1]
-    unit = column_sizes(R, structure)
-    U, singular, Vt = np.linalg.svd(R / unit)
-    told = singular > singular[0] / LARGEST_CONDITION
-    untold = np.any(np.abs(Vt[~told]) > IN_NULL_SPACE, axis=0)
-    if untold.all():
-        raise BellowsError(
-            f'The recording tells nothing about {", ".join(structure.labels[:UNTOLD_SHOWN])} and '
-            'all others: nothing moves. Excite all six directions.'
-        )
-    condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf
-    inverse = (Vt[told].T / singular[told]) @ U[:, told].T / unit[:, None]
-    return inverse @ d, inverse, condition, untold
-
-
-def column_sizes(R: Array, structure: Structure) -> Array:
-    """
-    Return by what the columns (p,) of equations are divided, infinite where they are rounding.
-
-    Those of K or P of the same units are compared with each other.
-    """
-    sizes = np.linalg.norm(R, axis=0)
-    angular = [(row > 2) + (column > 2) for (row, column), *_ in structure.entries]
-    kinds = np.array([*angular, *(3 + kind for kind in angular)])
-    largest = np.array([sizes[kinds == kind].max() for kind in kinds])
-    return np.where(sizes > NO_EFFECT * largest, sizes, np.inf)
-
-
-def untold_warnings(labels: Sequence[str], untold: Mask) -> tuple[str, ...]:
-    """Return a sentence that names the parameters that are not told, or none."""
-    names = [label for label, is_untold in zip(labels, untold, strict=True) if is_untold]
+def identifiability_warnings(labels: Sequence[str], identifiable: Mask) -> tuple[str, ...]:
+    """Return a sentence that names the parameters that are not identifiable, or none."""
+    names = [label for label, known in zip(labels, identifiable, strict=True) if not known]
     if not names:
         return ()
-    more = f' and {len(names) - UNTOLD_SHOWN} more' if len(names) > UNTOLD_SHOWN else ''
+    more = f' and {len(names) - SHOWN} more' if len(names) > SHOWN else ''
+    one = len(names) == 1
     return (
-        f'The recordings tell nothing about {", ".join(names[:UNTOLD_SHOWN])}{more}, alone: the '
-        'standard errors are infinite, and the values say nothing. Excite all six directions, or '
-        'take a simpler fit.structure.',
+        f'{", ".join(names[:SHOWN])}{more} {"is" if one else "are"} not identifiable from these '
+        f'recordings; {"its estimate is" if one else "their estimates are"} meaningless. Excite '
+        'all six directions, or take a simpler fit.structure.',
     )
 
 
 def _short_warnings(covariance: Array) -> tuple[str, ...]:
-    """Return a sentence where no standard error is told, or none."""
+    """Return a sentence where no standard error is known, or none."""
     if np.isfinite(np.diag(covariance)).any():
         return ()
     return (
-        'The recordings are too short to tell how far off K and P may be: residuals within some '
+        'The recordings are too short to say how far off K and P may be: residuals within some '
         'filter windows are not independent, and too few are left. The standard errors are '
         'infinite. Record longer.',
     )

@@ -1,25 +1,24 @@
 """
-What recordings at rest tell: the cup's nominal length (4.2), and whether its spring is right.
+What standstills say: the cup's nominal length (4.2), and whether its spring is right.
 
 The spring can be checked pose by pose, and the length of the cup under several loads, seen without
 noise, leads to its length under none.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.identification.noise import Noise
-from bellows_ros.core.identification.statics.standstills import Hold
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
-from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.model import Cup, model_tuple
+from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.simulation import state_row
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from scipy.special import chdtrc
 
 UPRIGHT_WITHIN = np.radians(2.0)
 """Nominal length is measured with the cup's axis within this of the vertical, rad."""
@@ -27,14 +26,20 @@ UPRIGHT_WITHIN = np.radians(2.0)
 SAME_MASS_WITHIN = 1e-3
 """Masses (kg) closer than this are one load."""
 
+SAME_LOAD_WITHIN = 1e-2
+"""The same for loads, N."""
+
 POLYNOMIAL = 3
 """Degree of length against load (4.2), where there are loads enough."""
 
 LINEAR_WITHIN = 0.05
 """The range is linear to where the polynomial leaves its tangent by this part of the stretch."""
 
+MISFIT = 0.01
+"""Probability by chance of how far lengths are off their polynomial, below which it is said."""
+
 WANTED_LENGTH_ERROR = 1e-4
-"""Standard error of a nominal length (m) above which more loads or longer holds are asked for."""
+"""Standard error of a nominal length (m) above which more or longer ones are wanted."""
 
 GOOD_WITHIN = 0.05
 """An equilibrium is met if it is off by less than this part of the deflection, or by noise."""
@@ -51,15 +56,17 @@ class NominalLength:
     Parameters
     ----------
     length, length_std : float
-        l0 and its standard error, m.
+        l0 and its standard error, m; that is infinite where no degree of freedom is left.
     linear_length, linear_length_std : float
         The same from a straight line through the loads in the linear range, m.
+    chi2, freedom : float, int
+        Chi^2 of the fit, and its degrees of freedom.
     stiffness : float
         Axial stiffness at no load, N/m.
     linear_load : float
         Load up to which the spring is linear, N; at most the largest load that was measured.
     loads, lengths, errors : ndarray (N,)
-        Load (N), length (m) and its standard error (m) of every hold that was used.
+        Load (N), length (m) and its standard error (m) of every standstill that was used.
     coefficients : ndarray
         Of the polynomial, m, m/N, m/N^2, m/N^3.
     warnings : tuple of str
@@ -71,6 +78,8 @@ class NominalLength:
     length_std: float
     linear_length: float
     linear_length_std: float
+    chi2: float
+    freedom: int
     stiffness: float
     linear_load: float
     loads: Array
@@ -79,20 +88,27 @@ class NominalLength:
     coefficients: Array
     warnings: tuple[str, ...]
 
+    @property
+    def words(self) -> str:
+        """The length with its standard error, or that there is none."""
+        if np.isfinite(self.length_std):
+            return f'{1e3 * self.length:.3f} ± {1e3 * self.length_std:.3f} mm'
+        return f'{1e3 * self.length:.3f} mm, without a standard error'
+
 
 def nominal_length(
-    holds: Sequence[tuple[Hold, Package]], gravity: float
+    standstills: Sequence[Standstill], gravity: float
 ) -> NominalLength:
     """
-    Return the cup's length without load from holds of several masses (4.2).
+    Return the cup's length without load from standstills of several masses (4.2).
 
     Length against load is fitted by a polynomial of third order, or of lower order where there
-    are fewer loads; its value at no load is l0.
+    are fewer loads, so that one is left to test it; its value at no load is l0.
 
     Parameters
     ----------
-    holds : sequence of (Hold, Package)
-        Standstills and what was held; those with the cup's axis not vertical are left out.
+    standstills : sequence of Standstill
+        Those with the cup's axis not vertical are left out.
     gravity : float
         m/s^2.
 
@@ -102,27 +118,38 @@ def nominal_length(
         If there are fewer than two different masses with the cup's axis vertical.
 
     """
-    upright = [(hold, held) for hold, held in holds if hold.tilt <= UPRIGHT_WITHIN]
-    loads = np.array([held.mass * gravity for _, held in upright])
-    lengths = np.array([-hold.lip(held.com)[2] for hold, held in upright])
-    errors = np.array([max(hold.error.position, 1e-9) for hold, _ in upright])
-    different = _different([held.mass for _, held in upright])
+    upright = [still for still in standstills if still.tilt <= UPRIGHT_WITHIN]
+    loads = np.array([still.payload.mass * gravity for still in upright])
+    lengths = np.array([-still.lip[2] for still in upright])
+    errors = np.array([max(still.error.position, 1e-9) for still in upright])
+    different = _different([still.payload.mass for still in upright], SAME_MASS_WITHIN)
     if different < 2:
         raise BellowsError(
             f'The nominal length needs two different masses or more, held with the tool vertical, '
             f'but there {"is" if different == 1 else "are"} {different}. Record standstills with '
             'other known masses, and give each its own --mass.'
         )
-    degree = min(POLYNOMIAL, different - 1)
-    coefficients, covariance = _polynomial(loads, lengths, errors, degree)
+    degree = max(1, min(POLYNOMIAL, different - 2))
+    coefficients, std, chi2, freedom = _polynomial(loads, lengths, errors, degree)
     linear_load = _linear_range(coefficients, float(loads.max()))
-    line, line_covariance = _line(loads, lengths, errors, linear_load)
-    std = float(np.sqrt(covariance[0, 0]))
+    line, line_std, *_ = _line(loads, lengths, errors, linear_load)
+    warnings = [*_misfit(chi2, freedom), *_length_warnings(different, std, coefficients, loads)]
     return NominalLength(
-        float(coefficients[0]), std, float(line[0]), float(np.sqrt(line_covariance[0, 0])),
-        float(1.0 / coefficients[1]), linear_load, loads, lengths, errors, coefficients,
-        tuple(_length_warnings(different, std, float(coefficients[1]), loads)),
-    )  # fmt: skip
+        float(coefficients[0]), std, float(line[0]), line_std, chi2, freedom,
+        float(1.0 / coefficients[1]), linear_load, loads, lengths, errors,
+        coefficients, tuple(warnings),
+    )
+
+
+def _misfit(chi2: float, freedom: int) -> list[str]:
+    """Return a warning where the loads do not lie on the polynomial."""
+    if not freedom or chdtrc(freedom, chi2) >= MISFIT:
+        return []
+    return [
+        f'The lengths are off the polynomial by {np.sqrt(chi2 / freedom):.2g} times what their '
+        'noise explains: a mass may be wrong, or the cup bend more than the polynomial does. '
+        'Check each mass, and add more of them.'
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +159,8 @@ class PoseCheck:
 
     Parameters
     ----------
-    hold : Hold
-        The standstill.
+    standstill : Standstill
+        Where it was measured.
     measured, predicted : ndarray (6,)
         The lip in the tool: deflection from nominal, m and rad; predicted is nan where the cup
         cannot carry the package.
@@ -144,7 +171,7 @@ class PoseCheck:
 
     """
 
-    hold: Hold
+    standstill: Standstill
     measured: Array
     predicted: Array
     verdict: str
@@ -173,7 +200,7 @@ class SpringCheck:
 
 
 def check_spring(
-    cup: Cup, holds: Sequence[tuple[Hold, Package]], gravity: float
+    cup: Cup, standstills: Sequence[Standstill], gravity: float
 ) -> SpringCheck:
     """
     Compare where the package hangs with where the spring model puts it (3.9).
@@ -182,13 +209,13 @@ def check_spring(
     ----------
     cup : Cup
         Its damping takes no part.
-    holds : sequence of (Hold, Package)
-        Standstills and what was held.
+    standstills : sequence of Standstill
+        In several poses of the tool.
     gravity : float
         m/s^2 along -z of the world.
 
     """
-    poses = tuple(_check(cup, hold, held, gravity) for hold, held in holds)
+    poses = tuple(_check(cup, still, gravity) for still in standstills)
     off = [pose for pose in poses if pose.verdict in ('off', 'falls')]
     if not off:
         sentence = f'The spring holds in all {len(poses)} poses.'
@@ -201,28 +228,30 @@ def check_spring(
     return SpringCheck(poses, not off, sentence)
 
 
-def _different(masses: Sequence[float]) -> int:
-    """Return how many different masses there are."""
-    ordered = np.sort(np.asarray(masses, dtype=float))
-    return int(np.count_nonzero(np.diff(ordered) > SAME_MASS_WITHIN) + 1) if len(ordered) else 0
+def _different(values: Sequence[float] | Array, within: float) -> int:
+    """Return how many different values there are."""
+    ordered = np.sort(np.asarray(values, dtype=float))
+    return int(np.count_nonzero(np.diff(ordered) > within) + 1) if len(ordered) else 0
 
 
 def _polynomial(
     loads: Array, lengths: Array, errors: Array, degree: int
-) -> tuple[Array, Array]:
+) -> tuple[Array, float, float, int]:
     """
-    Return a weighted polynomial's coefficients, lowest first, and their covariance.
+    Return a weighted polynomial's coefficients, its error at no load, chi^2, and freedom.
 
-    The scatter about the polynomial counts where it is larger than the errors explain.
+    The scatter about the polynomial counts where it is larger than the errors explain. Loads that
+    are repeated do not test it: the error is infinite where no others are left.
     """
     largest = float(loads.max())
     powers = np.vander(loads / largest, degree + 1, increasing=True) / errors[:, None]
-    scale = 1.0 / largest ** np.arange(degree + 1)
     found, *_ = np.linalg.lstsq(powers, lengths / errors, rcond=None)
-    spare = len(loads) - degree - 1
-    chi2 = float(np.sum((lengths / errors - powers @ found) ** 2)) / spare if spare > 0 else 1.0
-    covariance = max(chi2, 1.0) * np.linalg.inv(powers.T @ powers)
-    return found * scale, np.asarray(covariance * np.outer(scale, scale))
+    tested = _different(loads, SAME_LOAD_WITHIN) > degree + 1
+    spare = len(loads) - degree - 1 if tested else 0
+    chi2 = float(np.sum((lengths / errors - powers @ found) ** 2))
+    scatter = max(chi2 / spare, 1.0) if spare else np.inf
+    variance = scatter * float(np.linalg.inv(powers.T @ powers)[0, 0])
+    return found / largest ** np.arange(degree + 1), float(np.sqrt(variance)), chi2, spare
 
 
 def _linear_range(coefficients: Array, largest: float) -> float:
@@ -236,52 +265,58 @@ def _linear_range(coefficients: Array, largest: float) -> float:
 
 def _line(
     loads: Array, lengths: Array, errors: Array, linear_load: float
-) -> tuple[Array, Array]:
+) -> tuple[Array, float, float, int]:
     """Return the straight line through the loads in the linear range, or the lowest two."""
     inside = loads <= linear_load * (1.0 + 1e-9)
-    if _different(list(loads[inside] / 10.0)) < 2:
+    if _different(loads[inside], SAME_LOAD_WITHIN) < 2:
         second = np.unique(loads)[1]
         inside = loads <= second
     return _polynomial(loads[inside], lengths[inside], errors[inside], 1)
 
 
-def _length_warnings(different: int, std: float, slope: float, loads: Array) -> list[str]:
+def _length_warnings(
+    different: int, std: float, coefficients: Array, loads: Array
+) -> list[str]:
     """Return what the user should know about a nominal length."""
     found = []
-    if different <= POLYNOMIAL:
+    if not np.isfinite(std):
+        found.append(
+            'Two masses leave nothing to test the line through them: the nominal length has no '
+            'standard error, and a wrong mass would not be noticed. Add a third mass.'
+        )
+    elif different < POLYNOMIAL + 2:
         found.append(
             f'With {different} different masses length against load is fitted by a polynomial of '
-            f'order {different - 1}; {POLYNOMIAL + 1} or more show where the cup stops being '
-            'linear.'
+            f'order {len(coefficients) - 1}; {POLYNOMIAL + 2} or more show where the cup stops '
+            'being linear.'
         )
-    if std > WANTED_LENGTH_ERROR:
+    if WANTED_LENGTH_ERROR < std < np.inf:
         found.append(
             f'The nominal length is only known to {std * 1e3:.2f} mm. Add lighter masses than '
             f'{loads.min():.3g} N, or hold each for longer.'
         )
-    if not slope > 0.0:
+    if not coefficients[1] > 0.0:
         found.append(
             'The cup gets shorter under load: check the masses, and that the poses are of E and S.'
         )
     return found
 
 
-def _check(cup: Cup, hold: Hold, held: Package, gravity: float) -> PoseCheck:
+def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     """Return predicted and measured equilibrium of one standstill."""
     nominal = np.array([0.0, 0.0, -cup.length, 0.0, 0.0, 0.0])
-    measured = hold.lip(held.com) - nominal
-    quaternion = rotation_to_quaternion(hold.tool.rotation[0])
-    tool = state_row(hold.tool.position[0], quaternion, np.zeros(6))
+    measured = still.lip - nominal
+    quaternion = rotation_to_quaternion(still.tool.rotation[0])
+    tool = state_row(still.tool.position[0], quaternion, np.zeros(6))
     try:
-        position, q, _, _ = static_equilibrium(model_tuple(cup, held, gravity), tool)
+        position, q, _, _ = static_equilibrium(model_tuple(cup, still.payload, gravity), tool)
     except BellowsError as error:
-        return PoseCheck(hold, measured, np.full(6, np.nan), 'falls', str(error))
+        return PoseCheck(still, measured, np.full(6, np.nan), 'falls', str(error))
     there = Trajectory(
-        hold.package.stamps_ns, np.array([position]), quaternion_to_rotation(np.array([q]))
+        still.package.stamps_ns, np.array([position]), quaternion_to_rotation(np.array([q]))
     )
-    equilibrium = Hold(hold.start_ns, hold.duration, hold.tool, there, hold.samples, hold.error)
-    predicted = equilibrium.lip(held.com) - nominal
-    return PoseCheck(hold, measured, predicted, *_verdict(measured, predicted, hold.error))
+    predicted = replace(still, package=there).lip - nominal
+    return PoseCheck(still, measured, predicted, *_verdict(measured, predicted, still.error))
 
 
 def _verdict(measured: Array, predicted: Array, error: Noise) -> tuple[str, str]:
@@ -289,7 +324,7 @@ def _verdict(measured: Array, predicted: Array, error: Noise) -> tuple[str, str]
     worst, words = 'within noise', []
     for part, unit, noise in (
         (slice(0, 3), 'mm', error.position), (slice(3, 6), 'mrad', error.rotation),
-    ):  # fmt: skip
+    ):
         off = float(np.linalg.norm(predicted[part] - measured[part]))
         size = float(np.linalg.norm(measured[part]))
         within = off <= ERRORS_OF_NOISE * noise * np.sqrt(3.0)

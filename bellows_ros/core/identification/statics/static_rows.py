@@ -15,20 +15,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from bellows_ros.core.identification.result import definiteness_warnings, Fit, Rest
-from bellows_ros.core.identification.statics.standstills import Hold
-from bellows_ros.core.identification.structure import Structure, structure_named
-from bellows_ros.core.identification.unknown import covariance_of, information_of
-from bellows_ros.core.identification.wrenches import lip_relative, needed_wrench
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.equations.identifiable import covariance_of, information_of
+from bellows_ros.core.identification.equations.wrenches import lip_relative, needed_wrench
+from bellows_ros.core.identification.result import definiteness_warnings, Fit, StandstillPart
 from bellows_ros.core.lie import apply, exp_so3
-from bellows_ros.core.model import Package, regressor
+from bellows_ros.core.model import regressor
+from bellows_ros.core.recording.standstills import Standstill
+from bellows_ros.core.structure import Structure, structure_named
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
-Holds = Sequence[tuple[Hold, Package]]
 
 STEP = 1e-6
 """Displacement (m, rad) for derivatives of the balance."""
@@ -50,16 +47,16 @@ LARGEST_CHI2 = 4.0
 
 
 def static_rows(
-    holds: Holds, cup_length: float, structure: Structure, gravity: float, stiffness: Array,
-    length_std: float = 0.0,
+    standstills: Sequence[Standstill], cup_length: float, structure: Structure, gravity: float,
+    stiffness: Array, length_std: float = 0.0,
 ) -> tuple[Array, Array]:
     """
     Return rows A (6 H, n) and b (6 H,) with which b = A k but for errors of unit variance.
 
     Parameters
     ----------
-    holds : sequence of (Hold, Package)
-        H standstills and what was held.
+    standstills : sequence of Standstill
+        H of them.
     cup_length : float
         Nominal length l0, m.
     structure : Structure
@@ -77,23 +74,24 @@ def static_rows(
         If there is no standstill.
 
     """
-    A, b, by_length = _rows(holds, cup_length, structure, gravity, stiffness)
+    A, b, by_length = _rows(standstills, cup_length, structure, gravity, stiffness)
     root = np.linalg.cholesky(
         np.eye(len(b)) + length_std**2 * np.outer(by_length, by_length))
     return np.linalg.solve(root, A), np.linalg.solve(root, b)
 
 
 def _rows(
-    holds: Holds, cup_length: float, structure: Structure, gravity: float, stiffness: Array
+    standstills: Sequence[Standstill], cup_length: float, structure: Structure, gravity: float,
+    stiffness: Array,
 ) -> tuple[Array, Array, Array]:
     """Return A (6 H, n), b (6 H,) and g (6 H,) of b = A k + g dl, in errors of the mean poses."""
-    if not holds:
+    if not standstills:
         raise BellowsError('Static equations need at least one standstill.')
     k = structure.parameters(stiffness, stiffness)[:structure.size]
-    poses = [_Rest(hold, held, structure, gravity) for hold, held in holds]
+    poses = [_Balance(still, structure, gravity) for still in standstills]
     parts = [pose.equations(cup_length, k) for pose in poses]
     A, b, by_length = (np.concatenate(part) for part in zip(*parts, strict=True))
-    errors = np.array([[hold.error.position, hold.error.rotation] for hold, _ in holds])
+    errors = np.array([still.error for still in standstills])
     error = np.repeat(np.maximum(errors, SMALLEST_ERROR), 3, axis=1).ravel()
     A, b, by_length = A / error[:, None], b / error, by_length / error
     A[:, np.linalg.norm(A, axis=0) * _sizes(structure, stiffness) < NO_EFFECT] = 0.0
@@ -103,7 +101,7 @@ def _rows(
 def _sizes(structure: Structure, stiffness: Array) -> Array:
     """Return what is a large change of each entry (n,): the root of its two diagonal entries."""
     size = np.sqrt(np.abs(np.diag(stiffness)))
-    return np.array([size[row] * size[column] for (row, column), *_ in structure.entries])
+    return np.array([size[row] * size[column] for row, column in structure.leads])
 
 
 class Length(NamedTuple):
@@ -115,11 +113,11 @@ class Length(NamedTuple):
 
     value: float
     std: float
-    slopes: Array
+    jacobian: Array
 
 
-def joined_with_rest(
-    fit: Fit, holds: Holds, length: Length, gravity: float, typical: Array
+def joined_with_standstills(
+    fit: Fit, standstills: Sequence[Standstill], length: Length, gravity: float, typical: Array
 ) -> Fit:
     """
     Return a fit of motions with what standstills say about K added, each by its own covariance.
@@ -133,8 +131,8 @@ def joined_with_rest(
     ----------
     fit : Fit
         Of motions; entries that these do not tell may have infinite variances.
-    holds : sequence of (Hold, Package)
-        Standstills and what was held.
+    standstills : sequence of Standstill
+        Of the same cup.
     length : Length
         Nominal length l0 of that fit, with its standard error, 0 where it is exact.
     gravity : float
@@ -145,34 +143,34 @@ def joined_with_rest(
     """
     structure = structure_named(fit.structure)
     x0 = structure.parameters(fit.stiffness, fit.damping)
-    moving = np.hstack([np.eye(len(x0)), -length.std * length.slopes[:, None]])
+    moving = np.hstack([np.eye(len(x0)), -length.std * length.jacobian[:, None]])
     J = information_of(fit.covariance)
     prior = moving.T @ J @ moving
     prior[-1, -1] += 1.0
     weight, z, covariance = 1.0, np.append(x0, 0.0), fit.covariance
     for _ in range(ROUNDS):
         guess = _guess(structure, z[:-1], covariance, typical)
-        rows, b, by_length = _rows(holds, length.value, structure, gravity, guess)
+        rows, b, by_length = _rows(standstills, length.value, structure, gravity, guess)
         A = np.hstack([rows, np.zeros_like(rows), length.std * by_length[:, None]])
         whole = covariance_of(prior + weight * A.T @ A)
         z = _minimum(np.append(x0, 0.0), prior, weight, A, b, whole)
         chi2 = _chi2(A, b - A @ z, weight, whole)
         weight, covariance = 1.0 / max(chi2, 1.0), whole[:-1, :-1]
-    rest = Rest(
-        len(holds), chi2, _narrowed(_widened(fit.covariance, length), covariance),
+    found = StandstillPart(
+        len(standstills), chi2, _narrowed(_widened(fit.covariance, length), covariance),
         length.value + length.std * float(z[-1]), length.std * float(np.sqrt(whole[-1, -1])),
-    )  # fmt: skip
-    return _with(fit, structure, z[:-1], covariance, rest)
+    )
+    return _with(fit, structure, z[:-1], covariance, found)
 
 
 def _widened(covariance: Array, length: Length) -> Array:
     """Return the covariance of a fit of motions with what the length is uncertain by."""
-    return np.asarray(covariance + length.std**2 * np.outer(length.slopes, length.slopes))
+    return np.asarray(covariance + length.std**2 * np.outer(length.jacobian, length.jacobian))
 
 
 def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) -> Array:
-    """Return K (6, 6) by which rows are whitened; what is not told, or cannot be, is typical."""
-    if structure.name == 'full':
+    """Return K (6, 6) by which rows are whitened; what is not identifiable is typical."""
+    if structure.couples:
         return structure.matrices(x)[0]
     known = np.isfinite(np.diag(covariance)) & (x > 0.0)
     return structure.matrices(np.where(known, x, structure.parameters(typical, typical)))[0]
@@ -186,13 +184,13 @@ def _chi2(A: Array, left: Array, weight: float, covariance: Array) -> float:
     return float(left @ left) / max(len(left) - used, 1.0)
 
 
-def _disagreement(rest: Rest) -> tuple[str, ...]:
+def _disagreement(chi2: float) -> tuple[str, ...]:
     """Return a sentence where standstills do not agree with the motions or among themselves."""
-    if rest.chi2 <= LARGEST_CHI2:
+    if chi2 <= LARGEST_CHI2:
         return ()
     return (
         f'The static recordings do not agree with the motion within their errors (chi^2 per '
-        f'degree of freedom {rest.chi2:.3g}, expected 1); they count by so much less. Check '
+        f'degree of freedom {chi2:.3g}, expected 1); they count by so much less. Check '
         'cup.length, the masses in static.files, package.com and the alignment. Least squares '
         'with noisy recordings may also be at fault: take fit.method: prediction_error.',
     )
@@ -212,7 +210,9 @@ def _minimum(
     return x
 
 
-def _with(fit: Fit, structure: Structure, x: Array, covariance: Array, rest: Rest) -> Fit:
+def _with(
+    fit: Fit, structure: Structure, x: Array, covariance: Array, found: StandstillPart
+) -> Fit:
     """Return a fit with other parameters, and what standstills had to do with that."""
     stiffness, damping = structure.matrices(x)
     old = definiteness_warnings(fit.stiffness, fit.damping, fit.structure)
@@ -222,9 +222,9 @@ def _with(fit: Fit, structure: Structure, x: Array, covariance: Array, rest: Res
         fit, stiffness=stiffness, damping=damping, stiffness_std=stiffness_std,
         damping_std=damping_std, covariance=covariance,
         warnings=(*new, *(text for text in fit.warnings if text not in old),
-                  *_disagreement(rest)),
-        rest=rest,
-    )  # fmt: skip
+                  *_disagreement(found.chi2)),
+        standstills=found,
+    )
 
 
 def _narrowed(before: Array, after: Array) -> Array:
@@ -237,11 +237,10 @@ def _narrowed(before: Array, after: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rest:
-    """A standstill with what it takes to balance it."""
+class _Balance:
+    """What it takes to balance a standstill."""
 
-    hold: Hold
-    held: Package
+    standstill: Standstill
     structure: Structure
     gravity: float
 
@@ -249,10 +248,10 @@ class _Rest:
         """Return A (6, n) and b (6,) in pose coordinates, and what the length shifts (6,)."""
         moved = self._equilibrium(cup_length, k)
         L, c, G = self._balance(cup_length, k, moved)
-        slopes = np.asarray(np.linalg.solve(G, L), dtype=np.float64)
+        jacobian = np.asarray(np.linalg.solve(G, L), dtype=np.float64)
         ends = [self._equilibrium(cup_length + side, k) for side in (STEP, -STEP)]
         by_length = np.asarray((ends[0] - ends[1]) / (2.0 * STEP), dtype=np.float64)
-        return slopes, slopes @ k - moved, by_length
+        return jacobian, jacobian @ k - moved, by_length
 
     def _equilibrium(self, cup_length: float, k: Array) -> Array:
         """Return shift and rotation (6,) from the measured lip to the equilibrium."""
@@ -266,19 +265,19 @@ class _Rest:
     def _balance(self, cup_length: float, k: Array, moved: Array) -> tuple[Array, Array, Array]:
         """Return L (6, n), c (6,) and the slope G (6, 6) of c - L k, the lip moved so far."""
         moves = moved + STEP * np.concatenate([np.zeros((1, 6)), np.eye(6), -np.eye(6)])
-        com = np.asarray(self.held.com)
-        R = self.hold.package.rotation[0]
-        lip = self.hold.package.position[0] - R @ com
+        found, com = self.standstill, self.standstill.payload.com
+        R = found.package.rotation[0]
+        lip = found.package.position[0] - R @ com
         turned = R @ exp_so3(moves[:, 3:])
         position = lip + moves[:, :3] @ R.T + apply(turned, com)
         stamps, still = np.arange(len(moves)), np.zeros((len(moves), 6))
         at, turn = (np.repeat(part, len(moves), axis=0)
-                    for part in (self.hold.tool.position, self.hold.tool.rotation))
+                    for part in (found.tool.position, found.tool.rotation))
         package = Trajectory(stamps, position, turned, still, still)
         o, R_E_S, twist = lip_relative(Trajectory(stamps, at, turn, still), package, com)
         L = regressor(cup_length, self.structure.basis, o, R_E_S, twist)
         L = L[:, :, :self.structure.size]
-        c = needed_wrench(self.held, package, self.gravity)
+        c = needed_wrench(found.payload, package, self.gravity)
         residual = c - L @ k
         G = np.asarray((residual[1:7] - residual[7:]).T / (2.0 * STEP))
         return L[0], c[0], G

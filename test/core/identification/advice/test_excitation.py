@@ -1,20 +1,13 @@
 """What recordings can tell, against recordings that tell it and recordings that do not."""
 
-from bellows_ros.core.identification.advice.added_noise import FilterNoise, with_noise
-from bellows_ros.core.identification.advice.evidence import displacement
-from bellows_ros.core.identification.advice.excitation import describe_excitation
-from bellows_ros.core.identification.methods import samples_of
-from bellows_ros.core.identification.noise import Noise
-from bellows_ros.core.identification.regression.least_squares import (
-    least_squares,
-    Samples,
-    whitening_of,
-    wrench_covariance,
-)
-from bellows_ros.core.identification.regression.rows import rows_of
-from bellows_ros.core.identification.structure import STRUCTURES
+from bellows_ros.core.identification.equations.added_noise import with_noise
+from bellows_ros.core.identification.equations.samples import Samples, samples_of
+from bellows_ros.core.identification.equations.validity_range import relative_spectra
+from bellows_ros.core.identification.equations.whitening import whitening_of
 from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.recording.noise import FilterNoise, Noise
 from bellows_ros.core.savgol import savgol
+from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -29,9 +22,9 @@ L0 = simulated.CUP.length
 
 def described(recording, structure=ROUND, noisy=True):
     """Return samples of a recording and what they tell."""
-    samples = samples_of(recording, simulated.HELD, simulated.GRAVITY)
-    noises = [FilterNoise.of(recording)] if noisy else ()
-    return samples, describe_excitation([samples], L0, structure, noises)
+    samples = samples_of(recording)
+    noises = [recording.noise] if noisy else ()
+    return samples, simulated.excitation([samples], L0, structure, noises)
 
 
 @pytest.fixture(scope='module')
@@ -41,53 +34,53 @@ def rich():
 
 
 def test_a_rich_exact_recording_tells_everything(rich):
-    samples, told = described(rich)
-    assert told.warnings == ()
-    assert (told.rank, told.size, told.pairs) == (8, 8, ())
-    assert told.condition_number < 10.0
-    assert not any(p.untold or p.weak for p in told.parameters)
-    values = [p.value for p in told.parameters]
-    fit = least_squares([samples], L0, ROUND)
+    samples, found = described(rich)
+    assert found.warnings == ()
+    assert (found.rank, found.size, found.pairs) == (8, 8, ())
+    assert found.condition_number < 10.0
+    assert not any(not p.identifiable or p.weak for p in found.parameters)
+    values = [p.value for p in found.parameters]
+    fit = simulated.least_squares([samples], L0, ROUND)
     assert_allclose(values, ROUND.parameters(fit.stiffness, fit.damping), rtol=1e-9)
-    assert_allclose(told.condition_number, fit.condition_number, rtol=1e-6)
+    assert_allclose(found.condition_number, fit.condition_number, rtol=1e-6)
 
 
 def test_axes_are_described_as_they_move(rich):
-    samples, told = described(rich)
-    strain, twist = displacement(samples, L0)
-    z = told.axes[2]
+    samples, found = described(rich)
+    twist = samples.lip.twist
+    z = found.axes[2]
     # Gravity stretches the cup by m g / K z, about which it moves; bending lifts the lip a little.
-    stretch = simulated.HELD.mass * simulated.GRAVITY / simulated.CUP.stiffness[2, 2]
-    assert_allclose(z.strain, np.hypot(stretch, z.motion), rtol=0.1)
-    assert_allclose([a.twist for a in told.axes], np.sqrt(np.mean(twist**2, axis=0)))
-    assert [a.name for a in told.axes] == ['x', 'y', 'z', 'rx', 'ry', 'rz']
+    segment = simulated.HELD.mass * simulated.GRAVITY / simulated.CUP.stiffness[2, 2]
+    assert_allclose(z.strain, np.hypot(segment, z.motion), rtol=0.1)
+    assert_allclose([a.twist for a in found.axes], np.sqrt(np.mean(twist**2, axis=0)))
+    assert [a.name for a in found.axes] == ['x', 'y', 'z', 'rx', 'ry', 'rz']
     # Torsion follows the lines of 0.4 and 1.9 Hz that the tool turns with.
-    low, high = told.axes[5].band_hz
+    low, high = found.axes[5].band_hz
     assert 0.3 <= low < high < 2.6
-    assert_allclose(told.spectra[0].twist.peak[5], 1.9, atol=0.5)
+    assert_allclose(relative_spectra(samples, L0).twist.peak[5], 1.9, atol=0.5)
 
 
 def test_missing_torsion_is_told_in_plain_words():
     recording = simulated.record(
         simulated.shake(axes=(0, 2)), tool=(1e-4, 5e-4), package=(1e-4, 5e-4))
-    _, told = described(recording)
-    (torsion,) = (w for w in told.warnings if w.startswith('Torsion'))
+    _, found = described(recording)
+    (torsion,) = (w for w in found.warnings if w.startswith('Torsion'))
     assert torsion == (
-        'Torsion is hardly excited: its stiffness and damping cannot be told from this '
+        'Torsion is hardly excited: its stiffness and damping are not identifiable from this '
         'recording; turn the tool about z at 1-3 Hz.')
-    untold = {p.label for p in told.parameters if p.untold}
-    assert {'K rz', 'P rz'} <= untold and not {'K x', 'K z', 'K rx', 'P rx'} & untold, untold
+    unknown = {p.label for p in found.parameters if not p.identifiable}
+    assert {'K rz', 'P rz'} <= unknown and not {'K x', 'K z', 'K rx', 'P rx'} & unknown, unknown
 
 
 def test_standing_still_tells_only_what_gravity_loads(rich):
-    samples = samples_of(rich, simulated.HELD, simulated.GRAVITY)
+    samples = samples_of(rich)
     still = samples.package.seconds < 0.3
-    rest = Samples(samples.tool.select(still), samples.package.select(still), samples.held,
+    rest = Samples(samples.tool.select(still), samples.package.select(still), samples.payload,
                    samples.gravity, samples.window)
-    told = describe_excitation([rest], L0, ROUND, [FilterNoise.of(rich).times(1.0)])
-    words = ' '.join(told.warnings)
+    found = simulated.excitation([rest], L0, ROUND, [rich.noise.times(1.0)])
+    words = ' '.join(found.warnings)
     assert 'Torsion' in words and 'Axial motion is hardly excited: its damping' in words
-    assert not next(p for p in told.parameters if p.label == 'K z').untold
+    assert next(p for p in found.parameters if p.label == 'K z').identifiable
 
 
 @pytest.mark.parametrize(('tool', 'package'), [
@@ -98,9 +91,9 @@ def test_expected_bias_is_the_bias(tool, package):
     for seed in range(8):
         recording = simulated.record(
             simulated.shake(), tool=tool, package=package, seed=seed, rate_hz=240.0)
-        told = described(recording)[1].parameters
-        expected.append([p.bias for p in told])
-        found.append([p.value for p in told])
+        own = described(recording)[1].parameters
+        expected.append([p.bias for p in own])
+        found.append([p.value for p in own])
     truth = ROUND.parameters(simulated.CUP.stiffness, simulated.CUP.damping)
     actual = np.mean(found, axis=0) / truth - 1.0
     scatter = np.std(found, axis=0, ddof=1) / truth / np.sqrt(len(found))
@@ -142,33 +135,33 @@ def test_pairs_are_those_of_the_covariance(name, axes):
     """Compare with the inverse of the normal equations, made from all rows."""
     structure = STRUCTURES[name]
     recording = simulated.record(simulated.shake(axes=axes, duration=6.0))
-    samples, told = described(recording, structure, noisy=False)
-    assert told.rank == told.size
-    whitening = whitening_of(wrench_covariance([samples], structure))
-    A = np.vstack(list(rows_of([samples], L0, structure, whitening)))[:, :-1]
+    samples, found = described(recording, structure, noisy=False)
+    assert found.rank == found.size
+    whitening = whitening_of(simulated.wrench_covariance(samples, structure))
+    A = simulated.whitened_rows(samples, L0, structure, whitening)[:, :-1]
     A = A / np.linalg.norm(A, axis=0)
     covariance = np.linalg.inv(A.T @ A)
     spread = np.sqrt(np.diag(covariance))
     correlation = np.triu(covariance / np.outer(spread, spread), 1)
     expected = {(structure.labels[i], structure.labels[j])
                 for i, j in np.argwhere(np.abs(correlation) > 0.95)}
-    assert {(a, b) for a, b, _ in told.pairs} == expected
+    assert {(a, b) for a, b, _ in found.pairs} == expected
     assert bool(expected) == (name == 'full')
 
 
 def test_a_full_fit_of_a_poor_motion_is_advised_against():
     recording = simulated.record(
         simulated.shake(axes=(0, 2)), tool=(1e-4, 5e-4), package=(1e-4, 5e-4))
-    _, told = described(recording, FULL)
-    couplings = next(w for w in told.warnings if 'couplings' in w)
+    _, found = described(recording, FULL)
+    couplings = next(w for w in found.warnings if 'couplings' in w)
     assert 'take a simpler fit.structure' in couplings
 
 
 def test_without_noises_nothing_is_said_about_noise(rich):
-    _, told = described(rich, noisy=False)
-    assert all(np.isnan(p.noise_share) and np.isnan(p.bias) for p in told.parameters)
-    assert all(np.isnan(a.strain_noise) for a in told.axes)
-    assert told.warnings == ()
+    _, found = described(rich, noisy=False)
+    assert all(np.isnan(p.noise_share) and np.isnan(p.bias) for p in found.parameters)
+    assert all(np.isnan(a.strain_noise) for a in found.axes)
+    assert found.warnings == ()
 
 
 def test_the_same_recording_gets_the_same_answer(rich):
@@ -176,9 +169,6 @@ def test_the_same_recording_gets_the_same_answer(rich):
     assert [p.bias for p in one.parameters] == [p.bias for p in other.parameters]
 
 
-def test_mistakes_are_named(rich):
-    samples = samples_of(rich, simulated.HELD, simulated.GRAVITY)
+def test_mistakes_are_named():
     with pytest.raises(BellowsError, match='No valid sample'):
-        describe_excitation([], L0, ROUND)
-    with pytest.raises(BellowsError, match='as many noises'):
-        describe_excitation([samples, samples], L0, ROUND, [FilterNoise.of(rich)])
+        simulated.excitation([], L0, ROUND)

@@ -3,14 +3,18 @@
 from dataclasses import replace
 import re
 
-from bellows_ros.core.identification.advice.added_noise import FilterNoise
-from bellows_ros.core.identification.advice.excitation import describe_excitation
-from bellows_ros.core.identification.advice.pass_band import FOLLOWED, left, pass_band
-from bellows_ros.core.identification.methods import samples_of
-from bellows_ros.core.identification.regression.least_squares import least_squares
-from bellows_ros.core.identification.structure import STRUCTURES
+from bellows_ros.core.identification.advice.identifiability import Axis
+from bellows_ros.core.identification.advice.pass_band import (
+    FOLLOWED,
+    left,
+    pass_band,
+    PassBand,
+    too_fast,
+)
+from bellows_ros.core.identification.equations.samples import samples_of
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
 from bellows_ros.core.savgol import savgol, weights
+from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
@@ -52,14 +56,14 @@ def recorded(frequency, half_window=0):
         frequency=np.vstack([slow.frequency, [frequency] * 2]), phase=np.append(slow.phase, 0.0))
     recording = simulated.record(
         motion, tool=(2e-5, 5e-5), package=(2e-5, 5e-5), rate_hz=RATE_HZ, half_window=half_window)
-    samples = samples_of(recording, simulated.HELD, simulated.GRAVITY)
-    return samples, FilterNoise.of(recording)
+    samples = samples_of(recording)
+    return samples, recording.noise
 
 
 def warnings_of(samples, *noises):
     """Return the warnings about what is too fast."""
-    told = describe_excitation([samples], L0, ROUND, noises)
-    return [warning for warning in told.warnings if 'too fast' in warning]
+    found = simulated.excitation([samples], L0, ROUND, noises)
+    return [warning for warning in found.warnings if 'too fast' in warning]
 
 
 def test_a_motion_beyond_the_filter_is_warned_about_and_the_remedy_helps():
@@ -68,17 +72,31 @@ def test_a_motion_beyond_the_filter_is_warned_about_and_the_remedy_helps():
     assert warning.startswith('Axial motion of up to')
     assert 'follows up to 6.0 Hz' in warning and 'fit.method: prediction_error' in warning
     assert warnings_of(samples) == [], 'said of a method that does not filter'
-    found = least_squares([samples], L0, ROUND)
+    found = simulated.least_squares([samples], L0, ROUND)
     off = simulated.CUP.stiffness[2, 2] - found.stiffness[2, 2]
     assert off > 5.0 * found.stiffness_std[2, 2]
 
     half_window = int(re.search(r'package.half_window: (\d+)', warning)[1])
     samples, noise = recorded(9.37, half_window)
     assert warnings_of(samples, noise) == []
-    again = least_squares([samples], L0, ROUND)
+    again = simulated.least_squares([samples], L0, ROUND)
     assert abs(again.stiffness[2, 2] - simulated.CUP.stiffness[2, 2]) < 0.2 * off
 
 
 @pytest.mark.parametrize('frequency', [4.0, 6.0])
 def test_a_motion_that_the_filter_follows_is_not_warned_about(frequency):
     assert warnings_of(*recorded(frequency)) == []
+
+
+def test_windows_are_advised_only_where_they_are_shorter():
+    axis = Axis('z', 1e-3, 1e-3, 0.1, (1.0, 5.0), 0.0, 0.0)
+    slow = PassBand(np.ones(1), np.full(1, 0.5), 0.5, 6.0, (30, 30), np.zeros(1))
+    (same,) = too_fast([axis], [slow])
+    assert 'half_window' not in same and same.endswith('Take fit.method: prediction_error.')
+
+
+def test_noise_along_one_axis_is_no_motion():
+    loud = np.array([2e-5, 2e-5, 6e-4])
+    recording = simulated.record(
+        simulated.shake(), tool=(2e-5, 5e-5), package=(loud, 5e-5), rate_hz=RATE_HZ)
+    assert warnings_of(samples_of(recording), recording.noise) == []

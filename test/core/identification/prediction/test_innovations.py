@@ -1,14 +1,15 @@
 """One-step prediction errors: white at the truth, and the observer against SciPy's."""
 
 from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.identification.noise import Noise, noise_of
 from bellows_ros.core.identification.prediction import innovations as module
+from bellows_ros.core.identification.prediction import segments as segments_module
 from bellows_ros.core.identification.prediction.innovations import innovations, observer
-from bellows_ros.core.identification.prediction.measured import measured_stretches
+from bellows_ros.core.identification.prediction.segments import measured_segments
 from bellows_ros.core.jit import COMPILED
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.linearisation import system_matrix
 from bellows_ros.core.model import Cup, model_tuple
+from bellows_ros.core.recording.noise import Noise, noise_of
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.simulation import state_row, tool_rows
 from bellows_ros.core.trajectory import Trajectory
@@ -17,11 +18,17 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
-from ..recordings import noisy, PLATE, Shake, stretches
+from ..recordings import noisy, PLATE, segments, Shake
 
 MODEL = model_tuple(Cup.thesis(), PLATE, 9.81)
 LEVEL = state_row((0, 0, 0), (0, 0, 0, 1), np.zeros(6))
 REST = static_equilibrium(MODEL, LEVEL)
+
+
+def noises_of(recording):
+    """Return the noise of a segment's tool and package."""
+    return [Noise(np.mean(own.ripple[:3]), np.mean(own.ripple[3:]))
+            for own in (recording.tool_noise, recording.package_noise)]
 
 
 def errors(recording, filtering, valid=None, model=MODEL):
@@ -39,9 +46,9 @@ def errors(recording, filtering, valid=None, model=MODEL):
 
 @pytest.mark.parametrize('tool_noise', [(0.0, 0.0), (1e-4, 5e-4)])
 def test_white_and_of_the_told_covariance_at_the_truth(tool_noise):
-    (recording,) = stretches(11, 20.0, tool_noise=tool_noise)
+    (recording,) = segments(11, 20.0, tool_noise=tool_noise)
     filtering = observer(
-        MODEL, LEVEL, REST, 0.004, 0.004, recording.tool_noise, recording.package_noise)
+        MODEL, LEVEL, REST, 0.004, 0.004, *noises_of(recording))
     e = errors(recording, filtering)[500:]
     white = np.linalg.solve(np.linalg.cholesky(filtering.covariance), e.T).T
     # of N samples a variance is known to sqrt(2 / N), a correlation to 1 / sqrt(N)
@@ -116,7 +123,7 @@ def test_the_gains_are_those_of_a_kalman_filter_that_knows_every_noise():
 
 
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes interpreted')
-def test_at_rest_no_damping_makes_the_errors_smaller():
+def test_at_rest_no_damping_makes_the_errors_smaller(monkeypatch):
     """The squares of white noise say nothing of K and P: what prefers one is a bias."""
     noise = Noise(1e-4, 5e-4)
     count = 200_000
@@ -126,7 +133,8 @@ def test_at_rest_no_damping_makes_the_errors_smaller():
     hanging = Trajectory(
         stamps, np.tile(position, (count, 1)), np.tile(rotation, (count, 1, 1)))
     rng = np.random.default_rng(4)
-    (recording,) = measured_stretches(
+    monkeypatch.setattr(segments_module, 'MOST_POSES', 2 * count)
+    (recording,) = measured_segments(
         noisy(still, *noise, rng), noisy(hanging, *noise, rng), PLATE, 9.81)
     thesis, squares = Cup.thesis(), []
     for factor in (0.5, 1.0, 2.0):
@@ -144,9 +152,9 @@ def test_at_rest_no_damping_makes_the_errors_smaller():
 
 
 def test_an_outlier_steers_no_more_than_its_limit():
-    (recording,) = stretches(12, 6.0, tool_noise=(1e-4, 5e-4))
+    (recording,) = segments(12, 6.0, tool_noise=(1e-4, 5e-4))
     filtering = observer(
-        MODEL, LEVEL, REST, 0.004, 0.004, recording.tool_noise, recording.package_noise)
+        MODEL, LEVEL, REST, 0.004, 0.004, *noises_of(recording))
     usual = errors(recording, filtering)
     position = recording.package.position.copy()
     position[700] += 10.0
@@ -159,9 +167,9 @@ def test_an_outlier_steers_no_more_than_its_limit():
 
 
 def test_nothing_is_made_of_invalid_poses():
-    (recording,) = stretches(13, 4.0, tool_noise=(1e-4, 5e-4))
+    (recording,) = segments(13, 4.0, tool_noise=(1e-4, 5e-4))
     filtering = observer(
-        MODEL, LEVEL, REST, 0.004, 0.004, recording.tool_noise, recording.package_noise)
+        MODEL, LEVEL, REST, 0.004, 0.004, *noises_of(recording))
     valid = recording.package.valid.copy()
     valid[300:350] = False
     e = errors(recording, filtering, valid)

@@ -1,9 +1,9 @@
 """Recordings at rest: standstills, nominal length, the spring alone."""
 
-from bellows_ros.core.identification.noise import Noise
-from bellows_ros.core.identification.statics.standstills import Hold, holds_of, unsettled
 from bellows_ros.core.identification.statics.static import check_spring, nominal_length
 from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -20,7 +20,7 @@ NOISE = {'tool': (2e-5, 5e-5), 'package': (1e-4, 5e-4)}
 @pytest.fixture(scope='module')
 def tilted():
     """Return a recording of a start at rest and four poses, held for 3.5 s after 0.8 s each."""
-    return simulated.record(simulated.holds(TILTS, hold=3.5), **NOISE)
+    return simulated.record(simulated.standstills(TILTS, hold=3.5), **NOISE)
 
 
 def weight(mass):
@@ -29,45 +29,45 @@ def weight(mass):
 
 
 def upright(length, mass, tilt=0.0, error=1e-6):
-    """Return a hold of a cup of known length."""
+    """Return a standstill of a cup of known length."""
     c, s = np.cos(tilt), np.sin(tilt)
     R = np.array([[[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]])
     com = np.asarray(simulated.HELD.com)
     at = np.array([0])
     tool = Trajectory(at, np.zeros((1, 3)), R)
     package = Trajectory(at, (R[0] @ (com - [0.0, 0.0, length]))[None], R)
-    return Hold(0, 1.0, tool, package, 100, Noise(error, error)), weight(mass)
+    return Standstill(0, 1.0, tool, package, 100, Noise(error, error), weight(mass))
 
 
 def test_every_standstill_is_found_without_the_swinging_before_it(tilted):
-    found = holds_of(tilted)
-    assert len(found) == 5
-    motion = simulated.holds(TILTS, hold=3.5)
-    for number, hold in enumerate(found):
+    found, failed = standstills_of(tilted)
+    assert len(found) == 5 and failed == 0
+    motion = simulated.standstills(TILTS, hold=3.5)
+    for number, still in enumerate(found):
         begin = 4.3 * number
-        start = hold.start_ns * 1e-9
+        start = still.start_ns * 1e-9
         # A smooth move is as good as over a little before its end.
         assert begin - 0.3 <= start <= begin + 2.5
-        assert_allclose(start + hold.duration, begin + 3.5, atol=0.25)
-        t = np.array([start + 0.5 * hold.duration])
+        assert_allclose(start + still.duration, begin + 3.5, atol=0.25)
+        t = np.array([start + 0.5 * still.duration])
         _, _, R, _ = motion.state(t)
-        assert_allclose(hold.tool.rotation, R, atol=2e-4)
-        assert_allclose(hold.tilt, np.arccos(R[0, 2, 2]), atol=2e-4)
+        assert_allclose(still.tool.rotation, R, atol=2e-4)
+        assert_allclose(still.tilt, np.arccos(R[0, 2, 2]), atol=2e-4)
 
 
-def test_standstills_too_short_for_the_package_are_counted(tilted):
-    assert unsettled(tilted) == 0
-    short = simulated.record(simulated.holds(TILTS, hold=1.6), **NOISE)
-    assert unsettled(short) == len(TILTS) + 1 - len(holds_of(short)) > 0
+def test_standstills_too_short_for_the_package_are_counted():
+    short = simulated.record(simulated.standstills(TILTS, hold=1.6), **NOISE)
+    found, failed = standstills_of(short)
+    assert failed == len(TILTS) + 1 - len(found) > 0
 
 
 def test_noise_of_a_mean_is_what_means_scatter_by():
     lips = [
-        holds_of(simulated.record(
-                                  simulated.holds([(0.0, 0.0, 0.0)]), seed=seed, **NOISE))[0]
+        standstills_of(simulated.record(
+            simulated.standstills([(0.0, 0.0, 0.0)]), seed=seed, **NOISE))[0][0]
         for seed in range(12)]
-    z = [hold.lip(simulated.HELD.com)[2] for hold in lips]
-    expected = np.mean([hold.error.position for hold in lips])
+    z = [still.lip[2] for still in lips]
+    expected = np.mean([still.error.position for still in lips])
     assert 0.5 < np.std(z, ddof=1) / expected < 1.8  # 12 draws
 
 
@@ -75,12 +75,12 @@ def test_a_motion_without_rest_has_no_standstill():
     motion = simulated.shake(duration=6.0)
     recording = simulated.record(motion)
     with pytest.raises(BellowsError, match='No standstill of 0.6 s'):
-        holds_of(recording, shortest=0.6)
+        standstills_of(recording, shortest=0.6)
 
 
 def test_the_right_spring_holds_in_all_poses(tilted):
-    pairs = [(hold, simulated.HELD) for hold in holds_of(tilted)]
-    check = check_spring(simulated.CUP, pairs, G)
+    found = standstills_of(tilted)[0]
+    check = check_spring(simulated.CUP, found, G)
     assert check.passed and check.sentence == 'The spring holds in all 5 poses.'
     for pose in check.poses:
         assert pose.verdict in ('within noise', 'good')
@@ -91,10 +91,10 @@ def test_the_right_spring_holds_in_all_poses(tilted):
 @pytest.mark.parametrize(('axis', 'wrong'), [(2, [0, 1, 2, 3, 4]), (3, [1, 3])])
 def test_a_wrong_spring_is_off_where_it_is_loaded(tilted, axis, wrong):
     """Make one direction 30 % too stiff: it shows in the poses that load it."""
-    pairs = [(hold, simulated.HELD) for hold in holds_of(tilted)]
+    found = standstills_of(tilted)[0]
     K = simulated.CUP.stiffness.copy()
     K[axis, axis] *= 1.3
-    check = check_spring(Cup(K, simulated.CUP.damping, simulated.CUP.length), pairs, G)
+    check = check_spring(Cup(K, simulated.CUP.damping, simulated.CUP.length), found, G)
     assert not check.passed
     assert [n for n, pose in enumerate(check.poses) if pose.verdict == 'off'] == wrong
     assert f'off in {len(wrong)} of 5 poses' in check.sentence
@@ -116,8 +116,8 @@ def test_length_stiffness_and_linear_range_of_a_known_polynomial():
     masses = np.array([0.3, 0.8, 1.4, 1.9, 2.6, 4.0])
     loads = masses * G
     lengths = l0 + slope * loads + bend * loads**3
-    holds = [upright(length, mass) for length, mass in zip(lengths, masses, strict=True)]
-    found = nominal_length(holds, G)
+    standstills = [upright(length, mass) for length, mass in zip(lengths, masses, strict=True)]
+    found = nominal_length(standstills, G)
     assert_allclose(found.length, l0, atol=1e-9)
     assert_allclose(found.stiffness, 1.0 / slope, rtol=1e-6)
     assert_allclose(found.coefficients, [l0, slope, 0.0, bend], rtol=1e-5, atol=1e-10)
@@ -128,32 +128,50 @@ def test_length_stiffness_and_linear_range_of_a_known_polynomial():
 
 @pytest.mark.parametrize('seed', range(4))
 def test_nominal_length_of_simulated_recordings_is_right_to_a_tenth_of_a_millimetre(seed):
-    rest = simulated.holds([(0.0, 0.0, 0.0)])
-    pairs = []
+    rest = simulated.standstills([(0.0, 0.0, 0.0)])
+    found = []
     for number, mass in enumerate((0.4, 0.9, 1.3, 1.8, 2.3)):
         recording = simulated.record(
-            rest, held=weight(mass), seed=10 * seed + number,
+            rest, payload=weight(mass), seed=10 * seed + number,
             tool=(1e-4, 2e-4), package=(2e-4, 5e-4))
-        pairs += [(hold, weight(mass)) for hold in holds_of(recording)]
-    found = nominal_length(pairs, G)
+        found += standstills_of(recording)[0]
+    found = nominal_length(found, G)
     assert_allclose(found.length, simulated.CUP.length, rtol=0, atol=1e-4)
     assert abs(found.length - simulated.CUP.length) < 4.0 * found.length_std
     assert found.length_std < 5e-5
     assert_allclose(found.stiffness, simulated.CUP.stiffness[2, 2], rtol=0.1)
 
 
-def test_tilted_holds_and_repeated_masses_do_not_count():
-    holds = [upright(0.0491, 1.0), upright(0.0491, 1.0), upright(0.3, 2.0, tilt=0.2)]
+def test_tilted_standstills_and_repeated_masses_do_not_count():
+    standstills = [upright(0.0491, 1.0), upright(0.0491, 1.0), upright(0.3, 2.0, tilt=0.2)]
     with pytest.raises(BellowsError, match='two different masses or more'):
-        nominal_length(holds, G)
-    two = nominal_length([*holds, upright(0.0501, 2.0)], G)
+        nominal_length(standstills, G)
+    two = nominal_length([*standstills, upright(0.0501, 2.0)], G)
     assert_allclose(two.length, 0.0481, atol=1e-9)
-    assert len(two.coefficients) == 2
-    assert 'order 1' in two.warnings[0]
+    assert len(two.coefficients) == 2 and two.freedom == 0
+    assert np.isinf(two.length_std) and 'without a standard error' in two.words
+    assert 'Add a third mass' in two.warnings[0]
+
+
+@pytest.mark.parametrize('count', [3, 4, 5])
+def test_a_wrong_mass_is_noticed(count):
+    """Keep a degree of freedom, and warn where one of some masses is 3 % off."""
+    masses = np.array([0.5, 1.0, 1.5, 2.0, 2.5])[:count]
+    lengths = 0.0481 + masses * G / 11530.0
+    right = [upright(x, m, error=2e-6) for x, m in zip(lengths, masses, strict=True)]
+    found = nominal_length(right, G)
+    assert found.freedom == 1 and np.isfinite(found.length_std)
+    assert abs(found.length - 0.0481) < 1e-7
+    assert not any('off the polynomial' in warning for warning in found.warnings)
+    told = masses * np.where(np.arange(count) == 1, 1.03, 1.0)
+    wrong = nominal_length(
+        [upright(x, m, error=2e-6) for x, m in zip(lengths, told, strict=True)], G)
+    assert any('off the polynomial' in warning for warning in wrong.warnings)
+    assert abs(wrong.length - 0.0481) < 3.0 * wrong.length_std
 
 
 def test_a_length_known_badly_is_said_to_be():
-    holds = [upright(0.0481 + 1e-3 * m, m, error=1e-3) for m in (2.0, 2.2, 2.4, 2.6)]
-    found = nominal_length(holds, G)
+    standstills = [upright(0.0481 + 1e-3 * m, m, error=1e-3) for m in (2.0, 2.2, 2.4, 2.6)]
+    found = nominal_length(standstills, G)
     assert found.length_std > 1e-4
     assert any('only known to' in warning for warning in found.warnings)

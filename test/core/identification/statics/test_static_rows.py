@@ -2,18 +2,17 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.identification.methods import samples_of
-from bellows_ros.core.identification.noise import Noise
-from bellows_ros.core.identification.regression.least_squares import least_squares
-from bellows_ros.core.identification.statics.standstills import holds_of
+from bellows_ros.core.identification.equations.identifiable import covariance_of
+from bellows_ros.core.identification.equations.samples import samples_of
 from bellows_ros.core.identification.statics.static_rows import (
-    joined_with_rest,
+    joined_with_standstills,
     Length,
     static_rows,
 )
-from bellows_ros.core.identification.structure import STRUCTURES
-from bellows_ros.core.identification.unknown import covariance_of
 from bellows_ros.core.model import Cup
+from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.recording.standstills import standstills_of
+from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -29,15 +28,15 @@ TRUTH = ROUND.parameters(simulated.CUP.stiffness, simulated.CUP.damping)
 
 
 def resting(seed, noise=NOISE, hold=3.5):
-    """Return standstills in several poses, and what was held."""
-    recording = simulated.record(simulated.holds(TILTS, hold=hold), seed=seed, **noise)
-    return [(found, simulated.HELD) for found in holds_of(recording)]
+    """Return standstills in several poses."""
+    recording = simulated.record(simulated.standstills(TILTS, hold=hold), seed=seed, **noise)
+    return standstills_of(recording)[0]
 
 
 def moving(seed, axes=(0, 1, 2, 3, 4, 5), noise=NOISE):
     """Return the fit to a motion of some axes."""
     recording = simulated.record(simulated.shake(axes, seed=seed), seed=seed, **noise)
-    return least_squares([samples_of(recording, simulated.HELD, G)], L0, ROUND)
+    return simulated.least_squares([samples_of(recording)], L0, ROUND)
 
 
 def exact(parameters=8):
@@ -45,9 +44,9 @@ def exact(parameters=8):
     return Length(L0, 0.0, np.zeros(parameters))
 
 
-def rows(holds, structure=ROUND, stiffness=simulated.CUP.stiffness, length_std=0.0):
+def rows(standstills, structure=ROUND, stiffness=simulated.CUP.stiffness, length_std=0.0):
     """Return the whitened equations."""
-    return static_rows(holds, L0, structure, G, stiffness, length_std)
+    return static_rows(standstills, L0, structure, G, stiffness, length_std)
 
 
 def test_errors_of_the_equations_have_unit_variance():
@@ -71,7 +70,7 @@ def test_a_wrong_guess_leads_to_the_truth_in_a_few_rounds(wrong):
     assert_allclose(k[:3], TRUTH[:3], rtol=1e-3)
 
 
-def test_torsion_without_load_is_not_told_by_its_noise():
+def test_torsion_without_load_is_not_identifiable_by_its_noise():
     A, _ = rows(resting(2))
     assert np.all(A[:, 3] == 0.0)
     assert np.isinf(np.diag(covariance_of(A.T @ A))).tolist() == [False, False, False, True]
@@ -85,8 +84,8 @@ def test_an_uncertain_length_makes_the_axial_stiffness_uncertain():
         for std in (0.0, 1e-4))
     # All holds are of one mass: the error of l0 is that of the stretch, which tilting by 0.3
     # hardly changes.
-    stretch = simulated.HELD.mass * G / TRUTH[1]
-    assert_allclose(uncertain[1] / TRUTH[1], 1e-4 / stretch, rtol=0.25)
+    segment = simulated.HELD.mass * G / TRUTH[1]
+    assert_allclose(uncertain[1] / TRUTH[1], 1e-4 / segment, rtol=0.25)
     assert exact[1] < 0.1 * uncertain[1]
     assert uncertain[2] < 3.0 * exact[2]
 
@@ -96,13 +95,14 @@ def test_standstills_narrow_the_errors_and_do_not_shift_the_result():
     off = {'alone': [], 'joined': []}
     for seed in range(6):
         fit = moving(seed)
-        joined = joined_with_rest(fit, resting(10 + seed), exact(), G, simulated.CUP.stiffness)
+        joined = joined_with_standstills(
+            fit, resting(10 + seed), exact(), G, simulated.CUP.stiffness)
         for name, found in (('alone', fit), ('joined', joined)):
             x = ROUND.parameters(found.stiffness, found.damping)
             off[name].append((x - TRUTH) / TRUTH)
-        assert joined.rest.holds == 5 and joined.rest.chi2 < 2.5
-        assert joined.rest.narrowed[0] < 0.85 and joined.rest.narrowed[2] < 0.85
-        assert_allclose(joined.rest.narrowed[4:], 1.0, atol=0.02)  # at rest no damper acts
+        assert joined.standstills.count == 5 and joined.standstills.chi2 < 2.5
+        assert joined.standstills.narrowed[0] < 0.85 and joined.standstills.narrowed[2] < 0.85
+        assert_allclose(joined.standstills.narrowed[4:], 1.0, atol=0.02)  # at rest no damper acts
         std = np.sqrt(np.diag(joined.covariance))[:3]
         x = ROUND.parameters(joined.stiffness, joined.damping)[:3]
         assert np.all(np.abs(x - TRUTH[:3]) < 5.0 * std + 5e-3 * TRUTH[:3])
@@ -115,9 +115,9 @@ def test_what_no_motion_tells_standstills_do():
     """Take the axial stiffness out of the fit to a motion: it comes from rest alone."""
     fit = moving(3).without(['K z', 'P z'])
     assert np.isinf(fit.stiffness_std[2, 2])
-    joined = joined_with_rest(fit, resting(4), exact(), G, 1.4 * simulated.CUP.stiffness)
+    joined = joined_with_standstills(fit, resting(4), exact(), G, 1.4 * simulated.CUP.stiffness)
     assert np.isfinite(joined.stiffness_std[2, 2]) and np.isinf(joined.damping_std[2, 2])
-    assert joined.rest.narrowed[1] == 0.0
+    assert joined.standstills.narrowed[1] == 0.0
     assert abs(joined.stiffness[2, 2] / TRUTH[1] - 1.0) < 0.01
     assert joined.damping[2, 2] == fit.damping[2, 2]
 
@@ -125,30 +125,28 @@ def test_what_no_motion_tells_standstills_do():
 def test_a_full_cup_is_narrowed_too():
     full = STRUCTURES['full']
     recording = simulated.record(simulated.shake(seed=5), seed=5, **NOISE)
-    fit = least_squares([samples_of(recording, simulated.HELD, G)], L0, full)
-    joined = joined_with_rest(fit, resting(6), exact(42), G, simulated.CUP.stiffness)
-    assert np.all(joined.rest.narrowed <= 1.0 + 1e-9)
+    fit = simulated.least_squares([samples_of(recording)], L0, full)
+    joined = joined_with_standstills(fit, resting(6), exact(42), G, simulated.CUP.stiffness)
+    assert np.all(joined.standstills.narrowed <= 1.0 + 1e-9)
     off = [np.linalg.norm(found.stiffness - simulated.CUP.stiffness) for found in (fit, joined)]
     assert off[1] < off[0]
 
 
 def test_standstills_that_do_not_agree_count_less_and_are_warned_about():
     """Say the load was 20 % more than it was."""
-    fit, holds = moving(7), resting(8)
-    heavier = [(hold, replace(held, mass=1.2 * held.mass)) for hold, held in holds]
-    joined = joined_with_rest(fit, heavier, exact(), G, simulated.CUP.stiffness)
-    assert joined.rest.chi2 > 100.0
+    heavy = replace(simulated.HELD, mass=1.2 * simulated.HELD.mass)
+    fit, heavier = moving(7), [replace(still, payload=heavy) for still in resting(8)]
+    joined = joined_with_standstills(fit, heavier, exact(), G, simulated.CUP.stiffness)
+    assert joined.standstills.chi2 > 100.0
     assert 'static recordings do not agree' in joined.warnings[-1]
     # the motion knows its own stiffness better than 20 %
     assert abs(joined.stiffness[2, 2] / TRUTH[1] - 1.0) < 0.05
 
 
 def test_a_better_mean_counts_more():
-    holds = resting(9)
-    better = [
-        (replace(hold, error=Noise(*(0.5 * e for e in hold.error))), held)
-        for hold, held in holds]
-    first, second = (rows(part)[0] for part in (holds, better))
+    found = resting(9)
+    better = [replace(still, error=Noise(*(0.5 * e for e in still.error))) for still in found]
+    first, second = (rows(part)[0] for part in (found, better))
     assert_allclose(second[:, :3], 2.0 * first[:, :3], rtol=1e-9)
 
 
@@ -158,6 +156,6 @@ def test_none_is_a_mistake():
 
 
 def test_a_cup_stays_a_cup():
-    joined = joined_with_rest(moving(7), resting(8), exact(), G, simulated.CUP.stiffness)
+    joined = joined_with_standstills(moving(7), resting(8), exact(), G, simulated.CUP.stiffness)
     assert joined.usable
     Cup(joined.stiffness, joined.damping, L0)

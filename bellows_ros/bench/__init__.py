@@ -1,1 +1,0 @@
-"""Measurements of speed and accuracy that the documentation quotes."""

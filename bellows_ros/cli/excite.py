@@ -1,0 +1,184 @@
+"""`bellows excite`: a motion for an arm that tells a cup best."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .commands import OK
+from .console import Console
+from .options import (
+    add_arm_options,
+    add_json_option,
+    add_parameter_options,
+    Folder,
+    Output,
+    put_json,
+    require_free,
+    STDOUT,
+    THESIS_CUP,
+)
+from .plan import with_tool_link
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.excite import Excitation
+
+DESCRIPTION = (
+    'Design a motion of the tool, within the limits of an arm, the cup and the grip, from which '
+    'stiffness and damping are found best; say which standard errors to expect of a recording.'
+)
+EXAMPLES = (
+    ('bellows excite --params bags/cup.yaml --limits config/limits_example.yaml --time 20 \\\n'
+     '      --out motion', 'a motion of 20 s for a cup that is guessed, as a plan in a recording'),
+    ('bellows excite --params cup_guess.yaml --limits arm.yaml --time 30 --out motion \\\n'
+     '      --urdf arm.urdf --tool-link tool0 --urscript motion.script --plot motion.png',
+     "within the joints' ranges and speeds, for an arm of Universal Robots, with a picture"),
+    ('bellows excite --params bags/cup.yaml --limits config/limits_example.yaml --time 20 \\\n'
+     '      --out motion --beside bags/identification.yaml',
+     'what it tells beside another motion'),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_parameter_options(parser)
+    parser.add_argument(
+        '--limits', metavar='FILE', required=True, type=Path,
+        help='what the arm may do, and how both bodies are tracked (YAML); '
+        'config/limits_example.yaml explains every setting',
+    )
+    parser.add_argument(
+        '--time', metavar='S', required=True, type=float,
+        help='of the motion, s: 2 s of rest, and ramps of 1 s at both ends of the rest of it',
+    )
+    parser.add_argument(
+        '--out', metavar='BAG', required=True, type=Folder,
+        help='recording to write, with the plan on /tool_arm/plan'
+    )
+    parser.add_argument(
+        '--csv', metavar='FILE', default='', type=Output,
+        help='write the motion as text, too: EuRoC columns with velocities, 1000 lines per second',
+    )
+    parser.add_argument(
+        '--urscript', metavar='FILE', default='', type=Output,
+        help='write it as a program for an arm of Universal Robots, too',
+    )
+    parser.add_argument(
+        '--plot', metavar='FILE', default='', type=Output,
+        help='picture to write: .png, .svg or .pdf',
+    )
+    parser.add_argument(
+        '--beside', metavar='PLAN', action='append', default=[], type=Path,
+        help='compare with another motion, a plan as of bellows plan; may be repeated',
+    )
+    parser.add_argument(
+        '--series', action='store_true',
+        help='write all that is to be recorded of a new cup into the folder --out: standstills, '
+        'this motion, and one to validate with; say what each tells',
+    )
+    parser.add_argument(
+        '--seed', metavar='N', type=int, default=0, help='another one gives another motion')
+    parser.add_argument(
+        '--force', action='store_true', help='replace a recording that is there already'
+    )
+    add_arm_options(parser)
+    add_json_option(parser, 'what to expect')
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Design, write, report."""
+    values = with_tool_link(arguments)
+    from bellows_ros.files.safe_yaml import load
+    from bellows_ros.workflows.excite import excite, write_motion
+
+    require_free(arguments.out, arguments.force)
+    if arguments.plot:
+        from bellows_ros.plots.style import require_picture
+
+        require_picture(arguments.plot)
+    with console.progress() as progress:
+        found = excite(
+            values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
+            arguments.beside, arguments.seed, progress, arguments.series)
+    write_motion(arguments.out, found, arguments.csv, arguments.urscript, arguments.force)
+    put_json(arguments.json, found.as_json(arguments.params), console)
+    if arguments.plot:
+        from bellows_ros.plots.excite import excite_figure
+        from bellows_ros.plots.style import write_figure
+
+        write_figure(arguments.plot, excite_figure(
+            found.design, f'{arguments.time:g} s, for {arguments.limits}'))
+    with console.results_to_stderr(arguments.json == STDOUT):
+        if 'cup.stiffness' not in values:
+            console.warn(THESIS_CUP)
+        _say(found, console)
+        for name in ('out', 'csv', 'urscript', 'plot', 'json'):
+            if getattr(arguments, name) not in ('', STDOUT):
+                console.say(f'Wrote {getattr(arguments, name)}.')
+    return OK
+
+
+def _say(found: 'Excitation', console: Console) -> None:
+    """Print what to expect, and what limits it."""
+    from .words import aligned, with_error
+
+    motion = found.design.motion
+    console.say(f'A motion of {motion.duration:g} s', 'bold')
+    console.say(f'(up to {motion.highest_frequency:.3g} Hz; {found.structure.name})', 'dim')
+    console.say()
+    rows = [['entry', 'expected', '', *(f'{Path(name).stem}' for name in found.beside)]]
+    for i, (label, unit, value, error) in enumerate(zip(
+            found.structure.labels, found.units, found.guess.tolist(), found.errors.tolist(),
+            strict=True)):
+        part = f'{100.0 * error / abs(value):.2g} %' if value else ''
+        rows.append([label, f'{with_error(value, error)} {unit}', part, *(
+            f'{errors[i] / error:.3g} times' for errors in found.beside.values())])
+    for line in aligned(rows):
+        console.say(f'  {line}')
+    console.say()
+    if found.beside:
+        console.paragraph(
+            'Expected are standard errors if the guess is right; beside them those of other '
+            'motions, in times of these.')
+        console.say()
+    _say_series(found, console)
+    for line in aligned([['limit', 'taken', 'what stops the motion from growing']] + [
+            [name, f'{100.0 * ratio:.1f} %', f'{100.0 * found.design.shares.get(name, 0.0):.0f} %']
+            for name, ratio in found.design.ratios.items()]):
+        console.say(f'  {line}')
+    console.say()
+    for warning in found.warnings:
+        console.warn(warning)
+
+
+def _say_series(found: 'Excitation', console: Console) -> None:
+    """Print what to record in which order, and what each tells."""
+    from .words import aligned, short
+
+    if not found.series:
+        return
+    tells = (
+        'Standstills upright and tilted. Repeat them with every package you have, two or more of '
+        'different mass: they tell K by its loads, without any derivative, and two masses the '
+        'nominal length.',
+        'The motion above. It tells K and P.',
+        'Moves from pose to pose, as quick as the limits let them be. Keep them out of the fit: '
+        'they say whether the cup predicts what it has not seen.')
+    console.say('Record, in this order:', 'bold')
+    for (name, (motion, _)), text in zip(found.series.items(), tells, strict=True):
+        console.paragraph(f'{name}, {motion.duration:.1f} s. {text}')
+    console.say()
+    rows = [['standard error', *found.series]]
+    for i, (label, value) in enumerate(
+            zip(found.structure.labels, found.guess.tolist(), strict=True)):
+        if value:
+            rows.append([label, *(
+                f'{short(100.0 * errors[i] / abs(value))} %' if errors[i] < abs(value) else '-'
+                for _, errors in found.series.values())])
+    for line in aligned(rows, right=True):
+        console.say(f'  {line}')
+    console.say()
+    console.paragraph('Each alone, with the length known; -: not identifiable. Then, with PLAN a '
+                      'motion of yours:')
+    console.say('  bellows identify RECORDING_2 --params PARAMS --set static.bags=RECORDING_1 \\')
+    console.say('      --set validation.bags=RECORDING_3 --typical PLAN --report page.html')
+    console.say()

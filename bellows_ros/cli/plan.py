@@ -1,0 +1,163 @@
+"""`bellows plan`: what a planned motion does to the package."""
+
+import argparse
+from collections.abc import Mapping
+import math
+from typing import Any, TYPE_CHECKING
+
+from .commands import OK
+from .console import Console
+from .options import (
+    add_json_option,
+    add_parameter_options,
+    add_plan_arguments,
+    Folder,
+    given_parameters,
+    Output,
+    put_json,
+    require_free,
+    STDOUT,
+    THESIS_CUP,
+)
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.plan import PlanReport
+
+DESCRIPTION = (
+    'Predict what a planned motion of the tool does to the package before it moves: how firmly '
+    'the cup holds, how far it bends, how long the package swings afterwards, and how sure that '
+    'is. With --fastest, how short the motion can be.'
+)
+EXAMPLES = (
+    ('bellows plan bags/transport.yaml --params bags/tossing.yaml --fastest',
+     'what a motion of simulate does, and the shortest time in which it is safe'),
+    ('bellows plan plan_bag --params cup.yaml --json plan.json --plot plan.png --out predicted',
+     'a recorded plan, with all figures, a picture, and tool and package as a recording'),
+    ('bellows plan moveit_bag --params cup.yaml --urdf arm.urdf --tool-link tool0',
+     "a plan of an arm's joints"),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_plan_arguments(parser)
+    add_parameter_options(parser)
+    add_json_option(parser, 'all figures')
+    parser.add_argument(
+        '--plot', metavar='FILE', default='', type=Output,
+        help='picture to write: .png, .svg or .pdf; bands are two standard deviations',
+    )
+    parser.add_argument(
+        '--out', metavar='BAG', default='', type=Folder,
+        help='recording to write: the plan, and the package along it'
+    )
+    parser.add_argument(
+        '--force', action='store_true', help='replace a recording that is there already'
+    )
+    parser.add_argument(
+        '--fastest', action='store_true',
+        help='seek the shortest time in which the safety factor, less two standard deviations, '
+        'stays at safety.least',
+    )
+
+
+def with_tool_link(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the given parameters, --tool-link over tool_link."""
+    values: dict[str, Any] = given_parameters(arguments)
+    return values | ({'tool_link': arguments.tool_link} if arguments.tool_link else {})
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Read, predict, write, report."""
+    values = with_tool_link(arguments)
+    from bellows_ros.workflows.plan import plan, write_prediction
+
+    require_free(arguments.out, arguments.force)
+    if arguments.plot:
+        from bellows_ros.plots.style import require_picture
+
+        require_picture(arguments.plot)
+    with console.progress() as progress:
+        progress(f'predicting {arguments.plan}')
+        report = plan(
+            arguments.plan, values, str(arguments.urdf or ''), arguments.topic, arguments.fastest,
+            bool(arguments.plot))
+    put_json(arguments.json, report.as_json(arguments.params), console)
+    if arguments.plot:
+        from bellows_ros.plots.plan import plan_figure
+        from bellows_ros.plots.style import write_figure
+
+        write_figure(arguments.plot, plan_figure(report, f'{arguments.plan}'))
+    if arguments.out:
+        write_prediction(arguments.out, report, arguments.force)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        if 'cup.stiffness' not in values:
+            console.warn(THESIS_CUP)
+        _say(report, console)
+        for target in (arguments.json, arguments.plot, arguments.out):
+            if target not in ('', STDOUT):
+                console.say(f'Wrote {target}.')
+    return OK
+
+
+def _say(report: 'PlanReport', console: Console) -> None:
+    """Print the figures and what they mean."""
+    from .words import aligned
+
+    source = report.source
+    where = f", in frame '{source.frame_id}'" if source.frame_id else ''
+    console.say(f'Plan {report.path}', 'bold')
+    console.say(f'({len(source.tool)} points, {report.duration:.3f} s{where})', 'dim')
+    console.say()
+    for line in aligned(figure_rows(report)):
+        console.say(f'  {line}')
+    console.say()
+    for warning in report.warnings:
+        console.warn(warning)
+    if not report.warnings:
+        known = any(report.values['envelope.rates'])
+        console.say('The grip holds' + (
+            ', within what the fit has seen.' if known else
+            '. What the fit of the cup has seen is not known.'), 'green')
+
+
+def figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
+    """Return what is printed: name, value with its standard deviation, and more of it."""
+    from .words import with_error
+
+    figures, std = report.prediction.figures(), report.std
+
+    def value(name: str, factor: float, unit: str) -> str:
+        return f'{with_error(factor * figures[name], factor * std[name])} {unit}'.strip()
+
+    degrees = 180.0 / math.pi
+    _, mode, time = report.prediction.smallest_safety
+    rows = []
+    if report.prediction.grip_known:
+        rows.append(('smallest safety factor', value('smallest_safety_factor', 1.0, ''),
+                     f'{mode}, at {time:.3f} s'))
+    rows += [
+        ('largest bending', value('peak_bending', degrees, 'degrees'), ''),
+        ('largest deflection', value('peak_deflection', 1e3, 'mm'), ''),
+        ('largest force', value('peak_force', 1.0, 'N'), ''),
+        ('largest moment', value('peak_moment', 1.0, 'N m'),
+         f'{value("rigid_peak_moment", 1.0, "N m")} of the rigid load'),
+    ]
+    if report.prediction.ends_at_rest:
+        rows.append(('swing left at the end', value('swing_left', degrees, 'degrees'),
+                     _settled(figures)))
+    if report.sought:
+        found = report.fastest
+        rows.append((
+            'shortest safe time', 'none' if found is None else
+            f'{with_error(found.scale * report.duration, found.scale_std * report.duration)} s',
+            '' if found is None else f"{found.scale:.3f} of the plan's"))
+    return rows
+
+
+def _settled(figures: Mapping[str, float]) -> str:
+    """Return when the package hangs still."""
+    after = figures['settled_after']
+    if not math.isfinite(after):
+        return 'not below 0.5 degrees within 30 s'
+    return f'below 0.5 degrees after {after:.2f} s' if after > 0.0 else 'below 0.5 degrees'

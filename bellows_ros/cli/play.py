@@ -1,0 +1,91 @@
+"""`bellows play`: the poses and twists of a recording, to ROS."""
+
+import argparse
+import math
+from typing import TYPE_CHECKING
+
+from bellows_ros.errors import BellowsError
+
+from .commands import OK
+from .console import Console
+from .options import add_bag_argument, add_json_option, put_json, STDOUT
+
+if TYPE_CHECKING:
+    from bellows_ros.nodes.bag_player import Played
+
+DESCRIPTION = (
+    'Play the poses and twists of a recording to ROS, in their time and as they were recorded: '
+    'what ros2 bag play does, for those who have ROS as wheels only. Needs rclpy.'
+)
+EXAMPLES = (
+    ('bellows play bags/validation --topic /tool_arm/pose --topic /tool_arm/twist',
+     "the tool's messages, for a predictor that runs beside it"),
+    ('bellows play bags/validation --stamps now --rate 0.5 --loop',
+     'for ever, at half the speed, stamped as if it happened now'),
+    ('bellows play recording --topic /mocap/tool/pose:=/tool_arm/pose',
+     'one topic, under another name'),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_bag_argument(parser)
+    parser.add_argument(
+        '--topic', metavar='TOPIC[:=NAME]', action='append', default=[], dest='topics',
+        help='topic to play, and the name to play it under; may be repeated (default: all that '
+        'have poses or twists)',
+    )
+    parser.add_argument(
+        '--rate', metavar='R', type=float, default=1.0, help='times the recorded speed'
+    )
+    parser.add_argument(
+        '--stamps', choices=('recorded', 'now'), default='recorded',
+        help='of the headers: as they were recorded, or as if it happened now',
+    )
+    parser.add_argument('--loop', action='store_true', help='begin again at the end, for ever')
+    add_json_option(parser, 'what was played')
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Read, and play."""
+    if not (math.isfinite(arguments.rate) and arguments.rate > 0.0):
+        raise BellowsError(f'--rate must be a number above 0, got {arguments.rate:g}.')
+    from bellows_ros.nodes.command import require_ros
+
+    require_ros()
+    from bellows_ros.files.bags import read_messages
+    from bellows_ros.nodes.bag_player import play
+
+    renamed = dict(_renamed(text) for text in arguments.topics)
+    with console.progress() as progress:
+        progress(f'reading {arguments.bag}')
+        messages, notes = read_messages(arguments.bag, renamed)
+        names = {m.topic.name: m.topic.name for m in messages} | renamed
+        for note in notes:
+            console.warn(note)
+        played = play(messages, names, arguments.rate, arguments.stamps == 'now', arguments.loop,
+                      progress)
+    put_json(arguments.json, {'bag': str(arguments.bag), **vars(played)}, console)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        _say(played, console)
+    return OK
+
+
+def _renamed(text: str) -> tuple[str, str]:
+    """Return a topic, and the name to play it under."""
+    name, _, new = text.partition(':=')
+    name = name if name.startswith('/') else f'/{name}'
+    return name, new or name
+
+
+def _say(played: 'Played', console: Console) -> None:
+    """Print what was sent."""
+    width = max(map(len, played.messages))
+    for name, count in played.messages.items():
+        console.say(f'  {name:{width}}  {count} messages')
+    console.say(f'Played in {played.duration:.1f} s; none was more than '
+                f'{1e3 * played.latest:.1f} ms late.')
+    if not played.heard:
+        console.warn(
+            'Nobody listened when it began. Start the predictor before it, in the same '
+            'ROS_DOMAIN_ID, and give --topic TOPIC:=NAME where the names differ.')

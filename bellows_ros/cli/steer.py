@@ -1,0 +1,132 @@
+"""`bellows steer`: a motion of the tool that leaves the package without swing."""
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .commands import OK
+from .console import Console
+from .options import (
+    add_json_option,
+    add_parameter_options,
+    add_plan_arguments,
+    Folder,
+    Output,
+    put_json,
+    require_free,
+    STDOUT,
+    THESIS_CUP,
+)
+from .plan import with_tool_link
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.steer import SteerReport
+
+DESCRIPTION = (
+    'Change a planned motion of the tool so that the package does not swing. The inverse moves '
+    'the package as planned, in no more time; ZV and ZVD shape the motion, which takes longer and '
+    'depends less on what is known of cup and package.'
+)
+EXAMPLES = (
+    ('bellows steer bags/transport.yaml --method inverse --params bags/tossing.yaml --out steered',
+     'the motion of the tool under which the package moves as planned'),
+    ('bellows steer plan_bag --method zvd --params cup.yaml --limits limits.yaml \\\n'
+     '    --out steered --json steer.json', 'a shaped motion within limits, with all figures'),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_plan_arguments(parser)
+    parser.add_argument(
+        '--method', required=True, choices=('inverse', 'zv', 'zvd'),
+        help='how: the inverse of cup and package, or input shaping for their modes at rest',
+    )
+    add_parameter_options(parser)
+    parser.add_argument(
+        '--limits', metavar='FILE', type=Path,
+        help='limits of the arm: the motion is stretched in time until all hold; '
+        'config/limits_example.yaml explains every setting',
+    )
+    add_json_option(parser, 'all figures')
+    parser.add_argument(
+        '--plot', metavar='FILE', default='', type=Output,
+        help='picture to write: .png, .svg or .pdf; tilt of the package over time',
+    )
+    parser.add_argument(
+        '--out', metavar='BAG', default='', type=Folder,
+        help='recording to write: the steered motion, and the package along it',
+    )
+    parser.add_argument(
+        '--force', action='store_true', help='replace a recording that is there already'
+    )
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Read, steer, write, report."""
+    values = with_tool_link(arguments)
+    from bellows_ros.workflows.steer import steer_plan, write_steered
+
+    require_free(arguments.out, arguments.force)
+    if arguments.plot:
+        from bellows_ros.plots.style import require_picture
+
+        require_picture(arguments.plot)
+    with console.progress() as progress:
+        progress(f'steering {arguments.plan}')
+        report = steer_plan(
+            arguments.plan, values, arguments.method, arguments.limits or '',
+            str(arguments.urdf or ''), arguments.topic)
+    put_json(arguments.json, report.as_json(arguments.params), console)
+    if arguments.plot:
+        from bellows_ros.plots.steer import steer_figure
+        from bellows_ros.plots.style import write_figure
+
+        write_figure(arguments.plot, steer_figure(report.motions, f'{arguments.plan}'))
+    if arguments.out:
+        write_steered(arguments.out, report, arguments.force)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        if 'cup.stiffness' not in values:
+            console.warn(THESIS_CUP)
+        _say(report, console)
+        for target in (arguments.json, arguments.plot, arguments.out):
+            if target not in ('', STDOUT):
+                console.say(f'Wrote {target}.')
+    return OK
+
+
+def _say(report: 'SteerReport', console: Console) -> None:
+    """Print what the motions do, and which to take."""
+    from .words import aligned
+
+    console.say(f'Plan {report.path}, steered by {report.method}', 'bold')
+    console.say()
+    rows = [(
+        'motion of the tool', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'safety')]
+    for name, motion in report.motions.items():
+        found = motion.figures()
+        factor = found['smallest_safety_factor']
+        rows.append((
+            name, f'{found["duration"]:.3f} s', f'{1e3 * found["added_time"]:.0f} ms',
+            _degrees(found['largest_tilt']), _degrees(found['swing_left']),
+            _degrees(found['expected_swing']) if report.uncertain else '-',
+            f'{factor:.2f}' if math.isfinite(factor) else '-'))
+    for line in aligned(rows, right=True):
+        console.say(f'  {line}')
+    console.say()
+    own = report.motions[report.method].figures()
+    console.paragraph(
+        f'The tool moves at up to {own["speed"]:.3g} m/s, {own["acceleration"]:.3g} m/s^2, '
+        f'{own["angular_speed"]:.3g} rad/s and {own["angular_acceleration"]:.3g} rad/s^2; the '
+        f'package is at most {1e3 * own["path_error"]:.2g} mm from where it is wanted.')
+    for note in report.notes:
+        console.paragraph(note)
+    if report.advice:
+        console.paragraph(report.advice)
+
+
+def _degrees(angle: float) -> str:
+    """Return an angle (rad) as it is printed."""
+    degrees = math.degrees(angle)
+    return f'{degrees:.1f} deg' if degrees >= 10.0 else f'{degrees:.3f} deg'

@@ -1,0 +1,152 @@
+"""`bellows structures`: what is identifiable from recordings, and which structure to take."""
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+from .commands import OK
+from .console import Console
+from .options import (
+    add_json_option,
+    add_parameter_options,
+    add_span_options,
+    given_parameters,
+    put_json,
+    STDOUT,
+)
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.structures import StructureAdvice
+
+DESCRIPTION = (
+    'Say, before a cup is identified, which parts of its stiffness and damping are '
+    'identifiable, and what motion is missing. Then compare the structures of K and P '
+    '(fit.structure) by AIC, BIC and by how well a cup found without parts of the recordings '
+    'simulates those parts, and '
+    'advise which to take.'
+)
+EXAMPLES = (
+    ('bellows structures bags/identification --params bags/package.yaml',
+     'what a recording can tell, and which fit.structure to take'),
+    ('bellows structures first second --params my_cell.yaml --json structures.json',
+     'of two recordings together, with all figures in a file'),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        'bags', metavar='BAG', nargs='*', type=Path,
+        help="recording: a rosbag2 folder, or a .mcap or .db3 file; over the parameter 'bags'",
+    )
+    add_parameter_options(parser)
+    add_span_options(parser)
+    add_json_option(parser, 'all figures')
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Look, compare, report."""
+    settings: dict[str, Any] = given_parameters(arguments, 'identifier')
+    if arguments.bags:
+        settings['bags'] = [str(bag) for bag in arguments.bags]
+    from bellows_ros.workflows.structures import structures
+
+    with console.progress() as progress:
+        result = structures(settings, progress)
+    put_json(arguments.json, result.as_json(), console)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        _say(result, console)
+        if arguments.json not in ('', STDOUT):
+            console.say(f'Wrote {arguments.json}.')
+    return OK
+
+
+def _say(result: 'StructureAdvice', console: Console) -> None:
+    """Print the excitation, the candidates and the advice."""
+    from .words import aligned
+
+    excitation, selection = result.excitation, result.selection
+    console.say('Excitation of the lip, relative to the tool', 'bold')
+    for line in aligned(_axis_rows(result), right=True):
+        console.say(f'  {line}')
+    console.say()
+    console.say('What least squares can identify', 'bold')
+    for line in aligned(_parameter_rows(result), right=True):
+        console.say(f'  {line}')
+    console.paragraph(
+        f'Rank {excitation.rank} of {excitation.size}, scaled condition number '
+        f'{excitation.condition_number:.3g}.'
+    )
+    console.say()
+    console.say('Structures', 'bold')
+    for line in aligned(_candidate_rows(result), right=True):
+        console.say(f'  {line}')
+    console.paragraph(
+        f'{selection.samples} samples, as good as {selection.effective_samples:.0f} '
+        'independent ones.'
+    )
+    console.say()
+    for sentence in selection.advice:
+        console.paragraph(sentence)
+    for warning in result.warnings:
+        console.warn(warning)
+
+
+def _axis_rows(result: 'StructureAdvice') -> list[tuple[str, ...]]:
+    """Return a row of the table for every direction."""
+    rows: list[tuple[str, ...]] = [
+        ('axis', 'deflection', 'moving', 'noise', 'velocity', 'noise', 'most of it')]
+    for axis in result.excitation.axes:
+        unit, rate = ('mm', 'mm/s') if not axis.name.startswith('r') else ('mrad', 'mrad/s')
+        rows.append((
+            axis.name, _milli(axis.strain, unit), _milli(axis.motion, unit),
+            _milli(axis.strain_noise, unit), _milli(axis.twist, rate),
+            _milli(axis.twist_noise, rate), _band(*axis.band_hz),
+        ))
+    return rows
+
+
+def _parameter_rows(result: 'StructureAdvice') -> list[tuple[str, ...]]:
+    """Return a row for every parameter; of a full structure for those of the diagonal only."""
+    rows: list[tuple[str, ...]] = [
+        ('parameter', 'first estimate', 'signal to noise', 'expected bias')]
+    for own in result.excitation.parameters:
+        if '-' in own.label:
+            continue
+        ratio = own.signal_to_noise
+        rows.append((
+            own.label, 'not identifiable' if math.isnan(own.value) else f'{own.value:.4g}',
+            '-' if not math.isfinite(ratio) else f'{ratio:.3g}',
+            '-' if not math.isfinite(own.bias) else f'{own.bias:+.1%}',
+        ))
+    return rows
+
+
+def _candidate_rows(result: 'StructureAdvice') -> list[tuple[str, ...]]:
+    """Return a row for every structure."""
+    rows: list[tuple[str, ...]] = [
+        ('structure', 'parameters', 'AIC', 'BIC', 'held-out error', 'usable')]
+    for candidate in result.selection.candidates:
+        error = candidate.held_out
+        rows.append(
+            (
+                candidate.structure,
+                str(candidate.parameters),
+                f'+{candidate.aic:.1f}',
+                f'+{candidate.bic:.1f}',
+                f'{error:.2%}' if math.isfinite(error) else '-',
+                'yes' if candidate.usable else 'no',
+            )
+        )
+    return rows
+
+
+def _band(low: float, high: float) -> str:
+    """Return a band of frequencies, or a dash where nothing moves."""
+    return f'{low:.1f}-{high:.1f} Hz' if math.isfinite(low) else '-'
+
+
+def _milli(value: float, unit: str) -> str:
+    """Return a value in thousandths of its SI unit, or a dash."""
+    return f'{value * 1e3:.3g} {unit}' if math.isfinite(value) else '-'

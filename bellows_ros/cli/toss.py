@@ -1,0 +1,207 @@
+"""`bellows toss`: where a planned toss ends, and what to fix first."""
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .commands import OK
+from .console import Console
+from .options import (
+    add_json_option,
+    add_parameter_options,
+    add_plan_arguments,
+    Output,
+    put_json,
+    STDOUT,
+    THESIS_CUP,
+)
+from .plan import with_tool_link
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.toss import Share, TossResult
+
+DESCRIPTION = (
+    'Predict a toss: the valve is switched at a time of the plan, the cup lets go, the package '
+    'flies and lands. Say how sure that is, and what to fix first; or find the time for a target.'
+)
+EXAMPLES = (
+    ('bellows toss bags/throw.yaml --params bags/tossing.yaml --release 3.0',
+     'where it lands when the valve is switched 3.0 s after the beginning of the plan'),
+    ('bellows toss bags/throw.yaml --params bags/tossing.yaml --target 1.9 0.1 --plot toss.png',
+     'when to switch the valve to land at x = 1.9 m, y = 0.1 m, with a picture'),
+)
+MILLI = 1e3
+UNITS = {
+    'package.mass': (1e3, 'g'), 'package.com': (1e3, 'mm'), 'release.delay': (1e3, 'ms'),
+    'release.tau': (1e3, 'ms'), 'release.impulse': (1e3, 'mN s'),
+}
+"""In which units a standard deviation is printed."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_plan_arguments(parser)
+    add_parameter_options(parser)
+    parser.add_argument(
+        '--release', metavar='T', type=float,
+        help='when the valve is switched, s since the beginning of the plan',
+    )
+    parser.add_argument(
+        '--target', metavar=('X', 'Y'), type=float, nargs=2,
+        help='find the time with which the package lands nearest to here, m in the world',
+    )
+    parser.add_argument(
+        '--target-rotation', metavar=('QX', 'QY', 'QZ', 'QW'), type=float, nargs=4,
+        help='and turned most like this quaternion; an angle counts as the way of the farthest '
+        'corner',
+    )
+    parser.add_argument(
+        '--monte-carlo', metavar='N', type=int, default=0,
+        help='draw so many tosses as well, beside the linear ellipse',
+    )
+    add_json_option(parser, 'the toss')
+    parser.add_argument(
+        '--plot', metavar='FILE', default='', type=Output,
+        help='draw the toss from the side and from above (.png, .svg or .pdf)',
+    )
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Predict, write, report."""
+    values = with_tool_link(arguments)
+    from bellows_ros.errors import BellowsError
+
+    if arguments.monte_carlo < 0 or arguments.monte_carlo == 1:
+        raise BellowsError(
+            f'--monte-carlo is {arguments.monte_carlo}; expected 2 tosses or more, or 0 for none.')
+    for name in ('release', 'target', 'target_rotation'):
+        given = getattr(arguments, name)
+        numbers = given if isinstance(given, list) else [given or 0.0]
+        if not all(map(math.isfinite, numbers)) or (
+                name == 'target_rotation' and given and math.hypot(*given) < 0.5):
+            raise BellowsError(
+                f'--{name.replace("_", "-")} is {given}; expected finite numbers'
+                f'{", a quaternion of length 1" if name == "target_rotation" else ""}.')
+    from bellows_ros.workflows.toss import toss_plan
+
+    with console.progress() as progress:
+        result = toss_plan(
+            arguments.plan, values, arguments.release,
+            tuple(arguments.target) if arguments.target else None,
+            arguments.target_rotation, arguments.monte_carlo, progress, str(arguments.urdf or ''),
+            arguments.topic)
+    figure = _figure(result, arguments.plan) if arguments.plot else None
+    put_json(arguments.json, result.as_json(), console)
+    if figure is not None:
+        from bellows_ros.plots.style import write_figure
+
+        write_figure(arguments.plot, figure)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        if 'cup.stiffness' not in values:
+            console.warn(THESIS_CUP)
+        _say(result, console)
+        for file in (arguments.json, arguments.plot):
+            if file not in ('', STDOUT):
+                console.say(f'Wrote {file}.')
+    return OK
+
+
+def _figure(result: 'TossResult', plan: Path) -> object:
+    """Return the picture."""
+    from bellows_ros.plots.toss import toss_figure
+
+    return toss_figure(result, f'Toss of {plan.name}')
+
+
+def _say(result: 'TossResult', console: Console) -> None:
+    """Print release, landing, what is uncertain, and what to fix first."""
+    import numpy as np
+
+    found, case = result.toss, result.case
+    late = MILLI * (found.release_time - case.switched)
+    speed = math.hypot(*found.release[2])
+    x, y, _ = found.landing[0]
+    std = np.sqrt(np.diag(result.covariance))
+    console.say('Toss', 'bold')
+    mode = 'its lip peels' if found.release_mode == 'peel' else 'after the delay'
+    console.say(
+        f'  valve     {case.switched:.4f} s; lets go {late:.1f} ms later ({mode}) at '
+        f'{speed:.2f} m/s')
+    console.say(f'  landing   {found.landing_time:.4f} s at x {x:.4f} m, y {y:.4f} m, '
+                f'tumbling at {found.tumbling:.2f} rad/s')
+    console.say(f'  sure to   x {MILLI * std[0]:.1f} mm, y {MILLI * std[1]:.1f} mm, turned '
+                f'{math.degrees(float(np.linalg.norm(std[3:]))):.2f} deg (one sigma)')
+    if result.aim is not None:
+        _say_aim(result, console)
+    if result.drawn is not None:
+        counted = MILLI * np.sqrt(np.diag(result.drawn.covariance))
+        from bellows_ros.core.landing import part_inside
+
+        inside = 100.0 * part_inside(result.covariance, result.drawn.figures)
+        console.say(
+            f'  drawn     {len(result.drawn.figures)} tosses: x {counted[0]:.1f} mm, y '
+            f'{counted[1]:.1f} mm; {inside:.1f} % in the 95 % ellipse; {result.drawn.failed} '
+            'failed')
+    console.say()
+    _say_budget(result, console)
+    for warning in result.warnings:
+        console.warn(warning)
+
+
+def _say_aim(result: 'TossResult', console: Console) -> None:
+    """Print how near to the target it lands, and what that gains."""
+    assert result.aim is not None
+    before = result.distance_as_asked
+    gain = '' if before is None else f', instead of {MILLI * before:.1f} mm with --release'
+    turned = f', {math.degrees(result.aim.angle):.1f} deg' if result.aim.angle else ''
+    console.say(f'  target    {MILLI * result.aim.distance:.2f} mm{turned} away{gain}')
+
+
+def _say_budget(result: 'TossResult', console: Console) -> None:
+    """Print what contributes how much, and what to fix first."""
+    from .words import aligned
+
+    groups = result.groups()
+    if not groups:
+        console.paragraph(
+            'How sure the landing is cannot be said: no standard deviation is known. Set '
+            'release.delay_std, release.tau_std, package.mass_std and package.com_std; cup.*_std '
+            "come from 'bellows identify'.")
+        return
+    rows = [('what is uncertain', 'by', 'at landing', 'turned')]
+    rows += [
+        (g.name, _amount(g), f'{MILLI * g.metres:.2f} mm', f'{math.degrees(g.radians):.2f} deg')
+        for g in groups]
+    for line in aligned(rows, right=True):
+        console.say(f'  {line}')
+    console.say()
+    console.paragraph(what_to_fix(result))
+
+
+def _amount(share: 'Share') -> str:
+    """Return a standard deviation in a unit that reads well."""
+    if not math.isfinite(share.std):
+        return 'its _std'
+    factor, unit = UNITS.get(share.name, (1.0, ''))
+    return f'{share.std * factor:.3g} {unit}'.strip()
+
+
+def what_to_fix(result: 'TossResult') -> str:
+    """Return the sentence on what gains most."""
+    groups = result.groups()
+    total = math.hypot(*(g.metres for g in groups))
+    first = groups[0]
+    left = math.sqrt(max(0.0, total**2 - first.metres**2))
+    text = (
+        f'Fix first: {first.name}, {MILLI * first.metres:.1f} of {MILLI * total:.1f} mm. Known '
+        f'exactly it would leave {MILLI * left:.1f} mm.')
+    cup = math.hypot(*(g.metres for g in groups if g.name.startswith('cup.')))
+    if cup and not first.name.startswith('cup.'):
+        gain = total - math.sqrt(max(0.0, total**2 - cup**2))
+        text += f' A perfect K and P would gain {MILLI * gain:.2f} mm.'
+    delay = next((g for g in groups if g.name == 'release.delay'), None)
+    if delay is not None:
+        per = 1e-3 * delay.metres / delay.std
+        text += f' Each millisecond of the valve moves the landing by {MILLI * per:.1f} mm.'
+    return text

@@ -1,0 +1,13 @@
+"""Names of array types: what a function takes and gives, in its signature."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+"""Numbers in SI units; the docstring gives shape and frame."""
+
+Mask = NDArray[np.bool_]
+"""Which samples are meant."""
+
+Stamps = NDArray[np.int64]
+"""Times, ns."""

@@ -1,0 +1,407 @@
+"""
+A motion of the tool that tells K and P best, within the limits of an arm, its grip and the cup.
+
+It is a Fourier series in each axis, ramped in and out, whose coefficients maximise the determinant
+of the Fisher information (D-optimal) of small motions, for the guess of K and for one too soft and
+one too stiff by `GUESS_OFF`. The largest ratio of a signal to its limit, as a p-norm over limits
+and time, divides the coefficients, so that nothing but their shape is sought; p grows in stages.
+What comes out is simulated with the whole model and scaled down until no limit is violated.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+import math
+from typing import Any, NamedTuple
+
+from bellows_ros.core.arm_limits import ArmLimits, CHECK_RATE
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.holding import Grip
+from bellows_ros.core.identification.fisher import (
+    motion_information,
+    Response,
+    response,
+    Tracking,
+)
+from bellows_ros.core.kernels import ModelTuple
+from bellows_ros.core.lie import apply, dexp, exp_so3, hat, rotation_to_quaternion
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.plan import Run
+from bellows_ros.core.simulation import state_row
+from bellows_ros.core.structure import Structure
+from bellows_ros.core.synthetic.motion import Motion, Pose
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+REST, RAMP = 2.0, 1.0
+"""Times (s) of standing still at the beginning, and of swelling and of dying away."""
+
+GUESS_OFF = 1.3
+"""K may be so many times the guess, or the guess so many times K."""
+
+PRIOR = 1.0
+"""Information on each number in units of itself, before: it is known to a factor of about 2."""
+
+STAGES = ((8, 200), (20, 200), (60, 300))
+"""Powers of the norm that stands for the largest ratio, and most steps with each."""
+
+POINTS_PER_PERIOD = 8
+STRONGER = 1.4
+"""Power of what a load is too large by: a part of it does not shrink with what is bounded."""
+
+ROUNDS, CLOSE, MARGIN = 4, 0.03, 1e-3
+"""Designs with bending adapted to simulations, until so close; what is left below a limit."""
+
+CHUNK = 4096
+
+LOADS = ('bending', 'torsion', 'safety factor (peel)', 'safety factor (slip)')
+
+Progress = Callable[[str, float], None]
+
+
+def ramp(s: Array) -> Array:
+    """Return the quintic step and its first three derivatives (4, N), outside of 0..1 constant."""
+    s = np.clip(s, 0.0, 1.0)
+    inside = (s > 0.0) & (s < 1.0)
+    return np.array([
+        s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s - s**2) ** 2,
+        60.0 * (s - s**2) * (1.0 - 2.0 * s), 60.0 * (1.0 - 6.0 * (s - s**2)) * inside])
+
+
+def window(t: Array, period: float) -> Array:
+    """Return what swells and dies away in a period (s), and three derivatives (4, N) by time."""
+    per_s = (1.0 / RAMP) ** np.arange(4)[:, None]
+    up, down = ramp(t / RAMP) * per_s, ramp((period - t) / RAMP) * per_s
+    return np.array([
+        sum(math.comb(n, m) * up[m] * (-1.0) ** (n - m) * down[n - m] for m in range(n + 1))
+        for n in range(4)])
+
+
+@dataclass(frozen=True, eq=False)
+class FourierMotion(Motion):
+    """
+    A rest, and a Fourier series in each axis that swells and dies away.
+
+    Parameters
+    ----------
+    start : Pose
+    period : float
+        Of the fundamental, and of the whole series, s.
+    coefficients : complex array (K, 6)
+        Of its harmonics, m and rad: real part of c exp(i omega t), of the displacement in world
+        axes and of the rotation vector in the tool's axes at the start.
+
+    """
+
+    start: Pose
+    period: float
+    coefficients: Any
+    rest_duration: float = REST
+
+    @property
+    def duration(self) -> float:  # type: ignore[override]
+        """With the rest, s."""
+        return self.rest_duration + self.period
+
+    @property
+    def highest_frequency(self) -> float:
+        """Of the last harmonic, Hz."""
+        return len(self.coefficients) / self.period
+
+    def scaled(self, factor: float) -> 'FourierMotion':
+        """Return the motion so many times as large."""
+        return replace(self, coefficients=factor * self.coefficients)
+
+    def displacement(self, t: Array, order: int = 0) -> Array:
+        """Return displacement and rotation vector (N, 6) since the start, or their rates."""
+        tau = t - self.rest_duration
+        omega = 2.0 * np.pi / self.period * np.arange(1, len(self.coefficients) + 1)
+        out = np.empty((len(t), 6))
+        for part in (slice(i, i + CHUNK) for i in range(0, len(t), CHUNK)):
+            wave = np.exp(1j * np.outer(tau[part], omega))
+            swell = window(tau[part], self.period)[:, :, None]
+            out[part] = swell[order] * (wave @ self.coefficients).real
+            if order == 1:
+                rate = wave @ (1j * omega[:, None] * self.coefficients)
+                out[part] += swell[0] * rate.real
+        return out
+
+    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
+        """Return where the tool is and how it moves; the body rate is dexp(-phi) dphi/dt."""
+        u, rate = self.displacement(t), self.displacement(t, 1)
+        phi = u[:, 3:]
+        return (self.start.position + u[:, :3], rate[:, :3], self.start.rotation @ exp_so3(phi),
+                apply(dexp(-phi), rate[:, 3:]))
+
+
+class Search:
+    """The negative mean log determinant as a function of the coefficients' shape, with slopes."""
+
+    def __init__(
+        self, limits: ArmLimits, period: float, models: Sequence[ModelTuple], grip: Grip | None,
+        responses_at: Callable[[Array], list[Response]], rate_hz: float,
+    ) -> None:
+        """Take what bounds the motion, and how the package responds at frequencies (rad/s)."""
+        self.count = max(2, math.floor(limits.highest_frequency * period))
+        wide = self.count + math.ceil(2.0 * period / RAMP)  # the ramps widen the lines
+        self.points = 2 ** math.ceil(math.log2(POINTS_PER_PERIOD * self.count))
+        omega = 2.0 * np.pi / period * np.arange(1, wide + 1, dtype=np.float64)
+        self._s = 1j * omega[:self.count, None]
+        self._window = window(np.arange(self.points) * period / self.points, period)[:, :, None]
+        turned = limits.axes
+        found = responses_at(omega)
+        self._changes = [r.changes @ turned for r in found]
+        self._loads = [load @ turned for r, model in zip(found, models, strict=True)
+                       for load in load_rows(r, model, limits, grip, omega)]
+        self._poses = rate_hz * period
+        self._constant = [self._poses * r.constant for r in found]
+        self._bounds, self.allowed = limits.bounds(), np.ones(len(self._loads))
+        room = np.array([b.limit for b in self._bounds[:6]])
+        self.size = 0.3 * room / (1.0 + (omega[:self.count, None] / 6.0) ** 2)
+
+    def _signals(self, spectrum: Any) -> Array:
+        """Return the real part (N, d) of a series of lines (F, d)."""
+        full = np.zeros((self.points // 2 + 1, spectrum.shape[1]), dtype=complex)
+        full[1:len(spectrum) + 1] = spectrum
+        return np.asarray(np.fft.irfft(full, self.points, axis=0) * (self.points / 2.0))
+
+    def _lines(self, signals: Array, count: int) -> Any:
+        """Return the adjoint of `_signals`: lines (F, d) of signals (N, d)."""
+        return np.fft.rfft(signals, axis=0)[1:count + 1]
+
+    def __call__(self, shape: Array, power: int) -> tuple[float, Array]:
+        """Return the value and its derivatives by the shape, a flat array of 2 K 6 numbers."""
+        c = self._coefficients(shape)
+        value, slope, _ = self._value(c, power)
+        slope = slope * self.size
+        return value, np.concatenate([slope.real.ravel(), slope.imag.ravel()])
+
+    def _coefficients(self, shape: Array) -> Any:
+        """Return the coefficients (K, 6) of a shape."""
+        real, imaginary = shape.reshape(2, self.count, 6)
+        return self.size * (real + 1j * imaginary)
+
+    def within(self, shape: Array, power: int) -> tuple[Any, dict[str, float]]:
+        """Return the coefficients scaled to the limits, and the share each has in stopping it."""
+        c = self._coefficients(shape)
+        _, _, (largest, shares) = self._value(c, power)
+        return c / largest, shares
+
+    def _value(self, c: Any, power: int) -> tuple[float, Any, tuple[float, dict[str, float]]]:
+        """Return value, slope by the coefficients, and largest ratio with the shares in it."""
+        rates = [self._signals(self._s**n * c) for n in range(4)]
+        W = self._window
+        u = [np.sum([math.comb(n, m) * W[n - m] * rates[m] for m in range(n + 1)], axis=0)
+             for n in range(4)]
+        lines = self._lines(u[0], len(self._loads[0])) * (2.0 / self.points)
+        signals = [u[b.order] @ (b.rows.T / b.limit) for b in self._bounds]
+        loads = [rows / most for rows, most in zip(self._loads, self.allowed, strict=True)]
+        signals += [self._signals(np.einsum('fij,fj->fi', rows, lines)) for rows in loads]
+        squares = [np.sum(signal**2, axis=1) for signal in signals]
+        top = max(float(square.max()) for square in squares)
+        parts = [(square / top) ** (power // 2) for square in squares]
+        total = float(np.sum(parts))
+        norm = math.sqrt(top) * (total / self.points) ** (1.0 / power)
+        by_u, by_lines = [np.zeros_like(u[0]) for _ in range(4)], np.zeros_like(lines)
+        for i, (signal, square, part) in enumerate(zip(signals, squares, parts, strict=True)):
+            pull = signal * (part / np.maximum(square, 1e-12 * top) / total)[:, None]
+            if i < len(self._bounds):
+                b = self._bounds[i]
+                by_u[b.order] += pull @ (b.rows / b.limit)
+            else:
+                rows = loads[i - len(self._bounds)]
+                by_lines += np.einsum('fij,fi->fj', rows.conj(), self._lines(pull, len(rows)))
+        value, gained = self._information(lines / norm)
+        inner = float(np.real(np.sum(gained.conj() * lines))) / norm
+        by_u = [-inner * slope for slope in by_u]
+        by_u[0] += self._signals(gained / norm - inner * by_lines) * (2.0 / self.points)
+        slope = np.sum([np.conj(self._s**m) * self._lines(
+            math.comb(n, m) * W[n - m] * by_u[n], self.count)
+            for n in range(4) for m in range(n + 1)], axis=0)
+        shares: dict[str, float] = {}
+        names = [*(b.name for b in self._bounds), *LOADS * (len(loads) // len(LOADS))]
+        for name, part in zip(names, parts, strict=True):
+            shares[name] = shares.get(name, 0.0) + float(np.sum(part)) / total
+        return -value, -slope, (math.sqrt(top), shares)
+
+    def _information(self, lines: Any) -> tuple[float, Any]:
+        """Return the mean log determinant of the information in lines (F, 6), and its slope."""
+        value, slope = 0.0, np.zeros_like(lines)
+        for changes, constant in zip(self._changes, self._constant, strict=True):
+            y = np.einsum('nfij,fj->nfi', changes, lines, optimize=True)
+            flat = y.reshape(len(y), -1)
+            M = 0.5 * self._poses * np.real(flat.conj() @ flat.T) + constant
+            M += PRIOR * np.eye(len(M))
+            value += float(np.linalg.slogdet(M)[1]) / len(self._changes)
+            weighted = (np.linalg.inv(M) @ flat).reshape(y.shape)
+            slope += self._poses / len(self._changes) * np.einsum(
+                'nfij,nfi->fj', changes.conj(), weighted, optimize=True)
+        return value, slope
+
+
+class Design(NamedTuple):
+    """
+    A motion, and what is known of it.
+
+    Parameters
+    ----------
+    motion : FourierMotion
+    ratios : mapping of str to float
+        Largest part of each limit that it takes; for bending and safety with K as bad as may be.
+    shares : mapping of str to float
+        By what part of the gain in log determinant each limit, eased, would let it grow.
+    information : array (2 n, 2 n)
+        On the parameters of K and P, of the whole model.
+
+    """
+
+    motion: FourierMotion
+    ratios: Mapping[str, float]
+    shares: Mapping[str, float]
+    information: Array
+
+
+def design(
+    cup: Cup, package: Package, gravity: Array | float, grip: Grip | None, structure: Structure,
+    limits: ArmLimits, tracking: Tracking, duration: float, seed: int, progress: Progress,
+) -> Design:
+    """
+    Return a motion that tells K and P.
+
+    Parameters
+    ----------
+    cup, package, gravity, grip
+        The cup as it is guessed, what hangs on it, and how it is held; without a grip nothing is
+        known of its safety factor.
+    structure : Structure
+        Which entries of K and P are free.
+    limits : ArmLimits
+        Of the arm, the cup and the grip.
+    tracking : Tracking
+        How both bodies will be tracked.
+    duration : float
+        Of rest and motion, s.
+    seed : int
+        Of the shape from which the search begins.
+    progress : callable
+        Called with what is being done and the part (0 to 1) that is done.
+
+    Raises
+    ------
+    BellowsError
+        If there is no time to move, the cup cannot hold the package, or no motion is within the
+        limits.
+
+    """
+    from scipy import optimize  # late: it takes a while to load
+
+    minimise: Any = optimize.minimize
+    period = duration - REST
+    if period < 3.0 * RAMP:
+        raise BellowsError(
+            f'There is no time to move: {duration:g} s with {REST:g} s of rest and ramps of '
+            f'{RAMP:g} s. Give at least {REST + 3.0 * RAMP:g} s.')
+    cups = cups_near(cup)
+    models = [model_tuple(each, package, gravity) for each in cups]
+    at = state_row(limits.start.position, rotation_to_quaternion(limits.start.rotation), [0.0] * 6)
+
+    def responses_at(omega: Array) -> list[Response]:
+        return [response(
+            lambda x: model_tuple(Cup(*structure.matrices(x), cup.length), package, gravity),
+            structure.parameters(each.stiffness, each.damping), _scale(structure, each), at, omega,
+            tracking) for each in cups]
+
+    search = Search(limits, period, models, grip, responses_at,
+                    1.0 / tracking.package_period)
+    shape = np.random.default_rng(seed).standard_normal(2 * search.size.size)
+    steps = sum(most for _, most in STAGES) * ROUNDS
+    done, shares = 0, dict[str, float]()
+    motion = FourierMotion(limits.start, period, np.zeros((1, 6)))
+    for number in range(ROUNDS):
+        for power, most in STAGES if number == 0 else STAGES[-1:]:
+            def count(_: Array) -> None:
+                nonlocal done
+                done += 1
+                progress('designing the motion', min(done / steps, 1.0))
+
+            shape = minimise(search, shape, (power,), 'L-BFGS-B', True, callback=count,
+                             options={'maxiter': most, 'maxfun': 2 * most}).x
+        coefficients, shares = search.within(shape, STAGES[-1][0])
+        motion = FourierMotion(limits.start, period, coefficients)
+        worst = loads(motion, limits, models, grip)
+        if worst.max() < 1.0 + CLOSE:
+            break
+        change = np.maximum(worst.ravel(), 0.1) ** STRONGER
+        search.allowed = np.minimum(search.allowed / change, 1.0)
+    motion, ratios = _within(motion, limits, models, grip)
+    progress('computing what it tells', 1.0)
+    tool = motion.at_rate(1.0 / tracking.package_period)
+    return Design(motion, ratios, shares, motion_information(models[0], tool, tracking, structure))
+
+
+def cups_near(cup: Cup) -> list[Cup]:
+    """Return the cup as it is guessed, and one that is softer and one that is stiffer."""
+    return [replace(cup, stiffness=factor * cup.stiffness)
+            for factor in (1.0, 1.0 / GUESS_OFF, GUESS_OFF)]
+
+
+def _scale(structure: Structure, cup: Cup) -> Array:
+    """Return the units of the parameters (2 n,): the roots of the diagonal entries' products."""
+    return np.array([math.sqrt(matrix[i, i] * matrix[j, j])
+                     for matrix in (cup.stiffness, cup.damping) for i, j in structure.leads])
+
+
+def all_ratios(
+    motion: Motion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
+) -> dict[str, float]:
+    """Return the largest part of every limit that a motion takes, whatever model is right."""
+    worst = loads(motion, limits, models, grip).max(axis=0).tolist()
+    known = LOADS if grip else LOADS[:2]
+    return limits.ratios(motion) | dict(zip(known, worst, strict=False))
+
+
+def loads(
+    motion: Motion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
+) -> Array:
+    """Return the largest parts (M, 4) of the limits of `LOADS`, with each of M models."""
+    tool = motion.at_rate(CHECK_RATE)
+    found = [Run(model, grip, tool).at(1.0) for model in models]
+    peel_slip = limits.safety if grip else 0.0
+    return np.array([
+        [each.peaks[2, 0] / limits.bending, np.abs(each.deflection[5]).max() / limits.torsion,
+         *(peel_slip * each.peaks[:2, 0])] for each in found])
+
+
+def load_rows(
+    found: Response, model: ModelTuple, limits: ArmLimits, grip: Grip | None, omega: Array
+) -> list[Array]:
+    """Return what makes bending, peel and slip, in parts of their limits, of lines of the tool."""
+    mass, com, inertia, _ = model[1]
+    c, g = hat(com), hat(limits.start.rotation.T @ model[2])
+    inert = np.block([
+        [mass * np.eye(3), np.zeros((3, 3))], [mass * c, np.reshape(inertia, (3, 3))]])
+    turned = mass * np.vstack([-g, -c @ g])
+    wrench = -omega[:, None, None]**2 * (inert @ found.package)  # at S, beyond that at rest
+    wrench += turned @ found.package[:, 3:]
+    turn = (found.package - np.eye(6))[:, 3:]
+    of_cup = [turn[:, :2] / limits.bending, turn[:, 2:] / limits.torsion]
+    if grip is None:
+        return [*of_cup, np.zeros_like(of_cup[1]), np.zeros_like(of_cup[1])]
+    suction, radius, friction = grip
+    pressed = max(suction / limits.safety - mass * float(np.linalg.norm(model[2])), 0.1 * suction)
+    return [*of_cup, wrench[:, 3:5] * 2.0 / (radius * pressed),
+            wrench[:, [0, 1, 5]] / [[1.0], [1.0], [radius]] / (friction * pressed)]
+
+
+def _within(
+    motion: FourierMotion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
+) -> tuple[FourierMotion, dict[str, float]]:
+    """Return a motion scaled down until it is within all limits, with its parts of them."""
+    for _ in range(20):
+        ratios = all_ratios(motion, limits, models, grip)
+        worst = max(ratios, key=lambda name: ratios[name])
+        if ratios[worst] <= 1.0:
+            return motion, ratios
+        motion = motion.scaled((1.0 - MARGIN) / min(ratios[worst], 4.0))
+    raise BellowsError(
+        f'No motion is within the limits: at rest already, {worst} is {ratios[worst]:.3g} times '
+        'its limit. Ease it, or start in another pose.')

@@ -1,0 +1,153 @@
+"""The shortest time in which a plan can be driven so that the grip stays safe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+import math
+from typing import Any, NamedTuple
+
+from bellows_ros.core.holding import Grip
+from bellows_ros.core.kernels import ModelTuple
+from bellows_ros.core.limits import LARGEST_SPEED
+from bellows_ros.core.linearisation import largest_step, system_matrix
+from bellows_ros.core.perturbed import perturbed, STEP
+from bellows_ros.core.plan import COARSE, Run
+from bellows_ros.core.trajectory import Trajectory
+import numpy as np
+
+SLOWEST, QUICKEST = 10.0, 0.02
+"""Time scales between which the shortest is sought."""
+
+FINENESS = 0.006
+"""Neighbouring time scales of the scan differ by this part."""
+
+NEARLY = 0.95
+"""A run is broken off where its safety factor falls below this part of what is needed."""
+
+LONGEST_TAIL = 2.0
+"""After the end the load can grow for a period of the slowest mode, but not for longer (s)."""
+
+ROW_NS = 4_000_000
+"""Rows of the plan nearer to each other than this are left out in the scan."""
+
+RENEW = 0.03
+"""Standard deviations are computed anew so near to what is needed, and so far on in scale."""
+
+WIDTH = 1e-4
+"""The shortest time scale is found to this part."""
+
+
+class Fastest(NamedTuple):
+    """The shortest time scale, and the safety factor there, with their standard deviations."""
+
+    scale: float
+    factor: float
+    std: float
+    scale_std: float
+
+
+def fastest(
+    values: Mapping[str, Any], model: ModelTuple, grip: Grip, tool: Trajectory, least: float
+) -> Fastest | None:
+    """
+    Return the shortest time scale at which safety factor minus two sigma stays at `least`.
+
+    The safety factor is not monotone in speed, as swing builds up or cancels: all scales are
+    scanned from the quickest up, and the first that holds is narrowed down.
+
+    Parameters
+    ----------
+    values : mapping
+        Parameters by name, with standard deviations.
+    model, grip : tuple
+        As the kernels take them, of the same values.
+    tool : Trajectory
+        The plan, which ends at rest.
+    least : float
+        Safety factor that is needed.
+
+    Returns
+    -------
+    Fastest or None
+        None where none up to `SLOWEST` holds.
+
+    """
+    longest = largest_step(model)
+    thin = _thinned(tool)
+    slowest = float(np.abs(np.linalg.eigvals(system_matrix(model))).min())
+    tail = min(LONGEST_TAIL, 2.0 * math.pi / slowest)
+    quick = Run(model, grip, thin, tail=tail, longest=COARSE * longest)
+    spread = [quick.of(each) for _, *both in perturbed(values, model) for each in both]
+    fine = Run(model, grip, tool, tail=tail, longest=longest)
+
+    def margin(scale: float, part: float, run: Run) -> float:
+        """Return by how much the factor is above what is needed, two sigma being a part of it."""
+        needed = least / max(1.0 - 2.0 * part, 0.01)
+        return _factor(run, scale, 1.0 / (NEARLY * needed)) / needed - 1.0
+
+    def sigma(scale: float) -> float:
+        """Return the standard deviation as a part of the safety factor."""
+        factors = [_factor(run, scale) for run in spread]
+        return math.hypot(*np.subtract(factors[::2], factors[1::2])) / (
+            2.0 * STEP * _factor(quick, scale))
+
+    speed = float(np.linalg.norm(np.asarray(tool.twist)[:, :3], axis=1).max())
+    scale = max(QUICKEST, speed / LARGEST_SPEED)
+    part, known_at, past = 0.0, 0.0, [-1.0, -1.0]
+    while scale < SLOWEST:
+        here = margin(scale, part, quick)
+        if here < past[1] > max(past[0], -FINENESS):  # between two scales it may just hold
+            scale, here = _summit(partial(margin, part=part, run=quick), scale)
+        if here > -RENEW and scale > (1.0 + RENEW) * known_at:
+            part, known_at = sigma(scale), scale
+            here = margin(scale, part, quick)
+        if here >= 0.0:
+            part, known_at = sigma(scale), scale
+            if margin(scale, part, quick) >= 0.0:
+                return _narrowed(partial(margin, part=part, run=fine), scale, fine, part)
+        past = [past[1], here]
+        scale *= 1.0 + FINENESS
+    return None
+
+
+def _factor(run: Run, scale: float, ceiling: float = math.inf) -> float:
+    """Return the smallest safety factor, or one that is below that of a ceiling of the load."""
+    load = run.load(scale, ceiling)
+    return 1.0 / load if load > 0.0 else math.inf
+
+
+def _summit(margin: Callable[[float], float], scale: float) -> tuple[float, float]:
+    """Return where a margin is largest, of the last two steps of the scan, and how large."""
+    from scipy.optimize import minimize_scalar
+
+    lowest = scale / (1.0 + FINENESS) ** 2
+    top = minimize_scalar(
+        lambda s: -margin(s), bounds=(lowest, scale), method='bounded',
+        options={'xatol': 0.01 * FINENESS * scale})
+    return (float(top.x), -float(top.fun)) if top.fun <= 0.0 else (scale, margin(scale))
+
+
+def _narrowed(
+    margin: Callable[[float], float], scale: float, run: Run, part: float
+) -> Fastest:
+    """Return the shortest time scale near one that holds, by bisection with fine steps."""
+    low, high = scale / (1.0 + FINENESS), scale
+    while margin(high) < 0.0:  # with coarse steps it just held
+        low, high = high, (1.0 + WIDTH) * high
+    while high > (1.0 + WIDTH) * low:
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if margin(middle) >= 0.0 else (middle, high)
+    factor, ends = _factor(run, high), (0.99 * high, 1.01 * high)
+    slope = (_factor(run, ends[1]) - _factor(run, ends[0])) / (ends[1] - ends[0])
+    return Fastest(high, factor, part * factor, abs(part * factor / slope) if slope else 0.0)
+
+
+def _thinned(tool: Trajectory) -> Trajectory:
+    """Return a plan without rows that are nearer to each other than `ROW_NS`, with its ends."""
+    kept, last = [0], tool.stamps_ns[0]
+    for i, stamp in enumerate(tool.stamps_ns[1:-1].tolist(), 1):
+        if stamp - last >= ROW_NS:
+            kept.append(i)
+            last = stamp
+    return tool.select(np.array([*kept, len(tool) - 1]))

@@ -1,0 +1,1 @@
+"""The linear equations in K and P that both methods, advice and validation stand on."""

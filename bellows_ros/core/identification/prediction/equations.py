@@ -1,0 +1,205 @@
+"""
+The equations of motion of a recording, and how noise of the measured poses enters them.
+
+At every pose of the package c = dv - f(tool, package; parameters) is zero, with dv the rate of its
+body twist and f that of the model (3.42). Twists and their rates come from the polynomials through
+nine poses that follow each other, so noise n of the poses leaves c = sum_j A_j n_(k+j): its
+covariance is known, and banded. All is linearised about the motion as all poses tell it.
+"""
+
+from typing import Any, NamedTuple
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.prediction.segments import Measured
+from bellows_ros.core.jacobians import (
+    body_jacobians,
+    DAMPING,
+    parameter_jacobian,
+    Square,
+    STIFFNESS,
+    tool_jacobians,
+)
+from bellows_ros.core.jit import kernel
+from bellows_ros.core.kernels import body_acceleration, ModelTuple, State
+from bellows_ros.core.lie import apply, exp_so3, rotation_to_quaternion, twist_cross
+from bellows_ros.core.model import Cup, model_tuple
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.savgol import savgol, weights
+from bellows_ros.core.sensitivities import columns
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+import numpy as np
+
+REACH = 4
+"""Poses on each side of one that give its twist: modes to a ninth of the rate are met to 2e-5."""
+
+STEPS = 2 * REACH + 1
+
+SMOOTHED_OVER = 1 / 12
+"""Half a window (s) of the polynomials that take noise off the motion that is linearised about."""
+
+SMOOTHED_ORDER = 6
+ENTRIES = STIFFNESS.start, DAMPING.stop
+
+
+class Equations(NamedTuple):
+    """
+    The equations at N poses.
+
+    Errors (N, 6): c as the measured poses make it, m/s^2 and rad/s^2; jacobian (N, 6, p): of f
+    by the parameters; package, tool (N, 6, 9, 6): the A_j, of changes in the body's own axes.
+    """
+
+    errors: Array
+    jacobian: Array
+    package: Array
+    tool: Array
+
+
+class Segment:
+    """A segment of a recording at the package's stamps, with a tool that may be late."""
+
+    def __init__(self, measured: Measured) -> None:
+        self.measured = measured
+        package = measured.package
+        self.package = Trajectory(package.stamps_ns, package.position, package.rotation)
+        self.period = float(np.median(np.diff(package.stamps_ns))) / NS_PER_S
+        self.weights = weights(REACH, 2 * REACH, 1.0 / self.period)
+        self._tool: tuple[float, Trajectory] | None = None
+
+    def tool(self, delay: float) -> Trajectory:
+        """Return the tool's poses at the package's stamps plus a delay (s)."""
+        if self._tool is None or self._tool[0] != delay:
+            stamps = self.package.stamps_ns + round(delay * NS_PER_S)
+            poses = resample(self.measured.tool, stamps)
+            self._tool = delay, Trajectory(
+                self.package.stamps_ns, poses.position, poses.rotation)
+        return self._tool[1]
+
+    def equations(self, cup: Cup, noise: Array, delay: float | None) -> Equations:
+        """
+        Return the equations with a cup, about the poses without an estimate of their noise.
+
+        Parameters
+        ----------
+        cup : Cup
+            K, P and length.
+        noise : ndarray (M, 12)
+            Of package and tool, small changes in their own axes, m and rad.
+        delay : float or None
+            Of the tool's stamps, s; where there is one, it is the last parameter.
+
+        """
+        jacobian, package, tool = self.linearised(cup, noise, delay)
+        return Equations(self.errors(cup, noise, delay, package, tool), jacobian, package, tool)
+
+    def errors(
+        self, cup: Cup, noise: Array, delay: float | None, package: Array, tool: Array
+    ) -> Array:
+        """Return the errors of `equations`, with effects of noise as they are there."""
+        model = model_tuple(cup, self.measured.payload, self.measured.gravity)
+        parts = np.hsplit(noise, 2)
+        (body, rate), (of_tool, _) = (
+            _states(_moved(poses, -own), REACH, 2 * REACH)
+            for poses, own in zip((self.package, self.tool(delay or 0.0)), parts, strict=True))
+        of_model: Array = np.empty((6, len(rate)))
+        _accelerations(model, of_tool, body, of_model)
+        errors = rate - of_model.T
+        for A, own in zip((package, tool), parts, strict=True):
+            for j in range(STEPS):
+                errors += apply(A[:, :, j], own[j:j + len(errors)])
+        return errors
+
+    def linearised(
+        self, cup: Cup, noise: Array, delay: float | None
+    ) -> tuple[Array, Array, Array]:
+        """Return the derivatives of `equations`: jacobian, package and tool, about a motion."""
+        model = model_tuple(cup, self.measured.payload, self.measured.gravity)
+        (body, rate), (tool, tool_rate) = (
+            self._smooth(_moved(poses, -own)) for poses, own in zip(
+                (self.package, self.tool(delay or 0.0)), np.hsplit(noise, 2), strict=True))
+        first, last = ENTRIES
+        out = np.zeros((6, 24 + last - first, len(rate)))
+        _derivatives(model, tool, body, first, last, out)
+        by_pose, by_twist, by_tool, by_tool_twist, jacobian = (
+            np.ascontiguousarray(part) for part in np.split(
+                np.moveaxis(out, 2, 0), (6, 12, 18, 24), axis=2))
+        turning, tool_turning = twist_cross(body[7:].T), twist_cross(tool[7:].T)
+        package, of_tool = (np.zeros((len(rate), 6, STEPS, 6)) for _ in range(2))
+        slope, tool_slope = turning - by_twist, -by_tool_twist
+        for j in range(STEPS):
+            package[:, :, j] = self.weights[2, j] * np.eye(6) + self.weights[1, j] * slope
+            of_tool[:, :, j] = self.weights[1, j] * tool_slope
+        package[:, :, REACH] += twist_cross(rate) - by_twist @ turning - by_pose
+        of_tool[:, :, REACH] -= by_tool_twist @ tool_turning + by_tool
+        if delay is not None:
+            by_delay = apply(by_tool, tool[7:].T) + apply(by_tool_twist, tool_rate)
+            jacobian = np.concatenate([jacobian, by_delay[:, :, None]], axis=2)
+        return jacobian, package, of_tool
+
+    def _smooth(self, poses: Trajectory) -> tuple[Array, Array]:
+        """Return states and rates of twists as of `_states`, smoother away from the ends."""
+        states, rate = _states(poses, REACH, SMOOTHED_ORDER)
+        half = max(round(SMOOTHED_OVER / self.period), REACH)
+        if len(poses) > 2 * half:
+            inner = slice(half - REACH, len(poses) - half - REACH)
+            states[:, inner], rate[inner] = _states(poses, half, SMOOTHED_ORDER)
+        return states, rate
+
+
+def _states(poses: Trajectory, half_window: int, order: int) -> tuple[Array, Array]:
+    """Return states (13, N), one in each column, and the rates of their twists (N, 6)."""
+    found = savgol(poses, half_window, order)
+    rows = np.hstack([found.position, rotation_to_quaternion(found.rotation), found.twist])
+    return np.ascontiguousarray(rows.T), np.array(found.acceleration)
+
+
+def _moved(poses: Trajectory, change: Array) -> Trajectory:
+    """Return poses after small changes (N, 6) in their own axes."""
+    return Trajectory(
+        poses.stamps_ns, poses.position + apply(poses.rotation, change[:, :3]),
+        poses.rotation @ exp_so3(change[:, 3:]))
+
+
+@kernel
+def _state(A: Any, k: Any) -> State:
+    """Return a column (13,) as the kernels take it."""
+    return (
+        (A[0, k], A[1, k], A[2, k]), (A[3, k], A[4, k], A[5, k], A[6, k]),
+        (A[7, k], A[8, k], A[9, k]), (A[10, k], A[11, k], A[12, k]),
+    )
+
+
+@kernel
+def _accelerations(model: ModelTuple, tool: Any, body: Any, out: Any) -> None:
+    """Write the rates (6, N) of the package's twist."""
+    for k in columns(tool.shape[1]):
+        dv, dw = body_acceleration(model, _state(tool, k), _state(body, k))
+        out[0, k], out[1, k], out[2, k] = dv
+        out[3, k], out[4, k], out[5, k] = dw
+
+
+@kernel
+def _derivatives(
+    model: ModelTuple, tool: Any, body: Any, first: int, last: int, out: Any
+) -> None:
+    """Write derivatives (6, 24 + p, N): by pose and twist of package and tool, by parameters."""
+    for k in columns(tool.shape[1]):
+        own, other = _state(body, k), _state(tool, k)
+        by_pose, by_twist = body_jacobians(model, other, own)
+        _write(by_pose, out, 0, k)
+        _write(by_twist, out, 6, k)
+        by_pose, by_twist = tool_jacobians(model, other, own)
+        _write(by_pose, out, 12, k)
+        _write(by_twist, out, 18, k)
+        parameter_jacobian(model, other, own, first, last, out[:, :, k], 24)
+
+
+@kernel
+def _write(A: Square, out: Any, column: int, k: Any) -> None:
+    """Write a 6x6 matrix into columns."""
+    for i in range(3):
+        for j in range(3):
+            out[i, column + j, k] = A[0][3 * i + j]
+            out[i, column + j + 3, k] = A[1][3 * i + j]
+            out[i + 3, column + j, k] = A[2][3 * i + j]
+            out[i + 3, column + j + 3, k] = A[3][3 * i + j]

@@ -1,0 +1,274 @@
+"""
+The minimum of the prediction errors: K, P and delays by Gauss-Newton steps.
+
+The equations of motion are linear in K and P, so there is one minimum, and the steps find it from
+any start. With every step the noise of the poses is estimated anew: the motion about which is
+linearised is that which all poses tell, poses that are far off count less (Huber), and near the
+minimum the colour of the noise is taken from the likelihood of the innovations.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.prediction.equations import Equations, Segment
+from bellows_ros.core.identification.prediction.pose_noise import PoseNoise
+from bellows_ros.core.identification.prediction.whitening import Root, Whitened, whitened
+from bellows_ros.core.model import Cup
+from bellows_ros.core.recording.noise import MAD_TO_STD
+from bellows_ros.core.structure import Structure
+import numpy as np
+
+Note = Callable[[Array, float], None]
+"""Takes the free numbers of a step and its chi^2."""
+
+WIDEST = 10.0
+"""The parameters are thought to be within so many times their scale of the start: weakly."""
+
+TOLERANCE = 1e-3
+"""Half the fall of chi^2 that another step would bring, below which the search has converged."""
+
+NEAR = 1.0
+"""The same, below which the colour of the noise is looked at."""
+
+MOST_STEPS = 40
+
+HUBER_FROM = 3.0
+"""Standard deviations from which the noise of a pose counts linearly."""
+
+ROBUST_STEPS = (2, 3, 4)
+"""Steps before which the scatter of the poses is looked at: then it is kept."""
+
+FARTHEST = 4.0
+"""
+The motion about which is linearised is within so many deviations of the measured one, but where
+poses are far off.
+"""
+
+MISSING, LARGEST_MISSING = np.repeat([5e-3, 5e-2], 3), 1000.0
+"""Scatter of a pose that is not measured, m and rad, and at most so many deviations."""
+
+DELAY_UNIT = 1e-3
+KEPT = (0.0, 0.4, 0.65, 0.8, 0.9, 0.95, 0.975, 0.99)
+"""Part of the noise that the next pose has in common: values among which is searched."""
+
+ENOUGH = 4096
+"""Poses of each segment that give the colour of its noise."""
+
+CONVINCING = 10.0
+"""Fall of the deviance from which on noise is not taken to be white."""
+
+
+class Found(NamedTuple):
+    """
+    Where the search ended.
+
+    Free numbers (m,), the segments and the noise of their poses, information (m, m), and whether
+    it is a minimum.
+    """
+
+    theta: Array
+    parts: list[Whitened]
+    noise: list[Array]
+    information: Array
+    converged: bool
+
+
+class Search:
+    """
+    Steps towards the minimum.
+
+    Free numbers are the structure's parameters in units of the scale, then a delay (ms) for every
+    recording where delays are wanted.
+
+    Parameters
+    ----------
+    segments : list of Segment
+        Of one cup's recordings.
+    structure : Structure
+        Of K and P.
+    start : Cup
+        First guess, with the length.
+    delays : int
+        How many.
+
+    """
+
+    def __init__(
+        self, segments: list[Segment], structure: Structure, start: Cup, delays: int
+    ) -> None:
+        self.segments, self.structure, self.length = segments, structure, start.length
+        self.delays = delays
+        diagonals = [np.abs(np.diag(M)) for M in (start.stiffness, start.damping)]
+        for diagonal in diagonals:
+            for part in (slice(0, 3), slice(3, 6)):  # metres and radians
+                diagonal[part] = np.maximum(diagonal[part], 0.05 * diagonal[part].max())
+        i, j = np.array(structure.leads).T
+        units = np.concatenate([np.sqrt(d[i] * d[j]) for d in diagonals])
+        self.count = len(units)
+        self.units = np.concatenate([units, np.full(delays, DELAY_UNIT)])
+        self.start = np.zeros(len(self.units))
+        self.start[:self.count] = structure.parameters(start.stiffness, start.damping) / units
+        upper = np.triu_indices(6)
+        entries = np.array([unit[upper] for unit in structure.basis]).T
+        self._entries = np.kron(np.eye(2), entries)
+        self.missing = [_missing(segment) for segment in segments]
+        self.spread = list(self.missing)
+        self.noise = [np.zeros_like(spread) for spread in self.spread]
+        self.kept = (0.0, 0.0)
+
+    def cup(self, theta: Array) -> Cup:
+        """Return the cup of the free numbers."""
+        x = (self.units * theta)[:self.count]
+        return Cup(*self.structure.matrices(x), self.length)
+
+    def delay(self, theta: Array, segment: Segment) -> float | None:
+        """Return how late a segment's tool is, s; None where that is not wanted."""
+        if not self.delays:
+            return None
+        return float((self.units * theta)[self.count + segment.measured.recording])
+
+    def by_numbers(self, segment: Segment, jacobian: Array) -> Array:
+        """Return derivatives (..., m) by the free numbers, of those by entries and delay."""
+        out = np.zeros((*jacobian.shape[:-1], len(self.units)))
+        out[..., :self.count] = jacobian[..., :len(self._entries)] @ self._entries
+        if self.delays:
+            out[..., self.count + segment.measured.recording] = jacobian[..., -1]
+        return np.asarray(out * self.units)
+
+    def noises(self, segment: Segment, kept: tuple[float, float]) -> tuple[PoseNoise, PoseNoise]:
+        """Return the noise of package and tool."""
+        measured = segment.measured
+        return (measured.package_noise._replace(kept=kept[0]),
+                measured.tool_noise._replace(kept=kept[1]))
+
+    def found(self, note: Note) -> Found:
+        """Go to the minimum."""
+        theta, looks, before = self.start, 0, np.inf
+        prior = np.zeros(len(theta))
+        prior[:self.count] = WIDEST**-2
+        for number in range(MOST_STEPS):
+            if number > 0:
+                self.estimate_noise(theta, number in ROBUST_STEPS)
+            equations = self.equations(theta)
+            if number > 1 and before < NEAR and looks < 2:
+                self.kept = self.colour(equations)
+                looks += 1 if any(self.kept) else 2
+            parts = self.whitened(equations)
+            H = sum(part.jacobian.T @ part.jacobian for part in parts) + np.diag(prior)
+            g = sum(part.jacobian.T @ part.innovations for part in parts)
+            g = g - prior * (theta - self.start)
+            r = np.concatenate([part.innovations for part in parts])
+            note(theta, float(np.mean(r**2)))
+            step = np.linalg.solve(H, g)
+            before = 0.5 * float(g @ step)
+            if before < TOLERANCE and looks and number >= ROBUST_STEPS[1]:
+                return Found(theta, parts, self.noise, H, True)
+            if not np.isfinite(before):
+                break
+            theta = theta + step
+        return Found(theta, parts, self.noise, H, False)
+
+    def equations(self, theta: Array) -> list[Equations]:
+        """Return the equations of all segments, about the motions without their noise."""
+        cup = self.cup(theta)
+        return [segment.equations(cup, noise, self.delay(theta, segment))
+                for segment, noise in zip(self.segments, self.noise, strict=True)]
+
+    def estimate_noise(self, theta: Array, robustly: bool) -> None:
+        """Estimate the noise of the poses, and perhaps how far they scatter."""
+        for i, (segment, own) in enumerate(
+                zip(self.segments, self.equations(theta), strict=True)):
+            root = Root(own, self.noises(segment, self.kept), self.spread[i])
+            noise, fresh = root.noise(root.whitened(own.errors[:, :, None])[:, 0])
+            if robustly:
+                self.spread[i] = np.maximum(self.missing[i], _spread(fresh * self.spread[i]))
+            usual = np.where(self.missing[i] > 1.0, 1.0, self.spread[i]**2)
+            largest = FARTHEST * usual * np.concatenate(
+                [body.std for body in self.noises(segment, self.kept)])
+            self.noise[i] = np.clip(noise, -largest, largest)
+
+    def whitened(self, equations: list[Equations]) -> list[Whitened]:
+        """Return equations in units of their noise, with derivatives by the free numbers."""
+        return [
+            whitened(
+                own._replace(jacobian=self.by_numbers(segment, own.jacobian)),
+                self.noises(segment, self.kept), spread)
+            for own, segment, spread in zip(equations, self.segments, self.spread, strict=True)]
+
+    def colour(self, equations: list[Equations]) -> tuple[float, float]:
+        """Return how much of the noise the next pose keeps, of package and tool."""
+        known: dict[tuple[float, float], float] = {}
+        parts = [(segment, Equations(*(array[:ENOUGH] for array in own)), spread)
+                 for segment, own, spread in zip(
+                     self.segments, equations, self.spread, strict=True)]
+
+        def deviance(kept: tuple[float, float]) -> float:
+            if kept not in known:
+                known[kept] = sum(
+                    Root(own, self.noises(segment, kept), spread).deviance(own.errors)
+                    for segment, own, spread in parts)
+            return known[kept]
+
+        best = _lowest(deviance, (0.0, 0.0), (0, 1))
+        for body in (0, 1):
+            best = _lowest(deviance, best, (body,))
+        if deviance(best) > deviance((0.0, 0.0)) - CONVINCING:
+            return 0.0, 0.0
+        for body in (0, 1):
+            best = _with(best, body, _vertex(deviance, best, body))
+        return best
+
+
+Deviance = Callable[[tuple[float, float]], float]
+
+
+def _lowest(
+    deviance: Deviance, kept: tuple[float, float], bodies: tuple[int, ...]
+) -> tuple[float, float]:
+    """Return the pair with some of them moved along the grid for as long as that is better."""
+    for side in (1, -1):
+        while 0 <= (place := KEPT.index(kept[bodies[0]]) + side) < len(KEPT):
+            moved = kept
+            for body in bodies:
+                moved = _with(moved, body, KEPT[place])
+            if deviance(moved) >= deviance(kept):
+                break
+            kept = moved
+    return kept
+
+
+def _with(kept: tuple[float, float], body: int, value: float) -> tuple[float, float]:
+    """Return the pair with one of them changed."""
+    return (value, kept[1]) if body == 0 else (kept[0], value)
+
+
+def _vertex(
+    deviance: Deviance, kept: tuple[float, float], body: int
+) -> float:
+    """Return where the parabola through the deviance of three values is least."""
+    place = KEPT.index(kept[body])
+    if not 0 < place < len(KEPT) - 1:
+        return kept[body]
+    x = np.log1p(-np.array(KEPT[place - 1:place + 2]))
+    y = [deviance(_with(kept, body, a)) for a in KEPT[place - 1:place + 2]]
+    quadratic, linear, _ = np.polyfit(x - x[1], y, 2)
+    return float(-np.expm1(np.clip(x[1] - 0.5 * linear / quadratic, x[2], x[0])))
+
+
+def _missing(segment: Segment) -> Array:
+    """Return by how much more each pose (M, 12) scatters than usual: those that are missing do."""
+    measured = segment.measured
+    lost = ~measured.package.valid
+    lost[1:] |= lost[:-1]
+    ratio = np.concatenate([
+        np.clip(MISSING / noise.ripple, 1.0, LARGEST_MISSING)
+        for noise in (measured.package_noise, measured.tool_noise)])
+    return np.where(lost[:, None], ratio, 1.0)
+
+
+def _spread(fresh: Array) -> Array:
+    """Return the scatter (M, 12) with which Huber's loss takes noise of so many deviations."""
+    size = np.abs(fresh)
+    typical = np.maximum(MAD_TO_STD * np.median(size, axis=0), 1.0)
+    return np.sqrt(np.clip(size / (HUBER_FROM * typical), 1.0, LARGEST_MISSING))

@@ -1,0 +1,159 @@
+"""Prepared recordings as the prediction-error method sees them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from bellows_ros.core.arrays import Mask
+from bellows_ros.core.identification.prediction.pose_noise import pose_noise, PoseNoise
+from bellows_ros.core.model import Package
+from bellows_ros.core.recording.noise import TOOL_HALF_WINDOW, TOOL_ORDER
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.savgol import savgol
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+LONGEST_GAP = 0.15
+"""Over a longer time (s) without poses a motion is unknown: the recording is cut there."""
+
+BRIDGE_HALF_WINDOW, BRIDGE_ORDER = 2, 4
+"""Quartics through five poses meet them all: they give the twists beside gaps."""
+
+SHORTEST_SEGMENT = 1.0
+"""Shorter segments (s) between such gaps are left out."""
+
+MOST_POSES = 16_384
+"""Longer segments are cut into equal parts, so that memory is bounded."""
+
+BLIND_STEPS = 3.0
+"""Poses in gaps of the tool of more than so many steps do not count."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """
+    One segment of a recording.
+
+    Parameters
+    ----------
+    tool : Trajectory
+        Poses of E in the world with body twists at stamps that cover the package's.
+    package : Trajectory
+        N poses of B at a uniform rate, not smoothed; in short gaps they are bridged, and not
+        valid.
+    payload : Package
+        Mass, inertia and centre of mass of the package in this recording.
+    gravity : float
+        m/s^2 along -z of the world.
+    tool_noise, package_noise : PoseNoise
+        Noise of the measured poses; the tool's has its density at the package's rate.
+    recording : int
+        Number of the recording it is of.
+
+    """
+
+    tool: Trajectory
+    package: Trajectory
+    payload: Package
+    gravity: float
+    tool_noise: PoseNoise
+    package_noise: PoseNoise
+    recording: int = 0
+
+
+def measured_segments(
+    tool: Trajectory,
+    package: Trajectory,
+    payload: Package,
+    gravity: float,
+    margin: float = 0.0,
+    recording: int = 0,
+) -> list[Measured]:
+    """
+    Return the segments of a recording in which both motions are known throughout.
+
+    Parameters
+    ----------
+    tool, package : Trajectory
+        Aligned poses of E and B in the world, each at its own uniform rate, with what is wrong
+        in them marked.
+    payload : Package
+        What hung on the cup.
+    gravity : float
+        m/s^2 along -z of the world.
+    margin : float
+        Time (s) before and after a segment for which the tool must be known, too.
+    recording : int
+        Number of the recording.
+
+    Raises
+    ------
+    BellowsError
+        If no segment is long enough.
+
+    """
+    tool_rate, rate = (uniform_rate_hz(body.stamps_ns) for body in (tool, package))
+    noises = PoseNoise(pose_noise(tool).ripple * np.sqrt(rate / tool_rate)), pose_noise(package)
+    seen = package.stamps_ns[package.valid & _tool_seen(tool, package, BLIND_STEPS / tool_rate)]
+    segments = []
+    for part in _parts(in_motion(tool), LONGEST_GAP):
+        for own in _parts(bridged(package), 1.5 / rate):
+            edge = round(margin * NS_PER_S)
+            inside = own.select(
+                (own.stamps_ns >= part.stamps_ns[0] + edge)
+                & (own.stamps_ns <= part.stamps_ns[-1] - edge))
+            for indices in np.array_split(np.arange(len(inside)), len(inside) // MOST_POSES + 1):
+                piece = inside.select(indices)
+                if len(piece) >= SHORTEST_SEGMENT * rate:
+                    piece = replace(piece, valid=np.isin(piece.stamps_ns, seen))
+                    segments.append(Measured(part, piece, payload, gravity, *noises, recording))
+    if not segments:
+        raise BellowsError(
+            f'No segment of {SHORTEST_SEGMENT:g} s in which both bodies are tracked. Record '
+            'longer, or look at the gaps and outliers in the report.'
+        )
+    return segments
+
+
+def _parts(poses: Trajectory, longest: float) -> Iterator[Trajectory]:
+    """Yield the valid parts of a motion between longer steps (s) in time."""
+    known = poses.select(poses.valid)
+    steps = np.diff(known.stamps_ns) / NS_PER_S
+    cuts = [0, *(np.flatnonzero(steps > longest) + 1).tolist(), len(known)]
+    for first, last in zip(cuts[:-1], cuts[1:], strict=True):
+        if last - first > 1:
+            yield known.select(slice(first, last))
+
+
+def in_motion(poses: Trajectory) -> Trajectory:
+    """
+    Return measured poses of the tool with twists, smoothed a little.
+
+    Short gaps are bridged first: a filter that stopped at each gap would lose half a window more
+    before it and behind it.
+    """
+    return savgol(bridged(poses), TOOL_HALF_WINDOW, TOOL_ORDER)
+
+
+def bridged(poses: Trajectory) -> Trajectory:
+    """Return poses with short gaps bridged by cubics that meet poses and twists on both sides."""
+    quartic = savgol(poses, BRIDGE_HALF_WINDOW, BRIDGE_ORDER)
+    known = quartic.select(quartic.valid)
+    lost = ~poses.valid
+    if not len(known) or not lost.any():
+        return poses
+    lost &= poses.stamps_ns > known.stamps_ns[0]
+    lost &= poses.stamps_ns < known.stamps_ns[-1]
+    between = Trajectory(known.stamps_ns, known.position, known.rotation, known.twist)
+    bridge = resample(between, poses.stamps_ns[lost], round(LONGEST_GAP * NS_PER_S))
+    position, rotation, valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
+    position[lost], rotation[lost], valid[lost] = bridge.position, bridge.rotation, bridge.valid
+    return Trajectory(poses.stamps_ns, position, rotation, valid=valid)
+
+
+def _tool_seen(tool: Trajectory, package: Trajectory, longest: float) -> Mask:
+    """Return which of the package's stamps are not in a gap of the tool longer than that (s)."""
+    tracked, stamps = tool.stamps_ns[tool.valid], package.stamps_ns
+    after = np.clip(np.searchsorted(tracked, stamps), 1, len(tracked) - 1)
+    step = (tracked[after] - tracked[after - 1]) / NS_PER_S
+    return np.asarray((tracked[after] == stamps) | (step <= longest))

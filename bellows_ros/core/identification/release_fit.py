@@ -1,0 +1,327 @@
+"""
+The valve, identified from tosses: delay, time constant and blow-off, and how far they scatter.
+
+Of each toss the instant of letting go and the impulse are fitted to the package's poses, together
+with its state at the beginning. With the load L of the lip at that instant the suction force V
+has fallen to it: late = delay + tau ln(V0 / L), a straight line over all tosses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import math
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.holding import Grip
+from bellows_ros.core.kernels import ModelTuple, State
+from bellows_ros.core.lie import apply, exp_so3, log_so3, quaternion_to_rotation
+from bellows_ros.core.linearisation import displaced
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.release import flight, Held, pushed_off, STRIDE
+from bellows_ros.core.simulation import state_row, tool_rows
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.tuples import add
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+FEWEST = 3
+"""So many tosses are needed for delay and tau."""
+
+FALLS_BELOW, SHORTEST_FALL = 3.0, 0.05
+"""A package flies where it feels less than this (m/s^2) for at least so long (s)."""
+
+BEFORE, AFTER = 0.15, 0.3
+"""Of a toss, so much (s) before and after letting go counts."""
+
+LONGEST_LATE = 1.0
+"""A valve that is followed by no flight within this (s) is no release."""
+
+REPLICAS = 20
+"""So many times the tool's noise is drawn for the standard errors of a toss."""
+
+SIZES = np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
+"""By which corrections of the state at the beginning are scaled: m, rad, m/s, rad/s."""
+
+
+@dataclass(frozen=True, eq=False)
+class LettingGo:
+    """
+    One toss.
+
+    Parameters
+    ----------
+    late : float
+        From the valve to letting go, s.
+    late_std : float
+        Standard error, s.
+    load : float
+        Suction force (N) at which the lip peels then.
+    impulse, impulse_std : float
+        Of the blow-off, N s.
+    speed : float
+        Of B then, m/s.
+    chi2 : float
+        Sum of squared residuals over their number; about 1 where model and noise are right.
+
+    """
+
+    late: float
+    late_std: float
+    load: float
+    impulse: float
+    impulse_std: float
+    speed: float
+    chi2: float
+
+
+def flights(package: Trajectory, gravity: float) -> Array:
+    """
+    Return where a package flies: (N, 2), indices of the first sample of each flight and the last.
+
+    Parameters
+    ----------
+    package : Trajectory
+        B in the world, z up, filtered, with body twists and their derivatives.
+    gravity : float
+        m/s^2.
+
+    """
+    assert package.twist is not None and package.acceleration is not None
+    v, w = package.twist[:, :3], package.twist[:, 3:]
+    felt = package.acceleration[:, :3] + np.cross(w, v) + gravity * package.rotation[:, 2]
+    falls = package.valid & (np.linalg.norm(felt, axis=1) < FALLS_BELOW)
+    edges = np.flatnonzero(np.diff(falls.astype(int), prepend=0, append=0))
+    found = np.column_stack([edges[::2], edges[1::2] - 1])
+    long_enough = np.diff(package.seconds[found], axis=1)[:, 0] >= SHORTEST_FALL
+    return np.asarray(found[long_enough])
+
+
+def letting_go(
+    model: ModelTuple, grip: Grip | None, tool: Trajectory, package: Trajectory, start: State,
+    valve: float, about: float, noise: tuple[float, float], replicas: Sequence[Trajectory] = (),
+) -> LettingGo:
+    """
+    Return when a package was let go.
+
+    Parameters
+    ----------
+    model, grip : tuple
+        As the kernels take them.
+    tool, package : Trajectory
+        E with body twists and B, in the world: from one stamp before the valve until before the
+        landing. Every stamp of the package is one of the tool.
+    start : State
+        About that of B at the first stamp.
+    valve, about : float
+        When it was switched, and about when it let go, s since the first stamp.
+    noise : (float, float)
+        Standard deviations of the package's positions (m) and rotations (rad).
+    replicas : sequence of Trajectory
+        The tool with noise once more, for what that does to the standard errors.
+
+    Raises
+    ------
+    BellowsError
+        If no letting go explains the poses.
+
+    """
+    from scipy.optimize import least_squares
+
+    seconds = package.seconds
+    end = float(seconds[-1])
+    given = Held(model, None, tool, start, end)
+    rows = np.searchsorted(given.times, seconds - 1e-9)
+
+    def run(x: Array, held: Held) -> tuple[Held, State, float]:
+        push = SIZES * x[:12]
+        moved = displaced(start, tuple(push[:3].tolist()), tuple(push[3:6].tolist()))
+        begun = held.again((
+            moved[0], moved[1], add(start[2], tuple(push[6:9].tolist())),
+            add(start[3], tuple(push[9:].tolist()))))
+        time = min(max(valve + float(x[12]) * 1e-3, valve), end - 1e-3)
+        _, body = begun.let_go((0.0, 0.0), time)
+        return begun, pushed_off(model[1], body, float(x[13]) * 1e-2), time
+
+    def residuals(x: Array, held: Held = given) -> Array:
+        begun, body, time = run(x, held)
+        states = begun.states[rows].copy()
+        now = time
+        for k in np.flatnonzero(seconds > time):
+            body = flight(model[1], model[2], body, float(seconds[k] - now), 10.0 * STRIDE)
+            now = float(seconds[k])
+            states[k] = [*body[0], *body[1], *body[2], *body[3]]
+        turn = np.swapaxes(package.rotation, -1, -2) @ quaternion_to_rotation(states[:, 3:7])
+        return np.hstack([
+            (states[:, :3] - package.position) / noise[0], log_so3(turn) / noise[1]]).ravel()
+
+    guesses = [np.append(np.zeros(12), [1e3 * (about + by - valve), 0.0]) for by in (-0.02, 0.0)]
+    step = np.full(14, 1e-4)
+    fits = [least_squares(residuals, x, diff_step=step, max_nfev=30) for x in guesses]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    chi2 = 2.0 * float(best.cost) / (len(best.fun) - len(best.x))
+    if not math.isfinite(chi2):
+        raise BellowsError('No letting go explains the poses of this toss. Leave it out.')
+    back = np.linalg.pinv(np.asarray(best.jac))
+    moved = [back @ (residuals(best.x, Held(model, None, replica, start, end)) - best.fun)
+             for replica in replicas]
+    std = np.sqrt(np.diag(back @ back.T) + (np.var(moved, axis=0) if moved else 0.0))
+    begun, body, time = run(best.x, given)
+    loaded = Held(model, grip, tool, begun.start, end)
+    load = float(np.interp(time, loaded.times, loaded.loads))
+    return LettingGo(
+        time - valve, 1e-3 * float(std[12]), load,
+        1e-2 * float(best.x[13]), 1e-2 * float(std[13]), math.hypot(*body[2]), chi2)
+
+
+def tosses_of(
+    recording: Recording, model: ModelTuple, grip: Grip | None, valves_ns: Sequence[int] | None
+) -> tuple[list[LettingGo], list[str]]:
+    """
+    Return the tosses in a recording, and why others cannot be used.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of tool and package.
+    model, grip : tuple
+        As the kernels take them.
+    valves_ns : sequence of int or None
+        When the valve was switched off, ns; None where it was not recorded.
+
+    """
+    package, tool = recording.package, recording.tool
+    stamps_ns, noise = package.stamps_ns, recording.measured_noise[1]
+    used, found, left_out = set(), list[LettingGo](), list[str]()
+    for first, last in flights(package, recording.settings.gravity):
+        flies_ns = int(stamps_ns[first])
+        where = f'the flight at {recording.since_start(stamps_ns)[first]:.2f} s'
+        valve_ns = flies_ns - round(0.1 * NS_PER_S)
+        if valves_ns is not None:
+            early = [v for v in valves_ns if 0.0 <= (flies_ns - v) / NS_PER_S <= LONGEST_LATE]
+            if not early:
+                left_out.append(f'{where}: the valve was not switched before it')
+                continue
+            valve_ns = max(early)
+            used.add(valve_ns)
+        begin_ns, end_ns = valve_ns - round(BEFORE * NS_PER_S), flies_ns + round(AFTER * NS_PER_S)
+        part = slice(int(np.searchsorted(stamps_ns, begin_ns)),
+                     min(int(last), int(np.searchsorted(stamps_ns, end_ns))) + 1)
+        poses = recording.measured_package.select(part)
+        if not (package.valid[part.start] and poses.valid[0] and tool.valid[part].all()):
+            left_out.append(f'{where}: tool or package was not tracked all the time before it')
+            continue
+        start = state_row(*(row[0] for row in np.split(
+            tool_rows(package.select(slice(part.start, part.start + 1))), [3, 7], axis=1)))
+        since = int(stamps_ns[part.start])
+        try:
+            one = letting_go(
+                model, grip, tool.select(part), poses.select(poses.valid), start,
+                (valve_ns - since) / NS_PER_S, (flies_ns - since) / NS_PER_S, noise,
+                _replicas(recording, tool.select(part)))
+        except BellowsError as error:
+            left_out.append(f'{where}: {error}')
+            continue
+        found.append(one if valves_ns is not None else replace(one, late=math.nan))
+    for valve_ns in sorted(set(valves_ns or ()) - used):
+        seconds = (valve_ns - recording.start_ns) / NS_PER_S
+        left_out.append(f'the valve at {seconds:.2f} s: no flight follows that was tracked')
+    return found, left_out
+
+
+def _replicas(recording: Recording, tool: Trajectory) -> list[Trajectory]:
+    """Return a part of the tool's motion with its filtered noise once more, `REPLICAS` times."""
+    assert tool.twist is not None
+    noise, weights, rng = recording.noise.tool, recording.tool_weights, np.random.default_rng(0)
+    step = float(np.median(np.diff(recording.aligned_tool.seconds)))
+    count = int(tool.seconds[-1] / step) + 2
+    at, sizes = step * np.arange(count), np.repeat(noise, 3)
+    found = []
+    for _ in range(REPLICAS):
+        white = sizes * rng.standard_normal((count + weights.shape[1] - 1, 6))
+        value, rate = (
+            np.column_stack([
+                np.interp(tool.seconds, at, np.correlate(column, w)) for column in white.T])
+            for w in weights[:2])
+        linear = apply(np.swapaxes(tool.rotation, -1, -2), rate[:, :3])
+        found.append(Trajectory(
+            tool.stamps_ns, tool.position + value[:, :3],
+            tool.rotation @ exp_so3(value[:, 3:]), tool.twist + np.hstack([linear, rate[:, 3:]])))
+    return found
+
+
+@dataclass(frozen=True)
+class ValveFit:
+    """
+    Delay (s), tau (s), impulse (N s): values, standard errors, and scatter from toss to toss.
+
+    NaN where the tosses do not say. The scatter of tau cannot be separated from that of the
+    delay, which holds both.
+    """
+
+    delay: float
+    delay_error: float
+    delay_scatter: float
+    tau: float
+    tau_error: float
+    impulse: float
+    impulse_error: float
+    impulse_scatter: float
+
+
+def valve_fit(tosses: Sequence[LettingGo], suction: float) -> ValveFit:
+    """
+    Return what many tosses say of valve and blow-off.
+
+    Parameters
+    ----------
+    tosses : sequence of LettingGo
+        At least `FEWEST`, with loads that differ. Without the instants of the valve, `late` is
+        NaN: then only the blow-off is found.
+    suction : float
+        V0, the suction force while it holds, N; 0 where it is not known: then only the delay until
+        it lets go is.
+
+    Raises
+    ------
+    BellowsError
+        If there are too few, or all let go under the same load.
+
+    """
+    if len(tosses) < FEWEST:
+        raise BellowsError(
+            f'{len(tosses)} tosses can be used; a valve is found from {FEWEST} or more. Record '
+            'more.')
+    impulses = np.array([t.impulse for t in tosses])
+    spread = float(np.var(impulses, ddof=1))
+    noise = float(np.mean([t.impulse_std**2 for t in tosses]))
+    delay, delay_error, scatter, tau, tau_error = _line(tosses, suction)
+    return ValveFit(
+        delay, delay_error, scatter, tau, tau_error, float(impulses.mean()),
+        math.sqrt(spread / len(impulses)), math.sqrt(max(0.0, spread - noise)))
+
+
+def _line(tosses: Sequence[LettingGo], suction: float) -> tuple[float, float, float, float, float]:
+    """Return delay, its error and scatter, tau and its error: late = delay + tau ln(V0 / L)."""
+    late = np.array([t.late for t in tosses])
+    if np.isnan(late).all():
+        return math.nan, math.nan, math.nan, math.nan, math.nan
+    known = np.array([t.late_std for t in tosses])
+    A, scatter = np.ones((len(late), 1)), 0.0
+    if suction:
+        x = np.log(suction / np.array([t.load for t in tosses]))
+        if np.ptp(x) < 0.05:
+            raise BellowsError(
+                f'tau is not identifiable: all tosses let go under nearly the same load, ln(V0/L) '
+                f'from {x.min():.3g} to {x.max():.3g}. Release at other times of the swing as '
+                'well.')
+        A = np.column_stack([A, x])
+    for _ in range(20):  # the scatter weighs the tosses, and comes from what is left over
+        weight = 1.0 / (scatter**2 + known**2)
+        inverse = np.linalg.inv(A.T @ (weight[:, None] * A))
+        line = inverse @ (A.T @ (weight * late))
+        left = late - A @ line
+        total = float(left @ left) / (len(late) - A.shape[1])
+        scatter = math.sqrt(max(0.0, total - float(np.mean(known**2))))
+    tau = (float(line[1]), math.sqrt(inverse[1, 1])) if suction else (math.nan, math.nan)
+    return float(line[0]), math.sqrt(inverse[0, 0]), scatter, tau[0], tau[1]

@@ -1,0 +1,48 @@
+"""Whether parameter values can stand together: by computing what they are for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bellows_ros.core.gravity import gravity_of
+from bellows_ros.core.live.load import equivalent_box, Load
+from bellows_ros.core.live.payload import prepared
+from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
+from bellows_ros.core.live.uncertainty import Uncertainty
+from bellows_ros.core.live.vacuum import check_thresholds
+from bellows_ros.core.model import cup_of, package_of
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+
+def check_live(values: Mapping[str, Any]) -> None:
+    """
+    Refuse values with which the live predictor cannot compute, though each of them is allowed.
+
+    Parameters
+    ----------
+    values : mapping
+        All parameters by name, with the cup that is in use in cup.*.
+
+    Raises
+    ------
+    BellowsError
+        With what does not fit, or cannot be computed.
+
+    """
+    check_thresholds(values)
+    model = prepared(cup_of(values), package_of(values), gravity_of(values)).model
+    still = Prediction(1, *ORIGIN, ZERO, ZERO)
+    load = Load(values)
+    try:
+        with np.errstate(all='ignore'):
+            load.watch_force(still)
+            load.watch_deflection(model, still)
+            Uncertainty(model, values).covariance(still)
+            equivalent_box(values)
+    except (ArithmeticError, ValueError) as error:
+        raise BellowsError(
+            f'Nothing can be computed with these parameters ({error}). Check package.*, cup.*, '
+            'envelope.* and their units.'
+        ) from None

@@ -1,0 +1,311 @@
+"""The state of the held package: started at rest, carried along with the tool, extrapolated."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.integrator import advance
+from bellows_ros.core.jit import kernel
+from bellows_ros.core.kernels import (
+    cup_wrench,
+    lip_relative_to_tool,
+    lip_wrench,
+    ModelTuple,
+    State,
+    Wrench,
+)
+from bellows_ros.core.linearisation import largest_step, substeps_for, system_matrix
+from bellows_ros.core.live.samples import Prediction, ZERO
+from bellows_ros.core.live.settling import Modes, modes_of, Settling
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.observer import Measurement, Observer
+from bellows_ros.core.tuples import (
+    add_scaled,
+    apply,
+    apply_transposed,
+    dot,
+    exp_quaternion,
+    quaternion_product,
+    rotation_matrix,
+    scale,
+)
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import ArrayLike
+
+MOST_SUBSTEPS = 10_000
+"""Of one advance; more is a cup so stiff, or a time so long, that it counts as diverged."""
+
+CUP_LENGTHS = SAGS = 3.0
+"""No lip is further from where it is without load than so many lengths of the cup, and so many
+times what the package's weight shifts it by in the softest direction."""
+
+RETRY_NS = 100_000_000
+"""Time (ns) after which rest is sought again where there was none: that takes milliseconds."""
+
+
+@kernel
+def advance_and_hold(
+    model: ModelTuple, body: State, before: State, now: State, duration: float, substeps: int,
+    reach: float,
+) -> tuple[State, Wrench, bool]:
+    """
+    Return the package at the newest tool sample, the cup's wrench, and if both can be.
+
+    They can where all numbers are finite, and the lip is within reach (m) of where it is without
+    load.
+    """
+    body = advance(model, body, before, now, duration, substeps)
+    wrench, sound = hold(model, body, now, reach)
+    return body, wrench, sound
+
+
+@kernel
+def hold(model: ModelTuple, body: State, now: State, reach: float) -> tuple[Wrench, bool]:
+    """Return the cup's wrench on a package, and if all can be: see `advance_and_hold`."""
+    cup, package, _ = model
+    o_lip, R_lip, v_lip, w_lip = lip_relative_to_tool(
+        package[1], now[0], rotation_matrix(now[1]), now[2], now[3],
+        body[0], rotation_matrix(body[1]), body[2], body[3],
+    )
+    f, m = wrench = cup_wrench(cup, o_lip, R_lip, v_lip, w_lip)
+    v, w = body[2], body[3]
+    total = dot(v, v) + dot(w, w) + dot(f, f) + dot(m, m) + body[1][0] + body[1][3]
+    shift = (o_lip[0], o_lip[1], o_lip[2] + cup[1])
+    return wrench, total - total == 0.0 and dot(shift, shift) <= reach * reach
+
+
+@kernel
+def extrapolated(tool: State, duration: float) -> State:
+    """Return the tool a time later, its tip going on straight and its rotation steadily."""
+    o, q, v, w = tool
+    velocity = apply(rotation_matrix(q), v)
+    q_later = quaternion_product(q, exp_quaternion(scale(duration, w)))
+    return (
+        add_scaled(o, duration, velocity), q_later,
+        apply_transposed(rotation_matrix(q_later), velocity), w,
+    )
+
+
+class Prepared(NamedTuple):
+    """A model, and what follows from it."""
+
+    model: ModelTuple
+    longest_step: float
+    """s, of its integration."""
+    reach: float
+    """m, by which no lip is ever from where it is without load."""
+    modes: Modes
+
+
+def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
+    """
+    Return the model of a cup and a package, and what follows from it.
+
+    Raises
+    ------
+    BellowsError
+        If nothing can be computed with it: its numbers are too large or too small.
+
+    """
+    try:
+        with np.errstate(all='ignore'):
+            model = model_tuple(cup, package, gravity)
+            modes = modes_of(system_matrix(model))
+            return Prepared(model, largest_step(model), _reach(model), modes)
+    except (ArithmeticError, ValueError) as error:
+        raise BellowsError(
+            f'Nothing can be computed with this cup and package ({error}). Check package.mass, '
+            'package.inertia, cup.stiffness, cup.damping and their units.'
+        ) from None
+
+
+def _reach(model: ModelTuple) -> float:
+    """Return how far (m) a lip can be from where it is without load."""
+    cup, package, gravity = model
+    softest = float(np.linalg.eigvalsh(np.reshape(cup[2][0], (3, 3)))[0])
+    return CUP_LENGTHS * cup[1] + SAGS * package[0] * math.hypot(*gravity) / softest
+
+
+class Sample(NamedTuple):
+    """The tool and the package at one instant."""
+
+    stamp_ns: int
+    tool: State
+    body: State
+
+
+class LivePayload:
+    """
+    A package on a cup, and the tool sample it was last computed for.
+
+    Parameters
+    ----------
+    cup, package : Cup, Package
+    gravity : float or array_like (3,)
+        m/s^2, along -z of the world, or as a vector there.
+
+    Attributes
+    ----------
+    outcome : str
+        What went wrong in the last call: 'diverged', 'no_equilibrium', or nothing.
+    observer : Observer or None
+        Corrects it, once its pose has been measured.
+
+    """
+
+    def __init__(self, cup: Cup, package: Package, gravity: ArrayLike) -> None:
+        """Prepare the model; the package is nowhere yet."""
+        self._gravity = gravity
+        self.settling = Settling()
+        self.observer: Observer | None = None
+        self._sample: Sample | None = None
+        self._coasted: Sample | None = None
+        self.set_model(cup, package)
+        self.forget()
+
+    @property
+    def model(self) -> ModelTuple:
+        """The model as the kernels take it."""
+        return self._model if self.observer is None else self.observer.model
+
+    @property
+    def sample(self) -> Sample | None:
+        """The newest sample of tool and package."""
+        return self._sample
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the package has a state from which it can be advanced."""
+        return self._sample is not None
+
+    def set_model(self, cup: Cup, package: Package) -> None:
+        """Go on with another cup or package; pose and motion stay as they are."""
+        self._model, self._longest_step, self._reach, modes = prepared(
+            cup, package, self._gravity)
+        self.settling.set_modes(modes)
+        self._retry_ns = -1
+        if self.observer is not None:
+            self.observe(self.observer)
+
+    def observe(self, observer: Observer) -> None:
+        """Let an observer correct the package from now on."""
+        self.observer = observer
+        observer.set_model(self._model, self._longest_step, self._reach)
+        if self._sample is not None:
+            observer.start(*self._sample)
+
+    def see(self, seen: Measurement) -> None:
+        """Correct the package with a measured pose."""
+        observer, sample = self.observer, self._sample
+        if observer is not None and not observer.see(seen) and sample is not None:
+            self._sample = sample._replace(body=observer.body)
+            self._coasted = None
+
+    def forget(self, is_another: bool = True) -> None:
+        """Let the next tool sample start from rest, with the same package or with another."""
+        if self.observer is not None:
+            self.observer.forget(is_another)
+        self._sample = self._coasted = None
+        self.settling.forget()
+        self._retry_ns = -1
+        self.outcome = ''
+
+    def follow(self, stamp_ns: int, before: State | None, now: State) -> Prediction | None:
+        """
+        Advance to a tool sample, or start from rest there.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Of the sample.
+        before : State, optional
+            A better estimate of the tool at the sample before, where there is one.
+        now : State
+            Pose and body twist of the tool at the stamp.
+
+        """
+        self._coasted = None
+        self.outcome = ''
+        last = self._sample
+        if last is None:
+            return self._start(stamp_ns, now)
+        result = self._advanced(
+            last.body, before or last.tool, now, (stamp_ns - last.stamp_ns) * 1e-9, stamp_ns)
+        if result is None:
+            self.outcome = 'diverged'
+            return self._start(stamp_ns, now)
+        body, (force, moment) = result
+        self._sample = Sample(stamp_ns, now, body)
+        unsettled = self.settling.follow(stamp_ns, now)
+        known = None if self.observer is None else self.observer.covariance
+        return Prediction(stamp_ns, *body, force, moment, now, False, unsettled, known)
+
+    def coast(self, stamp_ns: int) -> Prediction | None:
+        """
+        Predict with the tool going on as it did; the state for the next sample stays as it is.
+
+        Returns None when there is nothing to go on from.
+        """
+        base = self._coasted or self._sample
+        if base is None or stamp_ns <= base.stamp_ns:
+            return None
+        duration = (stamp_ns - base.stamp_ns) * 1e-9
+        tool = extrapolated(base.tool, duration)
+        result = self._advanced(base.body, base.tool, tool, duration)
+        if result is None:
+            return None
+        body, (force, moment) = result
+        self._coasted = Sample(stamp_ns, tool, body)
+        return Prediction(stamp_ns, *body, force, moment, tool, True, self.settling.now)
+
+    def _advanced(
+        self, body: State, start: State, end: State, duration: float, kept_ns: int = 0
+    ) -> tuple[State, Wrench] | None:
+        """
+        Return the package and the wrench at the end, or None if they are not finite.
+
+        An observer keeps what ends at a stamp (ns).
+        """
+        substeps = substeps_for(duration, self._longest_step)
+        if substeps > MOST_SUBSTEPS:
+            return None
+        try:
+            if self.observer is None:
+                body, wrench, sound = advance_and_hold(
+                    self._model, body, start, end, duration, substeps, self._reach)
+            else:
+                body = (self.observer.follow(kept_ns, start, end) if kept_ns
+                        else self.observer.drifted(body, start, end, duration))
+                wrench, sound = hold(self.model, body, end, self._reach)
+        except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+            return None
+        return (body, wrench) if sound else None
+
+    def _start(self, stamp_ns: int, tool: State) -> Prediction | None:
+        """Let the package hang at rest from the tool, if it can."""
+        self._sample = None
+        is_due = stamp_ns >= self._retry_ns
+        body = self._rest(tool) if is_due else None
+        if body is None:
+            self._retry_ns = stamp_ns + RETRY_NS if is_due else self._retry_ns
+            self.outcome = 'no_equilibrium'
+            return None
+        force, moment = lip_wrench(self.model, (tool[0], tool[1], ZERO, ZERO), body)
+        self._sample = Sample(stamp_ns, tool, body)
+        if self.observer is not None:
+            self.observer.start(*self._sample)
+        self.settling.begin(stamp_ns, tool)
+        return Prediction(stamp_ns, *body, force, moment, tool, False, self.settling.now)
+
+    def _rest(self, tool: State) -> State | None:
+        """Return the package at rest, or None if it cannot rest there with finite numbers."""
+        try:
+            body = static_equilibrium(self.model, tool)
+            wrench = lip_wrench(self.model, (tool[0], tool[1], ZERO, ZERO), body)
+        except (BellowsError, ArithmeticError, ValueError):
+            return None
+        sound = all(map(math.isfinite, (*body[0], *body[1], *wrench[0], *wrench[1])))
+        return body if sound else None

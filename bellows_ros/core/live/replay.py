@@ -1,0 +1,125 @@
+"""Recorded messages through the live predictor at full speed, and how far it is off."""
+
+from array import array
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.lie import quaternion_to_rotation
+from bellows_ros.core.live.predictor import LivePredictor
+from bellows_ros.core.live.samples import Prediction
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.score import compare, Comparison
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.tuples import Vector
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+REPORT_EVERY = 2000
+AT_ONCE = 2000
+"""So many messages are Python objects at a time: the garbage collector looks through them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Messages:
+    """
+    Poses and twists of the tool in the order of their stamps.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray (N,)
+    is_twist : bool ndarray (N,)
+    numbers : ndarray (N, 7)
+        Position (m) and quaternion (x, y, z, w); of a twist the linear and the angular velocity
+        (m/s, rad/s), and a zero.
+
+    """
+
+    stamps_ns: Stamps
+    is_twist: Mask
+    numbers: Array
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self.stamps_ns)
+
+    def __iter__(self) -> Iterator[tuple[int, bool, Vector, Any]]:
+        """Yield stamp (ns), whether it is a twist, and its two parts as tuples."""
+        for start in range(0, len(self), AT_ONCE):
+            part = slice(start, start + AT_ONCE)
+            for stamp_ns, is_twist, (a, b, c, d, e, f, g) in zip(
+                self.stamps_ns[part].tolist(), self.is_twist[part].tolist(),
+                self.numbers[part].tolist(), strict=True,
+            ):
+                yield stamp_ns, is_twist, (a, b, c), (d, e, f) if is_twist else (d, e, f, g)
+
+
+def predictions(
+    live: LivePredictor, messages: Messages,
+    tell: Callable[[str, float], None] = lambda what, part: None,
+    seen: Sequence[tuple[int, Any, Any]] = (),
+) -> Trajectory:
+    """
+    Return what the predictor says to messages in order: B in the world with body twists.
+
+    Measured poses of the package (stamp, position, quaternion), in order, are given to it before
+    the first message after their stamp.
+
+    Raises
+    ------
+    BellowsError
+        If it predicts fewer than two poses.
+
+    """
+    stamps, numbers = array('q'), array('d')
+
+    def keep(found: list[Prediction]) -> None:
+        for stamp_ns, position, quaternion_xyzw, linear, angular, *_ in found:
+            stamps.append(stamp_ns)
+            numbers.extend((*position, *quaternion_xyzw, *linear, *angular))
+
+    live.expect_twists = bool(messages.is_twist.any())
+    measured = deque(seen)
+    for number, (stamp_ns, is_twist, first, second) in enumerate(messages):
+        if number % REPORT_EVERY == 0:
+            tell('predicting', number / len(messages))
+        while measured and measured[0][0] < stamp_ns:
+            when_ns, position, quaternion_xyzw = measured.popleft()
+            live.on_measured(when_ns, 'world', position, quaternion_xyzw)
+        if is_twist:
+            keep(live.on_twist(stamp_ns, first, second))
+        else:
+            keep(live.on_pose(stamp_ns, 'world', first, second))
+    keep(live.flush())
+    return predicted_trajectory(np.array(stamps), np.array(numbers).reshape(-1, 13))
+
+
+def predicted_trajectory(stamps_ns: Stamps, rows: Array) -> Trajectory:
+    """Return predictions, rows (N, 13), as a trajectory of B in the world with body twists."""
+    if len(rows) < 2:
+        raise BellowsError(
+            f'The predictor made {len(rows)} predictions, which is too few to compare. '
+            'Check the recording, and whether the cup can carry the package.'
+        )
+    rotation = quaternion_to_rotation(rows[:, 3:7])
+    return Trajectory(stamps_ns, rows[:, :3], rotation, rows[:, 7:])
+
+
+def compare_recorded(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Comparison:
+    """
+    Compare a prediction with what a recording has measured, at the recording's own stamps.
+
+    Parameters
+    ----------
+    predicted : Trajectory
+        Poses of B in the world with body twists, at any stamps.
+    tool, package : Trajectory
+        Measured poses of E and B at common stamps, aligned but not filtered.
+
+    """
+    stamps = package.stamps_ns
+    inside = slice(*np.searchsorted(stamps, predicted.stamps_ns[[0, -1]] + [0, 1]).tolist())
+    at_stamps = resample(predicted, stamps[inside])
+    return compare(at_stamps, tool.select(inside), package.select(inside))

@@ -1,0 +1,183 @@
+"""
+How far a prediction may be off because of how it began.
+
+A package is started at rest, hanging from its tool. Where the tool moves then, or where its poses
+are thrown about later as no arm moves, the prediction is wrong by an amount that dies away with
+the package's modes. Until then it is said to settle, and its covariance shows by how much.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.jit import kernel
+from bellows_ros.core.kernels import State
+from bellows_ros.core.live.samples import Unsettled
+from bellows_ros.core.tuples import (
+    add_scaled,
+    dot,
+    log_quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    scale,
+    subtract,
+    Vector,
+)
+import numpy as np
+from numpy.typing import NDArray
+
+SPAN_NS = 100_000_000
+"""Time (ns) after a start in which it shows how the tool moves; in halves."""
+
+UNSEEN = 0.5, 1.0, 5.0, 25.0
+"""What a tool may do before it has been seen to: m/s, rad/s, m/s^2, rad/s^2."""
+
+SMALL, SMALL_TURN = 1e-3, 5e-3
+"""An error (m, rad) of this size counts no more."""
+
+SLOWEST_DECAY, SLOWEST_MODE = 0.1, 1.0
+"""Least that is assumed of any package, 1/s and rad/s."""
+
+
+class Modes(NamedTuple):
+    """How a package moves a little about its rest."""
+
+    decay: float
+    """Of the mode that dies away slowest, 1/s."""
+    frequency: float
+    """Of the slowest mode, rad/s."""
+    give: tuple[float, float, float]
+    """Shift (m) and turn (rad) by 1 m/s^2 of the tool, and turn by 1 rad/s^2 of it."""
+
+
+STIFF = Modes(SLOWEST_DECAY, SLOWEST_MODE, (0.0, 0.0, 0.0))
+
+
+def modes_of(system: Array) -> Modes:
+    """Return the modes of the small motions with a system matrix (12, 12)."""
+    eigenvalues = np.linalg.eigvals(system)
+    give = np.linalg.inv(system[6:, :6])
+    return Modes(
+        max(SLOWEST_DECAY, -float(eigenvalues.real.max())),
+        max(SLOWEST_MODE, float(np.abs(eigenvalues).min())),
+        (_size(give[:3, :3]), _size(give[3:, :3]), _size(give[3:, 3:])),
+    )
+
+
+def _size(matrix: NDArray[Any]) -> float:
+    """Return by how much a matrix (3, 3) lengthens a vector at most."""
+    return float(np.linalg.norm(matrix, 2))
+
+
+class Settling:
+    """
+    Follow what a start, and doubted poses, leave in the state.
+
+    Attributes
+    ----------
+    now : Unsettled or None
+        None where nothing of it is left.
+
+    """
+
+    def __init__(self) -> None:
+        """Know of no package."""
+        self._modes = STIFF
+        self.forget()
+
+    def forget(self) -> None:
+        """Know of no package."""
+        self.now: Unsettled | None = None
+        self._seen: list[tuple[int, State]] = []  # after a start, until it shows how it moves
+        self._until_ns = 0
+
+    def set_modes(self, modes: Modes) -> None:
+        """Take the modes of another cup or package; what is under way keeps its end."""
+        self._modes = modes
+
+    def begin(self, stamp_ns: int, tool: State) -> None:
+        """Note a start at rest below a tool, of which soon it will show how it moves."""
+        self._seen = [(stamp_ns, tool)]
+        self.now = self._left_by(stamp_ns, *UNSEEN)
+
+    def doubt(self, stamp_ns: int, shift: float, turn: float) -> None:
+        """Note that the tool was shifted (m) and turned (rad) as no arm moves."""
+        before = self.now or Unsettled(stamp_ns, 0.0, 0.0, 0.0, 0.0)
+        self.now = before._replace(
+            since_ns=stamp_ns, shift=max(shift, before.shift), turn=max(turn, before.turn))
+        self._seen = []
+        self._until_ns = stamp_ns + self._duration_ns(self.now)
+
+    def follow(self, stamp_ns: int, tool: State) -> Unsettled | None:
+        """Return what is left at a sample of the tool."""
+        if self.now is None:
+            return None
+        if self._seen:
+            self._watch(stamp_ns, tool)
+        elif stamp_ns >= self._until_ns:
+            self.now = None
+        return self.now
+
+    def _watch(self, stamp_ns: int, tool: State) -> None:
+        """See how the tool moves after a start: where it was, is half-way, and at last."""
+        start_ns, start = self._seen[0]
+        since_ns = stamp_ns - start_ns
+        if len(self._seen) == 1:
+            if 2 * since_ns >= SPAN_NS:
+                self._seen.append((stamp_ns, tool))
+        elif since_ns >= SPAN_NS:
+            middle_ns, middle = self._seen[1]
+            self._seen = []
+            self.now = left = self._left_by(start_ns, *motion_through(
+                start, middle, tool, (middle_ns - start_ns) * 1e-9, since_ns * 1e-9))
+            self._until_ns = start_ns + self._duration_ns(left)
+
+    def _left_by(
+        self, stamp_ns: int, speed: float, rate: float, acceleration: float, turning: float
+    ) -> Unsettled:
+        """Return what a package is off by that is taken to be at rest below a tool that moves."""
+        by_shift, by_turn, turn_by_turn = self._modes.give
+        turn = by_turn * acceleration + turn_by_turn * turning
+        return Unsettled(stamp_ns, by_shift * acceleration, turn, speed, rate)
+
+    def _duration_ns(self, left: Unsettled) -> int:
+        """Return how long (ns) it takes until an error counts no more."""
+        swing = 1.0 / self._modes.frequency
+        parts = (
+            (left.shift + swing * left.speed) / SMALL,
+            (left.turn + swing * left.rate) / SMALL_TURN,
+        )
+        return round(1e9 * math.log(max(1.0, *parts)) / self._modes.decay)
+
+
+@kernel
+def speeds(v: Vector, w: Vector) -> tuple[float, float]:
+    """Return the lengths of two vectors."""
+    return math.sqrt(dot(v, v)), math.sqrt(dot(w, w))
+
+
+@kernel
+def motion_through(
+    start: State, middle: State, end: State, s: float, t: float
+) -> tuple[float, float, float, float]:
+    """
+    Return speed (m/s), rate (rad/s) at the start, and accelerations (m/s^2, rad/s^2).
+
+    Of quadratics through three poses, s and t seconds after the start.
+    """
+    back = quaternion_conjugate(start[1])
+    v, a = quadratic(
+        subtract(middle[0], start[0]), subtract(end[0], start[0]), s, t)
+    w, b = quadratic(
+        log_quaternion(quaternion_product(back, middle[1])),
+        log_quaternion(quaternion_product(back, end[1])), s, t)
+    return (*speeds(v, w), *speeds(a, b))
+
+
+@kernel
+def quadratic(x: Vector, y: Vector, s: float, t: float) -> tuple[Vector, Vector]:
+    """Return slope at 0 and second derivative of the quadratic from 0 through x at s, y at t."""
+    half = scale(1.0 / (t - s), add_scaled(scale(1.0 / t, y), -1.0 / s, x))
+    return add_scaled(scale(1.0 / s, x), -s, half), scale(2.0, half)

@@ -1,0 +1,178 @@
+"""The tool's pose by the transforms of a tree of frames, as they come on tf."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Iterator, Sequence
+
+from bellows_ros.core.live.samples import PoseSample, ZERO
+from bellows_ros.core.tuples import (
+    add,
+    add_scaled,
+    apply,
+    apply_transposed,
+    normalised,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_matrix,
+    scale,
+    subtract,
+)
+
+KEPT = 500
+"""Transforms of each moving link that are remembered."""
+
+LARGEST_TREE = 10_000
+"""Frames that are remembered."""
+
+STATIC = 0
+"""Stamp of a transform that always holds."""
+
+IDENTITY = PoseSample(STATIC, ZERO, (0.0, 0.0, 0.0, 1.0))
+
+
+class Chain:
+    """
+    The way through the tree from one frame to another, which need not be above it.
+
+    Each link has its own stamps. A pose is given for each stamp of the moving link that is next to
+    the tool, as soon as the others reach it; these are interpolated.
+
+    Parameters
+    ----------
+    world, tool : str
+        Names of the frames.
+
+    Attributes
+    ----------
+    dropped : int
+        Stamps for which some link had nothing so old, or that waited too long for one.
+
+    """
+
+    def __init__(self, world: str, tool: str) -> None:
+        """Know nothing yet."""
+        self.world, self.tool, self.dropped = world, tool, 0
+        self._parents: dict[str, str] = {}
+        self._static: dict[str, PoseSample] = {}
+        self._found: tuple[str | None, list[str]] = '', []
+        self._follow()
+
+    def add(self, parent: str, child: str, sample: PoseSample, static: bool = False) -> None:
+        """Take the pose of a child frame in its parent."""
+        if child not in self._parents and len(self._parents) >= LARGEST_TREE:
+            return
+        was_static = self._static.pop(child, None) is not None
+        if static:
+            self._static[child] = sample._replace(stamp_ns=STATIC)
+        if self._parents.get(child) != parent or static != was_static:
+            self._parents[child] = parent
+            self._follow()
+        link = self._moving.get(child)
+        if link is None:
+            return
+        if link and sample.stamp_ns == link[-1].stamp_ns:
+            return  # as who publishes joints repeats them
+        if link and sample.stamp_ns < link[-1].stamp_ns:
+            link.clear()
+        link.append(sample)
+        if child == self._first:
+            self._wait_for(sample.stamp_ns)
+
+    def _wait_for(self, stamp_ns: int) -> None:
+        """Want a pose at a stamp; later ones, before the clock went back, are not."""
+        before = len(self._waiting)
+        while self._waiting and self._waiting[-1] > stamp_ns:
+            self._waiting.pop()
+        if len(self._waiting) == KEPT:
+            self._waiting.popleft()
+        self.dropped += before - len(self._waiting)
+        self._waiting.append(stamp_ns)
+
+    def _follow(self) -> None:
+        """Find the way; what was known of its links is of no use where it is another one."""
+        ups = [self._up(self.tool), self._up(self.world)]
+        shared = next((frame for frame in ups[0] if frame in ups[1]), None)
+        self._ways = [up[:up.index(shared)] if shared is not None else [] for up in ups]
+        moving = [link for way in self._ways for link in way if link not in self._static]
+        if (shared, moving) == self._found:
+            return
+        self._found = shared, moving
+        self._moving: dict[str, deque[PoseSample]] = {link: deque(maxlen=KEPT) for link in moving}
+        self._first = moving[0] if moving else ''
+        self._waiting: deque[int] = deque()
+
+    def _up(self, frame: str) -> list[str]:
+        """Return a frame and those above it, up to the root or to where they go in circles."""
+        way = [frame]
+        while (frame := self._parents.get(frame, '')) and frame not in way:
+            way.append(frame)
+        return way
+
+    @property
+    def missing(self) -> str:
+        """Why no pose of the tool can be given, or nothing."""
+        if self._found[0] is None:
+            ends = ' and '.join(f"'{self._up(frame)[-1]}'" for frame in (self.world, self.tool))
+            return (f"no transforms lead from '{self.world}' to '{self.tool}': from there they "
+                    f'lead up to {ends}')
+        if not self._moving:
+            return f"'{self.tool}' does not move in '{self.world}': all transforms are static"
+        silent = [link for link, samples in self._moving.items() if not samples]
+        if silent or not self._waiting:
+            return f"no transform of '{silent[0]}' has come" if silent else ''
+        slow = min(self._moving, key=lambda link: self._moving[link][-1].stamp_ns)
+        behind = (self._waiting[-1] - self._moving[slow][-1].stamp_ns) * 1e-9
+        return f"the transforms of '{slow}' are {behind:.3g} s behind those of '{self._first}'"
+
+    def due(self) -> Iterator[PoseSample]:
+        """Yield the poses of the tool in the world that have become known."""
+        others = [samples for link, samples in self._moving.items() if link != self._first]
+        while self._waiting and all(o and o[-1].stamp_ns >= self._waiting[0] for o in others):
+            stamp_ns = self._waiting.popleft()
+            if any(samples[0].stamp_ns > stamp_ns for samples in self._moving.values()):
+                self.dropped += 1
+                continue
+            tool, world = (self._pose(way, stamp_ns) for way in self._ways)
+            yield relative(world, tool)._replace(stamp_ns=stamp_ns)
+
+    def _pose(self, way: Sequence[str], stamp_ns: int) -> PoseSample:
+        """Return the pose of the first frame of a way in the parent of the last."""
+        pose = IDENTITY
+        for link in way:
+            pose = composed(self._static.get(link) or at(self._moving[link], stamp_ns), pose)
+        return pose
+
+
+def at(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSample:
+    """Return a link at a stamp from the first to the last; the turn between two is a chord."""
+    after = bisect_left(samples, stamp_ns, key=lambda sample: sample.stamp_ns)
+    new = samples[after]
+    if new.stamp_ns == stamp_ns:
+        return new
+    old = samples[after - 1]
+    part = (stamp_ns - old.stamp_ns) / (new.stamp_ns - old.stamp_ns)
+    p, q = old.quaternion_xyzw, new.quaternion_xyzw
+    sign = -1.0 if sum(a * b for a, b in zip(p, q, strict=True)) < 0.0 else 1.0
+    x, y, z, w = ((1.0 - part) * a + sign * part * b for a, b in zip(p, q, strict=True))
+    chord = (x, y, z, w)
+    return PoseSample(
+        stamp_ns, add_scaled(scale(1.0 - part, old.position), part, new.position),
+        normalised(chord) if any(chord) else chord)
+
+
+def composed(outer: PoseSample, inner: PoseSample) -> PoseSample:
+    """Return a pose that is given in another one."""
+    turned = apply(rotation_matrix(outer.quaternion_xyzw), inner.position)
+    return PoseSample(
+        outer.stamp_ns, add(outer.position, turned),
+        quaternion_product(outer.quaternion_xyzw, inner.quaternion_xyzw))
+
+
+def relative(base: PoseSample, pose: PoseSample) -> PoseSample:
+    """Return a pose in another one, both given in the same frame."""
+    back = subtract(pose.position, base.position)
+    return PoseSample(
+        pose.stamp_ns, apply_transposed(rotation_matrix(base.quaternion_xyzw), back),
+        quaternion_product(quaternion_conjugate(base.quaternion_xyzw), pose.quaternion_xyzw))

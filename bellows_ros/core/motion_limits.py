@@ -1,0 +1,100 @@
+"""What a motion asks of an arm, and motions stretched in time until that is within limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.lie import apply
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+RATES = {
+    'speed': 'm/s', 'acceleration': 'm/s^2', 'jerk': 'm/s^3',
+    'angular_speed': 'rad/s', 'angular_acceleration': 'rad/s^2', 'angular_jerk': 'rad/s^3',
+}
+"""What is limited, with its unit."""
+
+SPACING_NS = 4_000_000
+"""Accelerations and jerks are taken of points so far from each other (ns), as drives have them."""
+
+SLOWEST, STEP = 20.0, 1.02
+"""A motion is stretched to no more than so many times its time, in steps of this factor where it
+is not known how much is needed, ..."""
+LEAST_STEP = 1.002
+"""... and by no less than this."""
+
+NONE = 1e12
+"""A limit that is none."""
+
+
+class Limits(NamedTuple):
+    """What a motion must keep to; `NONE`, or 0 for the safety factor, where nothing is asked."""
+
+    rates: Mapping[str, float]
+    """By the names of `RATES`, SI units."""
+    low: Array
+    high: Array
+    """Corners (3,) of the workspace of the tool tip, m."""
+    safety_factor: float
+
+
+def demands(tool: Trajectory) -> dict[str, float]:
+    """Return the largest speed, acceleration and jerk of a motion, and the angular ones, SI."""
+    count = max(3, round(float(tool.stamps_ns[-1] - tool.stamps_ns[0]) / SPACING_NS))
+    at = np.linspace(0, int(tool.stamps_ns[-1] - tool.stamps_ns[0]), count + 1).astype(np.int64)
+    points = resample(tool, tool.stamps_ns[0] + at)
+    twist = np.asarray(points.twist)
+    h = float(at[1]) / NS_PER_S
+    found = []
+    for part in (twist[:, :3], twist[:, 3:]):
+        rate = np.pad(apply(points.rotation, part), ((2, 2), (0, 0)))
+        for order in range(3):
+            sizes = np.linalg.norm(np.diff(rate, order, axis=0), axis=1) / h ** order
+            found.append(float(sizes.max()))
+    return dict(zip(RATES, found, strict=True))
+
+
+def too_much(limits: Limits, tool: Trajectory, safety_factor: float) -> tuple[float, str]:
+    """Return how many times as long a motion must take, as far as is known, and for what."""
+    asked = demands(tool)
+    over = [((asked[name] / limits.rates[name]) ** (1.0 / (1 + i % 3)), name)
+            for i, name in enumerate(RATES)]
+    inside = (tool.position >= limits.low - 1e-9) & (tool.position <= limits.high + 1e-9)
+    over.append((1.0 if inside.all() else STEP, 'workspace'))
+    over.append((1.0 if safety_factor >= limits.safety_factor else STEP, 'safety_factor'))
+    factor, name = max(over)
+    return factor, name
+
+
+def stretched(
+    limits: Limits, motion: Callable[[float], tuple[Trajectory, float]]
+) -> tuple[float, str]:
+    """
+    Return how many times as long a motion takes within limits, and what the last reason was.
+
+    Parameters
+    ----------
+    limits : Limits
+        To keep to.
+    motion : callable
+        From a factor on time to the motion and its smallest safety factor.
+
+    Raises
+    ------
+    BellowsError
+        If nothing helps.
+
+    """
+    scale, reason = 1.0, ''
+    while scale < SLOWEST:
+        factor, name = too_much(limits, *motion(scale))
+        if factor <= 1.0:
+            return scale, reason
+        scale, reason = scale * max(factor, LEAST_STEP), name
+    raise BellowsError(
+        f'The motion does not keep to the limit {reason} in {SLOWEST:g} times its time either. '
+        'Check the limits, and that the plan begins and ends within them.')

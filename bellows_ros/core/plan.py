@@ -1,0 +1,434 @@
+"""
+What a planned motion of the tool does to the package: one pass over the plan, one compiled call.
+
+A plan is a `Trajectory` of E with body twists; the tool moves between its points along the cubic
+Hermite curve, and stands still after the last one. Loads are 1 / safety factor of the grip.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.envelope import beyond, Envelope
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.holding import Grip, MODES, safety_factors
+from bellows_ros.core.integrator import step, tool_at, tool_segment
+from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.kernels import cup_wrench, lip_relative_to_tool, ModelTuple, State
+from bellows_ros.core.linearisation import largest_step
+from bellows_ros.core.simulation import row_state, state_row, tool_rows, write_row
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.tuples import (
+    add,
+    apply,
+    apply_transposed,
+    cross,
+    log_quaternion,
+    Quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_matrix,
+    scale,
+    subtract,
+    Vector,
+)
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+SETTLED = math.radians(0.5)
+"""The package has settled when it is turned from rest by less (rad) ..."""
+QUIET, LONGEST_TAIL = 2.0, 30.0
+"""... for so long (s), which is waited for no longer than this (s) after the end."""
+
+OVERTURNED = 1.5
+"""What happens after the end is not followed beyond this turn (rad): no cup goes so far."""
+
+TAIL_STEP = 4e-3
+"""After the end a step of the integration may be as long (s): only the swing matters there ..."""
+
+COARSE = 3.0
+"""... or so many times as long as before, if that is shorter: that is still accurate to 1e-4."""
+
+STILL = (1e-3, 1e-2)
+"""A plan whose last point is faster (m/s, rad/s) ends in motion: nothing is known after it."""
+
+PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_moment', 'swing')
+"""Whose largest values are kept: loads, rad, m, N, N m, N m, rad."""
+
+SAME_TILT = 0.05
+"""A tool hangs the package alike where gravity turns by less in its axes (rad)."""
+
+UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
+"""Goes into the kernel where no grip is known; nobody looks at the loads then."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """
+    The package along a plan.
+
+    Parameters
+    ----------
+    tool : Trajectory
+        The plan, N points.
+    states : array (N, 13)
+        Of B in the world: position (m), quaternion xyzw, body twist (m/s, rad/s).
+    wrench : array (N, 6)
+        Of the cup on the package at S, in S axes, N and N m.
+    loads : array (N, 2)
+        1 / safety factor against peel and slip; meaningless where `grip_known` is False.
+    peaks : array (8, 2)
+        Largest value of each of `PEAKS` and when it is reached, s since the plan's first point.
+    settled_after : float
+        s after the last point; infinite where longer than `LONGEST_TAIL`.
+    deflection : array (6, 2)
+        Smallest and largest shift (m) and rotation vector (rad) of the lip in the tool.
+    rates : array (6,)
+        Largest absolute twist of the lip in the tool, m/s and rad/s.
+    grip_known, ends_at_rest : bool
+
+    """
+
+    tool: Trajectory
+    states: Array
+    wrench: Array
+    loads: Array
+    peaks: Array
+    settled_after: float
+    deflection: Array
+    rates: Array
+    grip_known: bool
+    ends_at_rest: bool
+
+    @property
+    def smallest_safety(self) -> tuple[float, str, float]:
+        """Smallest safety factor of the grip, its mode, and when it is reached, s."""
+        worst = int(np.argmax(self.peaks[:2, 0]))
+        load, time = self.peaks[worst].tolist()
+        return (1.0 / load if load > 0.0 else math.inf), MODES[worst], time
+
+    def figures(self) -> dict[str, float]:
+        """Return the numbers of a summary, SI units; NaN for what is not known."""
+        peak = dict(zip(PEAKS, self.peaks[:, 0].tolist(), strict=True))
+        factor, _, time = self.smallest_safety if self.grip_known else (math.nan, '', math.nan)
+        return {
+            'smallest_safety_factor': factor,
+            'smallest_safety_time': time,
+            'peak_bending': peak['bending'],
+            'peak_deflection': peak['deflection'],
+            'peak_force': peak['force'],
+            'peak_moment': peak['moment'],
+            'rigid_peak_moment': peak['rigid_moment'],
+            'swing_left': peak['swing'] if self.ends_at_rest else math.nan,
+            'settled_after': self.settled_after if self.ends_at_rest else math.nan,
+        }
+
+    def outside(self, known: Envelope | None, mass: float) -> tuple[str, ...]:
+        """Return a phrase for each range of an identification (see `envelope`) that is left."""
+        if known is None:
+            return ()
+        here = Envelope(
+            self.deflection[:, 0], self.deflection[:, 1], self.rates, np.zeros((2, 2)),
+            np.full(2, mass))
+        return beyond(known, here)
+
+
+def predict(
+    model: ModelTuple, grip: Grip | None, tool: Trajectory, start: State | None = None,
+    tail: float = LONGEST_TAIL, longest: float = 0.0,
+) -> Prediction:
+    """
+    Predict the package along a plan and while it swings out.
+
+    Parameters
+    ----------
+    model : tuple
+        As the kernels take it.
+    grip : tuple, optional
+        As `grip_of` returns it; without it nothing is said of the safety factor.
+    tool : Trajectory
+        A plan, as `plan_points.plan_of` returns it.
+    start : State, optional
+        Of B in the world at the first point; at rest there when left out.
+    tail : float
+        How long (s) after the end the package is watched, at most.
+    longest : float
+        Longest step of the integration (s), that of the model when left out.
+
+    Raises
+    ------
+    BellowsError
+        If the package cannot rest under the tool, or the prediction does not stay finite.
+
+    """
+    return Run(model, grip, tool, start, tail, longest).at(1.0)
+
+
+class Run:
+    """
+    A plan made ready to be predicted at several speeds: arrays made once, filled in again.
+
+    Parameters are those of `predict`; `tail` is how long after the end is looked at (s), and
+    `longest` the longest step of the integration (s), that of the model when left out.
+    """
+
+    def __init__(
+        self, model: ModelTuple, grip: Grip | None, tool: Trajectory,
+        start: State | None = None, tail: float = LONGEST_TAIL, longest: float = 0.0,
+    ) -> None:
+        """Take the plan, and find where the package rests."""
+        self.tool, self._model, self._grip = tool, model, grip
+        self._rows = rows = tool_rows(tool)
+        self._rests = start is None
+        self._start = start or rest(model, rows[0])
+        speed, rate = np.linalg.norm(rows[-1, 7:10]), np.linalg.norm(rows[-1, 10:])
+        self._tail = tail if speed <= STILL[0] and rate <= STILL[1] else 0.0
+        self._end = self._start
+        if self._tail:
+            self._end = rest_after(model, rows[0], self._start, rows[-1])
+        self._longest = longest or largest_step(model)
+        durations = np.diff(tool.stamps_ns) / NS_PER_S
+        self._inputs: tuple[Any, Any] = rows, durations
+        if not COMPILED:
+            self._inputs = rows.tolist(), durations.tolist()
+        self._make_room()
+
+    def _make_room(self) -> None:
+        """Make the arrays that the kernel fills in."""
+        n = len(self._rows) + 1  # the last one for what comes after the end
+        self._out = (np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2)),
+                     np.empty((len(PEAKS), 2)), np.empty((6, 3)))
+
+    def of(self, model: ModelTuple) -> Run:
+        """Return the same for a model that differs little."""
+        other = copy(self)
+        other._model = model
+        if self._rests:
+            other._start = rest(model, self._rows[0], self._start)
+        if self._tail:
+            other._end = rest(model, self._rows[-1], self._end)
+        other._make_room()
+        return other
+
+    def load(self, duration_scale: float, ceiling: float = math.inf) -> float:
+        """Return 1 over the smallest safety factor, or a load above a ceiling if one is."""
+        self._follow(duration_scale, ceiling)
+        return float(self._out[3][:2, 0].max())
+
+    def at(self, duration_scale: float) -> Prediction:
+        """Return what is predicted with the plan so many times as long."""
+        settled = self._follow(duration_scale, math.inf)
+        states, wrench, loads, peaks, lip = (array.copy() for array in self._out)
+        n = len(self.tool)
+        if not np.isfinite(states[:n]).all():
+            raise _not_finite()
+        return Prediction(
+            self.tool, states[:n], wrench[:n], loads[:n], peaks, settled, lip[:, :2], lip[:, 2],
+            self._grip is not None, self._tail > 0.0,
+        )
+
+    def _follow(self, duration_scale: float, ceiling: float) -> float:
+        """Fill in the arrays; return after what time (s) the package has settled."""
+        try:
+            return float(_follow(
+                self._model, self._grip or UNKNOWN_GRIP, self._start, self._end[1], *self._inputs,
+                duration_scale, self._longest, self._tail, ceiling, *self._out))
+        except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+            raise _not_finite() from None
+
+
+def _not_finite() -> BellowsError:
+    """Return the error that says so."""
+    return BellowsError(
+        'The prediction along the plan does not stay finite. Check the plan for jumps, and '
+        'cup.stiffness, cup.damping, package.mass and their units.'
+    )
+
+
+def rest(model: ModelTuple, row: Array, near: State | None = None) -> State:
+    """Return the package at rest under the tool of a row (13,), near to a state if given."""
+    return static_equilibrium(model, state_row(row[:3], row[3:7], np.zeros(6)), near)
+
+
+def rest_after(model: ModelTuple, first: Array, start: State, last: Array) -> State:
+    """
+    Return the package at rest under a row, sought from where it hangs under another one.
+
+    Where the tool tilts in between, or nothing is found so, it is sought from the beginning.
+    """
+    R, R_end = (rotation_matrix(tuple(row[3:7].tolist())) for row in (first, last))
+    tilted = subtract(apply_transposed(R, model[2]), apply_transposed(R_end, model[2]))
+    if norm(tilted) > SAME_TILT * norm(model[2]):
+        return rest(model, last)
+    shift = apply_transposed(R, subtract(start[0], tuple(first[:3].tolist())))
+    turn = quaternion_product(quaternion_conjugate(tuple(first[3:7].tolist())), start[1])
+    near = (
+        add(tuple(last[:3].tolist()), apply(R_end, shift)),
+        quaternion_product(tuple(last[3:7].tolist()), turn), shift, shift)
+    try:
+        return rest(model, last, near)
+    except BellowsError:
+        return rest(model, last)
+
+
+@kernel
+def slowed(state: State, factor: float) -> State:
+    """Return a state with its twist divided by a factor."""
+    return state[0], state[1], scale(1.0 / factor, state[2]), scale(1.0 / factor, state[3])
+
+
+@kernel
+def rigid_velocity(tool: State, arm: Vector) -> Vector:
+    """Return the velocity in the world (m/s) of a point fixed at `arm` in the tool."""
+    return apply(rotation_matrix(tool[1]), add(tool[2], cross(tool[3], arm)))
+
+
+@kernel
+def rigid_moment(model: ModelTuple, tool: State, acceleration: Vector) -> float:
+    """Return |com x m (a - g)| (N m): the lip's moment if tool and package were one body."""
+    mass, com, _, _ = model[1]
+    return mass * norm(
+        cross(apply(rotation_matrix(tool[1]), com), subtract(acceleration, model[2])))
+
+
+@kernel
+def norm(a: Vector) -> float:
+    """Return the length of a vector."""
+    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+
+
+@kernel
+def turn_between(p: Quaternion, q: Quaternion) -> float:
+    """Return the angle (rad) from one orientation to another."""
+    return norm(log_quaternion(quaternion_product(quaternion_conjugate(p), q)))
+
+
+@kernel
+def note(peaks: Array, past: Array, i: int, t: float, value: float) -> None:
+    """
+    Keep the largest value of a quantity: the vertex of the parabola through three samples.
+
+    past (., 4) holds time and value of the two samples before.
+    """
+    if value > peaks[i, 0]:
+        peaks[i, 0], peaks[i, 1] = value, t
+    t0, u0, t1, u1 = past[i, 0], past[i, 1], past[i, 2], past[i, 3]
+    if u1 > u0 and u1 > value and t0 < t1 and t1 < t:
+        before, after = (u1 - u0) / (t1 - t0), (value - u1) / (t - t1)
+        curve = (after - before) / (t - t0)  # half the second derivative
+        slope = before + curve * (t1 - t0)
+        top = u1 - 0.25 * slope * slope / curve
+        if top > peaks[i, 0]:
+            peaks[i, 0], peaks[i, 1] = top, t1 - 0.5 * slope / curve
+    past[i, 0], past[i, 1], past[i, 2], past[i, 3] = t1, u1, t, value
+
+
+@kernel
+def look(
+    model: ModelTuple, grip: Grip, tool: State, body: State, t: float,
+    wrench: Array, loads: Array, peaks: Array, past: Array, lip: Array,
+) -> float:
+    """Write wrench and loads of a state, keep what is largest, and return the larger load."""
+    cup, package, _ = model
+    o, R, v, w = lip_relative_to_tool(
+        package[1],
+        tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], rotation_matrix(body[1]), body[2], body[3],
+    )
+    f, m = cup_wrench(cup, o, R, v, w)
+    peel, slip = safety_factors(grip, f, m)
+    loads[0] = 1.0 / peel if peel > 0.0 else math.inf
+    loads[1] = 1.0 / slip if slip > 0.0 else math.inf
+    wrench[0], wrench[1], wrench[2] = f
+    wrench[3], wrench[4], wrench[5] = m
+    shift = (o[0], o[1], o[2] + cup[1])
+    turn = log_quaternion(quaternion_product(quaternion_conjugate(tool[1]), body[1]))
+    note(peaks, past, 0, t, loads[0])
+    note(peaks, past, 1, t, loads[1])
+    note(peaks, past, 2, t, math.atan2(math.sqrt(R[2] * R[2] + R[5] * R[5]), R[8]))
+    note(peaks, past, 3, t, norm(shift))
+    note(peaks, past, 4, t, norm(f))
+    note(peaks, past, 5, t, norm(m))
+    for i in range(3):
+        lip[i, 0], lip[i, 1] = min(lip[i, 0], shift[i]), max(lip[i, 1], shift[i])
+        lip[i + 3, 0], lip[i + 3, 1] = min(lip[i + 3, 0], turn[i]), max(lip[i + 3, 1], turn[i])
+        lip[i, 2], lip[i + 3, 2] = max(lip[i, 2], abs(v[i])), max(lip[i + 3, 2], abs(w[i]))
+    return float(max(loads[0], loads[1]))
+
+
+@kernel
+def _follow(
+    model: ModelTuple, grip: Grip, start: State, rest_at_end: Quaternion,
+    rows: Any, durations: Any, duration_scale: float, longest: float, tail: float, ceiling: float,
+    states: Array, wrench: Array, loads: Array, peaks: Array, lip: Array,
+) -> float:
+    """
+    Advance along the plan and let the package swing out, until a load is above the ceiling.
+
+    Return after what time (s) it is turned from rest by less than `SETTLED`.
+    """
+    arm = (model[1][1][0], model[1][1][1], model[1][1][2] - model[0][1])
+    past = np.full((len(peaks), 4), math.inf)  # no sample yet
+    peaks[:] = 0.0
+    lip[:, 0], lip[:, 1], lip[:, 2] = math.inf, -math.inf, 0.0
+    body, tool, t = start, slowed(row_state(rows[0]), duration_scale), 0.0
+    write_row(states[0], body)
+    velocity = rigid_velocity(tool, arm)
+    if look(model, grip, tool, body, t, wrench[0], loads[0], peaks, past, lip) > ceiling:
+        return 0.0
+    for k in range(len(durations)):
+        duration = durations[k] * duration_scale
+        after = slowed(row_state(rows[k + 1]), duration_scale)
+        segment = tool_segment(tool, after, duration)
+        n = max(1, math.ceil(duration / longest - 1e-9))
+        h = duration / n
+        for i in range(n):
+            middle = tool_at(segment, (i + 0.5) / n)
+            end = after if i == n - 1 else tool_at(segment, (i + 1.0) / n)
+            body = step(model, body, tool, middle, end, h)
+            tool = end
+            now = t + (i + 1.0) * h
+            load = look(
+                model, grip, tool, body, now, wrench[k + 1], loads[k + 1], peaks, past, lip)
+            if load > ceiling:
+                return 0.0
+            before, velocity = velocity, rigid_velocity(tool, arm)
+            moment = rigid_moment(model, tool, scale(1.0 / h, subtract(velocity, before)))
+            if moment > peaks[6, 0]:
+                peaks[6, 0], peaks[6, 1] = moment, now - 0.5 * h
+        t += duration
+        write_row(states[k + 1], body)
+    h = max(longest, min(TAIL_STEP, COARSE * longest))
+    return _swing_out(
+        model, grip, rest_at_end, tool, body, t, h, math.ceil(tail / h), ceiling,
+        wrench[-1], loads[-1], peaks, past, lip)
+
+
+@kernel
+def _swing_out(
+    model: ModelTuple, grip: Grip, rest: Quaternion, tool: State, body: State, t: float, h: float,
+    count: int, ceiling: float, wrench: Array, loads: Array, peaks: Array, past: Array, lip: Array,
+) -> float:
+    """Let the package swing under a tool at rest; return after what time (s) it has settled."""
+    tool = slowed(tool, math.inf)
+    settled, turn = 0.0, turn_between(rest, body[1])
+    note(peaks, past, 7, t, turn)
+    for i in range(count):
+        before, since = turn, (i + 1.0) * h
+        body = step(model, body, tool, tool, tool, h)
+        load = look(model, grip, tool, body, t + since, wrench, loads, peaks, past, lip)
+        turn = turn_between(rest, body[1])
+        note(peaks, past, 7, t + since, turn)
+        if load > ceiling or turn > OVERTURNED:
+            return math.inf
+        if turn > SETTLED:
+            settled = math.inf
+        elif before > SETTLED:
+            settled = since - h * (SETTLED - turn) / (before - turn)
+        elif since > settled + QUIET:
+            break
+    return settled if turn <= SETTLED else math.inf

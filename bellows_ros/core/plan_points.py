@@ -1,0 +1,311 @@
+"""From the points of a plan to a trajectory of the tool that can be predicted, checked once."""
+
+from dataclasses import replace
+from typing import Any
+
+from bellows_ros.core.arm import Arm
+from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.lie import (
+    apply,
+    d2exp,
+    dexp,
+    dexp_inverse,
+    exp_so3,
+    log_so3,
+    quaternion_conjugate,
+    quaternion_product,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+)
+from bellows_ros.core.limits import LARGEST_RATE, LARGEST_SPEED, UNIT_WITHIN
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+MOST_POINTS, LONGEST = 100_000, 600.0
+"""A plan has no more points, and does not last longer (s)."""
+
+LONGEST_GAP_NS = 10_000_000
+"""Points are put into a plan that has them further apart."""
+
+SLACK = (1e-3, 1e-2)
+"""Points that are hardly apart (m, rad) are no jump, however short the time."""
+
+DENSE, MISFIT = 20, 0.5
+"""With so many points, velocities that miss the steps by this part are of something else."""
+
+
+def plan_of(
+    stamps_ns: Stamps, position: Array, quaternion_xyzw: Array, twist: Array | None = None,
+    acceleration: Array | None = None, twist_frame: str = 'world', name: str = 'The plan',
+) -> Trajectory:
+    """
+    Check the points of a plan; return it with body twists and without long gaps.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        ns.
+    position, quaternion_xyzw : array (N, 3), (N, 4)
+        Of E in the world, m.
+    twist, acceleration : array (N, 6), optional
+        Velocity of the tool tip and angular velocity (m/s, rad/s), and their rates of change. Left
+        out, twists are those of a cubic spline from rest to rest. With accelerations the tool
+        moves along quintic polynomials between points, without along cubic ones.
+    twist_frame : {'world', 'tool'}
+        Axes of both.
+    name : str
+        For messages.
+
+    Raises
+    ------
+    BellowsError
+        If no arm moves so: too few or too many points, times that do not increase, numbers that
+        are not finite, quaternions not of unit length, jumps, velocities of another motion.
+
+    """
+    require_count(len(stamps_ns), name)
+    given = [part for part in (position, quaternion_xyzw, twist, acceleration) if part is not None]
+    _refuse(~np.isfinite(np.hstack(given)).all(axis=1), name,
+            'holds NaN or infinity', 'finite numbers', 'Leave such points out.')
+    off = np.abs(np.linalg.norm(quaternion_xyzw, axis=1) - 1.0)
+    _refuse(off > UNIT_WITHIN, name, 'has a quaternion that is not of unit length',
+            f'length 1 to {UNIT_WITHIN:g}', 'Are its numbers x, y, z, w in this order?')
+    _require_times(stamps_ns, name)
+    rotation = quaternion_to_rotation(quaternion_xyzw)
+    _require_reachable(stamps_ns, position, rotation, twist, name)
+    if twist is None:
+        twist = spline_twists((stamps_ns - stamps_ns[0]) / NS_PER_S, position, rotation)
+    elif twist_frame == 'world':
+        twist = _in_tool_axes(rotation, twist)
+    plan = Trajectory(stamps_ns, position, rotation, twist)
+    _require_fitting(plan, twist, name)
+    if acceleration is None:
+        return refined(plan)
+    if twist_frame == 'world':  # d/dt R^T v = R^T a - w x R^T v; the same of w is R^T alpha
+        acceleration = _in_tool_axes(rotation, acceleration)
+    else:
+        acceleration = acceleration.copy()
+        acceleration[:, :3] += np.cross(twist[:, 3:], twist[:, :3])
+    return refined(plan, acceleration)
+
+
+def plan_of_joints(
+    arm: Arm, stamps_ns: Stamps, position: Array, velocity: Array | None = None,
+    acceleration: Array | None = None, name: str = 'The plan',
+) -> Trajectory:
+    """
+    Check the points of a plan of an arm's joints, and return it as a plan of the tool.
+
+    Joints move as drivers of arms interpolate: along quintic polynomials where accelerations are
+    given, cubic ones where velocities are, and a cubic spline from rest to rest otherwise.
+
+    Parameters
+    ----------
+    arm : Arm
+        Whose joints they are.
+    stamps_ns : int array (N,)
+        ns.
+    position, velocity, acceleration : array (N, M)
+        Of the moving joints of the arm in their order, rad or m.
+    name : str
+        For messages.
+
+    Raises
+    ------
+    BellowsError
+        As `plan_of`.
+
+    """
+    from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
+
+    require_count(len(stamps_ns), name)
+    given = [part for part in (position, velocity, acceleration) if part is not None]
+    _refuse(~np.isfinite(np.hstack(given)).all(axis=1), name,
+            'holds NaN or infinity', 'finite numbers', 'Leave such points out.')
+    _require_times(stamps_ns, name)
+    t = (stamps_ns - stamps_ns[0]) / NS_PER_S
+    curve: Any
+    if velocity is None:
+        curve = CubicSpline(t, position, bc_type='clamped')
+    elif acceleration is None:
+        curve = CubicHermiteSpline(t, position, velocity)
+    else:
+        curve = BPoly.from_derivatives(t, np.stack([position, velocity, acceleration], axis=1))
+    index, number, parts = _inserted(stamps_ns)
+    fine = _fine_stamps(stamps_ns, index, number, parts)
+    at = np.clip((fine - stamps_ns[0]) / NS_PER_S, 0.0, t[-1])
+    T, twist = arm.tool(curve(at), curve(at, 1) if velocity is None or acceleration is None
+                        else curve.derivative()(at))
+    poses = rotation_to_quaternion(T[:, :3, :3])
+    return plan_of(fine, T[:, :3, 3], poses, twist, twist_frame='tool', name=name)
+
+
+def _inserted(stamps_ns: Stamps) -> tuple[Stamps, Stamps, Stamps]:
+    """Return gap and number of each point when long gaps are cut, and parts of each gap."""
+    parts = -(-np.diff(stamps_ns) // LONGEST_GAP_NS)
+    index = np.repeat(np.arange(len(parts)), parts)
+    return index, np.arange(len(index)) - np.repeat(np.cumsum(parts) - parts, parts), parts
+
+
+def _fine_stamps(stamps_ns: Stamps, index: Stamps, number: Stamps, parts: Stamps) -> Stamps:
+    """Return the stamps of points with those put in."""
+    inside = stamps_ns[index] + np.diff(stamps_ns)[index] * number // parts[index]
+    return np.append(inside, stamps_ns[-1])
+
+
+def _in_tool_axes(rotation: Array, six: Array) -> Array:
+    """Return linear and angular parts (N, 6) in axes of the tool."""
+    turn = np.swapaxes(rotation, -1, -2)
+    return np.hstack([apply(turn, six[:, :3]), apply(turn, six[:, 3:])])
+
+
+def spline_twists(seconds: Array, position: Array, rotation: Array) -> Array:
+    """Return the body twists (N, 6) of cubic splines through poses, from rest to rest."""
+    from scipy.interpolate import CubicSpline
+
+    q = rotation_to_quaternion(rotation)
+    q *= np.cumprod(np.append(1.0, np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0)))[
+        :, None]  # q and -q are the same rotation: the near one
+    rate = CubicSpline(seconds, np.hstack([position, q]), bc_type='clamped')(seconds, 1)
+    angular = 2.0 * quaternion_product(quaternion_conjugate(q), rate[:, 3:])[:, :3]
+    return np.hstack([apply(np.swapaxes(rotation, -1, -2), rate[:, :3]), angular])
+
+
+def refined(plan: Trajectory, acceleration: Array | None = None) -> Trajectory:
+    """
+    Return a plan with points put in where they are further apart than `LONGEST_GAP_NS`.
+
+    With accelerations of the tool tip and of rotation (N, 6), in tool axes, the points put in lie
+    on quintic polynomials, otherwise on cubic ones.
+    """
+    index, number, parts = _inserted(plan.stamps_ns)
+    if parts.max(initial=1) == 1:
+        return plan
+    stamps = _fine_stamps(plan.stamps_ns, index, number, parts)
+    if acceleration is None:
+        return resample(plan, stamps)
+    fraction = (stamps[:-1] - plan.stamps_ns[index]) / np.diff(plan.stamps_ns)[index]
+    parts_of = _quintic(plan, acceleration, index, fraction[:, None])
+    last = plan.select(slice(-1, None))
+    return Trajectory(
+        stamps, *(np.concatenate([part, end]) for part, end in zip(
+            parts_of, (last.position, last.rotation, last.twist), strict=True)))
+
+
+def _quintic(
+    plan: Trajectory, acceleration: Array, index: Stamps, s: Array
+) -> tuple[Array, Array, Array]:
+    """Return positions, rotations, body twists at fractions s (M, 1) of the gaps `index`."""
+    h = (np.diff(plan.stamps_ns) / NS_PER_S)[:, None]
+    R, v, w = plan.rotation, np.asarray(plan.twist)[:, :3], np.asarray(plan.twist)[:, 3:]
+    turn = log_so3(np.swapaxes(R[:-1], -1, -2) @ R[1:])
+    back = dexp_inverse(-turn)
+    rate = apply(back, w[1:])
+    bend = apply(back, acceleration[1:, 3:] + d2exp(-turn, rate, rate))
+    o_rate, o_bend = apply(R, v), apply(R, acceleration[:, :3])
+    start = np.hstack([plan.position[:-1], np.zeros_like(turn)])
+    end = np.hstack([plan.position[1:], turn])
+    value, slope = _polynomial(
+        s, start[index], (np.hstack([o_rate[:-1], w[:-1]]) * h)[index],
+        (np.hstack([o_bend[:-1], acceleration[:-1, 3:]]) * h ** 2)[index],
+        end[index], (np.hstack([o_rate[1:], rate]) * h)[index],
+        (np.hstack([o_bend[1:], bend]) * h ** 2)[index])
+    c, slope = value[:, 3:], slope / h[index]
+    rotation = R[index] @ exp_so3(c)
+    linear = apply(np.swapaxes(rotation, -1, -2), slope[:, :3])
+    return value[:, :3], rotation, np.hstack([linear, apply(dexp(-c), slope[:, 3:])])
+
+
+def _polynomial(
+    s: Array, p: Array, v: Array, a: Array, p_end: Array, v_end: Array, a_end: Array
+) -> tuple[Array, Array]:
+    """Return the quintic over 0..1 with these values and derivatives, and its slope."""
+    d, e, f = p_end - p - v - 0.5 * a, v_end - v - a, a_end - a
+    c3, c4, c5 = 10 * d - 4 * e + 0.5 * f, -15 * d + 7 * e - f, 6 * d - 3 * e + 0.5 * f
+    value = p + s * (v + s * (0.5 * a + s * (c3 + s * (c4 + s * c5))))
+    return value, v + s * (a + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))
+
+
+def timed(plan: Trajectory, factor: float) -> Trajectory:
+    """Return a plan that takes so many times as long, its first stamp as it is."""
+    stamps = plan.stamps_ns[0] + np.round((plan.stamps_ns - plan.stamps_ns[0]) * factor).astype(
+        np.int64)
+    return replace(plan, stamps_ns=stamps, twist=np.asarray(plan.twist) / factor)
+
+
+# ------------------------------------------------------------------------------------- checks
+
+
+def require_count(count: int, name: str) -> None:
+    """Refuse a plan without a motion, and one that is no plan any more."""
+    if not 2 <= count <= MOST_POINTS:
+        raise BellowsError(
+            f'{name} has {count} point{"" if count == 1 else "s"}; expected 2 to {MOST_POINTS}. '
+            + ('Give where the motion ends, too.' if count < 2 else 'Thin it out, or split it.'))
+
+
+def _refuse(bad: Any, name: str, what: str, expected: str, remedy: str) -> None:
+    """Refuse a plan with bad points, naming the first."""
+    if bad.any():
+        raise BellowsError(
+            f'{name}: point {int(np.argmax(bad))} (the first is 0) {what}, as {int(bad.sum())} of '
+            f'{len(bad)} do; expected {expected}. {remedy}')
+
+
+def _require_times(stamps_ns: Stamps, name: str) -> None:
+    """Refuse times that do not increase, or go on for too long."""
+    steps = np.diff(stamps_ns)
+    if steps.min() <= 0:
+        i = int(np.argmax(steps <= 0))
+        t = (stamps_ns[i:i + 2] - stamps_ns[0]) / NS_PER_S
+        raise BellowsError(
+            f'{name}: point {i + 1} (the first is 0) is at {t[1]:.6f} s, after one at '
+            f'{t[0]:.6f} s; expected times that increase. Sort the points, and leave repeated '
+            'ones out.')
+    seconds = float(stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
+    if seconds > LONGEST:
+        raise BellowsError(
+            f'{name} takes {seconds:g} s; expected at most {LONGEST:g}. Are its times in seconds?')
+
+
+def _require_reachable(
+    stamps_ns: Stamps, position: Array, rotation: Array, twist: Array | None, name: str
+) -> None:
+    """Refuse what no arm can follow."""
+    h = np.diff(stamps_ns) / NS_PER_S
+    moved = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    turned = np.linalg.norm(log_so3(np.swapaxes(rotation[:-1], -1, -2) @ rotation[1:]), axis=1)
+    jump = (moved > SLACK[0] + LARGEST_SPEED * h) | (turned > SLACK[1] + LARGEST_RATE * h)
+    if jump.any():
+        i = int(np.argmax(jump))
+        raise BellowsError(
+            f'{name} jumps between points {i} and {i + 1}: by {moved[i]:.4g} m and '
+            f'{turned[i]:.3g} rad in {h[i]:.3g} s; expected at most {LARGEST_SPEED:g} m/s and '
+            f'{LARGEST_RATE:g} rad/s, as no arm is faster. Check units and times.')
+    if twist is not None:
+        fast = (np.linalg.norm(twist[:, :3], axis=1) > LARGEST_SPEED) | (
+            np.linalg.norm(twist[:, 3:], axis=1) > LARGEST_RATE)
+        _refuse(fast, name, 'is faster than any arm',
+                f'at most {LARGEST_SPEED:g} m/s and {LARGEST_RATE:g} rad/s', 'Check the units.')
+
+
+def _require_fitting(plan: Trajectory, twist: Array, name: str) -> None:
+    """Refuse velocities that are not those of the poses."""
+    if len(plan) < DENSE:
+        return
+    h = (np.diff(plan.stamps_ns) / NS_PER_S)[:, None]
+    world = apply(plan.rotation, twist[:, :3])
+    steps = np.hstack([
+        np.diff(plan.position, axis=0),
+        log_so3(np.swapaxes(plan.rotation[:-1], -1, -2) @ plan.rotation[1:])]) / h
+    mean = 0.5 * np.hstack([world[1:] + world[:-1], twist[1:, 3:] + twist[:-1, 3:]])
+    for part, what in ((slice(3), 'velocities'), (slice(3, 6), 'angular velocities')):
+        size = float(np.sqrt(np.mean(steps[:, part] ** 2)))
+        miss = float(np.sqrt(np.mean((steps - mean)[:, part] ** 2)))
+        if miss > MISFIT * size + SLACK[0]:
+            raise BellowsError(
+                f'{name}: its {what} do not fit its poses: they differ by {miss:.3g} from steps '
+                f'of {size:.3g} (RMS, m/s or rad/s); expected the same motion. Check '
+                'tool_twist.frame (world or tool) and the units, or leave velocities out.')

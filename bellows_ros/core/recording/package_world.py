@@ -1,0 +1,187 @@
+"""
+The transform between two worlds: a robot's driver knows its base, motion capture its own world.
+
+It brings the package's poses into the frame of the tool's before anything else is done with them.
+"""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.lie import (
+    apply,
+    exp_so3,
+    inverse_transform,
+    log_so3,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+    transform,
+)
+from bellows_ros.core.parameter_table import short
+from bellows_ros.core.parameters import ESTIMATE
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+LOOKED_AT_HZ = 50.0
+"""Poses per second that the start is found from."""
+
+SLOWEST = 0.5
+"""Part of them that is used: the slowest, in which the cup gives way the least."""
+
+LEAST_TURN = 0.02
+"""Rotation (rad) between two poses that says anything about the turn between the worlds."""
+
+
+class PackageWorld(NamedTuple):
+    """
+    The pose of the package's world in the tool's, as it was found.
+
+    Position (m) and quaternion (x y z w) (7,), and standard errors (6,) of the position at the
+    middle of the package's way (m) and of the rotation (rad), in axes of the tool's world.
+    """
+
+    pose: Array
+    std: Array
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it with its units, for a JSON file."""
+        return {
+            'position': self.pose[:3], 'quaternion_xyzw': self.pose[3:],
+            'position_std': self.std[:3], 'rotation_std': self.std[3:],
+            'units': {'position': 'm', 'quaternion_xyzw': '1', 'position_std': 'm',
+                      'rotation_std': 'rad'},
+        }
+
+
+def pose_of(text: str) -> Array:
+    """Return the seven numbers (7,) of recording.package_world."""
+    return np.array([float(part) for part in text.split()])
+
+
+def in_tool_world(package: PoseStream, pose: Array, frame_id: str) -> PoseStream:
+    """Return the package's poses in the frame of the tool's, by the pose (7,) of their world."""
+    R = quaternion_to_rotation(pose[3:])
+    return replace(
+        package, frame_id=frame_id, position=pose[:3] + apply(R, package.position),
+        rotation=R @ package.rotation)
+
+
+def require_one_frame(tool: PoseStream, package: PoseStream) -> None:
+    """
+    Refuse poses in two frames between which no transform is given.
+
+    Raises
+    ------
+    BellowsError
+        With the remedy.
+
+    """
+    if tool.frame_id and package.frame_id and tool.frame_id != package.frame_id:
+        raise BellowsError(
+            f"The poses of '{tool.name}' are in frame '{short(tool.frame_id)}', those of "
+            f"'{package.name}' in '{short(package.frame_id)}': they cannot be compared without "
+            f'the transform between the two. Set recording.package_world: {ESTIMATE} to have it '
+            'found, or to its seven numbers (x y z qx qy qz qw); '
+            "'0 0 0 0 0 0 1' where both names mean one frame."
+        )
+
+
+def closed_form(
+    tool: PoseStream, package: PoseStream, length: float, origin_to_lip: Array, turned: bool
+) -> Array:
+    """
+    Return a first guess (7,) of the pose of the package's world in the tool's.
+
+    The slowest poses are taken for those of one rigid body (hand and eye). The turn comes from
+    those by which both bodies rotate, or from the rotations themselves where the frames of tool
+    and package have the same axes; the position from linear equations.
+
+    Parameters
+    ----------
+    tool, package : PoseStream
+        As recorded, each in its own frame.
+    length : float
+        Of the cup, m.
+    origin_to_lip : ndarray (3,)
+        From the origin of the package's poses to the lip, in axes of S, m.
+    turned : bool
+        Whether the package's frame may be turned, and moved sideways, against the lip's.
+
+    Raises
+    ------
+    BellowsError
+        If the streams have too few poses in common, or nothing turns where that is needed.
+
+    """
+    hand, eye = _slow(tool, package)
+    R_tool, R_package = hand.rotation, eye.rotation
+    below = np.array([0.0, 0.0, -length])
+    if turned:
+        R = _turn(R_tool, R_package)
+        # o_E + R_E (below - origin_to_lip + (dx, dy, 0)) = R o_M + o
+        A = np.concatenate([np.tile(np.eye(3), (len(hand), 1, 1)), -R_tool[:, :, :2]], axis=2)
+        b = hand.position + apply(R_tool, below - origin_to_lip) - apply(R, eye.position)
+        position = np.linalg.lstsq(A.reshape(-1, 5), b.ravel(), rcond=1e-6)[0][:3]
+    else:
+        R = _mean(R_tool @ np.swapaxes(R_package, 1, 2))
+        position = np.mean(hand.position + apply(R_tool, below - origin_to_lip)
+                           - apply(R, eye.position), axis=0)
+    return np.concatenate([position, rotation_to_quaternion(R)])
+
+
+def shifted_pose(pose: Array, R_world_recorded: Array, middle: Array, theta: Array) -> Array:
+    """
+    Return a pose (7,) of a world after a small motion theta (6,) of it.
+
+    The motion is about a point (3,) and in axes of the levelled world, m and rad.
+    """
+    level = transform(R_world_recorded, np.zeros(3))
+    R = exp_so3(theta[3:])
+    move = transform(R, middle + theta[:3] - R @ middle)
+    T = inverse_transform(level) @ move @ level @ transform(
+        quaternion_to_rotation(pose[3:]), pose[:3])
+    return np.concatenate([T[:3, 3], rotation_to_quaternion(T[:3, :3])])
+
+
+def _slow(tool: PoseStream, package: PoseStream) -> tuple[Trajectory, Trajectory]:
+    """Return poses of both at common stamps, the slowest ones."""
+    first, last = (pick(tool.stamps_ns[end], package.stamps_ns[end])
+                   for pick, end in ((max, 0), (min, -1)))
+    count = int((last - first) / NS_PER_S * LOOKED_AT_HZ)
+    if count < 20:
+        raise BellowsError(
+            f"Topics '{tool.name}' and '{package.name}' have too little time in common to find "
+            'recording.package_world. Record for longer, or give its seven numbers.'
+        )
+    stamps = np.linspace(first, last, count).astype(np.int64)
+    hand, eye = (resample(body.trajectory(), stamps) for body in (tool, package))
+    way = np.linalg.norm(np.gradient(hand.position, axis=0), axis=1)
+    turn = np.zeros(count)
+    turn[1:] = np.linalg.norm(
+        log_so3(np.swapaxes(hand.rotation[:-1], 1, 2) @ hand.rotation[1:]), axis=1)
+    speed = way / max(float(np.median(way)), 1e-9) + turn / max(float(np.median(turn)), 1e-9)
+    slow = speed <= np.quantile(speed, SLOWEST)
+    return hand.select(slow), eye.select(slow)
+
+
+def _turn(R_tool: Array, R_package: Array) -> Array:
+    """Return the turn between the worlds in which both bodies rotate alike."""
+    pairs = [(first, slice(first, None, len(R_tool) // 15 + 1))
+             for first in range(0, len(R_tool), len(R_tool) // 15 + 1)]
+    a, b = (np.concatenate([log_so3(R[part] @ R[i].T) for i, part in pairs])
+            for R in (R_tool, R_package))
+    if np.quantile(np.linalg.norm(a, axis=1), 0.9) < LEAST_TURN:
+        raise BellowsError(
+            'recording.package_world cannot be found: the tool hardly turns in this recording. '
+            'Tilt and turn it, best with standstills in between, or give the seven numbers.'
+        )
+    U, _, Vt = np.linalg.svd(a.T @ b)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
+
+
+def _mean(rotations: Array) -> Array:
+    """Return the mean of rotations."""
+    U, _, Vt = np.linalg.svd(rotations.sum(axis=0))
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)

@@ -1,0 +1,225 @@
+"""
+Standstills of tool and package in a recording.
+
+At rest no damper and no acceleration take part: the package hangs where spring and gravity balance
+(3.9), and the mean of a standstill has little noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.lie import exp_so3, log_so3
+from bellows_ros.core.model import Package
+from bellows_ros.core.recording.alignment import BLOCK_SECONDS
+from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.score import relative_coordinates
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+SHORTEST = 0.5
+"""A standstill lasts at least this long, s."""
+
+STILL_WITHIN = Noise(1.5e-4, 1.5e-3)
+"""Means over short blocks of a still body differ by at most this, m and rad, beside noise."""
+
+NOISE_DEVIATIONS = 5.0
+"""... and by this many standard deviations of the mean's noise."""
+
+FEWEST_IN_BLOCK = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Standstill:
+    """
+    A standstill of tool and package.
+
+    Parameters
+    ----------
+    start_ns, duration : int, float
+        When it began, and how long it lasted (s).
+    tool, package : Trajectory
+        One pose each: the means of E and B in the world.
+    samples : int
+        How many package poses the mean is of.
+    error : Noise
+        Standard error of the relative pose's mean, m and rad per axis.
+    payload : Package
+        What hung on the cup.
+
+    """
+
+    start_ns: int
+    duration: float
+    tool: Trajectory
+    package: Trajectory
+    samples: int
+    error: Noise
+    payload: Package
+
+    @property
+    def lip(self) -> Array:
+        """E_o_S (m) and the rotation vector (rad) of the lip in the tool, (6,)."""
+        lip = self.package.position - self.package.rotation @ self.payload.com
+        moved = Trajectory(self.package.stamps_ns, lip, self.package.rotation)
+        at: Array = relative_coordinates(self.tool, moved)[0]
+        return at
+
+    @property
+    def tilt(self) -> float:
+        """Angle between the tool's axis and the vertical, rad."""
+        return float(np.arccos(np.clip(self.tool.rotation[0, 2, 2], -1.0, 1.0)))
+
+
+def standstills_of(
+    recording: Recording, shortest: float = SHORTEST
+) -> tuple[tuple[Standstill, ...], int]:
+    """
+    Return the standstills of a recording, in the order of time, and how often one failed.
+
+    The unfiltered poses are averaged over short blocks. From the end of a standstill, where the
+    package has come to rest, blocks are taken in backwards for as long as both bodies stay where
+    they are, so that the swinging after a move is left out. A standstill of the tool fails where
+    the package does not come to rest in its time.
+
+    Raises
+    ------
+    BellowsError
+        If there are too few valid poses to tell noise from motion, or no standstill.
+
+    """
+    bodies, noise = (recording.measured_tool, recording.measured_package), recording.measured_noise
+    spans = _blocks(*bodies)
+    found = _still(bodies, noise, spans, shortest)
+    if not found:
+        raise BellowsError(
+            f'No standstill of {shortest:g} s or more is in the recording: the tool and the '
+            'package must both come to rest. Hold each pose until the package has stopped '
+            'swinging, some 3 s.'
+        )
+    settled = np.array([span[0] for span in found], dtype=np.int64)
+    failed = sum(
+        not np.any((settled >= span[0] - len(spans[0])) & (settled <= span[-1]))
+        for span in _still(bodies[:1], noise[:1], spans, shortest)
+    )
+    return tuple(_standstill(*bodies, span, noise, recording.payload) for span in found), failed
+
+
+def _still(
+    bodies: Sequence[Trajectory],
+    noise: Sequence[Noise],
+    spans: list[Stamps],
+    shortest: float,
+) -> list[Stamps]:
+    """Return the samples of every standstill of all bodies, in the order of time."""
+    stamps = bodies[0].stamps_ns
+    means = [_block_means(body, spans) for body in bodies]
+    limits = [_limits(n, int(np.median([len(span) for span in spans]))) for n in noise]
+    ends = stamps[[span[-1] for span in spans]]
+    found, last = [], len(spans) - 1
+    while last >= 0:
+        first = last
+        while first > 0 and _joins(means, limits, ends, first, last):
+            first -= 1
+        # The first and the last block may have a little of the moves before and after in them.
+        inner = slice(first + 1, last) if last - first > 3 else slice(first, last + 1)
+        span = np.concatenate(spans[inner])
+        long_enough = _seconds(stamps, span) >= shortest
+        if long_enough:
+            found.append(span)
+        last = first - 1 if long_enough else last - 1
+    return found[::-1]
+
+
+def _blocks(tool: Trajectory, package: Trajectory) -> list[Stamps]:
+    """Return the indices of valid samples, block by block of time."""
+    valid = np.flatnonzero(tool.valid & package.valid)
+    if not len(valid):
+        raise BellowsError('No valid sample is left in which to look for standstills.')
+    number = (tool.stamps_ns[valid] - tool.stamps_ns[0]) // int(BLOCK_SECONDS * NS_PER_S)
+    parts = np.split(valid, np.flatnonzero(np.diff(number)) + 1)
+    return [part for part in parts if len(part) >= FEWEST_IN_BLOCK] or [valid]
+
+
+def _limits(noise: Noise, samples: int) -> Noise:
+    """Return by how much the means of so many samples of a body at rest may differ."""
+    factor = NOISE_DEVIATIONS / float(np.sqrt(samples))
+    return Noise(*(w + factor * n for w, n in zip(STILL_WITHIN, noise, strict=True)))
+
+
+def _block_means(body: Trajectory, spans: list[Stamps]) -> Trajectory:
+    """Return the mean pose of every block, at its first stamp."""
+    means = [_mean(body, span) for span in spans]
+    return Trajectory(
+        body.stamps_ns[[span[0] for span in spans]],
+        np.array([position for position, _ in means]),
+        np.array([rotation for _, rotation in means]),
+    )
+
+
+def _joins(
+    means: list[Trajectory], limits: list[Noise], ends: Stamps, first: int, last: int
+) -> bool:
+    """Return whether the block before the first is near blocks first to last."""
+    if means[0].stamps_ns[first] - ends[first - 1] > BLOCK_SECONDS * NS_PER_S:
+        return False
+    for body, limit in zip(means, limits, strict=True):
+        position, rotation = _mean(body, np.arange(first, last + 1))
+        moved = float(np.linalg.norm(body.position[first - 1] - position))
+        turned = float(np.linalg.norm(log_so3(rotation.T @ body.rotation[first - 1])))
+        if moved > limit.position or turned > limit.rotation:
+            return False
+    return True
+
+
+def _mean(body: Trajectory, index: Stamps) -> tuple[Array, Array]:
+    """Return the mean position and rotation of poses that are near each other."""
+    rotation: Array = body.rotation[index[len(index) // 2]]
+    for _ in range(2):  # the mean in the logarithm converges cubically near itself
+        rotation = rotation @ exp_so3(np.mean(log_so3(rotation.T @ body.rotation[index]), axis=0))
+    return body.position[index].mean(axis=0), rotation
+
+
+def _seconds(stamps_ns: Stamps, span: Stamps) -> float:
+    """Return the time from the first to the last of some samples, s."""
+    return float(stamps_ns[span[-1]] - stamps_ns[span[0]]) / NS_PER_S
+
+
+def _standstill(
+    tool: Trajectory, package: Trajectory, span: Stamps, noise: tuple[Noise, Noise],
+    payload: Package,
+) -> Standstill:
+    """Return the standstill of some samples."""
+    start = package.stamps_ns[span[:1]]
+    means = []
+    for body in (tool, package):
+        position, rotation = _mean(body, span)
+        means.append(Trajectory(start, position[None], rotation[None]))
+    error = _error(tool.select(span), package.select(span), noise)
+    return Standstill(
+        int(start[0]), _seconds(package.stamps_ns, span), means[0], means[1], len(span), error,
+        payload)
+
+
+def _error(tool: Trajectory, package: Trajectory, noise: tuple[Noise, Noise]) -> Noise:
+    """
+    Return the standard errors of the relative pose's mean.
+
+    Those of noise, or those that the means over short blocks show by their scatter where that is
+    more: what is left of the swinging counts, too.
+    """
+    relative = relative_coordinates(tool, package)
+    blocks = (package.stamps_ns - package.stamps_ns[0]) // int(BLOCK_SECONDS * NS_PER_S)
+    starts = np.unique(blocks, return_index=True)[1]
+    counts = np.diff([*starts, len(package)])[:, None]
+    means = np.add.reduceat(relative, starts, axis=0) / counts
+    if len(means) > 1:
+        variances = np.var(means, axis=0, ddof=1) / len(means)
+    else:
+        variances = np.zeros(6)
+    return Noise(*(
+        float(np.sqrt(max((a**2 + b**2) / len(package), np.mean(variances[part]))))
+        for a, b, part in zip(*noise, (slice(0, 3), slice(3, 6)), strict=True)
+    ))

@@ -1,0 +1,480 @@
+"""
+The toss: the valve is switched, the cup lets go, the package flies and lands.
+
+The suction force is V0 until a delay after the valve, and V0 exp(-t / tau) from then on; cup and
+lip stay what they are while they hold. The package is let go at the first instant, not before the
+valve, at which the safety factor against peeling (`holding`) is 1 or less: the seal opens, and
+the rest of the vacuum is gone at once. A blow-off pulse pushes it along -z of S. It flies without
+air, and lands when a corner of its box is at the floor's height, measured against gravity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+import math
+from typing import Any, NamedTuple
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.holding import Grip, peel_load
+from bellows_ros.core.integrator import (
+    rotation_rate,
+    Segment,
+    step,
+    tool_at,
+    tool_segment,
+    weighted,
+)
+from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.kernels import (
+    lip_wrench,
+    ModelTuple,
+    PackageTuple,
+    State,
+    wrench_at_com,
+)
+from bellows_ros.core.linearisation import largest_step
+from bellows_ros.core.simulation import row_state, state_row, tool_rows, write_row
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.tuples import (
+    add,
+    add_scaled,
+    apply,
+    apply_transposed,
+    dot,
+    exp_quaternion,
+    normalised,
+    Quaternion,
+    quaternion_product,
+    rotation_matrix,
+    scale,
+    Vector,
+)
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+STRIDE, LONGEST_STRIDE = 0.01, 0.01
+"""A step of the flight turns the package by so much (rad), and lasts no longer than this (s)."""
+COARSE_STRIDE = 0.1
+"""As `STRIDE`, where 0.01 mrad are enough."""
+
+INSTANT = 1e-10
+"""To this (s) the instants of letting go and landing are found."""
+
+LONGEST_WAIT, LONGEST_FLIGHT = 2.0, 10.0
+"""Within this (s) after the valve the cup lets go, and within this (s) after that it lands."""
+
+STILL = (1e-3, 1e-2)
+"""A plan whose last point is faster (m/s, rad/s) ends in motion: nothing is known after it."""
+
+NO_GRIP: Grip = (1.0, 0.0, 0.0)
+"""Where radius or vacuum are not known: it is let go after the delay."""
+
+Valve = tuple[float, float]
+"""Delay (s) from the valve to the fall of the suction force, and its time constant tau (s)."""
+Box = tuple[Vector, Vector]
+"""Half the sides (m) along x, y, z of B, and the centre in B."""
+
+
+@kernel
+def holds(grip: Grip, valve: Valve, late: float, load: float) -> bool:
+    """Return whether the lip holds a load (N, `peel_load`) so long (s) after the valve."""
+    falling = late - valve[0]
+    if grip[1] <= 0.0:
+        return falling < 0.0
+    left = grip[0]
+    if falling >= 0.0:
+        left = left * math.exp(-falling / valve[1]) if valve[1] > 0.0 else 0.0
+    return load <= 0.0 or left > load
+
+
+@kernel
+def load_at(model: ModelTuple, grip: Grip, tool: State, body: State) -> float:
+    """Return the suction force (N) at or below which the lip peels in a state."""
+    f, m = lip_wrench(model, tool, body)
+    return peel_load(grip[1], f, m) if grip[1] > 0.0 else 0.0
+
+
+@kernel
+def pushed_off(package: PackageTuple, body: State, impulse: float) -> State:
+    """Return a state after an impulse (N s) along -z of S, at S."""
+    f, m = wrench_at_com(package[1], (0.0, 0.0, -impulse), (0.0, 0.0, 0.0))
+    return (
+        body[0], body[1], add_scaled(body[2], 1.0 / package[0], f),
+        add(body[3], apply(package[3], m)),
+    )
+
+
+@kernel
+def flown(package: PackageTuple, gravity: Vector, body: State, h: float) -> State:
+    """
+    Return the state h later in free flight: the parabola, and a step of RKMK4 for the rotation.
+
+    The angular momentum L in the world is constant, and w = I^-1 R^T L.
+    """
+    inertia, inverse = package[2], package[3]
+    q = body[1]
+    R = rotation_matrix(q)
+    L = apply(R, apply(inertia, body[3]))
+    k1 = body[3]
+    s2 = scale(0.5 * h, k1)
+    k2 = rotation_rate(s2, _spin(inverse, q, s2, L))
+    s3 = scale(0.5 * h, k2)
+    k3 = rotation_rate(s3, _spin(inverse, q, s3, L))
+    s4 = scale(h, k3)
+    k4 = rotation_rate(s4, _spin(inverse, q, s4, L))
+    q_later = normalised(
+        quaternion_product(q, exp_quaternion(scale(h, weighted(k1, k2, k3, k4)))))
+    R_later = rotation_matrix(q_later)
+    velocity = apply(R, body[2])
+    return (
+        add_scaled(add_scaled(body[0], h, velocity), 0.5 * h * h, gravity),
+        q_later,
+        apply_transposed(R_later, add_scaled(velocity, h, gravity)),
+        apply(inverse, apply_transposed(R_later, L)),
+    )
+
+
+@kernel
+def _spin(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> Vector:
+    """Return the body rate after a turn by sigma, with the angular momentum L in the world."""
+    R = rotation_matrix(quaternion_product(q, exp_quaternion(sigma)))
+    return apply(inverse, apply_transposed(R, L))
+
+
+@kernel
+def stride_of(body: State, stride: float) -> float:
+    """Return how long (s) a step of the flight may be."""
+    rate = math.sqrt(dot(body[3], body[3]))
+    return min(LONGEST_STRIDE, stride / max(rate, 1e-9))
+
+
+@kernel
+def flight(
+    package: PackageTuple, gravity: Vector, body: State, duration: float, stride: float
+) -> State:
+    """Return the state a time (s) later in free flight."""
+    left = duration
+    while left > 0.0:
+        h = min(stride_of(body, stride), left)
+        body = flown(package, gravity, body, h)
+        left -= h
+    return body
+
+
+@kernel
+def upward(gravity: Vector) -> Vector:
+    """Return the direction against gravity; zero without gravity."""
+    return scale(-1.0 / max(math.sqrt(dot(gravity, gravity)), 1e-9), gravity)
+
+
+@kernel
+def lowest(box: Box, up: Vector, body: State) -> float:
+    """Return the height (m) of the lowest corner of the box."""
+    half, centre = box
+    u = apply_transposed(rotation_matrix(body[1]), up)
+    below = abs(u[0]) * half[0] + abs(u[1]) * half[1] + abs(u[2]) * half[2]
+    return dot(up, body[0]) + dot(u, centre) - below
+
+
+@kernel
+def land(
+    package: PackageTuple, gravity: Vector, box: Box, height: float, body: State, stride: float
+) -> tuple[float, State]:
+    """Return after which time (s) the first corner is at a height, and the state; -1 if never."""
+    t, up = 0.0, upward(gravity)
+    while t < LONGEST_FLIGHT:
+        h = stride_of(body, stride)
+        after = flown(package, gravity, body, h)
+        if lowest(box, up, after) <= height:
+            low, high = 0.0, h
+            while high - low > INSTANT:
+                h = 0.5 * (low + high)
+                after = flown(package, gravity, body, h)
+                if lowest(box, up, after) <= height:
+                    high = h
+                else:
+                    low = h
+            return t + h, after
+        t += h
+        body = after
+    return -1.0, body
+
+
+@kernel
+def _hold(
+    model: ModelTuple, grip: Grip, body: State, rows: Any, durations: Any, counts: Any,
+    states: Any, loads: Any,
+) -> None:
+    """Write state and load at the beginning of every integration step along the tool's rows."""
+    tool, j = row_state(rows[0]), 0
+    for k in range(len(durations)):
+        after = row_state(rows[k + 1])
+        segment = tool_segment(tool, after, durations[k])
+        n = counts[k]
+        for i in range(n):
+            write_row(states[j], body)
+            loads[j] = load_at(model, grip, tool, body)
+            end = after if i == n - 1 else tool_at(segment, (i + 1.0) / n)
+            middle = tool_at(segment, (i + 0.5) / n)
+            body = step(model, body, tool, middle, end, durations[k] / n)
+            tool, j = end, j + 1
+    write_row(states[j], body)
+    loads[j] = load_at(model, grip, tool, body)
+
+
+@kernel
+def _within(
+    model: ModelTuple, segment: Segment, body: State, low: float, high: float
+) -> tuple[State, State]:
+    """Return tool and package at a fraction of a segment, from the package at a lower one."""
+    tool = tool_at(segment, high)
+    middle = tool_at(segment, 0.5 * (low + high))
+    h = (high - low) * segment[0]
+    return tool, step(model, body, tool_at(segment, low), middle, tool, h)
+
+
+@kernel
+def _let_go(
+    model: ModelTuple, grip: Grip, valve: Valve, switched: float, first: int,
+    rows: Any, durations: Any, starts: Any, places: Any, times: Any, states: Any, loads: Any,
+) -> tuple[float, State]:
+    """Return when it is let go, and the state then; -1 if not before the end."""
+    body = row_state(states[first])
+    for j in range(first, len(times) - 1):
+        low, high = max(times[j], switched), times[j + 1]
+        caught = not holds(grip, valve, high - switched, loads[j + 1])
+        if j > first and not caught:
+            continue
+        k = places[j]
+        segment = tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
+        before, t = row_state(states[j]), low
+        since = (times[j] - starts[k]) / durations[k]
+        while True:
+            tool, body = _within(
+                model, segment, before, since, since + (t - times[j]) / durations[k])
+            if not holds(grip, valve, t - switched, load_at(model, grip, tool, body)):
+                high, caught = t, True
+            elif caught:
+                low = t
+            else:
+                break
+            if high - low <= INSTANT:
+                return t, body
+            t = 0.5 * (low + high)
+    return -1.0, body
+
+
+class Release(NamedTuple):
+    """What is known of valve, blow-off pulse, package and floor."""
+
+    valve: Valve
+    impulse: float
+    """Of the blow-off pulse, along -z of S at S, N s."""
+    box: Box
+    height: float
+    """Of the floor, from the world's origin against gravity, m."""
+
+
+class Toss(NamedTuple):
+    """A toss; times are s since the first point of the plan, states are of B in the world."""
+
+    release_time: float
+    release_mode: str
+    """'peel', or 'delay' where the grip is not known."""
+    release: State
+    landing_time: float
+    landing: State
+
+    @property
+    def tumbling(self) -> float:
+        """Angular speed at landing, rad/s."""
+        return math.hypot(*self.landing[3])
+
+
+class Held:
+    """
+    The package held along a plan: what all tosses from it start from.
+
+    Parameters
+    ----------
+    model : tuple
+        As the kernels take it.
+    grip : tuple, optional
+        As `grip_of` returns it.
+    tool : Trajectory
+        The plan: poses and body twists of E; it stands still after the last one, if it does there.
+    start : State, optional
+        Of B in the world at the first point; at rest there when left out.
+    until : float
+        Time (s since the first point) up to which it is looked at.
+    longest : float
+        Longest step of the integration (s); that of the model when left out.
+
+    Attributes
+    ----------
+    duration : float
+        Of the plan, s.
+    times, states, loads : ndarray (M,), (M, 13), (M,)
+        At each integration step: time (s), state of B, and the suction force (N) at which it
+        would peel.
+
+    Raises
+    ------
+    BellowsError
+        If the package cannot rest under the tool, or the prediction does not stay finite.
+
+    """
+
+    def __init__(
+        self, model: ModelTuple, grip: Grip | None, tool: Trajectory, start: State | None = None,
+        until: float = math.inf, longest: float = 0.0,
+    ) -> None:
+        """Follow the plan."""
+        self.model, self.grip, self.mode = model, grip or NO_GRIP, 'peel' if grip else 'delay'
+        rows, starts = tool_rows(tool), tool.seconds
+        self.duration = float(starts[-1])
+        speed, rate = np.linalg.norm(rows[-1, 7:10]), np.linalg.norm(rows[-1, 10:])
+        self.ends_at_rest = bool(speed <= STILL[0] and rate <= STILL[1])
+        if self.ends_at_rest:
+            still = np.concatenate([rows[-1, :7], np.zeros(6)])
+            rows = np.vstack([rows[:-1], still, still])
+            starts = np.append(starts, self.duration + LONGEST_WAIT)
+        count = min(int(np.searchsorted(starts, until)) + 1, len(starts))
+        rows, starts = rows[:count], starts[:count]
+        durations = np.diff(starts)
+        if start is None:
+            start = static_equilibrium(model, state_row(rows[0, :3], rows[0, 3:7], np.zeros(6)))
+        longest = longest or largest_step(model)
+        counts = np.maximum(1, np.ceil(durations / longest - 1e-9)).astype(np.int64)
+        places = np.repeat(np.arange(len(counts)), counts)
+        parts = np.arange(len(places)) - np.repeat(np.cumsum(counts) - counts, counts)
+        self.times = np.append(starts[places] + parts * (durations / counts)[places], starts[-1])
+        inputs: list[Any] = [rows, durations, starts, places, self.times]
+        if not COMPILED:  # plain floats are several times faster than NumPy's in plain Python
+            inputs = [a.tolist() for a in inputs]
+        self._fixed, self._counts = inputs, counts
+        self._follow(start)
+
+    def _follow(self, start: State) -> None:
+        """Fill in states and loads."""
+        self.start, fixed = start, self._fixed
+        self.states, self.loads = np.empty((len(self.times), 13)), np.empty(len(self.times))
+        try:
+            _hold(self.model, self.grip, start, fixed[0], fixed[1], self._counts, self.states,
+                  self.loads)
+        except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+            self.states[-1] = math.nan
+        if not np.isfinite(self.states[-1]).all():
+            raise BellowsError(
+                'The prediction along the plan does not stay finite. Check the plan for jumps, '
+                'and cup.stiffness, cup.damping, package.mass and their units.')
+        out: list[Any] = [self.states, self.loads]
+        self._inputs = [*fixed, *(out if COMPILED else [a.tolist() for a in out])]
+
+    def again(self, start: State) -> Held:
+        """Return the same from another state."""
+        other = copy(self)
+        other._follow(start)
+        return other
+
+    def let_go(self, valve: Valve, switched: float) -> tuple[float, State]:
+        """Return when (s) it is let go, the valve being switched at a time; -1 if not in time."""
+        first = max(0, int(np.searchsorted(self.times, switched, 'right')) - 1)
+        released, body = _let_go(
+            self.model, self.grip, valve, switched, min(first, len(self.times) - 2),
+            *self._inputs)
+        return released, body
+
+    def lost_before(self, switched: float) -> float | None:
+        """Return the first time (s) before the valve at which the grip is lost already."""
+        if self.mode == 'delay':
+            return None
+        early = np.flatnonzero((self.loads >= self.grip[0]) & (self.times < switched))
+        return float(self.times[early[0]]) if len(early) else None
+
+
+def toss(held: Held, release: Release, switched: float, stride: float = STRIDE) -> Toss:
+    """
+    Return what becomes of the package when the valve is switched at a time of the plan.
+
+    Parameters
+    ----------
+    held : Held
+        The package along the plan.
+    release : Release
+        Valve, package and floor.
+    switched : float
+        s since the first point of the plan.
+    stride : float
+        Accuracy of the flight: `STRIDE` or `COARSE_STRIDE`.
+
+    Raises
+    ------
+    BellowsError
+        If the valve is not switched during the plan, the cup does not let go, or the package is
+        below the floor then or does not come down.
+
+    """
+    if not 0.0 <= switched <= held.duration:
+        raise BellowsError(
+            f'The valve is switched at {switched:g} s, which is not during the plan; expected 0 '
+            f'to {held.duration:g} s. Release earlier, or make the plan longer.')
+    released, body = held.let_go(release.valve, switched)
+    if released < 0.0:
+        raise BellowsError(
+            f'The cup does not let go within {held.times[-1] - switched:.3g} s after the valve is '
+            f'switched at {switched:g} s. ' + (
+                'Check release.delay, release.tau and whether the package hangs from the cup.'
+                if held.ends_at_rest else
+                'The plan ends before, in motion: make it longer, or release earlier.'))
+    _, package, gravity = held.model
+    body = pushed_off(package, body, release.impulse)
+    height = lowest(release.box, upward(gravity), body)
+    if height <= release.height:
+        raise BellowsError(
+            f'The lowest corner of the package is at {height:.4g} m when it is let go at '
+            f'{released:.4g} s, and landing.height is {release.height:g} m: the floor is above '
+            'it. Check landing.height, package.size, package.size_center and the frame of the '
+            'plan.')
+    after, landed = land(package, gravity, release.box, release.height, body, stride)
+    if after < 0.0:
+        raise BellowsError(
+            f'The package does not land within {LONGEST_FLIGHT:g} s. Check gravity, '
+            'landing.height and release.impulse.')
+    return Toss(released, held.mode, body, released + after, landed)
+
+
+def release_of(values: Mapping[str, Any]) -> Release:
+    """
+    Return what parameter values say of release and landing.
+
+    Raises
+    ------
+    BellowsError
+        If the size of the package is not known.
+
+    """
+    size = values['package.size']
+    if not min(size) > 0.0:
+        raise BellowsError(
+            f'package.size is {list(size)}; expected three sides above 0 m, as where the package '
+            'lands depends on its corners. Set it in the parameter file, or --set package.size='
+            '0.3,0.2,0.15.')
+    x, y, z = (0.5 * float(side) for side in size)
+    a, b, c = (float(value) for value in values['package.size_center'])
+    return Release(
+        (float(values['release.delay']), float(values['release.tau'])),
+        float(values['release.impulse']), ((x, y, z), (a, b, c)), float(values['landing.height']))
+
+
+def flight_path(model: ModelTuple, toss: Toss, count: int) -> Array:
+    """Return so many states (N, 13), evenly spread from letting go to landing."""
+    _, package, gravity = model
+    out = np.empty((count, 13))
+    body, h = toss.release, (toss.landing_time - toss.release_time) / (count - 1)
+    for k in range(count):
+        write_row(out[k], body)
+        body = flight(package, gravity, body, h, STRIDE)
+    return out

@@ -1,0 +1,164 @@
+"""
+Which stamps can be used: a state machine over header stamps and times of arrival.
+
+A stamp that is wrong once is refused; one that goes on in a consistent way is believed after a
+short run: then a clock was set, or a recording has started again. Live poses and recorded messages
+are screened by this code, the latter with hindsight (`core.recording.screening`).
+"""
+
+import math
+from typing import NamedTuple
+
+from bellows_ros.core.limits import UNIT_WITHIN
+from bellows_ros.core.tuples import Quaternion, Vector
+
+LONGEST_GAP_NS = 500_000_000
+"""After a longer time without poses the package's motion is unknown: start from rest again."""
+
+BACKWARD_RUN = 5
+"""So many backward stamps in a row, themselves increasing, are a clock that was set back."""
+
+FAR_BACKWARD_RUN = 3
+"""The same where they lie further back than any late message: a recording that starts again."""
+
+LEAP_NS = 20_000_000
+LEAP_PERIODS = 4
+"""Stamps further ahead (ns, periods) of their arrival than before leap: one does not count."""
+
+SETTLED_AFTER = 10
+"""Poses after which it is known how far stamps lie behind their arrivals."""
+
+ACCEPTED = ''
+
+
+class Verdict(NamedTuple):
+    """What is to be done with a pose."""
+
+    refused: str
+    """Why it is refused, or nothing."""
+    restart: str
+    """Why everything starts afresh with this pose, or nothing."""
+
+
+GOOD = Verdict(ACCEPTED, '')
+
+
+def why_no_pose(o: Vector, q: Quaternion) -> str:
+    """Return why numbers are no pose, or nothing."""
+    squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    if not math.isfinite(o[0] + o[1] + o[2] + squared):
+        return 'nan'
+    if squared < 1e-12:
+        return 'zero_quaternion'
+    if abs(squared - 1.0) > 2.0 * UNIT_WITHIN:
+        return 'not_unit'
+    return ''
+
+
+class StampScreen:
+    """
+    Judge stamps one after the other.
+
+    Attributes
+    ----------
+    newest_ns : int
+        The newest accepted stamp, -1 before the first.
+
+    """
+
+    def __init__(self) -> None:
+        """Take whatever stamp comes next."""
+        self.forget_stamps()
+
+    def forget_stamps(self) -> None:
+        """Take whatever stamp comes next."""
+        self.newest_ns = -1
+        self._period_ns = 0
+        self._newest_arrival_ns: int | None = None
+        self._least_age_ns = self._accepted = 0
+        self._leap_ns = -1
+        self._backward_run = 0
+        self._backward_last_ns = -1
+        self._ahead_ns = -1
+        self._leaps = False
+
+    def judge_stamp(self, stamp_ns: int, arrival_ns: int | None) -> Verdict:
+        """
+        Return whether a stamp can be used.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Header stamp, ns.
+        arrival_ns : int or None
+            When the message came, on a clock that nobody sets. Tells a pause of the driver from a
+            stamp that lies in the future; without it a late stamp is taken for a pause.
+
+        """
+        if self.newest_ns < 0:
+            return GOOD
+        if stamp_ns == self.newest_ns:
+            return Verdict('duplicate_stamp', '')
+        if stamp_ns < self.newest_ns:
+            return self._judge_backward(stamp_ns)
+        if stamp_ns - self.newest_ns > LONGEST_GAP_NS:
+            return self._judge_ahead(stamp_ns, arrival_ns)
+        if arrival_ns is not None and self._leaps_alone(stamp_ns, arrival_ns - stamp_ns):
+            return Verdict('future_stamp', '')
+        self._ahead_ns = -1
+        return GOOD
+
+    def accept_stamp(self, stamp_ns: int, arrival_ns: int | None, restart: str) -> None:
+        """Compare what follows with this stamp; with a restart, with nothing before it."""
+        if restart:
+            self.forget_stamps()
+        elif self.newest_ns >= 0:
+            self._period_ns = stamp_ns - self.newest_ns
+        self.newest_ns = stamp_ns
+        if arrival_ns is not None:
+            self._note_age(arrival_ns - stamp_ns)
+        self._newest_arrival_ns = arrival_ns
+        self._backward_run = 0
+        self._ahead_ns = -1
+        self._leaps = restart == 'clock_set_forward'
+
+    def _note_age(self, age_ns: int) -> None:
+        """Keep the least time between stamp and arrival; it grows again, as clocks drift."""
+        above = age_ns - self._least_age_ns
+        self._least_age_ns = self._least_age_ns + above // 1024 if (
+            self._accepted and above > 0) else age_ns
+        self._accepted += 1
+
+    def _leaps_alone(self, stamp_ns: int, age_ns: int) -> bool:
+        """Return whether a stamp lies in the future, and the one before it did not."""
+        ahead_ns = self._least_age_ns - age_ns
+        if ahead_ns <= LEAP_NS or self._accepted < SETTLED_AFTER:
+            self._leap_ns = -1
+            return False
+        if ahead_ns <= LEAP_PERIODS * self._period_ns:
+            return False
+        before, self._leap_ns = self._leap_ns, stamp_ns
+        return not 0 <= before < stamp_ns
+
+    def _judge_backward(self, stamp_ns: int) -> Verdict:
+        """Refuse stamps that go back until they have done so long enough."""
+        if self._backward_run and stamp_ns <= self._backward_last_ns:
+            self._backward_run = 0
+        self._backward_run += 1
+        self._backward_last_ns = stamp_ns
+        far = self.newest_ns - stamp_ns > LONGEST_GAP_NS
+        if self._backward_run >= (FAR_BACKWARD_RUN if far else BACKWARD_RUN):
+            return Verdict(ACCEPTED, 'clock_set_back')
+        return Verdict('backward_stamp', '')
+
+    def _judge_ahead(self, stamp_ns: int, arrival_ns: int | None) -> Verdict:
+        """Tell a pause, after which all starts from rest, from a stamp in the future."""
+        if arrival_ns is None or self._newest_arrival_ns is None:
+            return Verdict(ACCEPTED, 'gap')
+        waited = arrival_ns - self._newest_arrival_ns
+        if 2 * waited >= stamp_ns - self.newest_ns:
+            return Verdict(ACCEPTED, 'gap')
+        before, self._ahead_ns = self._ahead_ns, stamp_ns
+        if self._leaps or 0 <= before < stamp_ns:  # the next one too: the clock, or fast playback
+            return Verdict(ACCEPTED, 'clock_set_forward')
+        return Verdict('future_stamp', '')

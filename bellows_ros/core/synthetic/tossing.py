@@ -1,0 +1,121 @@
+"""Tosses in a recording: packages hang, are let go, fly and land, and others are picked up."""
+
+from collections.abc import Sequence
+import math
+from typing import NamedTuple
+
+from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.holding import Grip
+from bellows_ros.core.kernels import ModelTuple
+from bellows_ros.core.landing import changed
+from bellows_ros.core.lie import quaternion_to_rotation
+from bellows_ros.core.release import flight, Held, LONGEST_WAIT, Release, STILL, STRIDE, toss
+from bellows_ros.core.simulation import write_row
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+
+class Thrown(NamedTuple):
+    """A toss with its valve; times are s since the beginning of the recording."""
+
+    valve_time: float
+    release_time: float
+    landing_time: float
+    delay: float
+    tau: float
+    impulse: float
+
+
+class Tossed(NamedTuple):
+    """The package of a recording with tosses."""
+
+    package: Trajectory
+    """B in the world with body twists, at the tool's stamps."""
+    held: Mask
+    """Where it hangs from the cup (N,)."""
+    tracked: Mask
+    """Where it hangs or flies (N,)."""
+    tosses: tuple[Thrown, ...]
+
+
+def tossed(
+    model: ModelTuple, grip: Grip | None, release: Release, tool: Trajectory,
+    times: Sequence[float], pickup: float, changes: Array,
+) -> Tossed:
+    """
+    Simulate a recording in which packages are tossed.
+
+    Parameters
+    ----------
+    model, grip : tuple
+        As the kernels take them.
+    release : Release
+        Valve, package and floor.
+    tool : Trajectory
+        E with body twists.
+    times : sequence of float
+        When the valve is switched off, s since the first stamp, in order.
+    pickup : float
+        So long (s) after that the next package hangs at rest.
+    changes : array (N, 3)
+        By how much delay (s), tau (s) and impulse (N s) of each toss differ; delay and tau stay
+        at 0 or more.
+
+    Raises
+    ------
+    BellowsError
+        If the tool moves at a pick-up, a toss cannot be, or does not end before the next pick-up.
+
+    """
+    count, seconds = len(tool), tool.seconds
+    rows, tosses = np.empty((count, 13)), []
+    held, tracked = np.ones((2, count), dtype=bool)
+    begins = np.searchsorted(seconds, [0.0, *np.add(times, pickup)]).tolist()
+    for k, (first, last) in enumerate(zip(begins, [*begins[1:], count], strict=True)):
+        if first >= count:
+            break
+        part, start = slice(first, last), float(seconds[first])
+        switched = times[k] - start if k < len(times) else math.inf
+        here = tool.select(slice(first, None))
+        try:
+            _require_rest(here)
+            hanging = Held(model, grip, here, until=switched + LONGEST_WAIT)
+            t = seconds[part] - start
+            at = np.searchsorted(hanging.times, t - 1e-9)
+            rows[part] = hanging.states[np.minimum(at, len(hanging.times) - 1)]
+            if k == len(times):
+                break
+            drawn = changed(release, changes[k])
+            drawn = drawn._replace(valve=(max(0.0, drawn.valve[0]), max(0.0, drawn.valve[1])))
+            found = toss(hanging, drawn, switched)
+            if found.landing_time > t[-1] and last < count:
+                raise BellowsError(
+                    f'It lands {found.landing_time - switched:.3g} s after the valve is switched, '
+                    f'and the next package is picked up after {pickup:g} s. Raise release.pickup.')
+        except BellowsError as error:
+            raise BellowsError(f'Package {k + 1}, held from {start:.3g} s on: {error}') from None
+        held[part] = t <= found.release_time
+        tracked[part] = t <= found.landing_time
+        body, now = found.release, found.release_time
+        for j in np.flatnonzero(tracked[part] & ~held[part]):
+            body, now = flight(model[1], model[2], body, float(t[j] - now), STRIDE), float(t[j])
+            write_row(rows[first + j], body)
+        write_row(resting := np.zeros(13), (*found.landing[:2], (0.0,) * 3, (0.0,) * 3))
+        rows[part][t > found.landing_time] = resting
+        tosses.append(Thrown(
+            times[k], start + found.release_time, start + found.landing_time, *drawn.valve,
+            drawn.impulse))
+    package = Trajectory(
+        tool.stamps_ns, rows[:, :3], quaternion_to_rotation(rows[:, 3:7]), rows[:, 7:])
+    return Tossed(package, held, tracked, tuple(tosses))
+
+
+def _require_rest(tool: Trajectory) -> None:
+    """Refuse a tool that moves where a package is picked up."""
+    assert tool.twist is not None
+    speed, rate = (float(np.linalg.norm(part)) for part in np.split(tool.twist[0], 2))
+    if speed > STILL[0] or rate > STILL[1]:
+        raise BellowsError(
+            f'the tool moves at {speed:.3g} m/s and {rate:.3g} rad/s there, and a package is '
+            'picked up at rest. Change release.pickup, or let the tool wait.')

@@ -1,0 +1,416 @@
+/* A bellows suction cup and the package it holds: C11, no allocation, no dependency but libm.
+
+   Written by bellows export --to c. The numbers are at the end, in `bellows_exported` and
+   `bellows_exported_grip`. SI units. World A with gravity as a vector; E tip of the tool, z into
+   the arm; S middle of the lip; B centre of mass of the package, with the axes of S. Equation
+   numbers are those of docs/model.md.
+
+   bellows_step           the package a time later, the tool moving from one state to another
+   bellows_equilibrium    where it hangs at rest; 0, or 1 where the cup cannot carry it
+   bellows_lip_wrench     of the cup on the package, at S in axes of S
+   bellows_safety_factor  of the grip, the smaller of peel and slip; below 1 it lets go
+
+   Step, wrench and safety factor are bit for bit those of bellows_ros where multiplications and
+   additions are not contracted: gcc -ffp-contract=off. */
+
+#ifndef BELLOWS_CUP_H
+#define BELLOWS_CUP_H
+
+#include <math.h>
+
+#define BW static inline
+
+typedef struct { double x, y, z; } bw_vec;
+typedef struct { double x, y, z, w; } bw_quat;
+typedef struct { double a[9]; } bw_mat;
+typedef struct { bw_mat oo, oR, RR; } bw_blocks;
+typedef struct { double l1, l0; bw_blocks K, P; } bellows_cup; /* m; K and P by 3x3 blocks */
+typedef struct { double mass; bw_vec com; bw_mat inertia, inertia_inverse; } bellows_package;
+typedef struct { bellows_cup cup; bellows_package package; bw_vec gravity; } bellows_model;
+typedef struct { double suction, radius, friction; } bellows_grip; /* N, m, 1 */
+/* Of a frame in the world: position (m), quaternion x, y, z, w, linear and angular twist (m/s,
+   rad/s) in its own axes. */
+typedef struct { bw_vec o; bw_quat q; bw_vec v, w; } bellows_state;
+typedef struct { bw_vec f, m; } bellows_wrench; /* N, N m */
+
+typedef struct { bw_vec o; bw_mat R; bw_vec v, w; } bw_frame; /* a state with a matrix */
+typedef struct { bw_vec a, b; } bw_pair; /* two halves of a six-vector */
+typedef struct {
+    double duration;
+    bw_vec o0, a1, a2, a3;
+    bw_quat q0;
+    bw_vec c1, c2, c3;
+} bw_segment;
+
+BW bw_vec bw_add(bw_vec a, bw_vec b) { return (bw_vec){a.x + b.x, a.y + b.y, a.z + b.z}; }
+BW bw_vec bw_sub(bw_vec a, bw_vec b) { return (bw_vec){a.x - b.x, a.y - b.y, a.z - b.z}; }
+BW bw_vec bw_scale(double k, bw_vec a) { return (bw_vec){k * a.x, k * a.y, k * a.z}; }
+BW bw_vec bw_axpy(bw_vec a, double k, bw_vec b)
+{
+    return (bw_vec){a.x + k * b.x, a.y + k * b.y, a.z + k * b.z};
+}
+BW double bw_dot(bw_vec a, bw_vec b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+BW bw_vec bw_cross(bw_vec a, bw_vec b)
+{
+    return (bw_vec){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+BW bw_vec bw_mul(const bw_mat *A, bw_vec v)
+{
+    const double *a = A->a;
+    return (bw_vec){a[0] * v.x + a[1] * v.y + a[2] * v.z, a[3] * v.x + a[4] * v.y + a[5] * v.z,
+                    a[6] * v.x + a[7] * v.y + a[8] * v.z};
+}
+BW bw_vec bw_tmul(const bw_mat *A, bw_vec v)
+{
+    const double *a = A->a;
+    return (bw_vec){a[0] * v.x + a[3] * v.y + a[6] * v.z, a[1] * v.x + a[4] * v.y + a[7] * v.z,
+                    a[2] * v.x + a[5] * v.y + a[8] * v.z};
+}
+BW bw_mat bw_tmulm(const bw_mat *A, const bw_mat *B)
+{
+    bw_mat C;
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            C.a[3 * i + j] =
+                A->a[i] * B->a[j] + A->a[3 + i] * B->a[3 + j] + A->a[6 + i] * B->a[6 + j];
+    return C;
+}
+BW bw_quat bw_qmul(bw_quat p, bw_quat q)
+{
+    return (bw_quat){p.w * q.x + p.x * q.w + p.y * q.z - p.z * q.y,
+                  p.w * q.y - p.x * q.z + p.y * q.w + p.z * q.x,
+                  p.w * q.z + p.x * q.y - p.y * q.x + p.z * q.w,
+                  p.w * q.w - p.x * q.x - p.y * q.y - p.z * q.z};
+}
+BW bw_mat bw_rot(bw_quat q)
+{
+    double x = q.x, y = q.y, z = q.z, w = q.w;
+    return (bw_mat){{1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+                  2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                  2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)}};
+}
+BW bw_quat bw_expq(bw_vec p)
+{
+    double s = bw_dot(p, p), r, c;
+    if (s < 0.25) {
+        double x = 0.25 * s;
+        r = 0.5 - x * (1 / 12. - x * (1 / 240. - x * (1 / 10080. - x * (1 / 725760.
+            - x * (1 / 79833600.)))));
+        c = 1 - x * (1 / 2. - x * (1 / 24. - x * (1 / 720. - x * (1 / 40320. - x * (1 / 3628800.
+            - x * (1 / 479001600.))))));
+    } else {
+        double angle = sqrt(s);
+        r = sin(0.5 * angle) / angle;
+        c = cos(0.5 * angle);
+    }
+    return (bw_quat){r * p.x, r * p.y, r * p.z, c};
+}
+BW bw_vec bw_logq(bw_quat q)
+{
+    if (q.w < 0) q = (bw_quat){-q.x, -q.y, -q.z, -q.w};
+    double x = q.x * q.x + q.y * q.y + q.z * q.z, k;
+    if (x < 1e-3) {
+        k = 2 + x * (1 / 3. + x * (3 / 20. + x * (5 / 56. + x * (35 / 576.))));
+    } else {
+        double s = sqrt(x);
+        k = 2 * atan2(s, q.w) / s;
+    }
+    return (bw_vec){k * q.x, k * q.y, k * q.z};
+}
+BW bw_vec bw_body_rate(bw_vec phi, bw_vec rate) /* (G.65) */
+{
+    double x = bw_dot(phi, phi), first, second;
+    if (x < 0.25) {
+        first = 1 / 2. - x * (1 / 24. - x * (1 / 720. - x * (1 / 40320. - x * (1 / 3628800.
+            - x * (1 / 479001600. - x / 87178291200.)))));
+        second = 1 / 6. - x * (1 / 120. - x * (1 / 5040. - x * (1 / 362880. - x * (1 / 39916800.
+            - x * (1 / 6227020800. - x / 1307674368000.)))));
+    } else {
+        double angle = sqrt(x);
+        first = (1 - cos(angle)) / x;
+        second = (angle - sin(angle)) / (x * angle);
+    }
+    bw_vec once = bw_cross(phi, rate);
+    return bw_axpy(bw_axpy(rate, -first, once), second, bw_cross(phi, once));
+}
+BW bw_vec bw_vector_rate(bw_vec phi, bw_vec omega)
+{
+    double x = bw_dot(phi, phi), k;
+    if (x < 0.25) {
+        double tail = 1 / 47900160. + x * (691 / 1307674368000. + x * (1 / 74724249600.));
+        k = 1 / 12. + x * (1 / 720. + x * (1 / 30240. + x * (1 / 1209600. + x * tail)));
+    } else {
+        double angle = sqrt(x);
+        k = (1 - 0.5 * angle / tan(0.5 * angle)) / x;
+    }
+    bw_vec once = bw_cross(phi, omega);
+    return bw_axpy(bw_axpy(omega, 0.5, once), k, bw_cross(phi, once));
+}
+
+BW bw_pair bw_bmul(const bw_blocks *M, bw_vec a, bw_vec b)
+{
+    return (bw_pair){bw_add(bw_mul(&M->oo, a), bw_mul(&M->oR, b)),
+                     bw_add(bw_tmul(&M->oR, a), bw_mul(&M->RR, b))};
+}
+
+BW bw_pair bw_cup_wrench(
+    const bellows_model *m, bw_vec o_lip, const bw_mat *R, bw_vec v_lip, bw_vec w)
+{
+    double l1 = m->cup.l1;
+    const double *r = R->a;
+    bw_vec o = {o_lip.x + l1 * r[2], o_lip.y + l1 * r[5], o_lip.z + l1 * r[8] + (m->cup.l0 - l1)};
+    bw_vec v = {v_lip.x + l1 * w.y, v_lip.y - l1 * w.x, v_lip.z}; /* (3.34) */
+    bw_vec R_o = bw_tmul(R, o);
+    /* spring, (3.18), (3.27) */
+    bw_vec skew = {r[7] - r[5], r[2] - r[6], r[3] - r[1]};
+    bw_pair s = bw_bmul(&m->cup.K, bw_add(o, R_o), skew);
+    bw_vec spring_f = bw_add(s.a, bw_tmul(R, s.a));
+    bw_vec spring_m =
+        bw_add(bw_sub(bw_scale(r[0] + r[4] + r[8], s.b), bw_mul(R, s.b)), bw_cross(s.a, R_o));
+    /* damper, (3.32), (3.33) */
+    bw_pair near = bw_bmul(&m->cup.P, v, w);
+    bw_vec R_w = bw_mul(R, w);
+    bw_pair far = bw_bmul(&m->cup.P, bw_add(bw_mul(R, v), bw_cross(o, R_w)), R_w);
+    bw_vec damper_f = bw_add(near.a, bw_tmul(R, far.a));
+    bw_vec damper_m = bw_add(near.b, bw_tmul(R, bw_sub(far.b, bw_cross(o, far.a))));
+    bw_vec f = bw_add(bw_scale(-0.25, spring_f), bw_scale(-0.5, damper_f));
+    bw_vec n = bw_add(bw_scale(-0.25, spring_m), bw_scale(-0.5, damper_m));
+    return (bw_pair){f, {n.x - l1 * f.y, n.y + l1 * f.x, n.z}}; /* (3.25) */
+}
+
+BW bellows_wrench bw_lip_wrench(
+    const bellows_model *m, const bw_frame *tool, const bw_frame *body)
+{
+    bw_vec com = m->package.com;
+    bw_mat R = bw_tmulm(&tool->R, &body->R);
+    bw_vec o = bw_tmul(&tool->R, bw_sub(bw_sub(body->o, bw_mul(&body->R, com)), tool->o));
+    bw_vec v = bw_sub(bw_add(body->v, bw_cross(com, body->w)),
+                      bw_tmul(&R, bw_add(tool->v, bw_cross(tool->w, o))));
+    bw_vec w = bw_sub(body->w, bw_tmul(&R, tool->w));
+    bw_pair f = bw_cup_wrench(m, o, &R, v, w);
+    return (bellows_wrench){f.a, f.b};
+}
+
+BW bw_pair bw_acceleration(
+    const bellows_model *m, const bw_frame *tool, const bw_frame *body) /* (3.42) */
+{
+    const bellows_package *p = &m->package;
+    bellows_wrench f = bw_lip_wrench(m, tool, body);
+    bw_vec n = bw_sub(f.m, bw_cross(p->com, f.f));
+    bw_vec fall = bw_sub(bw_tmul(&body->R, m->gravity), bw_cross(body->w, body->v));
+    bw_vec turn = bw_sub(n, bw_cross(body->w, bw_mul(&p->inertia, body->w)));
+    return (bw_pair){bw_axpy(fall, 1 / p->mass, f.f), bw_mul(&p->inertia_inverse, turn)};
+}
+
+BW bw_frame bw_framed(const bellows_state *s)
+{
+    return (bw_frame){s->o, bw_rot(s->q), s->v, s->w};
+}
+
+BW bw_vec bw_quadratic(bw_vec step, bw_vec a, bw_vec b)
+{
+    return bw_axpy(bw_axpy(bw_scale(3, step), -2, a), -1, b);
+}
+BW bw_vec bw_cubic3(bw_vec step, bw_vec a, bw_vec b)
+{
+    return bw_axpy(bw_add(a, b), -2, step);
+}
+BW bw_vec bw_cubic(double s, bw_vec a, bw_vec b, bw_vec c)
+{
+    return bw_scale(s, bw_axpy(a, s, bw_axpy(b, s, c)));
+}
+BW bw_vec bw_slope(double s, bw_vec a, bw_vec b, bw_vec c)
+{
+    return bw_axpy(a, 2 * s, bw_axpy(b, 1.5 * s, c));
+}
+
+BW bw_segment bw_tool_segment(const bellows_state *s, const bellows_state *e, double h)
+{
+    bw_mat R0 = bw_rot(s->q), R1 = bw_rot(e->q);
+    bw_vec a1 = bw_scale(h, bw_mul(&R0, s->v)), a1_end = bw_scale(h, bw_mul(&R1, e->v));
+    bw_vec step = bw_sub(e->o, s->o);
+    bw_vec phi = bw_logq(bw_qmul((bw_quat){-s->q.x, -s->q.y, -s->q.z, s->q.w}, e->q));
+    bw_vec c1 = bw_scale(h, s->w), c1_end = bw_scale(h, bw_vector_rate(phi, e->w));
+    return (bw_segment){h, s->o, a1, bw_quadratic(step, a1, a1_end), bw_cubic3(step, a1, a1_end),
+                     s->q, c1, bw_quadratic(phi, c1, c1_end), bw_cubic3(phi, c1, c1_end)};
+}
+
+BW bw_frame bw_tool_at(const bw_segment *g, double s)
+{
+    bw_vec phi = bw_cubic(s, g->c1, g->c2, g->c3);
+    bw_mat R = bw_rot(bw_qmul(g->q0, bw_expq(phi)));
+    bw_vec v = bw_scale(1 / g->duration, bw_slope(s, g->a1, g->a2, g->a3));
+    bw_vec w = bw_scale(1 / g->duration, bw_body_rate(phi, bw_slope(s, g->c1, g->c2, g->c3)));
+    return (bw_frame){bw_add(g->o0, bw_cubic(s, g->a1, g->a2, g->a3)), R, bw_tmul(&R, v), w};
+}
+
+BW bellows_state bw_moved(
+    const bellows_state *b, double h, bw_vec o, bw_vec s, bw_vec v, bw_vec w)
+{
+    return (bellows_state){bw_axpy(b->o, h, o), bw_qmul(b->q, bw_expq(bw_scale(h, s))),
+                           bw_axpy(b->v, h, v), bw_axpy(b->w, h, w)};
+}
+
+BW bw_vec bw_rotation_rate(bw_vec sigma, bw_vec w)
+{
+    bw_vec once = bw_cross(sigma, w);
+    return bw_axpy(bw_axpy(w, 0.5, once), 1 / 12., bw_cross(sigma, once));
+}
+
+BW bw_vec bw_mean(bw_vec a, bw_vec b, bw_vec c, bw_vec d)
+{
+    return bw_scale(1 / 6., bw_add(bw_add(a, d), bw_scale(2, bw_add(b, c))));
+}
+
+BW bw_quat bw_renormalised(bw_quat q)
+{
+    double k = 1.5 - 0.5 * (q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w);
+    return (bw_quat){k * q.x, k * q.y, k * q.z, k * q.w};
+}
+
+BW bellows_state bw_rkmk4(
+    const bellows_model *m, const bellows_state *body, const bw_frame *t0, const bw_frame *t1,
+    const bw_frame *t2, double h)
+{
+    bw_frame f = bw_framed(body);
+    bw_vec o1 = bw_mul(&f.R, f.v), s1 = f.w;
+    bw_pair d1 = bw_acceleration(m, t0, &f);
+    bellows_state b = bw_moved(body, 0.5 * h, o1, s1, d1.a, d1.b);
+    f = bw_framed(&b);
+    bw_vec o2 = bw_mul(&f.R, f.v), s2 = bw_rotation_rate(bw_scale(0.5 * h, s1), f.w);
+    bw_pair d2 = bw_acceleration(m, t1, &f);
+    b = bw_moved(body, 0.5 * h, o2, s2, d2.a, d2.b);
+    f = bw_framed(&b);
+    bw_vec o3 = bw_mul(&f.R, f.v), s3 = bw_rotation_rate(bw_scale(0.5 * h, s2), f.w);
+    bw_pair d3 = bw_acceleration(m, t1, &f);
+    b = bw_moved(body, h, o3, s3, d3.a, d3.b);
+    f = bw_framed(&b);
+    bw_vec o4 = bw_mul(&f.R, f.v), s4 = bw_rotation_rate(bw_scale(h, s3), f.w);
+    bw_pair d4 = bw_acceleration(m, t2, &f);
+    b = bw_moved(body, h, bw_mean(o1, o2, o3, o4), bw_mean(s1, s2, s3, s4),
+                 bw_mean(d1.a, d2.a, d3.a, d4.a), bw_mean(d1.b, d2.b, d3.b, d4.b));
+    b.q = bw_renormalised(b.q);
+    return b;
+}
+
+/* Return the package's state a duration (s) later, in so many steps of integration. */
+BW bellows_state bellows_step(
+    const bellows_model *m, const bellows_state *body, const bellows_state *tool,
+    const bellows_state *tool_end, double duration, int steps)
+{
+    bw_segment g = bw_tool_segment(tool, tool_end, duration);
+    bw_frame begin = bw_framed(tool), last = bw_framed(tool_end);
+    bellows_state now = *body;
+    for (int i = 0; i < steps; i++) {
+        bw_frame middle = bw_tool_at(&g, (i + 0.5) / steps);
+        bw_frame end = i == steps - 1 ? last : bw_tool_at(&g, (i + 1.0) / steps);
+        now = bw_rkmk4(m, &now, &begin, &middle, &end, duration / steps);
+        begin = end;
+    }
+    return now;
+}
+
+BW bellows_wrench bellows_lip_wrench(
+    const bellows_model *m, const bellows_state *tool, const bellows_state *body)
+{
+    bw_frame t = bw_framed(tool), b = bw_framed(body);
+    return bw_lip_wrench(m, &t, &b);
+}
+
+BW double bw_ratio(double suction, double load)
+{
+    return load > 0 ? suction / load : (double)INFINITY;
+}
+
+BW double bellows_safety_factor(
+    const bellows_model *m, const bellows_grip *g, const bellows_state *tool,
+    const bellows_state *body)
+{
+    bellows_wrench w = bellows_lip_wrench(m, tool, body);
+    double twist = w.m.z / g->radius;
+    double peel = bw_ratio(
+        g->suction, w.f.z + 2 * sqrt(w.m.x * w.m.x + w.m.y * w.m.y) / g->radius);
+    double slip = bw_ratio(
+        g->friction * g->suction,
+        sqrt(w.f.x * w.f.x + w.f.y * w.f.y + twist * twist) + g->friction * w.f.z);
+    return peel < slip ? peel : slip;
+}
+
+/* Write M times the acceleration of the package at rest under the tool at rest. */
+BW void bw_unbalance(
+    const bellows_model *m, const bw_frame *tool, const bellows_state *body, double out[6])
+{
+    bw_frame b = bw_framed(body);
+    bw_pair a = bw_acceleration(m, tool, &b);
+    bw_vec f = bw_scale(m->package.mass, a.a), n = bw_mul(&m->package.inertia, a.b);
+    out[0] = f.x; out[1] = f.y; out[2] = f.z; out[3] = n.x; out[4] = n.y; out[5] = n.z;
+}
+
+BW bellows_state bw_displaced(const bellows_state *b, const double by[6])
+{
+    bw_mat R = bw_rot(b->q);
+    bw_vec shift = bw_mul(&R, (bw_vec){by[0], by[1], by[2]});
+    bw_quat q = bw_qmul(b->q, bw_expq((bw_vec){by[3], by[4], by[5]}));
+    return (bellows_state){bw_add(b->o, shift), q, {0, 0, 0}, {0, 0, 0}};
+}
+
+/* Newton's method, the load put on in eight steps as far as a real cup would follow. */
+BW int bellows_equilibrium(
+    const bellows_model *m, const bellows_state *tool, bellows_state *body)
+{
+    bellows_model loaded = *m;
+    bw_frame at = bw_framed(tool);
+    double shift[6] = {0, 0, 0, 0, 0, 0};
+    bellows_state now = {tool->o, tool->q, {0, 0, 0}, {0, 0, 0}};
+    at.v = at.w = (bw_vec){0, 0, 0};
+    shift[0] = m->package.com.x;
+    shift[1] = m->package.com.y;
+    shift[2] = m->package.com.z - m->cup.l0;
+    now = bw_displaced(&now, shift);
+    for (int load = 1; load <= 8; load++) {
+        double size = INFINITY, before, A[6][6], x[6];
+        int stable = 1;
+        loaded.gravity = bw_scale(load / 8.0, m->gravity);
+        for (int turn = 0; turn < 50; turn++) {
+            bw_unbalance(&loaded, &at, &now, x);
+            for (int j = 0; j < 6; j++) {
+                double by[6] = {0, 0, 0, 0, 0, 0}, up[6], down[6];
+                bellows_state moved;
+                by[j] = 1e-6;
+                moved = bw_displaced(&now, by);
+                bw_unbalance(&loaded, &at, &moved, up);
+                by[j] = -1e-6;
+                moved = bw_displaced(&now, by);
+                bw_unbalance(&loaded, &at, &moved, down);
+                for (int i = 0; i < 6; i++) A[i][j] = (down[i] - up[i]) / 2e-6;
+            }
+            stable = 1; /* at rest A is the Hessian of the energy: positive pivots, a minimum */
+            for (int k = 0; k < 6; k++) {
+                stable = stable && A[k][k] > 0;
+                for (int i = k + 1; i < 6; i++) {
+                    double c = A[i][k] / A[k][k];
+                    for (int j = k; j < 6; j++) A[i][j] -= c * A[k][j];
+                    x[i] -= c * x[k];
+                }
+            }
+            before = size;
+            size = 0;
+            for (int k = 5; k >= 0; k--) {
+                for (int j = k + 1; j < 6; j++) x[k] -= A[k][j] * x[j];
+                x[k] /= A[k][k];
+                size += x[k] * x[k];
+            }
+            size = sqrt(size);
+            if (!(size < INFINITY)) return 1;
+            for (int k = 0; k < 6; k++) x[k] *= size > 0.3 ? 0.3 / size : 1;
+            now = bw_displaced(&now, x);
+            if ((size < 1e-9 && size > 0.1 * before) || size < 1e-13) break;
+        }
+        if (!(size < 1e-9) || (load == 8 && !stable)) return 1;
+    }
+    now.q = bw_renormalised(now.q);
+    *body = now;
+    return 0;
+}
+
+#undef BW

@@ -1,0 +1,235 @@
+"""
+The messages of plans as CDR, all points at once: trajectory_msgs/MultiDOFJointTrajectory, Path.
+
+Points lie in memory with one spacing, as doubles are aligned to 8: NumPy reads and writes a plan
+of 2,000 points in the time in which Python objects of 20 are made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import struct
+
+from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.plan_points import require_count
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+HEAD = b'\0\1\0\0'
+"""Plain CDR, little-endian."""
+
+NS_PER_S = 1_000_000_000
+MULTI_DOF = 'trajectory_msgs/msg/MultiDOFJointTrajectory'
+PATH = 'nav_msgs/msg/Path'
+
+
+@dataclass(frozen=True, eq=False)
+class PlanMessage:
+    """
+    A plan as messages have it.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Of the header, ns; 0 where the plan starts when the tool starts.
+    frame_id : str
+    names : tuple of str
+        Of the joint, that is of what moves.
+    times_ns : int array (N,)
+        From the start, ns.
+    poses : array (N, 7)
+        Position (m) and quaternion xyzw.
+    twists, accelerations : array (N, 6) or None
+
+    """
+
+    stamp_ns: int
+    frame_id: str
+    names: tuple[str, ...]
+    times_ns: Stamps
+    poses: Array
+    twists: Array | None = None
+    accelerations: Array | None = None
+
+
+class Reader:
+    """What is read from a message, one thing after the other; positions count from its body."""
+
+    def __init__(self, data: bytes) -> None:
+        """Take a message with its four-byte head."""
+        if data[:2] not in (b'\0\0', b'\0\1'):
+            raise _damaged('it is not plain CDR')
+        self.order = '<' if data[1] else '>'
+        self.body, self.at = memoryview(data)[4:], 0
+
+    def number(self, kind: str = 'I') -> int:
+        """Return a whole number of four bytes."""
+        self.at += -self.at % 4
+        if self.at + 4 > len(self.body):
+            raise _damaged('it ends too early')
+        (value,) = struct.unpack_from(self.order + kind, self.body, self.at)
+        self.at += 4
+        return int(value)
+
+    def text(self) -> str:
+        """Return a text."""
+        size = self.number()
+        raw = bytes(self.body[self.at:self.at + size])
+        self.at += size
+        if len(raw) != size or raw[-1:] != b'\0':
+            raise _damaged('a text in it does not end')
+        return raw[:-1].decode(errors='replace')
+
+    def header(self) -> tuple[int, str]:
+        """Return stamp (ns) and frame of a header."""
+        stamp_ns = self.number('i') * NS_PER_S + self.number()
+        return stamp_ns, self.text()
+
+    def skip_list(self, doubles: int) -> int:
+        """Pass a list of so many doubles each; return how many there are."""
+        count = self.number()
+        if count:
+            self.at += -self.at % 8 + 8 * doubles * count
+        return count
+
+    def rows(self, dtype: np.dtype[np.void], count: int) -> np.ndarray:
+        """Return structures that follow each other."""
+        if self.at + count * dtype.itemsize > len(self.body):
+            raise _damaged('it ends too early')
+        return np.frombuffer(self.body, dtype, count, self.at)
+
+
+def _damaged(why: str) -> BellowsError:
+    """Return the error for a message that is none."""
+    return BellowsError(f'A plan cannot be decoded: {why}. Send {MULTI_DOF} as ROS does.')
+
+
+def decode_multi_dof(data: bytes) -> PlanMessage:
+    """
+    Decode a MultiDOFJointTrajectory of one joint.
+
+    Raises
+    ------
+    BellowsError
+        If it is damaged, has several joints, or points that differ in what they have.
+
+    """
+    reader = Reader(data)
+    stamp_ns, frame_id = reader.header()
+    names = tuple(reader.text() for _ in range(min(reader.number(), 100)))
+    count = reader.number()
+    require_count(count, 'The plan')
+    first = reader.at
+    parts = tuple(reader.skip_list(doubles) for doubles in (7, 6, 6))
+    if parts[0] != 1 or max(parts) > 1:
+        raise BellowsError(
+            f'The plan has points with {parts[0]} transforms, {parts[1]} velocities and '
+            f'{parts[2]} accelerations; expected 1 transform, and 0 or 1 of the others: a plan is '
+            'of one thing, the tool.')
+    reader.at = first
+    points = [_points(reader, parts, 1)]  # the first one may be padded differently
+    points.append(_points(reader, parts, count - 1))
+    times, poses, twists, accelerations = (
+        np.concatenate(column) for column in zip(*points, strict=True))
+    return PlanMessage(
+        stamp_ns, frame_id, names, times, poses, twists if parts[1] else None,
+        accelerations if parts[2] else None)
+
+
+def _points(
+    reader: Reader, parts: tuple[int, ...], count: int
+) -> tuple[Stamps, Array, Array, Array]:
+    """Return times, poses, twists and accelerations of points that lie alike."""
+    dtype = _point(reader.order, reader.at % 8, parts)
+    rows = reader.rows(dtype, count)
+    for name, size in zip('abc', parts, strict=True):
+        if (rows[f'n{name}'] != size).any():
+            raise BellowsError(
+                'The plan has points that differ in what they have; expected the same of all: '
+                'velocities and accelerations of every point, or of none.')
+    reader.at += count * dtype.itemsize
+    times = rows['sec'].astype(np.int64) * NS_PER_S + rows['nanosec']
+    a, b, c = (rows[name] if size else np.zeros((count, 6))
+               for name, size in zip('abc', parts, strict=True))
+    return times, a.astype(float), b.astype(float), c.astype(float)
+
+
+def _point(order: str, offset: int, parts: tuple[int, ...]) -> np.dtype[np.void]:
+    """Return how a point lies in memory that begins at an offset (0 or 4) from 8 bytes."""
+    names, formats, offsets, at = [], [], [], offset
+    for name, size, doubles in zip('abc', parts, (7, 6, 6), strict=True):
+        names.append(f'n{name}')
+        formats.append(f'{order}u4')
+        offsets.append(at - offset)
+        at += 4
+        if size:
+            at += -at % 8
+            names.append(name)
+            formats.append(f'({doubles},){order}f8')
+            offsets.append(at - offset)
+            at += 8 * doubles
+    names += ['sec', 'nanosec']
+    formats += [f'{order}i4', f'{order}u4']
+    offsets += [at - offset, at + 4 - offset]
+    return np.dtype({
+        'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': at + 8 - offset})
+
+
+def encode_multi_dof(plan: PlanMessage) -> bytes:
+    """Encode a MultiDOFJointTrajectory of one joint, little-endian."""
+    head = _header(plan.stamp_ns, plan.frame_id)
+    head = _with_number(head, len(plan.names))
+    for name in plan.names:
+        head = _with_text(head, name)
+    head = _with_number(head, len(plan.times_ns))
+    parts = (1, int(plan.twists is not None), int(plan.accelerations is not None))
+    values = (plan.poses, plan.twists, plan.accelerations)
+    pieces, at = [head], len(head)
+    for part in (slice(0, 1), slice(1, None)):
+        dtype = _point('<', at % 8, parts)
+        rows = np.zeros(len(plan.times_ns[part]), dtype)
+        rows['sec'], rows['nanosec'] = np.divmod(plan.times_ns[part], NS_PER_S)
+        for name, size, value in zip('abc', parts, values, strict=True):
+            rows[f'n{name}'] = size
+            if value is not None:
+                rows[name] = value[part]
+        pieces.append(rows.tobytes())
+        at += len(pieces[-1])
+    return HEAD + b''.join(pieces)
+
+
+def encode_path(stamp_ns: int, frame_id: str, times_ns: Stamps, poses: Array) -> bytes:
+    """Encode a Path, little-endian: poses (N, 7) at times (ns) from the stamp."""
+    head = _with_number(_header(stamp_ns, frame_id), len(times_ns))
+    text = frame_id.encode() + b'\0'
+    pieces, at = [head], len(head)
+    for part in (slice(0, 1), slice(1, None)):
+        offset = at % 8
+        pose = offset + 12 + len(text)
+        pose += -pose % 8 - offset
+        dtype = np.dtype({
+            'names': ['sec', 'nanosec', 'size', 'text', 'pose'],
+            'formats': ['<i4', '<u4', '<u4', f'S{len(text)}', '(7,)<f8'],
+            'offsets': [0, 4, 8, 12, pose], 'itemsize': pose + 56})
+        rows = np.zeros(len(times_ns[part]), dtype)
+        rows['sec'], rows['nanosec'] = np.divmod(stamp_ns + times_ns[part], NS_PER_S)
+        rows['size'], rows['text'], rows['pose'] = len(text), text, poses[part]
+        pieces.append(rows.tobytes())
+        at += len(pieces[-1])
+    return HEAD + b''.join(pieces)
+
+
+def _header(stamp_ns: int, frame_id: str) -> bytes:
+    """Return a header."""
+    return _with_text(struct.pack('<iI', *divmod(stamp_ns, NS_PER_S)), frame_id)
+
+
+def _with_number(data: bytes, number: int) -> bytes:
+    """Return data with a whole number behind it."""
+    return data + bytes(-len(data) % 4) + struct.pack('<I', number)
+
+
+def _with_text(data: bytes, text: str) -> bytes:
+    """Return data with a text behind it."""
+    raw = text.encode() + b'\0'
+    return _with_number(data, len(raw)) + raw

@@ -1,0 +1,298 @@
+"""
+Plans and tool motions in files: messages of several types in recordings, or as YAML.
+
+What comes out are points as `plan_messages.PlanMessage` has them; whether an arm can move so, and
+what lies between the points, is not decided here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+import os
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+from bellows_ros.core.arm import Arm, read_arm
+from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion, transform
+from bellows_ros.core.plan_points import require_count
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import safe_yaml
+from bellows_ros.files.bags import messages_of
+from bellows_ros.files.plan_messages import decode_multi_dof, MULTI_DOF, PATH, PlanMessage
+from bellows_ros.files.transforms import poses_in, read_transforms
+import numpy as np
+
+NS_PER_S = 1_000_000_000
+JOINTS = 'trajectory_msgs/msg/JointTrajectory'
+STATES = 'sensor_msgs/msg/JointState'
+DESCRIPTION = 'std_msgs/msg/String'
+
+PLAN_TYPES = (MULTI_DOF, PATH, JOINTS)
+
+
+class JointPlan(NamedTuple):
+    """Positions of an arm's joints over time, rad and m, with rates where they are given."""
+
+    frame_id: str
+    stamp_ns: int
+    names: tuple[str, ...]
+    times_ns: Stamps
+    position: Array
+    velocity: Array | None
+    acceleration: Array | None
+
+
+def plans_in(
+    path: str | os.PathLike[str], topic: str = ''
+) -> list[tuple[str, PlanMessage | JointPlan]]:
+    """
+    Return the plans in a recording, each with its topic, in the order of the files.
+
+    Raises
+    ------
+    BellowsError
+        If the recording cannot be read, or a plan in it is none.
+
+    """
+    found = messages_of(path, PLAN_TYPES, topic)
+    return [(name, _plan(kind, data)) for name, kind, _, data in found]
+
+
+def _plan(kind: str, data: bytes) -> PlanMessage | JointPlan:
+    """Return the plan in a message."""
+    if kind == MULTI_DOF:
+        return decode_multi_dof(data)
+    message = _types().deserialize_cdr(data, kind)
+    return path_points(message) if kind == PATH else joint_plan(message)
+
+
+@cache
+def _types() -> Any:
+    """Return what decodes messages."""
+    from rosbags.typesys import get_typestore, Stores
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPlan:
+    """
+    Return the plan in a message written as YAML, as `ros2 topic echo --once` prints it.
+
+    Raises
+    ------
+    BellowsError
+        If it is none of the messages that plans are.
+
+    """
+    message = _with_attributes(content)
+    try:
+        if 'poses' in content:
+            return path_points(message)
+        points = content['points']
+        return multi_dof(message) if 'transforms' in points[0] else joint_plan(message)
+    except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
+        raise BellowsError(
+            f"'{name}' holds no plan: {type(error).__name__} {error}. Expected a {MULTI_DOF}, "
+            f"{PATH} or {JOINTS} as 'ros2 topic echo --once --full-length' prints it, or a motion "
+            "of 'bellows simulate'.") from None
+
+
+def _with_attributes(content: Any) -> Any:
+    """Return nested mappings whose items are attributes."""
+    if isinstance(content, Mapping):
+        return SimpleNamespace(**{str(k): _with_attributes(v) for k, v in content.items()})
+    return [_with_attributes(item) for item in content] if isinstance(content, list) else content
+
+
+def multi_dof(message: Any) -> PlanMessage:
+    """Return the points of a MultiDOFJointTrajectory."""
+    points = message.points
+    require_count(len(points), 'The plan')
+    poses = np.array([_seven(p.transforms[0].translation, p.transforms[0].rotation)
+                      for p in points], dtype=float)
+    several = [p for p in points if len(p.transforms) != 1]
+    if several:
+        raise BellowsError(
+            f'The plan has points with {len(several[0].transforms)} transforms; expected 1: a '
+            'plan is of one thing, the tool.')
+    rates = [_rates(points, name) for name in ('velocities', 'accelerations')]
+    return PlanMessage(
+        _ns(message.header.stamp), message.header.frame_id, tuple(message.joint_names),
+        _durations(points), poses, *rates)
+
+
+def _rates(points: Sequence[Any], name: str) -> Array | None:
+    """Return the twists of points, or None where none has one."""
+    lists = [getattr(point, name) for point in points]
+    if not any(len(each) for each in lists):
+        return None
+    if not all(len(each) == 1 for each in lists):
+        raise BellowsError(f'The plan has {name} of some points only; expected all or none.')
+    return np.array([(*_three(twist.linear), *_three(twist.angular)) for (twist,) in lists])
+
+
+def path_points(message: Any) -> PlanMessage:
+    """Return the points of a Path; its times count from the first pose."""
+    require_count(len(message.poses), 'The plan')
+    frames = {pose.header.frame_id for pose in message.poses} - {message.header.frame_id, ''}
+    if frames:
+        raise BellowsError(
+            f"The plan is in frame '{message.header.frame_id}', but has poses in "
+            f"'{sorted(frames)[0]}'; expected one frame. Transform them before.")
+    stamps = np.array([_ns(pose.header.stamp) for pose in message.poses])
+    poses = np.array([_seven(p.pose.position, p.pose.orientation) for p in message.poses])
+    return PlanMessage(
+        _ns(message.header.stamp), message.header.frame_id, ('tool',), stamps - stamps[0], poses)
+
+
+def joint_plan(message: Any) -> JointPlan:
+    """Return the points of a JointTrajectory."""
+    points, names = message.points, tuple(message.joint_names)
+    require_count(len(points), 'The plan')
+    parts = [_joints(points, part, len(names))
+             for part in ('positions', 'velocities', 'accelerations')]
+    if parts[0] is None:
+        raise BellowsError('The plan has points without positions; expected one of each joint.')
+    return JointPlan(
+        message.header.frame_id, _ns(message.header.stamp), names, _durations(points), parts[0],
+        parts[1], parts[2])
+
+
+def _joints(points: Sequence[Any], part: str, count: int) -> Array | None:
+    """Return numbers of all joints for all points, or None where none has any."""
+    rows = [getattr(point, part) for point in points]
+    if not any(len(row) for row in rows):
+        return None
+    wrong = [i for i, row in enumerate(rows) if len(row) != count]
+    if wrong:
+        raise BellowsError(
+            f'The plan: point {wrong[0]} (the first is 0) has {len(rows[wrong[0]])} {part} for '
+            f'{count} joints; expected one of each.')
+    return np.array(rows, dtype=float)
+
+
+def recorded_joints(path: str | os.PathLike[str], arm: Arm, topic: str = '') -> PlanMessage:
+    """
+    Return the tool poses that recorded joint states make, with twists where they have velocities.
+
+    Raises
+    ------
+    BellowsError
+        If there are none, or they lack a joint of the arm.
+
+    """
+    messages = [_types().deserialize_cdr(data, kind)
+                for _, kind, _, data in messages_of(path, (STATES,), topic)]
+    useful = [m for m in messages if set(arm.moving) <= set(m.name)
+              and len(m.position) == len(m.name)]
+    if not useful:
+        heard = messages[0].name if messages else ()
+        arm.columns(heard, f"Joint states in '{path}'")
+        raise BellowsError(f"Joint states in '{path}' have no positions. Record them.")
+    columns = [arm.columns(m.name, 'A joint state') for m in useful]
+    position = np.array([m.position[c] for m, c in zip(useful, columns, strict=True)])
+    rates = all(len(m.velocity) == len(m.name) for m in useful)
+    velocity = np.array([m.velocity[c] for m, c in zip(useful, columns, strict=True)]) if (
+        rates) else None
+    T, twist = arm.tool(position, velocity)
+    stamps = np.array([_ns(m.header.stamp) for m in useful])
+    return _recorded(stamps, T, twist if rates else None, arm.root)
+
+
+def joints_or_tf(
+    path: str | os.PathLike[str], urdf: str | os.PathLike[str], tool_link: str
+) -> PlanMessage:
+    """
+    Return the tool poses of recorded joint states and a URDF, or else of transforms.
+
+    Raises
+    ------
+    BellowsError
+        If a recording has neither.
+
+    """
+    try:
+        arm = arm_of(urdf, tool_link, path)
+    except BellowsError as no_arm:
+        try:
+            stamps, T, root = poses_in(read_transforms(path), tool_link, '', f"'{path}'")
+            return _recorded(stamps, T, None, root)
+        except BellowsError as no_transforms:
+            raise BellowsError(f'{no_transforms} {no_arm}') from None
+    return recorded_joints(path, arm)
+
+
+def _recorded(stamps: Stamps, T: Array, twist: Array | None, frame: str) -> PlanMessage:
+    """Return recorded poses (N, 4, 4) in the order of their stamps, each stamp once."""
+    stamps, first = np.unique(stamps, return_index=True)
+    poses = np.hstack([T[first, :3, 3], rotation_to_quaternion(T[first, :3, :3])])
+    return PlanMessage(
+        int(stamps[0]), frame, ('tool',), stamps - stamps[0], poses,
+        None if twist is None else twist[first])
+
+
+def arm_of(
+    urdf: str | os.PathLike[str], tool_link: str, recording: str | os.PathLike[str] = ''
+) -> Arm:
+    """
+    Return the arm of a URDF file, or of the /robot_description in a recording.
+
+    Raises
+    ------
+    BellowsError
+        If there is none, or it does not lead to the link.
+
+    """
+    if not tool_link:
+        raise BellowsError(
+            'Joints are given, and where the tool is on the arm is not. Name the link of the tool '
+            'tip: --tool-link LINK.')
+    if urdf:
+        try:
+            return read_arm(Path(urdf).read_text(encoding='utf-8'), tool_link)
+        except (OSError, UnicodeDecodeError) as error:
+            raise BellowsError(f"URDF '{urdf}' cannot be read: {error}.") from None
+    if recording:
+        for name, kind, _, data in messages_of(recording, (DESCRIPTION,)):
+            if name.endswith('robot_description'):
+                return read_arm(_types().deserialize_cdr(data, kind).data, tool_link)
+    raise BellowsError(
+        'Joints are given, and the arm is not: there is no /robot_description. Give its URDF: '
+        '--urdf FILE.')
+
+
+def read_yaml(path: str | os.PathLike[str]) -> Mapping[str, Any]:
+    """Return the content of a YAML file; what `ros2 topic echo` puts behind it is left out."""
+    content = safe_yaml.load(Path(path))
+    if not isinstance(content, Mapping):
+        raise BellowsError(f"'{path}' holds no names and values, so no plan.")
+    return content
+
+
+def _three(vector: Any) -> tuple[float, float, float]:
+    """Return a vector's numbers."""
+    return float(vector.x), float(vector.y), float(vector.z)
+
+
+def _seven(vector: Any, q: Any) -> tuple[float, ...]:
+    """Return the numbers of a position and a quaternion."""
+    return (*_three(vector), float(q.x), float(q.y), float(q.z), float(q.w))
+
+
+def _pose_matrix(seven: Iterable[float]) -> Array:
+    """Return a pose (4, 4) of position and quaternion."""
+    numbers = np.array(tuple(seven))
+    return transform(quaternion_to_rotation(numbers[3:]), numbers[:3])
+
+
+def _ns(stamp: Any) -> int:
+    """Return a stamp or duration in ns."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def _durations(points: Sequence[Any]) -> Stamps:
+    """Return the times of points from the start, ns."""
+    return np.array([_ns(point.time_from_start) for point in points], dtype=np.int64)

@@ -1,0 +1,151 @@
+"""
+Poses out of the transforms of a recording: a tree of frames on /tf and /tf_static.
+
+Links of one way may come at different times and rates: those of the link with most messages count,
+and the others are interpolated there.
+"""
+
+from collections.abc import Mapping
+import os
+from typing import Any, NamedTuple
+
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.lie import inverse_transform, quaternion_to_rotation, transform
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bags import messages_of
+import numpy as np
+
+TF, STATIC_TF = 'tf2_msgs/msg/TFMessage', '/tf_static'
+NS_PER_S = 1_000_000_000
+
+LONGEST_GAP = 4.0
+"""Over a longer time without a link's transform, in its usual steps, nothing is interpolated."""
+
+
+class Link(NamedTuple):
+    """A frame in its parent: poses (N, 4, 4) at stamps (ns), one of them where it is fixed."""
+
+    parent: str
+    stamps_ns: Stamps
+    poses: Array
+
+
+def read_transforms(path: str | os.PathLike[str]) -> dict[str, Link]:
+    """
+    Return the links of all frames in a recording by their names; what is fixed counts once.
+
+    Raises
+    ------
+    BellowsError
+        If it cannot be read, or a frame has two parents.
+
+    """
+    from rosbags.typesys import get_typestore, Stores
+
+    types: Any = get_typestore(Stores.ROS2_JAZZY)
+    found: dict[str, dict[int, tuple[float, ...]]] = {}
+    parents: dict[str, str] = {}
+    for topic, kind, _, data in messages_of(path, (TF,)):
+        for each in types.deserialize_cdr(data, kind).transforms:
+            child, parent = (name.lstrip('/') for name in (
+                each.child_frame_id, each.header.frame_id))
+            if parents.setdefault(child, parent) != parent:
+                raise BellowsError(
+                    f"Frame '{child}' has two parents in the transforms of '{path}', "
+                    f"'{parents[child]}' and '{parent}'. Record one of them.")
+            stamp, o, q = each.header.stamp, each.transform.translation, each.transform.rotation
+            at = 0 if topic == STATIC_TF else stamp.sec * NS_PER_S + stamp.nanosec
+            found.setdefault(child, {})[at] = (o.x, o.y, o.z, q.x, q.y, q.z, q.w)
+    return {child: _link(parents[child], series) for child, series in found.items()}
+
+
+def _link(parent: str, series: Mapping[int, tuple[float, ...]]) -> Link:
+    """Return a link in the order of its stamps, without numbers that are no pose."""
+    stamps = np.array(sorted(series), dtype=np.int64)
+    rows = np.array([series[stamp] for stamp in stamps.tolist()])
+    length = np.linalg.norm(rows[:, 3:], axis=1)
+    good = np.isfinite(rows).all(axis=1) & (np.abs(length - 1.0) < 0.01)
+    q = rows[good, 3:] / length[good, None]
+    return Link(parent, stamps[good], transform(quaternion_to_rotation(q), rows[good, :3]))
+
+
+def poses_in(
+    links: Mapping[str, Link], frame: str, world: str, of: str
+) -> tuple[Stamps, Array, str]:
+    """
+    Return stamps (N,), poses (N, 4, 4) of a frame in another one, and the name of that.
+
+    Parameters
+    ----------
+    links : mapping of str to Link
+        By the names of frames.
+    frame, world : str
+        The frame wanted, and in which one; in the farthest one above it where that is ''.
+    of : str
+        What the transforms are of, for messages.
+
+    Raises
+    ------
+    BellowsError
+        If one is unknown, no way leads from one to the other, or nothing moves on it.
+
+    """
+    up = _way(links, frame, of)
+    root = world or (links[up[-1]].parent if up else frame)
+    down = _way(links, root, of)
+    while up and down and up[-1] == down[-1]:
+        up, down = up[:-1], down[:-1]
+    ends = [links[way[-1]].parent if way else end for way, end in ((up, frame), (down, root))]
+    if ends[0] != ends[1]:
+        raise BellowsError(
+            f"No way leads from '{frame}' to '{root}' in the transforms of {of}: one ends at "
+            f"'{ends[0]}', the other at '{ends[1]}'. Record what connects them.")
+    moving = [links[name] for name in (*up, *down) if len(links[name].stamps_ns) > 1]
+    if not moving:
+        raise BellowsError(f"'{frame}' does not move in '{root}' in the transforms of {of}.")
+    stamps = max(moving, key=lambda link: len(link.stamps_ns)).stamps_ns
+    first = max(link.stamps_ns[0] for link in moving)
+    last = min(link.stamps_ns[-1] for link in moving)
+    stamps = stamps[(stamps >= first) & (stamps <= last)]
+    (T, known), (T_common_world, there) = (_along(links, way, stamps) for way in (up, down))
+    T, valid = inverse_transform(T_common_world) @ T, known & there
+    if valid.sum() < 2:
+        raise BellowsError(
+            f"The transforms between '{frame}' and '{root}' in {of} have no time in common. "
+            'Record them together, with stamps of one clock.')
+    return stamps[valid], T[valid], root
+
+
+def _way(links: Mapping[str, Link], frame: str, of: str) -> list[str]:
+    """Return the frames from this one up to below the root."""
+    if frame not in links and frame not in {link.parent for link in links.values()}:
+        raise BellowsError(
+            f"Frame '{frame}' is not among the transforms of {of}: "
+            f"{', '.join(sorted(links)[:8]) or 'there are none'}.")
+    way: list[str] = []
+    while frame in links and frame not in way:
+        way.append(frame)
+        frame = links[frame].parent
+    return way
+
+
+def _along(links: Mapping[str, Link], way: list[str], stamps: Stamps) -> tuple[Array, Mask]:
+    """Return poses (N, 4, 4) of the first frame of a way above its last, and which are known."""
+    T: Array = np.tile(np.eye(4), (len(stamps), 1, 1))
+    valid: Mask = np.ones(len(stamps), dtype=bool)
+    for name in way:
+        step, known = _at(links[name], stamps)
+        T, valid = step @ T, valid & known
+    return T, valid
+
+
+def _at(link: Link, stamps: Stamps) -> tuple[Array, Mask]:
+    """Return the poses of a link at stamps, and whether each is known."""
+    if len(link.stamps_ns) == 1:
+        return np.repeat(link.poses, len(stamps), axis=0), np.ones(len(stamps), dtype=bool)
+    there = Trajectory(link.stamps_ns, link.poses[:, :3, 3], link.poses[:, :3, :3])
+    longest = LONGEST_GAP * float(np.median(np.diff(link.stamps_ns)))
+    found = resample(there, stamps, round(longest))
+    return transform(found.rotation, found.position), found.valid

@@ -1,0 +1,107 @@
+"""A node that no exception in a callback ends: it is logged once, counted, and reported."""
+
+from collections import Counter
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+import traceback
+from typing import Any
+
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+
+from ..core.parameters import short
+
+PACKAGE = Path(__file__).parents[1]
+NEGATIVE_TIME = 'negative time on /clock'
+
+
+class GuardedNode(Node):
+    """
+    A node whose callbacks may fail.
+
+    Attributes
+    ----------
+    failures : collections.Counter
+        How often which place in the code failed, and `NEGATIVE_TIME` came.
+
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        """Make the node; rclpy makes its first subscriptions here."""
+        self.failures: Counter[str] = Counter()
+        super().__init__(*arguments, **options)
+
+    def on_failure(self) -> None:
+        """Put the state right after a callback has failed; it may have stopped half-way."""
+
+    def note_failure(self, error: Exception) -> None:
+        """Count an exception, log it where it is new, and let the state start afresh."""
+        place = _place(error)
+        self.failures[place] += 1
+        if self.failures[place] == 1:
+            self.get_logger().error(
+                f'A callback failed at {place}: {type(error).__name__}: {short(str(error))}. The '
+                'node goes on; what fails there again is only counted. Please report it, with '
+                'the traceback that --log-level debug shows.')
+            self.get_logger().debug(''.join(traceback.format_exception(error)))
+        self.on_failure()
+
+    def guarded(
+        self, callback: Callable[..., Any], otherwise: Callable[[], Any] = lambda: None
+    ) -> Callable[..., Any]:
+        """Return a callback that notes its exceptions, and then returns something else."""
+        @wraps(callback)
+        def call(*arguments: Any) -> Any:
+            try:
+                return callback(*arguments)
+            except Exception as error:  # noqa: BLE001 (nothing may end the node)
+                self.note_failure(error)
+                return otherwise()
+
+        return call
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], *more: Any, **options: Any
+    ) -> Any:
+        """Subscribe with a callback that may fail; rclpy subscribes to the clock here, too."""
+        if msg_type is Clock:
+            callback = self._only_possible_times(callback)
+        return super().create_subscription(
+            msg_type, topic, self.guarded(callback), *more, **options)
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
+    ) -> Any:
+        """Serve with a callback that may fail, which answers with an empty response then."""
+        callback = self.guarded(callback, srv_type.Response)
+        return super().create_service(srv_type, srv_name, callback, **options)
+
+    def create_timer(
+        self, timer_period_sec: float, callback: Callable[[], Any], *more: Any, **options: Any
+    ) -> Any:
+        """Start a timer with a callback that may fail."""
+        return super().create_timer(
+            timer_period_sec, self.guarded(callback), *more, **options)
+
+    def _only_possible_times(self, callback: Callable[[Clock], Any]) -> Callable[[Clock], Any]:
+        """Return a callback that leaves out times before 1970, at which rclpy raises."""
+        def call(message: Clock) -> None:
+            if message.clock.sec >= 0:
+                callback(message)
+                return
+            self.failures[NEGATIVE_TIME] += 1
+            if self.failures[NEGATIVE_TIME] == 1:
+                self.get_logger().warning(
+                    f'A negative time on /clock was left out: {message.clock.sec} s. Further ones '
+                    'are only counted. Check what publishes /clock.')
+
+        return call
+
+
+def _place(error: Exception) -> str:
+    """Return the innermost file of this package, and the line, where an exception came up."""
+    frames = traceback.extract_tb(error.__traceback__)
+    ours = [frame for frame in frames if PACKAGE in Path(frame.filename).parents]
+    frame = (ours[1:] or frames)[-1]  # the first of ours is the guard itself
+    return f'{Path(frame.filename).name}:{frame.lineno}'

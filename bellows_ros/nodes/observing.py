@@ -1,0 +1,129 @@
+"""Measured poses of the package: heard, handed to the predictor, counted."""
+
+from collections import Counter
+from collections.abc import Mapping
+import time
+from typing import Any
+
+from geometry_msgs.msg import InertiaStamped, PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+import numpy as np
+
+from .conversions import quaternion_xyzw, stamp_to_ns, vector, write_payload
+from .outputs import Outputs, Topic
+from .tool_inputs import SensorInput
+from ..core.arrays import Array
+from ..core.live import LivePredictor
+from ..core.live.health import input_status, Level, Status
+from ..core.observer import Alarm, Observer, VERDICTS, warm_up_observer
+
+KINDS = {
+    'pose': PoseStamped, 'pose_with_covariance': PoseWithCovarianceStamped, 'odometry': Odometry,
+}
+"""By the name of the parameter measured.type."""
+
+SHOWN_NS = 5_000_000_000
+"""How long (ns) an alarm is shown in the diagnostics and as the state."""
+
+
+class Observing:
+    """
+    What the node hears of where the package has been seen.
+
+    Parameters
+    ----------
+    node : rclpy.lifecycle.LifecycleNode
+        Subscribes.
+    kind : str
+        Of `KINDS`.
+
+    """
+
+    def __init__(self, node: Any, kind: str) -> None:
+        """Listen; nothing changes before the first message."""
+        self._with_covariance = kind != 'pose'
+        self._live: LivePredictor | None = None
+        self._node, self._is_warm, self._said = node, False, 0
+        self._heard = SensorInput(
+            node, KINDS[kind], 'package/measured', self._on_measured, self._on_publishers)
+        self._estimated = Topic(node, InertiaStamped, 'package/estimated')
+
+    def set_values(
+        self, live: LivePredictor, outputs: Outputs, values: Mapping[str, Any]
+    ) -> None:
+        """Take the predictor, and other values; what was known of the package is lost."""
+        self._live, self._outputs, self._values = live, outputs, values
+        if live.observer is not None:
+            live.observe(Observer(values))
+            self._said = 0
+
+    def _on_publishers(self, count: int) -> None:
+        """Compile what is needed when somebody is there who may send."""
+        if count and self._live is not None and not self._is_warm:
+            self._is_warm = True
+            warm_up_observer(self._values, self._live.model)
+
+    def _on_measured(self, message: Any) -> None:
+        """Correct the prediction."""
+        live, header, arrival_ns = self._live, message.header, time.monotonic_ns()
+        if live is None or live.arrival_ns is None:
+            return
+        if live.observer is None:
+            live.observe(Observer(self._values))
+        stamp_ns = stamp_to_ns(header.stamp)
+        self._heard.note(arrival_ns, stamp_ns)
+        pose, covariance = message.pose, None
+        if self._with_covariance:
+            pose, covariance = pose.pose, _matrix(pose.covariance)
+        live.on_measured(
+            stamp_ns, header.frame_id, vector(pose.position), quaternion_xyzw(pose.orientation),
+            covariance)
+        self._outputs.model = live.model
+        self._say_alarms()
+        payload = live.observer and live.observer.payload
+        if payload and self._estimated.wanted:
+            message = InertiaStamped()
+            write_payload(message, self._values['frames.lip'], payload)
+            self._estimated.publish(message)
+
+    def _say_alarms(self) -> None:
+        """Log what was found to be wrong since the last call."""
+        alarms = self._live.observer.alarms if self._live and self._live.observer else []
+        for alarm in alarms[self._said:]:
+            self._node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.words}')
+        self._said = len(alarms)
+
+    @property
+    def alarm(self) -> Alarm | None:
+        """What was found to be wrong in the last moments, if anything."""
+        live = self._live
+        if live is None or live.observer is None or not live.observer.alarms:
+            return None
+        newest = live.observer.alarms[-1]
+        return newest if live.newest_ns - newest.stamp_ns < SHOWN_NS else None
+
+    def status(self, name: str) -> Status | None:
+        """Return the line of the diagnostics; None where nothing was ever heard."""
+        if self._live is None or self._live.observer is None:
+            return None
+        counts = self._live.observer.counts
+        status = input_status(
+            name, self._heard.seen({verdict: counts[verdict] for verdict in VERDICTS}))
+        more: dict[str, object] = {what: counts[what] for what in ('used', 'recovered')}
+        payload = self._live.observer.payload
+        if payload:
+            more |= {
+                'mass (kg)': f'{payload.mass:.4g} ± {payload.mass_std:.2g}',
+                **{f'com {axis} (mm)': f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
+                   for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True)},
+            }
+        more |= Counter(f'alarm: {alarm.cause}' for alarm in self._live.observer.alarms)
+        status = status._replace(values={
+            **status.values, **{key: str(value) for key, value in more.items()}})
+        return status._replace(level=Level.ERROR, message=self.alarm.words) if (
+            self.alarm) else status
+
+
+def _matrix(covariance: Any) -> Array:
+    """Return a covariance (6, 6) of a message."""
+    return np.reshape(np.asarray(covariance, dtype=np.float64), (6, 6))

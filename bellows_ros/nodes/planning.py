@@ -1,0 +1,281 @@
+"""Topics of plans: what a plan does to the package, before and while it is driven; steering."""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from functools import partial
+import sys
+import time
+from typing import Any
+
+from nav_msgs.msg import Odometry, Path
+import numpy as np
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from std_msgs.msg import Header
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from .conversions import stamp_to_ns, write_odometry
+from .outputs import Topic
+from .tool_inputs import OVERRIDABLE
+from ..core.arrays import Array
+from ..core.envelope import known_envelope
+from ..core.holding import grip_of
+from ..core.lie import quaternion_to_rotation, rotation_to_quaternion
+from ..core.linearisation import largest_step
+from ..core.live import LivePredictor, Prediction
+from ..core.live.ahead import Ahead, future
+from ..core.live.health import Level, number, Status
+from ..core.live.samples import ZERO
+from ..core.plan import COARSE, predict
+from ..core.plan import Prediction as Predicted
+from ..core.plan_points import plan_of
+from ..core.simulation import state_row
+from ..core.steering import steer
+from ..core.trajectory import NS_PER_S, Trajectory
+from ..errors import BellowsError
+from ..files.plan_messages import decode_multi_dof, encode_multi_dof, encode_path, PlanMessage
+from ..workflows.plan import in_axes, require_frame, safety_sentence
+
+LONGEST_REQUEST = 10.0
+"""So far ahead (s) package/predict_at may ask."""
+
+MOST_WAITING = 4
+"""Messages that wait to be answered; more are refused."""
+
+SWITCH = 2e-4
+"""The live prediction gets the interpreter back from an answer within this time (s)."""
+
+TAIL = 2.0
+"""How long (s) after the end of a plan the package is looked at."""
+
+UNKNOWN = 1e3
+"""Standard deviation (m, rad, m/s, rad/s) of an answer on package/predicted_at."""
+
+
+class Planning:
+    """
+    What the node publishes and hears of plans.
+
+    Answers are made in a thread beside the live prediction: the kernels let go of the interpreter,
+    and the rest gives it back soon.
+
+    Parameters
+    ----------
+    node : PredictorNode
+        Publishes, subscribes and logs.
+    now : callable
+        The newest prediction, or None.
+
+    Attributes
+    ----------
+    status : Status or None
+        The line of the diagnostics on the plan, once there was one.
+
+    """
+
+    def __init__(self, node: Any, now: Callable[[], Prediction | None]) -> None:
+        """Advertise and listen; messages with many points are taken and sent as bytes."""
+        self._node, self._now = node, now
+        self._plan_out = Topic(node, MultiDOFJointTrajectory, 'package/plan')
+        self._path_out = Topic(node, Path, 'package/plan_path')
+        self._steered = Topic(node, MultiDOFJointTrajectory, 'tool_arm/steered')
+        self._at = Topic(node, Odometry, 'package/predicted_at')
+        self._is_warm = False
+        self._pool = ThreadPoolExecutor(1, 'plans')
+        self._jobs: list[Future[None]] = []
+        sys.setswitchinterval(SWITCH)
+        events = SubscriptionEventCallbacks(matched=node.guarded(self._on_publishers))
+        for kind, topic, callback, raw in (
+                (MultiDOFJointTrajectory, 'tool_arm/plan', self._on_plan, True),
+                (MultiDOFJointTrajectory, 'tool_arm/steer', self._on_steer, True),
+                (Header, 'package/predict_at', self._on_request, False)):
+            node.create_subscription(
+                kind, topic, partial(self._submit, callback), QoSProfile(depth=10), raw=raw,
+                event_callbacks=events, qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
+        self.forget()
+
+    def _submit(self, work: Callable[..., None], *arguments: Any) -> None:
+        """Let something be done beside the live prediction; too much of it is refused."""
+        self._jobs = [job for job in self._jobs if not job.done()]
+        if len(self._jobs) < MOST_WAITING:
+            self._jobs.append(self._pool.submit(self._node.guarded(work), *arguments))
+            return
+        self._node.get_logger().warning(
+            'Plans come faster than they can be answered, and some are left out. Send fewer.',
+            throttle_duration_sec=1.0)
+
+    def forget(self) -> None:
+        """Drop the plan; what is being answered is waited for."""
+        wait(self._jobs)
+        self._ahead: Ahead | None = None
+        self.status: Status | None = None
+        self._predicted_ns = 0
+
+    def set_model(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
+        """Go on with other values."""
+        self._live, self._values = live, values
+        self._coarse = COARSE * largest_step(live.model)
+        self._period_ns = round(0.9e9 / values['plan.rate'])  # ticks are not exact
+
+    def _on_publishers(self, matched: Any) -> None:
+        """Compile what is needed when somebody is there who may send a plan."""
+        if matched.current_count and not self._is_warm:
+            self._submit(self._warm_up)
+
+    def _warm_up(self) -> None:
+        """Answer a plan that is none."""
+        still = Trajectory(
+            np.arange(9) * 50_000_000, np.zeros((9, 3)), np.tile(np.eye(3), (9, 1, 1)),
+            np.zeros((9, 6)))
+        predict(self._live.model, grip_of(self._values), still, tail=0.1)
+        steer(self._live.model, still, self._values['steer.method'])
+        self._is_warm = True
+
+    def future(self, now: Prediction, duration: float) -> Trajectory:
+        """Return the tool going on for a time (s), by its plan or steadily."""
+        return future(self._ahead, now, duration)
+
+    # --------------------------------------------------------------- messages
+
+    def _read(self, data: bytes) -> tuple[PlanMessage, Trajectory]:
+        """Return a plan as it came, and checked."""
+        message = decode_multi_dof(data)
+        require_frame(message.frame_id, self._values)
+        frame = self._live.frame_id
+        if frame and message.frame_id not in ('', frame):
+            raise BellowsError(
+                f"The plan is in frame '{message.frame_id}'; expected '{frame}', that of the "
+                "tool's poses. Transform it before.")
+        return message, plan_of(
+            message.times_ns, message.poses[:, :3], message.poses[:, 3:], message.twists,
+            message.accelerations, self._values['tool_twist.frame'])
+
+    def _on_plan(self, data: bytes) -> None:
+        """Say what a plan does to the package, and follow it from now on."""
+        try:
+            message, tool = self._read(data)
+            self._ahead = Ahead(tool, message.stamp_ns)
+            now = self._now()
+            if now is not None:
+                self._ahead.follow(now)
+            if now is None or self._ahead.off:
+                self._answer(predict(self._live.model, grip_of(self._values), tool, tail=TAIL),
+                             message.stamp_ns)
+            else:
+                self._answer(predict(
+                    self._live.model, grip_of(self._values), self._ahead.rest(now, 0.0),
+                    now.body, TAIL), now.stamp_ns)
+        except BellowsError as error:
+            self._refuse('plan', error)
+            return
+        if self.status is not None and self.status.level > Level.OK:
+            self._node.get_logger().warning(f'Plan: {self.status.message}')
+
+    def _refuse(self, what: str, error: BellowsError) -> None:
+        """Say why a message is of no use; the prediction goes on."""
+        self._ahead = self._ahead if what != 'plan' else None
+        self.status = Status('plan', Level.WARN, f'The last {what} was refused. {error}', {})
+        self._node.get_logger().warning(f'A {what} was refused. {error}')
+
+    def follow(self) -> None:
+        """Predict the rest of the plan from where tool and package are, as often as asked for."""
+        ahead, now = self._ahead, self._now()
+        monotonic_ns = time.monotonic_ns()
+        if ahead is None or now is None or monotonic_ns - self._predicted_ns < self._period_ns:
+            return
+        if any(not job.done() for job in self._jobs):
+            return
+        self._predicted_ns = monotonic_ns
+        ahead.follow(now)
+        if ahead.done:
+            self._ahead = None
+        elif ahead.progress > 0.0 and not ahead.off:
+            self._submit(self._predict_rest, ahead, now)
+
+    def _predict_rest(self, ahead: Ahead, now: Prediction) -> None:
+        """Predict what is left of a plan from a live state."""
+        try:
+            self._answer(predict(
+                self._live.model, grip_of(self._values), ahead.rest(now), now.body, 0.0,
+                self._coarse), now.stamp_ns)
+        except BellowsError as error:
+            self._refuse('plan', error)
+
+    def _answer(self, found: Predicted, stamp_ns: int) -> None:
+        """Publish the package along a plan, and keep what there is to say of it."""
+        self.status = self._summary(found)
+        frame = self._live.frame_id
+        times = found.tool.stamps_ns - found.tool.stamps_ns[0]
+        if self._plan_out.wanted:
+            twists = in_axes(quaternion_to_rotation(found.states[:, 3:7]), found.states[:, 7:],
+                             self._values['tool_twist.frame'])
+            self._plan_out.publish(encode_multi_dof(PlanMessage(
+                stamp_ns, frame, (self._values['frames.package'],), times, found.states[:, :7],
+                twists)))
+        if self._path_out.wanted:
+            self._path_out.publish(encode_path(stamp_ns, frame, times, found.states[:, :7]))
+
+    def _summary(self, found: Predicted) -> Status:
+        """Return the line of the diagnostics."""
+        words = []
+        if found.grip_known:
+            words.append(safety_sentence(
+                *found.smallest_safety, 0.0, self._values['safety.least']))
+        outside = found.outside(known_envelope(self._values), self._values['package.mass'])
+        if outside:
+            words.append(f'Outside of what the fit has seen: {"; ".join(outside)}.')
+        said = ' '.join(word for word in words if word)
+        lost = found.grip_known and found.smallest_safety[0] < 1.0
+        level = Level.ERROR if lost else Level.WARN if said else Level.OK
+        seconds = float(found.tool.seconds[-1])
+        values = {'left (s)': number(seconds)} | {
+            name: number(value) for name, value in found.figures().items()}
+        return Status('plan', level, said or 'Nothing speaks against the plan.', values)
+
+    def _on_request(self, request: Header) -> None:
+        """Say where the package will be at a stamp, the tool going on as planned or steadily."""
+        now = self._now()
+        if now is None:
+            return
+        duration = (stamp_to_ns(request.stamp) - now.stamp_ns) / NS_PER_S
+        try:
+            if not 0.0 < duration <= LONGEST_REQUEST:
+                raise BellowsError(
+                    f'Its stamp is {duration:.6g} s after the newest pose of the tool; expected '
+                    f'above 0 and up to {LONGEST_REQUEST:g} s.')
+            if self._ahead is not None:
+                self._ahead.follow(now)
+            states = predict(
+                self._live.model, None, self.future(now, duration), now.body, 0.0).states
+        except BellowsError as error:
+            self._node.get_logger().warning(
+                f'A request on package/predict_at was refused. {error}',
+                throttle_duration_sec=1.0)
+            return
+        message = Odometry()
+        later = Prediction(
+            stamp_to_ns(request.stamp), *state_row(*np.split(states[-1], [3, 7])), ZERO, ZERO)
+        write_odometry(message, self._live.frame_id, self._values['frames.package'], later,
+                       UNKNOWN * np.eye(12))
+        self._at.publish(message)
+
+    def _on_steer(self, data: bytes) -> None:
+        """Answer a motion with one that leaves the package without swing."""
+        try:
+            message, plan = self._read(data)
+            of_package = message.names[:1] == (self._values['frames.package'],)
+            found = steer(self._live.model, plan, self._values['steer.method'], of_package)
+        except BellowsError as error:
+            self._refuse('motion to be steered', error)
+            return
+        self._steered.publish(encode_multi_dof(PlanMessage(
+            message.stamp_ns, message.frame_id, ('tool',),
+            found.tool.stamps_ns - found.tool.stamps_ns[0], _poses(found.tool),
+            in_axes(found.tool.rotation, np.asarray(found.tool.twist),
+                    self._values['tool_twist.frame']))))
+
+
+def _poses(motion: Trajectory) -> Array:
+    """Return positions and quaternions (N, 7)."""
+    return np.hstack([motion.position, rotation_to_quaternion(motion.rotation)])

@@ -1,0 +1,117 @@
+"""Topics of the toss: where the package would land, when to release it, and the valve."""
+
+from collections.abc import Callable, Mapping
+import time
+from typing import Any
+
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped
+import numpy as np
+from rclpy.node import Node
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from std_msgs.msg import Bool, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from .conversions import write_quaternion, write_stamp, write_vector
+from .markers import NAMESPACE
+from .outputs import Topic
+from .tool_inputs import OVERRIDABLE
+from ..core.arrays import Array
+from ..core.kernels import ModelTuple
+from ..core.landing import ellipse
+from ..core.live import Prediction
+from ..core.live.flight import Flight, Future, Landing
+from ..core.live.samples import ORIGIN, ZERO
+
+AIM_PERIOD_NS = 200_000_000
+"""Time (ns) between two answers on release/at."""
+BLUE = (0.36, 0.29, 0.62, 0.9)
+
+
+class Tossing:
+    """
+    What the node publishes and hears of a toss.
+
+    Parameters
+    ----------
+    node : rclpy.lifecycle.LifecycleNode
+        Publishes and subscribes.
+    on_valve : callable
+        Takes whether the valve is on.
+    future : callable
+        The tool's motion after a prediction; see `Flight`.
+
+    Attributes
+    ----------
+    flight : Flight
+        Follows the package after the valve.
+
+    """
+
+    def __init__(self, node: Node, on_valve: Callable[[bool], None], future: Future) -> None:
+        """Advertise, and listen to the valve."""
+        self._future = future
+        self._landing = Topic(node, PoseWithCovarianceStamped, 'package/landing')
+        self._at = Topic(node, Header, 'release/at')
+        self._picture = Topic(node, MarkerArray, 'package/landing_markers')
+        node.create_subscription(
+            Bool, 'vacuum/valve', lambda m: on_valve(m.data), 10,  # type: ignore[attr-defined]
+            qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
+        self._landed_ns = self._aimed_ns = 0
+
+    def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
+        """Go on with other values; compile what a landing needs."""
+        self.flight = Flight(values, self._future)
+        self._period_ns = round(0.9e9 / values['landing.rate'])  # ticks are not exact
+        if self.flight.known:
+            still = Prediction(1, *ORIGIN, ZERO, ZERO)
+            self.flight.landing(model, still, np.zeros((12, 12)))
+
+    def publish(
+        self, model: ModelTuple, prediction: Prediction, frame_id: str,
+        covariance: Callable[[Prediction], Array],
+    ) -> None:
+        """Say where the package would land, and when to release it, as often as is wanted."""
+        now_ns = time.monotonic_ns()
+        wanted = self._landing.wanted or self._picture.wanted
+        if wanted and now_ns - self._landed_ns >= self._period_ns:
+            self._landed_ns = now_ns
+            found = self.flight.landing(model, prediction, covariance(prediction))
+            if found is not None:
+                self._landing.publish(_message(found, prediction.stamp_ns, frame_id))
+                if self._picture.wanted:
+                    self._picture.publish(_picture(found, prediction.stamp_ns, frame_id))
+        if self._at.wanted and now_ns - self._aimed_ns >= AIM_PERIOD_NS:
+            self._aimed_ns = now_ns
+            after = self.flight.time_to_target(model, prediction)
+            if after is not None:
+                message = Header(frame_id=frame_id)
+                write_stamp(message.stamp, prediction.stamp_ns + round(after * 1e9))
+                self._at.publish(message)
+
+
+def _message(found: Landing, stamp_ns: int, frame_id: str) -> PoseWithCovarianceStamped:
+    """Return the pose of B at landing, stamped as the prediction that it was made from."""
+    message = PoseWithCovarianceStamped()
+    message.header.frame_id = frame_id
+    write_stamp(message.header.stamp, stamp_ns)
+    write_vector(message.pose.pose.position, found.toss.landing[0])
+    write_quaternion(message.pose.pose.orientation, found.toss.landing[1])
+    message.pose.covariance = found.covariance.ravel()
+    return message
+
+
+def _picture(found: Landing, stamp_ns: int, frame_id: str) -> MarkerArray:
+    """Return the path of the flight, and the 95 % ellipse about its end."""
+    ring = np.zeros((33, 3)) + found.toss.landing[0]
+    ring[:, :2] += ellipse(found.covariance, 33)
+    markers = []
+    for number, points in enumerate((found.path[:, :3], ring)):
+        marker = Marker(ns=f'{NAMESPACE}_landing', id=number, type=Marker.LINE_STRIP)
+        marker.header.frame_id = frame_id
+        write_stamp(marker.header.stamp, stamp_ns)
+        marker.scale.x, marker.pose.orientation.w = 0.005, 1.0
+        marker.color.r, marker.color.g, marker.color.b, marker.color.a = BLUE
+        marker.lifetime.nanosec = 500_000_000
+        marker.points = [Point(x=x, y=y, z=z) for x, y, z in points.tolist()]
+        markers.append(marker)
+    return MarkerArray(markers=markers)

@@ -1,0 +1,44 @@
+"""What measured poses of the package add to the live prediction."""
+
+from bellows_ros.core.score import AXES, Comparison
+from bellows_ros.workflows.observe import Observed
+
+from .page import figures, paragraph, table, warnings
+from .svg import Curve, line_chart
+
+MILLI = 1e3
+KINDS = ('predicted', 'quiet', 'error')
+
+
+def observed_content(found: Observed) -> list[str]:
+    """Return table and figures of the errors of prediction and camera, each alone and both."""
+    used = ', '.join(f'{count} {what}' for what, count in found.counts.items())
+    rows = [
+        (f'{name} ({_unit(i)})', *(f'{MILLI * w.scores.rms[i]:.3g}' for w in found.ways.values()))
+        for i, name in enumerate(AXES)
+    ]
+    start_ns = found.camera.stamps_ns[0]
+
+    def curve(name: str, way: Comparison, kind: str, axis: int) -> Curve:
+        seconds = (way.stamps_ns - start_ns) * 1e-9
+        return Curve(seconds, MILLI * way.error[:, axis], kind, name)
+
+    return [
+        paragraph(
+            'RMS error of what is known at each instant from what came before it: predicted from '
+            'the tool alone, the newest measured pose alone, and predicted and corrected. '
+            f'Measured poses: {used}.'),
+        warnings([f'Alarm at {line}' for line in found.alarm_lines]),
+        table(('axis', *found.ways), rows),
+        figures([('', line_chart(
+            [curve(name, way, kind, i) for (name, way), kind in zip(
+                found.ways.items(), KINDS, strict=True)],
+            'time (s)', f'error of {AXES[i]} ({_unit(i)})',
+            description=f'Error of {AXES[i]} over time: {", ".join(found.ways)}',
+        )) for i in range(6)]),
+    ]
+
+
+def _unit(axis: int) -> str:
+    """Return the unit of an axis."""
+    return 'mm' if axis < 3 else 'mrad'

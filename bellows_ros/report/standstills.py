@@ -1,0 +1,54 @@
+"""What standstills have added to a fit, and how the structures of K and P compare."""
+
+from collections.abc import Mapping
+import math
+from typing import Any
+
+from .page import bullets, table
+
+
+def standstill_content(content: Mapping[str, Any]) -> list[str]:
+    """Return the standstills of a result, the nominal length, and what they have narrowed."""
+    found, added = content['static'], content['with_standstills']
+    rows = [
+        (recording['bag'], f'{recording["package"]["mass"]:.4g} kg', f'{still["duration"]:.1f} s',
+         f'{math.degrees(still["tilt"]):.1f} deg', f'{-1e3 * still["lip"][2]:.3f} mm')
+        for recording in found['recordings'] for still in recording['standstills']
+    ]
+    length = found['nominal_length']
+    facts = [
+        f'Nominal length {length["words"]}.'
+        if length else f'No nominal length: {found["no_nominal_length"]}'
+    ]
+    if added:
+        facts.append(
+            f'{added["standstills"]} standstills count in the fit; chi² per degree of freedom '
+            f'{added["chi2"]:.3g}.')
+        facts += [
+            f'{label}: standard error {100.0 * part:.0f} % of that without them.'
+            for label, part in added['narrowed'].items() if part < NARROWED
+        ]
+    return [table(('recording', 'mass', 'duration', 'tilt', 'length'), rows), bullets(facts)]
+
+
+NARROWED = 0.95
+"""A standard error above this part of that without the standstills is not mentioned."""
+
+
+def selection_content(selection: Mapping[str, Any]) -> list[str]:
+    """Return how the structures compare, and the advice."""
+    rows = [
+        (
+            candidate['structure'],
+            str(candidate['parameters']),
+            f'+{candidate["aic"]:.1f}',
+            f'+{candidate["bic"]:.1f}',
+            '-' if candidate['held_out'] is None else f'{100.0 * candidate["held_out"]:.2f} %',
+            'yes' if candidate['usable'] else 'no',
+        )
+        for candidate in selection['candidates']
+    ]
+    return [
+        table(('structure', 'parameters', 'AIC', 'BIC', 'held-out error', 'usable'), rows),
+        bullets(selection['advice']),
+    ]

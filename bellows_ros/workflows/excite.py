@@ -1,0 +1,269 @@
+"""A motion for an arm that tells a cup best: design it, say what it tells, write it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+import os
+from pathlib import Path
+from typing import Any
+
+from bellows_ros import __version__
+from bellows_ros.core.arm_limits import limits_from
+from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.commissioning import everyday, standstills
+from bellows_ros.core.excitation import cups_near, Design, design
+from bellows_ros.core.gravity import gravity_of
+from bellows_ros.core.holding import grip_of
+from bellows_ros.core.identification.fisher import (
+    motion_information,
+    standard_errors,
+    Tracking,
+)
+from bellows_ros.core.lie import log_so3, rotation_to_quaternion
+from bellows_ros.core.model import cup_of, model_tuple, package_of
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.structure import Structure, structure_named
+from bellows_ros.core.synthetic.motion import Motion
+from bellows_ros.core.synthetic.sensing import sensor_from
+from bellows_ros.core.synthetic.settings import Settings
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.atomic import new_folder
+from bellows_ros.files.bag_writer import Encoded, write_bag
+from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, PlanMessage
+from bellows_ros.files.plans import arm_of
+from bellows_ros.files.provenance import provenance
+from bellows_ros.files.trajectory_files import write_euroc, write_urscript
+from bellows_ros.workflows.plan import read_plan
+import numpy as np
+
+Progress = Callable[[str, float], None]
+
+POINT_RATE, UR_RATE = 1000.0, 125.0
+"""Points per second in a recording and in CSV, and in a URScript program, Hz."""
+
+SHORTEST, LONGEST = 5.0, 120.0
+"""Times of a motion, s."""
+
+STANDSTILLS, EXCITATION, VALIDATION = '1_standstills', '2_excitation', '3_validation'
+"""Names of the recordings of a series, in their order."""
+
+NO_GRIP = (
+    'Nothing is said of the safety factor of the grip, which does not limit this motion: set '
+    'cup.lip_radius and vacuum.holding.')
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """
+    A designed motion and what it is expected to tell.
+
+    Parameters
+    ----------
+    design : Design
+        The motion, its parts of the limits, its information.
+    structure : Structure
+        Which entries of K and P are free.
+    guess : array (2 n,)
+        Their values in the guess.
+    beside : mapping of str to array (2 n,)
+        Standard errors that other motions of the same time would give, by their names.
+    series : mapping of str to (Motion, array (2 n,))
+        What else to record, by names in their order, and the standard errors it would give alone.
+    grip_known : bool
+        Whether the safety factor of the grip was a limit.
+    values : mapping
+        All parameters.
+
+    """
+
+    design: Design
+    structure: Structure
+    guess: Array
+    beside: Mapping[str, Array]
+    series: Mapping[str, tuple[Motion, Array]]
+    grip_known: bool
+    values: Mapping[str, Any]
+
+    @property
+    def errors(self) -> Array:
+        """What to expect as standard error of each entry, (2 n,)."""
+        return standard_errors(self.design.information)
+
+    @property
+    def units(self) -> list[str]:
+        """Return the unit of every entry."""
+        kinds = [('N/m', 'N', 'N m/rad')[(i > 2) + (j > 2)] for i, j in self.structure.leads]
+        return [*kinds, *({'N/m': 'N s/m', 'N': 'N s', 'N m/rad': 'N m s/rad'}[k] for k in kinds)]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return what somebody should know before the motion."""
+        return () if self.grip_known else (NO_GRIP,)
+
+    def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
+        """Return the content of the JSON file, SI units."""
+        rows = zip(self.structure.labels, self.units, self.guess, self.errors, strict=True)
+        return {
+            'duration_s': self.design.motion.duration,
+            'structure': self.structure.name,
+            'entries': [
+                {'name': name, 'unit': unit, 'guess': float(value), 'expected_std': float(std),
+                 'beside': {other: float(errors[i]) for other, errors in self.beside.items()}}
+                for i, (name, unit, value, std) in enumerate(rows)],
+            'parts_of_limits': dict(self.design.ratios),
+            'series': {name: {'duration_s': motion.duration, 'expected_std': errors.tolist()}
+                       for name, (motion, errors) in self.series.items()},
+            'limited_by': dict(self.design.shares),
+            'warnings': list(self.warnings),
+            'version': __version__, 'provenance': provenance([], parameter_files),
+        }
+
+
+def excite(
+    settings: Mapping[str, object], limits: Mapping[str, Any], duration: float,
+    urdf: str = '', beside: Sequence[str | os.PathLike[str]] = (), seed: int = 0,
+    progress: Progress | None = None, with_series: bool = False,
+) -> Excitation:
+    """
+    Design a motion that tells K and P.
+
+    Parameters
+    ----------
+    settings : mapping
+        Parameters by name: the cup as it is guessed, the package, fit.structure, safety.least.
+    limits : mapping
+        Content of a limits file; config/limits_example.yaml explains it.
+    duration : float
+        Of rest and motion, s.
+    urdf : str
+        File with the arm, whose joints are limited, too.
+    beside : sequence of path
+        Other plans, whose standard errors are wanted for comparison.
+    seed : int
+        Of the shape from which the search begins.
+    progress : callable, optional
+        Called with what is being done and the part (0 to 1) that is done.
+    with_series : bool
+        Whether standstills and a motion for validation are wanted, too.
+
+    Raises
+    ------
+    BellowsError
+        If something is missing or not allowed, or no motion is within the limits.
+
+    """
+    if not SHORTEST <= duration <= LONGEST:
+        raise BellowsError(
+            f'A motion of {duration:g} s is wanted; expected {SHORTEST:g} to {LONGEST:g} s.')
+    tell = progress or (lambda what, part: None)
+    values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
+    arm = arm_of(urdf, values['tool_link']) if urdf else None
+    bounds, block = limits_from(limits, float(values['safety.least']), arm)
+    tracking = tracking_from(block)
+    structure = structure_named(values['fit.structure'])
+    cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
+    grip, models = grip_of(values), [
+        model_tuple(each, package, gravity) for each in cups_near(cup)]
+
+    def errors_of(tool: Trajectory) -> Array:
+        return standard_errors(motion_information(models[0], tool, tracking, structure))
+
+    period = tracking.package_period
+    others = {os.fspath(path): errors_of(sampled(
+        read_plan(path, values, urdf).tool, period, duration)) for path in beside}
+    found = design(
+        cup, package, gravity, grip, structure, bounds, tracking, duration, seed, tell)
+    guess = structure.parameters(cup.stiffness, cup.damping)
+    more: dict[str, Motion] = {
+        STANDSTILLS: standstills(bounds, models, grip), EXCITATION: found.motion,
+        VALIDATION: everyday(bounds, models, grip, duration, seed),
+    } if with_series else {}
+    series = {name: (motion, errors_of(motion.at_rate(1.0 / period)))
+              for name, motion in more.items()}
+    return Excitation(found, structure, guess, others, series, grip is not None, values)
+
+
+def tracking_from(settings: Settings) -> Tracking:
+    """
+    Return how tool and package are tracked, of blocks as in a motion file.
+
+    Raises
+    ------
+    BellowsError
+        If rate or noise of one is missing.
+
+    """
+    found: list[Any] = []
+    for name in ('tool', 'package'):
+        sensor = sensor_from(settings.block(name))
+        if min(sensor.position_noise, sensor.rotation_noise) <= 0.0:
+            raise BellowsError(
+                f"Setting '{settings.name(name)}.noise' must have position (m) and rotation (rad) "
+                "above 0: the expected errors depend on them. 'bellows info' says that of a "
+                'recording.')
+        found += [1.0 / sensor.rate_hz, Noise(sensor.position_noise, sensor.rotation_noise)]
+    settings.done()
+    return Tracking(*found)
+
+
+def sampled(tool: Trajectory, period: float, duration: float) -> Trajectory:
+    """Return a motion at equal steps (s), for no longer than a duration (s)."""
+    count = int(min(duration, float(tool.seconds[-1])) / period)
+    stamps = tool.stamps_ns[0] + np.round(np.arange(count) * period * NS_PER_S).astype(np.int64)
+    return resample(tool, stamps)
+
+
+def write_motion(
+    path: str | os.PathLike[str], found: Excitation, csv: str = '', urscript: str = '',
+    replace: bool = False,
+) -> None:
+    """
+    Write the motion as a recording with a plan, and as CSV and URScript where wanted.
+
+    Of a series, the path is a folder in which each motion has a recording by its name.
+
+    Raises
+    ------
+    BellowsError
+        If something is in the way, or cannot be written.
+
+    """
+    frame = str(found.values['plan.frame']) or 'world'
+    axes = str(found.values['tool_twist.frame'])
+    motion = found.design.motion
+    if csv:
+        times, rows, _ = _points(motion, axes)
+        write_euroc(csv, times, rows)
+    if urscript:
+        slow = motion.at_rate(UR_RATE)
+        write_urscript(Path(urscript), slow.seconds, slow.position, log_so3(slow.rotation), frame)
+    if not found.series:
+        _write_plan(path, motion, frame, axes, replace)
+        return
+    with new_folder(path) as folder:
+        folder.mkdir()
+        for name, (each, _) in found.series.items():
+            _write_plan(folder / name, each, frame, axes, False)
+
+
+def _write_plan(
+    path: str | os.PathLike[str], motion: Motion, frame: str, axes: str, replace: bool
+) -> None:
+    """Write a recording with a plan."""
+    times, rows, first = _points(motion, axes)
+    plan = PlanMessage(0, frame, ('tool',), times, rows[:, :7], rows[:, 7:])
+    write_bag(path, [Encoded('/tool_arm/plan', MULTI_DOF, first, [encode_multi_dof(plan)])],
+              replace=replace)
+
+
+def _points(motion: Motion, axes: str) -> tuple[Stamps, Array, Stamps]:
+    """Return times (N,) in ns, rows (N, 13) of poses and twists, and the first stamp (1,)."""
+    tool = motion.at_rate(POINT_RATE)
+    twist = np.array(tool.twist).reshape(-1, 2, 3)
+    if axes == 'world':
+        twist = np.einsum('nij,nkj->nki', tool.rotation, twist)
+    return tool.stamps_ns - tool.stamps_ns[0], np.hstack([
+        tool.position, rotation_to_quaternion(tool.rotation), twist.reshape(-1, 6),
+    ]), tool.stamps_ns[:1]

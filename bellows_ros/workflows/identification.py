@@ -1,0 +1,309 @@
+"""An identified cup with all that is known about it: in sentences, for its file, and as JSON."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+import os
+from typing import Any, TYPE_CHECKING
+
+from bellows_ros import __version__
+from bellows_ros.core.envelope import Envelope, joined_envelopes
+from bellows_ros.core.identification.advice.excitation import Excitation
+from bellows_ros.core.identification.equations.validity_range import with_standstills
+from bellows_ros.core.identification.reduction import Reduced
+from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.model import Package
+from bellows_ros.core.parameters import pose_text
+from bellows_ros.core.recording.recording import Recording, TimeOffset
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import write_parameters
+from bellows_ros.files.provenance import versions
+from bellows_ros.files.results import write_result
+from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
+from bellows_ros.workflows.result_json import (
+    consistency_json,
+    excitation_json,
+    fit_json,
+    selection_json,
+)
+import numpy as np
+
+if TYPE_CHECKING:  # what a plain identification does without
+    from bellows_ros.core.identification.advice.structure_selection import StructureSelection
+    from bellows_ros.core.identification.validation.consistency import Consistency
+    from bellows_ros.workflows.replay import Replay
+    from bellows_ros.workflows.static import StaticResult
+    from bellows_ros.workflows.typical import Typical
+    from bellows_ros.workflows.verdict import Verdict
+
+NOT_OF_THE_CUP = (
+    'bags', 'package.files', 'static.bags', 'static.files', 'static.length', 'validation.bags',
+    'output.parameters', 'output.json', 'output.report', 'predictor', 'exit_when_done',
+)
+"""Parameters that belong to one run and not into the file of the cup."""
+
+NO_CUP = 'This is no cup that can hold a package: the warnings say why.'
+"""Why a fit is refused that no predictor can take."""
+
+UNKNOWN_STD = 1e9
+"""Stands in parameter files for the standard error of an entry of which nothing is known."""
+
+NARROWED = 0.95
+"""A standard error above this part of what it was is not worth a word."""
+
+SHOWN = 6
+"""Parameters that a sentence names."""
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """
+    An identified cup.
+
+    Parameters
+    ----------
+    fit : Fit
+        K and P with their uncertainty.
+    excitation : Excitation
+        What is identifiable from the recordings.
+    values : mapping
+        All parameters of the run, as they were given.
+    parts : tuple of Reduced
+        The recordings that were used.
+    recordings : tuple of Recording
+        These recordings themselves, where something needed them.
+    consistency : Consistency or None
+        Whether the recordings are of one cup, where that was asked for.
+    static : StaticResult or None
+        The recordings of standstills, where there are any.
+    selection : StructureSelection or None
+        The structures of K and P compared, where that was asked for.
+    validations : tuple of Replay
+        Recordings that the fit has not seen, simulated with its cup.
+    verdict : Verdict or None
+        What the cup is worth, and whether what was given is right; None where no recording itself
+        was at hand.
+    failed : tuple of Failed
+        Recordings that were left out.
+    assumed : tuple of str
+        What was not given and taken from the thesis, in sentences.
+    parameter_files : tuple of mapping
+        Path and digests of files that the parameters are from.
+    typical : Typical or None
+        The accuracy along the user's own motion, where one was given.
+
+    """
+
+    fit: Fit
+    excitation: Excitation
+    values: Mapping[str, Any]
+    parts: tuple[Reduced, ...]
+    recordings: tuple[Recording, ...] = ()
+    consistency: 'Consistency | None' = None
+    static: 'StaticResult | None' = None
+    selection: 'StructureSelection | None' = None
+    validations: tuple['Replay', ...] = ()
+    verdict: 'Verdict | None' = None
+    failed: tuple[Failed, ...] = ()
+    assumed: tuple[str, ...] = ()
+    parameter_files: tuple[Mapping[str, Any], ...] = ()
+    typical: 'Typical | None' = None
+
+    @property
+    def bags(self) -> tuple[str, ...]:
+        """The recordings that were used."""
+        return tuple(part.name for part in self.parts)
+
+    @property
+    def cup_length(self) -> float:
+        """Nominal length that belongs to the fit, m: the given one, or the one that was found."""
+        found = self.fit.standstills
+        return found.length if found else self.parts[0].statistics.cup_length
+
+    @cached_property
+    def envelope(self) -> Envelope:
+        """The validity range of the fit."""
+        moving = joined_envelopes([part.envelope for part in self.parts])
+        if self.static is None:
+            return moving
+        return with_standstills(moving, self.static.standstills, self.cup_length)
+
+    def cup_values(self) -> dict[str, Any]:
+        """Return the parameters of the run with the cup in them."""
+        return {
+            **self.values,
+            **self._world(),
+            'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
+            'cup.damping': tuple(self.fit.damping.ravel().tolist()),
+            'cup.length': self.cup_length,
+        }
+
+    def _world(self) -> dict[str, Any]:
+        """Return the transform between the worlds as it was found best, where it was."""
+        found = [part.package_world for part in self.parts if part.package_world]
+        if not found:
+            return {}
+        best = min(found, key=lambda world: float(np.sum(world.std)))
+        return {'recording.package_world': pose_text(best.pose)}
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the parameters of the cup file: those of the run with the cup in them."""
+        kept = {name: v for name, v in self.cup_values().items() if name not in NOT_OF_THE_CUP}
+        errors = {
+            f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
+            for name in ('stiffness_std', 'damping_std')
+        }
+        return {**kept, **errors, **self.envelope.parameters()}
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What was found beside the cup, in sentences."""
+        lines = list(self.verdict.sentences if self.verdict else ())
+        lines += [text for part in self.parts
+                  for text in world_sentence(part.name, part.package_world)]
+        lines += self._offset_sentences()
+        lines += _standstill_sentences(self)
+        if self.static is not None and self.static.spring is not None:
+            lines.append(self.static.spring.sentence)
+        if self.consistency is not None and not self.consistency.differs:
+            lines.append(self.consistency.verdict)
+        if self.selection is not None:
+            lines += self.selection.advice
+        for replayed in self.validations:
+            lines += [*offset_sentence(replayed.bag, replayed.time_offset), replayed.sentence]
+        return tuple(lines)
+
+    def _offset_sentences(self) -> Iterator[str]:
+        """Yield sentences about the clocks of the recordings."""
+        offsets = map(TimeOffset, self.fit.delays, self.fit.delays_std)
+        for bag, offset in zip(self.bags, offsets, strict=False):
+            yield from offset_sentence(bag, offset)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user must know: of what was given, the fit, the recordings, validations."""
+        one_cup, static = self.consistency, self.static
+        return (
+            *(f"Recording '{f.bag}' was left out: {f.reason}" for f in self.failed),
+            *self.assumed,
+            *self.fit.warnings,
+            *self.excitation.warnings,
+            *((one_cup.verdict,) if one_cup and one_cup.differs else ()),
+            *(static.warnings if static else ()),
+            *(text for part in self.parts for text in part.report['warnings']),
+            *(f'{v.bag}: {text}' for v in self.validations for text in v.warnings),
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of the JSON file."""
+        read: list[Reduced | Recording] = [
+            *self.parts, *(self.static.recordings if self.static else ())]
+        return {
+            **fit_json(self.fit),
+            'typical': self.typical and self.typical.as_json(),
+            'warnings': self.warnings,
+            'findings': self.findings,
+            'cup_length': self.cup_length,
+            'usable': not self.refusals,
+            'refusals': self.refusals,
+            'verdict': self.verdict and self.verdict.as_json(),
+            'recordings': [part.report for part in self.parts],
+            'static': self.static and self.static.as_json(),
+            'one_cup': self.consistency and consistency_json(self.consistency),
+            'excitation': excitation_json(self.excitation),
+            'structures': self.selection and selection_json(self.selection),
+            'validations': [replayed.as_json() for replayed in self.validations],
+            'envelope': self.envelope.as_json(),
+            'settings': dict(self.values),
+            'provenance': {
+                'recordings': [{'path': r.name, 'files': r.files} for r in read],
+                'parameter_files': self.parameter_files,
+                'versions': versions(),
+            },
+            'failed': [{'bag': f.bag, 'error': f.reason} for f in self.failed],
+            'version': __version__,
+        }
+
+    @property
+    def refusals(self) -> tuple[str, ...]:
+        """Why the cup is refused; none where it is not."""
+        doubts = self.verdict.refusals if self.verdict else ()
+        return doubts if self.fit.usable else (*doubts, NO_CUP)
+
+    def require_usable(self, force: bool = False) -> None:
+        """Raise BellowsError if the cup is refused; with force, if no predictor can take it."""
+        if self.refusals and not (force and self.fit.usable):
+            causes = self.verdict.sentences[:1] if self.verdict else ()
+            more = () if self.fit.usable else (*self.assumed, *self.fit.warnings)
+            raise BellowsError(' '.join([*causes, *self.refusals, *more]))
+
+    def header(self) -> list[str]:
+        """Return the lines at the top of the cup file: where its numbers come from."""
+        fit = self.fit
+        return [
+            f'Identified by bellows_ros {__version__} from {", ".join(self.bags)}',
+            f'{fit.method}, {fit.structure}; {fit.samples_used} samples used, '
+            f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
+            *self._offset_sentences(),
+            *(f'REFUSED, and written by force: {reason}' for reason in self.refusals),
+        ]
+
+
+def names_of(bags: Sequence[str], payload: Iterable[Package]) -> list[str]:
+    """Return the names of recordings, with masses where these differ."""
+    masses = [package.mass for package in payload]
+    if len(set(masses)) == 1:
+        return list(bags)
+    return [f'{bag} ({mass:.4g} kg)' for bag, mass in zip(bags, masses, strict=True)]
+
+
+def _standstill_sentences(result: Identification) -> list[str]:
+    """Return what standstills have added to a fit, and the nominal length by them."""
+    found, static = result.fit.standstills, result.static
+    if found is None or static is None:
+        return []
+    ratios, labels = found.narrowed, result.fit.labels
+    order = [i for i in np.argsort(ratios, kind='stable').tolist() if ratios[i] < NARROWED]
+    parts = [
+        f'of {labels[i]} {100.0 * ratios[i]:.0f} %' if ratios[i] > 0.0
+        else f'{labels[i]} from them alone' for i in order[:SHOWN]
+    ]
+    more = f' and {len(order) - SHOWN} more' if len(order) > SHOWN else ''
+    narrowed = f'standard errors with over without them: {", ".join(parts)}{more}' if order else (
+        'they change no standard error')
+    lines = [
+        f'{found.count} standstills count in the fit (chi^2 per degree of freedom '
+        f'{found.chi2:.2g}): {narrowed}.'
+    ]
+    if static.length:
+        lines.append(f'Nominal length by the loads alone: {static.length.words}.')
+    if result.values['static.length']:
+        lines.append(f'Nominal length with the fit: {1e3 * found.length:.3f} ± '
+                     f'{1e3 * found.length_std:.3f} mm.')
+    return lines
+
+
+def save(
+    result: Identification,
+    parameters_path: str | os.PathLike[str] | None,
+    json_path: str | os.PathLike[str] | None,
+    force: bool = False,
+) -> None:
+    """
+    Write the cup file and the JSON file; None or '' for none.
+
+    With force the file of a cup that is refused is written, too, and says so.
+
+    Raises
+    ------
+    BellowsError
+        If a file cannot be written, or the cup is refused. The JSON file is written in that case
+        too, the cup file is not.
+
+    """
+    if json_path:
+        write_result(json_path, result.as_json())
+    if not parameters_path:
+        return
+    result.require_usable(force)
+    write_parameters(parameters_path, result.parameters(), result.header())

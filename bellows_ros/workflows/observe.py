@@ -1,0 +1,144 @@
+"""What measured poses of the package add to the live prediction of a recording."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import os
+from typing import Any
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
+from bellows_ros.core.model import cup_of, package_of
+from bellows_ros.core.observer import Alarm, Observer
+from bellows_ros.core.recording.alignment import in_world, world_rotation
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.score import compare, Comparison
+from bellows_ros.core.trajectory import PoseStream, Trajectory
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bags import read_streams
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """
+    The package as it was recorded beside three ways to know it, over the same time.
+
+    Parameters
+    ----------
+    topic : str
+        Of the measured poses.
+    prediction, camera, both : Comparison
+        Predicted from the tool alone; the newest measured pose; predicted and corrected. Each
+        knows at any stamp what had been measured before it, and no more.
+    counts : mapping of str to int
+        Measured poses that were used, and those that were not, by reason.
+    alarms : tuple of (float, Alarm)
+        What was found to be wrong, and when, s from the first pose of the tool.
+
+    """
+
+    topic: str
+    prediction: Comparison
+    camera: Comparison
+    both: Comparison
+    counts: Mapping[str, int]
+    alarms: tuple[tuple[float, Alarm], ...]
+
+    @property
+    def alarm_lines(self) -> list[str]:
+        """When something was found to be wrong, and what."""
+        return [f'{seconds:.2f} s, {a.cause}: {a.words}' for seconds, a in self.alarms]
+
+    @property
+    def ways(self) -> dict[str, Comparison]:
+        """Each way by its name."""
+        return {
+            'prediction alone': self.prediction, 'camera alone': self.camera, 'both': self.both}
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content for a JSON file: RMS errors in m and rad."""
+        return {
+            'topic': self.topic, 'counts': dict(self.counts),
+            'alarms': [
+                {'time': seconds, 'cause': alarm.cause, 'words': alarm.words}
+                for seconds, alarm in self.alarms],
+            **{f'rms {name}': found.scores.rms for name, found in self.ways.items()},
+        }
+
+
+def observed(
+    bag: str | os.PathLike[str], recording: Recording, messages: Messages,
+    values: Mapping[str, Any], topic: str,
+) -> Observed:
+    """
+    Predict a recording live with and without the poses of the package on a topic.
+
+    Parameters
+    ----------
+    bag : path
+        Of the recording.
+    recording : Recording
+        As it was prepared.
+    messages : Messages
+        Of the tool.
+    values : mapping
+        Parameters by name, measured.* among them.
+    topic : str
+        With poses of the package in the world of the recording.
+
+    Raises
+    ------
+    BellowsError
+        If the recording lacks the topic, or too little of it is predicted.
+
+    """
+    stream = read_streams(bag, {'measured': topic})['measured']
+    assert isinstance(stream, PoseStream)
+    turn = world_rotation(values['recording.world'], values['gravity.direction'])
+    poses = in_world(stream.trajectory(), turn)
+    alone, corrected = (_predictor(values) for _ in range(2))
+    observer = Observer(values)
+    corrected.observe(observer)
+    seen = list(zip(
+        poses.stamps_ns.tolist(), map(tuple, poses.position.tolist()),
+        map(tuple, rotation_to_quaternion(poses.rotation).tolist()), strict=True))
+    ways = predictions(alone, messages), predictions(corrected, messages, seen=seen)
+    held = _held(observer, poses, recording.measured_package, package_of(values).com)
+    package = recording.measured_package
+    known = (package.stamps_ns >= held.stamps_ns[0]) & (
+        package.stamps_ns <= ways[0].stamps_ns[-1]) & (package.stamps_ns >= ways[0].stamps_ns[0])
+    tool, package = recording.measured_tool.select(known), package.select(known)
+    held = held.select(np.isin(held.stamps_ns, package.stamps_ns))
+    prediction, both = (compare_recorded(way, tool, package) for way in ways)
+    counts = {what: n for what, n in observer.counts.items() if n}
+    alarms = tuple(
+        ((alarm.stamp_ns - int(messages.stamps_ns[0])) * 1e-9, alarm) for alarm in observer.alarms)
+    return Observed(topic, prediction, compare(held, tool, package), both, counts, alarms)
+
+
+def _predictor(values: Mapping[str, Any]) -> LivePredictor:
+    """Return a predictor of the cup and the package."""
+    return LivePredictor(
+        cup_of(values), package_of(values), values['gravity.magnitude'],
+        values['tool_twist.frame'])
+
+
+def _held(observer: Observer, poses: Trajectory, at: Trajectory, com: Array) -> Trajectory:
+    """Return the poses of B as they were measured last before each stamp."""
+    newest = np.searchsorted(poses.stamps_ns, at.stamps_ns) - 1
+    inside = newest >= 0
+    if inside.sum() < 2:
+        raise BellowsError(
+            'The measured poses come after the recorded ones: are the stamps of one clock?')
+    found = []
+    x, y, z = com.tolist()
+    for position, q in zip(
+            poses.position.tolist(), rotation_to_quaternion(poses.rotation).tolist(), strict=True):
+        seen = observer.sight.measurement(1, tuple(position), tuple(q))
+        assert not isinstance(seen, str)
+        found.append(np.concatenate(observer.sight.at_com(seen, (x, y, z))[:2]))
+    rows = np.array(found)[newest[inside]]
+    return Trajectory(
+        at.stamps_ns[inside], rows[:, :3], quaternion_to_rotation(rows[:, 3:]))

@@ -1,0 +1,496 @@
+"""What a planned motion does to the package: read a plan, predict it, say how sure that is."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import math
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bellows_ros import __version__
+from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.cups import with_chosen_cup
+from bellows_ros.core.envelope import known_envelope
+from bellows_ros.core.fastest import Fastest, fastest
+from bellows_ros.core.gravity import gravity_of
+from bellows_ros.core.holding import grip_of
+from bellows_ros.core.kernels import ModelTuple
+from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.model import cup_of, model_tuple, package_of
+from bellows_ros.core.parameter_table import short
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.perturbed import contributions
+from bellows_ros.core.plan import Prediction, Run
+from bellows_ros.core.plan_points import plan_of, plan_of_joints
+from bellows_ros.core.recording.alignment import world_rotation
+from bellows_ros.core.recording.grid import on_grid, timing
+from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
+from bellows_ros.core.savgol import savgol
+from bellows_ros.core.synthetic.recipe import read_recipe
+from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
+from bellows_ros.files.bags import read_contents
+from bellows_ros.files.plan_messages import (
+    encode_multi_dof,
+    encode_path,
+    MULTI_DOF,
+    PATH,
+    PlanMessage,
+)
+from bellows_ros.files.plans import (
+    arm_of,
+    JointPlan,
+    joints_or_tf,
+    plan_in_yaml,
+    plans_in,
+    read_yaml,
+)
+from bellows_ros.files.provenance import provenance
+from bellows_ros.files.trajectory_files import read_trajectory
+import numpy as np
+
+POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
+START_NS = 1_700_000_000_000_000_000
+"""Stamp of the first message of a recording that is made of a plan without a date."""
+
+YAML, TEXT = ('.yaml', '.yml'), ('.tum', '.txt', '.kitti', '.csv')
+MOTION_RATE = 500.0
+"""Points per second that are taken of a motion of `bellows simulate`, Hz."""
+
+AFTER, STANDING_STEP = 1.5, 0.005
+"""A picture goes on for so long (s) after the end, with points so far (s) from each other."""
+
+LARGEST_FACTOR = 1000.0
+"""Safety factors are drawn no larger."""
+
+NO_GRIP = (
+    'Nothing is said of the safety factor of the grip: set cup.lip_radius and vacuum.holding.')
+ENDS_IN_MOTION = (
+    'The plan ends in motion: what follows its end is not known, and nothing is said of swing.')
+
+
+class Source(NamedTuple):
+    """A plan as it was read."""
+
+    tool: Trajectory
+    """E in the plan's frame with body twists."""
+    frame_id: str
+    gravity: Array
+    """Acceleration (3,) in that frame, m/s^2."""
+    notes: tuple[str, ...] = ()
+    moves: str = ''
+    """What it is a plan of, as the message names it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """
+    What a picture of a plan shows, until the package has settled or `AFTER` the end.
+
+    Parameters
+    ----------
+    seconds : array (N,)
+        Since the plan's first point.
+    tool : array (N, 3)
+        Position of E, m.
+    values, std : array (N, 12)
+        Position of B (3, m), bending (rad), safety factors against peel and slip, and wrench of
+        the cup at the lip (6, N and N m); and their standard deviations.
+
+    """
+
+    seconds: Array
+    tool: Array
+    values: Array
+    std: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PlanReport:
+    """
+    What a plan does to the package.
+
+    Parameters
+    ----------
+    path : str
+        Where the plan was read.
+    source : Source
+        The plan.
+    prediction : Prediction
+        Of the package.
+    std : mapping of str to float
+        Standard deviation of each of the prediction's figures.
+    curves : Curves or None
+        For a picture, where one is wanted.
+    outside : tuple of str
+        What of the plan lies outside of what the identification has seen.
+    fastest : Fastest or None
+        The shortest time scale that is safe, where it was sought and there is one.
+    sought : bool
+        Whether it was sought.
+    least : float
+        Safety factor that is needed.
+    values : mapping
+        All parameters.
+
+    """
+
+    path: str
+    source: Source
+    prediction: Prediction
+    std: Mapping[str, float]
+    curves: Curves | None
+    outside: tuple[str, ...]
+    fastest: Fastest | None
+    sought: bool
+    least: float
+    values: Mapping[str, Any]
+
+    @property
+    def duration(self) -> float:
+        """Of the plan, s."""
+        return float(self.source.tool.seconds[-1])
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return what somebody should know before the motion."""
+        found = list(self.source.notes)
+        if not self.prediction.grip_known:
+            found.append(NO_GRIP)
+        elif sentence := safety_sentence(
+                *self.prediction.smallest_safety, self.std['smallest_safety_factor'], self.least):
+            found.append(sentence)
+        if not self.prediction.ends_at_rest:
+            found.append(ENDS_IN_MOTION)
+        if self.outside:
+            found.append(f'Outside of what the fit has seen: {"; ".join(self.outside)}.')
+        return tuple(found)
+
+    def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
+        """Return the content of the JSON file; SI units, null for what is not known."""
+        figures: dict[str, Any] = {'duration': self.duration, 'duration_std': 0.0}
+        for name, value in self.prediction.figures().items():
+            figures |= {name: value, f'{name}_std': self.std[name]}
+            if name == 'smallest_safety_factor':
+                known = self.prediction.grip_known
+                figures['smallest_safety_mode'] = (
+                    self.prediction.smallest_safety[1] if known else None)
+        figures['outside_validity'] = list(self.outside)
+        if self.sought:
+            found = self.fastest
+            figures |= {'fastest_scale': found and found.scale,
+                        'fastest_scale_std': found and found.scale_std}
+        return figures | {
+            'plan': self.path, 'frame_id': self.source.frame_id, 'points': len(self.source.tool),
+            'least_safety_factor': self.least, 'warnings': list(self.warnings),
+            'version': __version__, 'provenance': provenance([self.path], parameter_files),
+        }
+
+
+def safety_sentence(factor: float, mode: str, time: float, std: float, least: float) -> str:
+    """Return what there is to say of a safety factor that is too small, or nothing."""
+    sigma = f' ± {std:.2g}' if std > 0.0 else ''
+    finding = f'The smallest safety factor is {factor:.3g}{sigma} ({mode}, at {time:.3f} s)'
+    if factor < 1.0:
+        return f'{finding}: the cup lets go. Move slower, or raise the vacuum.'
+    if factor - 2.0 * std < least:
+        less = ' less two standard deviations' if std > 0.0 else ''
+        return f'{finding},{less} below safety.least, {least:g}. Move slower, or raise the vacuum.'
+    return ''
+
+
+def plan(
+    path: str | os.PathLike[str], settings: Mapping[str, object], urdf: str = '',
+    topic: str = '', seek_fastest: bool = False, with_curves: bool = False,
+) -> PlanReport:
+    """
+    Predict the package along a plan.
+
+    Parameters
+    ----------
+    path : path
+        A recording with a plan, joint states, transforms or poses of the tool; a TUM, KITTI
+        or EuRoC file; a message or a motion as YAML.
+    settings : mapping
+        Parameters by name: cup, package, and how the plan is to be read.
+    urdf : str
+        File with the arm, where the plan is one of its joints; '' for that in the recording.
+    topic : str
+        Where a recording has several plans.
+    seek_fastest : bool
+        Whether the shortest safe time is sought.
+    with_curves : bool
+        Whether curves for a picture are computed.
+
+    Raises
+    ------
+    BellowsError
+        If the plan cannot be read, or no arm moves so, or the package cannot be held.
+
+    """
+    values: dict[str, Any] = with_chosen_cup(resolve(settings, PACKAGE_PARAMETERS))
+    source = read_plan(path, values, urdf, topic)
+    model = model_tuple(cup_of(values), package_of(values), source.gravity)
+    grip = grip_of(values)
+    run = Run(model, grip, source.tool)
+    prediction = run.at(1.0)
+    names = tuple(prediction.figures())
+    std = _deviations(values, model, lambda changed: np.array(
+        list(run.of(changed).at(1.0).figures().values())))
+    least = float(values['safety.least'])
+    found = None
+    if seek_fastest:
+        if grip is None:
+            raise BellowsError(f'The shortest safe time cannot be sought. {NO_GRIP}')
+        if not prediction.ends_at_rest:
+            raise BellowsError(
+                'The shortest safe time cannot be sought: the plan ends in motion. Give one that '
+                'ends at rest.')
+        found = fastest(values, model, grip, source.tool, least)
+    return PlanReport(
+        os.fspath(path), source, prediction, dict(zip(names, std.tolist(), strict=True)),
+        _curves(values, model, source.tool, prediction) if with_curves else None,
+        prediction.outside(known_envelope(values), float(values['package.mass'])), found,
+        seek_fastest, least, values,
+    )
+
+
+def _deviations(
+    values: Mapping[str, Any], model: ModelTuple, compute: Callable[[ModelTuple], Array]
+) -> Array:
+    """Return the standard deviations of what is computed of a model; 0 where all is exact."""
+    _, parts = contributions(values, model, compute)
+    if not len(parts):
+        return 0.0 * compute(model)
+    std: Array = np.sqrt(np.sum(parts ** 2, axis=0))
+    return std
+
+
+def _curves(
+    values: Mapping[str, Any], model: ModelTuple, tool: Trajectory, prediction: Prediction
+) -> Curves:
+    """Return the curves of a picture, with what follows a plan that ends at rest."""
+    after = min(AFTER, prediction.settled_after + 0.2) if prediction.ends_at_rest else 0.0
+    longer = standing(tool, after)
+    run = Run(model, grip_of(values), longer)
+
+    def compute(changed: ModelTuple) -> Array:
+        found = run.of(changed).at(1.0)
+        z = quaternion_to_rotation(found.states[:, 3:7])[:, :, 2]
+        sine = np.linalg.norm(np.cross(longer.rotation[:, :, 2], z), axis=1)
+        bending = np.arctan2(sine, np.sum(longer.rotation[:, :, 2] * z, axis=1))
+        factors = 1.0 / np.maximum(found.loads, 1.0 / LARGEST_FACTOR)
+        return np.hstack([found.states[:, :3], bending[:, None], factors, found.wrench])
+
+    return Curves(
+        longer.seconds, longer.position, compute(model), _deviations(values, model, compute))
+
+
+def standing(tool: Trajectory, seconds: float) -> Trajectory:
+    """Return a plan with so much time (s) of standing still at its end."""
+    count = round(seconds / STANDING_STEP)
+    if count == 0:
+        return tool
+    later = tool.stamps_ns[-1] + np.arange(1, count + 1) * round(STANDING_STEP * NS_PER_S)
+    return Trajectory(
+        np.append(tool.stamps_ns, later),
+        np.vstack([tool.position, np.repeat(tool.position[-1:], count, axis=0)]),
+        np.concatenate([tool.rotation, np.repeat(tool.rotation[-1:], count, axis=0)]),
+        np.vstack([np.asarray(tool.twist), np.zeros((count, 6))]))
+
+
+# -------------------------------------------------------------------------------------- reading
+
+
+def read_plan(
+    path: str | os.PathLike[str], values: Mapping[str, Any], urdf: str = '', topic: str = ''
+) -> Source:
+    """
+    Return the plan in a file; see `plan`.
+
+    Raises
+    ------
+    BellowsError
+        If there is none, or no arm moves so.
+
+    """
+    file, gravity = Path(path), gravity_of(values)
+    if file.suffix.lower() in YAML:
+        content = read_yaml(file)
+        if 'kind' in content:
+            return _motion(content, values, gravity)
+        return _checked(plan_in_yaml(content, os.fspath(file)), values, urdf, '', gravity)
+    if file.suffix.lower() in TEXT:
+        stamps, poses = read_trajectory(file)
+        tool = plan_of(stamps, poses[:, :3], poses[:, 3:], name=f"'{path}'")
+        return Source(tool, '', gravity)
+    plans = plans_in(file, topic)
+    if plans:
+        notes = [f"'{path}' has {len(plans)} plans, of which this is the first, on "
+                 f'{plans[0][0]}.'] if len(plans) > 1 else []
+        source = _checked(plans[0][1], values, urdf, file, gravity)
+        return source._replace(notes=tuple(notes))
+    return _recorded(file, values, urdf, topic)
+
+
+def _checked(
+    read: PlanMessage | JointPlan, values: Mapping[str, Any], urdf: str, recording: Any,
+    gravity: Array,
+) -> Source:
+    """Return a plan of points of the tool or of an arm's joints."""
+    if isinstance(read, JointPlan):
+        arm = arm_of(urdf, values['tool_link'], recording)
+        columns = arm.columns(read.names, 'The plan')
+        parts = [None if part is None else part[:, columns]
+                 for part in (read.position, read.velocity, read.acceleration)]
+        require_frame(arm.root, values)
+        tool = plan_of_joints(arm, _dated(read.stamp_ns, read.times_ns), *parts)  # type: ignore
+        return Source(tool, arm.root, gravity)
+    require_frame(read.frame_id, values)
+    tool = plan_of(
+        _dated(read.stamp_ns, read.times_ns), read.poses[:, :3], read.poses[:, 3:], read.twists,
+        read.accelerations, values['tool_twist.frame'])
+    return Source(tool, read.frame_id, gravity, (), (*read.names, '')[0])
+
+
+def require_frame(frame_id: str, values: Mapping[str, Any]) -> None:
+    """
+    Refuse a plan in another frame than wanted.
+
+    Raises
+    ------
+    BellowsError
+        If plan.frame names another one.
+
+    """
+    wanted = values['plan.frame']
+    if wanted and frame_id not in ('', wanted):
+        raise BellowsError(
+            f"The plan is in frame '{short(frame_id)}'; expected '{wanted}', as plan.frame says. "
+            'Transform it before, or set plan.frame.')
+
+
+def _dated(stamp_ns: int, times_ns: Stamps) -> Stamps:
+    """Return stamps from a header and times from the start."""
+    return times_ns + (stamp_ns or START_NS)
+
+
+def _motion(content: Mapping[str, Any], values: Mapping[str, Any], gravity: Array) -> Source:
+    """Return the tool's motion in a motion file."""
+    recipe = read_recipe(content, np.array(values['package.com']))
+    require_frame(recipe.frame_id, values)
+    motion = recipe.motion
+    count = max(2, math.ceil(motion.duration * MOTION_RATE))
+    stamps = recipe.start_ns + np.round(
+        np.linspace(0.0, motion.duration, count + 1) * NS_PER_S).astype(np.int64)
+    tool = motion.trajectory(stamps, recipe.start_ns)
+    checked = plan_of(
+        stamps, tool.position, rotation_to_quaternion(tool.rotation), np.asarray(tool.twist),
+        twist_frame='tool', name='The motion')
+    return Source(checked, recipe.frame_id, gravity)
+
+
+def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> Source:
+    """Return the tool's motion in a recording: of its poses, its joints or its transforms."""
+    wanted = {'tool_pose': topic or values['topics.tool_pose'],
+              'tool_twist': values['topics.tool_twist']}
+    contents = read_contents(path, wanted)
+    turn = world_rotation(values['recording.world'], values['gravity.direction'])
+    gravity = turn.T @ [0.0, 0.0, -values['gravity.magnitude']]
+    notes = contents.notes
+    poses, twists = (contents.streams.get(role) for role in ('tool_pose', 'tool_twist'))
+    if isinstance(poses, PoseStream):
+        require_frame(poses.frame_id, values)
+        twist = twists if isinstance(twists, TwistStream) else None
+        return Source(_measured(poses, twist, values), poses.frame_id, gravity, notes)
+    if not values['tool_link']:
+        raise contents.problems['tool_pose']
+    read = joints_or_tf(path, urdf, values['tool_link'])
+    require_frame(read.frame_id, values)
+    stream = PoseStream(
+        'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.poses[:, :3],
+        quaternion_to_rotation(read.poses[:, 3:]))
+    if read.twists is None:
+        return Source(_measured(stream, None, values), read.frame_id, gravity, notes)
+    tool = plan_of(stream.stamps_ns, stream.position, read.poses[:, 3:], read.twists,
+                   twist_frame='tool', name='The motion')
+    return Source(tool, read.frame_id, gravity, notes)
+
+
+def _measured(
+    poses: PoseStream, twists: TwistStream | None, values: Mapping[str, Any]
+) -> Trajectory:
+    """Return measured poses with recorded twists, or with those of the filter."""
+    if twists is not None:
+        inside = (poses.stamps_ns >= twists.stamps_ns[0]) & (
+            poses.stamps_ns <= twists.stamps_ns[-1])
+        at = poses.stamps_ns[inside]
+        six = np.stack([
+            np.interp(at - at[0], twists.stamps_ns - at[0], column)
+            for column in np.hstack([twists.linear, twists.angular]).T], axis=1)
+        return plan_of(
+            at, poses.position[inside], rotation_to_quaternion(poses.rotation[inside]), six,
+            twist_frame=values['tool_twist.frame'], name=f"Poses '{poses.name}'")
+    found = timing(poses.stamps_ns)
+    half_window = max(4, round(AUTOMATIC_HALF_WINDOW * found.rate_hz))
+    smooth = savgol(
+        on_grid(poses.trajectory(), found), half_window, values['filter.tool.order'])
+    return plan_of(
+        smooth.stamps_ns, smooth.position, rotation_to_quaternion(smooth.rotation), smooth.twist,
+        twist_frame='tool', name=f"Poses '{poses.name}'")
+
+
+# -------------------------------------------------------------------------------------- writing
+
+
+def write_prediction(
+    path: str | os.PathLike[str], report: PlanReport, replace_bag: bool = False
+) -> None:
+    """
+    Write tool and package along the plan as a recording.
+
+    Its topics: tool_arm/plan and package/plan (MultiDOFJointTrajectory), package/plan_path
+    (Path), tool_arm/pose, tool_arm/twist and package/pose, stamped from the plan's start.
+
+    Raises
+    ------
+    BellowsError
+        If something is in the way, or it cannot be written.
+
+    """
+    tool, states = report.source.tool, report.prediction.states
+    frame = report.source.frame_id or 'world'
+    write_bag(path, recorded_motion(
+        tool, frame, str(report.values['frames.package']), states,
+        report.values['tool_twist.frame']), replace=replace_bag)
+
+
+def recorded_motion(
+    tool: Trajectory, frame: str, child: str, states: Array, twist_frame: str
+) -> list[Recorded | Encoded]:
+    """Return the messages of a plan and of the package along it, for `write_bag`."""
+    stamps = tool.stamps_ns
+    times, start = stamps - stamps[0], stamps[:1]
+    rows = np.hstack([tool.position, rotation_to_quaternion(tool.rotation)])
+    twist = in_axes(tool.rotation, np.asarray(tool.twist), twist_frame)
+    body = in_axes(quaternion_to_rotation(states[:, 3:7]), states[:, 7:], twist_frame)
+    return [
+        Encoded('/tool_arm/plan', MULTI_DOF, start, [encode_multi_dof(
+            PlanMessage(0, frame, ('tool',), times, rows, twist))]),
+        Encoded('/package/plan', MULTI_DOF, start, [encode_multi_dof(
+            PlanMessage(int(start[0]), frame, (child,), times, states[:, :7], body))]),
+        Encoded('/package/plan_path', PATH, start, [encode_path(
+            int(start[0]), frame, times, states[:, :7])]),
+        Recorded('/tool_arm/pose', POSE, stamps, rows, frame),
+        Recorded('/tool_arm/twist', TWIST, stamps, twist, frame),
+        Recorded('/package/pose', POSE, stamps, states[:, :7], frame),
+    ]
+
+
+def in_axes(rotation: Array, twist: Array, axes: str) -> Array:
+    """Return body twists (N, 6) in axes of the world, or as they are."""
+    if axes != 'world':
+        return twist
+    return np.hstack([np.einsum('nij,nj->ni', rotation, part)
+                      for part in (twist[:, :3], twist[:, 3:])])

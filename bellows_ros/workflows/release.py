@@ -1,0 +1,171 @@
+"""Identify a valve from recordings of tosses: delay, tau, blow-off, and how well they repeat."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+import math
+import os
+from typing import Any
+
+from bellows_ros.core.holding import grip_of
+from bellows_ros.core.identification.release_fit import (
+    LettingGo,
+    tosses_of,
+    valve_fit,
+    ValveFit,
+)
+from bellows_ros.core.model import cup_of, model_tuple, package_of
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bags import messages_of
+from bellows_ros.files.cdr import BOOL, decode_bool
+from bellows_ros.files.provenance import provenance
+from bellows_ros.workflows.identify import resolved
+from bellows_ros.workflows.recordings import load, values_of_each
+import numpy as np
+
+CHI2_WARNED = 2.0
+"""A larger sum of squares over their number says that the model does not explain the poses."""
+
+NO_VALVE = (
+    'No valve was recorded on topics.valve: delay and tau are not identifiable, only the blow-off '
+    'is. Record the std_msgs/Bool that switches it.')
+NO_GRIP = (
+    'cup.lip_radius or vacuum.holding is not set: tau is not identifiable, and the delay is the '
+    'whole time from the valve to letting go.')
+
+
+@dataclass(frozen=True, eq=False)
+class ReleaseResult:
+    """
+    What recordings of tosses say of valve and blow-off.
+
+    Parameters
+    ----------
+    fit : ValveFit
+        Delay, tau and impulse.
+    bags : tuple of str
+        Of all recordings.
+    tosses : tuple of (str, LettingGo)
+        Recording, and what was found, of each toss that was used.
+    left_out : tuple of str
+        Why others were not.
+    values : mapping
+        All parameters.
+    parameter_files : tuple of path
+        Files that they are from.
+
+    """
+
+    fit: ValveFit
+    bags: tuple[str, ...]
+    tosses: tuple[tuple[str, LettingGo], ...]
+    left_out: tuple[str, ...]
+    values: Mapping[str, Any]
+    parameter_files: tuple[str | os.PathLike[str], ...] = ()
+
+    @property
+    def speed(self) -> float:
+        """Of the package that is let go fastest, m/s."""
+        return max(toss.speed for _, toss in self.tosses)
+
+    @property
+    def chi2(self) -> float:
+        """Mean over the tosses."""
+        return float(np.mean([toss.chi2 for _, toss in self.tosses]))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user must know."""
+        found = [f'Left out: {text}.' for text in self.left_out]
+        if math.isnan(self.fit.delay):
+            found.append(NO_VALVE)
+        elif math.isnan(self.fit.tau):
+            found.append(NO_GRIP)
+        if self.chi2 > CHI2_WARNED:
+            found.append(
+                f'chi2 per pose is {self.chi2:.2g}, 1 where the model holds: cup, package or '
+                'their frames do not explain the tosses. Check them with bellows replay.')
+        return tuple(found)
+
+    def parameters(self) -> dict[str, float]:
+        """Return the parameters of the release file; what is not identifiable is not in it."""
+        fit = self.fit
+        found = {
+            'release.delay': fit.delay,
+            'release.delay_std': math.hypot(fit.delay_scatter, fit.delay_error),
+            'release.tau': fit.tau, 'release.tau_std': fit.tau_error,
+            'release.impulse': fit.impulse,
+            'release.impulse_std': math.hypot(fit.impulse_scatter, fit.impulse_error),
+        }
+        return {name: value for name, value in found.items() if not math.isnan(value)}
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of the JSON file."""
+        units = {'late': 's', 'late_std': 's', 'load': 'N', 'impulse': 'N s',
+                 'impulse_std': 'N s', 'speed': 'm/s', 'chi2': '1'}
+        return {
+            **vars(self.fit),
+            'units': {name: 'N s' if 'impulse' in name else 's' for name in vars(self.fit)},
+            'largest_speed': {'value': self.speed, 'unit': 'm/s'},
+            'chi2': {'value': self.chi2, 'unit': '1'},
+            'tosses': [{'bag': bag, **vars(toss), 'units': units} for bag, toss in self.tosses],
+            'left_out': self.left_out,
+            'warnings': self.warnings,
+            'settings': dict(self.values),
+            'provenance': provenance(self.bags, self.parameter_files),
+        }
+
+
+def identify_release(
+    settings: Mapping[str, object],
+    progress: Callable[[str, float], None] = lambda what, part: None,
+    parameter_files: Sequence[str | os.PathLike[str]] = (),
+) -> ReleaseResult:
+    """
+    Identify the valve from the tosses in the recordings that the parameter `bags` names.
+
+    Parameters
+    ----------
+    settings : mapping
+        Parameters by name; cup and package are known.
+    progress : callable
+        Called with what is being done and the part (0 to 1) that is done.
+    parameter_files : sequence of path
+        Files that the settings are from, for the provenance.
+
+    Raises
+    ------
+    BellowsError
+        If a parameter or a recording is not usable, or the tosses are too few or too much alike.
+
+    """
+    values = resolved(settings)
+    grip = grip_of(values)
+    tosses, left_out = list[tuple[str, LettingGo]](), list[str]()
+    bags = tuple(os.fspath(bag) for bag in values['bags'])
+    for number, (bag, own) in enumerate(zip(bags, values_of_each(values), strict=True)):
+        progress(f'looking for tosses in {bag}', number / len(bags))
+        model = model_tuple(cup_of(own), package_of(own), own['gravity.magnitude'])
+        found, not_used = tosses_of(load(bag, own), model, grip, _valves(bag, own))
+        tosses += [(bag, toss) for toss in found]
+        left_out += [f'{bag}, {text.rstrip(".")}' for text in not_used]
+    progress('done', 1.0)
+    try:
+        fit = valve_fit([toss for _, toss in tosses], grip[0] if grip else 0.0)
+    except BellowsError as error:
+        reasons = (f'Left out: {text}.' for text in left_out)
+        raise BellowsError(' '.join([str(error), *reasons])) from None
+    return ReleaseResult(
+        fit, bags, tuple(tosses), tuple(left_out), values, tuple(parameter_files))
+
+
+def _valves(bag: str, values: Mapping[str, Any]) -> list[int] | None:
+    """Return when the valve is switched off, ns as received; None where it is not recorded."""
+    if not values['topics.valve']:
+        return None
+    messages = [
+        (log_ns, decode_bool(data))
+        for _, _, log_ns, data in messages_of(bag, (BOOL,), values['topics.valve'])]
+    if not messages:
+        return None
+    said = sorted((log_ns, on) for log_ns, on in messages if on is not None)
+    return [log_ns for k, (log_ns, on) in enumerate(said) if not on and (not k or said[k - 1][1])]

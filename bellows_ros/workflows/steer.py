@@ -1,0 +1,288 @@
+"""A motion that leaves the package without swing: read a plan, steer it, say what it gains."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import math
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bellows_ros import __version__
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.cups import with_chosen_cup
+from bellows_ros.core.holding import grip_of
+from bellows_ros.core.kernels import ModelTuple
+from bellows_ros.core.lie import log_so3, quaternion_to_rotation
+from bellows_ros.core.model import cup_of, model_tuple, package_of
+from bellows_ros.core.motion_limits import demands, Limits, NONE, RATES, stretched
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.perturbed import mean_square, perturbed
+from bellows_ros.core.plan import Prediction, Run, SETTLED
+from bellows_ros.core.plan_points import timed
+from bellows_ros.core.steering import hanging, steer, Steered, tool_above
+from bellows_ros.core.synthetic.settings import Settings
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import safe_yaml
+from bellows_ros.files.bag_writer import write_bag
+from bellows_ros.files.provenance import provenance
+from bellows_ros.workflows.plan import NO_GRIP, read_plan, recorded_motion, Source, standing
+import numpy as np
+
+TAIL = 2.0
+"""How long (s) after the end the swing is looked at."""
+
+
+class Motion(NamedTuple):
+    """A motion of the tool, and what it does to the package."""
+
+    tool: Trajectory
+    prediction: Prediction
+    added_time: float
+    """s, until the package has arrived, beyond what was planned."""
+    tilt: Array
+    """Turn of the package (N,) from the pose that is wanted, until `TAIL` after the end, rad."""
+    seconds: Array
+    """(N,), of the tilt."""
+    path_error: float
+    """Largest distance of the package from where it is wanted, m."""
+    expected_swing: float
+    """Root of the mean square of the swing left over what is uncertain, rad."""
+
+    def figures(self) -> dict[str, float]:
+        """Return the numbers of a summary, SI units."""
+        return {
+            'duration': float(self.tool.seconds[-1]), 'added_time': self.added_time,
+            'largest_tilt': float(self.tilt.max()), 'path_error': self.path_error,
+            'swing_left': self.prediction.figures()['swing_left'],
+            'expected_swing': self.expected_swing,
+            'smallest_safety_factor': self.prediction.figures()['smallest_safety_factor'],
+            **demands(self.tool),
+        }
+
+
+OF_EXCITE = ('start', 'joints', 'bending', 'torsion', 'highest_frequency', 'tracking')
+"""Settings of a limits file that only `bellows excite` reads."""
+
+
+@dataclass(frozen=True, eq=False)
+class SteerReport:
+    """
+    A plan and the same motion steered.
+
+    Parameters
+    ----------
+    path : str
+        Where the plan was read.
+    source : Source
+        The plan.
+    method : str
+        Of `core.steering.METHODS`.
+    motions : mapping
+        The method, 'as planned', and 'zvd' beside the inverse, where these can be predicted.
+    steered : Steered
+        By the method.
+    time_scale : float
+        How many times as long the motion was made for the limits.
+    limit : str
+        Which limit was the last reason for that.
+    uncertain : bool
+        Whether anything is known of how sure the parameters are.
+    values : mapping
+        All parameters.
+
+    """
+
+    path: str
+    source: Source
+    method: str
+    motions: Mapping[str, Motion]
+    steered: Steered
+    time_scale: float
+    limit: str
+    uncertain: bool
+    values: Mapping[str, Any]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return what somebody should know of the motion."""
+        found = list(self.source.notes)
+        if self.steered.smoothed > 0.0:
+            found.append(
+                f'The plan is not C^4: it was driven faster and smoothed over '
+                f'{1e3 * self.steered.smoothed:.0f} ms, in the same time. Where it bends the '
+                'package cuts corners.')
+        if self.time_scale > 1.0:
+            found.append(
+                f'Stretched to {self.time_scale:.3f} times its time, for the limit {self.limit}.')
+        if self.method != 'inverse' and not self.steered.modes:
+            found.append('No mode swings by more than 0.5 degrees afterwards: it is as planned.')
+        return tuple(found)
+
+    @property
+    def advice(self) -> str:
+        """Return which method to take, and by how much the inverse is the more sensitive one."""
+        if 'zvd' not in self.motions or self.method == 'zvd':
+            return ''
+        inverse, zvd = self.motions['inverse'], self.motions['zvd']
+        if not self.uncertain:
+            return (
+                'How sensitive that is cannot be said, as no standard deviation is known: take '
+                'zvd, or set package.mass_std and package.com_std; cup.*_std come from '
+                "'bellows identify'.")
+        swings = [math.degrees(motion.expected_swing) for motion in (inverse, zvd)]
+        longer = 1e3 * (zvd.added_time - inverse.added_time)
+        finding = (
+            f'With what is known of cup and package the inverse is expected to leave '
+            f'{swings[0]:.2g} degrees and ZVD {swings[1]:.2g}, in {longer:.0f} ms more.')
+        if inverse.expected_swing <= max(SETTLED, zvd.expected_swing):
+            return f'{finding} Take the inverse.'
+        return f'{finding} Take zvd, or identify cup and package better.'
+
+    def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
+        """Return the content of the JSON file; SI units, null for what is not known."""
+        return {
+            'method': self.method, **self.motions[self.method].figures(),
+            'beside': {name: motion.figures() for name, motion in self.motions.items()
+                       if name != self.method},
+            'time_scale': self.time_scale, 'limit': self.limit,
+            'smoothed': self.steered.smoothed,
+            'modes': [{'frequency': mode.frequency, 'damping_ratio': mode.damping,
+                       'swing': mode.tilt} for mode in self.steered.modes],
+            'advice': self.advice, 'notes': list(self.notes),
+            'plan': self.path, 'frame_id': self.source.frame_id,
+            'version': __version__, 'provenance': provenance([self.path], parameter_files),
+        }
+
+
+def steer_plan(
+    path: str | os.PathLike[str], settings: Mapping[str, object], method: str,
+    limits: str | os.PathLike[str] = '', urdf: str = '', topic: str = '',
+) -> SteerReport:
+    """
+    Steer a plan of the tool, or of the package, so that the package does not swing.
+
+    Parameters
+    ----------
+    path, settings, urdf, topic
+        As `workflows.plan.plan` takes them. A plan of what frames.package names is one of B.
+    method : str
+        Of `core.steering.METHODS`.
+    limits : path
+        YAML file with limits, see `read_limits`; '' for none.
+
+    Raises
+    ------
+    BellowsError
+        If the plan cannot be read or steered, or the limits cannot be kept to.
+
+    """
+    values: dict[str, Any] = with_chosen_cup(resolve(settings, PACKAGE_PARAMETERS))
+    kept = read_limits(safe_yaml.load(Path(limits)) if limits else {})
+    source = read_plan(path, values, urdf, topic)
+    of_package = source.moves == values['frames.package']
+    model = model_tuple(cup_of(values), package_of(values), source.gravity)
+    scale, limit = _scale(model, source.tool, method, of_package, kept, values)
+    wanted = timed(source.tool, scale)
+    steered = steer(model, wanted, method, of_package)
+    duration = float(source.tool.seconds[-1])
+    arrival = float((wanted if method == 'inverse' else steered.tool).seconds[-1])
+    motions = {method: _motion(values, model, steered.tool, steered.package, arrival - duration)}
+    try:
+        planned = tool_above(model, source.tool) if of_package else source.tool
+        motions['as planned'] = _motion(values, model, planned, hanging(model, planned), 0.0)
+        if method == 'inverse':
+            other = steer(model, wanted, 'zvd', of_package)
+            motions['zvd'] = _motion(values, model, other.tool, other.package,
+                                     float(other.tool.seconds[-1]) - duration)
+    except BellowsError:  # as planned the package falls over: the method stands alone
+        pass
+    return SteerReport(
+        os.fspath(path), source, method, motions, steered, scale, limit,
+        any(True for _ in perturbed(values, model)), values)
+
+
+def read_limits(content: object) -> Limits:
+    """
+    Return the limits in the content of a YAML file, as config/limits_example.yaml explains it.
+
+    All of them are optional. What only `bellows excite` needs is left unread.
+
+    Raises
+    ------
+    BellowsError
+        If a name or number is not allowed.
+
+    """
+    settings = Settings(content, 'limits')
+    rates = {}
+    for kind in ('linear', 'angular'):
+        block = settings.block(kind)
+        rates.update({name: block.number(name.removeprefix('angular_'), NONE, unit, above=0.0)
+                      for name, unit in RATES.items()
+                      if name.startswith('angular') == (kind == 'angular')})
+        block.done()
+    safety = settings.number('safety_factor', 0.0, least=0.0)
+    box = settings.block('workspace')
+    lower, upper = (box.vector(name, 3, (size,) * 3, 'm')
+                    for name, size in (('lower', -NONE), ('upper', NONE)))
+    box.done(ignored=('rotation',))
+    settings.done(ignored=OF_EXCITE)
+    if (lower >= upper).any():
+        raise BellowsError(
+            f'workspace.lower is {lower.tolist()} and workspace.upper {upper.tolist()}; expected '
+            'each number of lower below that of upper.')
+    return Limits(rates, lower, upper, safety)
+
+
+def _scale(
+    model: ModelTuple, plan: Trajectory, method: str, of_package: bool, limits: Limits,
+    values: Mapping[str, Any],
+) -> tuple[float, str]:
+    """Return how many times as long the motion takes within limits, and which one needs that."""
+    grip = grip_of(values)
+    if grip is None and limits.safety_factor > 0.0:
+        raise BellowsError(f'The limit safety_factor cannot be kept to. {NO_GRIP}')
+
+    def motion(scale: float) -> tuple[Trajectory, float]:
+        tool = steer(model, timed(plan, scale), method, of_package).tool
+        factor = math.inf
+        if grip is not None and limits.safety_factor > 0.0:
+            factor = 1.0 / Run(model, grip, tool, tail=TAIL).load(1.0)
+        return tool, factor
+
+    return stretched(limits, motion)
+
+
+def _motion(
+    values: Mapping[str, Any], model: ModelTuple, tool: Trajectory, wanted: Trajectory,
+    added_time: float,
+) -> Motion:
+    """Return what a motion of the tool does to the package that is wanted somewhere."""
+    run = Run(model, grip_of(values), tool, tail=TAIL)
+    longer, goal = standing(tool, TAIL), standing(wanted, TAIL)
+    states = Run(model, None, longer, tail=0.0).at(1.0).states
+    turn = log_so3(np.swapaxes(goal.rotation, -1, -2) @ quaternion_to_rotation(states[:, 3:7]))
+    square = mean_square(
+        values, model, lambda changed: float(run.of(changed).at(1.0).figures()['swing_left']))
+    return Motion(
+        tool, run.at(1.0), added_time, np.linalg.norm(turn, axis=1), longer.seconds,
+        float(np.linalg.norm(states[:, :3] - goal.position, axis=1).max()), math.sqrt(square))
+
+
+def write_steered(
+    path: str | os.PathLike[str], report: SteerReport, replace_bag: bool = False
+) -> None:
+    """
+    Write the steered motion, and the package along it, as a recording; see `write_prediction`.
+
+    Raises
+    ------
+    BellowsError
+        If something is in the way, or it cannot be written.
+
+    """
+    motion = report.motions[report.method]
+    write_bag(path, recorded_motion(
+        motion.tool, report.source.frame_id or 'world', str(report.values['frames.package']),
+        motion.prediction.states, report.values['tool_twist.frame']), replace=replace_bag)

@@ -1,0 +1,87 @@
+"""What is identifiable from recordings, and which structure of K and P to take."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from bellows_ros import __version__
+from bellows_ros.core.identification.advice.excitation import Excitation, excitation_of
+from bellows_ros.core.identification.advice.structure_selection import StructureSelection
+from bellows_ros.core.identification.reduction import reduced
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.structure import structure_named
+from bellows_ros.workflows.identify import read_here, resolved, selection
+from bellows_ros.workflows.result_json import excitation_json, selection_json
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class StructureAdvice:
+    """
+    What recordings tell, and the structures compared.
+
+    Parameters
+    ----------
+    excitation : Excitation
+        For the structure of the parameter fit.structure.
+    selection : StructureSelection
+        The structures with their marks.
+    recordings : tuple of Recording
+        That it was taken from.
+    values : mapping
+        All parameters.
+
+    """
+
+    excitation: Excitation
+    selection: StructureSelection
+    recordings: tuple[Recording, ...]
+    values: Mapping[str, Any]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user must know: of the excitation, then of the recordings."""
+        of_recordings = (text for own in self.recordings for text in own.report.warnings)
+        return (*self.excitation.warnings, *of_recordings)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of the JSON file, in SI units."""
+        return {
+            'excitation': excitation_json(self.excitation),
+            'structures': selection_json(self.selection),
+            'recordings': [recording.as_json() for recording in self.recordings],
+            'warnings': self.warnings,
+            'settings': dict(self.values),
+            'version': __version__,
+        }
+
+
+def structures(
+    settings: Mapping[str, object], progress: Progress | None = None
+) -> StructureAdvice:
+    """
+    Say what the recordings that the parameter `bags` names can tell, and compare structures.
+
+    Parameters
+    ----------
+    settings : mapping
+        Parameters by name; those left out have their defaults.
+    progress : callable, optional
+        Called with what is being done and the part (0 to 1) that is done.
+
+    Raises
+    ------
+    BellowsError
+        If a parameter or a recording is not usable, or no structure can be fitted.
+
+    """
+    tell, values = progress or (lambda what, part: None), resolved(settings)
+    recordings = read_here(values, True, tell)
+    found = excitation_of(
+        [reduced(recording, values).information for recording in recordings],
+        structure_named(values['fit.structure']))
+    advice = StructureAdvice(
+        found, selection(recordings, values, tell), tuple(recordings), values)
+    tell('done', 1.0)
+    return advice

@@ -1,0 +1,216 @@
+"""Where a planned toss ends, how sure that is, and what to fix first."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import math
+import os
+from typing import Any, NamedTuple
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.holding import grip_of
+from bellows_ros.core.kernels import State
+from bellows_ros.core.landing import Aim, aim, Case, draw, Drawn, part_inside, Parts, parts_of
+from bellows_ros.core.lie import quaternion_to_rotation
+from bellows_ros.core.model import cup_of, model_tuple, package_of
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.release import flight_path, Held, release_of, Toss, toss
+from bellows_ros.errors import BellowsError
+from bellows_ros.workflows.plan import read_plan
+import numpy as np
+
+MILLI = 1e3
+PATH_POINTS = 60
+
+GROUPS = ('cup.stiffness', 'cup.damping', 'package.mass', 'package.com', 'package.inertia',
+          'release.delay', 'release.tau', 'release.impulse')
+
+
+class Share(NamedTuple):
+    """What a parameter contributes to the scatter of the landing."""
+
+    name: str
+    std: float
+    """Of the number, SI units; of a group NaN."""
+    metres: float
+    radians: float
+
+
+@dataclass(frozen=True, eq=False)
+class TossResult:
+    """A toss of a plan, with all that was asked of it."""
+
+    case: Case
+    held: Held
+    toss: Toss
+    parts: Parts
+    aim: Aim | None
+    asked: Toss | None
+    """With a target, the toss at the time that was given."""
+    target: tuple[float, float] | None
+    drawn: Drawn | None
+    warnings: tuple[str, ...]
+
+    @property
+    def covariance(self) -> Array:
+        """Of the landing (6, 6), m and rad."""
+        return self.parts.covariance
+
+    def shares(self) -> list[Share]:
+        """Return the contribution of each uncertain number, the largest first."""
+        found = [
+            Share(name, float(std), float(np.linalg.norm(part[:3])),
+                  float(np.linalg.norm(part[3:])))
+            for name, std, part in zip(*self.parts, strict=True)]
+        return sorted(found, key=lambda share: -share.metres)
+
+    def groups(self) -> list[Share]:
+        """Return the contributions of whole parameters, the largest first."""
+        shares = self.shares()
+        found = []
+        for group in GROUPS:
+            own = [s for s in shares if s.name.startswith(group)]
+            if own:
+                found.append(Share(
+                    group, own[0].std if len(own) == 1 else math.nan,
+                    math.hypot(*(s.metres for s in own)), math.hypot(*(s.radians for s in own))))
+        return sorted(found, key=lambda share: -share.metres)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all numbers, SI units, twists and quaternions (x, y, z, w) of B in the world."""
+        found = self.toss
+        content: dict[str, Any] = {
+            'valve_time': self.case.switched,
+            'release_time': found.release_time,
+            'release_mode': found.release_mode,
+            'release_pose': _pose(found.release),
+            'release_twist': _twist(found.release),
+            'landing_time': found.landing_time,
+            'landing_position': list(found.landing[0]),
+            'landing_rotation': list(found.landing[1]),
+            'landing_twist': _twist(found.landing),
+            'landing_covariance': self.covariance.tolist(),
+            'tumbling': found.tumbling,
+            'budget': [{
+                'name': s.name, 'std': s.std, 'contribution_mm': MILLI * s.metres,
+                'contribution_deg': float(np.degrees(s.radians))} for s in self.shares()],
+            'warnings': list(self.warnings),
+        }
+        if self.aim is not None and self.target is not None:
+            content['target'] = {
+                'position': list(self.target), 'valve_time': self.aim.switched,
+                'distance': self.aim.distance, 'angle': self.aim.angle,
+                'distance_as_asked': self.distance_as_asked}
+        if self.drawn is not None:
+            content['monte_carlo'] = {
+                'count': len(self.drawn.figures), 'failed': self.drawn.failed,
+                'covariance': self.drawn.covariance.tolist(),
+                'part_in_ellipse': part_inside(self.covariance, self.drawn.figures)}
+        return content
+
+    @property
+    def distance_as_asked(self) -> float | None:
+        """From the target with the time that was given, m."""
+        if self.asked is None or self.target is None:
+            return None
+        return float(np.linalg.norm(np.subtract(self.asked.landing[0][:2], self.target)))
+
+    def path(self) -> Array:
+        """Return states of B (N, 13) from letting go to landing."""
+        return flight_path(self.case.model, self.toss, PATH_POINTS)
+
+
+def _pose(state: State) -> list[float]:
+    """Return position and quaternion."""
+    return [*state[0], *state[1]]
+
+
+def _twist(state: State) -> list[float]:
+    """Return the body twist."""
+    return [*state[2], *state[3]]
+
+
+def toss_plan(
+    path: str | os.PathLike[str],
+    parameters: Mapping[str, object],
+    switched: float | None,
+    target: tuple[float, float] | None = None,
+    target_rotation: Array | None = None,
+    monte_carlo: int = 0,
+    progress: Callable[[str], None] = lambda sentence: None,
+    urdf: str = '',
+    topic: str = '',
+) -> TossResult:
+    """
+    Predict a toss along a plan.
+
+    Parameters
+    ----------
+    path : path
+        A plan, as `workflows.plan.read_plan` reads it.
+    parameters : mapping
+        Dotted names to values.
+    switched : float or None
+        When the valve is switched, s since the first point of the plan; None with a target.
+    target : (x, y), optional
+        Where B should land, in the world, m; the time of the valve is then sought.
+    target_rotation : array (4,), optional
+        Quaternion (x, y, z, w) wanted at landing.
+    monte_carlo : int
+        So many tosses are drawn as well.
+    progress : callable
+        Called with a sentence as the work goes on.
+    urdf, topic : str
+        Of the arm and of the plan, as `workflows.plan.read_plan` takes them.
+
+    Raises
+    ------
+    BellowsError
+        If the plan, the parameters or the time are not usable.
+
+    """
+    values = resolve(parameters, PACKAGE_PARAMETERS)
+    release, grip = release_of(values), grip_of(values)
+    progress('reading the plan')
+    tool, _, gravity, notes, _ = read_plan(path, values, urdf, topic)
+    if target is not None and np.linalg.norm(gravity[:2]) > 1e-6 * np.linalg.norm(gravity):
+        raise BellowsError(
+            'A target is x and y of the floor, and gravity.direction is not along -z. Give the '
+            'plan in a world whose z is up.')
+    if switched is None and target is None:
+        raise BellowsError('Neither a time nor a target is given. Give --release T or --target.')
+    model = model_tuple(cup_of(values), package_of(values), gravity)
+    progress('following the plan')
+    held = Held(model, grip, tool)
+    asked = None if switched is None else toss(held, release, switched)
+    found = None
+    if target is not None:
+        wanted = None if target_rotation is None else quaternion_to_rotation(target_rotation)
+        found = aim(held, release, target, wanted)
+        switched = found.switched
+    assert switched is not None
+    nominal = toss(held, release, switched)
+    case = Case(values, model, grip, tool, release, switched)
+    progress('working out how sure the landing is')
+    parts = parts_of(case, held, nominal)
+    if monte_carlo:
+        progress(f'drawing {monte_carlo} tosses')
+    drawn = draw(case, nominal, monte_carlo) if monte_carlo else None
+    return TossResult(
+        case, held, nominal, parts, found, asked if found else None, target, drawn,
+        (*notes, *_warnings(case, held)))
+
+
+def _warnings(case: Case, held: Held) -> list[str]:
+    """Return what the reader should know."""
+    found = []
+    lost = held.lost_before(case.switched)
+    if lost is not None:
+        found.append(
+            f'The grip is lost {lost:.3f} s after the beginning, before the valve is switched at '
+            f'{case.switched:.3f} s: the package is gone by then. Move slower, or raise the '
+            'vacuum.')
+    if held.mode == 'delay':
+        found.append(
+            'Without cup.lip_radius and vacuum.holding the cup lets go release.delay after the '
+            'valve, whatever the load; release.tau has no effect.')
+    return found

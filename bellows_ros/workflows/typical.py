@@ -1,0 +1,149 @@
+"""How well an identified cup predicts the user's own motion, and what to record to better it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import os
+from typing import Any
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.lie import log_so3, quaternion_to_rotation
+from bellows_ros.core.model import Cup, model_tuple, package_of
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.plan import Run
+from bellows_ros.core.structure import structure_named
+from bellows_ros.workflows.identification import Identification
+from bellows_ros.workflows.plan import Source
+import numpy as np
+
+STEP = 0.5
+"""Central differences reach so many standard errors to both sides."""
+
+MOST_OF_IT = 0.5
+"""Entries are named until they make up so large a part of the variance."""
+
+REMEDIES: Mapping[str, str] = {
+    'x': 'quick moves to the sides', 'y': 'quick moves to the sides',
+    'z': 'quick small moves up and down, up to 10 Hz',
+    'rx': 'tilts of the tool at 1 to 4 Hz', 'ry': 'tilts of the tool at 1 to 4 Hz',
+    'rz': 'turns about the vertical at 1 to 3 Hz',
+}
+
+
+@dataclass(frozen=True)
+class Typical:
+    """
+    The accuracy of predictions along a plan, as far as K and P are uncertain.
+
+    Parameters
+    ----------
+    plan : str
+        Where it was read.
+    position, rotation : (float, float)
+        Standard deviation of the package's pose, its root mean square along the plan and its
+        largest value: m and rad.
+    shares : mapping of str to float
+        Part of the variance that each entry of K and P makes alone, the largest first.
+    unknown : tuple of str
+        Entries that are not identifiable; they count as known to themselves, 100 %.
+
+    """
+
+    plan: str
+    position: tuple[float, float]
+    rotation: tuple[float, float]
+    shares: Mapping[str, float]
+    unknown: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """Accuracy, where it comes from, and what to record again."""
+        (mm, most_mm), (mrad, most_mrad) = (
+            (1e3 * value for value in each) for each in (self.position, self.rotation))
+        text = (f'Along {self.plan} the package is predicted to {mm:.2g} mm and {mrad:.2g} mrad '
+                f'(root mean square; at most {most_mm:.2g} mm and {most_mrad:.2g} mrad), as far '
+                'as K and P are uncertain.')
+        if self.unknown:
+            text += f' Not identifiable, and counted with 100 %: {", ".join(self.unknown)}.'
+        named, part = list[str](), 0.0
+        for label, share in self.shares.items():
+            if part >= MOST_OF_IT or share <= 0.0:
+                break
+            named.append(f'{label} ({100.0 * share:.0f} %)')
+            part += share
+        axes = dict.fromkeys(axis for label in named for axis in label.split()[1].split('-'))
+        again = dict.fromkeys(REMEDIES[axis] for axis in axes)
+        return (f'{text} Most of it comes from {" and ".join(named)}: to better it, record '
+                f"{' and '.join(again)} again; 'bellows excite' designs such a motion.")
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of the JSON file, m and rad."""
+        return {
+            'plan': self.plan, 'position_std_rms': self.position[0],
+            'position_std_max': self.position[1], 'rotation_std_rms': self.rotation[0],
+            'rotation_std_max': self.rotation[1], 'shares': dict(self.shares),
+            'not_identifiable': list(self.unknown), 'sentence': self.sentence,
+        }
+
+
+def typical(
+    path: str | os.PathLike[str], source: Source, found: Identification
+) -> Typical:
+    """
+    Return the accuracy of predictions along a plan.
+
+    Parameters
+    ----------
+    path : path
+        Where the plan was read.
+    source : Source
+        The plan, as `workflows.plan.read_plan` returns it.
+    found : Identification
+        With K, P and their covariance, of which the predictor can take the cup.
+
+    Raises
+    ------
+    BellowsError
+        If the package is not known, or the cup cannot hold it along the plan.
+
+    """
+    values: dict[str, Any] = resolve(found.cup_values(), PACKAGE_PARAMETERS)
+    fit, structure = found.fit, structure_named(found.fit.structure)
+    x = structure.parameters(fit.stiffness, fit.damping)
+    diagonal = np.sqrt(np.concatenate([
+        [matrix[i, i] * matrix[j, j] for i, j in structure.leads]
+        for matrix in (fit.stiffness, np.maximum(fit.damping, 0.0))]))
+    std = np.sqrt(np.diag(fit.covariance))
+    known = np.isfinite(std)
+    std = np.where(known, std, diagonal)
+    step = np.minimum(std, 0.5 * diagonal)  # so that K stays definite where little is known
+    correlation = np.eye(len(x))
+    both = np.outer(known, known)
+    correlation[both] = (fit.covariance[both].reshape(known.sum(), -1)
+                         / np.outer(std[known], std[known])).ravel()
+
+    def states(parameters: Array) -> Array:
+        cup = Cup(*structure.matrices(parameters), found.cup_length)
+        model = model_tuple(cup, package_of(values), source.gravity)
+        return Run(model, None, source.tool).at(1.0).states
+
+    changes: Any = []
+    for i, size in enumerate(STEP * step):
+        unit = size * np.eye(len(x))[i]
+        up, down = states(x + unit), states(x - unit) if size else states(x)
+        R = [quaternion_to_rotation(rows[:, 3:7]) for rows in (down, up)]
+        turn = log_so3(np.swapaxes(R[0], -1, -2) @ R[1])
+        change = np.hstack([up[:, :3] - down[:, :3], turn])
+        changes.append(change * (std[i] / (2.0 * size) if size else 0.0))
+    changes = np.array(changes)
+    variance = np.einsum('ink,ij,jnk->nk', changes, correlation, changes)
+    alone = np.sum(changes**2 / np.maximum(np.mean(variance, axis=0), 1e-300), axis=(1, 2))
+    order = np.argsort(-alone, kind='stable').tolist()
+    parts = [np.sqrt(np.maximum(variance[:, part].sum(axis=1), 0.0))
+             for part in (slice(0, 3), slice(3, 6))]
+    rms, most = ([float(f(each)) for each in parts] for f in (
+        lambda each: np.sqrt(np.mean(each**2)), np.max))
+    total = float(alone.sum()) or 1.0
+    return Typical(
+        os.fspath(path), (rms[0], most[0]), (rms[1], most[1]),
+        {fit.labels[i]: float(alone[i]) / total for i in order},
+        tuple(label for label, sure in zip(fit.labels, known, strict=True) if not sure))

@@ -1,0 +1,250 @@
+"""What a cup is worth, what explains what noise does not, and whether it is refused."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.hypotheses.hypotheses import diagnose, Diagnosis, Finding
+from bellows_ros.core.identification.result import Fit, POSE_UNITS
+from bellows_ros.core.model import Cup
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.score import AXES
+from bellows_ros.core.structure import structure_named
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+LOOKED_AT = 3
+"""Recordings that are simulated freely and doubted; more tell the same."""
+
+UNEXPLAINED = 0.2
+"""Part of the motion in an axis that may be left unexplained."""
+
+DOUBTED = 1.0
+"""Residuals beyond noise, over those expected of noise and rubber, that are worth a word."""
+
+WORTH_A_WORD = 0.8
+"""A likely cause leaves at most this part of the residuals."""
+
+
+class Simulated(NamedTuple):
+    """A recording simulated freely with the cup: RMS errors, noise and motion (6,), m and rad."""
+
+    bag: str
+    rms: Array
+    noise: Array
+    motion: Array
+    unexplained: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """What the cup is worth."""
+        parts = []
+        for kind, unit in ((slice(0, 3), 'mm'), (slice(3, 6), 'mrad')):
+            errors = ', '.join(f'{name} {1e3 * x:.2g}' for name, x in
+                               zip(AXES[kind], self.rms[kind], strict=True))
+            noise = ', '.join(f'{1e3 * x:.2g}' for x in self.noise[kind])
+            parts.append(f'{errors} {unit} (noise {noise})')
+        return f'{self.bag}, simulated freely with this cup, is off by {"; ".join(parts)} RMS.'
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it for a JSON file."""
+        units = dict.fromkeys(('rms', 'noise', 'motion'), POSE_UNITS)
+        return {**self._asdict(), 'axes': AXES, 'units': units}
+
+
+class Verdict(NamedTuple):
+    """Free simulations of recordings of the fit, and what was found to be otherwise."""
+
+    simulated: tuple[Simulated, ...]
+    diagnosis: Diagnosis
+    given: Mapping[str, Any]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The likeliest cause, where there is one, and what the cup is worth."""
+        return (*self._cause(), *(own.sentence for own in self.simulated))
+
+    def _cause(self) -> tuple[str, ...]:
+        """Return a sentence about what explains most, or none."""
+        if not self.diagnosis.findings:
+            return ()
+        first = self.diagnosis.findings[0]
+        if first.certain:
+            return (finding_sentence(first, self.given),)
+        if self.diagnosis.excess < DOUBTED:
+            return ()
+        if first.left > WORTH_A_WORD:
+            return ('Noise does not explain what the fit leaves, and no single cause that was '
+                    'tried does: check the list in the JSON file, and what was given.',)
+        return (f'Likely, but not certain: {finding_sentence(first, self.given)}',)
+
+    @property
+    def refusals(self) -> tuple[str, ...]:
+        """Why the cup is refused; nothing where it is not."""
+        found = []
+        for own in self.simulated:
+            if own.unexplained:
+                found.append(
+                    f'{own.bag}: more than {100.0 * UNEXPLAINED:g} % of the motion is unexplained '
+                    f'in {", ".join(own.unexplained)}.')
+        first = self.diagnosis.findings[:1]
+        if first and first[0].material:
+            found.append(
+                f'What was given is wrong, and K with it: {setting_of(first[0])}. See the first '
+                'line, and fit again.')
+        return tuple(found)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it for a JSON file."""
+        return {
+            'free_simulations': [own.as_json() for own in self.simulated],
+            'excess': self.diagnosis.excess,
+            'hypotheses': [
+                {**found._asdict(), 'material': found.material, 'setting': setting_of(found),
+                 'sentence': finding_sentence(found, self.given),
+                 'units': {'theta': UNITS.get(found.name, '1'),
+                           'std': UNITS.get(found.name, '1'), 'left': '1', 'moved': '1'}}
+                for found in self.diagnosis.findings],
+            'units': {'excess': '1'},
+        }
+
+
+UNITS: dict[str, Any] = {
+    'time_offset': 's', 'com': 'm', 'length': 'm', 'package_world': POSE_UNITS}
+
+SETTINGS = {
+    'time_offset': 'fit.time_offset', 'com': 'package.com', 'length': 'cup.length',
+    'inertia': 'package.inertia', 'mass': 'package.mass', 'structure': 'fit.structure',
+    'package_world': 'recording.package_world', 'yaw': 'recording.align_at_rest',
+}
+
+
+def verdict_of(
+    fit: Fit, recordings: Sequence[Recording], length: float, values: Mapping[str, Any],
+    known: Sequence[str],
+) -> Verdict | None:
+    """
+    Return the verdict on a fit from some of its recordings, None without any.
+
+    Parameters
+    ----------
+    fit : Fit
+        K and P.
+    recordings : sequence of Recording
+        Of the fit.
+    length : float
+        Of the cup, m.
+    values : mapping
+        Parameters by name.
+    known : sequence of str
+        Labels of the parameters that are identifiable.
+
+    """
+    some = recordings[:LOOKED_AT]
+    if not some:
+        return None
+    diagnosis = diagnose(some, length, structure_named(values['fit.structure']), known)
+    if not fit.usable:
+        return Verdict((), diagnosis, values)
+    cup = Cup(fit.stiffness, fit.damping, length)
+    return Verdict(tuple(_simulated(cup, own) for own in some), diagnosis, values)
+
+
+def _simulated(cup: Cup, recording: Recording) -> Simulated:
+    """Return a recording simulated freely; all of it is unexplained where that is not possible."""
+    from bellows_ros.core.identification.validation.validation import validate
+
+    try:
+        found = validate(cup, recording)
+    except BellowsError:
+        nothing = np.full(6, np.nan)
+        return Simulated(recording.name, nothing, nothing, nothing, AXES)
+    beyond = found.moves & ~(found.model_error <= UNEXPLAINED)
+    return Simulated(
+        recording.name, found.scores.rms, found.noise, found.scores.motion,
+        tuple(AXES[i] for i in np.flatnonzero(beyond)))
+
+
+def setting_of(found: Finding) -> str:
+    """Return the parameter to change, '' where it is the cup."""
+    if found.value.startswith('gravity'):
+        return 'gravity.direction'
+    if found.instead:
+        return f'{SETTINGS[found.name]} or {SETTINGS[found.instead]}'
+    return SETTINGS.get(found.name, found.name if found.datum else '')
+
+
+def finding_sentence(found: Finding, given: Mapping[str, Any]) -> str:
+    """Return what was found, its size, by how much residuals fall, and what to change."""
+    what, remedy = _words(found, given)
+    return f'{what}; with that, the residuals fall to {100.0 * found.left:.2g} %. {remedy}'
+
+
+def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    """Return what was found with its size, and what to do."""
+    name, theta, std = found.name, found.theta, found.std
+    if name == 'time_offset':
+        side = 'behind' if theta[0] > 0.0 else 'ahead of'
+        return (f'The stamps of the tool are {_size(theta[0], std[0])} ms {side} those of the '
+                'package', 'Stamp both by one clock, or set fit.time_offset: true.')
+    if name == 'com':
+        shifts = ', '.join(
+            f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm' for axis, x, s in
+            zip('xyz', theta, std, strict=True) if abs(x) > 3.0 * s)
+        moved = np.where(np.abs(theta) > 3.0 * std, theta, 0.0)
+        new = ', '.join(f'{x:.4f}' for x in np.add(given['package.com'], moved))
+        other = ' (or cup.length is off by as much)' if found.instead else ''
+        return (f'The centre of mass is not where package.com says, but {shifts} from there'
+                f'{other}', f'Check package.com{" and cup.length" * bool(other)}: it would be '
+                f'[{new}].')
+    if name == 'length':
+        side = 'short' if theta[0] > 0.0 else 'long'
+        other = ', or package.com is off along z by as much' if found.instead else ''
+        return (f'cup.length is {_size(theta[0], std[0])} mm too {side}{other}',
+                f'Measure it under vacuum, or find it with bellows static: it would be '
+                f'{given["cup.length"] + theta[0]:.5f}.')
+    if name == 'package_world':
+        way, turn = (', '.join(f'{1e3 * x:.2f} ± {1e3 * s:.2g}' for x, s in
+                               zip(theta[part], std[part], strict=True))
+                     for part in (slice(0, 3), slice(3, 6)))
+        return (f"The worlds of the tool's and the package's poses are apart by {way} mm and "
+                f'{turn} mrad', 'Set recording.package_world: estimate.')
+    return _setting_words(found)
+
+
+def _setting_words(found: Finding) -> tuple[str, str]:
+    """Return the same where a setting is changed, or the cup is otherwise."""
+    name, value = found.name, found.value
+    if name == 'inertia' and not value:
+        factor = float(np.exp(-found.theta[0]))
+        return (f'package.inertia is {factor:.3g} ± {factor * found.std[0]:.2g} times what suits '
+                'package.mass', 'One of the two is wrong: weigh the package, and compute its '
+                'inertia in kg m^2.')
+    if name in ('inertia', 'mass'):
+        unit = 'kg m^2' if name == 'inertia' else 'kg'
+        return (f'package.{name} is in {value}, not in {unit}', f'Give it in {unit}.')
+    if name == 'recording.world':
+        if value.startswith('gravity'):
+            return ('Things fall elsewhere than along -z of the world',
+                    f'Set gravity.direction: {value.removeprefix("gravity ")}.')
+        return (f'The world of the recording is {value}', f'Set recording.world: {value}.')
+    if name == 'recording.package_frame':
+        return (f'The package poses are those of the {value}', f'Set {name}: {value}.')
+    if name == 'yaw':
+        body, degrees = value.split()
+        return (f"The {body}'s frame is turned by {degrees} degrees about z",
+                'Turn it back in its driver, or set recording.align_at_rest: true where the '
+                'recording begins at rest.')
+    if name == 'structure':
+        return (f'The cup is not of the structure that was taken, but {value}',
+                f'Set fit.structure: {value}.')
+    if name == 'drift':
+        return ('The stiffness of the cup drifts in time: it warms up, or leaks',
+                'Fit shorter recordings of a cup that has warmed up.')
+    return ('The cup is not linear: its stiffness changes with the deflection',
+            'The fit is its mean over this motion: record as large motions as it is used with.')
+
+
+def _size(value: float, std: float) -> str:
+    """Return a size with its standard error, both in thousandths."""
+    return f'{1e3 * abs(value):.3f} ± {1e3 * std:.2g}'

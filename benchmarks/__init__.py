@@ -1,0 +1,1 @@
+"""Measurements of speed and accuracy that the documentation quotes: `make bench`."""

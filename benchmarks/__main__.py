@@ -1,0 +1,115 @@
+"""
+Measure the speed of this package, and write it into docs/performance.json and .md.
+
+    python -m benchmarks                # everything, some twenty minutes on an idle machine
+    python -m benchmarks --only step    # print one section and write nothing
+    python -m benchmarks --tables       # make the page's tables anew from the figures, unmeasured
+"""
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime, UTC
+import importlib.metadata
+import json
+import os
+from pathlib import Path
+import platform
+import re
+import sys
+from typing import Any
+
+from bellows_ros import __version__
+from bellows_ros.files.atomic import write_text
+from bellows_ros.files.results import write_json
+
+from . import batch, live, offline, plans, startup, step
+from .tables import markdown, tables
+
+DOCS = Path(__file__).resolve().parents[1] / 'docs'
+SECTIONS: Mapping[str, Callable[[bool], dict[str, Any]]] = {
+    'step': step.run,
+    'node': live.run,
+    'offline': offline.run,
+    'startup': startup.run,
+    'batch': batch.run,
+    'plans': plans.run,
+}
+PACKAGES = ('numpy', 'scipy', 'numba', 'rosbags', 'mujoco', 'drake', 'joblib')
+_MARKED = re.compile(r'(<!-- bench: (\S+) -->\n).*?(<!-- end -->)', re.DOTALL)
+
+
+def measured(sections: Sequence[str], short: bool = False) -> dict[str, Any]:
+    """Return the figures of sections, and of the machine; short ones only show that it works."""
+    found: dict[str, Any] = {'machine': machine()}
+    for name in sections:
+        print(f'measuring {name}', file=sys.stderr, flush=True)
+        found[name] = SECTIONS[name](short)
+    return found
+
+
+def machine() -> dict[str, Any]:
+    """Return what the figures were measured on and with."""
+    versions = {}
+    for name in PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = 'not installed'
+    return {
+        'processor': _processor(),
+        'cores': os.cpu_count(),
+        'load': os.getloadavg()[0],
+        'system': f'{platform.system()} {platform.machine()}',
+        'python': platform.python_version(),
+        'bellows_ros': __version__,
+        'versions': versions,
+        'date': datetime.now(UTC).date().isoformat(),
+    }
+
+
+def _processor() -> str:
+    """Return the processor's name."""
+    lines = Path('/proc/cpuinfo').read_text().splitlines()
+    names = [line.partition(':')[2].strip() for line in lines if line.startswith('model name')]
+    return names[0] if names else platform.processor()
+
+
+def renewed(page: str, found: Mapping[str, Any]) -> str:
+    """Return a page with new tables between `<!-- bench: NAME -->` and `<!-- end -->`."""
+    new = {name: markdown(table) for name, table in tables(found).items()}
+    at = found['machine']
+    versions = ', '.join(f'{name} {version}' for name, version in at['versions'].items())
+    new['machine'] = (
+        f'Measured on {at["date"]} with {at["cores"]} cores of {at["processor"]} '
+        f'(load {at["load"]:.1f} at the start), {at["system"]}, Python {at["python"]}, {versions}.'
+    )
+
+    def table(match: re.Match[str]) -> str:
+        name = match.group(2)
+        return f'{match.group(1)}{new[name]}\n{match.group(3)}' if name in new else match.group()
+
+    return _MARKED.sub(table, page)
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(
+        prog='python -m benchmarks', description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--only', choices=SECTIONS, metavar='SECTION', help=', '.join(SECTIONS))
+    parser.add_argument('--tables', action='store_true', help='do not measure')
+    arguments = parser.parse_args()
+    figures, page = DOCS / 'performance.json', DOCS / 'performance.md'
+    if arguments.tables:
+        found = json.loads(figures.read_text())
+    else:
+        found = measured([arguments.only] if arguments.only else list(SECTIONS))
+        for table in tables(found).values():
+            print(markdown(table), end='\n\n')
+    if not arguments.only:
+        write_json(figures, found)
+        write_text(page, renewed(page.read_text(), found))
+
+
+if __name__ == '__main__':
+    main()

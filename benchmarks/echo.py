@@ -1,0 +1,50 @@
+"""
+A bare node that sends every tool pose back: the floor for the latency of the predictor.
+
+`python -m benchmarks.echo` spins it with `rclpy.spin`, as one would write it; with
+the argument `events` it is spun as the commands of this package spin theirs.
+"""
+
+import sys
+
+from bellows_ros.nodes.command import run
+from bellows_ros.nodes.help_text import Interface
+from geometry_msgs.msg import PoseStamped
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+
+QUEUE = 100
+
+
+class Echo(Node):
+    """Send `tool_arm/pose` on as `package/pose`; never finished."""
+
+    def __init__(self) -> None:
+        """Make the topics."""
+        super().__init__('echo')
+        self.finished = Future()
+        publisher = self.create_publisher(PoseStamped, 'package/pose', QUEUE)
+        qos = QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.create_subscription(PoseStamped, 'tool_arm/pose', publisher.publish, qos)
+
+    def close(self) -> None:
+        """Take the node down."""
+        self.destroy_node()
+
+
+def main() -> None:
+    """Spin the node until the process is asked to end."""
+    if sys.argv[1:] == ['events']:
+        sys.exit(run(Interface('echo', '', (), ()), lambda: Echo, ()))
+    rclpy.init()
+    try:
+        rclpy.spin(Echo())
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+
+
+if __name__ == '__main__':
+    main()

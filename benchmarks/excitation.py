@@ -1,0 +1,100 @@
+"""
+What four kinds of motion tell of K and P, in the same time and under the same limits.
+
+    python -m benchmarks.excitation
+
+prints the table of docs/exciting.md: expected standard errors of the truth in percent, for random
+waypoints, our multisine (as it is, and scaled up until a limit is met), a motion designed for the
+smallest condition number, and one designed by `bellows excite`.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from bellows_ros.core import excitation
+from bellows_ros.core.arm_limits import ArmLimits, limits_from
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.commissioning import everyday
+from bellows_ros.core.excitation import all_ratios, cups_near, design, Search
+from bellows_ros.core.identification.fisher import motion_information, standard_errors
+from bellows_ros.core.model import cup_of, model_tuple, package_of
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.core.synthetic.motion import Motion
+from bellows_ros.core.synthetic.recipe import read_recipe
+from bellows_ros.files import safe_yaml
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.workflows.excite import tracking_from
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+SECONDS = 20.0
+STRUCTURE = STRUCTURES['axisymmetric']
+
+
+class Conditioned(Search):
+    """The same search for the smallest condition number of the information."""
+
+    def _information(self, lines: Any) -> tuple[float, Any]:
+        """Return the negative mean logarithm of the condition number, and its slope."""
+        value, slope, count = 0.0, np.zeros_like(lines), len(self._changes)
+        for changes, constant in zip(self._changes, self._constant, strict=True):
+            y = np.einsum('nfij,fj->nfi', changes, lines, optimize=True)
+            flat = y.reshape(len(y), -1)
+            M = 0.5 * self._poses * np.real(flat.conj() @ flat.T) + constant
+            values, vectors = np.linalg.eigh(M)
+            value -= float(np.log(values[-1] / values[0])) / count
+            for i, sign in ((0, 1.0), (-1, -1.0)):
+                v = vectors[:, i]
+                weighted = np.outer(v, v @ flat).reshape(y.shape)
+                slope += sign * self._poses / (count * values[i]) * np.einsum(
+                    'nfij,nfi->fj', changes.conj(), weighted, optimize=True)
+        return value, slope
+
+
+def motions(
+    limits: ArmLimits, cup: Any, package: Any, tracking: Any
+) -> Iterator[tuple[str, Motion]]:
+    """Yield names and motions."""
+    models = [model_tuple(each, package, 9.81) for each in cups_near(cup)]
+    yield 'random waypoints', everyday(limits, models, None, SECONDS, 1)
+    ours: Any = read_recipe(
+        safe_yaml.load(ROOT / 'bags' / 'identification.yaml'), package.com).motion
+    ours = replace(ours, duration=SECONDS)
+    yield 'multisine', ours
+    for _ in range(8):
+        ratios = all_ratios(ours, limits, models, None)
+        ours = replace(ours, amplitude=ours.amplitude * 0.999 / max(ratios.values()))
+    yield 'multisine, scaled up', ours
+    plain = excitation.Search
+    for name, kind in (('condition number', Conditioned), ('determinant', plain)):
+        excitation.Search = kind  # type: ignore[misc]
+        found = design(cup, package, 9.81, None, STRUCTURE, limits, tracking, SECONDS, 0,
+                       lambda what, part: None)
+        excitation.Search = plain  # type: ignore[misc]
+        yield name, found.motion
+
+
+def main() -> None:
+    """Print the table."""
+    given = read_parameters(ROOT / 'bags' / 'cup.yaml')
+    values: dict[str, Any] = resolve(given, PACKAGE_PARAMETERS)
+    limits, block = limits_from(safe_yaml.load(ROOT / 'config' / 'limits_example.yaml'), 1.5)
+    tracking, cup, package = tracking_from(block), cup_of(values), package_of(values)
+    truth: Array = STRUCTURE.parameters(cup.stiffness, cup.damping)
+    print('| motion | ' + ' | '.join(STRUCTURE.labels) + ' | condition number |')
+    print('|---' * (len(truth) + 2) + '|')
+    for name, motion in motions(limits, cup, package, tracking):
+        M = motion_information(
+            model_tuple(cup, package, 9.81), motion.at_rate(1.0 / tracking.package_period),
+            tracking, STRUCTURE)
+        errors = 100.0 * standard_errors(M) / truth
+        condition = np.linalg.cond(M * np.outer(truth, truth))
+        print(f'| {name} | ' + ' | '.join(f'{e:.2g}' for e in errors) + f' | {condition:.2g} |',
+              flush=True)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,180 @@
+"""
+How well each method of identification finds a known cup.
+
+    python -m benchmarks.identification --runs 8
+
+Recordings are simulated with noise on tool and package, many for each noise, and every method fits
+each of them. The table says by how much the parameters are off on average (bias), how they spread,
+how often the 95 % interval holds the truth, and with an exact tool how much wider the spread is
+than the Cramer-Rao bound.
+"""
+
+import argparse
+from collections.abc import Callable
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.identification.equations.samples import Samples
+from bellows_ros.core.identification.prediction.prediction_error import prediction_error
+from bellows_ros.core.identification.prediction.segments import measured_segments
+from bellows_ros.core.identification.regression.least_squares import least_squares
+from bellows_ros.core.identification.regression.sufficient import statistics
+from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.recording.noise import FilterNoise, Noise, noise_of
+from bellows_ros.core.savgol import savgol, weights
+from bellows_ros.core.sensitivities import sensitivities
+from bellows_ros.core.simulation import simulate, state_row, tool_rows
+from bellows_ros.core.structure import structure_named
+from bellows_ros.core.synthetic.motion import motion_from
+from bellows_ros.core.synthetic.settings import Settings
+from bellows_ros.core.trajectory import Trajectory
+import numpy as np
+
+RATE_HZ = 360.0
+GRAVITY = 9.81
+HALF_WINDOW, ORDER = 30, 6
+PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), np.array([0.0, 0.0, -0.03]))
+STRUCTURE = structure_named('axisymmetric')
+NOISES = ((0.0, 0.0), (5e-5, 2e-4), (1e-4, 5e-4), (3e-4, 1e-3), (1e-3, 1e-3))
+MOTION = {
+    'kind': 'multi_sine', 'rest_duration': 1.0, 'ramp_duration': 1.0,
+    'multi_sine': {
+        'position': {
+            axis: {'amplitude': [0.02, 0.01, 0.003], 'frequency': [0.4 + i / 50, 1.3, 3 - i / 9]}
+            for i, axis in enumerate('xyz')
+        },
+        'rotation': {
+            axis: {'amplitude': [0.08, 0.04, 0.01], 'frequency': [0.5 + i / 40, 1.4, 2.9 - i / 7]}
+            for i, axis in enumerate('xyz')
+        },
+    },
+}
+
+Poses = tuple[Trajectory, Trajectory]
+
+
+def recorded(seed: int, duration: float, noise: Noise, tool_noise: Noise) -> Poses:
+    """Return noisy poses of tool and package of one simulated recording."""
+    rng = np.random.default_rng(seed)
+    motion = motion_from(Settings({**MOTION, 'duration': duration}), rng)
+    stamps = np.round(np.arange(int(duration * RATE_HZ)) / RATE_HZ * 1e9).astype(np.int64)
+    tool = motion.trajectory(stamps, 0)
+    body = simulate(Cup.thesis(), PLATE, tool, gravity=GRAVITY)
+    return _noisy(tool, tool_noise, rng), _noisy(body, noise, rng)
+
+
+def _noisy(poses: Trajectory, noise: Noise, rng: np.random.Generator) -> Trajectory:
+    """Return poses with white noise."""
+    shape = poses.position.shape
+    return Trajectory(
+        poses.stamps_ns,
+        poses.position + noise.position * rng.standard_normal(shape),
+        poses.rotation @ exp_so3(noise.rotation * rng.standard_normal(shape)),
+    )
+
+
+def by_least_squares(poses: Poses) -> Fit:
+    """Fit accelerations."""
+    tool, package = (savgol(part, HALF_WINDOW, ORDER) for part in poses)
+    samples = Samples(tool, package, PLATE, GRAVITY, (2 * HALF_WINDOW + 1) / RATE_HZ)
+    through = weights(HALF_WINDOW, ORDER, RATE_HZ)
+    noise = FilterNoise(noise_of(poses[0]), noise_of(poses[1]), through, through)
+    length = Cup.thesis().length
+    return least_squares([statistics(samples, length, STRUCTURE, noise)])
+
+
+def by_prediction_error(poses: Poses) -> Fit:
+    """Fit poses, with the tool's noise as what it is."""
+    start = by_least_squares(poses)
+    cup = Cup(start.stiffness, start.damping, Cup.thesis().length)
+    return prediction_error(measured_segments(*poses, PLATE, GRAVITY), STRUCTURE, cup)
+
+
+METHODS: dict[str, Callable[[Poses], Fit]] = {
+    'least squares': by_least_squares,
+    'prediction error': by_prediction_error,
+}
+
+
+def ratios(fit: Fit) -> tuple[Array, Array]:
+    """Return the parameters and their standard errors over the truth."""
+    truth = STRUCTURE.parameters(Cup.thesis().stiffness, Cup.thesis().damping)
+    found = STRUCTURE.parameters(fit.stiffness, fit.damping)
+    return found / truth, np.sqrt(np.diag(fit.covariance)) / truth
+
+
+def cramer_rao(seed: int, duration: float, noise: Noise) -> Array:
+    """Return the least relative errors of any unbiased method with an exact tool."""
+    silent, truth = Noise(0.0, 0.0), Cup.thesis()
+    tool, _ = recorded(seed, duration, silent, silent)
+    model = model_tuple(truth, PLATE, GRAVITY)
+    inputs = tool_rows(savgol(tool, 2, 4))
+    start = static_equilibrium(model, state_row(inputs[0, :3], inputs[0, 3:7], np.zeros(6)))
+    steps = np.full(len(inputs) - 1, 2)
+    _, S = sensitivities(
+        model, start, inputs, np.full(len(steps), 1.0 / RATE_HZ), steps, slice(0, 42))
+    upper = np.triu_indices(6)
+    entries = np.kron(np.eye(2), np.array([unit[upper] for unit in STRUCTURE.basis]).T)
+    J = np.concatenate([S[:, :6, 12:] @ entries, S[:, :6, :12]], axis=2)
+    J = (J / np.repeat(noise, 3)[:, None]).reshape(-1, J.shape[2])
+    unit = np.linalg.norm(J, axis=0)
+    bound = np.sqrt(np.diag(np.linalg.inv((J / unit).T @ (J / unit)))) / unit
+    return np.asarray(
+        bound[:2 * STRUCTURE.size] / STRUCTURE.parameters(truth.stiffness, truth.damping))
+
+
+def rows(
+    noise: tuple[float, float], runs: int, duration: float, exact_tool: bool, methods: list[str]
+) -> list[str]:
+    """Return the lines of the table for one noise."""
+    of_package = Noise(*noise)
+    of_tool = Noise(0.0, 0.0) if exact_tool else of_package
+    results: dict[str, list[tuple[Array, Array]]] = {name: [] for name in methods}
+    for seed in range(runs):
+        poses = recorded(seed, duration, of_package, of_tool)
+        for name in methods:
+            results[name].append(ratios(METHODS[name](poses)))
+    what = f'{noise[0] * 1e3:g} mm, {noise[1] * 1e3:g} mrad'
+    lines = []
+    for name in methods:
+        x, std = (np.array(part) for part in zip(*results[name], strict=True))
+        inside = np.mean(np.abs(x - 1.0) < 1.96 * std, axis=0)
+        lines.append(_line([what, name, 'bias %', *(f'{b:.2f}' for b in 100 * (x.mean(0) - 1))]))
+        spread = 100 * x.std(axis=0, ddof=1) if runs > 1 else np.zeros(x.shape[1])
+        lines.append(_line(['', '', 'spread %', *(f'{s:.2f}' for s in spread)]))
+        lines.append(_line(['', '', 'covered %', *(f'{100 * c:.0f}' for c in inside)]))
+        if exact_tool and runs > 1:
+            bounds = [cramer_rao(seed, duration, of_package) for seed in range(runs)]
+            over = np.std((x - 1.0) / bounds, axis=0, ddof=1)
+            lines.append(_line(['', '', 'spread / bound', *(f'{r:.2f}' for r in over)]))
+    return lines
+
+
+def _line(cells: list[str]) -> str:
+    return '| ' + ' | '.join(cells) + ' |'
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--runs', type=int, default=8, help='recordings for each noise')
+    parser.add_argument('--duration', type=float, default=30.0, help='of a recording, s')
+    parser.add_argument('--exact-tool', action='store_true', help='noise on the package only')
+    parser.add_argument('--methods', nargs='+', choices=METHODS, default=list(METHODS))
+    parser.add_argument('--noise', nargs=2, type=float, metavar=('M', 'RAD'), help='only this')
+    arguments = parser.parse_args()
+    header = ['noise', 'method', '', *STRUCTURE.labels]
+    print(_line(header))
+    print(_line(['---'] * len(header)))
+    noises = [tuple(arguments.noise)] if arguments.noise else NOISES
+    for noise in noises:
+        for line in rows(
+            noise, arguments.runs, arguments.duration, arguments.exact_tool, arguments.methods
+        ):
+            print(line, flush=True)
+
+
+if __name__ == '__main__':
+    main()

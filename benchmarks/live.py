@@ -1,0 +1,146 @@
+"""The node predictor between processes, against bare nodes that send every pose back."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+import json
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import tempfile
+from typing import Any
+
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+from .timing import same_package, TIMEOUT
+
+RATES = {False: (125, 360, 500, 1000), True: (125,)}
+SECONDS = {False: 7.0, True: 1.0}
+LONG = 60.0
+"""Of the single run at the highest rate in which nothing may be lost, s."""
+ROUNDS = {False: 3, True: 1}
+END_TIMEOUT = 10.0
+
+BARE = 'bare'
+"""A node spun with `rclpy.spin`, ..."""
+EVENTS = 'bare, events'
+"""... and the same spun as the commands of this package spin theirs."""
+PREDICTOR = 'predictor'
+HEARD = 'predictor, twist and wrench heard'
+LANDING = 'predictor, landing heard'
+"""Only what somebody listens to is published, beside the pose."""
+
+PARAMETERS = (
+    '-p', 'package.mass:=2.17',
+    '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
+    '-p', 'package.com:=[0.0, 0.0, -0.03]',
+)
+TOSSED = (
+    '-p', 'package.size:=[0.2, 0.2, 0.06]', '-p', 'landing.height:=-1.0',
+    '-p', 'release.delay:=0.012', '-p', 'release.delay_std:=0.001', '-p', 'release.tau:=0.015',
+    '-p', 'release.tau_std:=0.0005', '-p', 'cup.lip_radius:=0.03', '-p',
+    'vacuum.holding:=60000.0',
+)
+NODES: Mapping[str, tuple[str, ...]] = {
+    BARE: ('benchmarks.echo',),
+    EVENTS: ('benchmarks.echo', 'events'),
+    PREDICTOR: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
+    HEARD: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
+    LANDING: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS, *TOSSED),
+}
+
+
+def run(short: bool) -> dict[str, Any]:
+    """Return latencies (s), processor time per pose (s) and memory (bytes)."""
+    cases = [(rate, twists) for rate in RATES[short] for twists in (False, True)[short:]]
+    found: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for rate, twists in cases:
+            names = [BARE, EVENTS, PREDICTOR, *([HEARD] if twists else [])]
+            parts: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+            for _ in range(ROUNDS[short]):
+                for name in names:
+                    parts[name].append(measured(name, rate, SECONDS[short], twists, Path(folder)))
+            found += _figures(parts, rate, twists, SECONDS[short])
+        if not short:
+            rate = max(RATES[short])
+            parts = {
+                name: [measured(name, rate, LONG, True, Path(folder))]
+                for name in (BARE, PREDICTOR)
+            }
+            found += _figures(parts, rate, True, LONG)
+    return {'runs': found}
+
+
+def measured(name: str, rate: int, seconds: float, twists: bool, folder: Path) -> dict[str, Any]:
+    """Return what the probe finds of one node."""
+    environment = {
+        **same_package(),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_LOG_DIR': str(folder),
+        'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
+    }
+    with _process(NODES[name], environment, folder / f'{name}.log') as pid:
+        sent = 'twists' if twists else 'poses'
+        heard = {HEARD: 'all', LANDING: 'landing'}.get(name, 'pose')
+        arguments = [str(rate), str(seconds), sent, heard, str(pid)]
+        probe = subprocess.run(
+            [sys.executable, '-P', '-m', 'benchmarks.probe', *arguments],
+            env=environment, capture_output=True, text=True, timeout=TIMEOUT, check=False,
+        )
+    if probe.returncode:
+        log = (folder / f'{name}.log').read_text(errors='replace')[-400:]
+        raise BellowsError(f'Measuring {name} failed: {probe.stderr.strip()[-400:]} {log}')
+    result: dict[str, Any] = json.loads(probe.stdout.splitlines()[-1])
+    return result
+
+
+@contextmanager
+def _process(
+    module: tuple[str, ...], environment: Mapping[str, str], log: Path
+) -> Iterator[int]:
+    """Run a node and yield its process id."""
+    with log.open('wb') as output:
+        process = subprocess.Popen(
+            [sys.executable, '-P', '-m', *module], env=dict(environment),
+            stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
+        )
+    try:
+        yield process.pid
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(END_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _figures(
+    parts: Mapping[str, list[dict[str, Any]]], rate: int, twists: bool, seconds: float
+) -> list[dict[str, Any]]:
+    """Return the figures of each node's repeated runs."""
+    return [
+        {
+            'node': name, 'rate_hz': rate, 'twists': twists, 'seconds': seconds,
+            'runs': len(runs), **_medians(runs),
+        }
+        for name, runs in parts.items()
+    ]
+
+
+def _medians(runs: list[dict[str, Any]]) -> dict[str, float]:
+    """Return the medians of each run's percentiles and processor time, and what was lost."""
+    percentiles = np.array([np.percentile(run['latency'], [50.0, 99.0, 99.9]) for run in runs])
+    p50, p99, p999 = np.median(percentiles, axis=0).tolist()
+    per_pose = [run['processor_seconds'] / max(run['answered'], 1) for run in runs]
+    return {
+        'p50': p50,
+        'p99': p99,
+        'p99.9': p999,
+        'processor_per_pose': float(np.median(per_pose)),
+        'memory': max(run['memory'] for run in runs),
+        'sent': sum(run['sent'] for run in runs),
+        'lost': sum(run['sent'] - run['answered'] for run in runs),
+    }

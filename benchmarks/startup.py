@@ -1,0 +1,56 @@
+"""How long commands and the predictor take to start, with a warm and with a cold cache."""
+
+import subprocess
+import sys
+import tempfile
+import time
+from typing import Any
+
+from .timing import figures, in_process, same_package
+
+HELP = 'from bellows_ros.cli import main; import sys; sys.argv = ["bellows", "--help"]; main()'
+
+# From the start of the interpreter to the first prediction that could be made.
+READY = """
+import json, time
+from benchmarks.step_case import CUP, PACKAGE
+import bellows_ros.nodes.predictor_node
+import rclpy
+rclpy.init()
+from bellows_ros.core.live import warm_up
+warm_up(CUP, PACKAGE, 9.81, 'world')
+print(json.dumps({'done': time.monotonic()}))
+"""
+
+
+def run(short: bool) -> dict[str, Any]:
+    """Return seconds: of starts with nothing compiled, and of some after each of them."""
+    helped, cold, warm = [], [], []
+    repeats = 1 if short else 3
+    for _ in range(repeats):
+        with tempfile.TemporaryDirectory() as folder:
+            cache = {'NUMBA_CACHE_DIR': folder}
+            cold.append(_ready(cache))
+            for _ in range(repeats):
+                warm.append(_ready(cache))
+                helped.append(_help())
+    return {
+        'help': figures(helped),
+        'predictor_warm': figures(warm),
+        'predictor_cold': figures(cold),
+    }
+
+
+def _help() -> float:
+    """Return the time of `bellows --help`."""
+    start = time.perf_counter()
+    subprocess.run(
+        [sys.executable, '-P', '-c', HELP], env=same_package(), check=True, capture_output=True
+    )
+    return time.perf_counter() - start
+
+
+def _ready(environment: dict[str, str]) -> float:
+    """Return the time until the predictor's code could predict."""
+    start = time.monotonic()
+    return float(in_process(READY, environment=environment)['done']) - start

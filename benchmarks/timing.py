@@ -1,0 +1,91 @@
+"""Repeated, interleaved measurements, so that a machine that is slow for a while is so for all."""
+
+from collections.abc import Callable, Mapping, Sequence
+import json
+import os
+from pathlib import Path
+import statistics
+import subprocess
+import sys
+import time
+from typing import Any
+
+from bellows_ros.errors import BellowsError
+
+Work = Callable[[], int]
+"""Does some work and returns how many units of it."""
+
+Figures = dict[str, float]
+TIMEOUT = 600.0
+
+
+def interleaved(subjects: Mapping[str, Work], rounds: int) -> dict[str, Figures]:
+    """
+    Time subjects in turn, several rounds, and return seconds per unit of each.
+
+    Parameters
+    ----------
+    subjects : mapping of name to callable
+        Called once before the first round, untimed.
+    rounds : int
+        How often each is timed.
+
+    Returns
+    -------
+    dict of name to dict
+        'median', 'lowest', 'highest' and 'runs'.
+
+    """
+    for work in subjects.values():
+        work()
+    seconds: dict[str, list[float]] = {name: [] for name in subjects}
+    for _ in range(rounds):
+        for name, work in subjects.items():
+            start = time.perf_counter()
+            units = work()
+            seconds[name].append((time.perf_counter() - start) / units)
+    return {name: figures(values) for name, values in seconds.items()}
+
+
+def figures(values: Sequence[float]) -> Figures:
+    """Return the median and the range of repeated measurements."""
+    return {
+        'median': statistics.median(values),
+        'lowest': min(values),
+        'highest': max(values),
+        'runs': len(values),
+    }
+
+
+def ratio(of: Figures, to: Figures) -> float:
+    """Return the ratio of two medians."""
+    return of['median'] / to['median']
+
+
+def in_process(
+    code: str, *arguments: str, environment: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """
+    Run code in an interpreter of its own and return what it prints last, a line of JSON.
+
+    Raises
+    ------
+    BellowsError
+        If it fails.
+
+    """
+    done = subprocess.run(
+        [sys.executable, '-P', '-c', code, *arguments],
+        env={**same_package(), **(environment or {})},
+        capture_output=True, text=True, timeout=TIMEOUT, check=False,
+    )
+    if done.returncode:
+        raise BellowsError(f'A measurement failed: {done.stderr.strip()[-800:]}')
+    result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return result
+
+
+def same_package() -> dict[str, str]:
+    """Return an environment with this very package, and with the ROS that the shell has."""
+    paths = [str(Path(__file__).resolve().parents[1]), os.environ.get('PYTHONPATH', '')]
+    return {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, paths))}

@@ -1,0 +1,56 @@
+"""The picture of a toss, and how far off a landing is with the cup ignored, and with ours."""
+
+from pathlib import Path
+
+from bellows_ros.core.holding import grip_of
+from bellows_ros.core.landing import figures
+from bellows_ros.core.model import Cup, cup_of, model_tuple, package_of
+from bellows_ros.core.parameters import resolve
+from bellows_ros.core.release import Held, release_of, toss
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.plots.style import write_figure
+from bellows_ros.plots.toss import toss_figure
+from bellows_ros.workflows.plan import read_plan
+from bellows_ros.workflows.toss import toss_plan
+import numpy as np
+
+ROOT = Path(__file__).parents[2]
+PLAN = ROOT / 'bags' / 'throw.yaml'
+TIMES = np.arange(2.75, 3.3, 0.025)
+
+
+def main() -> None:
+    """Draw the picture and print the table."""
+    parameters = read_parameters(ROOT / 'bags' / 'tossing.yaml')
+    result = toss_plan(PLAN, parameters, 3.0, monte_carlo=500)
+    write_figure(ROOT / 'docs' / 'images' / 'toss.png', toss_figure(result, 'A toss'))
+    values = resolve(parameters)
+    cup, package, release = cup_of(values), package_of(values), release_of(values)
+    tool, grip = read_plan(PLAN, values).tool, grip_of(values)
+    soft = np.diag([1.0, 1.0, 1.0, 1e-3, 1e-3, 1.0])
+    better = np.diag([1.004] * 6)
+    models = {
+        'cup ignored (rigid)': Cup(300.0 * cup.stiffness, 20.0 * cup.damping, cup.length),
+        'rigid pendulum': Cup(soft @ cup.stiffness, soft @ cup.damping, cup.length),
+        'ours, as identified': Cup(better @ cup.stiffness, 1.02 * cup.damping, cup.length),
+    }
+    truth = Held(model_tuple(cup, package, 9.81), grip, tool)
+    for name, other in models.items():
+        held = Held(model_tuple(other, package, 9.81), grip, tool)
+        off, failed = [], 0
+        for time in TIMES:
+            try:
+                found = toss(held, release, time)
+            except BellowsError:
+                failed += 1
+                continue
+            off.append(figures(found, toss(truth, release, time), truth.model[2]))
+        metres = 1e3 * np.linalg.norm(np.array(off)[:, :3], axis=1)
+        turned = np.degrees(np.linalg.norm(np.array(off)[:, 3:], axis=1))
+        print(f'| {name} | {np.median(metres):.3g} | {metres.max():.3g} | '
+              f'{np.median(turned):.3g} | {turned.max():.3g} |')
+
+
+if __name__ == '__main__':
+    main()

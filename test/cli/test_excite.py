@@ -1,0 +1,138 @@
+"""`bellows excite`: a motion in several forms, and what to expect of it; bad input refused."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from bellows_ros.core.jit import COMPILED
+from bellows_ros.files.plans import plans_in
+from bellows_ros.files.trajectory_files import read_euroc
+import numpy as np
+import pytest
+import yaml
+
+from .conftest import contents, Run, write_yaml
+from ..conftest import ROOT
+
+pytestmark = pytest.mark.skipif(
+    not COMPILED, reason='numba is not installed: a design takes minutes interpreted')
+
+LIMITS: dict[str, Any] = yaml.safe_load((ROOT / 'config' / 'limits_example.yaml').read_text())
+ARM = """<robot name="arm"><link name="base"/><link name="tool"/>
+{links}{joints}</robot>"""
+
+
+@pytest.fixture(scope='module')
+def limits(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give limits under which a short motion is designed soon."""
+    return write_yaml(
+        tmp_path_factory.mktemp('limits') / 'arm.yaml', {**LIMITS, 'highest_frequency': 3.0})
+
+
+def test_designs_and_writes(bellows: Run, workshop: Path, limits: Path, tmp_path: Path) -> None:
+    """Write the same motion as plan, text and program, with what to expect of it."""
+    done = bellows(
+        'excite', '--params', workshop / 'cup.yaml', '--limits', limits, '--time', '6', '--out',
+        'motion', '--csv', 'm.csv', '--urscript', 'm.script', '--plot', 'm.png', '--json',
+        'm.json', '--beside', ROOT / 'bags' / 'identification.yaml', cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / 'm.json').read_text())
+    assert [e['name'] for e in found['entries']] == [
+        'K x', 'K z', 'K rx', 'K rz', 'P x', 'P z', 'P rx', 'P rz']
+    for entry in found['entries']:
+        (other,) = entry['beside'].values()
+        assert 0.0 < entry['expected_std'] < other
+    assert max(found['parts_of_limits'].values()) <= 1.0
+    assert 'K rz' in done.stdout and 'times' in done.stdout and 'Wrote m.script.' in done.stdout
+    (_, plan), = plans_in(tmp_path / 'motion')
+    stamps, poses = read_euroc(tmp_path / 'm.csv')
+    assert len(plan.times_ns) == 6001 and np.array_equal(stamps, plan.times_ns)
+    assert np.abs(poses - plan.poses).max() < 1e-8
+    lines = [x for x in (tmp_path / 'm.script').read_text().splitlines() if '  to(p[' in x]
+    row = [float(x) for x in lines[500].split('[')[1].rstrip('])').split(',')]
+    assert len(lines) == 751 and np.abs(np.array(row[:3]) - plan.poses[4000, :3]).max() < 1e-6
+    assert (tmp_path / 'm.png').read_bytes().startswith(b'\x89PNG')
+    again = bellows('plan', 'motion', '--params', workshop / 'cup.yaml', cwd=tmp_path)
+    assert again.returncode == 0 and 'swing left at the end' in again.stdout
+
+
+def test_joints_of_an_arm_limit_it(
+    bellows: Run, workshop: Path, limits: Path, tmp_path: Path
+) -> None:
+    """A gantry with three turning axes, one of which is slow and another short of way."""
+    kinds = ('prismatic', '1 0 0', 1.0), ('prismatic', '0 1 0', 1.0), ('prismatic', '0 0 1', 1.0)
+    kinds += ('revolute', '0 0 1', 0.5), ('revolute', '0 1 0', 9.0), ('revolute', '1 0 0', 9.0)
+    names = ['base', *'abcde', 'tool']
+    joints = ''.join(
+        f'<joint name="q{i}" type="{kind}"><parent link="{names[i]}"/><child link="{names[i + 1]}"'
+        f'/><axis xyz="{axis}"/><limit lower="-0.05" upper="0.9" velocity="{speed}"/></joint>'
+        for i, (kind, axis, speed) in enumerate(kinds))
+    links = ''.join(f'<link name="{name}"/>' for name in 'abcde')
+    (tmp_path / 'arm.urdf').write_text(ARM.format(links=links, joints=joints))
+    content = {**yaml.safe_load(limits.read_text()), 'joints': {
+        'q0': 0.45, 'q1': 0.0, 'q2': 0.6, 'q3': 0.0, 'q4': 0.1, 'q5': 0.0}}
+    del content['start']
+    content['workspace']['upper'] = [0.57, 0.22, 0.72]
+    limited = write_yaml(tmp_path / 'limits.yaml', content)
+    command = ['excite', '--params', workshop / 'cup.yaml', '--limits', limited, '--time', '6',
+               '--out', 'motion', '--urdf', 'arm.urdf', '--tool-link', 'tool']
+    done = bellows(*command, '--json', 'm.json', cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    parts = json.loads((tmp_path / 'm.json').read_text())['parts_of_limits']
+    assert 0.5 < parts['q3 speed'] <= 1.0 and parts['q1 range'] <= 1.0
+    (_, plan), = plans_in(tmp_path / 'motion')
+    assert plan.poses[:, 1].min() >= -0.05
+    content['joints']['q1'] = 3.0
+    write_yaml(limited, content)
+    done = bellows(*command, '--force', cwd=tmp_path)
+    assert done.returncode == 2 and "'joints.q1' must be in its range, -0.05 to 0.9" in done.stderr
+
+
+@pytest.mark.parametrize('change, time, message', [
+    ({'tracking': {'tool': {'rate_hz': 500.0}}}, 6, "'tracking.tool.noise' must have position"),
+    ({'linear': None}, 6, "'linear.speed' is missing; it must be a number above 0 (m/s)"),
+    ({}, 4, 'expected 5 to 120 s'),
+    ({'bendig': 1.0}, 6, "Did you mean 'bending'?"),
+])
+def test_bad_input_is_refused(
+    bellows: Run, workshop: Path, tmp_path: Path, change: dict[str, Any], time: int, message: str
+) -> None:
+    """Say what is wrong, and write nothing."""
+    file = write_yaml(tmp_path / 'arm.yaml', LIMITS | change)
+    before = contents(tmp_path)
+    done = bellows('excite', '--params', workshop / 'cup.yaml', '--limits', file, '--time', time,
+                   '--out', 'motion', '--csv', 'm.csv', cwd=tmp_path)
+    assert done.returncode == 2 and message in ' '.join(done.stderr.split())
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.stress
+def test_a_series_is_three_plans_in_order(
+    bellows: Run, workshop: Path, limits: Path, tmp_path: Path
+) -> None:
+    """Write standstills, the motion and one for validation, each from rest and within limits."""
+    command = ['excite', '--params', workshop / 'cup.yaml', '--limits', limits, '--time', '6',
+               '--out', 'series', '--series', '--json', 'm.json']
+    done = bellows(*command, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / 'm.json').read_text())['series']
+    assert [*found] == ['1_standstills', '2_excitation', '3_validation']
+    assert all(name in done.stdout for name in found)
+    low, high = (np.array(LIMITS['workspace'][name]) for name in ('lower', 'upper'))
+    for name in found:
+        (_, plan), = plans_in(tmp_path / 'series' / name)
+        o = plan.poses[:, :3]
+        assert (o >= low).all() and (o <= high).all() and not plan.twists[:1900].any()
+        assert np.abs(plan.twists[-1]).max() < 1e-9
+        for limit in ('acceleration', 'jerk'):
+            v = np.diff(plan.twists[:, :3], 1 if limit == 'acceleration' else 2, axis=0)
+            rate = 1e3 ** (1 if limit == 'acceleration' else 2)
+            # of the smooth step the jerk is largest at its ends, where it jumps
+            assert rate * np.linalg.norm(v, axis=1).max() <= 1.001 * LIMITS['linear'][limit]
+    still = plans_in(tmp_path / 'series' / '1_standstills')[0][1]
+    tilts = np.unique(np.round(still.poses[:, 3:][np.abs(still.twists).max(axis=1) == 0.0], 6),
+                      axis=0)
+    assert len(tilts) == 5
+    before = contents(tmp_path)
+    done = bellows(*command, cwd=tmp_path)
+    assert done.returncode == 2 and contents(tmp_path) == before

@@ -1,0 +1,80 @@
+"""`bellows plan`: figures, picture and recording of a plan, and bad ones refused."""
+
+import json
+from pathlib import Path
+
+from bellows_ros.files.bags import topics
+import pytest
+
+from .conftest import contents, Run, write_yaml
+
+GRIP = ('--set', 'cup.lip_radius=0.025', '--set', 'vacuum.holding=60000',
+        '--set', 'package.mass_std=0.01')
+TRANSPORT = {
+    'kind': 'waypoints', 'rest_duration': 0.0,
+    'waypoints': {'poses': [{'position': [0.4, 0.0, 0.0], 'move': 0.5}]},
+    'tool': {'rate_hz': 500.0}, 'package': {'rate_hz': 360.0},
+}
+
+
+@pytest.fixture(scope='module')
+def transport(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a plan as a motion file."""
+    return write_yaml(tmp_path_factory.mktemp('plan') / 'transport.yaml', TRANSPORT)
+
+
+def test_says_writes_and_draws(
+    bellows: Run, workshop: Path, transport: Path, tmp_path: Path
+) -> None:
+    """Say in words what stands in the JSON; write picture and recording."""
+    done = bellows(
+        'plan', transport, '--params', workshop / 'cup.yaml', *GRIP, '--fastest', '--json',
+        'plan.json', '--plot', 'plan.png', '--out', 'predicted', cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / 'plan.json').read_text())
+    for name in ('smallest_safety_factor', 'peak_bending', 'peak_deflection', 'peak_force',
+                 'peak_moment', 'rigid_peak_moment', 'swing_left', 'settled_after', 'duration',
+                 'smallest_safety_time', 'fastest_scale'):
+        assert found[name] > 0.0 and found[f'{name}_std'] >= 0.0, name
+    assert found['smallest_safety_mode'] == 'peel' and found['outside_validity'] == []
+    assert f'{found["smallest_safety_factor"]:.2f}' in done.stdout
+    assert 'shortest safe time' in done.stdout and 'Wrote predicted.' in done.stdout
+    assert (tmp_path / 'plan.png').read_bytes().startswith(b'\x89PNG')
+    assert {t.name for t in topics(tmp_path / 'predicted')} >= {
+        '/tool_arm/plan', '/package/plan', '/package/plan_path', '/package/pose'}
+    before = contents(tmp_path)
+    done = bellows('plan', transport, '--params', workshop / 'cup.yaml', '--out', 'predicted',
+                   '--json', 'other.json', cwd=tmp_path)
+    assert done.returncode == 2 and '--force' in done.stderr
+    assert contents(tmp_path) == before
+
+
+def test_a_recording_is_a_plan(bellows: Run, workshop: Path) -> None:
+    """Take the tool's motion in a recording; the summary goes aside where JSON goes out."""
+    done = bellows(
+        'plan', workshop / 'recording', '--params', workshop / 'cup.yaml', '--json', '-')
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)['smallest_safety_factor'] is None
+    assert 'set cup.lip_radius and vacuum.holding' in ' '.join(done.stderr.split())
+
+
+@pytest.mark.parametrize(('options', 'words'), [
+    (('no.yaml',), "'no.yaml' does not exist"),
+    (('plan.yaml', '--set', 'plan.frame=base'), "expected 'base'"),
+    (('point.yaml',), "Setting 'waypoints.poses'"),
+    (('plan.yaml', '--fastest'), 'cannot be sought'),
+    (('plan.yaml', '--plot', 'plan.txt', *GRIP), 'must end in .png, .svg or .pdf'),
+])
+def test_bad_input_ends_with_2_and_writes_nothing(
+    bellows: Run, workshop: Path, transport: Path, tmp_path: Path, options: tuple[str, ...],
+    words: str,
+) -> None:
+    """Say what is wrong."""
+    (tmp_path / 'plan.yaml').write_bytes(transport.read_bytes())
+    write_yaml(tmp_path / 'point.yaml', {**TRANSPORT, 'waypoints': {'poses': []}})
+    before = contents(tmp_path)
+    done = bellows('plan', *options, '--params', workshop / 'cup.yaml', '--json', 'plan.json',
+                   '--out', 'predicted', cwd=tmp_path)
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert words in ' '.join(done.stderr.split())
+    assert contents(tmp_path) == before

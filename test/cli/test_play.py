@@ -1,0 +1,46 @@
+"""`bellows play`: a recording to ROS, as a process of its own."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+from .conftest import Run
+
+needs_ros = pytest.mark.skipif(
+    importlib.util.find_spec('rclpy') is None, reason="no rclpy here (pip install '.[ros]')")
+
+
+@needs_ros
+def test_what_was_played_is_said(
+    bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Count the messages of each topic, and warn where nobody listens."""
+    done = bellows(
+        'play', 'recording', '--topic', '/tool_arm/pose:=/pose', '--rate', 8, '--json',
+        tmp_path / 'played.json', cwd=workshop)
+    assert done.returncode == 0, done.stderr
+    content = json.loads((tmp_path / 'played.json').read_text())
+    assert content['messages'] == {'/pose': 2401} and content['duration'] == 1.0
+    assert '/pose  2401 messages' in done.stdout
+    assert 'Warning: Nobody listened' in done.stderr
+
+
+@needs_ros
+def test_what_cannot_be_played_is_refused(bellows: Run, workshop: Path) -> None:
+    """Name topics that are there, and speeds that may be."""
+    done = bellows('play', 'recording', '--topic', '/x', cwd=workshop)
+    assert done.returncode == 2 and 'there are: /package/pose (geometry_msgs' in done.stderr
+    for rate in ('0', '-1', 'nan', 'inf'):
+        done = bellows('play', 'recording', '--rate', rate, cwd=workshop)
+        assert done.returncode == 2 and '--rate must be a number above 0' in done.stderr
+
+
+def test_without_ros_it_says_how_to_get_it(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+    """End with 2, and name both ways."""
+    (tmp_path / 'sitecustomize.py').write_text(
+        'import importlib.util as u\nfind = u.find_spec\n'
+        "u.find_spec = lambda name, *rest: None if name == 'rclpy' else find(name, *rest)\n")
+    done = bellows('play', 'recording', cwd=workshop, PYTHONPATH=str(tmp_path))
+    assert done.returncode == 2 and 'ROS 2 is not here' in done.stderr

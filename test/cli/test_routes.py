@@ -1,0 +1,67 @@
+"""`bellows identify` through files and on several cores, as a user calls it."""
+
+import json
+
+from bellows_ros.cli import main
+import pytest
+
+
+@pytest.fixture
+def call(root, monkeypatch):
+    """Return a function that runs a command in the repository's folder."""
+    monkeypatch.chdir(root)
+    return lambda *words: main([str(word) for word in words])
+
+
+def test_summaries_are_fitted(call, tmp_path, capsys):
+    files = []
+    for name in ('identification', 'validation'):
+        files.append(tmp_path / f'{name}.npz')
+        assert call('identify', f'bags/{name}', '--params', 'bags/package.yaml',
+                    '--summary-out', files[-1], '--json', '-') == 0
+        said = capsys.readouterr()
+        assert f'Wrote {files[-1]}: ' in said.err
+        assert json.loads(said.out)['samples_used'] > 1000
+    cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
+    assert call('identify', '--summaries', *files, '--out', cup, '--json', fit) == 0
+    out = capsys.readouterr().out
+    assert 'Cup identified from bags/identification and bags/validation' in out
+    assert json.loads(fit.read_text())['usable']
+    assert call('replay', 'bags/validation', '--params', cup) == 0
+
+
+def test_identify_on_two_cores_leaves_out_what_is_bad(call, tmp_path, capsys):
+    pytest.importorskip('joblib', reason='extra parallel')
+    cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
+    assert call('identify', 'bags/identification', 'bags/none', '--params', 'bags/package.yaml',
+                '--jobs', 2, '--out', cup, '--json', fit) == 0
+    warnings = capsys.readouterr().err
+    assert "Recording 'bags/none' was left out" in warnings.replace('\n  ', ' ')
+    assert json.loads(fit.read_text())['failed'][0]['bag'] == 'bags/none'
+    assert cup.exists()
+
+
+def test_summaries_must_be_there_and_alone(call, tmp_path, capsys):
+    assert call('identify', '--summaries', tmp_path / 'none.npz', '--out',
+                tmp_path / 'cup.yaml') == 2
+    assert 'cannot be read' in capsys.readouterr().err
+    assert not (tmp_path / 'cup.yaml').exists()
+    assert call('identify', 'bags/validation', '--summaries', tmp_path / 'none.npz') == 2
+    assert 'instead of recordings' in ' '.join(capsys.readouterr().err.split())
+    assert call('identify', 'bags/identification', 'bags/validation', '--params',
+                'bags/package.yaml', '--summary-out', tmp_path / 'one.npz') == 2
+    assert 'of one recording, not of 2' in ' '.join(capsys.readouterr().err.split())
+
+
+def test_a_page_shows_the_recordings_of_a_batch_too(call, tmp_path):
+    page = tmp_path / 'page.html'
+    assert call('identify', 'bags/identification', '--params', 'bags/package.yaml', '--jobs', 1,
+                '--report', page) == 0
+    assert page.read_text().count('<svg') > 3
+
+
+def test_a_page_of_very_many_recordings_is_refused(call, tmp_path, capsys):
+    bags = [f'bags/identification_{i}' for i in range(21)]
+    assert call('identify', *bags, '--params', 'bags/package.yaml', '--jobs', 1,
+                '--report', tmp_path / 'page.html') == 2
+    assert 'of at most 20, not of 21' in ' '.join(capsys.readouterr().err.split())

@@ -1,0 +1,160 @@
+"""Commands that are ended from outside: by SIGTERM in order, and after SIGKILL by the next one."""
+
+from collections.abc import Iterator
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.temporary import hidden_name, PREFIX
+import numpy as np
+import pytest
+
+from .conftest import contents, MOTION, write_yaml
+
+WITHIN = 60.0  # s, for what must come at once on a machine that is not busy
+POSES = 150_000
+Process = subprocess.Popen[str]
+
+
+def start(environment: dict[str, str], *arguments: object, cwd: Path) -> Process:
+    """Start `bellows` in a session of its own, with pipes that only its processes hold."""
+    return subprocess.Popen(
+        [sys.executable, '-m', 'bellows_ros.cli', *map(str, arguments)], cwd=cwd, text=True,
+        env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        start_new_session=True)
+
+
+def wait_until_hidden(folder: Path, process: Process, count: int = 1) -> list[Path]:
+    """Return what a process writes in a folder and has not finished, once it has begun."""
+    deadline = time.monotonic() + WITHIN
+    while time.monotonic() < deadline and process.poll() is None:
+        found = list(folder.glob(f'{PREFIX}*'))
+        if len(found) >= count:
+            return found
+        time.sleep(0.002)
+    pytest.fail(f'nothing was written in {folder}: {process.communicate()}')
+
+
+def session(pid: int) -> list[int]:
+    """Return the processes of a session that are still there."""
+    found = []
+    for stat in Path('/proc').glob('[0-9]*/stat'):
+        try:
+            fields = stat.read_text().rpartition(')')[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == pid and fields[0] != 'Z':
+            found.append(int(stat.parent.name))
+    return found
+
+
+def wait_for_none(pid: int) -> None:
+    """Wait until a session has no process left."""
+    deadline = time.monotonic() + WITHIN
+    while session(pid) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert session(pid) == []
+
+
+@pytest.fixture(scope='module')
+def compressed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a folder with three compressed SQLite recordings that take seconds to read."""
+    folder = tmp_path_factory.mktemp('compressed')
+    stamps = 10**18 + 2_777_778 * np.arange(POSES)
+    values = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (POSES, 1))
+    for number in range(3):
+        poses = values + [1e-3 * number, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        write_bag(
+            folder / f'r{number}',
+            [Recorded(name, 'geometry_msgs/msg/PoseStamped', stamps, poses)
+             for name in ('/tool_arm/pose', '/package/pose')], 'sqlite3', 'file')
+    return folder
+
+
+@pytest.fixture
+def elsewhere(user_environment: dict[str, str], tmp_path: Path) -> Iterator[dict[str, str]]:
+    """Give an environment with a folder of its own for temporary files."""
+    (tmp_path / 'tmp').mkdir()
+    yield {**user_environment, 'TMPDIR': str(tmp_path / 'tmp')}
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_in_order(
+    number: int, workshop: Path, tmp_path: Path, elsewhere: dict[str, str]
+) -> None:
+    """Say so, end with 128 and its number, and leave what was there; twice is as good as once."""
+    motion = write_yaml(tmp_path / 'long.yaml', {**MOTION, 'duration': 60.0})
+    before = contents(tmp_path)
+    process = start(elsewhere, 'simulate', '--params', workshop / 'cup.yaml', '--motion', motion,
+                    '--out', tmp_path / 'long', cwd=workshop)
+    wait_until_hidden(tmp_path, process)
+    os.killpg(process.pid, number)
+    os.killpg(process.pid, number)
+    out, err = process.communicate(timeout=WITHIN)
+    assert process.returncode == 128 + number
+    assert out == '' and err == f'Ended by {signal.Signals(number).name}; nothing is half done.\n'
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_the_workers_too(
+    number: int, workshop: Path, compressed: Path, tmp_path: Path, elsewhere: dict[str, str]
+) -> None:
+    """Leave no process, no open pipe and no decompressed recording, whoever gets the signal."""
+    pytest.importorskip('joblib', reason="no joblib here (pip install '.[parallel]')")
+    process = start(
+        elsewhere, 'identify', 'r0', 'r1', 'r2', '--params', workshop / 'package.yaml',
+        '--set', 'topics.tool_twist=', '--jobs', 2, '--out', tmp_path / 'cup.yaml', cwd=compressed)
+    wait_until_hidden(tmp_path / 'tmp', process, 2)
+    process.send_signal(number)
+    process.communicate(timeout=WITHIN)  # until nobody holds its pipes any more
+    assert process.returncode == 128 + number
+    wait_for_none(process.pid)
+    assert [path.name for path in tmp_path.iterdir()] == ['tmp']
+    assert list((tmp_path / 'tmp').glob(f'{PREFIX}*')) == []
+
+
+def test_workers_end_with_a_command_that_is_killed(
+    workshop: Path, compressed: Path, tmp_path: Path, elsewhere: dict[str, str]
+) -> None:
+    """Leave no process after SIGKILL; the next command removes what was left."""
+    pytest.importorskip('joblib', reason="no joblib here (pip install '.[parallel]')")
+    process = start(
+        elsewhere, 'identify', 'r0', 'r1', 'r2', '--params', workshop / 'package.yaml',
+        '--set', 'topics.tool_twist=', '--jobs', 2, cwd=compressed)
+    left = wait_until_hidden(tmp_path / 'tmp', process, 2)
+    process.kill()
+    process.communicate(timeout=WITHIN)
+    wait_for_none(process.pid)
+    assert [path for path in left if path.exists()]  # there was something to remove
+    next_one = start(elsewhere, 'info', 'r0', cwd=compressed)
+    _, err = next_one.communicate(timeout=WITHIN)
+    assert next_one.returncode == 0, err
+    assert list((tmp_path / 'tmp').glob(f'{PREFIX}*')) == []
+
+
+def test_what_others_still_write_is_left_alone(tmp_path: Path) -> None:
+    """Remove what dead processes left, of files and folders, and nothing else."""
+    code = ('from bellows_ros.files.temporary import hidden_name, remove_abandoned; '
+            'import sys; print(hidden_name()); remove_abandoned(sys.argv[1])')
+    dead = subprocess.run(
+        [sys.executable, '-c', code, tmp_path], capture_output=True, text=True, check=True
+    ).stdout.strip()
+    alive = hidden_name()
+    elsewhere = dead.replace(dead.split('-')[2], 'ffffffff')
+    (tmp_path / dead).mkdir()
+    (tmp_path / dead / 'file').write_text('x')
+    (tmp_path / dead.replace('.tmp', '1.tmp')).write_text('x')
+    zombie = subprocess.Popen([sys.executable, '-c', ''])
+    os.waitid(os.P_PID, zombie.pid, os.WEXITED | os.WNOWAIT)
+    (tmp_path / alive.replace(str(os.getpid()), str(zombie.pid))).write_text('x')
+    kept = [alive, elsewhere, '.bellows-notes', f'{PREFIX}1-x.tmp']
+    for name in kept:
+        (tmp_path / name).write_text('x')
+    subprocess.run([sys.executable, '-c', code, tmp_path], check=True, capture_output=True)
+    zombie.wait()
+    assert sorted(os.listdir(tmp_path)) == sorted(kept)

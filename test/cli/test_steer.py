@@ -1,0 +1,97 @@
+"""`bellows steer`: motions without swing, within limits, and bad ones refused."""
+
+import json
+from pathlib import Path
+
+from bellows_ros.files.bags import topics
+import pytest
+
+from .conftest import contents, Run, write_yaml
+from .test_plan import TRANSPORT
+
+STDS = ('--set', 'package.mass_std=0.01', '--set', 'package.com_std=0.001,0.001,0.001',
+        '--set', 'cup.lip_radius=0.025', '--set', 'vacuum.holding=60000')
+
+
+@pytest.fixture(scope='module')
+def transport(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a plan as a motion file."""
+    return write_yaml(tmp_path_factory.mktemp('steer') / 'transport.yaml', TRANSPORT)
+
+
+def test_steers_says_writes_and_draws(
+    bellows: Run, workshop: Path, transport: Path, tmp_path: Path
+) -> None:
+    """Leave no swing; say by how much the inverse is more sensitive, and which to take."""
+    done = bellows(
+        'steer', transport, '--method', 'inverse', '--params', workshop / 'cup.yaml', *STDS,
+        '--json', 'steer.json', '--plot', 'steer.png', '--out', 'steered', cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / 'steer.json').read_text())
+    planned, zvd = found['beside']['as planned'], found['beside']['zvd']
+    assert found['swing_left'] < 1.7e-4 < zvd['swing_left'] < 0.1 * planned['swing_left']
+    assert found['added_time'] == 0.0 < zvd['added_time']
+    assert found['path_error'] < 0.05e-3
+    assert zvd['expected_swing'] < found['expected_swing']
+    said = ' '.join(done.stdout.split())
+    assert 'the inverse is expected to leave' in said and 'ZVD' in said and 'Take ' in said
+    assert 'smoothed over' in said
+    assert (tmp_path / 'steer.png').read_bytes().startswith(b'\x89PNG')
+    assert {t.name for t in topics(tmp_path / 'steered')} >= {'/tool_arm/plan', '/package/plan'}
+    again = bellows(
+        'plan', 'steered', '--topic', '/tool_arm/plan', '--params', workshop / 'cup.yaml',
+        *STDS, '--json', '-', cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout)['swing_left'] < 1.7e-4
+    back = bellows(
+        'steer', 'steered', '--topic', '/package/plan', '--method', 'inverse', '--params',
+        workshop / 'cup.yaml', *STDS, '--json', '-', cwd=tmp_path)
+    assert back.returncode == 0, back.stderr
+    assert json.loads(back.stdout)['swing_left'] < 1.7e-4
+
+
+def test_keeps_to_limits(
+    bellows: Run, workshop: Path, transport: Path, tmp_path: Path
+) -> None:
+    """Stretch the motion in time until the limits hold."""
+    limits = {'linear': {'speed': 1.0, 'acceleration': 8.0}, 'angular': {'acceleration': 40.0},
+              'safety_factor': 1.5}
+    write_yaml(tmp_path / 'limits.yaml', limits)
+    for method in ('inverse', 'zv'):
+        done = bellows(
+            'steer', transport, '--method', method, '--params', workshop / 'cup.yaml', *STDS,
+            '--limits', 'limits.yaml', '--json', '-', cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        found = json.loads(done.stdout)
+        assert found['time_scale'] > 1.0 and found['limit'] in (
+            'speed', 'acceleration', 'angular_acceleration', 'safety_factor')
+        assert found['speed'] <= 1.0 and found['acceleration'] <= 8.0
+        assert found['angular_acceleration'] <= 40.0 and found['smallest_safety_factor'] >= 1.5
+        assert 'Stretched to' in ' '.join(done.stderr.split())
+
+
+@pytest.mark.parametrize(('options', 'words'), [
+    (('no.yaml', '--method', 'zv'), "'no.yaml' does not exist"),
+    (('plan.yaml',), '--method'),
+    (('plan.yaml', '--method', 'zvdd'), 'invalid choice'),
+    (('plan.yaml', '--method', 'zv', '--limits', 'no.yaml'), "'no.yaml' does not exist"),
+    (('plan.yaml', '--method', 'zv', '--limits', 'bad.yaml'), "Did you mean 'limits.linear'"),
+    (('plan.yaml', '--method', 'zv', '--limits', 'safe.yaml'), 'set cup.lip_radius'),
+    (('fast.yaml', '--method', 'inverse'), 'bend by more than 45 degrees'),
+])
+def test_bad_input_ends_with_2_and_writes_nothing(
+    bellows: Run, workshop: Path, transport: Path, tmp_path: Path, options: tuple[str, ...],
+    words: str,
+) -> None:
+    """Say what is wrong."""
+    (tmp_path / 'plan.yaml').write_bytes(transport.read_bytes())
+    write_yaml(tmp_path / 'bad.yaml', {'linar': {'speed': 1.0}})
+    write_yaml(tmp_path / 'safe.yaml', {'safety_factor': 1.0})
+    quick = {'poses': [{'position': [0.4, 0.0, 0.0], 'move': 0.2}]}
+    write_yaml(tmp_path / 'fast.yaml', {**TRANSPORT, 'waypoints': quick})
+    before = contents(tmp_path)
+    done = bellows('steer', *options, '--params', workshop / 'cup.yaml', '--json', 'steer.json',
+                   '--out', 'steered', cwd=tmp_path)
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert words in ' '.join(done.stderr.split())
+    assert contents(tmp_path) == before

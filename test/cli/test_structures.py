@@ -1,0 +1,39 @@
+"""`bellows structures`: what recordings can tell, and which structure to take."""
+
+import json
+from pathlib import Path
+
+from .conftest import Run
+
+
+def test_summary_and_json(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+    """Print tables and advice, and write all figures."""
+    done = bellows(
+        'structures', 'recording', '--params', 'package.yaml',
+        '--json', tmp_path / 'structures.json',
+        cwd=workshop)
+    assert (done.returncode, done.stderr) == (0, '')
+    for words in ('Excitation of the lip', 'What least squares can identify', 'P rz', 'Hz',
+                  'Structures', 'axisymmetric', 'diagonal', 'full', 'independent ones',
+                  'Take fit.structure: axisymmetric.', 'Rank 8 of 8',
+                  f'Wrote {tmp_path / "structures.json"}'):
+        assert words in done.stdout
+    assert 'nan' not in done.stdout and '\x1b' not in done.stdout
+    content = json.loads((tmp_path / 'structures.json').read_text())
+    assert content['structures']['advised'] == 'axisymmetric'
+
+
+def test_json_to_stdout_leaves_the_summary_to_stderr(bellows: Run, workshop: Path) -> None:
+    """Print JSON and nothing else."""
+    done = bellows('structures', workshop / 'recording', '--params', workshop / 'package.yaml',
+                   '--set', 'fit.structure=full', '--json', '-')
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)['excitation']['size'] == 42
+    assert 'Structures' in done.stderr
+
+
+def test_no_recording_is_explained(bellows: Run, workshop: Path) -> None:
+    """Say that none is given, and end with 2."""
+    done = bellows('structures', '--params', workshop / 'package.yaml')
+    assert (done.returncode, done.stdout) == (2, '')
+    assert 'bags is empty' in done.stderr

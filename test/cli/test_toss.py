@@ -1,0 +1,75 @@
+"""`bellows toss`: a plan goes in; landing, budget, picture and advice come out."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from .conftest import Run
+
+BAGS = Path(__file__).parents[2] / 'bags'
+PLAN, PARAMS = BAGS / 'throw.yaml', BAGS / 'tossing.yaml'
+
+
+def test_lands_and_says_what_to_fix_first(bellows: Run, tmp_path: Path) -> None:
+    """Give the names of the JSON, a budget that adds up, a picture, and the advice."""
+    file, picture = tmp_path / 'toss.json', tmp_path / 'toss.png'
+    done = bellows(
+        'toss', PLAN, '--params', PARAMS, '--release', 3.0, '--json', file, '--plot', picture,
+        '--monte-carlo', 3)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(file.read_text())
+    assert set(found) >= {
+        'release_time', 'release_mode', 'release_pose', 'release_twist', 'landing_time',
+        'landing_position', 'landing_rotation', 'landing_covariance', 'tumbling', 'budget',
+        'monte_carlo'}
+    assert found['release_mode'] == 'peel'
+    assert 3.012 < found['release_time'] < found['landing_time'] < 4.0
+    covariance = np.array(found['landing_covariance'])
+    for unit, block, key in ((1e3, slice(0, 3), 'mm'), (180 / np.pi, slice(3, 6), 'deg')):
+        squares = sum(share[f'contribution_{key}'] ** 2 for share in found['budget'])
+        assert squares == pytest.approx(
+            unit ** 2 * np.trace(covariance[block, block]), rel=1e-6)
+    assert set(found['budget'][0]) == {'name', 'std', 'contribution_mm', 'contribution_deg'}
+    assert 'Fix first: release.delay' in done.stdout
+    assert 'A perfect K and P would gain' in ' '.join(done.stdout.split())
+    assert picture.stat().st_size > 20_000
+
+
+def test_finds_the_time_for_a_target(bellows: Run) -> None:
+    """Land where a known time lands, and say what that gains over the time that is given."""
+    known = json.loads(bellows(
+        'toss', PLAN, '--params', PARAMS, '--release', 3.1, '--json', '-').stdout)
+    x, y, _ = known['landing_position']
+    done = bellows(
+        'toss', PLAN, '--params', PARAMS, '--release', 3.0, '--target', x, y, '--json', '-',
+        '--target-rotation', *known['landing_rotation'])
+    found = json.loads(done.stdout)
+    assert found['valve_time'] == pytest.approx(3.1, abs=1e-4)
+    assert found['target']['distance'] < 1e-4 < found['target']['distance_as_asked']
+    assert 'away, instead of' in done.stderr
+
+
+@pytest.mark.parametrize('changes, words', [
+    (('--release', 30.0), 'not during the plan'),
+    (('--release', 3.0, '--set', 'landing.height=5.0'), 'the floor is above'),
+    (('--release', 3.0, '--set', 'package.size=0,0,0'), 'package.size is'),
+    (('--release', 3.0, '--set', 'release.tau=-0.01'), 'release.tau must be a number, at least 0'),
+    (('--release', 'nan'), 'expected finite numbers'),
+    (('--target', 1.0, 'inf'), 'expected finite numbers'),
+    (('--target', 1.0, 0.0, '--target-rotation', 0, 0, 0, 0), 'a quaternion of length 1'),
+    (('--release', 3.0, '--monte-carlo', -3), 'expected 2 tosses or more'),
+    ((), 'Neither a time nor a target'),
+    (('--target', 1.0, 0.0, '--set', 'gravity.direction=0,1,0'), 'not along -z'),
+])
+def test_bad_input_ends_with_a_message_and_nothing_written(
+    bellows: Run, tmp_path: Path, changes: tuple[object, ...], words: str
+) -> None:
+    """Say what is wrong and end with 2; a file is not begun."""
+    file = tmp_path / 'toss.json'
+    done = bellows('toss', PLAN, '--params', PARAMS, *changes, '--json', file)
+    assert done.returncode == 2, done.stdout
+    assert words in ' '.join(done.stderr.split())
+    assert 'Traceback' not in done.stderr
+    assert not file.exists()

@@ -1,0 +1,190 @@
+"""Recordings of a laboratory in which one thing is not as said, or the cup is no ideal one."""
+
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.integrator import advance
+from bellows_ros.core.lie import apply, exp_so3, quaternion_to_rotation
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.recording.preparation import prepare
+from bellows_ros.core.recording.recording import PrepareSettings
+from bellows_ros.core.simulation import row_state, tool_rows, write_row
+from bellows_ros.core.synthetic.sensing import sample_stamps
+from bellows_ros.core.trajectory import PoseStream, Trajectory
+import numpy as np
+
+from ..simulated import GRAVITY, shake
+
+RATE_HZ = 480.0
+Y_UP = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+NOISES = ((2e-5, 5e-5), (1e-4, 3e-4), (1e-4, 5e-4), (3e-4, 1e-3))
+COLOUR = 0.026  # s
+LARGEST = np.array([6e-3, 6e-3, 6e-3, 0.25, 0.25, 0.25])  # deflection, m and rad
+
+
+def moved(cup, package, tool, stiffness):
+    """Return the package's motion with a stiffness (6,) of time (0 to 1) and deflection (6,)."""
+    model = model_tuple(cup, package, GRAVITY)
+    rows, seconds = tool_rows(tool), tool.seconds
+    body = static_equilibrium(model, row_state(rows[0]))
+    out = np.empty((len(rows), 13))
+    write_row(out[0], body)
+    half, length, _, P = model[0]
+    for k, step in enumerate(np.diff(seconds).tolist()):
+        R = quaternion_to_rotation(out[k, 3:7])
+        R_E_A = tool.rotation[k].T
+        o = R_E_A @ (out[k, :3] - R @ package.com - tool.position[k]) + [0.0, 0.0, length]
+        turn = R_E_A @ R
+        phi = 0.5 * (turn - turn.T)[[2, 0, 1], [1, 2, 0]]
+        K = stiffness(seconds[k] / seconds[-1], np.concatenate([o, phi])).tolist()
+        stiff = ((K[0], 0.0, 0.0, 0.0, K[1], 0.0, 0.0, 0.0, K[2]), (0.0,) * 9,
+                 (K[3], 0.0, 0.0, 0.0, K[4], 0.0, 0.0, 0.0, K[5]))
+        now = (half, length, stiff, P), model[1], model[2]
+        body = advance(now, body, row_state(rows[k]), row_state(rows[k + 1]), step, 1)
+        write_row(out[k + 1], body)
+    return Trajectory(tool.stamps_ns, out[:, :3], quaternion_to_rotation(out[:, 3:7]))
+
+
+class Laboratory:
+    """A cup and a package, how they are recorded, and what is said of them."""
+
+    def __init__(self, seed, soft=0.0, coloured=False):
+        rng = self.rng = np.random.default_rng((11, seed))
+        lateral, axial, turning = np.exp(rng.uniform(-0.4, 0.4, 3))
+        self.K = np.array([6000.0 * lateral] * 2 + [11000.0 * axial] + [4.2 * turning] * 2
+                          + [1.3 * turning])
+        self.P = np.diag([60.0, 60.0, 24.0, 0.06, 0.06, 0.1]) * rng.uniform(0.7, 1.3)
+        self.length = self.said_length = rng.uniform(0.035, 0.06)
+        mass = rng.uniform(1.0, 2.6)
+        a, b, h = rng.uniform([0.14, 0.14, 0.03], [0.24, 0.24, 0.08])
+        inertia = mass / 12.0 * np.diag([b * b + h * h, a * a + h * h, a * a + b * b])
+        self.package = self.said = Package(mass, inertia, (0.0, 0.0, -rng.uniform(0.02, 0.05)))
+        self.noise = NOISES[rng.integers(4)], NOISES[rng.integers(3)]
+        self.coloured, self.frame = coloured, str(rng.choice(['com', 'lip']))
+        self.said_frame, self.said_world, self.world = self.frame, 'z_up', np.eye(3)
+        self.late, self.turn, self.scale, self.swapped = 0.0, {}, {}, False
+        self.apart = np.zeros(6)
+        self.motion = shake(duration=20.0, seed=int(rng.integers(1 << 30)))
+        self.soften(soft)
+
+    def soften(self, part):
+        """Take a spring whose stiffness falls by a part up to the largest deflection."""
+        def law(when, deflection):
+            size = np.abs(deflection)
+            for pair in ([0, 1], [3, 4]):
+                size[pair] = np.hypot(*deflection[pair])
+            return self.K * (1.0 - part * np.minimum(size / LARGEST, 1.5) ** 2)
+        self.law = law
+
+    def say(self, mass=1.0, inertia=1.0, com=0.0):
+        """Say another package."""
+        own = self.package
+        self.said = Package(mass * own.mass, inertia * own.inertia, own.com + com)
+
+    def recording(self):
+        """Return the recording, prepared by what is said."""
+        tool = self.motion.trajectory(sample_stamps(RATE_HZ, self.motion.duration, 0), 0)
+        cup = Cup(np.diag(self.K), self.P, self.length)
+        body = moved(cup, self.package, tool, self.law)
+        streams = [self._seen('package', body, self.noise[0]),
+                   self._seen('tool', tool, self.noise[1])]
+        return prepare(*streams[::1 if self.swapped else -1], PrepareSettings(
+            world=self.said_world, package_frame=self.said_frame, payload=self.said,
+            gravity=GRAVITY))
+
+    def _seen(self, name, body, noise):
+        """Return a body's poses as they are recorded."""
+        p, R, drawn = body.position, body.rotation, self.rng.standard_normal((2, len(body), 3))
+        if self.coloured:
+            decay = np.exp(-1.0 / (RATE_HZ * COLOUR))
+            for i in range(1, len(body)):
+                drawn[:, i] = decay * drawn[:, i - 1] + np.sqrt(1 - decay**2) * drawn[:, i]
+        if name == 'package':
+            p = p - apply(R, self.package.com) if self.frame == 'lip' else p
+            turn, middle = exp_so3(self.apart[3:]), p.mean(axis=0)
+            p, R = middle + self.apart[:3] + apply(turn, p - middle), turn @ R
+        R = R @ self.turn.get(name, np.eye(3)) @ exp_so3(noise[1] * drawn[1])
+        p = self.scale.get(name, 1.0) * apply(self.world, p + noise[0] * drawn[0])
+        late = round(1e9 * self.late) if name == 'tool' else 0
+        return PoseStream(name, 'world', body.stamps_ns + late, p, self.world @ R)
+
+
+def either(rng, low, high):
+    """Return a number of this size, of either sign."""
+    return float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
+
+
+def _time_offset(own):
+    own.late = either(own.rng, 3e-3, 60e-3)
+
+
+def _com_along(own):
+    own.frame = own.said_frame = 'com'
+    own.say(com=[0.0, 0.0, either(own.rng, 2e-3, 8e-3)])
+
+
+def _com_aside(own):
+    angle, size = own.rng.uniform(0.0, 2.0 * np.pi), own.rng.uniform(3e-3, 8e-3)
+    own.say(com=[size * np.cos(angle), size * np.sin(angle), 0.0])
+
+
+def _length(own):
+    own.said_length = own.length + either(own.rng, 1e-3, 4e-3)
+
+
+def _inertia(own):
+    own.say(inertia=float(own.rng.choice([0.5, 0.65, 1.5, 2.0])))
+
+
+def _world(own):
+    if own.rng.random() < 0.5:
+        own.world = Y_UP
+    else:
+        own.said_world = 'motive_y_up'
+
+
+def _yaw(own):
+    angle = own.rng.choice([np.pi / 2, np.pi, -np.pi / 2])
+    own.turn[str(own.rng.choice(['tool', 'package']))] = exp_so3(np.array([0.0, 0.0, angle]))
+
+
+def _frame(own):
+    own.said_frame = {'com': 'lip', 'lip': 'com'}[own.frame]
+
+
+def _worlds(own):
+    own.apart = own.rng.normal(size=6) * ([1e-3] * 3 + [8e-3] * 3)
+
+
+def _drift(own):
+    part = either(own.rng, 0.2, 0.4)
+    own.law = lambda when, deflection: own.K * (1.0 + part * (when - 0.5))
+
+
+def _oval(own):
+    ratio = own.rng.uniform(1.25, 1.5)
+    own.K = own.K * [1.0, ratio, 1.0, ratio, 1.0, 1.0]
+
+
+def _millimetres(own):
+    bodies = [['tool'], ['package'], ['tool', 'package']][own.rng.integers(3)]
+    own.scale = dict.fromkeys(bodies, 1e3)
+
+
+FAULTS = {
+    'time offset': (_time_offset, 'time_offset'),
+    'centre of mass along z': (_com_along, 'com'),
+    'centre of mass aside': (_com_aside, 'com'),
+    'length': (_length, 'length'),
+    'inertia in g m^2': (lambda own: own.say(inertia=1e3), 'inertia'),
+    'inertia': (_inertia, 'inertia'),
+    'mass in grams': (lambda own: own.say(mass=1e3), 'mass'),
+    'world': (_world, 'recording.world'),
+    'yaw': (_yaw, 'yaw'),
+    'package frame': (_frame, 'recording.package_frame'),
+    'two worlds': (_worlds, 'package_world'),
+    'drift': (_drift, 'drift'),
+    'soft spring': (lambda own: own.soften(own.rng.uniform(0.3, 0.5)), 'cubic'),
+    'structure': (_oval, 'structure'),
+    'exchanged topics': (lambda own: setattr(own, 'swapped', True), 'are exchanged'),
+    'millimetres': (_millimetres, 'in millimetres'),
+}
+"""What makes a laboratory faulty, and the name of the cause, or words of the error."""

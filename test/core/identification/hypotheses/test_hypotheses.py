@@ -1,0 +1,72 @@
+"""One thing is wrong in each recording, and it is named; where nothing is, nothing is refused."""
+
+from collections import Counter
+
+from bellows_ros.core.identification.hypotheses.hypotheses import diagnose
+from bellows_ros.core.jit import COMPILED
+from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.errors import BellowsError
+import pytest
+
+from .laboratory import FAULTS, Laboratory
+
+pytestmark = pytest.mark.skipif(
+    not COMPILED, reason='numba is not installed: this takes minutes interpreted')
+
+SOME = ('centre of mass along z', 'length', 'yaw', 'mass in grams', 'structure',
+        'exchanged topics', 'millimetres')
+"""Faults that the suite looks at; the others take longer."""
+
+
+def named(laboratory, cause):
+    """Return 'right', 'wrong' and certain, or 'silent': what is said of a laboratory first."""
+    try:
+        recording = laboratory.recording()
+        findings = diagnose(
+            [recording], laboratory.said_length, STRUCTURES['axisymmetric']).findings
+    except BellowsError as error:
+        return 'right' if cause in str(error) else 'other error'
+    if not findings:
+        return 'silent'
+    first = findings[0]
+    if cause in (first.name, first.instead):
+        return 'right'
+    if not first.certain:
+        return 'not certain'
+    return 'refused' if first.material else 'wrong'
+
+
+@pytest.mark.parametrize('fault', SOME)
+def test_the_fault_is_named_first(fault):
+    break_it, cause = FAULTS[fault]
+    laboratory = Laboratory(4, soft=0.1 if fault in ('yaw', 'length') else 0.0)
+    break_it(laboratory)
+    assert named(laboratory, cause) == 'right'
+
+
+@pytest.mark.parametrize(('seed', 'soft', 'coloured'), [(4, 0.1, False), (3, 0.0, True)])
+def test_a_sound_recording_is_not_refused(seed, soft, coloured):
+    assert named(Laboratory(seed, soft, coloured), 'cubic') in ('silent', 'not certain', 'right')
+
+
+@pytest.mark.stress
+@pytest.mark.timeout(3600)
+def test_many_laboratories(capsys):
+    """Count 200 faults and 100 sound recordings, of white and coloured noise, and soft cups."""
+    names, counts = list(FAULTS), Counter()
+    for number in range(200):
+        fault = names[number % len(names)]
+        break_it, cause = FAULTS[fault]
+        laboratory = Laboratory(100 + number, 0.1 * (number % 3 == 0))
+        break_it(laboratory)
+        outcome = named(laboratory, cause)
+        counts[outcome] += 1
+        if outcome != 'right':
+            print(f'{100 + number} {fault}: {outcome}', flush=True)
+    sound = Counter(
+        named(Laboratory(1000 + number, 0.1 * (number % 2), number % 4 > 1), 'cubic')
+        for number in range(100))
+    with capsys.disabled():
+        print(f'\nfaults: {dict(counts)}; sound: {dict(sound)}')
+    assert counts['right'] >= 190 and counts['wrong'] + counts['refused'] <= 2
+    assert sound['refused'] == 0

@@ -1,0 +1,149 @@
+"""Standard errors of the prediction error: against the bound, and against the scatter of fits."""
+
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.identification.prediction.prediction_error import prediction_error
+from bellows_ros.core.identification.prediction.segments import measured_segments
+from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.model import Cup, model_tuple
+from bellows_ros.core.sensitivities import sensitivities
+from bellows_ros.core.simulation import simulate, state_row, tool_rows
+from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.core.trajectory import Trajectory
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from ..recordings import GRAVITY, PLATE, segments, Shake
+from ...cases import random_cup
+
+TRUTH = Cup.thesis()
+AXISYMMETRIC = STRUCTURES['axisymmetric']
+STD = np.repeat([1e-4, 5e-4], 3)
+RATE_HZ, DURATION = 100.0, 10.0
+
+
+def noise_of_kind(kind, count, rng):
+    """Return noise (N, 6) with the standard deviations STD, but for z where it is anisotropic."""
+    white = rng.standard_normal((count, 6))
+    if kind == 'heavy-tailed':
+        white = rng.standard_t(3, (count, 6)) / np.sqrt(3.0)
+    if kind.endswith('ms'):
+        kept = np.exp(-1e3 / RATE_HZ / float(kind.split()[0]))
+        white[1:] *= np.sqrt(1.0 - kept**2)
+        white = lfilter([1.0], [1.0, -kept], white, axis=0)
+    noise = white * STD
+    if kind == 'anisotropic':
+        noise[:, 2] *= 3.0
+    return noise
+
+
+def with_noise(poses, noise):
+    """Return poses with noise (N, 6), in world and body axes."""
+    return Trajectory(
+        poses.stamps_ns, poses.position + noise[:, :3], poses.rotation @ exp_so3(noise[:, 3:]))
+
+
+def deviations(kind, seeds, duration=DURATION):
+    """Return the errors of fits (runs, 8) in standard errors, and the last fit."""
+    motion = Shake(3).trajectory(duration, RATE_HZ)
+    body = simulate(TRUTH, PLATE, motion, gravity=GRAVITY)
+    true = AXISYMMETRIC.parameters(TRUTH.stiffness, TRUTH.damping)
+    found = []
+    for seed in seeds:
+        rng = np.random.default_rng((seed, 7))
+        seen = [with_noise(own, noise_of_kind(kind, len(own), rng)) for own in (motion, body)]
+        fit = prediction_error(measured_segments(*seen, PLATE, GRAVITY), AXISYMMETRIC, TRUTH)
+        std = np.sqrt(np.diag(fit.covariance))
+        found.append((AXISYMMETRIC.parameters(fit.stiffness, fit.damping) - true) / std)
+    return np.array(found), fit
+
+
+@pytest.mark.parametrize(('kind', 'runs'), [
+    pytest.param(kind, runs, marks=[pytest.mark.stress] if runs > 9 else [])
+    for kind in ('white', '26 ms', '140 ms', 'anisotropic', 'heavy-tailed') for runs in (3, 24)])
+def test_intervals_hold_the_truth(kind, runs):
+    z, fit = deviations(kind, range(runs))
+    inside = np.mean(np.abs(z) < 1.96)
+    # of 95 % nominally; errors of one fit are hardly correlated
+    assert inside > 0.95 - 3.0 * np.sqrt(0.05 * 0.95 / z.size)
+    assert np.sqrt(np.mean(z**2)) > 0.6  # and they are not simply wide
+    said = [warning for warning in fit.warnings if 'correlated over' in warning]
+    if kind.endswith('ms'):
+        time = float(said[0].split('over ')[1].split(' ms')[0])
+        assert time == pytest.approx(float(kind.split()[0]), rel=0.4)
+    else:
+        assert not said
+
+
+def test_with_an_exact_tool_it_is_the_cramer_rao_bound():
+    """The bound is that of a free simulation, whose derivatives are exact."""
+    noise, rate_hz = (3e-4, 1e-3), 250.0
+    recordings = segments(1, package_noise=noise, rate_hz=rate_hz)
+    fit = prediction_error(recordings, AXISYMMETRIC, TRUTH)
+    tool = Shake(1).trajectory(12.0, rate_hz)
+    model, rows = model_tuple(TRUTH, PLATE, GRAVITY), tool_rows(tool)
+    start = static_equilibrium(model, state_row(rows[0, :3], rows[0, 3:7], np.zeros(6)))
+    steps = np.full(len(rows) - 1, 2)
+    _, S = sensitivities(
+        model, start, rows, np.full(len(steps), 1.0 / rate_hz), steps, slice(0, 42))
+    upper = np.triu_indices(6)
+    entries = np.kron(np.eye(2), np.array([unit[upper] for unit in AXISYMMETRIC.basis]).T)
+    J = np.concatenate([S[:, :6, 12:] @ entries, S[:, :6, :12]], axis=2)
+    J = (J / np.repeat(noise, 3)[:, None]).reshape(-1, J.shape[2])
+    unit = np.linalg.norm(J, axis=0)
+    bound = (np.sqrt(np.diag(np.linalg.inv((J / unit).T @ (J / unit)))) / unit)[:8]
+    ratio = np.sqrt(np.diag(fit.covariance)) / bound
+    # of 12 seconds a scatter is known to 20 %
+    assert np.all((ratio > 0.7) & (ratio < 1.6))
+    assert 0.85 < np.median(ratio) < 1.25
+
+
+class Push(Shake):
+    """A motion along z alone."""
+
+    def __init__(self, seed):
+        super().__init__(seed)
+        self.a = self.a * np.array([0.0, 0.0, 2.0, 0.0, 0.0, 0.0])
+
+
+def test_what_is_not_excited_is_infinitely_uncertain():
+    recordings = segments(7, 6.0, tool_noise=(5e-5, 2e-4), rate_hz=125.0, motion=Push)
+    fit = prediction_error(recordings, AXISYMMETRIC, TRUTH)
+    known = dict(zip(fit.labels, np.isfinite(np.diag(fit.covariance)), strict=True))
+    assert known['K z'] and not known['K rz'] and not known['P rz']
+    assert not np.isnan(fit.covariance).any()
+    assert np.linalg.eigvalsh(fit.stiffness)[0] > 0.0
+
+
+@pytest.mark.parametrize('seed', [
+    0, *(pytest.param(seed, marks=pytest.mark.stress) for seed in range(1, 8))])
+def test_full_matrices_from_a_diagonal_start(seed):
+    cup = random_cup(np.random.default_rng(40 + seed))
+    noise = (0.0, 0.0) if seed == 1 else ((1e-4, 5e-4), (3e-4, 1e-3))[seed % 2]
+    recordings = segments(
+        seed, 30.0 if seed else 12.0, tool_noise=noise, package_noise=noise, cup=cup,
+        rate_hz=360.0 if seed else 200.0)
+    start = Cup(0.7 * np.diag(np.diag(cup.stiffness)), 1.5 * np.diag(np.diag(cup.damping)),
+                cup.length)
+    structure = STRUCTURES['full']
+    fit = prediction_error(recordings, structure, start)
+    assert fit.converged and fit.usable
+    away = np.linalg.norm(fit.stiffness - cup.stiffness) / np.linalg.norm(cup.stiffness)
+    assert away < (0.01 if seed else 0.03)
+    true = structure.parameters(cup.stiffness, cup.damping)
+    known = np.isfinite(np.diag(fit.covariance))
+    z = (structure.parameters(fit.stiffness, fit.damping) - true)[known] / np.sqrt(
+        np.diag(fit.covariance))[known]
+    assert np.mean(np.abs(z) < 1.96) > 0.83
+    assert np.all(np.abs(z) < 5.0)
+
+
+def test_a_search_that_does_not_end_has_no_standard_errors(monkeypatch):
+    from bellows_ros.core.identification.prediction import minimum
+
+    monkeypatch.setattr(minimum, 'MOST_STEPS', 2)
+    fit = prediction_error(segments(3, 4.0, rate_hz=100.0), AXISYMMETRIC,
+                           Cup(2.0 * TRUTH.stiffness, TRUTH.damping, TRUTH.length))
+    assert not fit.converged and not fit.usable
+    assert np.all(np.isinf(np.diag(fit.covariance)))
+    assert any('not converged' in warning for warning in fit.warnings)

@@ -1,0 +1,118 @@
+"""The live package from the valve to the floor against the toss of the whole plan."""
+
+from bellows_ros.core.landing import changed, release_deviations
+from bellows_ros.core.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.live.flight import Flight, steadily
+from bellows_ros.core.live.samples import Prediction
+from bellows_ros.core.model import model_tuple
+from bellows_ros.core.parameters import resolve
+from bellows_ros.core.release import Held, release_of, toss
+import numpy as np
+import pytest
+
+from .. import tosses
+
+MODEL = model_tuple(tosses.CUP, tosses.PACKAGE, 9.81)
+VALUES = resolve(tosses.values())
+START_NS, PERIOD_NS, VALVE = 1_000_000_000, 2_000_000, 0.5
+
+
+@pytest.fixture(scope='module')
+def plan():
+    """Return the throw at the rate of a robot driver."""
+    return tosses.plan(500)
+
+
+def played(plan, flight, poses):
+    """Play the throw, the valve being switched; return predictions and the states of each."""
+    live = LivePredictor(tosses.CUP, tosses.PACKAGE, 9.81, 'tool')
+    live.flight, live.expect_twists = flight, True
+    xyzw = rotation_to_quaternion(plan.rotation)
+    found, states = [], []
+    for k in range(poses):
+        i, stamp = min(k, len(plan) - 1), START_NS + k * PERIOD_NS
+        if stamp == START_NS + round(VALVE * 1e9):
+            live.switch_valve(False, stamp)
+        twist = plan.twist[i].tolist() if k < len(plan) else [0.0] * 6
+        found += live.on_pose(
+            stamp, 'world', tuple(plan.position[i].tolist()), tuple(xyzw[i].tolist()), stamp)
+        found += live.on_twist(stamp, tuple(twist[:3]), tuple(twist[3:]))
+        states.append(live.phase(stamp))
+    return live, found, states
+
+
+def test_flies_on_as_the_plan_has_it_until_it_lands(plan):
+    """One prediction for each pose until landing, on the path of the toss; then the next one."""
+    expected = toss(Held(MODEL, tosses.GRIP, plan), release_of(VALUES), VALVE)
+    live, found, states = played(plan, Flight(VALUES), 520)
+    times = {state: PERIOD_NS * 1e-9 * states.index(state) for state in states}
+    assert list(times) == ['settling', 'released', 'flying', 'landed']
+    assert times['flying'] == pytest.approx(expected.release_time, abs=2.1e-3)
+    assert times['landed'] == pytest.approx(expected.landing_time, abs=2.1e-3)
+    last = found[-1]
+    left = expected.landing_time - (last.stamp_ns - START_NS) * 1e-9
+    assert 0.0 <= left < 2.1e-3
+    v = np.subtract(expected.landing[0], last.position) / left
+    assert np.linalg.norm(v) == pytest.approx(np.linalg.norm(expected.landing[2]), rel=1e-2)
+    assert last.force == (0.0, 0.0, 0.0)
+    assert [p.stamp_ns for p in found] == [START_NS + k * PERIOD_NS for k in range(len(found))]
+    live.switch_valve(True, START_NS + 520 * PERIOD_NS)
+    stamp = START_NS + 521 * PERIOD_NS
+    xyzw = tuple(rotation_to_quaternion(plan.rotation[-1]).tolist())
+    again = live.on_pose(stamp, 'world', tuple(plan.position[-1].tolist()), xyzw, stamp)
+    again += live.on_twist(stamp, (0.0,) * 3, (0.0,) * 3)
+    assert live.phase(stamp) == 'settling' and again[-1].linear == (0.0, 0.0, 0.0)
+
+
+def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
+    """The landing of a toss with the tool going on steadily; J Sigma J^T of state and release."""
+    held = Held(MODEL, tosses.GRIP, plan)
+    i = int(np.searchsorted(held.times, VALVE))
+    o, q, v = held.states[i, :3], held.states[i, 3:7], held.states[i, 7:]
+    tool = (plan.position[250], rotation_to_quaternion(plan.rotation[250]), plan.twist[250])
+    now = Prediction(
+        START_NS, tuple(o.tolist()), tuple(q.tolist()), tuple(v[:3].tolist()),
+        tuple(v[3:].tolist()), (0.0,) * 3, (0.0,) * 3,
+        (tuple(tool[0]), tuple(tool[1]), tuple(tool[2][:3]), tuple(tool[2][3:])))
+    flight = Flight(VALUES)
+    std = np.repeat([1e-4, 1e-3, 2e-3, 1e-2], 3)
+    found = flight.landing(MODEL, now, np.diag(std**2))
+    steady = Held(MODEL, tosses.GRIP, steadily(now, 0.5), now.body, 0.5)
+    expected = toss(steady, release_of(VALUES), 0.0)
+    np.testing.assert_allclose(found.toss.landing[0], expected.landing[0], atol=1e-7)
+    rng = np.random.default_rng(3)
+    landings = []
+    for _ in range(400):
+        push = std * rng.standard_normal(12)
+        moved = tuple(
+            (np.array(part) + by).tolist() for part, by in (
+                (now.linear, push[6:9]), (now.angular, push[9:])))
+        R = exp_so3(push[3:6])
+        turned = rotation_to_quaternion(quaternion_to_rotation(q) @ R)
+        o_moved = o + quaternion_to_rotation(q) @ push[:3]
+        start = (tuple(o_moved.tolist()), tuple(turned.tolist()), *map(tuple, moved))
+        release = changed(
+            release_of(VALUES), release_deviations(VALUES) * rng.standard_normal(3))
+        landings.append(toss(steady.again(start), release, 0.0).landing[0][:2])
+    linear = np.sqrt(np.diag(found.covariance)[:2])
+    np.testing.assert_allclose(linear, np.std(landings, axis=0), rtol=0.12)  # 3.5 % each, 400
+
+
+def test_says_when_to_release_for_a_target(plan):
+    """In so many seconds, where the target lies ahead; nothing without one."""
+    held = Held(MODEL, tosses.GRIP, plan)
+    i = int(np.searchsorted(held.times, 0.3))
+    rows = held.states[i].tolist()
+    tool = (plan.position[150], rotation_to_quaternion(plan.rotation[150]), plan.twist[150])
+    now = Prediction(
+        START_NS, tuple(rows[:3]), tuple(rows[3:7]), tuple(rows[7:10]), tuple(rows[10:]),
+        (0.0,) * 3, (0.0,) * 3,
+        (tuple(tool[0]), tuple(tool[1]), tuple(tool[2][:3]), tuple(tool[2][3:])))
+    steady = Held(MODEL, tosses.GRIP, steadily(now, 0.8), now.body, 0.8)
+    target = toss(steady, release_of(VALUES), 0.123).landing[0][:2]
+    aimed = Flight({**VALUES, 'landing.aim': True, 'landing.target': target})
+    assert aimed.time_to_target(MODEL, now) == pytest.approx(0.123, abs=1e-4)
+    assert Flight(VALUES).time_to_target(MODEL, now) is None
+    unknown = Flight({**VALUES, 'package.size': (0.0, 0.0, 0.0)})
+    assert unknown.landing(MODEL, now, np.zeros((12, 12))) is None

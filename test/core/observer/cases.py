@@ -1,0 +1,133 @@
+"""A package whose true motion is known, under a tool seen with noise, and a camera."""
+
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.integrator import advance, tool_at, tool_segment
+from bellows_ros.core.linearisation import largest_step, substeps_for
+from bellows_ros.core.live.payload import prepared
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.observer import Observer
+from bellows_ros.core.observer.filter import changed, pose_error
+from bellows_ros.core.parameters import resolve
+import numpy as np
+
+PERIOD_NS = 4_000_000
+CUP = Cup(np.diag([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35]),
+          np.diag([55.0, 55.0, 24.0, 0.06, 0.06, 0.1]), 0.046)
+PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), np.array([0.0, 0.0, -0.03]))
+NOISE = np.repeat([2e-3, 1e-2], 3)
+SETTINGS = {
+    'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
+    'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
+    'tool_noise.position': 2e-5, 'tool_noise.rotation': 1e-4,
+}
+
+
+def values(**more):
+    """Give all parameters."""
+    return resolve({**SETTINGS, **{k.replace('__', '.'): v for k, v in more.items()}}, ())
+
+
+def observer(package=PACKAGE, cup=CUP, **more):
+    """Give an observer of the package."""
+    made = Observer(values(**more))
+    ready = prepared(cup, package, 9.81)
+    made.set_model(ready.model, ready.longest_step, ready.reach)
+    return made
+
+
+def tool_motion(rng, seconds, size=0.05, period_ns=PERIOD_NS):
+    """Give the tool's states: sines along all axes and about them, that begin at rest."""
+    t = np.arange(0.0, seconds, period_ns * 1e-9)
+    ramp, ramp_rate = np.tanh(t / 0.3) ** 2, 2 * np.tanh(t / 0.3) / np.cosh(t / 0.3) ** 2 / 0.3
+    position, velocity = np.zeros((2, len(t), 3))
+    for axis in range(3):
+        for f in rng.uniform(0.3, 1.5, 2):
+            w, phase = 2 * np.pi * f, rng.uniform(0, 2 * np.pi)
+            a = size / (1 + axis)
+            position[:, axis] += a * ramp * np.sin(w * t + phase)
+            velocity[:, axis] += a * (
+                ramp * w * np.cos(w * t + phase) + ramp_rate * np.sin(w * t + phase))
+    yaw = 0.3 * ramp * np.sin(3.0 * t)
+    rate = 0.3 * (ramp * 3.0 * np.cos(3.0 * t) + ramp_rate * np.sin(3.0 * t))
+    states = []
+    for o, v, a, r in zip(position, velocity, yaw.tolist(), rate.tolist(), strict=True):
+        c, s = np.cos(a), np.sin(a)
+        body_v = np.array([c * v[0] + s * v[1], -s * v[0] + c * v[1], v[2]])
+        states.append((tuple(o.tolist()), (0.0, 0.0, float(np.sin(a / 2)), float(np.cos(a / 2))),
+                       tuple(body_v.tolist()), (0.0, 0.0, r)))
+    return np.arange(len(t)) * period_ns + 1_000_000_000, states
+
+
+def truth(tool, package=PACKAGE, cup=CUP, start=None, change=None, period_ns=PERIOD_NS):
+    """Give the package's true states; change (k, body, model) is made at sample k."""
+    model = model_tuple(cup, package, 9.81)
+    h = period_ns * 1e-9
+    body = start or static_equilibrium(model, tool[0])
+    out = [body]
+    for k in range(1, len(tool)):
+        if change is not None:
+            body, model = change(k, body, model)
+        body = advance(model, body, tool[k - 1], tool[k], h, substeps_for(h, largest_step(model)))
+        out.append(body)
+    return out
+
+
+def later(state, theta, start, end, seconds):
+    """Give a state later: payload by a package of its own, bias as many small kicks."""
+    package = Package(
+        PACKAGE.mass * (1.0 + theta[0]), PACKAGE.inertia * (1.0 + theta[0]),
+        PACKAGE.com + theta[1:4])
+    model = model_tuple(CUP, package, 9.81)
+    force, moment = theta[4:7], theta[7:]
+    push = np.concatenate([
+        force / package.mass,
+        np.linalg.solve(package.inertia, moment - np.cross(package.com, force))])
+    steps = 4 * substeps_for(seconds, largest_step(model))
+    segment = tool_segment(start, end, seconds)
+    tools = [start, *(tool_at(segment, (i + 1) / steps) for i in range(steps))]
+    for i in range(steps):
+        state = changed(state, np.concatenate([np.zeros(6), 0.5 * push * seconds / steps]))
+        state = advance(model, state, tools[i], tools[i + 1], seconds / steps, 1)
+        state = changed(state, np.concatenate([np.zeros(6), 0.5 * push * seconds / steps]))
+    return state
+
+
+def with_noise(rng, body, std):
+    """Give a pose of a body with noise in its own axes."""
+    return changed(body, np.concatenate([rng.normal(size=6) * std, np.zeros(6)]))
+
+
+def error_of(made, body):
+    """Give the change (12,) that leads from what an observer says to a true state."""
+    known = made.estimate.body
+    return np.concatenate([
+        *pose_error(known, body[0], body[1]),
+        np.subtract(body[2], known[2]), np.subtract(body[3], known[3])])
+
+
+def measured(made, stamp_ns, body):
+    """Give the measured pose of a body."""
+    return made.sight.measurement(int(stamp_ns), body[0], body[1])
+
+
+def follow(made, stamps, tool, start, came, before=None, after=None):
+    """
+    Follow the tool; what came (k: [(stamp, pose), ...]) is seen when its sample k is there.
+
+    Starts with a body at the first sample, unless it has started.
+    """
+    if start is not None:
+        made.start(int(stamps[0]), tool[0], start)
+    for k in range(1, len(tool)):
+        if before is not None:
+            before(k)
+        made.follow(int(stamps[k]), tool[k - 1], tool[k])
+        for stamp_ns, pose in came.get(k, []):
+            made.see(measured(made, stamp_ns, pose))
+        if after is not None:
+            after(k)
+
+
+def at_once(stamps, poses):
+    """Give what came at the very sample where it was measured."""
+    return {k: [(stamps[k], pose)] for k, pose in poses.items()}

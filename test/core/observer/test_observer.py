@@ -1,0 +1,242 @@
+"""Correct a package whose true motion is known."""
+
+from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.observer.filter import changed, pose_error
+from bellows_ros.core.tuples import quaternion_product
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from .cases import (
+    at_once,
+    CUP,
+    error_of,
+    follow,
+    later,
+    measured,
+    NOISE,
+    observer,
+    PACKAGE,
+    tool_motion,
+    truth,
+    with_noise,
+)
+
+
+def scene(seed, seconds=2.0, every=8):
+    """Give stamps, the tool, the package, and its measured poses by sample."""
+    rng = np.random.default_rng(seed)
+    stamps, tool = tool_motion(rng, seconds)
+    body = truth(tool)
+    return stamps, tool, body, {
+        k: with_noise(rng, body[k], NOISE) for k in range(every, len(tool), every)}
+
+
+def shifted(pose, *by):
+    """Give a pose that is off by a shift (m) and a turn (rad) in its own axes."""
+    return changed(pose, np.concatenate([by, np.zeros(12 - len(by))]))
+
+
+def numbers(made):
+    """Give all numbers of an estimate."""
+    known = made.estimate
+    return np.concatenate([*known.body, known.theta, known.covariance.ravel()])
+
+
+@pytest.mark.parametrize('late', [1, 50, 110])
+def test_late_and_out_of_order_equals_in_order(late):
+    """Get measurements 4 to 440 ms late, and every second one before the one it follows."""
+    stamps, tool, body, seen = scene(1)
+    end = len(tool) - 125
+    seen = {k: pose for k, pose in seen.items() if k < end}
+    in_order, made = observer(payload__estimate=True), observer(payload__estimate=True)
+    follow(in_order, stamps, tool, body[0], at_once(stamps, seen))
+    came = {}
+    for k, pose in seen.items():
+        came.setdefault(k + late + (12 if k % 16 else 0), []).append((stamps[k], pose))
+    follow(made, stamps, tool, body[0], came)
+    np.testing.assert_allclose(numbers(made), numbers(in_order), rtol=1e-9, atol=1e-15)
+    assert made.counts == in_order.counts
+    assert made.counts['used'] == len(seen)
+
+
+def test_between_samples_and_ahead_of_the_tool():
+    """Take measurements between two poses of the tool before and after the later one comes."""
+    stamps, tool, body, seen = scene(2)
+    made, other = observer(), observer()
+    between = {k: [(stamps[k] - 1_234_567, pose)] for k, pose in seen.items()}
+    follow(made, stamps, tool, body[0], {}, before=lambda k: [
+        made.see(measured(made, *one)) for one in between.get(k, [])])
+    follow(other, stamps, tool, body[0], between)
+    np.testing.assert_array_equal(numbers(made), numbers(other))
+    assert made.counts['used'] == len(between)
+
+
+def test_posterior_is_far_below_the_noise_of_the_camera():
+    """Leave a tenth of 2 mm and a third of 10 mrad, with a cup that is 2 % off."""
+    squares = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        stamps, tool = tool_motion(rng, 4.0)
+        body = truth(tool, cup=Cup(0.98 * CUP.stiffness, CUP.damping, CUP.length))
+        tool = [with_noise(rng, state, np.repeat([2e-5, 1e-4], 3)) for state in tool]
+        seen = {k: with_noise(rng, body[k], NOISE) for k in range(8, len(tool), 8)}
+        made, errors = observer(), []
+        follow(made, stamps, tool, body[0], at_once(stamps, seen),
+               after=lambda k, made=made, body=body, errors=errors: errors.append(
+                   error_of(made, body[k])[:6]))
+        squares.append(np.square(errors[500:]).mean(axis=0))
+    rms = np.sqrt(np.mean(squares, axis=0))
+    assert rms[:3].max() < 2e-3 / 10
+    assert rms[3:].max() < 1e-2 / 3
+
+
+def test_error_is_what_the_covariance_says():
+    """Keep the mean of 100 runs' normalised squared errors within its 95 % band."""
+    total = []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        stamps, tool = tool_motion(rng, 0.4)
+        made = observer(tool_noise__position=0.0, tool_noise__rotation=0.0)
+        made.start(int(stamps[0]), tool[0], truth(tool[:1])[0])
+        std = np.sqrt(np.diag(made.estimate.covariance))
+        body = [changed(made.estimate.body, rng.normal(size=12) * std[:12])]
+        theta = rng.normal(size=10) * std[12:]
+        for k in range(1, len(tool)):
+            body.append(later(body[-1], theta, tool[k - 1], tool[k], 0.004))
+            theta[4:] += rng.normal(size=6) * np.sqrt(0.004 * made._walk[4:])
+        seen = {k: with_noise(rng, body[k], NOISE) for k in range(8, len(tool), 8)}
+        follow(made, stamps, tool, None, at_once(stamps, seen))
+        error = error_of(made, body[-1])
+        total.append(error @ np.linalg.solve(made.estimate.covariance[:12, :12], error))
+    low, high = chi2.ppf([0.025, 0.975], 12 * len(total)) / len(total)
+    assert low < np.mean(total) < high
+
+
+def test_outliers_are_left_out():
+    """Refuse every fifth pose, which is wild."""
+    stamps, tool, body, seen = scene(3)
+    wild = list(seen)[5::5]
+    for k in wild:
+        seen[k] = shifted(seen[k], 0.05, -0.04, 0.03, 0.4, 0.0, 0.3)
+    made = observer()
+    follow(made, stamps, tool, body[0], at_once(stamps, seen))
+    assert made.counts['gate'] == len(wild)
+    assert made.counts['used'] == len(seen) - len(wild)
+    assert np.linalg.norm(error_of(made, body[-1])[:3]) < 5e-4
+
+
+def test_wrong_gate_opens_again():
+    """Go where the poses are when they stay elsewhere, after some of them."""
+    stamps, tool, body, seen = scene(3)
+    made, worst = observer(), []
+    seen = {k: shifted(pose, 0.0, 0.0, 0.0, 0.3) if k >= 240 else pose
+            for k, pose in seen.items()}
+    follow(made, stamps, tool, body[0], at_once(stamps, seen), after=lambda k: worst.append(
+        error_of(made, body[k])[3]))
+    assert made.counts['recovered'] >= 1
+    assert made.counts['gate'] >= 4
+    assert max(np.abs(worst[:230])) < 0.05 < 0.1 < max(np.abs(worst[270:]))
+
+
+def test_what_cannot_be_used_is_counted():
+    """Say why, and go on."""
+    stamps, tool, body, seen = scene(4, seconds=0.8)
+    made, first = observer(), seen[8]
+    assert made.see(measured(made, stamps[3], first)) == 'not_held'
+    follow(made, stamps, tool, body[0], at_once(stamps, seen))
+    before = numbers(made)
+    assert made.see(measured(made, stamps[-1] + 600_000_000, first)) == 'future_stamp'
+    assert made.see(measured(made, stamps[1], first)) == 'late'
+    assert made.see(measured(made, stamps[192], first)) == 'duplicate_stamp'
+    assert made.see(measured(made, stamps[190], shifted(first, 1.0))) == ''
+    np.testing.assert_allclose(numbers(made), before, rtol=1e-6, atol=1e-9)
+    wrong = {name: made.counts[name] for name in (
+        'not_held', 'future_stamp', 'late', 'duplicate_stamp', 'out_of_reach')}
+    assert wrong == dict.fromkeys(wrong, 1)
+
+
+def test_poses_and_covariances_that_are_none():
+    """Say what is wrong with them; all zeros mean that nothing is known."""
+    sight, unit = observer().sight, (0.0, 0.0, 0.0, 1.0)
+    here = (0.1, 0.2, 0.3)
+    assert sight.measurement(1, (np.nan, 0.0, 0.0), unit) == 'nan'
+    assert sight.measurement(1, here, (0.0, 0.0, 0.0, 0.0)) == 'zero_quaternion'
+    assert sight.measurement(1, here, (0.0, 0.0, 0.0, 2.0)) == 'not_unit'
+    assert sight.measurement(0, here, unit) == 'zero_stamp'
+    for wrong in (np.full((6, 6), np.nan), -np.eye(6), np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])):
+        assert sight.measurement(1, here, unit, wrong) == 'covariance'
+    zero = sight.measurement(1, here, unit, np.zeros((6, 6)))
+    np.testing.assert_array_equal(zero.noise, np.diag(np.square(NOISE)))
+
+
+def test_marker_anywhere_on_the_package_says_where_its_centre_of_mass_is():
+    """Measure a marker beside the lip: its pose, and the noise as differences of it."""
+    _, _, body, _ = scene(5, seconds=0.1)
+    offset = np.array([0.08, -0.05, -0.02, 0.3, -0.2, 0.5])
+    sight = observer(measured__frame='lip', measured__offset=offset.tolist()).sight
+    com = tuple(PACKAGE.com.tolist())
+    at = shifted(shifted(body[5], *(offset[:3] - PACKAGE.com)), 0.0, 0.0, 0.0, *offset[3:])
+    rng = np.random.default_rng(6)
+    root = rng.normal(size=(6, 6)) * 1e-3
+    seen = sight.measurement(1, at[0], at[1], root @ root.T)
+    position, q, noise = sight.at_com(seen, com)
+    found = (position, q, *body[5][2:])
+    np.testing.assert_allclose(pose_error(found, *body[5][:2]), 0.0, atol=1e-12)
+    columns = []
+    for shift, turn in zip(root[:3].T * 1e-3, root[3:].T * 1e-3, strict=True):
+        still = (tuple(at[0]), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        turned = quaternion_product(shifted(still, 0.0, 0.0, 0.0, *turn)[1], at[1])
+        moved = sight.measurement(1, tuple((at[0] + shift).tolist()), turned)
+        columns.append(np.concatenate(pose_error(found, *sight.at_com(moved, com)[:2])) * 1e3)
+    np.testing.assert_allclose(noise, np.transpose(columns) @ columns, rtol=1e-3, atol=1e-10)
+
+
+@pytest.mark.parametrize('frame', [
+    'com', pytest.param('lip', marks=pytest.mark.stress)])
+def test_payload_is_found_in_two_seconds(frame, capsys):
+    """
+    Find mass and centre of mass of packages gripped anywhere, as well as can be.
+
+    The bound of Cramer and Rao is the covariance along the true motion, with the true payload.
+    """
+    errors, bounds = [], []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        stamps, tool = tool_motion(rng, 2.0)
+        scale, com = 1.0 + 0.1 * rng.normal(), PACKAGE.com + 0.01 * rng.normal(size=3)
+        package = Package(scale * PACKAGE.mass, scale * PACKAGE.inertia, com)
+        body = truth(tool, package)
+        back = com if frame == 'lip' else np.zeros(3)
+        true = {k: shifted(body[k], *-back) for k in range(8, len(tool), 8)}
+        seen = {k: with_noise(rng, pose, NOISE) for k, pose in true.items()}
+        made, ideal = (
+            observer(held, payload__estimate=True, measured__frame=frame)
+            for held in (PACKAGE, package))
+        follow(made, stamps, tool, truth(tool[:1])[0], at_once(stamps, seen))
+        follow(ideal, stamps, tool, body[0], at_once(stamps, true))
+        found, bound = made.payload, ideal.payload
+        errors.append([found.mass - package.mass, *(found.com - com)])
+        bounds.append([bound.mass_std, *bound.com_std])
+    rms, bound = (np.sqrt(np.mean(np.square(x), axis=0)) for x in (errors, bounds))
+    with capsys.disabled():
+        print(f'\n{frame}: mass {rms[0]:.4f} kg, bound {bound[0]:.4f} kg; '
+              f'com {1e3 * rms[1:]} mm, bound {1e3 * bound[1:]} mm')
+    assert rms[0] < 1.3 * bound[0]
+    assert rms[1:3].max() < 1e-3
+
+
+def test_payload_is_kept_for_this_package_alone():
+    """Keep what was found over a fresh start, and forget it with another package."""
+    stamps, tool, body, seen = scene(7)
+    made = observer(payload__estimate=True)
+    follow(made, stamps, tool, body[0], at_once(stamps, seen))
+    known = made.payload
+    made.forget(is_another=False)
+    made.start(int(stamps[0]), tool[0], body[0])
+    assert made.payload[1:4] == known[1:4]
+    assert made.payload.mass_std == pytest.approx(known.mass_std)
+    made.forget()
+    made.start(int(stamps[0]), tool[0], body[0])
+    assert made.payload.mass == PACKAGE.mass
+    assert made.payload.mass_std == pytest.approx(0.1 * PACKAGE.mass)

@@ -1,0 +1,135 @@
+"""Plans, and a second integrator that predicts many of them at once: 6x6 matrices, plain RK4."""
+
+from bellows_ros.core.lie import (
+    adjoint,
+    dexp,
+    exp_so3,
+    hat,
+    inverse_transform,
+    rotation_to_quaternion,
+    transform,
+    vee,
+)
+from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.plan_points import plan_of
+import numpy as np
+
+CUP = Cup(
+    np.diag([5400, 5400, 9200, 4.2, 4.2, 1.35]), np.diag([55, 55, 24, 0.06, 0.06, 0.1]), 0.046)
+PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.0, 0.0, -0.03))
+GRIP = (60e3 * np.pi * 0.02 ** 2, 0.02, 0.5)
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+class Move:
+    """A quintic move by a way (m, world) and a rotation vector (rad) in a time (s), or many."""
+
+    def __init__(self, way, turn, duration):
+        self.way, self.turn = np.asarray(way, dtype=float), np.asarray(turn, dtype=float)
+        self.duration = np.asarray(duration, dtype=float)
+
+    def at(self, t):
+        """Return position, rotation and body twist at times (N,)."""
+        s = np.clip(np.asarray(t) / self.duration, 0.0, 1.0)[..., None]
+        step, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s)**2
+        rate = rate / self.duration[..., None]
+        phi = step * self.turn
+        R = exp_so3(phi)
+        v = np.einsum('...ji,...j->...i', R, rate * self.way)
+        w = np.einsum('...ij,...j->...i', dexp(-phi), rate * self.turn)
+        return step * self.way, R, np.concatenate([v, w], axis=-1)
+
+    def plan(self, rate_hz=1000, with_twists=True):
+        """Return the plan sampled."""
+        count = round(float(self.duration) * rate_hz)
+        stamps = np.round(np.linspace(0.0, float(self.duration), count + 1) * 1e9).astype(np.int64)
+        o, R, v = self.at(stamps * 1e-9)
+        twist = v if with_twists else None
+        return plan_of(stamps, o, rotation_to_quaternion(R), twist, twist_frame='tool')
+
+
+def random_case(rng):
+    """Return a move, a package and a grip that may or may not hold it."""
+    way = rng.normal(0.0, 0.35, 3) * [1, 1, 0.5]
+    turn = rng.normal(0.0, 0.3, 3)
+    move = Move(way, turn, rng.uniform(0.35, 0.9))
+    mass, half = rng.uniform(0.6, 2.2), rng.uniform(0.03, 0.1, 3)
+    squares = half ** 2
+    inertia = np.diag(mass / 3 * (squares.sum() - squares))
+    com = (rng.normal(0, 0.004), rng.normal(0, 0.004), -half[2])
+    radius = rng.uniform(0.018, 0.03)
+    return move, Package(mass, inertia, com), (rng.uniform(4e4, 7e4) * np.pi * radius**2, radius,
+                                               rng.uniform(0.3, 0.7))
+
+
+class Batch:
+    """Many packages on one cup, each under its own move: the printed formulas, broadcast."""
+
+    def __init__(self, cup, moves, packages):
+        self.K, self.P, self.length = cup.stiffness, cup.damping, cup.length
+        self.moves = Move(*(np.array([getattr(move, name) for move in moves])
+                            for name in ('way', 'turn', 'duration')))
+        self.mass = np.array([p.mass for p in packages])
+        self.com = np.array([p.com for p in packages])
+        self.inertia = np.array([p.inertia for p in packages])
+        self.T_S_B = transform(np.eye(3), self.com)
+        self.half = transform(np.eye(3), [0.0, 0.0, 0.5 * cup.length])
+
+    def tools(self, t):
+        """Return poses (N, 4, 4) and body twists (N, 6) of the tools at a time (s)."""
+        o, R, v = self.moves.at(t)
+        return transform(R, o), v
+
+    def wrench(self, T_E, v_E, T, v):
+        """Return the wrenches (N, 6) of the cup on the packages at the lip (3.7)."""
+        T_E_S = inverse_transform(T_E) @ T @ inverse_transform(self.T_S_B)
+        X_B = adjoint(self.T_S_B)
+        v_ES = _apply(X_B, v) - _apply(adjoint(inverse_transform(T_E_S)), v_E)
+        X_S1 = adjoint(inverse_transform(self.half))
+        H = self.half @ T_E_S @ self.half
+        R, o = H[:, :3, :3], H[:, :3, 3]
+        R_T = np.swapaxes(R, -1, -2)
+        h = np.concatenate([_apply(np.eye(3) + R_T, o), vee(R - R_T)], axis=-1)
+        J = np.zeros((len(R), 6, 6))
+        J[:, :3, :3] = R + np.eye(3)
+        J[:, :3, 3:] = hat(_apply(R_T, o))
+        J[:, 3:, 3:] = np.trace(R, axis1=1, axis2=2)[:, None, None] * np.eye(3) - R_T
+        X = adjoint(H)
+        D = 0.5 * (self.P + np.swapaxes(X, -1, -2) @ self.P @ X)
+        f1 = -0.25 * _apply(np.swapaxes(J, -1, -2), h @ self.K) - _apply(D, v_ES @ X_S1.T)
+        return f1 @ X_S1
+
+    def slope(self, tools, T, v):
+        """Return the accelerations (N, 6) of the packages (3.5)."""
+        f = _apply(np.swapaxes(adjoint(self.T_S_B), -1, -2), self.wrench(*tools, T, v))
+        R = T[:, :3, :3]
+        lin, w = v[:, :3], v[:, 3:]
+        dv = f[:, :3] / self.mass[:, None] + _apply(
+            np.swapaxes(R, -1, -2), np.broadcast_to(GRAVITY, lin.shape)) - np.cross(w, lin)
+        spin = np.cross(w, _apply(self.inertia, w))
+        return np.hstack([dv, np.linalg.solve(self.inertia, (f[:, 3:] - spin)[..., None])[..., 0]])
+
+    def run(self, T, v, duration, steps):
+        """Yield time, tools, poses, twists and wrenches of all after every step of plain RK4."""
+        h, tools = duration / steps, self.tools(0.0)
+        for k in range(steps + 1):
+            yield k * h, tools, T, v, self.wrench(*tools, T, v)
+            middle, end = self.tools((k + 0.5) * h), self.tools((k + 1) * h)
+            a1 = self.rates(tools, T, v)
+            a2 = self.rates(middle, T + 0.5 * h * a1[0], v + 0.5 * h * a1[1])
+            a3 = self.rates(middle, T + 0.5 * h * a2[0], v + 0.5 * h * a2[1])
+            a4 = self.rates(end, T + h * a3[0], v + h * a3[1])
+            T, v = (x + h / 6 * (b1 + 2 * b2 + 2 * b3 + b4)
+                    for x, b1, b2, b3, b4 in zip((T, v), a1, a2, a3, a4, strict=True))
+            tools = end
+
+    def rates(self, tools, T, v):
+        """Return the rates of poses (N, 4, 4), entry by entry, and of twists."""
+        twist = np.zeros((len(v), 4, 4))
+        twist[:, :3, :3], twist[:, :3, 3] = hat(v[:, 3:]), v[:, :3]
+        return T @ twist, self.slope(tools, T, v)
+
+
+def _apply(A, x):
+    """Return A x for matrices and vectors with leading axes."""
+    return np.einsum('...ij,...j->...i', A, x)

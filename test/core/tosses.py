@@ -1,0 +1,117 @@
+"""A throw in closed form, a cup, a box, and a second implementation of the whole toss."""
+
+from bellows_ros.core.lie import adjoint, dexp, exp_so3, hat, inverse_transform, transform
+from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.trajectory import Trajectory
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from . import oracle
+
+CUP = Cup(
+    np.diag([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35]),
+    np.diag([55.0, 55.0, 24.0, 0.06, 0.06, 0.1]), 0.046)
+PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.004, -0.003, -0.03))
+HALF, CENTRE = np.array([0.11, 0.09, 0.06]), np.array([-0.004, 0.003, -0.03])
+GRAVITY = np.array([0.0, 0.0, -9.81])
+GRIP = (90.0, 0.02, 0.5)
+DURATION = 1.0
+
+
+def tool_at(t):
+    """Return position, rotation and body twist of a throw: 2.3 m/s, up, turning about y and z."""
+    s = np.clip(t / DURATION, 0.0, 1.0)
+    blend = s**3 * (10 - 15 * s + 6 * s * s)
+    rate = 30 * s * s * (1 - s) ** 2 / DURATION
+    travel, turn = np.array([1.2, 0.1, 0.25]), np.array([0.05, -0.5, 0.2])
+    phi, phi_rate = turn * blend, turn * rate
+    R = exp_so3(phi)
+    o = np.array([0.0, 0.0, 0.9]) + travel * blend
+    return o, R, np.concatenate([R.T @ (travel * rate), dexp(-phi) @ phi_rate])
+
+
+def plan(rate_hz=1000):
+    """Return the throw sampled."""
+    stamps = np.round(np.arange(int(DURATION * rate_hz) + 1) / rate_hz * 1e9).astype(np.int64)
+    parts = [tool_at(stamp * 1e-9) for stamp in stamps]
+    return Trajectory(stamps, *(np.array(part) for part in zip(*parts, strict=True)))
+
+
+def values():
+    """Give parameters of the case, with standard deviations as an identification leaves them."""
+    K, P = np.diag(CUP.stiffness), np.diag(CUP.damping)
+    return {
+        'cup.stiffness': tuple(CUP.stiffness.ravel()), 'cup.damping': tuple(CUP.damping.ravel()),
+        'cup.length': CUP.length,
+        'cup.stiffness_std': tuple(np.diag(0.004 * K).ravel()),
+        'cup.damping_std': tuple(np.diag(0.02 * P).ravel()),
+        'cup.lip_radius': GRIP[1], 'cup.suction_area': 1e-3, 'vacuum.holding': GRIP[0] / 1e-3,
+        'package.mass': PACKAGE.mass, 'package.com': tuple(PACKAGE.com),
+        'package.inertia': (*np.diag(PACKAGE.inertia), 0.0, 0.0, 0.0),
+        'package.size': tuple(2 * HALF), 'package.size_center': tuple(CENTRE),
+        'release.delay': 0.012, 'release.delay_std': 5e-4,
+        'release.tau': 0.02, 'release.tau_std': 5e-4,
+        'release.impulse': 0.05, 'release.impulse_std': 0.01,
+    }
+
+
+def lip_wrench(model_cup, package, pose, twist, t):
+    """Return the wrench at the lip, with matrices."""
+    o_E, R_E, v_E = tool_at(t)
+    T_S_B = transform(np.eye(3), package.com)
+    T_E_S = inverse_transform(transform(R_E, o_E)) @ pose @ inverse_transform(T_S_B)
+    v_ES = adjoint(T_S_B) @ twist - adjoint(inverse_transform(T_E_S)) @ v_E
+    return oracle.wrench_at_lip(model_cup, T_E_S, v_ES)
+
+
+def corners():
+    """Give the eight of the box, in B, one in each row."""
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    return CENTRE + signs * HALF
+
+
+def integrate(start, switched, delay, tau, impulse, height, grip=GRIP):
+    """
+    Return letting go and landing (time, position, rotation, twist), by SciPy with events.
+
+    The rotation's nine entries are integrated as they are; the flight follows Euler's equations.
+    """
+    cup, package = CUP, PACKAGE
+
+    def parts(y):
+        return transform(y[3:12].reshape(3, 3), y[:3]), y[12:]
+
+    def slope(t, y):
+        T, v = parts(y)
+        o_E, R_E, v_E = tool_at(t)
+        dv = oracle.acceleration(cup, package, GRAVITY, transform(R_E, o_E), v_E, T, v)
+        return np.concatenate([T[:3, :3] @ v[:3], (T[:3, :3] @ hat(v[3:])).ravel(), dv])
+
+    def margin(t, y):
+        f = lip_wrench(cup, package, *parts(y), t)
+        left = grip[0] * np.exp(-max(0.0, t - switched - delay) / tau)
+        return left - f[2] - 2.0 * np.hypot(f[3], f[4]) / grip[1]
+
+    def falling(t, y):
+        T, v = parts(y)
+        R, w, inertia = T[:3, :3], v[3:], package.inertia
+        dv = R.T @ GRAVITY - np.cross(w, v[:3])
+        dw = np.linalg.solve(inertia, -np.cross(w, inertia @ w))
+        return np.concatenate([R @ v[:3], (R @ hat(w)).ravel(), dv, dw])
+
+    def clearance(t, y):
+        T, _ = parts(y)
+        return (T[2, 3] + corners() @ T[2, :3]).min() - height
+
+    margin.terminal = clearance.terminal = True
+    options = {'method': 'DOP853', 'rtol': 1e-12, 'atol': 1e-12}
+    y = solve_ivp(slope, (0.0, switched), start, **options).y[:, -1]
+    out = solve_ivp(slope, (switched, switched + 1.0), y, events=margin, max_step=1e-3, **options)
+    t, y = out.t_events[0][0], out.y_events[0][0]
+    released = (t, y[:3], y[3:12].reshape(3, 3), y[12:].copy())
+    push = np.array([0.0, 0.0, -impulse])
+    y[12:15] += push / package.mass
+    y[15:] += np.linalg.solve(package.inertia, -np.cross(package.com, push))
+    out = solve_ivp(falling, (t, t + 3.0), y, events=clearance, max_step=5e-3, **options)
+    t, y = out.t_events[0][0], out.y_events[0][0]
+    return released, (t, y[:3], y[3:12].reshape(3, 3), y[12:])

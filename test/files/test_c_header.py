@@ -1,0 +1,119 @@
+"""The header in C: the very numbers of the kernels, and nothing that a strict compiler minds."""
+
+import ctypes
+from pathlib import Path
+import shutil
+import subprocess
+
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.holding import safety_factors
+from bellows_ros.core.integrator import advance
+from bellows_ros.core.kernels import body_acceleration, lip_wrench
+from bellows_ros.core.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.simulation import row_state, state_row
+from bellows_ros.files.exports import Exported, header
+import numpy as np
+import pytest
+
+K = np.diag([5400.0, 5000.0, 9200.0, 4.2, 4.6, 1.35])
+P = np.diag([55.0, 50.0, 24.0, 0.06, 0.05, 0.1])
+K[0, 4] = K[4, 0] = 30.0
+P[1, 3] = P[3, 1] = -0.2
+CUP = Cup(K, P, 0.046)
+INERTIA = [[0.0044, 1e-4, 0.0], [1e-4, 0.0065, -2e-4], [0.0, -2e-4, 0.0098]]
+PACKAGE = Package(1.8, np.array(INERTIA), (0.004, -0.003, -0.03))
+GRAVITY, GRIP = (0.1, -0.2, -9.81), (170.0, 0.03, 0.5)
+MODEL = model_tuple(CUP, PACKAGE, GRAVITY)
+
+LIBRARY = """
+#include "cup.h"
+void step(const bellows_state *in, double h, int steps, bellows_state *out)
+{ *out = bellows_step(&bellows_exported, &in[0], &in[1], &in[2], h, steps); }
+void wrench(const bellows_state *in, bellows_wrench *out)
+{ *out = bellows_lip_wrench(&bellows_exported, &in[1], &in[0]); }
+double factor(const bellows_state *in)
+{ return bellows_safety_factor(&bellows_exported, &bellows_exported_grip, &in[1], &in[0]); }
+int rest(const bellows_state *tool, double load, bellows_state *out)
+{
+    bellows_model m = bellows_exported;
+    m.package.mass *= load;
+    return bellows_equilibrium(&m, tool, out);
+}
+"""
+
+
+@pytest.fixture(scope='module', params=['-O0', '-O3'])
+def library(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> ctypes.CDLL:
+    """Give the functions of the header, compiled with every warning an error."""
+    compiler = shutil.which('gcc') or shutil.which('cc')
+    if compiler is None:
+        pytest.skip('no C compiler (gcc or cc) is installed')
+    folder: Path = tmp_path_factory.mktemp('c')
+    (folder / 'cup.h').write_text(header(Exported(CUP, PACKAGE, GRAVITY, GRIP)))
+    (folder / 'cup.c').write_text(LIBRARY)
+    subprocess.run(
+        [compiler, '-std=c11', '-Wall', '-Wextra', '-pedantic', '-Werror', '-ffp-contract=off',
+         request.param, '-shared', '-fPIC', '-o', 'cup.so', 'cup.c', '-lm'],
+        cwd=folder, check=True)
+    loaded = ctypes.CDLL(str(folder / 'cup.so'))
+    loaded.factor.restype = ctypes.c_double
+    return loaded
+
+
+def pointer(array: np.ndarray) -> ctypes.c_void_p:
+    """Return where an array lies."""
+    return array.ctypes.data_as(ctypes.c_void_p)
+
+
+def states(rng: np.random.Generator, size: float) -> np.ndarray:
+    """Return a package that hangs on a tool, and the tool a little later; rows of 13."""
+    R = exp_so3(rng.normal(size=3))
+    o = rng.normal(size=3)
+    tool = np.concatenate([o, rotation_to_quaternion(R), rng.normal(size=6)])
+    later = np.concatenate([
+        o + 0.01 * size * rng.normal(size=3),
+        rotation_to_quaternion(R @ exp_so3(size * rng.normal(size=3))), rng.normal(size=6)])
+    hangs = o + R @ (np.array(PACKAGE.com) + [0, 0, -CUP.length] + 0.003 * rng.normal(size=3))
+    turned = R @ exp_so3(0.1 * size * rng.normal(size=3))
+    body = np.concatenate([hangs, rotation_to_quaternion(turned), tool[7:] + rng.normal(size=6)])
+    return np.ascontiguousarray([body, tool, later])
+
+
+def flat(state: tuple[tuple[float, ...], ...]) -> list[float]:
+    """Return the numbers of a state or a wrench."""
+    return [float(x) for part in state for x in part]
+
+
+@pytest.mark.parametrize('size', [0.02, 0.5])
+def test_step_wrench_and_safety_factor_are_the_kernels_bit_for_bit(
+    library: ctypes.CDLL, size: float
+) -> None:
+    """Near and far from zero, where series and libm take turns."""
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        rows = states(rng, size)
+        body, tool, later = (row_state(row) for row in rows)
+        out, f = np.empty(13), np.empty(6)
+        library.step(pointer(rows), ctypes.c_double(0.004), 3, pointer(out))
+        assert out.tolist() == flat(advance(MODEL, body, tool, later, 0.004, 3))
+        library.wrench(pointer(rows), pointer(f))
+        wrench = lip_wrench(MODEL, tool, body)
+        assert f.tolist() == flat(wrench)
+        assert library.factor(pointer(rows)) == min(safety_factors(GRIP, *wrench))
+
+
+def test_rest_is_where_nothing_accelerates(library: ctypes.CDLL) -> None:
+    """Find what Python finds, to rounding; say so where the cup cannot carry the package."""
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        tool = states(rng, 0.1)[1]
+        tool[3:7] = rotation_to_quaternion(exp_so3(0.3 * rng.normal(size=3)))
+        out, still = np.empty(13), state_row(tool[:3], tool[3:7], np.zeros(6))
+        assert library.rest(pointer(tool), ctypes.c_double(1.0), pointer(out)) == 0
+        found, expected = row_state(out), static_equilibrium(MODEL, still)
+        np.testing.assert_allclose(flat(found), flat(expected), atol=1e-11)
+        np.testing.assert_allclose(flat(body_acceleration(MODEL, still, found)), 0.0, atol=1e-8)
+    assert library.rest(pointer(tool), ctypes.c_double(50.0), pointer(out)) == 1

@@ -1,0 +1,114 @@
+"""Plans as CDR against the serialiser of rosbags, and damaged ones refused."""
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.plan_messages import (
+    decode_multi_dof,
+    encode_multi_dof,
+    encode_path,
+    MULTI_DOF,
+    PATH,
+    PlanMessage,
+)
+import numpy as np
+from numpy.testing import assert_array_equal
+import pytest
+from rosbags.typesys import get_typestore, Stores
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+T = TYPES.types
+
+
+def message(parts=(1, 1, 1), count=5, frame='base', names=('tool',)):
+    """Return a plan of our kind, and the same as rosbags has it."""
+    rng = np.random.default_rng(count)
+    poses, twists, rates = rng.normal(size=(count, 7)), *rng.normal(size=(2, count, 6))
+    times = np.arange(count) * 1_234_567_891
+    Vector3, Transform = T['geometry_msgs/msg/Vector3'], T['geometry_msgs/msg/Transform']
+
+    def twist(row):
+        return T['geometry_msgs/msg/Twist'](Vector3(*row[:3]), Vector3(*row[3:]))
+
+    points = [
+        T['trajectory_msgs/msg/MultiDOFJointTrajectoryPoint'](
+            transforms=parts[0] * [Transform(
+                Vector3(*p[:3]), T['geometry_msgs/msg/Quaternion'](*p[3:]))],
+            velocities=parts[1] * [twist(v)], accelerations=parts[2] * [twist(a)],
+            time_from_start=T['builtin_interfaces/msg/Duration'](
+                *map(int, divmod(t, 1_000_000_000))))
+        for t, p, v, a in zip(times, poses, twists, rates, strict=True)]
+    stamp = T['builtin_interfaces/msg/Time'](17, 5)
+    theirs = T[MULTI_DOF](T['std_msgs/msg/Header'](stamp, frame), list(names), points)
+    ours = PlanMessage(
+        17_000_000_005, frame, tuple(names), times, poses, twists if parts[1] else None,
+        rates if parts[2] else None)
+    return ours, theirs
+
+
+@pytest.mark.parametrize('parts', [(1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1)])
+@pytest.mark.parametrize('frame', ['', 'a', 'ab', 'base', 'world', 'base_link'])
+@pytest.mark.parametrize('names', [('tool',), (), ('tool0_tip',)])
+def test_is_what_rosbags_reads_and_writes(parts, frame, names):
+    ours, theirs = message(parts, 5, frame, names)
+    plain = bytes(TYPES.serialize_cdr(theirs, MULTI_DOF))
+    assert encode_multi_dof(ours) == plain
+    swapped = bytes(TYPES.serialize_cdr(theirs, MULTI_DOF, little_endian=False))
+    for data in (plain, swapped):
+        found = decode_multi_dof(data)
+        assert (found.stamp_ns, found.frame_id, found.names) == (17_000_000_005, frame, names)
+        assert_array_equal(found.times_ns, ours.times_ns)
+        assert_array_equal(found.poses, ours.poses)
+        for one, other in ((found.twists, ours.twists),
+                           (found.accelerations, ours.accelerations)):
+            assert (one is None) == (other is None)
+            if one is not None:
+                assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize('frame', ['', 'a', 'map', 'base', 'world', 'base_link'])
+def test_path_is_what_rosbags_reads(frame):
+    poses = np.random.default_rng(0).normal(size=(4, 7))
+    times = np.arange(4) * 700_000_000
+    found = TYPES.deserialize_cdr(encode_path(3_500_000_000, frame, times, poses), PATH)
+    assert found.header.frame_id == frame and found.header.stamp.sec == 3
+    stamps = [p.header.stamp.sec * 10**9 + p.header.stamp.nanosec for p in found.poses]
+    assert_array_equal(stamps, 3_500_000_000 + times)
+    assert {p.header.frame_id for p in found.poses} == {frame}
+    read = [[p.pose.position.x, p.pose.position.y, p.pose.position.z, p.pose.orientation.x,
+             p.pose.orientation.y, p.pose.orientation.z, p.pose.orientation.w]
+            for p in found.poses]
+    assert_array_equal(read, poses)
+
+
+def test_a_large_plan_is_read_at_once():
+    ours, _ = message(count=10)
+    many = PlanMessage(0, 'base', ('tool',), np.arange(2000) * 10**6,
+                       np.tile(ours.poses, (200, 1)), np.tile(ours.twists, (200, 1)))
+    assert_array_equal(decode_multi_dof(encode_multi_dof(many)).poses, many.poses)
+
+
+@pytest.mark.parametrize(('spoil', 'words'), [
+    (lambda data: data[:60], 'ends too early'),
+    (lambda data: b'\7\7' + data[2:], 'not plain CDR'),
+    (lambda data: data[:-30], 'ends too early'),
+    (lambda data: data[:12] + b'\xff\xff\xff\x7f' + data[16:], 'does not end'),
+    (lambda data: b'', 'not plain CDR'),
+])
+def test_damaged_messages_are_refused(spoil, words):
+    data = encode_multi_dof(message()[0])
+    with pytest.raises(BellowsError, match=words):
+        decode_multi_dof(spoil(data))
+
+
+def test_other_than_one_thing_is_refused():
+    _, two = message()
+    for point in two.points:
+        point.transforms *= 2
+    with pytest.raises(BellowsError, match='points with 2 transforms'):
+        decode_multi_dof(bytes(TYPES.serialize_cdr(two, MULTI_DOF)))
+    _, empty = message(count=0)
+    with pytest.raises(BellowsError, match='has 0 points'):
+        decode_multi_dof(bytes(TYPES.serialize_cdr(empty, MULTI_DOF)))
+    _, uneven = message()
+    uneven.points[3].velocities = []
+    with pytest.raises(BellowsError, match='differ in what they have|ends too early'):
+        decode_multi_dof(bytes(TYPES.serialize_cdr(uneven, MULTI_DOF)))

@@ -1,0 +1,109 @@
+"""Poses out of transforms: trees of frames with links of several rates."""
+
+from bellows_ros.core.lie import exp_se3, inverse_transform, rotation_to_quaternion
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bag_writer import Encoded, write_bag
+from bellows_ros.files.bags import read_streams
+from bellows_ros.files.transforms import poses_in, read_transforms, TF
+from bellows_ros.workflows.convert import transforms_to_bag
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from rosbags.typesys import get_typestore, Stores
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+t = STORE.types
+T0 = 1_700_000_000_000_000_000
+MOUNT = exp_se3([0.1, -0.2, 0.3, 0.3, 0.1, -0.4])
+FLANGE = exp_se3([0.0, 0.0, 0.12, 0.0, 0.5, 0.0])
+CAMERA = exp_se3([1.0, 0.4, 1.5, 2.0, 0.3, 0.1])
+
+
+def base_in_rail(s):
+    return exp_se3(np.array([0.2 * s, 0.0, 0.0, 0.0, 0.0, 0.0]))
+
+
+def flange_in_base(s):
+    return exp_se3(np.array([0.3, 0.1 * s, 0.2, 0.1 * s, 0.0, 0.2 * s]))
+
+
+def box_in_camera(s):
+    return exp_se3(np.array([0.1 * s, 0.05, 0.6, 0.0, 0.3 * s, 0.0]))
+
+
+def message(parent, child, T, ns):
+    q = rotation_to_quaternion(T[:3, :3])
+    stamped = t['geometry_msgs/msg/TransformStamped'](
+        t['std_msgs/msg/Header'](t['builtin_interfaces/msg/Time'](*divmod(ns, 10**9)), parent),
+        child, t['geometry_msgs/msg/Transform'](
+            t['geometry_msgs/msg/Vector3'](*map(float, T[:3, 3])),
+            t['geometry_msgs/msg/Quaternion'](*map(float, q))))
+    return bytes(STORE.serialize_cdr(t[TF]([stamped]), TF))
+
+
+def recording(folder, more=()):
+    """Write a rail (20 Hz), an arm (100 Hz) on it, and a camera that sees a box (60 Hz)."""
+    if TF not in t:
+        pytest.skip('this rosbags does not know tf2_msgs')
+    moving = [
+        (T0 + round(k / rate * 1e9), parent, child, pose(k / rate))
+        for rate, parent, child, pose in ((20, 'rail', 'base', base_in_rail),
+                                          (100, 'base', '/flange', flange_in_base),
+                                          (60, 'camera', 'box', box_in_camera))
+        for k in range(2 * rate + 1)]
+    moving += more
+    moving.sort(key=lambda each: each[0])
+    fixed = [('hall', 'rail', MOUNT), ('flange', 'tool', FLANGE), ('hall', 'camera', CAMERA)]
+    write_bag(folder, [
+        Encoded('/tf_static', TF, np.full(3, T0), [message(*each, 0) for each in fixed]),
+        Encoded('/tf', TF, np.array([each[0] for each in moving]), [
+            message(parent, child, T, ns) for ns, parent, child, T in moving])])
+    return folder
+
+
+def test_both_bodies_are_found_in_the_world(tmp_path):
+    done = transforms_to_bag(recording(tmp_path / 'tf'), tmp_path / 'out', 'tool', 'box')
+    assert [(b.topic, b.poses) for b in done.bodies] == [
+        ('/tool_arm/pose', 201), ('/package/pose', 121)]
+    found = read_streams(tmp_path / 'out', {'a': '/tool_arm/pose', 'b': '/package/pose'})
+    assert found['a'].frame_id == found['b'].frame_id == 'hall'
+    for role, pose in (
+        ('a', lambda s: MOUNT @ base_in_rail(s) @ flange_in_base(s) @ FLANGE),
+        ('b', lambda s: CAMERA @ box_in_camera(s)),
+    ):
+        s = (found[role].stamps_ns - T0) * 1e-9
+        expected = np.array([pose(each) for each in s])
+        assert_allclose(found[role].position, expected[:, :3, 3], atol=1e-8)
+        assert_allclose(found[role].rotation, expected[:, :3, :3], atol=1e-8)
+
+
+def test_the_world_may_be_any_frame(tmp_path):
+    links = read_transforms(recording(tmp_path / 'tf'))
+    stamps, T, world = poses_in(links, 'box', 'tool', 'it')
+    s = (stamps - T0) * 1e-9
+    expected = [inverse_transform(MOUNT @ base_in_rail(x) @ flange_in_base(x) @ FLANGE)
+                @ CAMERA @ box_in_camera(x) for x in s]
+    assert world == 'tool' and len(s) == 201  # those of the arm; of the box between its own
+    assert_allclose(T[:, :3, 3], np.array(expected)[:, :3, 3], atol=1e-4)
+
+
+def test_what_is_missing_is_said(tmp_path):
+    links = read_transforms(recording(tmp_path / 'tf', [(T0 + 5, 'elsewhere', 'lone', CAMERA)]))
+    for frame, world, words in (
+        ('tol', '', "'tol' is not among the transforms of it: base"),
+        ('tool', 'elsewhere', "'hall', the other at 'elsewhere'"),
+        ('camera', 'rail', 'does not move'),
+    ):
+        with pytest.raises(BellowsError, match=words):
+            poses_in(links, frame, world, 'it')
+    with pytest.raises(BellowsError, match="'box' has two parents"):
+        read_transforms(recording(tmp_path / 'two', [(T0 + 5, 'tool', 'box', CAMERA)]))
+
+
+def test_a_gap_is_not_bridged(tmp_path):
+    links = read_transforms(recording(tmp_path / 'tf'))
+    there = links['base']
+    keep = (there.stamps_ns < T0 + 0.5e9) | (there.stamps_ns > T0 + 1.5e9)
+    links['base'] = there._replace(stamps_ns=there.stamps_ns[keep], poses=there.poses[keep])
+    s = (poses_in(links, 'tool', '', 'it')[0] - T0) * 1e-9
+    assert len(s) and not ((s > 0.51) & (s < 1.49)).any()

@@ -1,0 +1,228 @@
+"""The predictor that colcon installed, used as a user does: run, remap, set, manage, stop."""
+
+from collections.abc import Iterator
+import importlib.util
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+from typing import Any
+
+import pytest
+import yaml
+
+from .conftest import Installed
+
+PACKAGE = """
+/**:
+  ros__parameters:
+    package:
+      mass: 2.17
+      inertia: [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]
+      com: [0.0, 0.0, -0.03]
+"""
+SOFT = [1000.0 if i == j else 0.0 for i in range(6) for j in range(6)]
+START = 1_700_000_000_000_000_000
+LONGEST_START = 100.0  # s; it compiles first
+
+pytestmark = [pytest.mark.timeout(300), pytest.mark.xdist_group('installed')]
+MS = 1_000_000
+
+
+class User:
+    """Starts the installed predictor and talks to it over DDS."""
+
+    def __init__(self, ros: Any, installed: Installed, folder: Path) -> None:
+        """Join the graph."""
+        rclpy_node = pytest.importorskip('rclpy.node', reason='no rclpy here')
+        self.ros, self._installed = ros, installed
+        self.node = rclpy_node.Node('user', context=ros.context)
+        ros.executor.add_node(self.node)
+        self._file = folder / 'package.yaml'
+        self._file.write_text(PACKAGE)
+        self.process: subprocess.Popen[str] | None = None
+
+    def start(self, *arguments: str) -> None:
+        """Run the executable with the parameter file and more ROS arguments."""
+        self.process = subprocess.Popen(
+            [self._installed.executable('predictor'), '--ros-args', '--params-file',
+             str(self._file), *arguments],
+            env=self._installed.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            text=True)
+
+    def launch(self, *arguments: str) -> None:
+        """Start it as `ros2 launch` does, where that is installed."""
+        if shutil.which('ros2') is None or importlib.util.find_spec('launch_ros') is None:
+            pytest.skip('ROS 2 launch is not here: neither it nor ros2cli is among the wheels')
+        environment = dict(self._installed.environment)
+        for name in ('AMENT_PREFIX_PATH', 'PYTHONPATH'):  # ours before those of ROS
+            environment[name] = os.pathsep.join(
+                [environment[name], *filter(None, [os.environ.get(name)])])
+        self.process = subprocess.Popen(
+            ['ros2', 'launch', 'bellows_ros', 'predictor.launch.py',
+             f'params_file:={self._file}', *arguments],
+            env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def stop(self, number: int) -> str:
+        """Send a signal, and return the log of a process that has ended in order."""
+        assert self.process is not None
+        self.process.send_signal(number)
+        out, log = self.process.communicate(timeout=30)
+        assert self.process.returncode == 0, log
+        assert 'Traceback' not in out + log
+        return out + log
+
+    def call(self, service: str, kind: Any, request: Any) -> Any:
+        """Call a service, again if the answer is lost: it may be ready before its reply is."""
+        client = self.node.create_client(kind, service)
+        assert self.ros.spin_until(client.service_is_ready, LONGEST_START), service
+        for _ in range(4):
+            future = client.call_async(request)
+            if self.ros.spin_until(future.done, 10.0):
+                return future.result()
+        raise AssertionError(f'{service} does not answer')
+
+    def change(self, node: str, transition: int) -> bool:
+        """Ask for a transition; true where it was made, or a lost first call has made it."""
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions
+
+        if self.call(f'{node}/change_state', ChangeState, ChangeState.Request(
+                transition=Transition(id=transition))).success:
+            return True
+        open_now = self.call(
+            f'{node}/get_available_transitions', GetAvailableTransitions,
+            GetAvailableTransitions.Request()).available_transitions
+        return transition not in {one.transition.id for one in open_now}
+
+    def predictions(self, tool: str, package: str, count: int = 5) -> int:
+        """Send poses until so many answers have come; the first may meet nobody yet."""
+        from geometry_msgs.msg import PoseStamped
+
+        answers: list[Any] = []
+        reader = self.node.create_subscription(PoseStamped, package, answers.append, 100)
+        writer = self.node.create_publisher(PoseStamped, tool, 100)
+        assert self.ros.spin_until(
+            lambda: reader.get_publisher_count() and writer.get_subscription_count(),
+            LONGEST_START)
+        message = PoseStamped()
+        message.header.frame_id = 'base'
+        message.pose.orientation.w = 1.0
+        for k in range(20 * count):
+            if len(answers) >= count:
+                break
+            stamp_ns = START + k * 2 * MS
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+            writer.publish(message)
+            before = len(answers)
+            self.ros.spin_until(lambda before=before: len(answers) > before, 1.0)
+        return len(answers)
+
+
+@pytest.fixture
+def user(ros: Any, installed: Installed, tmp_path: Path) -> Iterator[User]:
+    """Give a user, and end the process that is left."""
+    user = User(ros, installed, tmp_path)
+    yield user
+    if user.process is not None:
+        user.process.kill()
+        user.process.communicate()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_run_with_namespace_and_remaps(number: int, user: User) -> None:
+    """Predict in a cell's namespace from the driver's topic, and end with 0."""
+    user.start('-r', '__ns:=/cell', '-r', 'tool_arm/pose:=/driver/pose', '-r', '__node:=left')
+    assert user.predictions('/driver/pose', '/cell/package/pose') == 5
+    log = user.stop(number)
+    assert ' predictions out, 0 refused' in log
+
+
+@pytest.mark.parametrize('number', [
+    signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.stress)])
+def test_waits_for_its_manager_and_ends_from_any_state(number: int, user: User) -> None:
+    """Do nothing before it is told to; end in order from there."""
+    from lifecycle_msgs.msg import Transition
+
+    user.start('-p', 'autostart:=false')
+    assert user.change('/predictor', Transition.TRANSITION_CONFIGURE)
+    assert user.change('/predictor', Transition.TRANSITION_ACTIVATE)
+    assert user.predictions('/tool_arm/pose', '/package/pose') == 5
+    assert user.change('/predictor', Transition.TRANSITION_DEACTIVATE)
+    assert user.change('/predictor', Transition.TRANSITION_CLEANUP)
+    user.stop(number)
+
+
+def test_launch_file_starts_it(user: User) -> None:
+    """Predict in a cell's namespace from the driver's topic, started by the launch file."""
+    user.launch('namespace:=cell', 'tool_pose:=/driver/pose')
+    assert user.predictions('/driver/pose', '/cell/package/pose') == 5
+    assert user.process is not None
+    user.process.send_signal(signal.SIGINT)
+    out, log = user.process.communicate(timeout=30)
+    assert 'Traceback' not in out + log
+
+
+def test_parameters_are_dumped_and_loaded(user: User, tmp_path: Path) -> None:
+    """Start again from a dump of the running node, find the same, and load the dump into it."""
+    user.start('-p', 'package.mass:=1.5', '-p', 'coast.limit:=0.05', '-p', 'cup.name:=soft',
+               '-p', f'cups.soft.stiffness:={SOFT}',
+               '-p', 'qos_overrides./tool_arm/pose.subscription.depth:=7')
+    shown = dump(user)
+    assert (shown['package.mass'], shown['cup.name']) == (1.5, 'soft')
+    assert shown['qos_overrides./tool_arm/pose.subscription.depth'] == 7
+    user.stop(signal.SIGINT)
+    written = tmp_path / 'dump.yaml'
+    written.write_text(yaml.dump({'/predictor': {'ros__parameters': nested(shown)}}))
+    user.start('--params-file', str(written))
+    assert dump(user) == shown
+    results = load(user, shown)
+    assert all(result.successful for result in results), [r.reason for r in results]
+    user.stop(signal.SIGINT)
+
+
+def dump(user: User) -> dict[str, Any]:
+    """Return all parameters that the node shows, as `ros2 param dump` does."""
+    from rcl_interfaces.srv import GetParameters, ListParameters
+    from rclpy.parameter import parameter_value_to_python
+
+    listed = user.call('/predictor/list_parameters', ListParameters, ListParameters.Request())
+    names = sorted(listed.result.names)
+    answer = user.call(
+        '/predictor/get_parameters', GetParameters, GetParameters.Request(names=names))
+    values = map(parameter_value_to_python, answer.values)
+    return {n: list(v) if hasattr(v, 'typecode') else v
+            for n, v in zip(names, values, strict=True)}
+
+
+def nested(values: dict[str, Any]) -> dict[str, Any]:
+    """Return values by the parts of their names."""
+    tree: dict[str, Any] = {}
+    for name, value in values.items():
+        *groups, leaf = name.split('.')
+        branch = tree
+        for group in groups:
+            branch = branch.setdefault(group, {})
+        branch[leaf] = value
+    return tree
+
+
+def load(user: User, values: dict[str, Any]) -> list[Any]:
+    """Set all parameters, as `ros2 param load` does."""
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    messages = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    answer = user.call('/predictor/set_parameters', SetParameters, SetParameters.Request(
+        parameters=messages))
+    return list(answer.results)
+
+
+def test_wrong_parameters_end_with_2(user: User) -> None:
+    """Name the nearest known parameter."""
+    user.start('-p', 'coast.limmit:=0.1')
+    assert user.process is not None
+    _, log = user.process.communicate(timeout=LONGEST_START)
+    assert user.process.returncode == 2
+    assert "Did you mean 'coast.limit'?" in log and 'Traceback' not in log

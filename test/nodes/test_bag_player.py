@@ -1,0 +1,106 @@
+"""Playing recordings to ROS: real messages over DDS, in their time."""
+
+from collections.abc import Callable
+from pathlib import Path
+import threading
+import time
+from typing import Any
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bags import read_messages
+from bellows_ros.nodes.bag_player import play, stamped
+from bellows_ros.nodes.conversions import stamp_to_ns
+import numpy as np
+import pytest
+from scipy.stats import theilslopes
+
+COUNT, PERIOD_NS, LATER_NS = 30, 20_000_000, 3_000_000
+START = 1_700_000_000_000_000_000
+POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a recording of poses and twists with the same stamps, received some ms later."""
+    stamps = START + PERIOD_NS * np.arange(COUNT)
+    poses = np.column_stack([np.arange(COUNT), np.zeros((COUNT, 5)), np.ones(COUNT)])
+    path = tmp_path_factory.mktemp('played') / 'bag'
+    write_bag(path, [
+        Recorded('/tool/pose', POSE, stamps, poses, log_times_ns=stamps + LATER_NS),
+        Recorded('/tool/twist', TWIST, stamps, poses[:, :6], log_times_ns=stamps + LATER_NS),
+    ], 'mcap', 'none')
+    return path
+
+
+@pytest.fixture
+def heard(ros: Any) -> Any:
+    """Give a function that listens while something is played, and returns what came and when."""
+    from geometry_msgs.msg import PoseStamped, TwistStamped
+    from rclpy.node import Node
+
+    def listen(topics: tuple[str, str], work: Callable[[], Any], count: int) -> Any:
+        got: dict[str, list[tuple[float, Any]]] = {name: [] for name in topics}
+        node = Node('listener', context=ros.context)
+        ros.executor.add_node(node)
+        for name, kind in zip(topics, (PoseStamped, TwistStamped), strict=True):
+            node.create_subscription(
+                kind, name, lambda m, info, to=got[name]: to.append(
+                    (1e-9 * info['source_timestamp'], m)), 1000)
+        done: list[Any] = []
+        player = threading.Thread(target=lambda: done.append(work()), daemon=True)
+        player.start()
+        assert ros.spin_until(
+            lambda: not player.is_alive() and all(len(x) >= count for x in got.values()))
+        ros.executor.remove_node(node)
+        node.destroy_node()
+        return done[0], *got.values()
+
+    return listen
+
+
+def test_messages_come_as_recorded_and_in_time(bag: Path, heard: Any) -> None:
+    """Send the very stamps and numbers, at twice the speed, under another name."""
+    messages, notes = read_messages(bag)
+    names = {'/tool/pose': '/a', '/tool/twist': '/b'}
+    played, poses, twists = heard(('/a', '/b'), lambda: play(messages, names, 2.0), COUNT)
+    assert notes == [] and played.messages == {'/a': COUNT, '/b': COUNT} and played.heard
+    assert [stamp_to_ns(m.header.stamp) for _, m in poses] == [
+        START + PERIOD_NS * k for k in range(COUNT)]
+    assert [m.pose.position.x for _, m in poses] == list(map(float, range(COUNT)))
+    assert [m.twist.linear.x for _, m in twists] == list(map(float, range(COUNT)))
+    duration = 1e-9 * PERIOD_NS * (COUNT - 1) / 2.0
+    assert played.duration == pytest.approx(duration)
+    due = 1e-9 * PERIOD_NS * np.arange(COUNT) / 2.0
+    pace = theilslopes([sent for sent, _ in poses], due)[0]  # whatever some are late by
+    assert pace > 0.9
+
+
+def test_stamps_of_now_keep_pairs_and_intervals(bag: Path, heard: Any) -> None:
+    """Move all stamps to the time of playing by one and the same, but for the rate."""
+    messages, _ = read_messages(bag)
+    names = {'/tool/pose': '/a', '/tool/twist': '/b'}
+    before = time.time_ns()
+    _, poses, twists = heard(
+        ('/a', '/b'), lambda: play(messages, names, 2.0, stamps_now=True), COUNT)
+    stamps = [stamp_to_ns(m.header.stamp) for _, m in poses]
+    assert stamps == [stamp_to_ns(m.header.stamp) for _, m in twists]
+    assert set(np.diff(stamps)) == {PERIOD_NS // 2}
+    assert before - LATER_NS < stamps[0] < 1e9 * poses[0][0]
+
+
+def test_a_stamp_is_replaced_in_either_order_of_bytes() -> None:
+    """Change eight bytes, and read the old ones first."""
+    for order, name in ((b'\x00\x00\x00\x00', 'big'), (b'\x00\x01\x00\x00', 'little')):
+        data = order + (7).to_bytes(4, name) + (5).to_bytes(4, name) + b'rest'
+        seen: list[int] = []
+        new = stamped(data, lambda ns, seen=seen: seen.append(ns) or 9_000_000_008)
+        assert seen == [7_000_000_005]
+        assert new == order + (9).to_bytes(4, name) + (8).to_bytes(4, name) + b'rest'
+
+
+def test_topics_that_are_not_there_are_refused(bag: Path) -> None:
+    """Name what is there."""
+    with pytest.raises(BellowsError, match=r'on /nothing; there are: /tool/pose \(geometry_msgs'):
+        read_messages(bag, ['nothing'])
+    assert {m.topic.name for m in read_messages(bag, ['tool/twist'])[0]} == {'/tool/twist'}

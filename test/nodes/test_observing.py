@@ -1,0 +1,101 @@
+"""Measured poses of the package over DDS."""
+
+from collections.abc import Callable
+import time
+from typing import Any
+
+from bellows_ros.core.model import Cup, package_of
+from bellows_ros.core.observer.filter import changed
+import numpy as np
+import pytest
+
+from .conftest import PACKAGE, Partner
+from ..core.observer.cases import truth
+
+TURN = 0.1  # rad, by which the measured package begins beside its rest
+
+
+def stamped(message: Any, stamp_ns: int, frame_id: str = 'world') -> Any:
+    """Give a message with a header."""
+    message.header.frame_id = frame_id
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    return message
+
+
+def swinging() -> list[Any]:
+    """Give the states of a package that swings under a tool that stands still."""
+    tool = [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))] * 120
+    package = package_of(PACKAGE)
+    rest = truth(tool[:1], package, Cup.thesis())[0]
+    start = changed(rest, np.r_[0.0, 0.0, 0.0, 0.0, TURN, np.zeros(7)])
+    return truth(tool, package, Cup.thesis(), start)
+
+
+@pytest.mark.parametrize('kind', ['pose', 'pose_with_covariance', 'odometry'])
+def test_measured_poses_correct_what_is_published(
+        make_partner: Callable[..., Partner], kind: str) -> None:
+    """Come near where the package is seen; count what cannot be used, and go on."""
+    from bellows_ros.nodes.observing import KINDS
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import InertiaStamped
+
+    partner = make_partner({
+        **PACKAGE, 'measured.type': kind, 'measured.noise': [1e-4, 1e-3],
+        'payload.estimate': True})
+    writer = partner.node.create_publisher(KINDS[kind], 'package/measured', 10)
+    lines: list[Any] = []
+    payloads: list[Any] = []
+    estimated = partner.node.create_subscription(
+        InertiaStamped, 'package/estimated', payloads.append, 10)
+    partner.node.create_subscription(
+        DiagnosticArray, '/diagnostics', lambda m: lines.extend(m.status), 10)
+    assert partner.ros.spin_until(
+        lambda: writer.get_subscription_count() and estimated.get_publisher_count()
+        and partner.predictor._observing._estimated.wanted)
+    live = partner.predictor._live
+    start_ns, swing = time.time_ns(), swinging()
+
+    def see(stamp_ns: int, body: Any, frame_id: str = 'world', variance: float = 1e-8) -> None:
+        message = stamped(KINDS[kind](), stamp_ns, frame_id)
+        pose = message.pose if kind == 'pose' else message.pose.pose
+        pose.position.x, pose.position.y, pose.position.z = body[0]
+        q = pose.orientation
+        q.x, q.y, q.z, q.w = body[1]
+        if kind != 'pose':
+            message.pose.covariance = [variance if i % 7 == 0 else 0.0 for i in range(36)]
+        writer.publish(message)
+
+    seen = [0]
+    for k in range(1, len(swing)):
+        partner.send_pose(start_ns + k * 4_000_000)
+        partner.wait_for_poses(k)
+        if k % 8 == 0:
+            see(start_ns + k * 4_000_000, swing[k])
+            seen[0] += 1
+            assert partner.ros.spin_until(
+                lambda: live.observer and sum(live.observer.counts.values()) >= seen[0])
+    found = [message.pose.position.x for message in partner.poses]
+    true = [body[0][0] for body in swing[1:]]
+    assert found[:8] == [0.0] * 8  # nothing has been measured: at rest
+    assert max(map(abs, true[60:])) > 1e-3
+    assert max(abs(a - b) for a, b in zip(found[60:], true[60:], strict=True)) < 1e-4
+    counts = live.observer.counts
+    assert counts['used'] >= 13
+    assert partner.ros.spin_until(lambda: len(payloads) > 10)
+    payload = payloads[-1]
+    assert payload.header.frame_id == 'cup_lip'
+    assert abs(payload.inertia.m - PACKAGE['package.mass']) < 0.1
+    assert abs(payload.inertia.com.x) < 1e-3 and abs(payload.inertia.com.z + 0.03) < 0.01
+    now_ns = start_ns + 119 * 4_000_000
+    see(now_ns - 2_000_000, swing[-1], 'camera')
+    see(now_ns + 5_000_000_000, swing[-1])
+    see(now_ns - 2_000_000, ((float('nan'), 0.0, 0.0), swing[-1][1]))
+    see(now_ns - 3_000_000, swing[-1], variance=float('nan'))
+    see(now_ns - 2_500_000, ((2.0, 0.0, 0.0), swing[-1][1]))
+    expected = {'frame_id': 1, 'future_stamp': 1, 'nan': 1, 'out_of_reach': 1}
+    if kind != 'pose':
+        expected['covariance'] = 1
+    assert partner.ros.spin_until(
+        lambda: all(counts[name] == count for name, count in expected.items())), counts
+    assert partner.ros.spin_until(lambda: any(
+        'measured package' in line.name and 'refused' in line.message for line in lines))

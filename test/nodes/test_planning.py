@@ -1,0 +1,232 @@
+"""Plans over DDS: answered before they are driven, followed while they are, refused when bad."""
+
+from collections.abc import Callable
+import time
+from typing import Any
+
+from bellows_ros.core.lie import rotation_to_quaternion
+from bellows_ros.core.model import model_tuple
+from bellows_ros.core.plan import predict
+from bellows_ros.core.steering import hanging
+from bellows_ros.files.plan_messages import decode_multi_dof, encode_multi_dof, PlanMessage
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from .conftest import Partner
+from ..core.plans import CUP, GRIP, Move, PACKAGE
+from ..core.test_steering import Smooth
+
+VALUES = {
+    'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
+    'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
+    'cup.stiffness': CUP.stiffness.ravel().tolist(), 'cup.damping': CUP.damping.ravel().tolist(),
+    'cup.length': CUP.length, 'cup.lip_radius': 0.02, 'vacuum.holding': 60e3,
+    'tool_twist.frame': 'tool', 'coast.limit': 0.0,
+}
+MODEL = model_tuple(CUP, PACKAGE, 9.81)
+MOVE = Move([0.3, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0)
+MS = 1_000_000
+
+
+def message(move: Move = MOVE, rate_hz: int = 500, **changes: Any) -> PlanMessage:
+    """Return a move as a message."""
+    times = np.round(np.arange(round(float(move.duration) * rate_hz) + 1) / rate_hz * 1e9).astype(
+        np.int64)
+    o, R, v = move.at(times * 1e-9)
+    parts: dict[str, Any] = {
+        'stamp_ns': 0, 'frame_id': 'world', 'names': ('tool',), 'times_ns': times,
+        'poses': np.hstack([o, rotation_to_quaternion(R)]), 'twists': v}
+    return PlanMessage(**{**parts, **changes})
+
+
+class Planner:
+    """A partner that also sends plans and keeps the answers."""
+
+    def __init__(self, partner: Partner) -> None:
+        """Connect all topics of plans."""
+        from diagnostic_msgs.msg import DiagnosticArray
+        from nav_msgs.msg import Odometry, Path
+        from std_msgs.msg import Header
+        from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+        self.partner, node = partner, partner.node
+        self.plans: list[PlanMessage] = []
+        self.heard: dict[str, list[Any]] = {'path': [], 'at': [], 'steered': [], 'health': []}
+
+        def keep(data: bytes) -> None:
+            self.plans.append(decode_multi_dof(data))
+
+        ends = [
+            node.create_subscription(
+                MultiDOFJointTrajectory, 'package/plan', keep, 100, raw=True),
+            node.create_subscription(Path, 'package/plan_path', self.heard['path'].append, 100),
+            node.create_subscription(Odometry, 'package/predicted_at', self.heard['at'].append, 9),
+            node.create_subscription(
+                MultiDOFJointTrajectory, 'tool_arm/steered',
+                lambda data: self.heard['steered'].append(decode_multi_dof(data)), 9, raw=True),
+            node.create_subscription(
+                DiagnosticArray, '/diagnostics', self.heard['health'].append, 99)]
+        self.plan_out, self.steer_out = (
+            node.create_publisher(MultiDOFJointTrajectory, f'tool_arm/{name}', 10)
+            for name in ('plan', 'steer'))
+        self.request_out = node.create_publisher(Header, 'package/predict_at', 10)
+        planning = partner.predictor._planning
+        assert partner.ros.spin_until(lambda: (
+            all(end.get_publisher_count() for end in ends) and planning._is_warm
+            and all(out.get_subscription_count()
+                    for out in (self.plan_out, self.steer_out, self.request_out))
+            and planning._plan_out.wanted and planning._path_out.wanted))
+
+    def send(self, plan: PlanMessage) -> None:
+        """Send a plan of the tool."""
+        self.plan_out.publish(encode_multi_dof(plan))
+
+    def drive(self, stamp_ns: int, seconds: float, speed: float = 1.0) -> None:
+        """Send where the tool is so many seconds after it began to move."""
+        o, R, v = MOVE.at(np.array([max(0.0, seconds * speed)]))
+        self.partner.send_pose(stamp_ns, o[0], rotation_to_quaternion(R)[0])
+        self.partner.send_twist(stamp_ns, speed * v[0, :3], speed * v[0, 3:])
+
+    def wait(self, condition: Callable[[], Any]) -> None:
+        """Spin until something is so."""
+        assert self.partner.ros.spin_until(condition)
+
+
+@pytest.fixture
+def planner(make_partner: Callable[..., Partner]) -> Planner:
+    """Give a predictor and what sends plans to it."""
+    return Planner(make_partner(VALUES))
+
+
+def test_a_plan_is_answered_before_the_tool_moves(planner: Planner) -> None:
+    """Before any pose has come: from rest at its first point, with a summary."""
+    planner.send(message())
+    planner.wait(lambda: planner.plans and planner.heard['path'])
+    (found,), (path,) = planner.plans, planner.heard['path']
+    truth = predict(MODEL, GRIP, MOVE.plan(500))
+    assert found.names == ('package',) and len(path.poses) == len(found.times_ns)
+    assert_allclose(found.poses[:, :3], truth.states[:, :3], atol=0.2e-6)
+    assert_allclose(found.twists, truth.states[:, 7:], atol=1e-4)
+    last = path.poses[-1].pose.position
+    assert_allclose([last.x, last.y, last.z], truth.states[-1, :3], atol=0.2e-6)
+    status = planner.partner.predictor._planning.status
+    assert_allclose(float(status.values['smallest_safety_factor']), truth.smallest_safety[0],
+                    rtol=1e-3)
+    planner.wait(lambda: any(
+        line.name.endswith('plan') for m in planner.heard['health'] for line in m.status))
+
+
+def test_a_plan_that_lets_go_is_warned_of_before_it_moves(planner: Planner) -> None:
+    """With level ERROR, the mode and the time."""
+    planner.send(message(Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.5)))
+    planner.wait(lambda: planner.plans)
+    status = planner.partner.predictor._planning.status
+    assert status.level == 2 and 'the cup lets go' in status.message and 'peel' in status.message
+
+
+@pytest.mark.parametrize(('speed', 'late'), [(1.0, 0.3), (0.5, 0.0)])
+def test_the_rest_is_anchored_to_a_tool_that_is_late_or_slow(
+        planner: Planner, speed: float, late: float) -> None:
+    """Where tool and package will be, though the clock of the plan says otherwise."""
+    start_ns = 1_700_000_000_000_000_000
+    step_ns, sent = 4 * MS, 0
+    planner.drive(start_ns, 0.0)
+    planner.partner.wait_for_poses(1)
+    planner.send(message(stamp_ns=start_ns))
+    end = late + 1.0 / speed
+    poses: dict[int, Any] = {}
+    while sent * step_ns < (end + 0.2) * 1e9:
+        sent += 1
+        before, since = len(planner.partner.poses), time.monotonic()
+        planner.drive(start_ns + sent * step_ns, sent * step_ns * 1e-9 - late, speed)
+        planner.wait(lambda: len(planner.partner.poses) > before)  # noqa: B023
+        time.sleep(max(0.0, 2e-3 - (time.monotonic() - since)))
+    for pose in planner.partner.poses:
+        stamp = pose.header.stamp
+        poses[stamp.sec * 10**9 + stamp.nanosec] = pose.pose.position
+    running = [plan for plan in planner.plans[1:]
+               if 0.3 < ((plan.stamp_ns - start_ns) * 1e-9 - late) * speed < 0.8]
+    assert len(running) >= 3
+    for plan in running:
+        for k in range(0, len(plan.times_ns), 10):
+            stamp = plan.stamp_ns + round(int(plan.times_ns[k]) / step_ns) * step_ns
+            if stamp in poses:
+                assert abs(poses[stamp].x - plan.poses[k, 0]) < 6e-3
+    assert planner.partner.predictor._planning._ahead is None  # it has arrived
+
+
+def test_a_request_is_answered(planner: Planner) -> None:
+    """By the plan where one is driven, else with the tool going on steadily; not in the past."""
+    from std_msgs.msg import Header
+
+    start_ns = 1_700_000_000_000_000_000
+
+    def ask(after_ns: int) -> None:
+        request = Header()
+        request.stamp.sec, request.stamp.nanosec = divmod(start_ns + after_ns, 10**9)
+        planner.request_out.publish(request)
+
+    planner.drive(start_ns, 0.0)
+    planner.partner.wait_for_poses(1)
+    ask(500 * MS)
+    planner.wait(lambda: len(planner.heard['at']) == 1)
+    assert_allclose(planner.heard['at'][0].pose.pose.position.x, 0.0, atol=1e-9)
+    planner.send(message(stamp_ns=start_ns))
+    planner.wait(lambda: planner.plans)
+    ask(-5 * MS)
+    ask(500 * MS)
+    planner.wait(lambda: len(planner.heard['at']) == 2)
+    truth = predict(MODEL, None, MOVE.plan(500)).states[250]
+    answer = planner.heard['at'][1]
+    assert answer.header.stamp.nanosec == 500 * MS and answer.child_frame_id == 'package'
+    assert_allclose(answer.pose.pose.position.x, truth[0], atol=2e-5)
+    assert answer.pose.covariance[0] == pytest.approx(1e6)
+
+
+@pytest.mark.parametrize('of_package', [False, True])
+def test_a_motion_is_steered(planner: Planner, of_package: bool) -> None:
+    """The answer leaves the package without swing, whichever of the two was wanted to move."""
+    move = Smooth([0.3, 0.0, 0.0], [0.0, 0.0, 0.0], 0.6)
+    wanted = message(move)
+    if of_package:
+        motion = hanging(MODEL, move.plan(500))
+        poses = np.hstack([motion.position, rotation_to_quaternion(motion.rotation)])
+        wanted = message(move, names=('package',), twists=np.asarray(motion.twist), poses=poses)
+    planner.steer_out.publish(encode_multi_dof(wanted))
+    planner.wait(lambda: planner.heard['steered'])
+    found = planner.heard['steered'][0]
+    from bellows_ros.core.plan_points import plan_of
+
+    tool = plan_of(found.times_ns, found.poses[:, :3], found.poses[:, 3:], found.twists,
+                   twist_frame='tool')
+    assert np.degrees(predict(MODEL, None, tool).figures()['swing_left']) < 0.01
+
+
+@pytest.mark.parametrize(('changes', 'words'), [
+    ({'frame_id': 'elsewhere'}, "in frame 'elsewhere'; expected 'world'"),
+    ({'poses': np.full((501, 7), np.nan)}, 'holds NaN'),
+    ({'times_ns': np.zeros(501, np.int64)}, 'times that increase'),
+    ({'poses': np.tile([0.0, 0, 0, 0, 0, 0, 3.0], (501, 1))}, 'not of unit length'),
+    (None, 'cannot be decoded'),
+])
+def test_a_bad_plan_is_refused_and_the_prediction_goes_on(
+        planner: Planner, changes: dict[str, Any] | None, words: str) -> None:
+    """Say why on /diagnostics; answer nothing; answer the next good one."""
+    start_ns = 1_700_000_000_000_000_000
+    planner.drive(start_ns, 0.0)
+    planner.partner.wait_for_poses(1)
+    if changes is None:
+        planner.plan_out.publish(b'\0\1\0\0' + bytes(range(60)))
+    else:
+        planner.send(message(**changes))
+    planning = planner.partner.predictor._planning
+    planner.wait(lambda: planning.status is not None)
+    assert planning.status.level == 1 and not planner.plans
+    assert words in planning.status.message or changes is None
+    planner.drive(start_ns + 4 * MS, 0.0)
+    planner.partner.wait_for_poses(2)
+    assert not planner.partner.predictor.failures
+    planner.send(message())
+    planner.wait(lambda: planner.plans)
+    assert planning.status.level == 0

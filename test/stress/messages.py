@@ -1,0 +1,71 @@
+"""Hostile messages to the real node over DDS: finite answers, every pose counted, recovery."""
+
+from collections.abc import Iterator
+from pathlib import Path
+import time
+
+import numpy as np
+
+from .frame import CLEAN, COUNTED, Failed
+from .readers import ATTEMPTS
+from ..conftest import Ros
+from ..nodes.conftest import INPUTS, OUTPUTS, PACKAGE, Partner
+from ..nodes.test_hostile import Attacker, listen, MS, numbers, RELIABLE, stamps_from
+
+BURST = 100  # messages of an attempt
+
+
+def messages(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+    """Send bursts of what nobody should send, and then good poses, which must be answered."""
+    from bellows_ros.nodes.predictor_node import PredictorNode
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
+
+    context = rclpy.context.Context()
+    rclpy.init(args=['--ros-args', '--log-level', 'fatal'], context=context)
+    ros = Ros(context, SingleThreadedExecutor(context=context))
+    try:
+        given = [Parameter(name, value=value) for name, value in {**PACKAGE, **RELIABLE}.items()]
+        predictor = PredictorNode(context=context, parameter_overrides=given)
+        partner = Partner(ros, Node('partner', context=context), predictor)
+        for node in (predictor, partner.node):
+            ros.executor.add_node(node)
+        partner.connect(INPUTS, OUTPUTS, with_twists=True)
+        heard, attacker = listen(partner), Attacker(partner, int(rng.integers(2**31)))
+        for number in range(ATTEMPTS):
+            yield burst(partner, attacker, heard, number)
+    finally:
+        for node in ros.executor.get_nodes():
+            node.destroy_node()
+        ros.executor.shutdown()
+        context.try_shutdown()
+
+
+def burst(partner: Partner, attacker: Attacker, heard: list, number: int) -> str:
+    """Send hostile messages, then good ones, and return what became of the hostile ones."""
+    live = partner.predictor._live
+    before, sent = sum(live.refused.values()), attacker.poses
+    for _ in range(BURST):
+        attacker.send()
+    good = time.time_ns()
+    if not partner.ros.spin_until(lambda: live.poses_in >= attacker.poses, 10.0):
+        raise Failed(f'{live.poses_in} of {attacker.poses} poses were taken')
+    attacker.poses = live.poses_in  # bytes that could be read as a pose are poses
+    for k in range(200):
+        partner.send_pose(good + k * 2 * MS, frame_id='base')
+        attacker.poses += 1
+        partner.ros.spin_until(lambda: False, 0.002)
+        if stamps_from(good, partner.poses):
+            break
+    else:
+        raise Failed('good poses were not answered')
+    if partner.predictor.failures:
+        raise Failed(f'callbacks failed: {dict(partner.predictor.failures)}')
+    answers = [*partner.poses, *partner.twists, *partner.wrenches, *heard]
+    if not all(np.isfinite(x) for message in answers for x in numbers(message)):
+        raise Failed('a number that is not finite was published')
+    for kept in (partner.poses, partner.twists, partner.wrenches, heard):
+        kept.clear()
+    return COUNTED if sum(live.refused.values()) > before or sent == attacker.poses else CLEAN

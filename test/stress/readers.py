@@ -1,0 +1,280 @@
+"""Damaged and hostile files of every reader: refused, read as if sound, or with the loss told."""
+
+from collections.abc import Callable, Iterator
+import json
+from pathlib import Path
+import shutil
+from typing import Any
+
+from bellows_ros.core.parameters import resolve
+from bellows_ros.core.trajectory import PoseStream
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import safe_yaml
+from bellows_ros.files.bag_writer import COMPRESSIONS, Recorded, write_bag
+from bellows_ros.files.bags import Contents, read_contents, topics
+from bellows_ros.files.motive import read_motive
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.trajectory_files import read_euroc, read_tum
+from bellows_ros.workflows.info import info
+from bellows_ros.workflows.recordings import load
+from bellows_ros.workflows.simulate import simulate_recording
+import numpy as np
+
+from .frame import CLEAN, COUNTED, damaged, Failed, REFUSED, scrambled, SILENT
+
+ROOT = Path(__file__).parents[2]
+POSE = 'geometry_msgs/msg/PoseStamped'
+TWIST = 'geometry_msgs/msg/TwistStamped'
+START_NS = 1_760_000_000_000_000_000
+PERIOD_NS = 10_000_000
+HOUR_NS = 3_600_000_000_000
+ROLES = {'tool_pose': '/tool', 'package_pose': '/box', 'tool_twist': '/twist'}
+ATTEMPTS = 60  # of each turn
+LONGEST_MESSAGE = 3000
+
+
+def refused_well(error: BellowsError) -> str:
+    """Return the outcome of an error that can be read, and fail on others."""
+    if not 10 < len(str(error)) < LONGEST_MESSAGE:
+        raise Failed(f'a message of {len(str(error))} characters: {str(error)[:200]}')
+    return REFUSED
+
+
+def motion(rng: np.random.Generator, count: int = 300) -> tuple[Recorded, ...]:
+    """Return a tool, its twist, and a package below it."""
+    t = np.arange(count) * PERIOD_NS * 1e-9
+    stamps = START_NS + PERIOD_NS * np.arange(count)
+    angle = 0.3 * (1.0 - np.cos(3.0 * t))
+    poses = np.column_stack([
+        0.1 * np.sin(4.0 * t), 0.1 * np.cos(3.0 * t), 1.0 + 0.0 * t, 0.0 * t, 0.0 * t,
+        np.sin(angle / 2), np.cos(angle / 2)])
+    below = poses - [0.0, 0.0, 0.08, 0.0, 0.0, 0.0, 0.0]
+    below[:, :3] += 1e-4 * rng.normal(size=(count, 3))
+    return (
+        Recorded('/tool', POSE, stamps, poses), Recorded('/box', POSE, stamps, below),
+        Recorded('/twist', TWIST, stamps, np.gradient(poses[:, :6], t, axis=0)))
+
+
+def bags(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+    """Damage recordings of every form; one of ours in MCAP has checksums, and nothing passes."""
+    storage, compression = ('mcap', 'sqlite3')[rng.integers(2)], rng.choice(list(COMPRESSIONS))
+    if storage == 'sqlite3' and compression == 'chunk':
+        compression = 'none'
+    bag = folder / 'bag'
+    write_bag(bag, motion(rng, 60), storage, compression)
+    (stored,) = (p for p in bag.iterdir() if p.suffix != '.yaml')
+    sound, good = stored.read_bytes(), read_contents(bag, ROLES)
+    for _ in range(ATTEMPTS):
+        stored.write_bytes(damaged(rng, sound))
+        yield judged(bag, good, storage == 'mcap')
+
+
+def judged(bag: Path, good: Contents, summed: bool) -> str:
+    """Return what became of a recording; what has checksums must not change without a word."""
+    try:
+        found = read_contents(bag, ROLES)
+        counted = {t.name: t.messages for t in topics(bag)}
+        info(bag)
+    except BellowsError as error:
+        if str(bag) not in str(error):
+            raise Failed(f'no name in: {error}') from error
+        return refused_well(error)
+    lost = 0
+    for role, stream in found.streams.items():
+        require_sound(stream)
+        lost += sum(map(len, stream.refused.values()))
+        if len(stream) + sum(map(len, stream.refused.values())) != counted[ROLES[role]]:
+            raise Failed(f'{role} does not add up')
+    if found.notes or found.problems or lost:
+        return COUNTED
+    if all(same(found.streams[role], good.streams[role]) for role in ROLES):
+        return CLEAN
+    if summed:
+        raise Failed('a change that the checksums show was not told')
+    return SILENT
+
+
+def require_sound(stream: Any) -> None:
+    """Fail on numbers that are not finite and stamps that do not increase."""
+    poses = isinstance(stream, PoseStream)
+    for array in (stream.position, stream.rotation) if poses else (stream.linear, stream.angular):
+        if not np.all(np.isfinite(array)):
+            raise Failed(f'{stream.name} holds numbers that are not finite')
+    if np.any(np.diff(stream.stamps_ns) <= 0):
+        raise Failed(f'the stamps of {stream.name} do not increase')
+
+
+def same(one: Any, other: Any) -> bool:
+    """Tell whether two streams are equal."""
+    names = ('position', 'rotation') if isinstance(one, PoseStream) else ('linear', 'angular')
+    return all(np.array_equal(getattr(one, n), getattr(other, n)) for n in ('stamps_ns', *names))
+
+
+def metadata(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+    """Scramble metadata.yaml: an error, a note, or no harm."""
+    bag = folder / 'bag'
+    write_bag(bag, motion(rng, 60), 'mcap')
+    file, good = bag / 'metadata.yaml', read_contents(bag, ROLES)
+    text = file.read_text()
+    for _ in range(ATTEMPTS):
+        file.write_text(scrambled(rng, text))
+        yield judged(bag, good, True)
+
+
+STAMPS: dict[str, Callable[[np.random.Generator, Any], Any]] = {
+    'in pairs': lambda rng, s: s // (2 * PERIOD_NS) * 2 * PERIOD_NS + s % 1000 + np.arange(
+        len(s)) % 2 * 1000,
+    'in bursts': lambda rng, s: np.maximum.accumulate(s + rng.choice([0, 90_000_000], len(s))),
+    'jittering': lambda rng, s: s + rng.integers(0, 3 * PERIOD_NS, len(s)),
+    'one ahead': lambda rng, s: s + (np.arange(len(s)) == rng.integers(len(s))) * HOUR_NS,
+    'some ahead': lambda rng, s: s + rng.choice([0, 0, 0, 5_000_000_000], len(s)),
+    'set back': lambda rng, s: s - (np.arange(len(s)) > rng.integers(len(s))) * 2_000_000_000,
+    'repeated': lambda rng, s: s // (3 * PERIOD_NS) * 3 * PERIOD_NS,
+    'backward': lambda rng, s: s[::-1],
+    'anything': lambda rng, s: rng.integers(0, 2**62, len(s)),
+    'three': lambda rng, s: s[:3] + rng.integers(0, 10**10, 3),
+}
+VALUES = (np.nan, np.inf, 0.0, 1e300, -1e7, 1e-320)
+
+
+def recordings(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+    """Record strange stamps and values, and look into what is recorded as the commands do."""
+    values = dict(resolve({
+        'topics.tool_pose': '/tool', 'topics.package_pose': '/box', 'cup.length': 0.05,
+        'topics.tool_twist': '/twist', 'package.mass': 2.0, 'package.com': (0.0, 0.0, -0.03),
+        'package.inertia': (0.01, 0.01, 0.01, 0.0, 0.0, 0.0), 'recording.package_frame': 'com'}))
+    for number in range(ATTEMPTS):
+        values['recording.package_world'] = ('', '0 0 0 0 0 0 1')[rng.integers(2)]
+        topics_ = [hostile(rng, recorded) if rng.random() < 0.6 else recorded
+                   for recorded in motion(rng, int(rng.integers(3, 400)))]
+        bag = folder / f'bag{number}'
+        write_bag(bag, topics_)
+        yield looked_into(bag, values)
+        shutil.rmtree(bag)
+
+
+def hostile(rng: np.random.Generator, recorded: Recorded) -> Recorded:
+    """Return a topic with strange stamps, some strange values, and arrivals as they were."""
+    stamps = np.asarray(STAMPS[str(rng.choice(list(STAMPS)))](rng, recorded.stamps_ns))
+    values = np.array(recorded.values[:len(stamps)])
+    if rng.random() < 0.5:
+        rows = rng.integers(len(values), size=rng.integers(1, 9))
+        values[rows, rng.integers(values.shape[1])] = rng.choice(VALUES)
+    arrivals = recorded.stamps_ns[:len(stamps)] + 1_000_000 if rng.random() < 0.7 else None
+    frame = ('world', '', '\x1b[2J' * 9, 'x' * 3000)[rng.integers(4)]
+    return Recorded(recorded.topic, recorded.type_name, stamps, values, frame,
+                    log_times_ns=arrivals)
+
+
+def looked_into(bag: Path, values: Any) -> str:
+    """Return what becomes of a recording that is described and prepared."""
+    outcome = CLEAN
+    try:
+        found = info(bag)
+        json.dumps(found.as_json())
+        if found.notes or any(t.refused or t.outliers for t in found.topics):
+            outcome = COUNTED
+        prepared = load(bag, values)
+    except BellowsError as error:
+        return refused_well(error)
+    for body in (prepared.tool, prepared.package):
+        if not all(np.all(np.isfinite(x)) for x in (body.position, body.rotation, body.twist)):
+            raise Failed('numbers that are not finite')
+    return outcome
+
+
+Read = Callable[[Path], Any]
+
+
+def texts(files: dict[str, tuple[Path, Read]]) -> Callable[..., Iterator[str]]:
+    """Return the round that scrambles text files; what is read must be finite."""
+    def run(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+        for _ in range(ATTEMPTS):
+            source, read = files[str(rng.choice(list(files)))]
+            text = source.read_text()
+            place = folder / source.name
+            place.write_text(scrambled(rng, text), errors='replace')
+            try:
+                found = read(place)
+            except BellowsError as error:
+                yield refused_well(error)
+                continue
+            require_finite(found)
+            yield CLEAN if repr(found) == repr(read(source)) else SILENT
+
+    return run
+
+
+def require_finite(found: Any) -> None:
+    """Fail where a number in nested content is not finite."""
+    if isinstance(found, dict):
+        found = list(found.values())
+    if isinstance(found, list | tuple):
+        for item in found:
+            require_finite(item)
+    elif isinstance(found, float) and found != found:
+        raise Failed('a number that is not finite')
+
+
+def tables(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+    """Scramble trajectories as TUM, EuRoC and Motive write them."""
+    makers = {
+        'tum': (tum, read_tum), 'euroc': (euroc, read_euroc), 'motive': (motive, read_motive)}
+    for _ in range(ATTEMPTS):
+        make, read = makers[str(rng.choice(list(makers)))]
+        file, text = folder / 'table.csv', make()
+        file.write_text(text)
+        good = repr(read(file))
+        file.write_text(scrambled(rng, text), errors='replace')
+        try:
+            found: Any = read(file)
+        except BellowsError as error:
+            yield refused_well(error)
+            continue
+        yield CLEAN if repr(found) == good else SILENT
+
+
+def tum() -> str:
+    """Return a trajectory as TUM's."""
+    return '# time x y z qx qy qz qw\n' + ''.join(
+        f'{1.7e9 + 0.01 * k:.4f} 0.1 0.2 {0.3 + 1e-3 * k:.4f} 0 0 0 1\n' for k in range(30))
+
+
+def euroc() -> str:
+    """Return a trajectory as EuRoC's."""
+    return '#timestamp, p, q, v\n' + ''.join(
+        f'{START_NS + k * PERIOD_NS}, 0.1, 0.2, {1e-3 * k}, 1, 0, 0, 0, 0, 0, 0\n'
+        for k in range(30))
+
+
+def motive() -> str:
+    """Return an export of Motive with one body."""
+    head = (
+        'Format Version,1.23,Take Name,x,Capture Start Time,2021-05-11 02.31.05.250 PM,'
+        'Rotation Type,Quaternion,Length Units,Meters,Coordinate Space,Global\n\n'
+        ',Type' + ',Rigid Body' * 7 + '\n,Name' + ',box' * 7 + '\n,ID' + ',1' * 7 + '\n'
+        ',' + ',Rotation' * 4 + ',Position' * 3 + '\nFrame,Time (Seconds),X,Y,Z,W,X,Y,Z\n')
+    return head + ''.join(f'{k},{0.01 * k},0,0,0,1,{1e-3 * k},1,2\n' for k in range(30))
+
+
+def motions(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+    """Scramble the motions that `bellows simulate` takes."""
+    text = (ROOT / 'bags' / 'static.yaml').read_text()
+    values = read_parameters(ROOT / 'bags' / 'cup.yaml')
+    for number in range(ATTEMPTS // 6):
+        file, out = folder / 'motion.yaml', folder / f'out{number}'
+        file.write_text(scrambled(rng, text), errors='replace')
+        try:
+            simulate_recording(values, safe_yaml.load(file), out)
+        except BellowsError as error:
+            yield refused_well(error)
+            continue
+        contents = read_contents(out, {'tool_pose': '/tool_arm/pose'})
+        for stream in contents.streams.values():
+            require_sound(stream)
+        yield CLEAN
+
+
+parameters = texts({
+    name: (ROOT / name, read_parameters)
+    for name in ('config/predictor.yaml', 'bags/cup.yaml', 'bags/package.yaml')})

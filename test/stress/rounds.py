@@ -1,0 +1,24 @@
+"""All rounds, by name; a new one is a generator (`frame`) and a line here."""
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+
+from .frame import Round
+from .messages import messages
+from .readers import bags, metadata, motions, parameters, recordings, tables
+from .results import fits, summaries
+from .writers import disks, kills
+
+ROUNDS: Mapping[str, Round] = {
+    'bags': Round(bags),
+    'metadata': Round(metadata),
+    'recordings': Round(recordings, short=20),
+    'tables': Round(tables),
+    'parameters': Round(parameters, short=20),
+    'motions': Round(motions, patience=60.0, short=3),
+    'kills': Round(kills, patience=120.0, short=0),  # test/files/test_killed.py does it
+    'disks': Round(disks, short=20),
+    'summaries': Round(summaries, patience=120.0, short=20),
+    'fits': Round(fits, patience=120.0, short=10),
+    **({'messages': Round(messages, patience=60.0, short=4)} if find_spec('rclpy') else {}),
+}

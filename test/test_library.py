@@ -1,0 +1,110 @@
+"""The library: what `import bellows_ros` offers, by its own examples."""
+
+import doctest
+from pathlib import Path
+import subprocess
+import sys
+
+import bellows_ros
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from scipy.spatial.transform import Rotation
+
+WITHOUT_EXAMPLE = {'BellowsError', 'Prediction'}  # what others raise and return
+
+
+@pytest.mark.parametrize('name', bellows_ros.__all__)
+def test_examples_print_what_they_show(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Run the examples of every public name, as a user at the top of a checkout would."""
+    monkeypatch.chdir(root)
+    names = {'bellows_ros': bellows_ros, 'np': np, 'folder': tmp_path}
+    item = getattr(bellows_ros, name)
+    text = doctest.DocTestParser().get_doctest(item.__doc__ or '', names, name, None, 0)
+    assert bool(text.examples) == (name not in WITHOUT_EXAMPLE)
+    runner = doctest.DocTestRunner()
+    report: list[str] = []
+    runner.run(text, out=report.append)
+    assert runner.failures == 0, ''.join(report)
+
+
+def test_importing_it_loads_no_numbers(user_environment: dict[str, str]) -> None:
+    """Load what takes long only when it is asked for."""
+    code = ("import sys, bellows_ros; print('numpy' in sys.modules, dir(bellows_ros) == "
+            "bellows_ros.__all__); bellows_ros.Cup; print('numpy' in sys.modules)")
+    done = subprocess.run(
+        [sys.executable, '-c', code], env=user_environment, capture_output=True, text=True)
+    assert done.stdout == 'False True\nTrue\n', done.stderr
+
+
+def test_a_name_that_is_not_there() -> None:
+    """Say so as any module does."""
+    with pytest.raises(AttributeError, match="has no attribute 'cup'"):
+        bellows_ros.cup  # noqa: B018
+
+
+def test_cup_and_package_come_back(tmp_path: Path) -> None:
+    """Write and read every number of both."""
+    cup = bellows_ros.Cup.thesis()
+    inertia = np.diag([0.02, 0.03, 0.04]) + 0.001 * (np.ones((3, 3)) - np.eye(3))
+    package = bellows_ros.Package(1.2, inertia, (0.01, 0.0, -0.05))
+    bellows_ros.write_cup(tmp_path / 'both.yaml', cup, package)
+    again = bellows_ros.read_cup(tmp_path / 'both.yaml')
+    held = bellows_ros.read_package(tmp_path / 'both.yaml')
+    assert np.array_equal(again.stiffness, cup.stiffness) and again.length == cup.length
+    assert np.array_equal(again.damping, cup.damping)
+    assert held.mass == 1.2 and np.array_equal(held.inertia, inertia)
+    assert np.array_equal(held.com, package.com)
+
+
+def test_what_a_file_lacks_is_said(tmp_path: Path) -> None:
+    """Name the parameters that are missing."""
+    bellows_ros.write_parameters(tmp_path / 'some.yaml', {'cup.length': 0.05})
+    with pytest.raises(BellowsError, match='lacks cup.stiffness, cup.damping'):
+        bellows_ros.read_cup(tmp_path / 'some.yaml')
+
+
+def test_equilibrium_moves_with_the_tool() -> None:
+    """Hang the package from a tool elsewhere, turned about the vertical: the same, moved."""
+    cup = bellows_ros.Cup.thesis()
+    package = bellows_ros.Package(1.2, np.diag([0.01, 0.02, 0.02]), (0.01, 0.0, -0.05))
+    T = np.eye(4)
+    T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    T[:3, 3] = 0.3, -0.2, 0.9
+    expected = T @ bellows_ros.static_equilibrium(cup, package)
+    assert_allclose(bellows_ros.static_equilibrium(cup, package, T), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize('T', [np.eye(3), 2.0 * np.eye(4), np.full((4, 4), np.nan)])
+def test_what_is_no_pose_is_refused(T: np.ndarray) -> None:
+    """Refuse other shapes, and what is no rotation."""
+    package = bellows_ros.Package(1.2, np.diag([0.01, 0.02, 0.02]), (0.0, 0.0, -0.05))
+    with pytest.raises(BellowsError, match=r'homogeneous matrix \(4, 4\)'):
+        bellows_ros.static_equilibrium(bellows_ros.Cup.thesis(), package, T)
+
+
+def test_a_cup_is_identified_from_arrays() -> None:
+    """Find the cup that a simulated motion was made with, from its poses alone."""
+    rng = np.random.default_rng(3)
+    cup = bellows_ros.Cup(
+        np.diag([5400, 5400, 9200, 4.2, 4.2, 1.35]), np.diag([55, 55, 24, 0.06, 0.06, 0.1]), 0.046)
+    package = bellows_ros.Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.0, 0.0, -0.03))
+    t = np.arange(8000) / 400
+    wave = np.array([np.sin(2 * np.pi * f * t) - np.sin(2 * np.pi * 0.5 * f * t)
+                     for f in (0.9, 1.1, 4.1, 1.3, 1.7, 2.3)]).T
+    size = (1 - np.exp(-t))[:, None] * wave * (0.05, 0.05, 0.01, 0.12, 0.12, 0.2)
+    tool = bellows_ros.savgol(bellows_ros.Trajectory(
+        np.round(t * 1e9).astype(int), size[:, :3],
+        Rotation.from_rotvec(size[:, 3:]).as_matrix()), 8, 6)
+    held = bellows_ros.simulate(cup, package, tool)
+    pair = tuple(
+        bellows_ros.Trajectory(
+            poses.stamps_ns, poses.position + rng.normal(scale=1e-5, size=(len(poses), 3)),
+            poses.rotation, valid=np.arange(len(poses)) != 77)
+        for poses in (tool, held))
+    fit = bellows_ros.identify([pair], package, 0.046, {'fit.method': 'least_squares'})
+    assert_allclose(np.diag(fit.stiffness), np.diag(cup.stiffness), rtol=0.02)
+    assert_allclose(np.diag(fit.damping), np.diag(cup.damping), rtol=0.1)

@@ -1,0 +1,80 @@
+"""What is expensive is computed once for a recording, whatever a run asks for."""
+
+from collections import Counter
+from collections.abc import Callable
+import functools
+import hashlib
+import importlib
+from pathlib import Path
+import pkgutil
+import sys
+from typing import Any
+
+import bellows_ros
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.report.build import write_page
+from bellows_ros.workflows.identify import identify
+import numpy as np
+import pytest
+
+EXPENSIVE = {
+    'savgol': 'core.savgol',
+    'noise_of': 'core.recording.noise',
+    'regressor': 'core.model',
+    'with_noise': 'core.identification.equations.added_noise',
+    'envelope': 'core.identification.equations.validity_range',
+}
+
+
+def digest(value: Any) -> str:
+    """Return a digest of arguments that is equal for equal numbers."""
+    found = hashlib.sha1()
+
+    def add(part: Any) -> None:
+        if isinstance(part, np.ndarray):
+            found.update(part.tobytes())
+        elif hasattr(part, '__dataclass_fields__'):
+            add(tuple(getattr(part, name) for name in part.__dataclass_fields__))
+        elif isinstance(part, tuple | list):
+            for own in part:
+                add(own)
+        elif isinstance(part, np.random.Generator):
+            add(str(part.bit_generator.state))
+        else:
+            found.update(repr(part).encode())
+
+    add(value)
+    return found.hexdigest()
+
+
+def test_nothing_is_computed_twice(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Identify with all that can be asked for and its page: no argument comes a second time."""
+    for module in pkgutil.walk_packages(bellows_ros.__path__, 'bellows_ros.'):
+        if not module.name.startswith(('bellows_ros.nodes', 'bellows_ros.demo')) and \
+                not module.name.endswith('__main__'):
+            importlib.import_module(module.name)
+    calls: Counter[tuple[str, str]] = Counter()
+
+    def counted(function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def call(*arguments: Any, **named: Any) -> Any:
+            calls[function.__name__, digest((arguments, sorted(named.items())))] += 1
+            return function(*arguments, **named)
+        return call
+
+    for name, module in EXPENSIVE.items():
+        function = getattr(sys.modules[f'bellows_ros.{module}'], name)
+        for other in [m for n, m in sys.modules.items() if n.startswith('bellows_ros')]:
+            if getattr(other, name, None) is function:
+                monkeypatch.setattr(other, name, counted(function))
+
+    page = tmp_path / 'page.html'
+    found = identify({
+        **read_parameters(root / 'bags/package.yaml'), 'bags': [str(root / 'bags/identification')],
+        'validation.bags': [str(root / 'bags/validation')], 'fit.method': 'least_squares',
+        'fit.compare_structures': True, 'output.report': str(page)})
+    write_page(found, page)
+    assert {name for name, _ in calls} == set(EXPENSIVE)
+    assert [key for key, count in calls.items() if count > 1] == []

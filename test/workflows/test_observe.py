@@ -1,0 +1,77 @@
+"""A recording with a camera: what it adds to the prediction."""
+
+from bellows_ros.core.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bags import read_streams
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.report.build import replay_report
+from bellows_ros.workflows.replay import replay
+import numpy as np
+import pytest
+
+NOISE = 2e-3, 1e-2
+ROLES = {'tool': 'tool_arm/pose', 'twist': 'tool_arm/twist', 'package': 'package/pose'}
+
+
+@pytest.fixture(scope='module')
+def filmed(root, tmp_path_factory):
+    """Give the shipped validation with a camera of 30 Hz, and its parameters."""
+    bag = root / 'bags' / 'validation'
+    streams = read_streams(bag, ROLES)
+    tool, twist, package = (streams[role] for role in ROLES)
+    rng = np.random.default_rng(1)
+    which = np.arange(12, len(package.stamps_ns), 12)
+    position = package.position[which] + rng.normal(size=(len(which), 3)) * NOISE[0]
+    turns = [exp_so3(turn) for turn in rng.normal(size=(len(which), 3)) * NOISE[1]]
+    position[20::20] += 0.2  # wild ones
+    folder = tmp_path_factory.mktemp('filmed') / 'bag'
+    pose = 'geometry_msgs/msg/PoseStamped'
+    write_bag(folder, [
+        Recorded('/' + ROLES['tool'], pose, tool.stamps_ns, rows(tool.position, tool.rotation)),
+        Recorded('/' + ROLES['package'], pose, package.stamps_ns,
+                 rows(package.position, package.rotation)),
+        Recorded('/' + ROLES['twist'], 'geometry_msgs/msg/TwistStamped', twist.stamps_ns,
+                 np.hstack([twist.linear, twist.angular])),
+        Recorded('/camera/box', pose, package.stamps_ns[which],
+                 rows(position, package.rotation[which] @ turns)),
+    ])
+    values = {
+        **read_parameters(root / 'bags/cup.yaml'), **read_parameters(root / 'bags/package.yaml')}
+    return folder, values
+
+
+def rows(position, rotation):
+    """Give poses as they are recorded."""
+    return np.hstack([position, rotation_to_quaternion(rotation)])
+
+
+def test_both_are_better_than_either(filmed):
+    """Grip the package 10 mm beside its middle: the camera says so, and the model its noise."""
+    bag, values = filmed
+    wrong = {**values, 'package.com': (0.01, 0.0, -0.03), 'payload.estimate': True}
+    found = replay(bag, wrong, observe='camera/box').observed
+    alone, camera, both = (way.scores.rms for way in found.ways.values())
+    size = [np.linalg.norm(rms[:3]) for rms in (alone, camera, both)]
+    turn = [np.linalg.norm(rms[3:]) for rms in (alone, camera, both)]
+    assert size[2] < 0.1 * min(size[:2])
+    assert turn[2] < 0.2 * min(turn[:2])
+    assert found.counts['used'] > 300
+    assert found.counts['out_of_reach'] + found.counts.get('gate', 0) >= 15
+
+
+def test_a_page_shows_it(filmed):
+    """Draw all three ways."""
+    bag, values = filmed
+    result = replay(bag, values, observe='/camera/box')
+    page = replay_report(result)
+    for words in ('With /camera/box', 'prediction alone', 'camera alone', 'both'):
+        assert words in page
+    assert result.as_json()['observed']['counts']['used'] > 300
+
+
+def test_a_topic_that_is_not_there(filmed):
+    """Name those that are."""
+    bag, values = filmed
+    with pytest.raises(BellowsError, match='camera/box'):
+        replay(bag, values, observe='camera/other')

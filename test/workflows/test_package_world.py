@@ -1,0 +1,103 @@
+"""A tool that a robot's driver knows in its base, and a package that motion capture sees."""
+
+from dataclasses import replace
+import json
+
+from bellows_ros.core.lie import (
+    apply,
+    exp_so3,
+    inverse_transform,
+    log_so3,
+    quaternion_to_rotation,
+    transform,
+)
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import format_json
+from bellows_ros.workflows.identification import save
+from bellows_ros.workflows.identify import identify
+from bellows_ros.workflows.replay import replay
+from bellows_ros.workflows.simulate import simulate_recording
+import numpy as np
+import pytest
+
+from .two_clocks import rewritten
+
+T_BASE_MOCAP = transform(exp_so3(np.array([0.1, -0.2, 2.5])), np.array([1.2, -0.7, 0.3]))
+
+
+STANDSTILLS = {
+    'kind': 'static', 'rest_duration': 1.0, 'start_time_ns': 1_700_000_027_000_000_000,
+    'start': {'position': [0.45, -0.10, 0.60]},
+    'static': {'move': 1.0, 'hold': 1.2, 'poses': [
+        {'position': [0.50, -0.05, 0.62], 'rpy': [0.25, 0.0, 0.1]},
+        {'position': [0.40, -0.15, 0.58], 'rpy': [-0.15, 0.2, 0.5]},
+        {'position': [0.45, -0.05, 0.60], 'rpy': [-0.1, -0.25, -0.4]}]},
+    'tool': {'rate_hz': 500.0, 'noise': {'position': 2e-5, 'rotation': 5e-5}},
+    'package': {'rate_hz': 360.0, 'noise': {'position': 1e-4, 'rotation': 5e-4}},
+}
+
+
+@pytest.fixture(scope='module')
+def settings(root):
+    """Return the parameters of the shipped package."""
+    return {**read_parameters(root / 'bags/package.yaml'), 'topics.tool_twist': ''}
+
+
+@pytest.fixture(scope='module')
+def bag(root, tmp_path_factory):
+    """Return the usual motion and three tilted standstills in two worlds, the tool 4 ms late."""
+    folder = tmp_path_factory.mktemp('two_worlds')
+    simulate_recording(read_parameters(root / 'bags/cup.yaml'), STANDSTILLS, folder / 'static')
+    T = inverse_transform(T_BASE_MOCAP)
+
+    def seen(role, stream):
+        """Return a stream as a driver, or as motion capture gives it."""
+        if role == 'package_pose':
+            return replace(
+                stream, frame_id='mocap', position=T[:3, 3] + apply(T[:3, :3], stream.position),
+                rotation=T[:3, :3] @ stream.rotation)
+        return replace(stream, frame_id='base', stamps_ns=stream.stamps_ns + 4_000_000)
+
+    return rewritten((root / 'bags/identification', folder / 'static'), folder / 'both', seen)
+
+
+@pytest.fixture(scope='module')
+def result(bag, settings):
+    """Return what is identified from it."""
+    return identify({**settings, 'bags': [bag], 'recording.package_world': 'estimate',
+                     'fit.time_offset': True})
+
+
+def test_the_transform_and_the_cup_are_found_together(result, root):
+    """Find the transform to 0.1 mm and 0.2 mrad where the package is, and K to a percent."""
+    (part,) = result.parts
+    pose, std = part.package_world
+    found = transform(quaternion_to_rotation(pose[3:]), pose[:3])
+    middle = inverse_transform(T_BASE_MOCAP) @ [0.45, -0.1, 0.53, 1.0]
+    off = np.concatenate([
+        ((found - T_BASE_MOCAP) @ middle)[:3],
+        log_so3(found[:3, :3] @ T_BASE_MOCAP[:3, :3].T)])
+    assert np.all(np.abs(off) < 4.0 * std)
+    assert np.all(std < [2.5e-5] * 3 + [5e-5] * 3)
+    K = np.reshape(read_parameters(root / 'bags/cup.yaml')['cup.stiffness'], (6, 6))
+    assert np.all(np.abs(np.diag(result.fit.stiffness) / np.diag(K) - 1.0) < 0.01)
+    assert abs(part.time_offset.value - 0.004) < 4.0 * part.time_offset.std < 1e-4
+
+
+def test_it_is_said_and_written_where_it_belongs(result, bag, tmp_path):
+    """Replay with the cup file alone: the transform is in it."""
+    assert any('recording.package_world was found: position 1' in line and 'mrad' in line
+               for line in result.findings)
+    save(result, tmp_path / 'cup.yaml', None)
+    kept = read_parameters(tmp_path / 'cup.yaml')
+    pose = result.parts[0].package_world.pose
+    assert kept['recording.package_world'] == ' '.join(f'{x:.10g}' for x in pose)
+    (recording,) = json.loads(format_json(result.as_json()))['recordings']
+    assert recording['package_world']['units']['position'] == 'm'
+    assert replay(bag, kept).validation.failing() == ()
+
+
+def test_without_it_two_frames_are_refused(bag, settings):
+    with pytest.raises(BellowsError, match='recording.package_world: estimate'):
+        identify({**settings, 'bags': [bag]})

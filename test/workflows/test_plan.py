@@ -1,0 +1,355 @@
+"""Plans in every form they come in, what is said of them, and bad ones refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from bellows_ros.core.arm import read_arm
+from bellows_ros.core.lie import rotation_to_quaternion
+from bellows_ros.core.parameters import resolve
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
+from bellows_ros.files.plan_messages import (
+    encode_multi_dof,
+    encode_path,
+    MULTI_DOF,
+    PATH,
+    PlanMessage,
+)
+from bellows_ros.files.plans import DESCRIPTION, JOINTS, STATES
+from bellows_ros.files.trajectory_files import write_tum
+from bellows_ros.files.transforms import TF
+from bellows_ros.workflows.convert import tool_to_bag
+from bellows_ros.workflows.plan import plan, read_plan, standing, write_prediction
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+import yaml
+
+from ..core.plans import CUP, Move
+from ..core.test_arm import URDF
+from ..files.recordings import POSE, TWIST, TYPES
+
+MOVE = Move([0.3, -0.2, 0.1], [0.2, -0.1, 0.5], 0.6)
+VALUES = {
+    'cup.stiffness': CUP.stiffness.ravel(), 'cup.damping': CUP.damping.ravel(),
+    'cup.length': CUP.length, 'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
+    'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
+    'cup.lip_radius': 0.025, 'vacuum.holding': 6e4, 'package.mass_std': 0.01,
+}
+T0 = 1_700_000_000_000_000_000
+t = TYPES.types
+FIGURES = ('smallest_safety_factor', 'peak_bending', 'peak_force', 'peak_moment', 'swing_left')
+
+
+def samples(rate_hz=250):
+    """Return times, poses (N, 7), and twists (N, 6) in world axes of the move."""
+    times = np.round(np.arange(round(0.6 * rate_hz) + 1) / rate_hz * 1e9).astype(np.int64)
+    o, R, v = MOVE.at(times * 1e-9)
+    world = np.hstack([np.einsum('nij,nj->ni', R, part) for part in (v[:, :3], v[:, 3:])])
+    return times, np.hstack([o, rotation_to_quaternion(R)]), world
+
+
+def message(**changes):
+    """Return the move as a message."""
+    times, poses, twists = samples()
+    return replace(PlanMessage(0, 'base', ('tool',), times, poses, twists), **changes)
+
+
+def bag_of(path, kind, data, topic='/plan'):
+    """Write a recording of one message."""
+    write_bag(path, [Encoded(topic, kind, np.array([T0]), [data])])
+    return path
+
+
+def header(frame='base', ns=0):
+    """Return a header."""
+    stamp = t['builtin_interfaces/msg/Time'](*map(int, divmod(ns, 10**9)))
+    return t['std_msgs/msg/Header'](stamp, frame)
+
+
+def encoded(kind, content):
+    """Return a message as CDR."""
+    return bytes(TYPES.serialize_cdr(content, kind))
+
+
+def figures(path, **options):
+    """Return what is said of a plan."""
+    return plan(path, {**VALUES, **options.pop('values', {})}, **options).as_json()
+
+
+@pytest.fixture(scope='module')
+def truth(tmp_path_factory):
+    """Give the figures of the move as a MultiDOFJointTrajectory."""
+    folder = tmp_path_factory.mktemp('truth')
+    return figures(bag_of(folder / 'bag', MULTI_DOF, encode_multi_dof(message())))
+
+
+def test_a_plan_has_all_its_figures(truth):
+    assert truth['duration'] == 0.6 and truth['frame_id'] == 'base'
+    for name in (*FIGURES, 'smallest_safety_time', 'peak_deflection', 'rigid_peak_moment',
+                 'settled_after'):
+        assert truth[name] > 0.0, name
+        assert truth[f'{name}_std'] >= 0.0, name
+    assert truth['peak_force_std'] > 0.0
+    assert truth['smallest_safety_mode'] in ('peel', 'slip')
+    assert truth['outside_validity'] == [] and 'fastest_scale' not in truth
+
+
+def test_a_path_is_the_same_plan(truth, tmp_path):
+    times, poses, _ = samples()
+    found = figures(bag_of(tmp_path / 'bag', PATH, encode_path(T0, 'base', times, poses)))
+    for name in FIGURES:
+        assert_allclose(found[name], truth[name], rtol=2e-3, err_msg=name)
+
+
+def test_text_and_yaml_are_the_same_plan(truth, tmp_path):
+    times, poses, twists = samples()
+    write_tum(tmp_path / 'plan.tum', T0 + times, poses)
+    points = [{
+        'transforms': [{'translation': dict(zip('xyz', map(float, p[:3]), strict=True)),
+                        'rotation': dict(zip('xyzw', map(float, p[3:]), strict=True))}],
+        'velocities': [{'linear': dict(zip('xyz', map(float, v[:3]), strict=True)),
+                        'angular': dict(zip('xyz', map(float, v[3:]), strict=True))}],
+        'accelerations': [],
+        'time_from_start': {'sec': 0, 'nanosec': int(at)},
+    } for at, p, v in zip(times, poses, twists, strict=True)]
+    text = yaml.safe_dump({
+        'header': {'stamp': {'sec': 0, 'nanosec': 0}, 'frame_id': 'base'},
+        'joint_names': ['tool'], 'points': points})
+    (tmp_path / 'plan.yaml').write_text(text + '---\n')  # as ros2 topic echo ends
+    for name in ('plan.tum', 'plan.yaml'):
+        found = figures(tmp_path / name)
+        for figure in FIGURES:
+            assert_allclose(found[figure], truth[figure], rtol=2e-3, err_msg=name)
+
+
+def test_a_motion_of_simulate_is_a_plan(tmp_path):
+    (tmp_path / 'motion.yaml').write_text(yaml.safe_dump({
+        'kind': 'waypoints', 'rest_duration': 0.0,
+        'waypoints': {'poses': [{'position': [0.6, 0.0, 0.0], 'move': 0.5}]},
+        'tool': {'rate_hz': 100.0}, 'package': {'rate_hz': 100.0}}))
+    found = figures(tmp_path / 'motion.yaml')
+    largest = 10 / np.sqrt(3) * 0.6 / 0.5 ** 2  # m/s^2, of a quintic
+    assert_allclose(found['rigid_peak_moment'], 1.8 * 0.03 * largest, rtol=1e-3)
+
+
+def joints(rate_hz=100):
+    """Return times, positions and velocities of the arm in the tests of URDF."""
+    times = np.round(np.arange(round(0.6 * rate_hz) + 1) / rate_hz * 1e9).astype(np.int64)
+    s = (times / times[-1])[:, None]
+    step, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s)**2 / 0.6
+    way = np.array([0.4, 0.2, -0.2])
+    start = np.array([0.0, 0.0, 0.0])
+    return times, start + step * way, rate * way
+
+
+def joint_message(names=('turn', 'slide', 'spin')):
+    """Return a plan of joints."""
+    times, position, velocity = joints()
+    points = [t['trajectory_msgs/msg/JointTrajectoryPoint'](
+        q, v, np.array([]), np.array([]), t['builtin_interfaces/msg/Duration'](0, int(at)))
+        for at, q, v in zip(times, position, velocity, strict=True)]
+    return t[JOINTS](header(''), list(names), points)
+
+
+def upright(urdf):
+    """Return the URDF with a tool whose z points away from the cup at the start."""
+    first = read_arm(urdf, 'c').tool(np.zeros((1, 3)))[0][0]
+    from scipy.spatial.transform import Rotation
+
+    rpy = Rotation.from_matrix(first[:3, :3].T).as_euler('xyz')
+    return urdf.replace('rpy="3.14159265 0 0"', f'rpy="{rpy[0]} {rpy[1]} {rpy[2]}"')
+
+
+def joint_recording(folder):
+    """Write a recording with a robot description and joint states, and none of the tool."""
+    times, position, velocity = joints()
+    states = [t[STATES](header('', T0 + int(at)), ['slide', 'turn', 'spin'],
+                        q[[1, 0, 2]], v[[1, 0, 2]], np.array([]))
+              for at, q, v in zip(times, position, velocity, strict=True)]
+    urdf = t[DESCRIPTION](upright(URDF))
+    write_bag(folder, [
+        Encoded('/robot_description', DESCRIPTION, np.array([T0]), [encoded(DESCRIPTION, urdf)]),
+        Encoded('/joint_states', STATES, T0 + times,
+                [encoded(STATES, state) for state in states]),
+        Recorded('/package/pose', POSE, T0 + times, np.tile([0, 0, 0, 0, 0, 0, 1.0], (61, 1)))])
+    return folder
+
+
+def test_a_plan_of_joints_is_one_of_the_tool(tmp_path):
+    (tmp_path / 'arm.urdf').write_text(upright(URDF))
+    bag = bag_of(tmp_path / 'bag', JOINTS, encoded(JOINTS, joint_message()))
+    values = {'tool_link': 'tool'}
+    found = figures(bag, values=values, urdf=str(tmp_path / 'arm.urdf'))
+    assert found['frame_id'] == 'world' and found['duration'] == 0.6
+    recorded = figures(joint_recording(tmp_path / 'states'), values=values)
+    for name in FIGURES:
+        assert_allclose(recorded[name], found[name], rtol=1e-3, err_msg=name)
+    with pytest.raises(BellowsError, match='--tool-link'):
+        figures(bag)
+    with pytest.raises(BellowsError, match='--urdf'):
+        figures(bag, values=values)
+    other = bag_of(tmp_path / 'o', JOINTS, encoded(JOINTS, joint_message(('a', 'b', 'c'))))
+    with pytest.raises(BellowsError, match="lacks the joint 'turn'"):
+        figures(other, values=values, urdf=str(tmp_path / 'arm.urdf'))
+
+
+def tf_recording(folder):
+    """Write a recording that has only transforms: a mount, an arm, and the tool on it."""
+    times, poses, _ = samples()
+
+    def stamped(parent, child, xyz, q, ns):
+        return t['geometry_msgs/msg/TransformStamped'](
+            header(parent, ns), child, t['geometry_msgs/msg/Transform'](
+                t['geometry_msgs/msg/Vector3'](*map(float, xyz)),
+                t['geometry_msgs/msg/Quaternion'](*map(float, q))))
+
+    fixed = t[TF]([stamped('flange', 'tool', [0, 0, 0.1], [0, 0, 0, 1], 0)]) if TF in t else None
+    if fixed is None:
+        pytest.skip('this rosbags does not know tf2_msgs')
+    moving = [t[TF]([stamped('base', 'flange', p[:3], p[3:], T0 + int(at))])
+              for at, p in zip(times, poses, strict=True)]
+    write_bag(folder, [
+        Encoded('/tf_static', TF, np.array([T0]), [encoded(TF, fixed)]),
+        Encoded('/tf', TF, T0 + times, [encoded(TF, each) for each in moving])])
+    return folder
+
+
+def test_transforms_and_joint_states_become_tool_poses(tmp_path):
+    times, poses, _ = samples()
+    done = tool_to_bag(tf_recording(tmp_path / 'tf'), tmp_path / 'poses', 'tool')
+    assert [(body.topic, body.poses) for body in done.bodies] == [('/tool_arm/pose', len(times))]
+    source = read_plan(tmp_path / 'poses', resolve(VALUES))
+    assert source.frame_id == 'base'
+    R = MOVE.at(times * 1e-9)[1]
+    inside = np.searchsorted(T0 + times, source.tool.stamps_ns)
+    expected = poses[:, :3] + R @ [0, 0, 0.1]
+    assert_allclose(source.tool.position, expected[inside], atol=2e-5)  # smoothed by the filter
+    done = tool_to_bag(joint_recording(tmp_path / 'arm'), tmp_path / 'arm_poses', 'tool',
+                       topic='left/pose')
+    assert [body.topic for body in done.bodies] == ['/left/pose', '/package/pose']
+    with pytest.raises(BellowsError, match="Frame 'tol' is not"):
+        tool_to_bag(tmp_path / 'tf', tmp_path / 'no', 'tol')
+    with pytest.raises(BellowsError, match='already'):
+        tool_to_bag(tmp_path / 'arm', tmp_path / 'no', 'tool', topic='package/pose')
+    assert not (tmp_path / 'no').exists()
+
+
+def test_recorded_poses_are_a_plan(truth, tmp_path):
+    times, poses, twists = samples(500)
+    both = [Recorded('/tool_arm/pose', POSE, T0 + times, poses, 'base'),
+            Recorded('/tool_arm/twist', TWIST, T0 + times, twists, 'base')]
+    write_bag(tmp_path / 'bag', both)
+    found = figures(tmp_path / 'bag', values={'topics.tool_twist': '/tool_arm/twist'})
+    for name in FIGURES:
+        assert_allclose(found[name], truth[name], rtol=1e-4, err_msg=name)
+    still = np.pad(poses, ((100, 100), (0, 0)), 'edge')  # half a window is lost at both ends
+    stamps = T0 + np.arange(len(still)) * 2_000_000
+    write_bag(tmp_path / 'poses', [Recorded('/tool_arm/pose', POSE, stamps, still, 'base')])
+    smooth = figures(tmp_path / 'poses')
+    assert_allclose(smooth['peak_moment'], truth['peak_moment'], rtol=0.01)
+
+
+def test_of_several_plans_the_first_is_taken_and_said(tmp_path):
+    data = encode_multi_dof(message())
+    write_bag(tmp_path / 'bag', [
+        Encoded('/a', MULTI_DOF, np.array([T0]), [data]),
+        Encoded('/b', MULTI_DOF, np.array([T0 + 5]), [encode_multi_dof(message(frame_id='b'))])])
+    found = figures(tmp_path / 'bag')
+    assert 'has 2 plans, of which this is the first, on /a' in found['warnings'][0]
+    assert figures(tmp_path / 'bag', topic='/b')['frame_id'] == 'b'
+
+
+def test_what_is_predicted_can_be_read_again(truth, tmp_path):
+    source = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
+    report = plan(source, VALUES)
+    write_prediction(tmp_path / 'out', report)
+    again = figures(tmp_path / 'out', topic='/tool_arm/plan')
+    for name in FIGURES:
+        assert_allclose(again[name], truth[name], rtol=1e-9)
+    package = read_plan(tmp_path / 'out', resolve(VALUES), topic='/package/plan').tool
+    assert_allclose(package.position, report.prediction.states[:, :3])
+
+
+def test_fastest_and_curves(tmp_path):
+    source = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
+    report = plan(source, VALUES, seek_fastest=True, with_curves=True)
+    found = report.as_json()
+    assert 0.1 < found['fastest_scale'] < 5.0 and found['fastest_scale_std'] > 0.0
+    shape = (len(report.curves.seconds), 12)
+    assert report.curves.values.shape == report.curves.std.shape == shape
+    assert report.curves.seconds[-1] > 0.6
+    assert_allclose(1 / report.prediction.loads[:, 0].max(),
+                    report.curves.values[:len(report.prediction.loads), 4].min())
+    with pytest.raises(BellowsError, match='set cup.lip_radius and vacuum.holding'):
+        plan(source, {**VALUES, 'cup.lip_radius': 0.0}, seek_fastest=True)
+    half = message(**{name: getattr(message(), name)[:80]
+                      for name in ('times_ns', 'poses', 'twists')})
+    thrown = bag_of(tmp_path / 'half', MULTI_DOF, encode_multi_dof(half))
+    with pytest.raises(BellowsError, match='ends in motion'):
+        plan(thrown, VALUES, seek_fastest=True)
+    said = figures(thrown)
+    assert np.isnan(said['swing_left']) and 'ends in motion' in ' '.join(said['warnings'])
+
+
+def test_what_lets_go_and_what_is_not_known_is_said(tmp_path):
+    source = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
+    weak = figures(source, values={'vacuum.holding': 2e4})
+    assert 'the cup lets go' in weak['warnings'][0]
+    low = figures(source, values={'safety.least': 20.0})
+    assert 'below safety.least, 20' in low['warnings'][0]
+    unknown = figures(source, values={'vacuum.holding': 0.0})
+    assert 'set cup.lip_radius' in unknown['warnings'][0]
+    assert unknown['smallest_safety_mode'] is None
+    seen = {'envelope.deflection_low': [-1e-3] * 6, 'envelope.deflection_high': [1e-3] * 6,
+            'envelope.rates': [0.1] * 6, 'envelope.mass': [1.8, 1.8]}
+    outside = figures(source, values=seen)['outside_validity']
+    assert any('bending about' in phrase for phrase in outside)
+
+
+def test_standing_goes_on_at_the_end():
+    tool = MOVE.plan()
+    longer = standing(tool, 0.1)
+    assert len(longer) == len(tool) + 20
+    assert (longer.position[-1] == tool.position[-1]).all() and not longer.twist[-1].any()
+    assert standing(tool, 0.0) is tool
+
+
+def spoiled(part, where, value):
+    """Return the message with one number changed."""
+    array = getattr(message(), part).copy()
+    array[where] = value
+    return message(**{part: array})
+
+
+@pytest.mark.parametrize(('content', 'values', 'words'), [
+    (message(), {'plan.frame': 'world'}, "is in frame 'base'; expected 'world'"),
+    (message(times_ns=np.zeros(1, dtype=int), poses=samples()[1][:1], twists=None), {},
+     'has 1 point; expected 2 to 100000'),
+    (spoiled('times_ns', 50, 10), {}, 'expected times that increase'),
+    (spoiled('poses', (3, 1), np.nan), {}, 'point 3 .* holds NaN or infinity'),
+    (PlanMessage(0, 'base', ('tool',), np.arange(10**6), np.tile(samples()[1][:1], (10**6, 1))),
+     {}, 'has 1000000 points; expected 2 to 100000'),
+    (spoiled('poses', (70, 0), 9.0), {}, 'jumps between points 69 and 70'),
+    (spoiled('poses', (slice(None), 6), 3.0), {}, 'not of unit length'),
+], ids=['frame', 'one', 'times', 'nan', 'million', 'jump', 'unit'])
+def test_a_bad_plan_is_refused(tmp_path, content, values, words):
+    bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(content))
+    with pytest.raises(BellowsError, match=words):
+        figures(bag, values=values)
+
+
+def test_what_is_no_plan_is_refused(tmp_path: Path):
+    (tmp_path / 'no.yaml').write_text('a: 1\n')
+    with pytest.raises(BellowsError, match="'.*no.yaml' holds no plan: KeyError"):
+        figures(tmp_path / 'no.yaml')
+    (tmp_path / 'list.yaml').write_text('- 1\n')
+    with pytest.raises(BellowsError, match='holds no names and values'):
+        figures(tmp_path / 'list.yaml')
+    with pytest.raises(BellowsError, match='does not exist|no such|not'):
+        figures(tmp_path / 'missing')
+    times, poses, _ = samples()
+    poses_of = encode_path(T0, 'base', times, poses)
+    elsewhere = poses_of.replace(b'base', b'else')[:24] + poses_of[24:]
+    with pytest.raises(BellowsError, match="is in frame 'else', but has poses in 'base'"):
+        figures(bag_of(tmp_path / 'frames', PATH, elsewhere))

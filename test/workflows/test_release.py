@@ -1,0 +1,71 @@
+"""The valve from recordings of tosses: against what was drawn, and what it does without."""
+
+from pathlib import Path
+
+from bellows_ros.core.jit import COMPILED
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.safe_yaml import load
+from bellows_ros.workflows.release import identify_release, NO_GRIP, NO_VALVE
+from bellows_ros.workflows.simulate import simulate_recording
+import numpy as np
+import pytest
+
+BAGS = Path(__file__).parents[2] / 'bags'
+VALUES = {
+    **read_parameters(BAGS / 'tossing.yaml'), 'release.delay_std': 5e-4, 'release.tau_std': 0.0,
+    'release.impulse': 0.05,
+}
+
+pytestmark = pytest.mark.skipif(
+    not COMPILED, reason='twenty interpreted fits take too long; see numba')
+
+
+@pytest.fixture(scope='module')
+def recorded(tmp_path_factory):
+    """Give twenty tosses at 360 Hz with 0.1 mm and 0.5 mrad, and what was drawn for them."""
+    bag = tmp_path_factory.mktemp('tosses') / 'bag'
+    report = simulate_recording(VALUES, load(BAGS / 'tosses.yaml'), bag)
+    return bag, report.tosses
+
+
+def test_finds_the_valve_that_was_simulated(recorded):
+    """Delay to 0.5 ms, tau to 5 %, the scatter of the delay to 20 %."""
+    bag, drawn = recorded
+    found = identify_release({**VALUES, 'bags': [str(bag)]})
+    fit, delays = found.fit, np.array([toss.delay for toss in drawn])
+    assert len(found.tosses) == 20 and not found.warnings
+    assert abs(fit.delay - 0.012) < 5e-4
+    assert fit.tau == pytest.approx(0.015, rel=0.05)
+    assert fit.delay_scatter == pytest.approx(np.std(delays, ddof=1), rel=0.2)
+    assert fit.impulse == pytest.approx(0.05, abs=4.0 * fit.impulse_error)
+    assert found.chi2 == pytest.approx(1.0, abs=0.1)
+    late = [toss.release_time - toss.valve_time for toss in drawn]
+    off = [(toss.late - true) / toss.late_std
+           for (_, toss), true in zip(found.tosses, late, strict=True)]
+    assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.5
+    assert found.as_json()['units']['tau'] == 's'
+    assert found.parameters()['release.delay_std'] == pytest.approx(
+        np.hypot(fit.delay_scatter, fit.delay_error))
+
+
+def test_says_what_is_not_identifiable(recorded):
+    """Without a valve only the blow-off is found, without a grip no tau."""
+    values = {**VALUES, 'bags': [str(recorded[0])]}
+    blind = identify_release({**values, 'topics.valve': ''})
+    assert NO_VALVE in blind.warnings
+    assert set(blind.parameters()) == {'release.impulse', 'release.impulse_std'}
+    assert blind.fit.impulse == pytest.approx(0.05, abs=4.0 * blind.fit.impulse_error)
+    loose = identify_release({**values, 'vacuum.holding': 0.0})
+    assert NO_GRIP in loose.warnings
+    late = [toss.release_time - toss.valve_time for toss in recorded[1]]
+    of_the_mean = np.sqrt(np.sum([toss.late_std ** 2 for _, toss in loose.tosses])) / 20
+    assert loose.fit.delay == pytest.approx(np.mean(late), abs=4.0 * of_the_mean)
+
+
+def test_a_recording_without_tosses_is_refused(tmp_path):
+    """Say how many were found, and how many are needed."""
+    motion = {**load(BAGS / 'throw.yaml'), 'package': {'rate_hz': 120.0}}
+    simulate_recording(VALUES, motion, tmp_path / 'bag')
+    with pytest.raises(BellowsError, match='0 tosses can be used; a valve is found from 3'):
+        identify_release({**VALUES, 'bags': [str(tmp_path / 'bag')]})

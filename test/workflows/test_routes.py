@@ -1,0 +1,483 @@
+"""Any route to a fit: one after the other, on cores, on a cluster, through files."""
+
+import gc
+import io
+import json
+import os
+from pathlib import Path
+import shutil
+import signal
+import threading
+import tracemalloc
+import zipfile
+
+from bellows_ros.core.jit import COMPILED
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import format_json
+from bellows_ros.files.summary_files import FORMAT, read_summary
+from bellows_ros.workflows import workers
+from bellows_ros.workflows.compare import compare_files
+from bellows_ros.workflows.identification import save, UNKNOWN_STD
+from bellows_ros.workflows.identify import (
+    identify,
+    identify_summaries,
+    read_part,
+    write_summary,
+)
+from bellows_ros.workflows.simulate import simulate_recording
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+import yaml
+
+NAMES = ('identification', 'validation')
+FIGURES = ('stiffness', 'damping', 'stiffness_std', 'damping_std', 'covariance', 'weight',
+           'residual_rms', 'condition_number')
+
+
+@pytest.fixture(scope='module')
+def settings(root):
+    """Return the parameters of two recordings, without noise of the tests' order."""
+    bags = [str(root / 'bags' / name) for name in NAMES]
+    return {**read_parameters(root / 'bags/package.yaml'), 'bags': bags}
+
+
+@pytest.fixture(scope='module')
+def one_fit(settings):
+    """Return a function that gives the fit of both recordings at once, by structure."""
+    known = {}
+
+    def fit(structure):
+        if structure not in known:
+            known[structure] = identify({**settings, 'fit.structure': structure}).fit
+        return known[structure]
+
+    return fit
+
+
+def assert_same(fit, wanted):
+    """Check that all figures agree to 1e-9 of their largest entry."""
+    for name in FIGURES:
+        value = np.asarray(getattr(wanted, name))
+        assert_allclose(
+            getattr(fit, name), value, rtol=0, atol=1e-9 * np.abs(value).max(), err_msg=name)
+    assert fit.samples_used == wanted.samples_used
+    assert fit.samples_rejected == wanted.samples_rejected
+
+
+def through_files(settings, folder):
+    """Return the result of a summary of each recording."""
+    files = []
+    for number, bag in enumerate(settings['bags']):
+        files.append(folder / f'{number}.npz')
+        write_summary({**settings, 'bags': [bag]}, files[-1])
+    return identify_summaries(files)
+
+
+def content_of(result):
+    """Return the content of a result's JSON file as it is read."""
+    return json.loads(format_json(result.as_json()))
+
+
+def without_verdict(result):
+    """Return the content but for what the recordings themselves are needed for."""
+    content = content_of(result)
+    content['findings'] = content['findings'][len(result.verdict.sentences)
+                                              if result.verdict else 0:]
+    del content['verdict']
+    return content
+
+
+def differences(one, other, path=''):
+    """Yield where two contents differ: other keys, other words, numbers by more than rounding."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        yield from (f'{path}.{key}' for key in set(one) ^ set(other))
+        for key in set(one) & set(other):
+            yield from differences(one[key], other[key], f'{path}.{key}')
+    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        for place, pair in enumerate(zip(one, other, strict=True)):
+            yield from differences(*pair, f'{path}[{place}]')
+    elif isinstance(one, float) and isinstance(other, float):
+        if abs(one - other) > 1e-9 * max(abs(one), abs(other), 1e-6):
+            yield f'{path}: {one} {other}'
+    elif one != other:
+        yield f'{path}: {one!r} {other!r}'
+
+
+@pytest.mark.parametrize('structure', [
+    'axisymmetric', *(pytest.param(name, marks=pytest.mark.stress)
+                      for name in ('diagonal', 'full'))])
+def test_every_route_gives_the_same_keys_and_the_same_numbers(settings, structure, tmp_path):
+    pytest.importorskip('joblib', reason='extra parallel')
+    asked = {**settings, 'fit.structure': structure, 'fit.compare_recordings': True}
+    wanted = content_of(identify(asked))
+    assert wanted['recordings'][0]['noise'] and wanted['one_cup'] and wanted['envelope']
+    for route in (identify(asked, jobs=1), identify(asked, jobs=2)):
+        assert list(differences(content_of(route), wanted)) == []
+    merged = through_files(asked, tmp_path)
+    assert merged.verdict is None
+    assert list(differences(without_verdict(merged), without_verdict(identify(asked)))) == []
+
+
+def test_results_of_different_routes_can_be_compared(settings, tmp_path):
+    save(identify(settings), '', tmp_path / 'one.json')
+    save(through_files(settings, tmp_path), '', tmp_path / 'other.json')
+    found = compare_files(tmp_path / 'one.json', tmp_path / 'other.json')
+    assert found.settings == () and len(found.shared) == len(NAMES)
+    assert not found.fits.matters
+
+
+def test_the_cup_file_is_that_of_any_route(settings, tmp_path):
+    found, wanted = through_files(settings, tmp_path).parameters(), identify(settings).parameters()
+    assert list(differences(found, wanted)) == []
+
+
+def test_what_is_reduced_once_can_be_asked_more(settings, root, tmp_path):
+    """Ask of files whether it is one cup, and for standstills; but not for another structure."""
+    files = [tmp_path / f'{number}.npz' for number in range(2)]
+    for file, bag in zip(files, settings['bags'], strict=True):
+        write_summary({**settings, 'bags': [bag]}, file)
+    asked = {'fit.compare_recordings': True, 'static.bags': [str(root / 'bags/static')]}
+    found = identify_summaries(files, asked)
+    wanted = identify({**settings, **asked})
+    assert_allclose(found.fit.stiffness, wanted.fit.stiffness, rtol=1e-9, atol=1e-9)
+    assert found.fit.standstills.count > 3 and not found.consistency.differs
+    with pytest.raises(BellowsError, match="fit.structure is 'full', but"):
+        identify_summaries(files, {'fit.structure': 'full'})
+
+
+def test_one_process_after_the_other(settings, one_fit):
+    said = []
+    result = identify(settings, lambda what, part: said.append(part), jobs=1)
+    assert_same(result.fit, one_fit('axisymmetric'))
+    assert said[0] == 0.0 and said[-1] == 1.0 and said == sorted(said)
+
+
+AXES_HZ = {'x': 0.3, 'y': 0.37}
+
+
+@pytest.fixture(scope='module')
+def flat(root, tmp_path_factory):
+    """Return the parameters of two noisy recordings that hardly move along z and about it."""
+    folder = tmp_path_factory.mktemp('flat')
+    motion = yaml.safe_load((root / 'bags/identification.yaml').read_text())
+    motion['duration'] = 12.0
+    lines = {axis: {'amplitude': [0.05], 'frequency': [f]} for axis, f in AXES_HZ.items()}
+    motion['multi_sine'] = {'position': lines, 'rotation': lines}
+    bags = [str(folder / name) for name in ('one', 'two')]
+    cup = read_parameters(root / 'bags/cup.yaml')
+    for seed, bag in enumerate(bags, 1):
+        simulate_recording(cup, {**motion, 'seed': seed}, bag)
+    return {**read_parameters(root / 'bags/package.yaml'), 'package.com': (0.0, 0.004, -0.03),
+            'bags': bags}
+
+
+def identifiable_in(content):
+    """Return which parameters are identifiable, by a JSON file's content."""
+    return {label: own['identifiable']
+            for label, own in content['excitation']['parameters'].items()}
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize('structure', ['axisymmetric', 'full'])
+def test_what_is_not_identifiable_is_claimed_nowhere(flat, structure, tmp_path):
+    """One fit, summaries at once and summaries from files: the same of noise and the package."""
+    settings = {**flat, 'fit.structure': structure}
+    whole, apart = identify(settings), identify(settings, jobs=1)
+    merged = through_files(settings, tmp_path)
+    assert np.isinf(whole.fit.damping_std[2, 2])
+    said = whole.warnings
+    assert any(text.startswith('Axial motion is hardly excited') for text in said)
+    for other in (apart, merged):
+        assert_array_equal(np.isinf(other.fit.covariance), np.isinf(whole.fit.covariance))
+        assert other.warnings == said
+        assert other.parameters()['cup.damping_std'][14] == UNKNOWN_STD
+        for found, wanted in zip(other.excitation.axes, whole.excitation.axes, strict=True):
+            assert_allclose(found.strain_noise, wanted.strain_noise, rtol=1e-9)
+        found, wanted = (json.loads(format_json(r.as_json())) for r in (other, whole))
+        assert identifiable_in(found) == identifiable_in(wanted)
+
+
+def test_bad_recording_is_reported_and_not_fatal(settings, one_fit, tmp_path):
+    pytest.importorskip('joblib', reason='extra parallel')
+    broken = tmp_path / 'broken'
+    shutil.copytree(settings['bags'][0], broken)
+    file = next(broken.glob('*.mcap'))
+    file.write_bytes(file.read_bytes()[:5000])
+    first, second = settings['bags']
+    result = identify({**settings, 'bags': [first, str(broken), 'nowhere', second]}, jobs=2)
+    assert_same(result.fit, one_fit('axisymmetric'))
+    assert [failed.bag for failed in result.failed] == [str(broken), 'nowhere']
+    content = result.as_json()
+    assert [failure['bag'] for failure in content['failed']] == [str(broken), 'nowhere']
+    assert [recording['bag'] for recording in content['recordings']] == settings['bags']
+    assert sum('was left out' in warning for warning in result.warnings) == 2
+
+
+def test_nothing_usable(settings):
+    with pytest.raises(BellowsError, match="None of 2 recordings can be used. The first, 'a'"):
+        identify({**settings, 'bags': ['a', 'b']}, jobs=1)
+
+
+def test_dask_cluster_gives_the_same(settings, one_fit, tmp_path):
+    distributed = pytest.importorskip('distributed', reason='extra dask')
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, host='127.0.0.1', scheduler_port=0,
+        dashboard_address=None, local_directory=tmp_path,
+    ) as cluster:
+        address = cluster.scheduler_address
+        assert address.startswith('tcp://127.0.0.1')
+        bags = [*settings['bags'], 'nowhere']
+        result = identify({**settings, 'bags': bags}, dask=address)
+    assert_same(result.fit, one_fit('axisymmetric'))
+    assert [failed.bag for failed in result.failed] == ['nowhere']
+
+
+@pytest.mark.parametrize('address', [
+    'nonsense://127.0.0.1:1', 'tls://127.0.0.1:1', 'tcp://127.0.0.1', 'tcp://127.0.0.1:1'])
+def test_no_scheduler(settings, address, monkeypatch):
+    pytest.importorskip('distributed', reason='extra dask')
+    monkeypatch.setattr(workers, 'ANSWER_WITHIN', 0.5)
+    with pytest.raises(BellowsError, match=f"No Dask scheduler answers at '{address}'"):
+        identify(settings, dask=address)
+    gc.collect()  # nothing is left that would wait for the scheduler when it is collected
+
+
+class Deadly(dict):
+    """Parameters that end the process that looks at them."""
+
+    def __getitem__(self, name):
+        """Do what the kernel does where memory is short."""
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Endless(dict):
+    """Parameters that nobody is ever done with."""
+
+    def __getitem__(self, name):
+        """Wait longer than any test."""
+        threading.Event().wait(120.0)
+
+
+def processes():
+    """Return the processes that joblib has started for this one."""
+    found = []
+    for folder in Path('/proc').glob('[0-9]*'):
+        try:
+            parent = int((folder / 'stat').read_text().rpartition(')')[2].split()[1])
+            if parent == os.getpid() and b'popen_loky' in (folder / 'cmdline').read_bytes():
+                found.append(int(folder.name))
+        except OSError:
+            continue  # it has ended
+    return found
+
+
+def test_a_worker_that_dies_ends_no_work(settings):
+    pytest.importorskip('joblib', reason='extra parallel')
+    killed = []
+
+    def kill_one(what, part):
+        if 0.0 < part < 1.0 and not killed:
+            killed.append(processes()[0])
+            os.kill(killed[0], signal.SIGKILL)
+
+    bags = ['nowhere', *settings['bags'], 'nor here', 'nor there']  # the first is done at once
+    result = identify({**settings, 'bags': bags}, jobs=2, progress=kill_one)
+    assert killed
+    assert [failed.bag for failed in result.failed] == [bags[0], *bags[3:]]
+    assert all('does not exist' in failed.reason for failed in result.failed)
+    assert result.fit.samples_used == identify(settings).fit.samples_used
+
+
+def test_a_recording_that_kills_its_worker_is_left_out(settings):
+    pytest.importorskip('joblib', reason='extra parallel')
+    work = [(0, 'a', {}), (1, 'deadly', Deadly()), (2, 'b', {}), (3, 'c', {})]
+    results = dict(workers.on_cores(work, 2, read_part))
+    assert [results[n].bag for n in range(4)] == ['a', 'deadly', 'b', 'c']
+    assert 'was ended from outside' in results[1].reason
+    assert all(results[n].reason.startswith('KeyError') for n in (0, 2, 3))
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """Return a Dask cluster of one worker."""
+    distributed = pytest.importorskip('distributed', reason='extra dask')
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, host='127.0.0.1', scheduler_port=0,
+        dashboard_address=None, local_directory=tmp_path,
+    ) as started:
+        yield started
+
+
+def test_a_recording_that_kills_its_dask_worker_is_left_out(cluster):
+    cluster.scheduler.allowed_failures = 0
+    results = list(workers.on_dask(
+        [(0, 'deadly', Deadly())], cluster.scheduler_address, read_part))
+    assert [number for number, _ in results] == [0]
+    assert 'KilledWorker' in results[0][1].reason
+
+
+def test_a_scheduler_that_is_lost_is_said(cluster):
+    work = [(0, 'a', {}), (1, 'endless', Endless())]
+    results = workers.on_dask(work, cluster.scheduler_address, read_part)
+    assert next(results)[0] == 0
+    cluster.close(timeout=10.0)
+    with pytest.raises(BellowsError, match='was lost during the work'):
+        next(results)
+
+
+def test_missing_extra_is_said(settings, monkeypatch):
+    monkeypatch.setitem(__import__('sys').modules, 'joblib', None)
+    with pytest.raises(BellowsError, match="--jobs needs 'joblib'.*pip install joblib"):
+        identify(settings, jobs=2)
+
+
+@pytest.mark.stress
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: the fit takes minutes')
+def test_the_prediction_error_of_recordings_that_others_read(settings, cluster, tmp_path):
+    broken = tmp_path / 'broken.mcap'
+    broken.write_bytes(b'no recording')
+    other = {**settings, 'fit.method': 'prediction_error'}
+    whole = identify(other)
+    bags = [*settings['bags'][:1], str(broken), *settings['bags'][1:]]
+    for apart in (identify({**other, 'bags': bags}, jobs=2),
+                  identify({**other, 'bags': bags}, dask=cluster.scheduler_address)):
+        assert_allclose(apart.fit.covariance, whole.fit.covariance, rtol=1e-9)
+        for name in ('stiffness', 'damping'):
+            assert_allclose(getattr(apart.fit, name), getattr(whole.fit, name), rtol=1e-9)
+        assert [failed.bag for failed in apart.failed] == [str(broken)]
+        assert apart.bags == tuple(settings['bags'])
+        assert apart.warnings[1:] == whole.warnings and str(broken) in apart.warnings[0]
+
+
+def test_only_least_squares_has_summaries(settings, tmp_path):
+    other = {**settings, 'fit.method': 'prediction_error'}
+    with pytest.raises(BellowsError, match='prediction_error takes the recordings themselves'):
+        write_summary({**other, 'bags': settings['bags'][1:]}, tmp_path / 'one.npz')
+
+
+def test_summaries_of_two_structures_are_refused(settings, tmp_path):
+    files = [tmp_path / 'a.npz', tmp_path / 'b.npz']
+    for file, bag, structure in zip(
+            files, settings['bags'], ('axisymmetric', 'diagonal'), strict=True):
+        write_summary({**settings, 'bags': [bag], 'fit.structure': structure}, file)
+    with pytest.raises(BellowsError, match='axisymmetric with .* diagonal with'):
+        identify_summaries(files)
+
+
+def test_a_summary_of_another_version_is_said(tmp_path):
+    header = np.frombuffer(b'{"format": "bellows_ros summary 1"}', np.uint8)
+    np.savez(tmp_path / 'old.npz', header=header)
+    with pytest.raises(BellowsError, match="its format is 'bellows_ros summary 1', not '"):
+        read_summary(tmp_path / 'old.npz')
+
+
+@pytest.fixture
+def spelled(settings, tmp_path):
+    """Return one recording by three names: as it is, as the file in it, and as a copy."""
+    whole = Path(settings['bags'][1])
+    shutil.copytree(whole, tmp_path / 'copy')
+    return [str(whole), str(next(whole.glob('*.mcap'))), str(tmp_path / 'copy')]
+
+
+def test_a_recording_counts_once_by_whatever_name(settings, spelled, tmp_path):
+    for again in range(3):
+        two = {**settings, 'bags': [spelled[0], spelled[again]]}
+        with pytest.raises(BellowsError, match=f"'{spelled[again]}' and .* would count twice"):
+            identify(two)
+        files = [tmp_path / 'a.npz', tmp_path / 'b.npz']
+        for file, bag in zip(files, two['bags'], strict=True):
+            write_summary({**settings, 'bags': [bag]}, file)
+        with pytest.raises(BellowsError, match=f"'{spelled[again]}' and .* would count twice"):
+            identify_summaries(files)
+    bags = [spelled[0], settings['bags'][0], *spelled[1:]]
+    result = identify({**settings, 'bags': bags}, jobs=1)
+    assert [failed.bag for failed in result.failed] == spelled[1:]
+    assert list(result.bags) == bags[:2]
+
+
+def test_two_recordings_of_one_name_are_two(settings, one_fit, tmp_path, monkeypatch):
+    files = []
+    for number, bag in enumerate(settings['bags']):
+        folder = tmp_path / str(number)
+        shutil.copytree(bag, folder / 'bag')
+        monkeypatch.chdir(folder)
+        files.append(folder / 'summary.npz')
+        write_summary({**settings, 'bags': ['bag']}, files[-1])
+    assert_same(identify_summaries(files).fit, one_fit('axisymmetric'))
+
+
+@pytest.mark.parametrize('damage', ['text', 'empty', 'cut', 'missing', 'flipped'])
+def test_damaged_summary(settings, tmp_path, damage):
+    file = tmp_path / 'a.npz'
+    if damage in ('cut', 'flipped'):
+        write_summary({**settings, 'bags': settings['bags'][1:]}, file)
+        data = bytearray(file.read_bytes())
+        data[len(data) // 2] ^= 0xff
+        file.write_bytes(data[: len(data) // 2] if damage == 'cut' else data)
+    elif damage != 'missing':
+        file.write_text('' if damage == 'empty' else 'no summary')
+    with pytest.raises(BellowsError, match='summar|Summar'):
+        read_summary(file)
+
+
+@pytest.mark.parametrize('held, says', [(10**8, 0), (8, 10**10)])
+def test_a_summary_that_asks_for_much_is_refused(tmp_path, held, says):
+    array = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        array, {'descr': '<f8', 'fortran_order': False, 'shape': (says or held // 8,)})
+    header = np.frombuffer(json.dumps({'format': FORMAT, 'content': {}}).encode(), np.uint8)
+    np.savez(tmp_path / 'a.npz', header=header)
+    with zipfile.ZipFile(tmp_path / 'a.npz', 'a', zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr('content.npy', array.getvalue() + bytes(held))
+    tracemalloc.start()
+    try:
+        with pytest.raises(BellowsError, match='holds 100000.* bytes|cannot reshape'):
+            read_summary(tmp_path / 'a.npz')
+        assert tracemalloc.get_traced_memory()[1] < 10**6
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_length_that_is_not_given_is_said(settings, tmp_path):
+    values = {name: value for name, value in settings.items() if name != 'cup.length'}
+    values['bags'] = values['bags'][1:]
+    assert identify(values, jobs=1).warnings[0].startswith('cup.length is not set')
+    write_summary(values, tmp_path / 'one.npz')
+    warnings = identify_summaries([tmp_path / 'one.npz']).warnings
+    assert any('cup.length is not set' in warning for warning in warnings)
+
+
+def test_time_offsets_are_told_as_with_one_fit(settings, one_fit):
+    """Tell the offset of each recording, here of one clock."""
+    fit = identify({**settings, 'fit.time_offset': True}).fit
+    assert len(fit.delays) == len(NAMES)
+    assert np.all(np.abs(fit.delays) < 4.0 * np.array(fit.delays_std))
+    assert_allclose(fit.stiffness, one_fit('axisymmetric').stiffness, rtol=1e-3)
+
+
+def test_standstills_join_summaries_as_they_join_recordings(settings, root, tmp_path):
+    rest = {'static.bags': [str(root / 'bags/static')]}
+    whole, apart = identify({**settings, **rest}), identify({**settings, **rest}, jobs=1)
+    assert apart.fit.standstills.count == whole.fit.standstills.count > 3
+    assert_allclose(apart.fit.stiffness, whole.fit.stiffness, rtol=1e-7, atol=1e-6)
+    assert_allclose(apart.fit.stiffness_std, whole.fit.stiffness_std, rtol=1e-5, atol=1e-9)
+    assert apart.as_json()['static']['recordings'][0]['package']['mass'] == 1.8
+
+
+def test_what_needs_all_recordings_at_one_place_gets_them(settings):
+    first, second = settings['bags']
+    asked = {**settings, 'bags': [first], 'fit.compare_structures': True,
+             'validation.bags': [second]}
+    apart, whole = (content_of(result) for result in (identify(asked, jobs=1), identify(asked)))
+    assert apart['structures']['advised'] == 'axisymmetric'
+    assert [found['bag'] for found in apart['validations']] == [second]
+    taken = ('.validations[0].live.took', '.validations[0].live.real_time_factor')
+    assert not [path for path in differences(apart, whole) if not path.startswith(taken)]
+
+
+def test_relative_filtering_is_a_setting(settings):
+    one = {**settings, 'bags': settings['bags'][1:]}
+    relative = {**one, 'filter.relative': True}
+    assert_same(identify(relative, jobs=1).fit, identify(relative).fit)

@@ -1,0 +1,30 @@
+"""Limits of motions as a file gives them."""
+
+from bellows_ros.core.motion_limits import NONE, RATES
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import safe_yaml
+from bellows_ros.workflows.steer import read_limits
+import numpy as np
+import pytest
+
+
+@pytest.mark.parametrize(('content', 'words'), [
+    ({'linear': {'sped': 1.0}}, "Did you mean 'limits.linear.speed'"),
+    ({'linear': {'speed': 0.0}}, "'limits.linear.speed' must be a number above 0"),
+    ({'angular': {'speed': float('nan')}}, "'limits.angular.speed' must be a number"),
+    ({'workspace': {'lower': [0, 0]}}, "'limits.workspace.lower' must be a list of 3 numbers"),
+    ({'workspace': {'lower': [0, 0, 0], 'upper': [1, -1, 1]}}, 'expected each number of lower'),
+    ([1], 'must hold names and values'),
+])
+def test_bad_limits_are_refused(content, words):
+    with pytest.raises(BellowsError, match=words):
+        read_limits(content)
+    assert read_limits({}).rates == dict.fromkeys(RATES, NONE)
+    assert np.all(read_limits(None).high == NONE)
+
+
+def test_one_file_serves_excite_too(root):
+    """Read the file that explains every limit, and leave the rest of it alone."""
+    limits = read_limits(safe_yaml.load(root / 'config/limits_example.yaml'))
+    assert limits.rates['speed'] == 1.5 and limits.rates['angular_jerk'] == 2000.0
+    assert limits.high.tolist() == [0.57, 0.02, 0.72] and limits.safety_factor == 1.5

@@ -1,0 +1,61 @@
+"""What recordings can tell, and the structures compared, from bags on disk."""
+
+import json
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import format_json
+from bellows_ros.workflows.structures import structures
+import pytest
+
+
+@pytest.fixture(scope='module')
+def shipped(root):
+    """Return what the shipped recording tells."""
+    known = read_parameters(root / 'bags/package.yaml')
+    return structures({**known, 'bags': [str(root / 'bags/identification')]})
+
+
+def test_the_shipped_recording_tells_all_of_a_round_cup(shipped):
+    assert shipped.selection.advised == 'axisymmetric'
+    assert all(found.identifiable for found in shipped.excitation.parameters)
+    assert shipped.excitation.rank == 8
+    assert shipped.selection.effective_samples < 0.5 * shipped.selection.samples
+
+
+def test_a_static_recording_is_said_to_tell_little(root):
+    known = read_parameters(root / 'bags/package.yaml')
+    result = structures({**known, 'bags': [str(root / 'bags/static')]})
+    words = ' '.join(result.warnings)
+    assert 'Torsion is hardly excited' in words and 'turn the tool about z at 1-3 Hz' in words
+
+
+def test_json_is_complete(shipped):
+    content = json.loads(format_json(shipped.as_json()))
+    assert content['structures']['advised'] == 'axisymmetric'
+    candidates = content['structures']['candidates']
+    assert [candidate['parameters'] for candidate in candidates] == [8, 10, 12, 42]
+    assert set(content['excitation']['axes']) == {'x', 'y', 'z', 'rx', 'ry', 'rz'}
+    found = content['excitation']['parameters']['P z']
+    assert found['identifiable'] is True and found['signal_to_noise'] > 1.0
+
+
+def test_relative_filtering_is_a_setting(shipped):
+    relative = structures({**shipped.values, 'filter.relative': True})
+    for one, other in zip(
+            shipped.excitation.parameters, relative.excitation.parameters, strict=True):
+        assert one.value != other.value
+        assert abs(other.value / one.value - 1.0) < 0.1
+    assert relative.selection.samples < shipped.selection.samples
+
+
+def test_progress_goes_from_reading_to_done(shipped):
+    found = []
+    structures(shipped.values, lambda what, part: found.append((what, part)))
+    assert found[0][0].startswith('reading') and found[-1] == ('done', 1.0)
+    assert [part for _, part in found] == sorted(part for _, part in found)
+
+
+def test_no_recording_is_a_mistake(shipped):
+    with pytest.raises(BellowsError, match='bags is empty'):
+        structures({**shipped.values, 'bags': []})
