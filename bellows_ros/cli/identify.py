@@ -29,7 +29,8 @@ DESCRIPTION = (
     "package it holds. The parameter file says what is known (the package, the cup's length, the "
     'topics), how to fit, and what else to look at: standstills, other recordings to '
     'validate on, the structures compared. With --summary-out one recording is only reduced to '
-    'what a fit needs of it, anywhere and by any scheduler; --summaries fits all of them. With '
+    'what least squares needs of it, anywhere and by any scheduler; --summaries fits all of them '
+    'by least squares. With '
     '--release the cup is known, and the valve is found from recordings of tosses.'
 )
 EXAMPLES = (

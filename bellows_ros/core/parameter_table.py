@@ -371,10 +371,11 @@ _TABLE = (
         _IDENTIFIER,
     ),
     Parameter(
-        'fit.method', 'string', 'least_squares', '',
-        'How the cup is fitted: least squares on accelerations (section 4.3.2) is fast, the '
-        'prediction error on poses is exact with noisy recordings too and starts from the former.',
-        _IDENTIFIER, choices=('least_squares', 'prediction_error'),
+        'fit.method', 'string', 'prediction_error', '',
+        'How the cup is fitted: the prediction error on poses is exact with noisy recordings, too; '
+        'least squares on accelerations (section 4.3.2) is a quick look, and what summaries of '
+        'recordings are fitted by.',
+        _IDENTIFIER, choices=('prediction_error', 'least_squares'),
     ),
     Parameter(
         'fit.structure', 'string', 'axisymmetric', '',

@@ -38,6 +38,13 @@ FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 MOST_ON_A_PAGE = 20
 """Recordings that a report shows."""
 
+BY_SUMMARIES = {'fit.method': 'least_squares'}
+"""Summaries hold the sums that least squares needs, and no poses."""
+
+ONLY_SUMS = (
+    'Summaries are fitted by least squares, whatever fit.method says: they hold no poses to '
+    'predict. Give the recordings themselves for the prediction error.')
+
 WHOLE = {'recording.start': 0.0, 'recording.end': 0.0}
 """Recordings of standstills and for validation are read whole."""
 
@@ -131,7 +138,8 @@ def identify_summaries(
         if all(file.settings.get(name) == value for file in files)
     })
     values: dict[str, Any] = resolve({
-        **shared, **(settings or {}), 'bags': tuple(part.name for part in parts)})
+        **shared, **(settings or {}), **BY_SUMMARIES,
+        'bags': tuple(part.name for part in parts)})
     for name, value in shared.items():
         if values[name] != value and name not in OF_ALL_SUMMARIES:
             raise BellowsError(
@@ -142,6 +150,8 @@ def identify_summaries(
     static = _static(values, tell)
     origins = {str(origin): origin for file in files for origin in file.parameter_files}
     assumptions = dict.fromkeys(text for file in files for text in file.assumed)
+    if (settings or {}).get('fit.method', 'least_squares') != 'least_squares':
+        assumptions[ONLY_SUMS] = None
     return _identified(values, values, parts, static, tell, assumed=tuple(assumptions),
                        parameter_files=tuple(origins.values()))
 
@@ -162,7 +172,7 @@ def write_summary(
     from bellows_ros.files.summary_files import Summary
     from bellows_ros.files.summary_files import write_summary as write
 
-    values = resolved({'fit.method': 'least_squares', **settings})
+    values = resolved({**settings, **BY_SUMMARIES})
     if len(values['bags']) != 1:
         raise BellowsError(
             f'A summary is of one recording, not of {len(values["bags"])}. Write one for each.')

@@ -101,13 +101,13 @@ def workshop(tmp_path_factory: pytest.TempPathFactory, bellows: Run) -> Path:
     """
     Give a folder with what a user has, which tests only read.
 
-    It holds cup.yaml (the truth), package.yaml (what is known beforehand), motion.yaml, and the
-    recording `recording`.
+    It holds cup.yaml (the truth), package.yaml (what is known beforehand, and the quick fit),
+    motion.yaml, and the recording `recording`.
     """
     folder = tmp_path_factory.mktemp('workshop')
     truth = {'cup.stiffness': diagonal(STIFFNESS), 'cup.damping': diagonal(DAMPING)}
     write_yaml(folder / 'cup.yaml', {**PACKAGE, **TOPICS, **truth})
-    write_yaml(folder / 'package.yaml', {**PACKAGE, **TOPICS})
+    write_yaml(folder / 'package.yaml', {**PACKAGE, **TOPICS, 'fit.method': 'least_squares'})
     write_yaml(folder / 'motion.yaml', MOTION)
     done = bellows(
         'simulate', '--params', 'cup.yaml', '--motion', 'motion.yaml', '--out', 'recording',

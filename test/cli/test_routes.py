@@ -13,6 +13,9 @@ def call(root, monkeypatch):
     return lambda *words: main([str(word) for word in words])
 
 
+QUICK = ('--set', 'fit.method=least_squares')
+
+
 def test_summaries_are_fitted(call, tmp_path, capsys):
     files = []
     for name in ('identification', 'validation'):
@@ -34,7 +37,7 @@ def test_identify_on_two_cores_leaves_out_what_is_bad(call, tmp_path, capsys):
     pytest.importorskip('joblib', reason='extra parallel')
     cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
     assert call('identify', 'bags/identification', 'bags/none', '--params', 'bags/package.yaml',
-                '--jobs', 2, '--out', cup, '--json', fit) == 0
+                *QUICK, '--jobs', 2, '--out', cup, '--json', fit) == 0
     warnings = capsys.readouterr().err
     assert "Recording 'bags/none' was left out" in warnings.replace('\n  ', ' ')
     assert json.loads(fit.read_text())['failed'][0]['bag'] == 'bags/none'
@@ -55,8 +58,8 @@ def test_summaries_must_be_there_and_alone(call, tmp_path, capsys):
 
 def test_a_page_shows_the_recordings_of_a_batch_too(call, tmp_path):
     page = tmp_path / 'page.html'
-    assert call('identify', 'bags/identification', '--params', 'bags/package.yaml', '--jobs', 1,
-                '--report', page) == 0
+    assert call('identify', 'bags/identification', '--params', 'bags/package.yaml', *QUICK,
+                '--jobs', 1, '--report', page) == 0
     assert page.read_text().count('<svg') > 3
 
 

@@ -37,7 +37,7 @@ def make(ros: Any, **given: object) -> Any:
     """Return a spinning identifier; `__` in the names of parameters stands for a dot."""
     from bellows_ros.nodes.identifier_node import IdentifierNode
 
-    values = {**PACKAGE, **{name.replace('__', '.'): value for name, value in given.items()}}
+    values = {**PACKAGE, 'fit.method': 'least_squares', **{name.replace('__', '.'): value for name, value in given.items()}}
     overrides = [Parameter(name, value=value) for name, value in values.items()]
     node = IdentifierNode(context=ros.context, parameter_overrides=overrides)
     ros.executor.add_node(node)
@@ -135,7 +135,7 @@ def test_packages_in_files_are_enough(ros: Any, root: Path) -> None:
     given = {'bags': [str(root / 'bags/validation')],
              'package.files': [str(root / 'bags/package.yaml')],
              'topics.tool_pose': '/tool_arm/pose', 'topics.package_pose': '/package/pose',
-             'cup.length': 0.046}
+             'cup.length': 0.046, 'fit.method': 'least_squares'}
     node = IdentifierNode(context=ros.context, parameter_overrides=[
         Parameter(name, value=value) for name, value in given.items()])
     ros.executor.add_node(node)

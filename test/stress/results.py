@@ -33,7 +33,7 @@ def sound(structure: str) -> tuple[bytes, str]:
     """Return a summary of a recording, and the result of the fit to it."""
     settings = {
         **read_parameters(ROOT / 'bags/package.yaml'), 'fit.structure': structure,
-        'bags': [str(ROOT / 'bags/validation')]}
+        'fit.method': 'least_squares', 'bags': [str(ROOT / 'bags/validation')]}
     with tempfile.TemporaryDirectory() as folder:
         summary, result = Path(folder) / 'one.npz', Path(folder) / 'fit.json'
         write_summary(settings, summary)

@@ -16,7 +16,8 @@ def files(root, tmp_path_factory):
     folder = tmp_path_factory.mktemp('fits')
     known = read_parameters(root / 'bags/package.yaml')
     for name in ('identification', 'validation'):
-        result = identify({**known, 'bags': [str(root / 'bags' / name)]})
+        result = identify({**known, 'bags': [str(root / 'bags' / name)],
+                           'fit.method': 'least_squares'})
         save(result, None, folder / f'{name}.json')
     return folder / 'identification.json', folder / 'validation.json'
 

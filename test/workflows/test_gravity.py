@@ -39,6 +39,7 @@ def fitted(tmp_path_factory):
             **values, 'bags': [str(bag)], 'topics.tool_pose': '/tool_arm/pose',
             'topics.package_pose': '/package/pose', 'recording.world': world,
             'recording.align_at_rest': True, 'recording.rest_duration': 1.2,
+            'fit.method': 'least_squares',
         }
         result = identify(settings)
         return result.fit, replay(bag, {**settings, **result.parameters()})

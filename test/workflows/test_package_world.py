@@ -41,7 +41,8 @@ STANDSTILLS = {
 @pytest.fixture(scope='module')
 def settings(root):
     """Return the parameters of the shipped package."""
-    return {**read_parameters(root / 'bags/package.yaml'), 'topics.tool_twist': ''}
+    return {**read_parameters(root / 'bags/package.yaml'), 'topics.tool_twist': '',
+            'fit.method': 'least_squares'}
 
 
 @pytest.fixture(scope='module')

@@ -40,7 +40,8 @@ FIGURES = ('stiffness', 'damping', 'stiffness_std', 'damping_std', 'covariance',
 def settings(root):
     """Return the parameters of two recordings, without noise of the tests' order."""
     bags = [str(root / 'bags' / name) for name in NAMES]
-    return {**read_parameters(root / 'bags/package.yaml'), 'bags': bags}
+    return {**read_parameters(root / 'bags/package.yaml'), 'bags': bags,
+            'fit.method': 'least_squares'}
 
 
 @pytest.fixture(scope='module')
@@ -170,7 +171,7 @@ def flat(root, tmp_path_factory):
     for seed, bag in enumerate(bags, 1):
         simulate_recording(cup, {**motion, 'seed': seed}, bag)
     return {**read_parameters(root / 'bags/package.yaml'), 'package.com': (0.0, 0.004, -0.03),
-            'bags': bags}
+            'bags': bags, 'fit.method': 'least_squares'}
 
 
 def identifiable_in(content):
@@ -351,10 +352,16 @@ def test_the_prediction_error_of_recordings_that_others_read(settings, cluster, 
         assert apart.warnings[1:] == whole.warnings and str(broken) in apart.warnings[0]
 
 
-def test_only_least_squares_has_summaries(settings, tmp_path):
-    other = {**settings, 'fit.method': 'prediction_error'}
-    with pytest.raises(BellowsError, match='prediction_error takes the recordings themselves'):
-        write_summary({**other, 'bags': settings['bags'][1:]}, tmp_path / 'one.npz')
+def test_summaries_mean_least_squares_and_say_so_once(settings, tmp_path):
+    other = {**settings, 'bags': settings['bags'][1:], 'fit.method': 'prediction_error'}
+    file = tmp_path / 'one.npz'
+    write_summary(other, file)
+    quiet, told = identify_summaries([file]), identify_summaries(
+        [file], {'fit.method': 'prediction_error'})
+    assert_same(told.fit, quiet.fit)
+    assert quiet.fit.method == told.values['fit.method'] == 'least_squares'
+    said = [text for text in told.warnings if 'by least squares' in text]
+    assert len(said) == 1 and set(told.warnings) - set(said) == set(quiet.warnings)
 
 
 def test_summaries_of_two_structures_are_refused(settings, tmp_path):

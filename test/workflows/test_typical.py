@@ -18,7 +18,8 @@ import pytest
 @pytest.fixture(scope='module')
 def found(root):
     values = read_parameters(root / 'bags/package.yaml')
-    return identify({**values, 'bags': [str(root / 'bags/identification')]})
+    return identify({**values, 'bags': [str(root / 'bags/identification')],
+                     'fit.method': 'least_squares'})
 
 
 @pytest.fixture(scope='module')
