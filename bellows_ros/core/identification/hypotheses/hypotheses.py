@@ -19,7 +19,7 @@ from bellows_ros.core.identification.hypotheses.objective import (
     Objective,
     Solved,
 )
-from bellows_ros.core.identification.hypotheses.refinement import Block, refine
+from bellows_ros.core.identification.hypotheses.refinement import Block, refine, ROUNDS
 from bellows_ros.core.identification.hypotheses.variations import Given, Variation
 from bellows_ros.core.model import Package
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
@@ -51,8 +51,14 @@ LEAST = {
 ALIKE = 1.5
 """Residuals of two hypotheses that cannot be distinguished differ by less."""
 
-AGAIN = 8
-"""Hypotheses that are tried a second time."""
+ROUGHLY = 3
+"""Rounds in which numbers are found at first, with noise left in."""
+
+AGAIN = 6
+"""Hypotheses that are tried a second time, with noise taken off."""
+
+SHOWN, NEAR = 2, 10.0
+"""So many are told of; others that leave more than so many times the best are not tried again."""
 
 K_MOVES = 0.05
 """Part by which a material change moves an entry of K."""
@@ -213,17 +219,20 @@ def diagnose(
     before = objective.solved(evidence)
     if before.excess < TRIED:
         return Diagnosis(before.excess, ())
-    world = recordings[0].settings.world
-    tried = sorted((_tried(h, objective, evidence)
-                    for h in hypotheses(evidence.given[0], world)), key=_mark)
+    quiet = Evidence(evidence.given, ())
+    level = objective.solved(quiet).excess - before.excess
+    tried = sorted((_tried(h, objective, quiet, rounds=ROUGHLY, level=level)
+                    for h in hypotheses(evidence.given[0], recordings[0].settings.world)),
+                   key=_mark)
     # With weights as they are where the best of them is true.
     objective = Objective.of(evidence.varied(tried[0].vary), sound=True)
     before = objective.solved(evidence)
-    tried = sorted((_tried(trial.hypothesis, objective, evidence) for trial in tried[:AGAIN]),
-                   key=_mark)
+    tried = sorted((_tried(trial.hypothesis, objective, evidence, trial.theta)
+                    for number, trial in enumerate(tried[:AGAIN])
+                    if number < SHOWN or _mark(trial) < NEAR * _mark(tried[0])), key=_mark)
     labels = known or structure.labels
     return Diagnosis(before.excess, tuple(
-        _finding(trial, tried, before, structure, labels) for trial in tried[:3]))
+        _finding(trial, tried, before, structure, labels) for trial in tried[:SHOWN]))
 
 
 def _absurd(held: Package) -> Finding | None:
@@ -250,13 +259,18 @@ class _Trial(NamedTuple):
         return [self.hypothesis.vary(own, self.theta) for own in given]
 
 
-def _tried(hypothesis: Hypothesis, objective: Objective, evidence: Evidence) -> _Trial:
-    """Return a hypothesis with the numbers that explain most."""
+def _tried(
+    hypothesis: Hypothesis, objective: Objective, evidence: Evidence, start: Array | None = None,
+    rounds: int = ROUNDS, level: float = 0.0,
+) -> _Trial:
+    """Return a hypothesis with the numbers that explain most, less a level of noise."""
     if hypothesis.block is not None:
-        found = refine(objective, evidence, [hypothesis.block])
+        found = refine(objective, evidence, [hypothesis.block], start, rounds)
+        found = found._replace(solved=found.solved._replace(excess=found.solved.excess - level))
         return _Trial(hypothesis, found.theta, found.std, found.solved)
     solved = objective.solved(evidence.varied(
         lambda given: [hypothesis.vary(own, np.empty(0)) for own in given]))
+    solved = solved._replace(excess=solved.excess - level)
     return _Trial(hypothesis, np.empty(0), np.empty(0), solved)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import functools
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.identification.equations.added_noise import draws
 from bellows_ros.core.identification.equations.samples import samples_of
 from bellows_ros.core.identification.equations.whitening import Moments, regular
@@ -32,6 +32,9 @@ RATE_HZ = 60.0
 
 MEAN_OVER = 0.08
 """Time (s) over which equations are averaged."""
+
+MEANS = 300
+"""Means that are enough to decide; of longer recordings every so many are looked at."""
 
 FLOOR = 0.01
 """Part of the wrench that no model of rubber explains."""
@@ -100,8 +103,11 @@ def evidence_of(
         settings, samples = recording.settings, samples_of(recording)
         rate = 1e9 / float(np.median(np.diff(samples.package.stamps_ns)))
         some = samples.thinned(max(int(RATE_HZ / rate * len(samples.tool)), 1))
-        return Given(some, length, structure, settings.package_frame == 'lip',
-                     settings.align_at_rest)
+        bins = _bins(some.package.stamps_ns)
+        every = -(-int(bins[-1] - bins[0] + 1) * len(recordings) // MEANS)
+        body = replace(some.package, valid=some.package.valid & (bins % every == 0))
+        return Given(replace(some, package=body), length, structure,
+                     settings.package_frame == 'lip', settings.align_at_rest)
 
     return Evidence(
         tuple(map(given, recordings)),
@@ -145,12 +151,17 @@ def _shaken(
                       valid=poses.valid)
 
 
+def _bins(stamps_ns: Stamps) -> Stamps:
+    """Return which mean each stamp belongs to, whatever the first one is."""
+    return stamps_ns // int(MEAN_OVER * NS_PER_S)
+
+
 def equations(given: Given) -> Array:
     """Return means (N, 6, p + 1) of the rows [L c]."""
     lip = given.samples.lip
     L = np.concatenate([own.A for own in lip.equations(given.length, given.structure)])
     rows = np.dstack([L, *_extra(given, L), lip.wrench])
-    bins = (lip.stamps_ns - lip.stamps_ns[0]) // int(MEAN_OVER * NS_PER_S)
+    bins = _bins(lip.stamps_ns)
     starts = np.unique(bins, return_index=True)[1]
     counts = np.diff([*starts, len(bins)])
     full = counts >= 0.7 * np.median(counts)

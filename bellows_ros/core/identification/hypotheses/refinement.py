@@ -83,8 +83,15 @@ def varied(blocks: Sequence[Block], theta: Array) -> Callable[[Sequence[Given]],
     return vary
 
 
-def refine(objective: Objective, evidence: Evidence, blocks: Sequence[Block]) -> Refined:
-    """Return the numbers of blocks with which noise explains most, started from 0."""
+def refine(
+    objective: Objective, evidence: Evidence, blocks: Sequence[Block], start: Array | None = None,
+    rounds: int = ROUNDS,
+) -> Refined:
+    """
+    Return the numbers of blocks with which noise explains most.
+
+    They are looked for from a start, or from 0 and values on a raster where none is given.
+    """
     count = len(evidence.given)
     steps = np.concatenate([np.tile(b.steps, b.size(count) // len(b.steps)) for b in blocks])
     far = np.concatenate([np.full(b.size(count), b.furthest) for b in blocks]) * steps
@@ -93,24 +100,11 @@ def refine(objective: Objective, evidence: Evidence, blocks: Sequence[Block]) ->
         """Return what is left at some numbers."""
         return objective.solved(evidence.varied(varied(blocks, theta)))
 
-    theta = np.zeros(len(steps))
-    quiet = Evidence(evidence.given, ())
-    here = objective.solved(quiet)
-    first = 0
-    for block in blocks:
-        for place in range(first, first + block.size(count), len(block.steps)):
-            for value in block.raster:
-                there = theta.copy()
-                there[place + block.raster_of] = value
-                tried = objective.solved(quiet.varied(varied(blocks, there)))
-                if tried.excess < here.excess:
-                    theta, here = there, tried
-        first += block.size(count)
+    theta = _on_raster(objective, evidence, blocks, len(steps)) if start is None else start
     here = at(theta)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         gradient, D = _derivatives(at, theta, here, steps)
-        information = D.T @ D
-        step = -_inverse(information)[0] @ gradient
+        step = -_inverse(D.T @ D)[0] @ gradient
         step *= min(1.0, float(np.min(far / np.maximum(np.abs(step), 1e-300))))
         for _ in range(HALVINGS):
             further = at(theta + step)
@@ -118,12 +112,31 @@ def refine(objective: Objective, evidence: Evidence, blocks: Sequence[Block]) ->
                 break
             step = 0.5 * step
         else:
-            break
+            return Refined(theta, _covariance(here, D), here)
         theta, here = theta + step, further
-        if np.all(np.abs(step) <= CONVERGED * np.sqrt(np.diag(_covariance(here, D)))):
+        covariance = _covariance(here, D)
+        if np.all(np.abs(step) <= CONVERGED * np.sqrt(np.diag(covariance))):
             break
-    _, D = _derivatives(at, theta, here, steps)
-    return Refined(theta, _covariance(here, D), here)
+    return Refined(theta, covariance, here)
+
+
+def _on_raster(
+    objective: Objective, evidence: Evidence, blocks: Sequence[Block], size: int
+) -> Array:
+    """Return the numbers (size,) on the rasters of blocks that explain most, 0 without any."""
+    theta, first, count = np.zeros(size), 0, len(evidence.given)
+    quiet = Evidence(evidence.given, ())
+    least = objective.solved(quiet).excess
+    for block in blocks:
+        for place in range(first, first + block.size(count), len(block.steps)):
+            for value in block.raster:
+                there = theta.copy()
+                there[place + block.raster_of] = value
+                excess = objective.solved(quiet.varied(varied(blocks, there))).excess
+                if excess < least:
+                    theta, least = there, excess
+        first += block.size(count)
+    return theta
 
 
 def _derivatives(

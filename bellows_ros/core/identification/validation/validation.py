@@ -6,7 +6,9 @@ package. The tool is smoothed lightly, as its noise drives the package, and what
 bodies does to the comparison is known from simulation too: an error beyond that is the model's.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.equilibrium import static_equilibrium
@@ -95,8 +97,8 @@ class Validation(Comparison):
         Of the errors of the free simulation.
     spectrum, motion : Spectrum
         Of these errors, and of the measured coordinates; lost samples interpolated.
-    one_step : OneStep or None
-        None where the recording has too little noise for an observer.
+    observe : callable
+        Returns `one_step`, which not everyone wants.
     wrench : ndarray (N, 6)
         Of the cup at the lip in the free simulation, in lip axes, N and N m.
     start : str
@@ -110,10 +112,15 @@ class Validation(Comparison):
     whiteness: Whiteness
     spectrum: Spectrum
     motion: Spectrum
-    one_step: OneStep | None
+    observe: Callable[[], OneStep | None]
     wrench: Array
     start: str
     warnings: tuple[str, ...]
+
+    @cached_property
+    def one_step(self) -> OneStep | None:
+        """One-step errors; None where the recording has too little noise for an observer."""
+        return self.observe()
 
     @property
     def moves(self) -> Mask:
@@ -177,8 +184,8 @@ def _validated(cup: Cup, recording: Recording) -> Validation:
         whiteness=portmanteau(compared.error),
         spectrum=spectrum(interpolated(compared.error), rate_hz),
         motion=spectrum(interpolated(compared.measured), rate_hz),
-        one_step=_one_step(
-            model, start, _sharp(recording.measured_tool, tool), measured_package, noises),
+        observe=partial(
+            _one_step, model, start, recording.measured_tool, tool, measured_package, noises),
         wrench=lip_wrenches(model, tool, body),
         start=kind,
         warnings=_warnings(bridges),
@@ -356,7 +363,8 @@ def _sharp(measured: Trajectory, tool: Trajectory) -> Trajectory:
 def _one_step(
     model: ModelTuple,
     start: State,
-    tool: Trajectory,
+    measured_tool: Trajectory,
+    smoothed: Trajectory,
     package: Trajectory,
     noises: tuple[Noise, Noise],
 ) -> OneStep | None:
@@ -367,6 +375,7 @@ def _one_step(
     """
     if any(noise.position < LEAST_NOISE or noise.rotation < LEAST_NOISE for noise in noises):
         return None
+    tool = _sharp(measured_tool, smoothed)
     rows = tool_rows(tool)
     period = 1.0 / uniform_rate_hz(tool.stamps_ns)
     first = state_row(rows[0, :3], rows[0, 3:7], np.zeros(6))
