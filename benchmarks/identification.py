@@ -14,12 +14,12 @@ from collections.abc import Callable
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.identification.equations.samples import Samples
+from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.prediction.prediction_error import prediction_error
 from bellows_ros.core.identification.prediction.segments import measured_segments
-from bellows_ros.core.identification.regression.least_squares import least_squares
-from bellows_ros.core.identification.regression.sufficient import statistics
+from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.recording.noise import FilterNoise, Noise, noise_of

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.equations.samples import Samples, samples_of
-from bellows_ros.core.identification.regression.least_squares import least_squares
-from bellows_ros.core.identification.regression.sufficient import statistics
+from bellows_ros.core.identification.least_squares import least_squares
+from bellows_ros.core.identification.reduction import statistics
+from bellows_ros.core.identification.samples import Samples, samples_of
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.recording.preparation import prepare

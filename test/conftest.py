@@ -19,8 +19,8 @@ import tempfile
 import time
 from typing import Any
 
+from bellows_ros.core import keep_linear_algebra_single
 from bellows_ros.demo.domain import isolate
-from bellows_ros.threads import keep_linear_algebra_single
 import hypothesis
 import pytest
 

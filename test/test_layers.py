@@ -11,31 +11,34 @@ ALLOWED = {
     '': {'library'},
     'errors': set(),
     'extras': set(),
-    'threads': set(),
     'library': {'errors', 'core', 'files', 'workflows'},
     'core': {'errors'},
     'files': {'errors', 'core'},
     'workflows': {'errors', 'extras', 'core', 'files'},
-    'nodes': {'errors', 'extras', 'threads', 'core', 'files', 'workflows', 'report'},
+    'nodes': {'errors', 'extras', 'core', 'files', 'workflows', 'report'},
     'plots': {'errors', 'extras', 'core', 'files', 'workflows'},
     'report': {'errors', 'core', 'files', 'workflows', 'plots'},
-    'cli': {'errors', 'threads', 'core', 'files', 'workflows', 'plots', 'report', 'nodes'},
+    'cli': {'errors', 'core', 'files', 'workflows', 'plots', 'report', 'nodes'},
     'demo': {
-        'errors', 'extras', 'threads', 'core', 'files', 'workflows', 'nodes', 'cli', 'plots'},
+        'errors', 'extras', 'core', 'files', 'workflows', 'nodes', 'cli', 'plots'},
 }
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'launch',
        'message_filters', 'rosbag2_py', 'std_srvs', 'tf2_')
 CORE_NEEDS = {'numpy', 'scipy', 'numba', 'bellows_ros'}
+MOST_MODULES = 60  # of the package, for a plain `bellows identify`
 LONGEST_START = 0.3  # s of the processor, of `bellows --help`
 
 
 CORE = (
     '', 'recording', 'synthetic', 'arm_limits', 'observer', 'live',
-    'identification.equations', 'identification.result',
-    'identification.regression', 'identification.prediction', 'identification.fisher',
-    'identification.statics', 'identification.advice', 'identification.validation',
-    'identification.hypotheses', 'identification.reduction', 'identification.methods',
-    'identification.release_fit', 'excitation', 'commissioning',
+    'identification.equations', 'identification.samples', 'identification.result',
+    'identification.reduction', 'identification.least_squares', 'identification.prediction',
+    'identification.innovations', 'identification.fisher', 'identification.statics',
+    'identification.identifiability', 'identification.structure_selection',
+    'identification.validation', 'identification.comparison', 'identification.consistency',
+    'identification.variations', 'identification.objective', 'identification.free',
+    'identification.hypotheses', 'identification.methods', 'identification.release_fit',
+    'excitation', 'commissioning',
 )
 """The rooms of core, each above those that it may import; '' are the modules of core itself."""
 
@@ -166,6 +169,7 @@ def test_core_files_and_workflows_import_without_ros(
     code = f"""
 import importlib, sys
 
+
 class NoRos:
     def find_spec(self, name, path=None, target=None):
         top = name.partition('.')[0]
@@ -209,3 +213,21 @@ def test_help_of_bellows_comes_at_once(
         took.append(cpu_of_children() - before)
         assert done.returncode == 0, done.stderr
     assert 0.0 < min(took) < LONGEST_START
+
+
+def test_a_plain_identification_loads_few_modules(
+        root: Path, user_environment: dict[str, str]) -> None:
+    """Load no more of the package than least squares of one recording needs."""
+    bags = root / 'bags'
+    code = f"""
+import sys
+from bellows_ros.cli import main
+code = main(['identify', {str(bags / 'identification')!r}, '--set', 'fit.method=least_squares',
+             '--params', {str(bags / 'package.yaml')!r}])
+loaded = [name for name in sys.modules if name.startswith('bellows_ros')]
+print('ended', code, len(loaded), *sorted(loaded))
+"""
+    done = run(code, user_environment)
+    ended, code, count, *_ = done.stdout.splitlines()[-1].split()
+    assert (ended, code) == ('ended', '0'), done.stdout + done.stderr
+    assert int(count) <= MOST_MODULES, done.stdout.splitlines()[-1]

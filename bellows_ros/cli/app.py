@@ -1,23 +1,66 @@
-"""Find the command, run it, and turn what goes wrong into a message and an exit code."""
+"""
+Find the command, run it, and turn what goes wrong into a message and an exit code.
+
+A command is a module of this package with its name, which has
+
+- `DESCRIPTION`: what it does, in a sentence or two;
+- `EXAMPLES`: pairs of a command line and what it is for;
+- `FOUND`, where it can end with 1: what it has found then;
+- `add_arguments(parser)`: its arguments;
+- `run(arguments, console)`: its work; returns the exit code.
+
+Modules import what takes long to load (NumPy, recordings) inside `run` and below it.
+"""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import difflib
 import importlib
 import os
 import sys
 import textwrap
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Any, NoReturn
 
 from bellows_ros import __version__
+from bellows_ros.core import keep_linear_algebra_single
 from bellows_ros.errors import BellowsError
-from bellows_ros.threads import keep_linear_algebra_single
 
-from .commands import COMMANDS, EXIT_CODE, EXIT_CODES, INTERRUPTED, PIPE_CLOSED, USER_ERROR
-from .console import Console
+from .console import (
+    Console,
+    Ended,
+    ended_in_order,
+    EXIT_CODE,
+    EXIT_CODES,
+    INTERRUPTED,
+    PIPE_CLOSED,
+    USER_ERROR,
+)
 from .options import require_named_outputs
-from .signals import Ended, ended_in_order
+
+COMMANDS: Mapping[str, str] = MappingProxyType(
+    {
+        'info': 'list the topics of a recording, and find which is the tool',
+        'identify': "find a cup's stiffness and damping in recordings",
+        'structures': 'say what is identifiable from recordings, and which structure to take',
+        'static': "find the cup's nominal length in standstills, and check its spring alone",
+        'replay': 'predict a recording with a cup, and say what the cup is worth',
+        'compare': 'say what differs between two fits, and whether it matters',
+        'report': 'write a page with plots on a fit',
+        'plan': 'say what a planned motion does to the package, and if it holds',
+        'steer': 'change a planned motion so that the package does not swing',
+        'toss': 'predict where a tossed package lands, and what to fix first',
+        'excite': 'design a motion from which a cup is found best',
+        'simulate': 'make a recording of a known cup',
+        'plot': 'draw recordings, fits and predictions',
+        'view': 'show a replay in the viewer Rerun, or write it for that',
+        'play': 'play the poses and twists of a recording to ROS',
+        'convert': 'make recordings of files of Motive, TUM, EuRoC or KITTI, of joints or of tf',
+        'export': 'write a cup for MuJoCo, Drake, SDF or OpenPLX, or as C',
+        'parameters': 'list all parameters, or write a parameter file to fill in',
+        'completion': 'complete commands and options in the shell',
+    }
+)
 
 DESCRIPTION = (
     'Identify bellows suction cups from recordings (rosbag2), and predict the motion of the '
@@ -60,7 +103,7 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit code, of `commands`.
+        The exit code, of `console`.
 
     Raises
     ------

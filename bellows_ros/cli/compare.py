@@ -5,12 +5,11 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .commands import NOT_USABLE, OK
-from .console import Console
+from .console import Console, NOT_USABLE, OK
 from .options import add_json_option, put_json, STDOUT
 
 if TYPE_CHECKING:
-    from bellows_ros.core.identification.validation.comparison import Change, FitComparison
+    from bellows_ros.core.identification.comparison import Change, FitComparison
     from bellows_ros.workflows.compare import Comparison
 
 DESCRIPTION = (

@@ -6,8 +6,8 @@ import importlib
 import os
 from pathlib import Path
 
-from .commands import COMMANDS, OK
-from .console import Console
+from .app import COMMANDS
+from .console import Console, OK
 
 DESCRIPTION = (
     'Print a script for bash or zsh that completes commands, options, files, and the names of '

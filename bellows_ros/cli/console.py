@@ -1,17 +1,37 @@
 """
-What a command says: results to one stream, all else to stderr, both plain unless on a terminal.
+What a command says and ends with, and the signals that end it.
 
-Colour is used only on a terminal, and not where NO_COLOR is set or TERM is dumb.
+Results go to one stream, all else to stderr, both plain unless on a terminal: colour is used only
+there, and not where NO_COLOR is set or TERM is dumb. Signals that end a command end it in order,
+and none divides finished work.
 """
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 import os
 import shutil
+import signal
 import sys
 import textwrap
+import threading
 import time
-from typing import TextIO
+from types import FrameType
+from typing import NoReturn, TextIO
+
+# What a command ends with.
+OK = 0
+NOT_USABLE = 1
+USER_ERROR = 2
+INTERRUPTED = 130
+PIPE_CLOSED = 141
+
+EXIT_CODE = 'Ends with 0 when done, {}2 if something must be put right.'
+EXIT_CODES = """exit codes:
+  0    done
+  1    done, with a finding that scripts want to know; see the command
+  2    something to put right: the message says what; nothing was written
+  130  interrupted with Ctrl-C, 143 ended by SIGTERM; nothing is half done
+"""
 
 WIDTH = 79
 BAR = 24  # characters
@@ -174,3 +194,56 @@ def _write(stream: TextIO, text: str) -> None:
     except UnicodeEncodeError:
         text = text.translate(PLAIN).encode('ascii', 'backslashreplace').decode()
     print(text, file=stream)
+
+
+ENDING = (signal.SIGTERM, signal.SIGHUP)
+
+
+class Ended(BaseException):
+    """A signal has asked this process to end; raised wherever the work is, as Ctrl-C is."""
+
+    def __init__(self, number: int) -> None:
+        """Remember which one."""
+        super().__init__(number)
+        self.name = signal.Signals(number).name
+        self.exit_code = 128 + number
+
+
+@contextmanager
+def ended_in_order() -> Iterator[None]:
+    """
+    Let the signals that would end this process at once raise `Ended`, so that all is removed.
+
+    Once, as they often come twice, to a process and to its group: the second must not stop that.
+    """
+    def end(number: int, frame: FrameType | None) -> NoReturn:
+        for each in taken:
+            signal.signal(each, signal.SIG_IGN)
+        raise Ended(number)
+
+    in_main = threading.current_thread() is threading.main_thread()
+    taken = [n for n in ENDING if in_main and signal.getsignal(n) is signal.SIG_DFL]
+    for number in taken:
+        signal.signal(number, end)
+    try:
+        yield
+    except Ended:
+        taken.clear()  # they stay ignored: what is left is to clean up
+        raise
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Put these signals and Ctrl-C off while finished work is written: all of it or nothing."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handlers = {n: signal.signal(n, lambda *_: None) for n in (signal.SIGINT, *ENDING)}
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)

@@ -4,8 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .commands import OK
-from .console import Console
+from .console import Console, OK
 from .options import (
     add_arm_options,
     add_json_option,

@@ -3,8 +3,7 @@
 import argparse
 from pathlib import Path
 
-from .commands import OK
-from .console import Console
+from .console import Console, OK
 from .options import add_json_option, given_parameters, Output, put_json, STDOUT, THESIS_CUP
 
 DESCRIPTION = (
@@ -39,10 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Write the model, and say what is lost."""
-    from bellows_ros.core.gravity import gravity_of
     from bellows_ros.core.holding import grip_of
     from bellows_ros.core.model import cup_of, package_of
-    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+    from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve
     from bellows_ros.files.atomic import write_text
     from bellows_ros.files.exports import Exported, limits, TARGETS
 

@@ -4,8 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from .commands import NOT_USABLE, OK
-from .console import Console, Progress
+from .console import Console, NOT_USABLE, OK, Progress, uninterrupted
 from .options import (
     add_json_option,
     add_parameter_options,
@@ -18,7 +17,6 @@ from .options import (
     STDOUT,
     THESIS_CUP,
 )
-from .signals import uninterrupted
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.identification import Identification
@@ -272,12 +270,13 @@ def _write(
     result: 'Identification', cup_file: str, json_file: str, force: bool, console: Console
 ) -> None:
     """Write what is wanted, all of it even when Ctrl-C comes in between."""
-    from bellows_ros.files.results import format_json
     from bellows_ros.workflows.identification import save
 
     with uninterrupted():
         save(result, cup_file, '' if json_file == STDOUT else json_file, force)
     if json_file == STDOUT:
+        from bellows_ros.files.results import format_json
+
         console.raw(format_json(result.as_json()))
 
 

@@ -222,14 +222,16 @@ def require_outputs(outputs: 'Iterable[str]', inputs: 'Iterable[str | Path]') ->
         read or lies in what is read.
 
     """
+    files = [output for output in outputs if output not in ('', STDOUT)]
+    if not files:
+        return
     from bellows_ros.files.atomic import require_file_target
     from bellows_ros.files.bag_folder import require_no_input
 
     read, targets = list(inputs), []
-    for output in outputs:
-        if output not in ('', STDOUT):
-            require_no_input(output, read)
-            targets += [] if isinstance(output, Folder) else [require_file_target(output)]
+    for output in files:
+        require_no_input(output, read)
+        targets += [] if isinstance(output, Folder) else [require_file_target(output)]
     if len(set(targets)) < len(targets):
         raise BellowsError(f"Two outputs have the same name, '{targets[0]}'. Give another to one.")
 

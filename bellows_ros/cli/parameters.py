@@ -5,8 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import textwrap
 from typing import TYPE_CHECKING
 
-from .commands import OK
-from .console import Console, WIDTH
+from .console import Console, OK, WIDTH
 from .options import add_json_option, STDOUT
 
 if TYPE_CHECKING:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
 
-from .commands import OK
-from .console import Console
+from .console import Console, OK
 from .options import add_bag_argument, add_json_option, put_json, STDOUT
 
 if TYPE_CHECKING:

@@ -3,8 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from .commands import NOT_USABLE, OK
-from .console import Console
+from .console import Console, NOT_USABLE, OK
 from .options import (
     add_bag_argument,
     add_json_option,
@@ -77,7 +76,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     values = given_parameters(arguments)
     settings = resolve(values, PACKAGE_PARAMETERS)
-    from bellows_ros.core.identification.validation.validation import LIMIT
+    from bellows_ros.core.identification.validation import LIMIT
     from bellows_ros.workflows.replay import replay
 
     with console.progress() as progress:
@@ -163,7 +162,7 @@ def start_words(result: 'Replay') -> str:
 
 def error_table(result: 'Replay') -> list[str]:
     """Return errors, what noise makes of them, and whether they are white, a line per axis."""
-    from bellows_ros.core.score import AXES
+    from bellows_ros.core.residuals import AXES
 
     from .words import aligned, MILLI, percent, short
 
@@ -184,7 +183,7 @@ def error_table(result: 'Replay') -> list[str]:
 
 def observed_table(found: 'Observed') -> list[str]:
     """Return the errors of prediction and camera, each alone and both, a line per axis."""
-    from bellows_ros.core.score import AXES
+    from bellows_ros.core.residuals import AXES
 
     from .words import aligned, MILLI, short
 
@@ -199,7 +198,7 @@ def observed_table(found: 'Observed') -> list[str]:
 
 def verdict_lines(result: 'Replay', limit: float) -> list[str]:
     """Return what the figures mean, in sentences."""
-    from bellows_ros.core.score import AXES
+    from bellows_ros.core.residuals import AXES
 
     from .words import listed
 

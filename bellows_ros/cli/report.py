@@ -5,8 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from .commands import OK
-from .console import Console
+from .console import Console, OK
 from .options import add_json_option, Output, put_json, require_named_outputs, STDOUT
 
 DESCRIPTION = (
@@ -46,7 +45,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _report(arguments: argparse.Namespace, console: Console) -> int:
     """Read, simulate, write."""
-    from bellows_ros.core.identification.advice.excitation import excitation_of
+    from bellows_ros.core.identification.identifiability import excitation_of
     from bellows_ros.core.identification.reduction import reduced
     from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
     from bellows_ros.core.structure import structure_named
@@ -98,7 +97,7 @@ def _report(arguments: argparse.Namespace, console: Console) -> int:
 
 def changed(content: Mapping[str, Any]) -> list[str]:
     """Return the recordings whose content is not that of the time of the fit."""
-    from bellows_ros.files.provenance import digests
+    from bellows_ros.files.bag_folder import digests
 
     known = (content.get('provenance') or {}).get('recordings', ())
     return [entry['path'] for entry in known if digests(entry['path']) != entry['files']]

@@ -7,8 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .commands import OK
-from .console import Console
+from .console import Console, OK
 from .options import (
     add_json_option,
     add_parameter_options,

@@ -2,8 +2,7 @@
 
 import argparse
 
-from .commands import OK
-from .console import Console
+from .console import Console, OK
 from .options import (
     add_bag_argument,
     add_json_option,

@@ -6,7 +6,7 @@ import shutil
 from typing import Any
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.score import AXES
+from bellows_ros.core.residuals import AXES
 from bellows_ros.core.structure import structure_named
 
 STIFFNESS_UNITS = ('N/m',) * 3 + ('N m/rad',) * 3

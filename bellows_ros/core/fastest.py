@@ -7,12 +7,12 @@ from functools import partial
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.equilibrium import largest_step, system_matrix
 from bellows_ros.core.holding import Grip
 from bellows_ros.core.kernels import ModelTuple
-from bellows_ros.core.limits import LARGEST_SPEED
-from bellows_ros.core.linearisation import largest_step, system_matrix
 from bellows_ros.core.perturbed import perturbed, STEP
 from bellows_ros.core.plan import COARSE, Run
+from bellows_ros.core.screening import LARGEST_SPEED
 from bellows_ros.core.trajectory import Trajectory
 import numpy as np
 

@@ -13,10 +13,10 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
+from bellows_ros.core.equilibrium import displaced
 from bellows_ros.core.holding import Grip
 from bellows_ros.core.kernels import ModelTuple
 from bellows_ros.core.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.linearisation import displaced
 from bellows_ros.core.perturbed import (
     contributions,
     deviations_of,

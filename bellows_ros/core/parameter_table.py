@@ -372,9 +372,9 @@ _TABLE = (
     ),
     Parameter(
         'fit.method', 'string', 'prediction_error', '',
-        'How the cup is fitted: the prediction error on poses is exact with noisy recordings, too; '
-        'least squares on accelerations (section 4.3.2) is a quick look, and what summaries of '
-        'recordings are fitted by.',
+        'How the cup is fitted: the prediction error on poses is exact with noisy recordings, '
+        'too; least squares on accelerations (section 4.3.2) is a quick look, and what summaries '
+        'of recordings are fitted by.',
         _IDENTIFIER, choices=('prediction_error', 'least_squares'),
     ),
     Parameter(

@@ -4,14 +4,15 @@ Checks of parameter values against the table, and the matrices that they stand f
 A 6x6 matrix is 36 numbers, row-major; an inertia is [ixx, iyy, izz, ixy, ixz, iyz]; units are SI.
 """
 
+from __future__ import annotations
+
 from array import array
 from collections.abc import Callable, Iterable, Mapping
 import math
 from types import MappingProxyType
+from typing import Any
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.gravity import require_direction
-from bellows_ros.core.inertia import check_inertia
 from bellows_ros.core.parameter_table import (
     Kind,
     lookup,
@@ -26,6 +27,12 @@ from bellows_ros.core.parameter_table import (
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
+
+R_FACTOR_WITHIN = 1e-3
+"""How far (relative) the largest principal moment may be above the sum of the other two.
+
+The rounded figures of a thin plate's data sheet may be so.
+"""
 
 __all__ = [
     'lookup',
@@ -357,3 +364,42 @@ _PHYSICAL: Mapping[str, Callable[[Parameter, Value], None]] = MappingProxyType(
         'gravity.direction': lambda p, value: require_direction(value),
     }
 )
+
+
+def require_direction(direction: ArrayLike) -> None:
+    """Raise BellowsError for a vector (3,) without a direction."""
+    if not np.linalg.norm(direction) > 1e-6:
+        raise BellowsError(
+            'gravity.direction is zero, so that nothing is down. Give the direction in which '
+            'things fall, in axes of the world: [0.0, 0.0, -1.0] where z is up.'
+        )
+
+
+def gravity_of(values: Mapping[str, Any]) -> Array:
+    """Return the acceleration (3,) of gravity in the world, m/s^2, of parameter values."""
+    direction = np.asarray(values['gravity.direction'], dtype=np.float64)
+    return np.asarray(values['gravity.magnitude'] * (direction / np.linalg.norm(direction)))
+
+
+def check_inertia(inertia: Array) -> None:
+    """
+    Raise BellowsError unless a rigid body can have this inertia tensor (3, 3), kg m^2.
+
+    It must be symmetric and positive definite, and no principal moment above the sum of the
+    other two.
+    """
+    if not np.allclose(inertia, inertia.T, rtol=1e-9, atol=0.0):
+        raise BellowsError(f'The package inertia must be symmetric, got {inertia.tolist()}.')
+    moments = np.linalg.eigvalsh(inertia)
+    shown = ', '.join(f'{moment:.6g}' for moment in moments)
+    if moments[0] <= 0.0:
+        raise BellowsError(
+            f'No body has this package.inertia: its principal moments are {shown} kg m^2, '
+            'all must be above zero. Check the order ixx, iyy, izz, ixy, ixz, iyz and the signs.'
+        )
+    if moments[2] > (moments[0] + moments[1]) * (1.0 + R_FACTOR_WITHIN):
+        raise BellowsError(
+            f'No body has this package.inertia: its principal moments are {shown} kg m^2, '
+            'but the largest is at most the sum of the other two. '
+            'Check units (kg m^2) and the order ixx, iyy, izz, ixy, ixz, iyz.'
+        )

@@ -14,12 +14,18 @@ from typing import Any
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.envelope import beyond, Envelope
-from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.equilibrium import largest_step, static_equilibrium
 from bellows_ros.core.holding import Grip, MODES, safety_factors
-from bellows_ros.core.integrator import step, tool_at, tool_segment
 from bellows_ros.core.jit import COMPILED, kernel
-from bellows_ros.core.kernels import cup_wrench, lip_relative_to_tool, ModelTuple, State
-from bellows_ros.core.linearisation import largest_step
+from bellows_ros.core.kernels import (
+    cup_wrench,
+    lip_relative_to_tool,
+    ModelTuple,
+    State,
+    step,
+    tool_at,
+    tool_segment,
+)
 from bellows_ros.core.simulation import row_state, state_row, tool_rows, write_row
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import (

@@ -17,8 +17,8 @@ from bellows_ros.core.lie import (
     quaternion_to_rotation,
     rotation_to_quaternion,
 )
-from bellows_ros.core.limits import LARGEST_RATE, LARGEST_SPEED, UNIT_WITHIN
 from bellows_ros.core.resampling import resample
+from bellows_ros.core.screening import LARGEST_RATE, LARGEST_SPEED, UNIT_WITHIN
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np

@@ -16,25 +16,22 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.equilibrium import largest_step, static_equilibrium
 from bellows_ros.core.holding import Grip, peel_load
-from bellows_ros.core.integrator import (
-    rotation_rate,
-    Segment,
-    step,
-    tool_at,
-    tool_segment,
-    weighted,
-)
 from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import (
     lip_wrench,
     ModelTuple,
     PackageTuple,
+    rotation_rate,
+    Segment,
     State,
+    step,
+    tool_at,
+    tool_segment,
+    weighted,
     wrench_at_com,
 )
-from bellows_ros.core.linearisation import largest_step
 from bellows_ros.core.simulation import row_state, state_row, tool_rows, write_row
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.core.tuples import (

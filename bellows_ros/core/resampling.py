@@ -1,10 +1,22 @@
-"""Trajectories at other stamps: interpolation on SO(3) x R^3, never extrapolation."""
+"""
+Trajectories at other stamps: interpolation on SO(3) x R^3, never extrapolation; uniform rates.
 
-from dataclasses import replace
+The filter needs uniform samples. Stamps that are uniform but for their rounding keep their samples
+as they are; others are interpolated along geodesics. What lies in a gap gets an interpolated pose,
+so that arrays stay finite, and is invalid.
+"""
+
+from dataclasses import dataclass, replace
 
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.lie import apply, dexp, dexp_inverse, exp_so3, log_so3
-from bellows_ros.core.trajectory import checked_stamps, frozen, NS_PER_S, Trajectory
+from bellows_ros.core.trajectory import (
+    checked_stamps,
+    frozen,
+    NS_PER_S,
+    Trajectory,
+    UNIFORM_WITHIN,
+)
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -132,3 +144,191 @@ def _span(stamps_ns: Stamps) -> str:
     if not len(stamps_ns):
         return 'no time at all (it is empty)'
     return f'{stamps_ns[0]} to {stamps_ns[-1]} ns'
+
+
+# A step of more than this many periods is a gap: at least one sample is missing. Jitter of the
+# stamps adds to it, as many of its standard deviations as here.
+GAP_PERIODS = 1.5
+GAP_DEVIATIONS = 3.0
+# Steps within this part of the period count as uniform; `savgol` allows twice as much, measured
+# from the mean step instead of the period estimated here.
+COPIED_WITHIN = 0.5 * UNIFORM_WITHIN
+# Stamps come in bursts where the mean of so many steps is mostly not within these factors
+# of the usual step: half the samples may be lost, but none is there twice.
+STEPS_TOGETHER = 20
+MEAN_WITHIN = (0.8, 2.5)
+# A grid may have this many samples, or this many per message: a stamp far away is no recording.
+LARGEST_GRID = 1_000_000
+LARGEST_GRID_PER_MESSAGE = 10
+# Standard deviation of a normal distribution per median absolute deviation.
+DEVIATION_PER_MAD = 1.4826
+
+
+@dataclass(frozen=True)
+class Gap:
+    """
+    A time without samples.
+
+    Parameters
+    ----------
+    index : int
+        Sample before the gap, among those the stream has.
+    start_ns : int
+        Its stamp.
+    duration_s : float
+        Time to the next sample, s.
+
+    """
+
+    index: int
+    start_ns: int
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Timing:
+    """
+    How the stamps of a stream lie in time.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Samples per second where none is missing.
+    jitter_s : float
+        Robust standard deviation of the steps between samples, s.
+    uniform : bool
+        Whether the stamps are uniform, so that no sample needs interpolation.
+    gaps : tuple of Gap
+        In order of time.
+
+    """
+
+    rate_hz: float
+    jitter_s: float
+    uniform: bool
+    gaps: tuple[Gap, ...]
+
+    @property
+    def longest_step_ns(self) -> int:
+        """Longest time between samples that is not a gap, ns."""
+        return int(_longest_step(NS_PER_S / self.rate_hz, self.jitter_s * NS_PER_S))
+
+
+def timing(stamps_ns: Stamps) -> Timing:
+    """
+    Estimate the rate and jitter of stamps, and find the gaps.
+
+    The rate comes from the stamps alone, by medians, so that neither gaps nor a clock that runs
+    fast or slow misleads it.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        Strictly increasing, ns.
+
+    Returns
+    -------
+    Timing
+
+    Raises
+    ------
+    BellowsError
+        With fewer than three stamps.
+
+    """
+    if len(stamps_ns) < 3:
+        raise BellowsError(
+            f'A rate needs at least 3 samples, but there are {len(stamps_ns)}. '
+            'Record for longer, or choose the topic that holds the poses.'
+        )
+    steps = np.diff(stamps_ns)
+    period = _period(steps)
+    jitter = DEVIATION_PER_MAD * float(np.median(np.abs(steps - period)))
+    slots = np.maximum(np.rint(steps / period), 1.0)
+    uniform = bool(np.all(np.abs(steps / (slots * period) - 1.0) <= COPIED_WITHIN))
+    long = np.flatnonzero(steps > _longest_step(period, jitter))
+    gaps = tuple(Gap(int(i), int(stamps_ns[i]), float(steps[i] / NS_PER_S)) for i in long)
+    return Timing(NS_PER_S / period, jitter / NS_PER_S, uniform, gaps)
+
+
+def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
+    """
+    Return poses at a uniform rate.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Poses as recorded, with what is known to be wrong marked invalid.
+    timing : Timing
+        Of its stamps.
+
+    Returns
+    -------
+    Trajectory
+        Uniform stamps. Samples are copied where the recorded stamps are uniform and interpolated
+        where they are not; those in gaps, or beside an invalid sample they were interpolated
+        from, are invalid.
+
+    Raises
+    ------
+    BellowsError
+        If the stamps cover far more time than the samples fill.
+
+    """
+    span = float(trajectory.stamps_ns[-1] - trajectory.stamps_ns[0])
+    count = span * timing.rate_hz / NS_PER_S
+    if count > max(LARGEST_GRID, LARGEST_GRID_PER_MESSAGE * len(trajectory)):
+        raise BellowsError(
+            f'{len(trajectory)} poses at {timing.rate_hz:.6g} Hz should cover '
+            f'{len(trajectory) / timing.rate_hz:.6g} s, but their stamps cover '
+            f'{span / NS_PER_S:.6g} s. Cut the recording to the part with poses.'
+        )
+    stamps = _filled(trajectory.stamps_ns, timing) if timing.uniform else _even(
+        trajectory.stamps_ns, timing
+    )
+    return resample(trajectory, stamps, timing.longest_step_ns)
+
+
+def _period(steps: Stamps) -> float:
+    """
+    Return the time between samples where none is missing, ns.
+
+    The median step knows the period to the stamps' resolution; the mean of the steps near it,
+    which average that out, knows it better. Of stamps in pairs or bursts only the mean over many
+    steps is the period.
+    """
+    together = min(STEPS_TOGETHER, max(len(steps) // 4, 1))
+    usual = _usual(steps)
+    mean = _usual(np.convolve(steps, np.ones(together), 'valid')) / together
+    few, many = MEAN_WITHIN
+    return usual if few * usual <= mean <= many * usual else mean
+
+
+def _usual(values: Array | Stamps) -> float:
+    """Return the mean of the values near their median, or the median where there are none."""
+    median = float(np.median(values))
+    near = values[np.abs(values - median) < 0.5 * median]
+    return float(np.mean(near)) if len(near) else median
+
+
+def _longest_step(period: float, jitter: float) -> float:
+    """Return the longest step that is not a gap."""
+    return GAP_PERIODS * period + GAP_DEVIATIONS * jitter
+
+
+def _filled(stamps_ns: Stamps, timing: Timing) -> Stamps:
+    """Return uniform stamps with the missing ones put in between."""
+    steps = np.diff(stamps_ns)
+    slots = np.maximum(np.rint(steps * (timing.rate_hz / NS_PER_S)), 1.0).astype(np.int64)
+    before = np.repeat(np.arange(len(steps)), slots)
+    within = np.arange(len(before)) - np.repeat(np.cumsum(slots) - slots, slots)
+    inserted = stamps_ns[before] + within * steps[before] // slots[before]
+    return np.append(inserted, stamps_ns[-1])
+
+
+def _even(stamps_ns: Stamps, timing: Timing) -> Stamps:
+    """Return stamps at the rate, from the first on."""
+    period = NS_PER_S / timing.rate_hz
+    count = int((stamps_ns[-1] - stamps_ns[0]) / period) + 1
+    stamps: Stamps = stamps_ns[0] + np.rint(np.arange(count) * period).astype(np.int64)
+    return stamps

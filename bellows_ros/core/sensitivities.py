@@ -14,18 +14,6 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.integrator import (
-    cubic,
-    cubic_slope,
-    hermite_cubic,
-    hermite_quadratic,
-    rotation_rate,
-    Segment,
-    stages,
-    tool_at,
-    tool_segment,
-    weighted,
-)
 from bellows_ros.core.jacobians import (
     apply_square,
     body_jacobians,
@@ -33,7 +21,20 @@ from bellows_ros.core.jacobians import (
     tool_jacobians,
 )
 from bellows_ros.core.jit import COMPILED, kernel
-from bellows_ros.core.kernels import ModelTuple, State
+from bellows_ros.core.kernels import (
+    cubic,
+    cubic_slope,
+    hermite_cubic,
+    hermite_quadratic,
+    ModelTuple,
+    rotation_rate,
+    Segment,
+    stages,
+    State,
+    tool_at,
+    tool_segment,
+    weighted,
+)
 from bellows_ros.core.simulation import row_state, write_row
 from bellows_ros.core.tuples import (
     add,

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.integrator import advance
+from bellows_ros.core.equilibrium import largest_step, static_equilibrium
 from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import (
+    advance,
     lip_relative_to_tool,
     lip_wrench,
     ModelTuple,
@@ -18,7 +18,6 @@ from bellows_ros.core.kernels import (
     State,
 )
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
-from bellows_ros.core.linearisation import largest_step
 from bellows_ros.core.model import Cup, model_tuple, Package, STANDARD_GRAVITY
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.core.tuples import (

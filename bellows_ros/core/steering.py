@@ -14,15 +14,18 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.integrator import rotation_rate, stage_state, weighted
+from bellows_ros.core.equilibrium import linearise, resting_on_tool
 from bellows_ros.core.jacobians import damper_jacobians
 from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import (
     lip_relative_to_tool,
     ModelTuple,
+    rotation_rate,
     spring_frames,
     spring_wrench,
+    stage_state,
     State,
+    weighted,
     Wrench,
 )
 from bellows_ros.core.lie import (
@@ -40,7 +43,6 @@ from bellows_ros.core.lie import (
 from bellows_ros.core.lie import (
     apply as apply_all,
 )
-from bellows_ros.core.linearisation import linearise, resting_on_tool
 from bellows_ros.core.plan import predict, Prediction, rest, rest_after, SETTLED, STILL
 from bellows_ros.core.plan_points import spline_twists
 from bellows_ros.core.resampling import resample

@@ -2,7 +2,7 @@
 
 import sys
 
-from bellows_ros.threads import keep_linear_algebra_single
+from bellows_ros.core import keep_linear_algebra_single
 
 if __name__ == '__main__':
     keep_linear_algebra_single()

@@ -9,13 +9,12 @@ import tempfile
 import time
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.cli.commands import INTERRUPTED, NOT_USABLE, OK
-from bellows_ros.cli.console import Console
+from bellows_ros.cli.console import Console, INTERRUPTED, NOT_USABLE, OK
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.live.replay import compare_recorded
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.score import Comparison
+from bellows_ros.core.residuals import Comparison
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install

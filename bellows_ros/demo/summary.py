@@ -6,7 +6,7 @@ from typing import Any
 
 from bellows_ros.cli.words import aligned, cup_table, percent
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.score import AXES, Scores
+from bellows_ros.core.residuals import AXES, Scores
 import numpy as np
 
 MILLI = 1e3

@@ -1,15 +1,49 @@
-"""The storage files of a rosbag2 recording: a folder with metadata.yaml, or one file."""
+"""The storage files of a rosbag2 recording: a folder or one file, plain or compressed."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+import hashlib
 import os
 from pathlib import Path, PurePosixPath, PureWindowsPath
 import re
-from typing import Any, NamedTuple
+import sys
+from typing import Any, BinaryIO, cast, NamedTuple
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
-from bellows_ros.files.storage import Topic
+import lz4.frame
+
+CHUNK = 2**20
+
+
+# No record, chunk or message of a sound recording is larger; a damaged or hostile file may say it
+# is.
+LARGEST_RECORD = 256 * 2**20
+
+
+class Topic(NamedTuple):
+    """A recorded topic: its name, its type and the encoding of its messages."""
+
+    name: str
+    type_name: str
+    encoding: str
+
+
+class Message(NamedTuple):
+    """A recorded message: the topic, the time it was recorded at in ns, and its bytes."""
+
+    topic: Topic
+    log_time_ns: int
+    data: bytes
+
+
+Wanted = Callable[[Topic], bool]
+
+
+class DamagedError(BellowsError):
+    """A damaged storage file; raised without its name, which the caller adds."""
+
 
 METADATA = 'metadata.yaml'
 STORED = ('.mcap', '.db3', '.zstd')  # last suffixes of storage files
@@ -214,3 +248,131 @@ def _inside(folder: Path, name: str, old: bool) -> Path:
             f"Recording '{folder}' lacks '{name[:200]}', which {METADATA} names. Copy it whole."
         )
     return path
+
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+ZstdError = zstd.ZstdError
+
+
+@contextmanager
+def open_plain(path: Path) -> Iterator[tuple[BinaryIO, bool]]:
+    """
+    Open a file that may be compressed with zstd.
+
+    Yields
+    ------
+    binary file, bool
+        Its plain content from the beginning, and whether it is compressed.
+
+    """
+    with path.open('rb') as stored:
+        compressed = stored.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
+        stored.seek(0)
+        if not compressed:
+            yield stored, False
+            return
+        with zstd.ZstdFile(stored) as plain:
+            yield cast(BinaryIO, plain), True
+
+
+def unzstd(data: bytes, limit: int, cut: bool = False) -> bytes:
+    """
+    Decompress zstd frames that hold no more than a number of bytes together.
+
+    Of data that is cut short, what there is.
+
+    Raises
+    ------
+    BellowsError
+        If the data is damaged, incomplete, or longer than the limit once decompressed.
+
+    """
+    try:
+        return _decompress(zstd.ZstdDecompressor, data, limit, cut)
+    except zstd.ZstdError as error:
+        raise BellowsError(f'zstd data is damaged: {error}') from None
+
+
+def unlz4(data: bytes, limit: int, cut: bool = False) -> bytes:
+    """
+    Decompress lz4 frames that hold no more than a number of bytes together; see `unzstd`.
+
+    Raises
+    ------
+    BellowsError
+        If the data is damaged, incomplete, or longer than the limit once decompressed.
+
+    """
+    try:
+        return _decompress(lz4.frame.LZ4FrameDecompressor, data, limit, cut)
+    except RuntimeError as error:  # what lz4 raises for damaged frames
+        raise BellowsError(f'lz4 data is damaged: {error}') from None
+
+
+def _decompress(new_decompressor: Any, data: bytes, limit: int, cut: bool) -> bytes:
+    """Decompress frame after frame."""
+    pieces = []
+    left = limit
+    while data:
+        frame = new_decompressor()
+        piece = frame.decompress(data, max_length=left + 1)
+        left -= len(piece)
+        if left < 0:
+            raise BellowsError(f'decompressed data is longer than the {limit} bytes expected')
+        if not (frame.eof or cut):
+            raise BellowsError('compressed data ends early')
+        pieces.append(piece)
+        data = frame.unused_data
+    return b''.join(pieces)
+
+
+def digests(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
+    """
+    Return name, size and SHA-256 of a file, or of every file in a folder, in order of names.
+
+    Raises
+    ------
+    BellowsError
+        If one cannot be read.
+
+    """
+    top = Path(path)
+    try:
+        files = sorted(p for p in top.iterdir() if p.is_file()) if top.is_dir() else [top]
+        return [_digest(file) for file in files]
+    except OSError as error:
+        raise BellowsError(f"'{path}' cannot be read for its digest: {error.strerror}.") from None
+
+
+def recording_digest(
+    path: str | os.PathLike[str], files: Sequence[Mapping[str, Any]] = ()
+) -> str:
+    """
+    Return the SHA-256 of a recording's messages as stored, the same wherever and however it lies.
+
+    Its `digests` are taken again only where they are not given.
+
+    Raises
+    ------
+    BellowsError
+        If there is no such recording, or it cannot be read.
+
+    """
+    known = {file['name']: file['sha256'] for file in files or digests(path)}
+    parts = [known[file.name] for file in listing(path).files]
+    return hashlib.sha256(' '.join(parts).encode()).hexdigest()
+
+
+def _digest(file: Path) -> dict[str, Any]:
+    """Return name, size and SHA-256 of a file."""
+    total, size = hashlib.sha256(), 0
+    with file.open('rb') as stream:
+        while chunk := stream.read(CHUNK):
+            total.update(chunk)
+            size += len(chunk)
+    return {'name': file.name, 'bytes': size, 'sha256': total.hexdigest()}

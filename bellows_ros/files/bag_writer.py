@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, cdr, mcap
+from bellows_ros.files import atomic, mcap, messages
 from bellows_ros.files.bag_folder import METADATA
 import numpy as np
 from rosbags.interfaces import Connection
@@ -60,7 +60,7 @@ class Recorded:
     ----------
     topic : str
     type_name : str
-        One of `cdr.LAYOUTS`, for instance 'geometry_msgs/msg/PoseStamped'.
+        One of `messages.LAYOUTS`, for instance 'geometry_msgs/msg/PoseStamped'.
     stamps_ns : int array (N,)
         Header stamps, ns; any order.
     values : array (N, 7), (N, 6) or (N, 13)
@@ -84,10 +84,10 @@ class Recorded:
 
     def __post_init__(self) -> None:
         """Check shapes and ranges."""
-        if self.type_name not in cdr.LAYOUTS:
-            known = ', '.join(cdr.LAYOUTS)
+        if self.type_name not in messages.LAYOUTS:
+            known = ', '.join(messages.LAYOUTS)
             raise BellowsError(f"Type '{self.type_name}' cannot be recorded; {known} can.")
-        width = _width(cdr.LAYOUTS[self.type_name])
+        width = _width(messages.LAYOUTS[self.type_name])
         count = len(self.stamps_ns)
         logged = count if self.log_times_ns is None else len(self.log_times_ns)
         if np.shape(self.values) != (count, width) or logged != count:
@@ -106,12 +106,13 @@ class Recorded:
         """Yield log time, the given number and bytes of each message, by log time."""
         log_times = self._log_times()
         order = np.argsort(log_times, kind='stable')
-        layout = cdr.LAYOUTS[self.type_name]
+        layout = messages.LAYOUTS[self.type_name]
         names = (self.frame_id, self.child_frame_id)[: layout.strings]
         for start in range(0, len(order), _BATCH):
             part = order[start:start + _BATCH]
             stamps_ns, values = np.asarray(self.stamps_ns)[part], np.asarray(self.values)[part]
-            for i, data in zip(part, cdr.encode(stamps_ns, values, names, layout), strict=True):
+            encoded = messages.encode(stamps_ns, values, names, layout)
+            for i, data in zip(part, encoded, strict=True):
                 yield int(log_times[i]), number, data
 
 
@@ -195,7 +196,7 @@ def _errors_of_the_system() -> Iterator[None]:
         raise OSError(f'SQLite says {error}') from None
 
 
-def _width(layout: cdr.Layout) -> int:
+def _width(layout: messages.Layout) -> int:
     """Return how many numbers a message has without covariances."""
     parts = [part for part in (layout.pose, layout.twist) if part]
     return sum(part.stop - part.start for part in parts)

@@ -15,11 +15,20 @@ from typing import BinaryIO, NamedTuple
 
 from bellows_ros.core.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import cdr, mcap, sqlite_storage, streams
-from bellows_ros.files.bag_folder import differing_counts, Listing, listing
-from bellows_ros.files.compression import open_plain, unzstd, ZSTD_MAGIC, ZstdError
-from bellows_ros.files.storage import DamagedError, Message, Topic, Wanted
-from bellows_ros.files.temporary import scratch_folder
+from bellows_ros.files import mcap, messages
+from bellows_ros.files.bag_folder import (
+    DamagedError,
+    differing_counts,
+    Listing,
+    listing,
+    Message,
+    open_plain,
+    Topic,
+    unzstd,
+    Wanted,
+    ZSTD_MAGIC,
+    ZstdError,
+)
 import numpy as np
 
 # A recording of a topic may have so many messages: five hours at 500 Hz, some 1 GB once read.
@@ -28,6 +37,8 @@ LARGEST_COUNT = 10_000_000
 LARGEST_PLAN = 2**28
 # A compressed SQLite file is decompressed beside the system's temporary files, up to this size.
 LARGEST_TEMPORARY = 16 * 2**30
+
+SQLITE_MAGIC = b'SQLite format 3\0'
 
 SHORTEST = 16
 """Bytes of any message with a header: its encoding, stamp, and the length of a frame's name."""
@@ -128,7 +139,7 @@ def read_messages(
     bag, wanted = Path(path), {_absolute(name) for name in names}
 
     def chosen(topic: Topic) -> bool:
-        readable = topic.type_name in cdr.LAYOUTS and topic.encoding == 'cdr'
+        readable = topic.type_name in messages.LAYOUTS and topic.encoding == 'cdr'
         return readable and (not wanted or topic.name in wanted)
 
     counts: dict[Topic, int] = {}
@@ -249,7 +260,7 @@ def _absolute(topic: str) -> str:
 def accepted_types(role: str) -> tuple[str, ...]:
     """Return the message types a role can be read from."""
     twists = role.endswith('twist')
-    return tuple(name for name, x in cdr.LAYOUTS.items() if (x.twist if twists else x.pose))
+    return tuple(name for name, x in messages.LAYOUTS.items() if (x.twist if twists else x.pose))
 
 
 def _chooser(collectors: Mapping[str, '_Collector']) -> Wanted:
@@ -269,7 +280,7 @@ class _Collector:
         self._problem: BellowsError | None = None
         self._log_times = array('q')
         self._batch: list[bytes] = []
-        self._decoded: list[cdr.Decoded] = []
+        self._decoded: list[messages.Decoded] = []
 
     def accepts(self, topic: Topic) -> bool:
         """Return whether a topic is this one, in a type and an encoding that can be read."""
@@ -303,7 +314,7 @@ class _Collector:
             )
         return None
 
-    def decoded(self) -> cdr.Decoded:
+    def decoded(self) -> messages.Decoded:
         """Return all messages, in the order they were recorded in; raise what stopped it."""
         if self._problem is not None:
             raise self._problem
@@ -315,29 +326,31 @@ class _Collector:
         order = np.argsort(self._log_times, kind='stable')
         arrivals_ns = np.array(self._log_times)[order]
         if np.array_equal(order, np.arange(len(order))):
-            return cdr.Decoded(stamps_ns, values, frame, frames, arrivals_ns)
-        return cdr.Decoded(stamps_ns[order], values[order], frame[order], frames, arrivals_ns)
+            return messages.Decoded(stamps_ns, values, frame, frames, arrivals_ns)
+        return messages.Decoded(stamps_ns[order], values[order], frame[order], frames, arrivals_ns)
 
     def _flush(self) -> None:
         """Decode what has come."""
-        layout = cdr.LAYOUTS[self.type_name]
+        layout = messages.LAYOUTS[self.type_name]
         part = layout.twist if self.role.endswith('twist') else layout.pose
         if self._batch and part:
-            self._decoded.append(cdr.decode(self._batch, layout, part))
+            self._decoded.append(messages.decode(self._batch, layout, part))
             self._batch = []
 
 
 def _plain(data: bytes) -> bytes:
     """Return a message's plain bytes; none where they cannot be had, which is counted later."""
     if not data.startswith(ZSTD_MAGIC):
-        return data if len(data) <= cdr.LARGEST_MESSAGE else b''
+        return data if len(data) <= messages.LARGEST_MESSAGE else b''
     try:
-        return unzstd(data, cdr.LARGEST_MESSAGE)
+        return unzstd(data, messages.LARGEST_MESSAGE)
     except BellowsError:
         return b''
 
 
-def _joined_frames(parts: list[cdr.Decoded]) -> tuple[list[tuple[str, ...]], cdr.Indices]:
+def _joined_frames(
+    parts: list[messages.Decoded],
+) -> tuple[list[tuple[str, ...]], messages.Indices]:
     """Return the frames of all parts, numbered through, and each message's number."""
     numbers: dict[tuple[str, ...], int] = {}
     joined = []
@@ -353,14 +366,14 @@ def _stream(bag: Path, counts: Mapping[Topic, int], collector: _Collector) -> St
     decoded = collector.decoded()
     stream: Stream
     if collector.role.endswith('twist'):
-        in_child = cdr.LAYOUTS[collector.type_name].strings > 1
-        stream = streams.twist_stream(collector.name, decoded, in_child)
+        in_child = messages.LAYOUTS[collector.type_name].strings > 1
+        stream = messages.twist_stream(collector.name, decoded, in_child)
     else:
-        stream = streams.pose_stream(collector.name, decoded)
+        stream = messages.pose_stream(collector.name, decoded)
     if not len(stream):
         raise BellowsError(
             f"Topic '{collector.name}' in recording '{bag}' has no usable message. "
-            f'Of {len(decoded.stamps_ns)}: {streams.describe(stream.refused)}. '
+            f'Of {len(decoded.stamps_ns)}: {messages.describe(stream.refused)}. '
             'Check what publishes it, and record again.'
         )
     return stream
@@ -436,11 +449,13 @@ def _file_messages(
 ) -> Iterator[Message]:
     """Yield the wanted messages of a file; its first bytes tell its storage and compression."""
     with open_plain(path) as (file, compressed):
-        magic = file.read(len(sqlite_storage.MAGIC))
+        magic = file.read(len(SQLITE_MAGIC))
         file.seek(0)
         if magic.startswith(mcap.MAGIC):
             yield from mcap.scan(file, wanted, counts, lost)
-        elif magic == sqlite_storage.MAGIC:
+        elif magic == SQLITE_MAGIC:
+            from bellows_ros.files import sqlite_storage  # late: as is the database
+
             with _on_disk(path, file, compressed) as plain:
                 yield from sqlite_storage.scan(plain, wanted, counts)
         elif not magic:
@@ -455,6 +470,8 @@ def _on_disk(path: Path, file: BinaryIO, compressed: bool) -> Iterator[Path]:
     if not compressed:
         yield path
         return
+    from bellows_ros.files.atomic import scratch_folder  # late: rare
+
     with scratch_folder() as folder:
         plain = folder / path.stem
         _copy(file, plain)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
+from bellows_ros.core.equilibrium import largest_step
 from bellows_ros.core.holding import Grip
-from bellows_ros.core.linearisation import largest_step
 from bellows_ros.core.model import Cup, model_tuple, Package, STANDARD_GRAVITY
 import numpy as np
 

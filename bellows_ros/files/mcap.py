@@ -15,8 +15,15 @@ from typing import BinaryIO
 import zlib
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.compression import unlz4, unzstd
-from bellows_ros.files.storage import DamagedError, LARGEST_RECORD, Message, Topic, Wanted
+from bellows_ros.files.bag_folder import (
+    DamagedError,
+    LARGEST_RECORD,
+    Message,
+    Topic,
+    unlz4,
+    unzstd,
+    Wanted,
+)
 
 MAGIC = b'\x89MCAP0\r\n'
 

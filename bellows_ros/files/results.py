@@ -1,19 +1,23 @@
 """
-The result of a fit as a JSON file.
+The result of a fit as a JSON file, and what it says of where the result comes from.
 
 Numbers keep every digit. JSON knows neither NaN nor infinity: a number that is not known, because
 the recording does not determine it, is null.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from importlib import metadata
 import json
 import math
 import os
 from pathlib import Path
+import platform
 from typing import Any
 
+from bellows_ros import __version__
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
+from bellows_ros.files.bag_folder import digests
 import numpy as np
 
 LARGEST_FILE = 64 * 2**20
@@ -154,3 +158,46 @@ def _text(value: Any, indent: str) -> str:
         items = [f'{inner}{_text(x, inner)}' for x in value]
         return '[\n' + ',\n'.join(items) + f'\n{indent}]'
     return json.dumps(value, allow_nan=False)
+
+
+TOOLS = ('numpy', 'scipy', 'numba', 'rosbags')
+
+
+def provenance(
+    recordings: Iterable[str | os.PathLike[str]],
+    parameter_files: Iterable[str | os.PathLike[str]] = (),
+) -> dict[str, Any]:
+    """
+    Return all that a result depends on beside its settings, the same for the same files.
+
+    Returns
+    -------
+    dict
+        'recordings' and 'parameter_files': a list of path and files, each with name, bytes and
+        sha256; 'versions' by name, None for what is not there.
+
+    Raises
+    ------
+    BellowsError
+        If a file cannot be read.
+
+    """
+    return {
+        'recordings': [{'path': os.fspath(p), 'files': digests(p)} for p in recordings],
+        'parameter_files': [{'path': os.fspath(p), 'files': digests(p)} for p in parameter_files],
+        'versions': versions(),
+    }
+
+
+def versions() -> dict[str, str | None]:
+    """Return the versions of this package, of Python, and of what numbers depend on."""
+    found = {name: _version(name) for name in TOOLS}
+    return {'bellows_ros': __version__, 'python': platform.python_version(), **found}
+
+
+def _version(name: str) -> str | None:
+    """Return the version of an installed distribution, or None."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None

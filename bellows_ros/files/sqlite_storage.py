@@ -13,7 +13,7 @@ from pathlib import Path
 import sqlite3
 import struct
 
-from bellows_ros.files.storage import DamagedError, LARGEST_RECORD, Message, Topic, Wanted
+from bellows_ros.files.bag_folder import DamagedError, LARGEST_RECORD, Message, Topic, Wanted
 
 MAGIC = b'SQLite format 3\0'
 _HEADER = 100

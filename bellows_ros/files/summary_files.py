@@ -16,8 +16,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import zipfile
 import zlib
 
-from bellows_ros.core.identification.advice.information import DRAWS
-from bellows_ros.core.identification.reduction import Reduced
+from bellows_ros.core.identification.reduction import DRAWS, Reduced
 from bellows_ros.core.parameters import resolve
 from bellows_ros.core.structure import Structure, structure_named
 from bellows_ros.errors import BellowsError

@@ -10,7 +10,7 @@ from typing import Any
 
 from bellows_ros.core.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.storage import Message, Topic
+from bellows_ros.files.bag_folder import Message, Topic
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node

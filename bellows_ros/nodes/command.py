@@ -15,12 +15,13 @@ import sys
 from types import FrameType
 from typing import Any
 
+from bellows_ros.core import keep_linear_algebra_single
+
 from .help_text import help_text, Interface
 from .. import __version__
 from ..core.parameter_table import short
 from ..errors import BellowsError
 from ..extras import install
-from ..threads import keep_linear_algebra_single
 
 NO_ROS = (
     "ROS 2 is not here (this Python has no 'rclpy'). Source an installation, for instance "

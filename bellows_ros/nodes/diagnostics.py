@@ -4,6 +4,7 @@ from collections.abc import Mapping
 import time
 from typing import Any
 
+from bellows_ros.core.parameters import gravity_of
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -16,7 +17,6 @@ from .outputs import Outputs
 from .planning import Planning
 from .reports import InputReport
 from .tool_inputs import SensorInput
-from ..core.gravity import gravity_of
 from ..core.live import LivePredictor, Prediction
 from ..core.live.health import (
     input_status,

@@ -7,6 +7,7 @@ import sys
 import time
 from typing import Any
 
+from bellows_ros.core.equilibrium import largest_step
 from nav_msgs.msg import Odometry, Path
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -22,7 +23,6 @@ from ..core.arrays import Array
 from ..core.envelope import known_envelope
 from ..core.holding import grip_of
 from ..core.lie import quaternion_to_rotation, rotation_to_quaternion
-from ..core.linearisation import largest_step
 from ..core.live import LivePredictor, Prediction
 from ..core.live.ahead import Ahead, future
 from ..core.live.health import Level, number, Status

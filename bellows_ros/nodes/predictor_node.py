@@ -5,6 +5,8 @@ import sys
 import time
 from typing import Any
 
+from bellows_ros.core.parameters import gravity_of
+from bellows_ros.files.parameter_files import with_chosen_cup
 from geometry_msgs.msg import TwistStamped
 from rclpy.clock import Clock, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
@@ -24,8 +26,6 @@ from .planning import Planning
 from .reports import summary
 from .tool_inputs import SensorInput, TransformInput
 from .tossing import Tossing
-from ..core.cups import with_chosen_cup
-from ..core.gravity import gravity_of
 from ..core.holding import grip_of
 from ..core.live import LivePredictor, Prediction, warm_up
 from ..core.live.check import check_live

@@ -14,8 +14,7 @@ from typing import Any
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
-from bellows_ros.files.atomic import write_bytes
-from bellows_ros.files.temporary import scratch_folder
+from bellows_ros.files.atomic import scratch_folder, write_bytes
 from bellows_ros.workflows.plot import Replayed
 import numpy as np
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from bellows_ros.core.arrays import Array, Mask
-from bellows_ros.core.score import AXES
+from bellows_ros.core.residuals import AXES
 import numpy as np
 
 from .style import Theme

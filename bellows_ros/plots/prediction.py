@@ -8,7 +8,7 @@ axis, to its own scale.
 from typing import Any
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.score import Comparison
+from bellows_ros.core.residuals import Comparison
 import numpy as np
 
 from .panels import arrange_pair, draw_strip, pairs

@@ -21,11 +21,10 @@ from typing import Any
 
 from bellows_ros.core.arrays import Stamps
 from bellows_ros.core.lie import rotation_to_quaternion
-from bellows_ros.core.score import AXES
+from bellows_ros.core.residuals import AXES
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
-from bellows_ros.files.atomic import write_bytes
-from bellows_ros.files.temporary import scratch_folder
+from bellows_ros.files.atomic import scratch_folder, write_bytes
 from bellows_ros.workflows.plot import Replayed
 import numpy as np
 

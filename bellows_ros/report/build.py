@@ -6,13 +6,12 @@ import os
 from typing import Any
 
 from bellows_ros.core.envelope import Envelope, FIELDS
-from bellows_ros.core.identification.advice.excitation import Excitation
+from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.reduction import spectra_of
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.atomic import write_text
-from bellows_ros.files.provenance import provenance
-from bellows_ros.files.results import format_json
+from bellows_ros.files.results import format_json, provenance
 from bellows_ros.workflows.identification import Identification
 from bellows_ros.workflows.recordings import offset_sentence
 from bellows_ros.workflows.replay import Replay, validated

@@ -5,10 +5,10 @@ import math
 from typing import Any
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.advice.excitation import Excitation
-from bellows_ros.core.identification.equations.validity_range import Spectra
+from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.result import UNITS
-from bellows_ros.core.spectra import Spectrum
+from bellows_ros.core.identification.samples import Spectra
+from bellows_ros.core.residuals import Spectrum
 from bellows_ros.core.structure import AXES, structure_named
 from bellows_ros.workflows.result_json import NORMAL_95
 import numpy as np

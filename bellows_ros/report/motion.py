@@ -1,10 +1,8 @@
 """What a free simulation of a recording shows: motion, residuals, spectra, whiteness."""
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.validation.validation import LIMIT, Validation
-from bellows_ros.core.identification.validation.whiteness import CONFIDENT, SMALL, Whiteness
-from bellows_ros.core.score import AXES
-from bellows_ros.core.spectra import Spectrum
+from bellows_ros.core.identification.validation import LIMIT, Validation
+from bellows_ros.core.residuals import AXES, CONFIDENT, SMALL, Spectrum, Whiteness
 from bellows_ros.workflows.replay import Replay
 import numpy as np
 

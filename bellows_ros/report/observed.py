@@ -1,6 +1,6 @@
 """What measured poses of the package add to the live prediction."""
 
-from bellows_ros.core.score import AXES, Comparison
+from bellows_ros.core.residuals import AXES, Comparison
 from bellows_ros.workflows.observe import Observed
 
 from .page import figures, paragraph, table, warnings

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from bellows_ros.core.identification.equations.added_noise import SEED as EXCITATION_SEED
-from bellows_ros.core.identification.validation.validation import SEED
+from bellows_ros.core.identification.reduction import SEED as EXCITATION_SEED
+from bellows_ros.core.identification.validation import SEED
 
 from .page import folded, table
 

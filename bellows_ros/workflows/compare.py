@@ -5,12 +5,7 @@ from dataclasses import dataclass
 import os
 from typing import Any
 
-from bellows_ros.core.identification.validation.comparison import (
-    Change,
-    compare_fits,
-    FitComparison,
-    Fitted,
-)
+from bellows_ros.core.identification.comparison import Change, compare_fits, FitComparison, Fitted
 from bellows_ros.core.model import Cup, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.structure import structure_named

@@ -11,7 +11,6 @@ from bellows_ros.core.arm_limits import limits_from
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.commissioning import everyday, standstills
 from bellows_ros.core.excitation import cups_near, Design, design
-from bellows_ros.core.gravity import gravity_of
 from bellows_ros.core.holding import grip_of
 from bellows_ros.core.identification.fisher import (
     motion_information,
@@ -20,7 +19,7 @@ from bellows_ros.core.identification.fisher import (
 )
 from bellows_ros.core.lie import log_so3, rotation_to_quaternion
 from bellows_ros.core.model import cup_of, model_tuple, package_of
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.noise import Noise
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.structure import Structure, structure_named
@@ -33,7 +32,7 @@ from bellows_ros.files.atomic import new_folder
 from bellows_ros.files.bag_writer import Encoded, write_bag
 from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, PlanMessage
 from bellows_ros.files.plans import arm_of
-from bellows_ros.files.provenance import provenance
+from bellows_ros.files.results import provenance
 from bellows_ros.files.trajectory_files import write_euroc, write_urscript
 from bellows_ros.workflows.plan import read_plan
 import numpy as np

@@ -8,29 +8,19 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros import __version__
 from bellows_ros.core.envelope import Envelope, joined_envelopes
-from bellows_ros.core.identification.advice.excitation import Excitation
-from bellows_ros.core.identification.equations.validity_range import with_standstills
+from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.reduction import Reduced
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model import Package
 from bellows_ros.core.parameters import pose_text
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.parameter_files import write_parameters
-from bellows_ros.files.provenance import versions
-from bellows_ros.files.results import write_result
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
-from bellows_ros.workflows.result_json import (
-    consistency_json,
-    excitation_json,
-    fit_json,
-    selection_json,
-)
 import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
-    from bellows_ros.core.identification.advice.structure_selection import StructureSelection
-    from bellows_ros.core.identification.validation.consistency import Consistency
+    from bellows_ros.core.identification.consistency import Consistency
+    from bellows_ros.core.identification.structure_selection import StructureSelection
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
     from bellows_ros.workflows.typical import Typical
@@ -126,6 +116,8 @@ class Identification:
         moving = joined_envelopes([part.envelope for part in self.parts])
         if self.static is None:
             return moving
+        from bellows_ros.core.recording.standstills import with_standstills
+
         return with_standstills(moving, self.static.standstills, self.cup_length)
 
     def cup_values(self) -> dict[str, Any]:
@@ -196,6 +188,14 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
+        from bellows_ros.files.results import versions
+        from bellows_ros.workflows.result_json import (
+            consistency_json,
+            excitation_json,
+            fit_json,
+            selection_json,
+        )
+
         read: list[Reduced | Recording] = [
             *self.parts, *(self.static.recordings if self.static else ())]
         return {
@@ -302,8 +302,12 @@ def save(
 
     """
     if json_path:
+        from bellows_ros.files.results import write_result
+
         write_result(json_path, result.as_json())
     if not parameters_path:
         return
     result.require_usable(force)
+    from bellows_ros.files.parameter_files import write_parameters
+
     write_parameters(parameters_path, result.parameters(), result.header())

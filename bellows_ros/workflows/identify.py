@@ -18,14 +18,14 @@ from bellows_ros.core.parameter_table import THESIS_LENGTH
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.provenance import digests
+from bellows_ros.files.bag_folder import digests
 from bellows_ros.workflows.identification import Identification, names_of, NOT_OF_THE_CUP
 from bellows_ros.workflows.recordings import Failed, load, repeats, values_of_each
 from bellows_ros.workflows.verdict import LOOKED_AT, verdict_of
 
 if TYPE_CHECKING:  # what a plain identification does without
-    from bellows_ros.core.identification.advice.structure_selection import StructureSelection
-    from bellows_ros.core.identification.validation.consistency import Consistency
+    from bellows_ros.core.identification.consistency import Consistency
+    from bellows_ros.core.identification.structure_selection import StructureSelection
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
 
@@ -385,7 +385,7 @@ def _consistency(
     """Return whether each recording alone finds the same cup, where that is asked for."""
     if not values['fit.compare_recordings'] or len(parts) < 2:
         return None
-    from bellows_ros.core.identification.validation.consistency import same_cup
+    from bellows_ros.core.identification.consistency import same_cup
 
     names = names_of([part.name for part in parts], [part.payload for part in parts])
     alone = [fitted([part], values, _of(name, tell))
@@ -402,8 +402,8 @@ def selection(
     recordings: Sequence[Recording], values: Mapping[str, Any], tell: Progress
 ) -> 'StructureSelection':
     """Return the structures compared."""
-    from bellows_ros.core.identification.advice.structure_selection import select_structure
-    from bellows_ros.core.identification.equations.samples import samples_of
+    from bellows_ros.core.identification.samples import samples_of
+    from bellows_ros.core.identification.structure_selection import select_structure
 
     tell('comparing structures', FIT_ENDS)
     return select_structure(

@@ -11,8 +11,8 @@ from bellows_ros import __version__
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import exp_so3, log_so3
 from bellows_ros.core.recording.alignment import in_world, world_rotation
-from bellows_ros.core.recording.grid import timing
 from bellows_ros.core.recording.outliers import find_outliers
+from bellows_ros.core.resampling import timing
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.files.bags import accepted_types, read_contents, topics
 from bellows_ros.workflows.recordings import part_of

@@ -13,7 +13,7 @@ from bellows_ros.core.model import cup_of, package_of
 from bellows_ros.core.observer import Alarm, Observer
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.score import compare, Comparison
+from bellows_ros.core.residuals import compare, Comparison
 from bellows_ros.core.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams

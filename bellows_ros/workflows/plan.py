@@ -9,28 +9,27 @@ from typing import Any, NamedTuple
 
 from bellows_ros import __version__
 from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.cups import with_chosen_cup
 from bellows_ros.core.envelope import known_envelope
 from bellows_ros.core.fastest import Fastest, fastest
-from bellows_ros.core.gravity import gravity_of
 from bellows_ros.core.holding import grip_of
 from bellows_ros.core.kernels import ModelTuple
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.core.parameter_table import short
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.perturbed import contributions
 from bellows_ros.core.plan import Prediction, Run
 from bellows_ros.core.plan_points import plan_of, plan_of_joints
 from bellows_ros.core.recording.alignment import world_rotation
-from bellows_ros.core.recording.grid import on_grid, timing
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
+from bellows_ros.core.resampling import on_grid, timing
 from bellows_ros.core.savgol import savgol
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import read_contents
+from bellows_ros.files.parameter_files import with_chosen_cup
 from bellows_ros.files.plan_messages import (
     encode_multi_dof,
     encode_path,
@@ -46,7 +45,7 @@ from bellows_ros.files.plans import (
     plans_in,
     read_yaml,
 )
-from bellows_ros.files.provenance import provenance
+from bellows_ros.files.results import provenance
 from bellows_ros.files.trajectory_files import read_trajectory
 import numpy as np
 

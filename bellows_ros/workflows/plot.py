@@ -6,15 +6,14 @@ import os
 from typing import Any, TypeVar
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.identification.equations.wrenches import lip_relative, needed_wrench
+from bellows_ros.core.identification.samples import lip_relative, needed_wrench
 from bellows_ros.core.kernels import spring_frames
 from bellows_ros.core.lie import apply, exp_so3, log_so3, wrench_transform
 from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.core.model import Cup, cup_of, package_of, regressor
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.score import relative_coordinates, score
-from bellows_ros.core.spectra import interpolated, spectrum
+from bellows_ros.core.residuals import interpolated, relative_coordinates, score, spectrum
 from bellows_ros.core.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import load, NO_INERTIA

@@ -8,22 +8,20 @@ from typing import Any
 
 from bellows_ros.core.model import package_of
 from bellows_ros.core.parameters import ESTIMATE, PACKAGE_PARAMETERS
-from bellows_ros.core.recording.package_world import (
-    closed_form,
-    in_tool_world,
-    PackageWorld,
-    pose_of,
-    require_one_frame,
-    shifted_pose,
-)
 from bellows_ros.core.recording.preparation import filter_streams
-from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
+from bellows_ros.core.recording.recording import (
+    PackageWorld,
+    PrepareSettings,
+    Recording,
+    require_one_frame,
+    TimeOffset,
+)
 from bellows_ros.core.structure import structure_named
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.bag_folder import digests, recording_digest
 from bellows_ros.files.bags import read_contents
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.files.provenance import digests, recording_digest
 import numpy as np
 
 NO_OFFSET = (
@@ -134,22 +132,26 @@ def _prepared(
 ) -> Recording:
     """Return streams prepared, in one world and with one clock."""
     settings, world = prepare_settings(values), values['recording.package_world']
+    recorded, pose = package, None
     if world == '':
         require_one_frame(tool, package)
-        pose = None
-    elif world == ESTIMATE:
-        origin = np.zeros(3) if settings.package_frame == 'lip' else -settings.payload.com
-        pose = closed_form(tool, package, values['cup.length'], origin, settings.align_at_rest)
     else:
-        pose = pose_of(world)
-    recorded = package
-    if pose is not None:
+        from bellows_ros.core.recording.package_world import (  # late: rare
+            closed_form,
+            in_tool_world,
+            pose_of,
+        )
+
+        origin = np.zeros(3) if settings.package_frame == 'lip' else -settings.payload.com
+        pose = pose_of(world) if world != ESTIMATE else closed_form(
+            tool, package, values['cup.length'], origin, settings.align_at_rest)
         package = in_tool_world(recorded, pose, tool.frame_id)
     filtered = filter_streams(tool, package, settings, twist)
     recording = filtered.joined()
     if not (world == ESTIMATE or values['fit.time_offset']):
         return recording
-    from bellows_ros.core.identification.hypotheses.free import refined_preparation  # late: rare
+    from bellows_ros.core.identification.free import refined_preparation
+    from bellows_ros.core.recording.package_world import in_tool_world, shifted_pose
 
     wanted = (values['cup.length'], structure_named(values['fit.structure']), world == ESTIMATE,
               values['fit.time_offset'])

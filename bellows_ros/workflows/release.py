@@ -16,8 +16,8 @@ from bellows_ros.core.identification.release_fit import (
 from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import messages_of
-from bellows_ros.files.cdr import BOOL, decode_bool
-from bellows_ros.files.provenance import provenance
+from bellows_ros.files.messages import BOOL, decode_bool
+from bellows_ros.files.results import provenance
 from bellows_ros.workflows.identify import resolved
 from bellows_ros.workflows.recordings import load, values_of_each
 import numpy as np

@@ -11,13 +11,7 @@ from bellows_ros.core.envelope import beyond, known_envelope
 from bellows_ros.core.holding import grip_of, Margin, margin
 from bellows_ros.core.identification.reduction import envelope_of
 from bellows_ros.core.identification.result import POSE_UNITS
-from bellows_ros.core.identification.validation.validation import (
-    LIMIT,
-    SEED,
-    validate,
-    Validation,
-)
-from bellows_ros.core.identification.validation.whiteness import Whiteness
+from bellows_ros.core.identification.validation import LIMIT, SEED, validate, Validation
 from bellows_ros.core.lie import apply, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
@@ -25,10 +19,9 @@ from bellows_ros.core.model import cup_of, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.recording import Recording, TimeOffset
-from bellows_ros.core.score import AXES, Comparison
-from bellows_ros.core.spectra import Spectrum
+from bellows_ros.core.residuals import AXES, Comparison, Spectrum, Whiteness
 from bellows_ros.core.trajectory import NS_PER_S, TwistStream
-from bellows_ros.files.provenance import provenance
+from bellows_ros.files.results import provenance
 from bellows_ros.workflows.observe import Observed, observed
 from bellows_ros.workflows.recordings import load
 import numpy as np

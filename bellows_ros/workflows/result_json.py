@@ -9,8 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.advice.excitation import Excitation
-from bellows_ros.core.identification.advice.identifiability import Axis
+from bellows_ros.core.identification.identifiability import Axis, Excitation
 from bellows_ros.core.identification.result import Fit, parameter_units, UNITS
 from bellows_ros.core.structure import structure_named
 

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.gravity import levelling
+from bellows_ros.core.equilibrium import largest_step
 from bellows_ros.core.holding import grip_of, Margin, margin
 from bellows_ros.core.landing import release_deviations
 from bellows_ros.core.lie import apply, rotation_to_quaternion, transform
-from bellows_ros.core.linearisation import largest_step
 from bellows_ros.core.model import Cup, cup_of, model_tuple, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.recording.alignment import levelling
 from bellows_ros.core.release import release_of
 from bellows_ros.core.simulation import lip_wrenches, simulate
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
@@ -37,7 +37,7 @@ from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
-from bellows_ros.files.cdr import BOOL, encode_bool
+from bellows_ros.files.messages import BOOL, encode_bool
 import numpy as np
 
 Progress = Callable[[str], None]

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 from bellows_ros import __version__
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.cups import with_chosen_cup
 from bellows_ros.core.holding import grip_of
 from bellows_ros.core.kernels import ModelTuple
 from bellows_ros.core.lie import log_so3, quaternion_to_rotation
@@ -25,7 +24,8 @@ from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.bag_writer import write_bag
-from bellows_ros.files.provenance import provenance
+from bellows_ros.files.parameter_files import with_chosen_cup
+from bellows_ros.files.results import provenance
 from bellows_ros.workflows.plan import NO_GRIP, read_plan, recorded_motion, Source, standing
 import numpy as np
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from bellows_ros import __version__
-from bellows_ros.core.identification.advice.excitation import Excitation, excitation_of
-from bellows_ros.core.identification.advice.structure_selection import StructureSelection
+from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.reduction import reduced
+from bellows_ros.core.identification.structure_selection import StructureSelection
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.structure import structure_named
 from bellows_ros.workflows.identify import read_here, resolved, selection

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.hypotheses.hypotheses import diagnose, Diagnosis, Finding
+from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis, Finding
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.model import Cup
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.score import AXES
+from bellows_ros.core.residuals import AXES
 from bellows_ros.core.structure import structure_named
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -152,7 +152,7 @@ def verdict_of(
 
 def _simulated(cup: Cup, recording: Recording) -> Simulated:
     """Return a recording simulated freely; all of it is unexplained where that is not possible."""
-    from bellows_ros.core.identification.validation.validation import validate
+    from bellows_ros.core.identification.validation import validate
 
     try:
         found = validate(cup, recording)

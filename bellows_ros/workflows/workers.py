@@ -15,7 +15,7 @@ from typing import Any
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
-from bellows_ros.files.temporary import remove_abandoned
+from bellows_ros.files.atomic import remove_abandoned
 from bellows_ros.workflows.recordings import Failed
 
 ANSWER_WITHIN = 10.0

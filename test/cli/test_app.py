@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import bellows_ros
-from bellows_ros.cli.commands import COMMANDS
+from bellows_ros.cli.app import COMMANDS
 import pytest
 
 from .conftest import contents, MOTION, Run, write_yaml

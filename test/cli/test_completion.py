@@ -4,7 +4,7 @@ import shutil
 import subprocess
 from typing import Any
 
-from bellows_ros.cli.commands import COMMANDS
+from bellows_ros.cli.app import COMMANDS
 from bellows_ros.cli.completion import script
 import pytest
 

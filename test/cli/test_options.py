@@ -4,9 +4,8 @@ import io
 import os
 import signal
 
-from bellows_ros.cli.console import CLEAR_LINE, Console, progress_line
+from bellows_ros.cli.console import CLEAR_LINE, Console, progress_line, uninterrupted
 from bellows_ros.cli.options import parse_override
-from bellows_ros.cli.signals import uninterrupted
 import pytest
 
 

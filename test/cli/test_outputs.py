@@ -5,7 +5,7 @@ import importlib
 from pathlib import Path
 import shutil
 
-from bellows_ros.cli.commands import COMMANDS
+from bellows_ros.cli.app import COMMANDS
 from bellows_ros.cli.options import Output
 import pytest
 

@@ -8,8 +8,8 @@ import subprocess
 import sys
 import time
 
+from bellows_ros.files.atomic import hidden_name, PREFIX
 from bellows_ros.files.bag_writer import Recorded, write_bag
-from bellows_ros.files.temporary import hidden_name, PREFIX
 import numpy as np
 import pytest
 
@@ -139,7 +139,7 @@ def test_workers_end_with_a_command_that_is_killed(
 
 def test_what_others_still_write_is_left_alone(tmp_path: Path) -> None:
     """Remove what dead processes left, of files and folders, and nothing else."""
-    code = ('from bellows_ros.files.temporary import hidden_name, remove_abandoned; '
+    code = ('from bellows_ros.files.atomic import hidden_name, remove_abandoned; '
             'import sys; print(hidden_name()); remove_abandoned(sys.argv[1])')
     dead = subprocess.run(
         [sys.executable, '-c', code, tmp_path], capture_output=True, text=True, check=True

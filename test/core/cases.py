@@ -1,8 +1,7 @@
 """The thesis' validation case and random models, shared by the tests of the core."""
 
-from bellows_ros.core.inertia import box_inertia
 from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.model import box_inertia, Cup, Package
 from bellows_ros.core.trajectory import Trajectory
 import numpy as np
 

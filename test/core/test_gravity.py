@@ -1,7 +1,8 @@
 """Which way is down."""
 
-from bellows_ros.core.gravity import gravity_of, levelling, require_direction
 from bellows_ros.core.lie import exp_so3, log_so3
+from bellows_ros.core.parameters import gravity_of, require_direction
+from bellows_ros.core.recording.alignment import levelling
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal

@@ -2,10 +2,9 @@
 
 from contextlib import nullcontext
 
-from bellows_ros.core.inertia import box_inertia, check_inertia, composite, cylinder_inertia
 from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.model import Package
-from bellows_ros.core.parameters import validate
+from bellows_ros.core.model import box_inertia, composite, cylinder_inertia, Package
+from bellows_ros.core.parameters import check_inertia, validate
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose

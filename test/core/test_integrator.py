@@ -1,8 +1,7 @@
 """The integrator: order, energy, agreement with an independent one, and staying on SO(3)."""
 
 from bellows_ros.core import jit
-from bellows_ros.core.integrator import advance, tool_at, tool_segment
-from bellows_ros.core.kernels import lip_wrench
+from bellows_ros.core.kernels import advance, lip_wrench, tool_at, tool_segment
 from bellows_ros.core.lie import log_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import model_tuple
 from bellows_ros.core.simulation import energies, simulate, state_row

@@ -1,12 +1,12 @@
 """Analytic derivatives against those by a complex step of an independent implementation."""
 
-from bellows_ros.core.integrator import advance
 from bellows_ros.core.jacobians import (
     body_jacobians,
     parameter_jacobian,
     PARAMETERS,
     tool_jacobians,
 )
+from bellows_ros.core.kernels import advance
 from bellows_ros.core.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import model_tuple
 from bellows_ros.core.sensitivities import advance_jacobians, sensitivities

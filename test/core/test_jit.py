@@ -15,15 +15,15 @@ PACKAGE = Path(jit.__file__).parents[1]
 
 SCRIPT = """
 import json
-from bellows_ros.core import jit, model, simulation, integrator
+from bellows_ros.core import jit, kernels, model, simulation
 cup, package = model.Cup.thesis(), model.Package(
     2.0, [[.01, .001, 0], [.001, .01, 0], [0, 0, .012]], [.01, 0, -.05])
 m = model.model_tuple(cup, package, 9.81)
 tool = ((0., 0., 0.), (0., 0., 0., 1.), (.1, .2, 0.), (.3, 0., .5))
-later = integrator.tool_at(integrator.tool_segment(tool, tool, .01), .5)
+later = kernels.tool_at(kernels.tool_segment(tool, tool, .01), .5)
 body = simulation.static_equilibrium(m, tool)
 for _ in range(50):
-    body = integrator.advance(m, body, tool, later, .005, 2)
+    body = kernels.advance(m, body, tool, later, .005, 2)
 print(json.dumps([jit.COMPILED, body]))
 """
 

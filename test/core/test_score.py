@@ -1,7 +1,7 @@
 """Scores against hand calculation."""
 
 from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.score import relative_coordinates, score
+from bellows_ros.core.residuals import relative_coordinates, score
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np

@@ -1,15 +1,15 @@
 """Simulations of whole recordings against the rig's truth, equilibria, and clear errors."""
 
-from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.kernels import body_acceleration
-from bellows_ros.core.lie import log_so3
-from bellows_ros.core.linearisation import (
+from bellows_ros.core.equilibrium import (
     displaced,
     largest_step,
     linearise,
+    static_equilibrium,
     substeps_for,
     system_matrix,
 )
+from bellows_ros.core.kernels import body_acceleration
+from bellows_ros.core.lie import log_so3
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.simulation import lip_wrenches, simulate, state_energies, state_row
 from bellows_ros.core.trajectory import Trajectory

@@ -10,7 +10,7 @@ import subprocess
 from types import ModuleType
 from typing import Any
 
-from bellows_ros.cli.commands import COMMANDS
+from bellows_ros.cli.app import COMMANDS
 from bellows_ros.core.jit import COMPILED
 from bellows_ros.core.parameters import PARAMETERS
 import pytest

@@ -67,7 +67,7 @@ def test_figures_are_drawn_by_their_scripts(root: Path, tmp_path: Path) -> None:
 
 def test_pages_mention_every_command(root: Path) -> None:
     """Describe in the reference what `bellows --help` lists."""
-    from bellows_ros.cli.commands import COMMANDS
+    from bellows_ros.cli.app import COMMANDS
 
     text = (root / 'docs' / 'reference' / 'commands.md').read_text()
     assert all(f'## bellows {name}\n' in text for name in COMMANDS)
@@ -83,7 +83,7 @@ def test_the_first_page_leads_to_every_page(root: Path) -> None:
 
 def test_guides_name_every_command(root: Path) -> None:
     """Lead to each command from a page other than the reference; to the advice from the first."""
-    from bellows_ros.cli.commands import COMMANDS
+    from bellows_ros.cli.app import COMMANDS
 
     docs = root / 'docs'
     text = ''.join(page.read_text() for page in [root / 'README.md', *docs.glob('*.md')])

@@ -4,7 +4,8 @@ import resource
 import signal
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import bag_writer, cdr
+from bellows_ros.files import bag_writer
+from bellows_ros.files import messages as cdr
 from bellows_ros.files.bag_writer import COMPRESSIONS, Recorded, STORAGES, write_bag
 from bellows_ros.files.bags import read_streams, topics
 import numpy as np

@@ -180,7 +180,7 @@ def faulty(index, reason):
     return data[:-9] if reason == 'malformed' else data
 
 
-@pytest.mark.parametrize('reason', bags.streams.REASONS)
+@pytest.mark.parametrize('reason', bags.messages.REASONS)
 def test_messages_that_cannot_be_used_are_counted_by_reason(tmp_path, reason):
     bad = (1, 7, 50, 99)
     good = made.poses(100)
@@ -196,7 +196,7 @@ def test_messages_that_cannot_be_used_are_counted_by_reason(tmp_path, reason):
 
 
 def test_a_message_with_several_faults_is_counted_once(tmp_path):
-    reasons = list(bags.streams.REASONS)
+    reasons = list(bags.messages.REASONS)
     messages = made.poses(100)
     rng = np.random.default_rng(5)
     expected = {}

@@ -7,8 +7,7 @@ import subprocess
 
 from bellows_ros.core.equilibrium import static_equilibrium
 from bellows_ros.core.holding import safety_factors
-from bellows_ros.core.integrator import advance
-from bellows_ros.core.kernels import body_acceleration, lip_wrench
+from bellows_ros.core.kernels import advance, body_acceleration, lip_wrench
 from bellows_ros.core.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.simulation import row_state, state_row

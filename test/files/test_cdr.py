@@ -2,7 +2,7 @@
 
 import time
 
-from bellows_ros.files import cdr
+from bellows_ros.files import messages as cdr
 from hypothesis import given, strategies
 import numpy as np
 from numpy.testing import assert_array_equal

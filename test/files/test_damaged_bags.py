@@ -16,10 +16,9 @@ import zlib
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import mcap
+from bellows_ros.files.bag_folder import LARGEST_RECORD, unlz4, unzstd
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.bags import read_contents, read_streams, topics
-from bellows_ros.files.compression import unlz4, unzstd
-from bellows_ros.files.storage import LARGEST_RECORD
 import lz4.frame
 import numpy as np
 from numpy.testing import assert_array_equal

@@ -6,7 +6,8 @@ import sys
 
 from bellows_ros import __version__
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.provenance import digests, provenance, recording_digest, versions
+from bellows_ros.files.bag_folder import digests, recording_digest
+from bellows_ros.files.results import provenance, versions
 import pytest
 
 

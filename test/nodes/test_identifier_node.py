@@ -37,7 +37,8 @@ def make(ros: Any, **given: object) -> Any:
     """Return a spinning identifier; `__` in the names of parameters stands for a dot."""
     from bellows_ros.nodes.identifier_node import IdentifierNode
 
-    values = {**PACKAGE, 'fit.method': 'least_squares', **{name.replace('__', '.'): value for name, value in given.items()}}
+    named = {name.replace('__', '.'): value for name, value in given.items()}
+    values = {**PACKAGE, 'fit.method': 'least_squares', **named}
     overrides = [Parameter(name, value=value) for name, value in values.items()]
     node = IdentifierNode(context=ros.context, parameter_overrides=overrides)
     ros.executor.add_node(node)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.score import Comparison, score
+from bellows_ros.core.residuals import Comparison, score
 from bellows_ros.errors import BellowsError
 from bellows_ros.plots.prediction import figures, percent, prediction_figure, with_gaps
 from bellows_ros.plots.style import THEMES, write_figure

@@ -4,8 +4,8 @@ from html.parser import HTMLParser
 import json
 import re
 
+from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.files.provenance import digests
 from bellows_ros.files.results import format_json
 from bellows_ros.report import motion, samples
 from bellows_ros.report.build import cup_values, identification_report, replay_report

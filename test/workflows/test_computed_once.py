@@ -21,8 +21,8 @@ EXPENSIVE = {
     'savgol': 'core.savgol',
     'noise_of': 'core.recording.noise',
     'regressor': 'core.model',
-    'with_noise': 'core.identification.equations.added_noise',
-    'envelope': 'core.identification.equations.validity_range',
+    'with_noise': 'core.identification.reduction',
+    'envelope': 'core.identification.samples',
 }
 
 

@@ -10,12 +10,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.identification.prediction.innovations import between, observer
+from bellows_ros.core.equilibrium import largest_step, linearise, static_equilibrium
+from bellows_ros.core.identification.innovations import between, observer
 from bellows_ros.core.jacobians import DAMPING, STIFFNESS
 from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import ModelTuple, State
-from bellows_ros.core.linearisation import largest_step, linearise
 from bellows_ros.core.recording.noise import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
 from bellows_ros.core.savgol import weights
 from bellows_ros.core.sensitivities import advance_changes, columns, workspace

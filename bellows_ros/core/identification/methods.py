@@ -3,28 +3,22 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.advice.excitation import (
-    Excitation,
-    excitation_of,
-    found_by,
-)
-from bellows_ros.core.identification.equations.samples import samples_of
-from bellows_ros.core.identification.reduction import Reduced, reduced
-from bellows_ros.core.identification.regression.least_squares import (
-    common_structure,
-    least_squares,
-)
-from bellows_ros.core.identification.regression.sufficient import Statistics, statistics
+from bellows_ros.core.identification.identifiability import Excitation, excitation_of, found_by
+from bellows_ros.core.identification.least_squares import common_structure, least_squares
+from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
 from bellows_ros.core.identification.result import Fit, Iteration
+from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import Cup, cup_of
 from bellows_ros.core.recording.recording import Recording, TimeOffset
-from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.structure import structure_named
 from bellows_ros.errors import BellowsError
 import numpy as np
+
+if TYPE_CHECKING:
+    from bellows_ros.core.recording.standstills import Standstill
 
 Progress = Callable[[str, float], None]
 
@@ -47,7 +41,7 @@ def fit(
     recordings: Sequence[Recording | Reduced],
     values: Mapping[str, Any],
     progress: Progress | None = None,
-    standstills: Sequence[Standstill] = (),
+    standstills: 'Sequence[Standstill]' = (),
     length_std: float = 0.0,
 ) -> Result:
     """
@@ -161,9 +155,9 @@ def _by_prediction_error(
     recordings: Sequence[Recording], values: Mapping[str, Any], progress: Progress | None
 ) -> Fit:
     """Return the fit to poses."""
-    from bellows_ros.core.identification.hypotheses.variations import LARGEST_OFFSET
     from bellows_ros.core.identification.prediction.prediction_error import prediction_error
     from bellows_ros.core.identification.prediction.segments import Measured, measured_segments
+    from bellows_ros.core.identification.variations import LARGEST_OFFSET
 
     structure = structure_named(values['fit.structure'])
     margin = LARGEST_OFFSET if values['fit.time_offset'] else 0.0

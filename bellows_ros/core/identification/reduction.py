@@ -1,22 +1,319 @@
-"""A recording reduced to what fits and findings need of it, small enough for a file."""
+"""
+A recording reduced to what fits and findings need of it, small enough for a file.
 
-from collections.abc import Mapping
+The weight W of (4.66) comes from the wrenches of all recordings, so it is not known when one is
+reduced; what is kept can be weighted later. For a fit that are sufficient statistics: cluster by
+cluster the rows [L c] of each wrench component, reduced by QR to an R factor with the same inner
+products. Where W couples the components six R factors would not do and those of all products would
+be larger than the samples, so that these themselves are kept. For findings it is the information
+on the cup: a few rows with the inner products of all, and of samples as they would be if the
+sensors had added their noise once more. Both are added up over recordings, wherever they were
+made.
+"""
+
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.envelope import Envelope
-from bellows_ros.core.identification.advice.information import Information, information_of
-from bellows_ros.core.identification.equations.samples import filtered_samples, samples_of
-from bellows_ros.core.identification.equations.validity_range import (
+from bellows_ros.core.identification.equations import joined, LipMotion, Moments, Rows
+from bellows_ros.core.identification.samples import (
     envelope,
+    filtered_samples,
+    PassBand,
     relative_spectra,
+    Samples,
+    samples_of,
     Spectra,
 )
-from bellows_ros.core.identification.regression.sufficient import Statistics, statistics
+from bellows_ros.core.lie import apply, exp_so3
 from bellows_ros.core.model import Package
-from bellows_ros.core.recording.package_world import PackageWorld
-from bellows_ros.core.recording.recording import Recording, TimeOffset
+from bellows_ros.core.recording.noise import ENOUGH, FilterNoise, Noise
+from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOffset
 from bellows_ros.core.structure import Structure, structure_named
+from bellows_ros.core.trajectory import Trajectory, uniform_rate_hz
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+SEED = 20210801
+"""Of the noise that is added; the same recording always gets the same answer."""
+
+
+def draws(count: int) -> list[np.random.Generator]:
+    """Return the generators of so many draws of noise, the first ones always the same."""
+    return np.random.default_rng(SEED).spawn(count)
+
+
+def with_noise(samples: Samples, noise: FilterNoise, draw: np.random.Generator) -> Samples:
+    """Return samples as they would be if the poses had as much noise once more."""
+    return Samples(
+        _noisy(samples.tool, noise.tool, noise.tool_weights, draw),
+        _noisy(samples.package, noise.package, noise.package_weights, draw),
+        samples.payload, samples.gravity, samples.window,
+    )
+
+
+def _noisy(
+    motion: Trajectory, noise: Noise, weights: Array, draw: np.random.Generator
+) -> Trajectory:
+    """
+    Return a filtered motion with filtered white noise added to its value and derivatives.
+
+    Noise of one sample is as the filter makes it, correlated between value and derivatives; that
+    of neighbours is independent, which no mean square and no mean product notices.
+    """
+    root = np.linalg.cholesky(weights @ weights.T)
+    o, phi = (
+        sigma * np.einsum('ij,jnk->ink', root, draw.standard_normal((3, len(motion), 3)))
+        for sigma in noise
+    )
+    if motion.twist is None:
+        raise BellowsError('Samples need twists; filter the recording first.')
+    R, v, w = motion.rotation, motion.twist[:, :3], motion.twist[:, 3:]
+    R_new = exp_so3(phi[0]) @ R
+    R_inverse = np.swapaxes(R_new, -1, -2)
+    v_new = apply(R_inverse, apply(R, v) + o[1])
+    w_new = apply(R_inverse, apply(R, w) + phi[1])
+    acceleration = None
+    if motion.acceleration is not None:
+        dv, dw = motion.acceleration[:, :3], motion.acceleration[:, 3:]
+        linear = apply(R_inverse, apply(R, dv + np.cross(w, v)) + o[2]) - np.cross(w_new, v_new)
+        acceleration = np.hstack([linear, apply(R_inverse, apply(R, dw) + phi[2])])
+    return Trajectory(
+        motion.stamps_ns, motion.position + o[0], R_new, np.hstack([v_new, w_new]),
+        acceleration, motion.valid,
+    )
+
+
+def noise_products(
+    recording: Samples, noise: FilterNoise, cup_length: float, structure: Structure
+) -> Array:
+    """
+    Return the expected products (6, q, 6, q) of what noise adds to the rows [L c], q = p + 1.
+
+    They are sums over all valid samples, of each two components of the wrench, seen by adding
+    noise of the same kind once more. Those of several recordings can be added.
+    """
+    size = 2 * structure.size + 1
+    products = np.zeros((6 * size, 6 * size))
+    draw = np.random.default_rng(SEED)
+    some = recording.thinned(ENOUGH)
+    for block, own in zip(some.blocks(), some.lip.equations(cup_length, structure), strict=False):
+        noisy = with_noise(block, noise, draw).lip.equations(cup_length, structure, keep=False)
+        added = (next(noisy).stacked - own.stacked).reshape(-1, 6 * size)
+        products += added.T @ added
+    part = max(some.count, 1) / max(recording.count, 1)
+    return products.reshape(6, size, 6, size) / part
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """
+    Sufficient statistics of one recording, whatever the weight will be.
+
+    Parameters
+    ----------
+    structure : Structure
+        Of K and P.
+    cup_length : float
+        Nominal length l0, m.
+    used, rejected : int
+        Valid samples, and the others.
+    moments : Moments
+        Of the needed wrenches.
+    r_factors : ndarray (C, 6, q, q)
+        For each of C clusters and each component the R factor of its rows [L c], q = p + 1; none
+        where the structure couples the components.
+    lip : LipMotion or None
+        There instead, the motion of the lip itself.
+    noise : ndarray (6, q, 6, q) or None
+        What noise adds to the products of the rows (see `noise_products`), where it is known.
+
+    """
+
+    structure: Structure
+    cup_length: float
+    used: int
+    rejected: int
+    moments: Moments
+    r_factors: Array
+    lip: LipMotion | None
+    noise: Array | None
+
+    def rows(self) -> Iterator[Rows]:
+        """Yield rows [L c], or such with the same inner products, cluster by cluster."""
+        if self.lip is not None:
+            yield from self.lip.equations(self.cup_length, self.structure)
+        elif len(self.r_factors):
+            count, _, size, _ = self.r_factors.shape
+            rows = self.r_factors.transpose(0, 2, 1, 3).reshape(count * size, 6, size)
+            clusters = [slice(k * size, (k + 1) * size) for k in range(count)]
+            yield Rows(rows[..., :-1], rows[..., -1], clusters)
+
+
+def statistics(
+    samples: Samples, cup_length: float, structure: Structure, noise: FilterNoise | None = None
+) -> Statistics:
+    """
+    Return the sufficient statistics of a recording, which may be without valid samples.
+
+    Parameters
+    ----------
+    samples : Samples
+        Of the recording.
+    cup_length : float
+        Nominal length l0, m.
+    structure : Structure
+        Which entries of K and P are free.
+    noise : FilterNoise, optional
+        Of the recording; without it nothing is known of the bias that it causes.
+
+    """
+    size = 2 * structure.size + 1
+    r_factors = [np.empty((0, 6, size, size))]
+    if not structure.couples:
+        for L, c, clusters in samples.lip.equations(cup_length, structure):
+            rows = np.dstack([L, c]).swapaxes(0, 1)
+            r_factors += [_component_r_factors(rows[:, part])[None] for part in clusters]
+    wrenches = (samples.lip.wrench[block] for block in samples.lip.blocks())
+    return Statistics(
+        structure, cup_length, samples.count, len(samples.tool) - samples.count,
+        joined(Moments.of(part) for part in wrenches), np.concatenate(r_factors),
+        samples.lip if structure.couples else None,
+        None if noise is None else noise_products(samples, noise, cup_length, structure),
+    )
+
+
+def _component_r_factors(rows: Array) -> Array:
+    """Return the R factors (6, q, q) of the rows [L c] (6, N, q) of a cluster."""
+    size = rows.shape[2]
+    few = np.zeros((6, max(size - rows.shape[1], 0), size))
+    return np.asarray(np.linalg.qr(np.concatenate([rows, few], axis=1), mode='r'))
+
+
+DRAWS = 4
+"""How often noise is added."""
+
+BAND = 0.9
+"""Part of the power of a velocity that its frequency band holds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """
+    The information of one recording.
+
+    Parameters
+    ----------
+    wrench : Moments
+        Of the needed wrenches, N and N m.
+    strain, twist : Moments
+        Of the lip's displacement from nominal (m, rad) and of its twist (m/s, rad/s), in the tool.
+    strain_noise, twist_noise : Moments
+        Of the noise in them; of nothing where the noise is not known.
+    bands_hz : ndarray (2, 6)
+        Frequencies between which most of the twist's power lies; nan where nothing moves.
+    rows : ndarray (1 or 1 + DRAWS, M, 6, q)
+        Rows [L c], q = p + 1, with the inner products of all samples' rows; then those of samples
+        with noise once more, where it is known. Products of different components of the wrench
+        are right only where the structure couples these.
+    added : ndarray (p, 6, 6)
+        Products of what such noise changes in each column, of each two components; mean of draws.
+    passed : PassBand or None
+        What the filter leaves of the twist; None where its noise is not known.
+
+    """
+
+    wrench: Moments
+    strain: Moments
+    twist: Moments
+    strain_noise: Moments
+    twist_noise: Moments
+    bands_hz: Array
+    rows: Array
+    added: Array
+    passed: PassBand | None
+
+
+def information_of(
+    samples: Samples,
+    cup_length: float,
+    structure: Structure,
+    noise: FilterNoise | None = None,
+    spectra: Spectra | None = None,
+) -> Information:
+    """
+    Return the information of a recording.
+
+    Parameters
+    ----------
+    samples : Samples
+        Of the recording.
+    cup_length : float
+        Nominal length l0, m.
+    structure : Structure
+        Which entries of K and P are free.
+    noise : FilterNoise, optional
+        Of the recording; without it nothing is known of what noise adds.
+    spectra : Spectra, optional
+        Those of `relative_spectra`, where they are known already.
+
+    Raises
+    ------
+    BellowsError
+        Without valid samples.
+
+    """
+    twists = (spectra or relative_spectra(samples, cup_length)).twist
+    rate_hz = uniform_rate_hz(samples.package.stamps_ns)
+    samples = samples.thinned(ENOUGH)
+    lip = samples.lip
+    first, added = _rows(lip, None, cup_length, structure)
+    rows = [first]
+    moved = np.array([lip.displacement(cup_length), lip.twist])
+    noise_moved, passed = np.empty((2, 0, 6)), None
+    if noise is not None:
+        for draw in draws(DRAWS):
+            noisy = with_noise(samples, noise, draw).lip
+            again, changed = _rows(lip, noisy, cup_length, structure)
+            rows.append(again)
+            added += changed / DRAWS
+        noisy = with_noise(samples, noise, np.random.default_rng(SEED)).lip
+        noise_moved = np.array([noisy.displacement(cup_length), noisy.twist]) - moved
+        passed = PassBand.of(twists, rate_hz, noise)
+    return Information(
+        Moments.of(lip.wrench), Moments.of(moved[0]), Moments.of(moved[1]),
+        Moments.of(noise_moved[0]), Moments.of(noise_moved[1]),
+        np.array(twists.band(BAND)), np.array(rows), added, passed,
+    )
+
+
+def _rows(
+    lip: LipMotion, noisy: LipMotion | None, cup_length: float, structure: Structure
+) -> tuple[Array, Array]:
+    """Return the few rows of (noisy) samples, and products of what noise changes in columns."""
+    rows = np.zeros((1, 6, 2 * structure.size + 1))
+    added = np.zeros((2 * structure.size, 6, 6))
+    others = noisy and noisy.equations(cup_length, structure, keep=False)
+    for here in lip.equations(cup_length, structure):
+        there = next(others) if others else here
+        rows = _few(np.concatenate([rows, np.dstack([there.A, there.b])]), structure)
+        change = (there.A - here.A).transpose(2, 1, 0)
+        added += change @ change.swapaxes(1, 2)
+    return _few(rows, structure), added
+
+
+def _few(rows: Array, structure: Structure) -> Array:
+    """Return few rows (M, 6, q) with the inner products of many (N, 6, q)."""
+    count, _, size = rows.shape
+    # One R factor of all components side by side, or one of each component.
+    groups = 1 if structure.couples else 6
+    columns = 6 // groups * size
+    stacked = np.zeros((groups, max(count, columns), columns))
+    stacked[:, :count] = rows.reshape(count, groups, columns).swapaxes(0, 1)
+    r_factors = np.asarray(np.linalg.qr(stacked, mode='r'))
+    return r_factors.swapaxes(0, 1).reshape(columns, 6, size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import math
 
 from bellows_ros.core.arrays import Array
+from bellows_ros.core.equilibrium import displaced
 from bellows_ros.core.holding import Grip
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.lie import apply, exp_so3, log_so3, quaternion_to_rotation
-from bellows_ros.core.linearisation import displaced
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.release import flight, Held, pushed_off, STRIDE
 from bellows_ros.core.simulation import state_row, tool_rows

@@ -4,7 +4,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.equations.identifiable import without
+from bellows_ros.core.identification.equations import without
 from bellows_ros.core.structure import Structure, structure_named, STRUCTURES
 import numpy as np
 

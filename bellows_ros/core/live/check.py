@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bellows_ros.core.gravity import gravity_of
 from bellows_ros.core.live.load import equivalent_box, Load
 from bellows_ros.core.live.payload import prepared
 from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
 from bellows_ros.core.live.uncertainty import Uncertainty
 from bellows_ros.core.live.vacuum import check_thresholds
 from bellows_ros.core.model import cup_of, package_of
+from bellows_ros.core.parameters import gravity_of
 from bellows_ros.errors import BellowsError
 import numpy as np
 

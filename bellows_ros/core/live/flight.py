@@ -7,11 +7,11 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
+from bellows_ros.core.equilibrium import largest_step
 from bellows_ros.core.holding import grip_of
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.landing import aim, by_state, changed, figures, release_deviations
 from bellows_ros.core.lie import quaternion_to_rotation
-from bellows_ros.core.linearisation import largest_step
 from bellows_ros.core.live.payload import extrapolated
 from bellows_ros.core.live.samples import Prediction, ZERO
 from bellows_ros.core.release import (

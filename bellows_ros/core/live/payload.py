@@ -5,10 +5,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.integrator import advance
+from bellows_ros.core.equilibrium import (
+    largest_step,
+    static_equilibrium,
+    substeps_for,
+    system_matrix,
+)
 from bellows_ros.core.jit import kernel
 from bellows_ros.core.kernels import (
+    advance,
     cup_wrench,
     lip_relative_to_tool,
     lip_wrench,
@@ -16,7 +21,6 @@ from bellows_ros.core.kernels import (
     State,
     Wrench,
 )
-from bellows_ros.core.linearisation import largest_step, substeps_for, system_matrix
 from bellows_ros.core.live.samples import Prediction, ZERO
 from bellows_ros.core.live.settling import Modes, modes_of, Settling
 from bellows_ros.core.model import Cup, model_tuple, Package

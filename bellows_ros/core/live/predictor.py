@@ -12,7 +12,6 @@ import math
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.holding import ratio, safety_factors
 from bellows_ros.core.kernels import ModelTuple, State
-from bellows_ros.core.limits import LARGEST_RATE, LARGEST_SPEED
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import deflection
 from bellows_ros.core.live.pairing import Pairing
@@ -22,7 +21,7 @@ from bellows_ros.core.live.screening import FrameChange, lengths, Screen
 from bellows_ros.core.live.twist_check import in_tool_axes, misfit, TwistCheck
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.observer import Observer
-from bellows_ros.core.screening import LONGEST_GAP_NS
+from bellows_ros.core.screening import LARGEST_RATE, LARGEST_SPEED, LONGEST_GAP_NS
 from bellows_ros.core.tool_twist import PoseHistory
 from bellows_ros.core.tuples import normalised, Quaternion, Vector
 import numpy as np

@@ -11,7 +11,7 @@ from bellows_ros.core.lie import quaternion_to_rotation
 from bellows_ros.core.live.predictor import LivePredictor
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.resampling import resample
-from bellows_ros.core.score import compare, Comparison
+from bellows_ros.core.residuals import compare, Comparison
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.core.tuples import Vector
 from bellows_ros.errors import BellowsError

@@ -14,9 +14,16 @@ import math
 from typing import NamedTuple
 
 from bellows_ros.core.jit import kernel
-from bellows_ros.core.limits import LARGEST_RATE, LARGEST_SPEED
 from bellows_ros.core.live.samples import ZERO
-from bellows_ros.core.screening import ACCEPTED, GOOD, StampScreen, Verdict, why_no_pose
+from bellows_ros.core.screening import (
+    ACCEPTED,
+    GOOD,
+    LARGEST_RATE,
+    LARGEST_SPEED,
+    StampScreen,
+    Verdict,
+    why_no_pose,
+)
 from bellows_ros.core.tuples import (
     dot,
     log_quaternion,

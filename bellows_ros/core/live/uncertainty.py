@@ -24,11 +24,10 @@ import math
 from typing import Any
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.equilibrium import linearise, static_equilibrium
 from bellows_ros.core.jacobians import parameter_jacobian
 from bellows_ros.core.kernels import Blocks, ModelTuple, State
 from bellows_ros.core.lie import hat
-from bellows_ros.core.linearisation import linearise
 from bellows_ros.core.live.samples import ORIGIN, Prediction, Unsettled, ZERO
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.parameters import matrix

@@ -11,11 +11,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array
+from bellows_ros.core.equilibrium import linearise, substeps_for
 from bellows_ros.core.jacobians import COM, INERTIA, LENGTH, MASS, PARAMETERS, WRENCH
 from bellows_ros.core.jit import kernel
 from bellows_ros.core.kernels import ModelTuple, PackageTuple, State
 from bellows_ros.core.lie import hat
-from bellows_ros.core.linearisation import linearise, substeps_for
 from bellows_ros.core.sensitivities import advance_changes, workspace
 from bellows_ros.core.tuples import (
     add,

@@ -14,9 +14,8 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.integrator import tool_at, tool_segment
-from bellows_ros.core.kernels import ModelTuple, State
-from bellows_ros.core.linearisation import resting_on_tool
+from bellows_ros.core.equilibrium import resting_on_tool
+from bellows_ros.core.kernels import ModelTuple, State, tool_at, tool_segment
 from bellows_ros.core.observer.alarms import Alarm, Alarms, extended
 from bellows_ros.core.observer.filter import (
     BIAS,

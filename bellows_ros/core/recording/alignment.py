@@ -11,13 +11,18 @@ same transformations, with the identity in them.
 from dataclasses import dataclass
 
 from bellows_ros.core.arrays import Array, Mask
-from bellows_ros.core.gravity import DOWN, levelling
 from bellows_ros.core.lie import apply, exp_so3, log_so3
-from bellows_ros.core.recording.grid import DEVIATION_PER_MAD
+from bellows_ros.core.resampling import DEVIATION_PER_MAD
 from bellows_ros.core.trajectory import frozen, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
+
+DOWN = np.array([0.0, 0.0, -1.0])
+"""Where gravity points in a world whose z is up."""
+
+PARALLEL = 1e-12
+"""Sine of an angle that is none, or half a turn."""
 
 WORLDS = ('z_up', 'motive_y_up')
 PACKAGE_FRAMES = ('com', 'lip')
@@ -376,3 +381,18 @@ def _require_rest(
 def _mm(vector: Array) -> str:
     """Return a vector in mm, in words."""
     return ', '.join(f'{1e3 * x:.1f}' for x in vector)
+
+
+def levelling(direction: ArrayLike) -> Array:
+    """
+    Return the smallest rotation (3, 3) that turns a direction to -z.
+
+    Poses of a world in which gravity has that direction become those of one whose z is up; where
+    it points to z, the half turn is about x.
+    """
+    down = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
+    axis = np.cross(down, DOWN)
+    sine, cosine = float(np.linalg.norm(axis)), float(down @ DOWN)
+    if sine < PARALLEL:
+        return np.eye(3) if cosine > 0.0 else np.diag([1.0, -1.0, -1.0])
+    return np.asarray(exp_so3(axis / sine * np.arctan2(sine, cosine)))

@@ -5,7 +5,6 @@ It brings the package's poses into the frame of the tool's before anything else 
 """
 
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import (
@@ -17,8 +16,6 @@ from bellows_ros.core.lie import (
     rotation_to_quaternion,
     transform,
 )
-from bellows_ros.core.parameter_table import short
-from bellows_ros.core.parameters import ESTIMATE
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
@@ -34,27 +31,6 @@ LEAST_TURN = 0.02
 """Rotation (rad) between two poses that says anything about the turn between the worlds."""
 
 
-class PackageWorld(NamedTuple):
-    """
-    The pose of the package's world in the tool's, as it was found.
-
-    Position (m) and quaternion (x y z w) (7,), and standard errors (6,) of the position at the
-    middle of the package's way (m) and of the rotation (rad), in axes of the tool's world.
-    """
-
-    pose: Array
-    std: Array
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it with its units, for a JSON file."""
-        return {
-            'position': self.pose[:3], 'quaternion_xyzw': self.pose[3:],
-            'position_std': self.std[:3], 'rotation_std': self.std[3:],
-            'units': {'position': 'm', 'quaternion_xyzw': '1', 'position_std': 'm',
-                      'rotation_std': 'rad'},
-        }
-
-
 def pose_of(text: str) -> Array:
     """Return the seven numbers (7,) of recording.package_world."""
     return np.array([float(part) for part in text.split()])
@@ -66,26 +42,6 @@ def in_tool_world(package: PoseStream, pose: Array, frame_id: str) -> PoseStream
     return replace(
         package, frame_id=frame_id, position=pose[:3] + apply(R, package.position),
         rotation=R @ package.rotation)
-
-
-def require_one_frame(tool: PoseStream, package: PoseStream) -> None:
-    """
-    Refuse poses in two frames between which no transform is given.
-
-    Raises
-    ------
-    BellowsError
-        With the remedy.
-
-    """
-    if tool.frame_id and package.frame_id and tool.frame_id != package.frame_id:
-        raise BellowsError(
-            f"The poses of '{tool.name}' are in frame '{short(tool.frame_id)}', those of "
-            f"'{package.name}' in '{short(package.frame_id)}': they cannot be compared without "
-            f'the transform between the two. Set recording.package_world: {ESTIMATE} to have it '
-            'found, or to its seven numbers (x y z qx qy qz qw); '
-            "'0 0 0 0 0 0 1' where both names mean one frame."
-        )
 
 
 def closed_form(

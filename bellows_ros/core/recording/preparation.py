@@ -20,7 +20,6 @@ from bellows_ros.core.recording.alignment import (
     standstill,
 )
 from bellows_ros.core.recording.excursions import Step
-from bellows_ros.core.recording.grid import on_grid, Timing, timing
 from bellows_ros.core.recording.outliers import find_outliers, Outliers, repeats_in_motion
 from bellows_ros.core.recording.recording import (
     PrepareSettings,
@@ -29,7 +28,7 @@ from bellows_ros.core.recording.recording import (
     StreamReport,
     TimeOffset,
 )
-from bellows_ros.core.resampling import resample
+from bellows_ros.core.resampling import on_grid, resample, Timing, timing
 from bellows_ros.core.savgol import savgol
 from bellows_ros.core.trajectory import (
     Filtered,

@@ -12,12 +12,14 @@ from typing import Any, NamedTuple, TypeVar
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.model import Package, STANDARD_GRAVITY
+from bellows_ros.core.parameter_table import short
+from bellows_ros.core.parameters import ESTIMATE
 from bellows_ros.core.recording.alignment import Alignment, BodyStandstill, world_rotation
-from bellows_ros.core.recording.grid import Timing
 from bellows_ros.core.recording.noise import FilterNoise, Noise, noise_of, resampled_weights
 from bellows_ros.core.recording.outliers import Outliers
-from bellows_ros.core.recording.package_world import PackageWorld
+from bellows_ros.core.resampling import Timing
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
+from bellows_ros.errors import BellowsError
 import numpy as np
 
 T = TypeVar('T')
@@ -125,6 +127,27 @@ class StreamReport:
             'gaps': [{'start_ns': gap.start_ns, 'duration_s': gap.duration_s}
                      for gap in self.timing.gaps],
             'filtered_samples_left_out': self.touched,
+        }
+
+
+class PackageWorld(NamedTuple):
+    """
+    The pose of the package's world in the tool's, as it was found.
+
+    Position (m) and quaternion (x y z w) (7,), and standard errors (6,) of the position at the
+    middle of the package's way (m) and of the rotation (rad), in axes of the tool's world.
+    """
+
+    pose: Array
+    std: Array
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it with its units, for a JSON file."""
+        return {
+            'position': self.pose[:3], 'quaternion_xyzw': self.pose[3:],
+            'position_std': self.std[:3], 'rotation_std': self.std[3:],
+            'units': {'position': 'm', 'quaternion_xyzw': '1', 'position_std': 'm',
+                      'rotation_std': 'rad'},
         }
 
 
@@ -296,3 +319,23 @@ class Recording:
             'lateral_offset': {'value': self.alignment.lateral_offset, 'unit': 'm'},
             'warnings': self.report.warnings,
         }
+
+
+def require_one_frame(tool: PoseStream, package: PoseStream) -> None:
+    """
+    Refuse poses in two frames between which no transform is given.
+
+    Raises
+    ------
+    BellowsError
+        With the remedy.
+
+    """
+    if tool.frame_id and package.frame_id and tool.frame_id != package.frame_id:
+        raise BellowsError(
+            f"The poses of '{tool.name}' are in frame '{short(tool.frame_id)}', those of "
+            f"'{package.name}' in '{short(package.frame_id)}': they cannot be compared without "
+            f'the transform between the two. Set recording.package_world: {ESTIMATE} to have it '
+            'found, or to its seven numbers (x y z qx qy qz qw); '
+            "'0 0 0 0 0 0 1' where both names mean one frame."
+        )

@@ -6,15 +6,16 @@ At rest no damper and no acceleration take part: the package hangs where spring 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.envelope import Envelope
 from bellows_ros.core.lie import exp_so3, log_so3
 from bellows_ros.core.model import Package
 from bellows_ros.core.recording.alignment import BLOCK_SECONDS
 from bellows_ros.core.recording.noise import Noise
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.score import relative_coordinates
+from bellows_ros.core.residuals import relative_coordinates
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -223,3 +224,16 @@ def _error(tool: Trajectory, package: Trajectory, noise: tuple[Noise, Noise]) ->
         float(np.sqrt(max((a**2 + b**2) / len(package), np.mean(variances[part]))))
         for a, b, part in zip(*noise, (slice(0, 3), slice(3, 6)), strict=True)
     ))
+
+
+def with_standstills(
+    known: Envelope, standstills: Sequence[Standstill], cup_length: float
+) -> Envelope:
+    """Return a validity range with the deflections of standstills in it; these have no rates."""
+    nominal = np.array([0.0, 0.0, -cup_length, 0.0, 0.0, 0.0])
+    deflections = np.array([still.lip - nominal for still in standstills])
+    return replace(
+        known,
+        deflection_low=np.minimum(known.deflection_low, deflections.min(axis=0)),
+        deflection_high=np.maximum(known.deflection_high, deflections.max(axis=0)),
+    )

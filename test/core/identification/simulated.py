@@ -2,13 +2,10 @@
 
 import functools
 
-from bellows_ros.core.identification.advice.excitation import excitation_of
-from bellows_ros.core.identification.advice.information import information_of
-from bellows_ros.core.identification.equations.whitening import Moments
-from bellows_ros.core.identification.regression.least_squares import (
-    least_squares as fit_statistics,
-)
-from bellows_ros.core.identification.regression.sufficient import statistics
+from bellows_ros.core.identification.equations import Moments
+from bellows_ros.core.identification.identifiability import excitation_of
+from bellows_ros.core.identification.least_squares import least_squares as fit_statistics
+from bellows_ros.core.identification.reduction import information_of, statistics
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.recording.preparation import prepare

@@ -1,6 +1,6 @@
 """The information of a motion, against differences of innovations and the scatter of estimates."""
 
-from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.equilibrium import displaced, static_equilibrium
 from bellows_ros.core.identification.fisher import (
     information,
     innovation_changes,
@@ -8,10 +8,9 @@ from bellows_ros.core.identification.fisher import (
     standard_errors,
     Tracking,
 )
-from bellows_ros.core.identification.prediction.innovations import innovations, observer
+from bellows_ros.core.identification.innovations import innovations, observer
 from bellows_ros.core.identification.prediction.segments import in_motion
 from bellows_ros.core.lie import exp_so3, rotation_to_quaternion
-from bellows_ros.core.linearisation import displaced
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.recording.noise import Noise
 from bellows_ros.core.resampling import resample

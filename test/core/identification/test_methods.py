@@ -1,8 +1,8 @@
 """What the methods of fitting make of prepared recordings."""
 
-from bellows_ros.core.identification.equations.samples import samples_of
 from bellows_ros.core.identification.methods import start_cup
-from bellows_ros.core.identification.regression.sufficient import statistics
+from bellows_ros.core.identification.reduction import statistics
+from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.structure import STRUCTURES
 import numpy as np
 from numpy.testing import assert_allclose

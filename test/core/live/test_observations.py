@@ -2,17 +2,16 @@
 
 import math
 
-from bellows_ros.core.cups import with_chosen_cup
-from bellows_ros.core.inertia import box_inertia
 from bellows_ros.core.live import health
 from bellows_ros.core.live.health import InputSeen, Level, Mismatch, PredictionSeen
 from bellows_ros.core.live.load import deflection, equivalent_box, lip_position, Load, Safety
 from bellows_ros.core.live.samples import ORIGIN, Prediction
 from bellows_ros.core.live.timing import Arrivals, KEPT, Quantiles, Rhythm, Window
 from bellows_ros.core.live.vacuum import check_thresholds, PressureSwitch, why_no_pressure
-from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.model import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.parameters import resolve
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import with_chosen_cup
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

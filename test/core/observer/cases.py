@@ -1,8 +1,7 @@
 """A package whose true motion is known, under a tool seen with noise, and a camera."""
 
-from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.integrator import advance, tool_at, tool_segment
-from bellows_ros.core.linearisation import largest_step, substeps_for
+from bellows_ros.core.equilibrium import largest_step, static_equilibrium, substeps_for
+from bellows_ros.core.kernels import advance, tool_at, tool_segment
 from bellows_ros.core.live.payload import prepared
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.observer import Observer

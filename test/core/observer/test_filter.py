@@ -1,7 +1,6 @@
 """The filter against a dense one of its own making, by differences."""
 
-from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.linearisation import largest_step
+from bellows_ros.core.equilibrium import largest_step, static_equilibrium
 from bellows_ros.core.model import model_tuple
 from bellows_ros.core.observer.filter import (
     carried,

@@ -1,8 +1,8 @@
 """Tracking faults found in motions whose faults are known, and none found in honest motions."""
 
 from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.recording.grid import timing
 from bellows_ros.core.recording.outliers import find_outliers, repeats_in_motion
+from bellows_ros.core.resampling import timing
 from bellows_ros.core.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal

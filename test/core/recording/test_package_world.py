@@ -13,9 +13,9 @@ from bellows_ros.core.recording.package_world import (
     closed_form,
     in_tool_world,
     pose_of,
-    require_one_frame,
     shifted_pose,
 )
+from bellows_ros.core.recording.recording import require_one_frame
 from bellows_ros.core.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 import numpy as np

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.identification.equations.samples import samples_of
+from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.lie import log_so3
 from bellows_ros.core.recording.relative_filter import (
     composed,

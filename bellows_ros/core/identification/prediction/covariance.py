@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.identification.prediction.minimum import Found, Search
-from bellows_ros.core.identification.prediction.pose_noise import SMALLEST
+from bellows_ros.core.identification.prediction.segments import SMALLEST
 from bellows_ros.core.identification.prediction.whitening import Root, Whitened
 import numpy as np
 

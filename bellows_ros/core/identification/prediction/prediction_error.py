@@ -10,11 +10,10 @@ from collections.abc import Callable
 import time
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.equations.identifiable import without
-from bellows_ros.core.identification.prediction.cone import minimum_in_cone
+from bellows_ros.core.identification.equations import without
 from bellows_ros.core.identification.prediction.covariance import Certainty, certainty
 from bellows_ros.core.identification.prediction.equations import Segment
-from bellows_ros.core.identification.prediction.minimum import Found, Search
+from bellows_ros.core.identification.prediction.minimum import Found, minimum_in_cone, Search
 from bellows_ros.core.identification.prediction.segments import Measured
 from bellows_ros.core.identification.result import (
     definiteness_warnings,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.prediction.equations import Equations, STEPS
-from bellows_ros.core.identification.prediction.pose_noise import PoseNoise
+from bellows_ros.core.identification.prediction.segments import PoseNoise
 from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.linalg import lapack

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.equations.identifiable import covariance_of, information_of
-from bellows_ros.core.identification.equations.wrenches import lip_relative, needed_wrench
+from bellows_ros.core.identification.equations import covariance_of, information_of
 from bellows_ros.core.identification.result import definiteness_warnings, Fit, StandstillPart
+from bellows_ros.core.identification.samples import lip_relative, needed_wrench
 from bellows_ros.core.lie import apply, exp_so3
 from bellows_ros.core.model import regressor
 from bellows_ros.core.recording.standstills import Standstill

@@ -1,7 +1,7 @@
 """Recordings of a laboratory in which one thing is not as said, or the cup is no ideal one."""
 
 from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.integrator import advance
+from bellows_ros.core.kernels import advance
 from bellows_ros.core.lie import apply, exp_so3, quaternion_to_rotation
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.recording.preparation import prepare

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.identification.hypotheses.free import refined_preparation
+from bellows_ros.core.identification.free import refined_preparation
 from bellows_ros.core.model import Cup
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.errors import BellowsError

@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from bellows_ros.core.identification.hypotheses.hypotheses import diagnose
+from bellows_ros.core.identification.hypotheses import diagnose
 from bellows_ros.core.jit import COMPILED
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.errors import BellowsError

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
+from bellows_ros.core.identification.consistency import same_cup
 from bellows_ros.core.identification.prediction.prediction_error import prediction_error
-from bellows_ros.core.identification.validation.consistency import same_cup
 from bellows_ros.core.model import Cup
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.trajectory import Trajectory

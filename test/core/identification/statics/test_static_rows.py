@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.identification.equations.identifiable import covariance_of
-from bellows_ros.core.identification.equations.samples import samples_of
+from bellows_ros.core.identification.equations import covariance_of
+from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.statics.static_rows import (
     joined_with_standstills,
     Length,

@@ -1,1 +1,0 @@
-"""What recordings can tell, before and beside a fit."""

@@ -1,0 +1,458 @@
+"""
+Two fits of a cup side by side: what differs, whether it can be chance, and whether it matters.
+
+A difference is significant where the standard errors of both fits do not explain it; it matters
+where it changes the predicted motion: rest poses, natural frequencies, damping, response to a
+shake. The standard errors of these follow from those of the parameters by first derivatives.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.equilibrium import linearise, static_equilibrium
+from bellows_ros.core.identification.result import parameter_units
+from bellows_ros.core.kernels import ModelTuple
+from bellows_ros.core.lie import adjoint, exp_so3, quaternion_to_rotation, transform
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.residuals import relative_coordinates
+from bellows_ros.core.simulation import simulate
+from bellows_ros.core.structure import common_structure, Structure
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from scipy.special import chdtrc, ndtr
+
+SIGNIFICANT = 0.05
+"""Probability of chance below which a difference is called significant."""
+
+TILT = 0.35
+"""rad, by which the tool is tilted for the second rest pose: 20 degrees."""
+
+SHAKE_HZ, SHAKE_M, SHAKE_RAD, SHAKE_S, SHAKE_RATE_HZ = 3.0, 5e-3, 0.05, 2.0, 240.0
+"""A motion like that of the thesis, at 3 Hz in all directions at once, to try both cups on."""
+
+MATTERS_SHIFT, MATTERS_TURN = 1e-4, 1e-3
+"""Changes of a pose that matter, m and rad: what motion capture sees."""
+
+MATTERS_FREQUENCY, MATTERS_DAMPING = 0.02, 0.10
+"""Changes that matter, as parts: of a natural frequency, of a damping ratio."""
+
+COINCIDE = 0.02
+"""Natural frequencies that are closer than this part have no shapes of their own."""
+
+AXES_PART = 1e-6
+"""Of the trace of the damping: what turns shapes that are alike in all to the axes."""
+
+STEP = 1e-4
+"""Relative step of the derivatives by parameters."""
+
+ORDINALS = ('first', 'second', 'third', 'fourth', 'fifth', 'sixth')
+GROUPS = ((0, 1), (2,), (3, 4), (5,))
+GROUP_NAMES = ('lateral', 'axial', 'bending', 'torsion')
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """
+    What a comparison needs of a fit.
+
+    Parameters
+    ----------
+    structure : Structure
+        Form of K and P.
+    cup : Cup
+        K, P and l0.
+    covariance : ndarray (2 n, 2 n)
+        Of the free parameters, in the order of the structure's labels; may hold inf or NaN for
+        parameters that are not determined.
+
+    """
+
+    structure: Structure
+    cup: Cup
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        """Check the covariance's shape."""
+        size = 2 * self.structure.size
+        if np.shape(self.covariance) != (size, size):
+            raise BellowsError(
+                f'The covariance of a fit with the structure {self.structure.name} must have the '
+                f'shape {(size, size)}, got {np.shape(self.covariance)}.'
+            )
+
+    def entries(self, other: Structure) -> tuple[Array, Array]:
+        """Return the parameters of another structure (2 m,) and their covariance (2 m, 2 m)."""
+        x = self.structure.parameters(self.cup.stiffness, self.cup.damping)
+        size = len(x)
+        jacobian = np.column_stack(
+            [other.parameters(*self.structure.matrices(row)) for row in np.eye(size)]
+        )
+        return other.parameters(self.cup.stiffness, self.cup.damping), _spread(
+            jacobian, self.covariance)
+
+
+@dataclass(frozen=True)
+class Change:
+    """
+    One number in both fits.
+
+    Parameters
+    ----------
+    name, unit : str
+        What it is.
+    before, after : float
+        Its values.
+    before_std, after_std : float
+        Standard errors; infinite where the data say nothing.
+    matters : bool
+        Whether the change is so large that it matters, be it chance or not.
+
+    """
+
+    name: str
+    unit: str
+    before: float
+    after: float
+    before_std: float
+    after_std: float
+    matters: bool = False
+
+    @property
+    def percent(self) -> float:
+        """Change in percent of the value before."""
+        return 100.0 * (self.after / self.before - 1.0) if self.before else float('nan')
+
+    @property
+    def standard_errors(self) -> float:
+        """Change in standard errors of the difference of independent fits; NaN where none are."""
+        std = float(np.hypot(self.before_std, self.after_std))
+        if std == 0.0:
+            return float('nan')
+        return (self.after - self.before) / std if np.isfinite(std) else 0.0
+
+    @property
+    def p_value(self) -> float:
+        """Probability of so large a change by chance."""
+        return float(2.0 * ndtr(-abs(self.standard_errors)))
+
+    @property
+    def significant(self) -> bool:
+        """Whether chance does not explain it."""
+        return self.p_value < SIGNIFICANT
+
+
+@dataclass(frozen=True)
+class FitComparison:
+    """
+    What differs between two fits.
+
+    Parameters
+    ----------
+    parameters : tuple of Change
+        Entries of K and P of the richer structure of both.
+    effects : tuple of Change
+        Rest poses, natural frequencies and damping ratios with the same package.
+    shake_rms : ndarray (6,)
+        RMS difference of the predicted motion relative to the tool under a shake, m and rad.
+    p_value : float
+        Probability of so large a change of all parameters together by chance.
+
+    """
+
+    parameters: tuple[Change, ...]
+    effects: tuple[Change, ...]
+    shake_rms: Array
+    p_value: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether chance does not explain the changes of the parameters together."""
+        return self.p_value < SIGNIFICANT
+
+    @property
+    def shake_matters(self) -> bool:
+        """Whether the predicted motion differs by more than motion capture sees."""
+        shift, turn = self.shake_rms[:3].max(), self.shake_rms[3:].max()
+        return bool(shift > MATTERS_SHIFT or turn > MATTERS_TURN)
+
+    @property
+    def matters(self) -> bool:
+        """Whether predictions differ by more than what does not matter, and not by chance."""
+        shaken = self.shake_matters and self.significant
+        return shaken or any(effect.matters and effect.significant for effect in self.effects)
+
+    @property
+    def open_effects(self) -> tuple[Change, ...]:
+        """Effects that differ by an amount that would matter, but may do so by chance."""
+        return tuple(e for e in self.effects if e.matters and not e.significant)
+
+
+def compare_fits(
+    before: Fitted, after: Fitted, package: Package, gravity: float
+) -> FitComparison:
+    """
+    Compare two fits of a cup, and what they predict for a package.
+
+    Parameters
+    ----------
+    before, after : Fitted
+        The two; taken as independent of each other.
+    package : Package
+        What the cups are to hold.
+    gravity : float
+        m/s^2 along -z of the world.
+
+    Raises
+    ------
+    BellowsError
+        If one of the cups cannot hold the package.
+
+    """
+    structure = common_structure(before.structure, after.structure)
+    sides = before.entries(structure), after.entries(structure)
+    stds = [_deviations(covariance) for _, covariance in sides]
+    changes = tuple(
+        Change(*own)
+        for own in zip(
+            structure.labels, parameter_units(structure), sides[0][0].tolist(),
+            sides[1][0].tolist(), stds[0].tolist(), stds[1].tolist(), strict=True,
+        )
+    )
+    return FitComparison(
+        parameters=changes,
+        effects=_effects(before, after, package, gravity),
+        shake_rms=_shaken_apart(before.cup, after.cup, package, gravity),
+        p_value=_together(sides[1][0] - sides[0][0], sides[0][1] + sides[1][1]),
+    )
+
+
+@dataclass(frozen=True)
+class Mode:
+    """
+    A mode of small motions about the package at rest.
+
+    Parameters
+    ----------
+    direction : str
+        In which most of the elastic energy is.
+    frequency, damping : float
+        Natural frequency (Hz) and damping ratio.
+    shape : ndarray (6,)
+        Displacement of B times the root of the mass matrix: shapes of one package are orthonormal.
+
+    """
+
+    direction: str
+    frequency: float
+    damping: float
+    shape: Array
+
+
+def modes(
+    cup: Cup, package: Package, gravity: float, like: Sequence[Mode] = ()
+) -> list[Mode]:
+    """
+    Return the six modes, lowest first; or each in the place of the one it is most like.
+
+    They are those of small undamped motions about where the package hangs from an upright tool at
+    rest, under gravity (m/s^2): its weight pulls a bent cup straight, as it does a pendulum. With
+    the modes scaled to unit modal mass, the damping ratio is phi^T C phi / (2 omega): exact where
+    damping is proportional, and to first order otherwise. The name is that of the direction, at
+    the middle of the cup where its spring is (3.13), in which most of the elastic energy is.
+    Modes whose frequencies coincide have no shapes of their own: they get those in which damping
+    does not couple them.
+    """
+    model = model_tuple(cup, package, gravity)
+    zero = (0.0, 0.0, 0.0)
+    tool = (zero, (0.0, 0.0, 0.0, 1.0), zero, zero)
+    jacobian = linearise(model, tool, static_equilibrium(model, tool))
+    mass = _mass_matrix(package)
+    root = np.linalg.cholesky(mass)
+    inverse = np.linalg.inv(root)
+    stiffness = -inverse @ (mass @ jacobian.body_pose) @ inverse.T
+    damping = -inverse @ (mass @ jacobian.body_twist) @ inverse.T
+    stiffness = 0.5 * (stiffness + stiffness.T)
+    middle_body = adjoint(transform(np.eye(3), package.com - [0.0, 0.0, 0.5 * cup.length]))
+    found = []
+    for shape in _shapes(stiffness, 0.5 * (damping + damping.T)).T:
+        omega = float(np.sqrt(max(shape @ stiffness @ shape, 0.0)))
+        ratio = float(shape @ damping @ shape) / (2.0 * omega) if omega else float('inf')
+        middle = middle_body @ (inverse.T @ shape)
+        direction = _direction(middle, cup.stiffness)
+        found.append(Mode(direction, omega / (2.0 * np.pi), ratio, shape))
+    return _in_order_of(like, found) if like else found
+
+
+def _shapes(stiffness: Array, damping: Array) -> Array:
+    """Return orthonormal eigenvectors of the stiffness; of equal ones those of the damping."""
+    squares, vectors = np.linalg.eigh(stiffness)
+    apart = np.diff(squares) > 2.0 * COINCIDE * np.abs(squares[1:])
+    axes = np.diag(np.arange(6.0)) * AXES_PART * float(np.trace(damping))
+    for group in np.split(np.arange(6), np.flatnonzero(apart) + 1):
+        inside = vectors[:, group]
+        vectors[:, group] = inside @ np.linalg.eigh(inside.T @ (damping + axes) @ inside)[1]
+    return np.asarray(vectors)
+
+
+def _in_order_of(like: Sequence[Mode], found: Sequence[Mode]) -> list[Mode]:
+    """Return modes in the order of others, those with the most similar shapes first."""
+    overlap = np.array([[abs(float(a.shape @ b.shape)) for b in found] for a in like])
+    ordered = list(found)
+    for _ in like:
+        i, j = divmod(int(np.argmax(overlap)), len(found))
+        ordered[i] = found[j]
+        overlap[i, :] = overlap[:, j] = -1.0
+    return ordered
+
+
+def _mass_matrix(package: Package) -> Array:
+    """Return the inertia (6, 6) of the package at B."""
+    mass = np.zeros((6, 6))
+    mass[:3, :3] = package.mass * np.eye(3)
+    mass[3:, 3:] = package.inertia
+    return mass
+
+
+def _direction(displacement: Array, stiffness: Array) -> str:
+    """Return the name of the directions with most elastic energy of a displacement (6,)."""
+    energy = np.abs(displacement * (stiffness @ displacement))
+    return GROUP_NAMES[int(np.argmax([energy[list(group)].sum() for group in GROUPS]))]
+
+
+def _spread(jacobian: Array, covariance: Array) -> Array:
+    """Return the covariance of what has these slopes (m, n) by parameters; inf stays infinite."""
+    known = np.isfinite(np.diag(covariance))
+    inner = np.where(np.outer(known, known), covariance, 0.0)
+    result = jacobian @ inner @ jacobian.T
+    unknown = np.any(jacobian[:, ~known] != 0.0, axis=1)
+    result[unknown, unknown] = np.inf
+    return np.asarray(result)
+
+
+def _deviations(covariance: Array) -> Array:
+    """Return standard errors."""
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+
+
+def _together(difference: Array, covariance: Array) -> float:
+    """Return the probability of a difference by chance, of the parameters with a covariance."""
+    std = _deviations(covariance)
+    known = np.isfinite(std) & (std > 0.0)
+    if not known.any():
+        return float('nan')
+    scaled = covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
+    d = difference[known] / std[known]
+    values, vectors = np.linalg.eigh(scaled)
+    kept = values > 1e-9 * values[-1]
+    return float(chdtrc(np.sum(kept), np.sum((vectors.T @ d)[kept] ** 2 / values[kept])))
+
+
+def _effects(
+    before: Fitted, after: Fitted, package: Package, gravity: float
+) -> tuple[Change, ...]:
+    """Return the changes of what the cups do with the package."""
+    like = modes(before.cup, package, gravity)
+    names = [_predicted(fit.cup, package, gravity, like) for fit in (before, after)]
+    stds = [_predicted_std(fit, package, gravity, like) for fit in (before, after)]
+    changes = []
+    for i, (name, unit, limit, value) in enumerate(names[0]):
+        new = names[1][i][3]
+        size = abs(new - value) if unit in ('m', 'rad') else abs(new - value) / abs(value)
+        changes.append(
+            Change(name, unit, value, new, stds[0][i], stds[1][i], matters=bool(size > limit))
+        )
+    return tuple(changes)
+
+
+def _predicted(
+    cup: Cup, package: Package, gravity: float, like: Sequence[Mode]
+) -> list[tuple[str, str, float, float]]:
+    """Return name, unit, what change matters, and value of what a cup does with a package."""
+    found = []
+    for words, angle in (('hanging', 0.0), (f'tool tilted by {np.degrees(TILT):.0f} deg', TILT)):
+        shift, turn = _rest(cup, package, gravity, angle)
+        found.append((f'shift of the lip at rest, {words}', 'm', MATTERS_SHIFT, shift))
+        if angle:
+            found.append((f'turn of the lip at rest, {words}', 'rad', MATTERS_TURN, turn))
+    for ordinal, known, mode in zip(
+            ORDINALS, like, modes(cup, package, gravity, like), strict=True):
+        name = f'{ordinal} mode ({known.direction})'
+        found.append((f'frequency of the {name}', 'Hz', MATTERS_FREQUENCY, mode.frequency))
+        found.append((f'damping ratio of the {name}', '', MATTERS_DAMPING, mode.damping))
+    return found
+
+
+def _rest(cup: Cup, package: Package, gravity: float, angle: float) -> tuple[float, float]:
+    """Return how far (m) and by how much (rad) the lip is off its nominal pose at rest."""
+    zero = (0.0, 0.0, 0.0)
+    half = 0.5 * angle
+    tool = (zero, (float(np.sin(half)), 0.0, 0.0, float(np.cos(half))), zero, zero)
+    model: ModelTuple = model_tuple(cup, package, gravity)
+    body = static_equilibrium(model, tool)
+    R_world_tool, R = quaternion_to_rotation(np.array([tool[1], body[1]]))
+    o_E_S = R_world_tool.T @ (np.array(body[0]) - R @ package.com)
+    turn = np.arccos(np.clip(0.5 * (np.trace(R_world_tool.T @ R) - 1.0), -1.0, 1.0))
+    return float(np.linalg.norm(o_E_S + [0.0, 0.0, cup.length])), float(turn)
+
+
+def _predicted_std(
+    fit: Fitted, package: Package, gravity: float, like: Sequence[Mode]
+) -> list[float]:
+    """Return the standard errors of `_predicted`, by central differences."""
+    x = fit.structure.parameters(fit.cup.stiffness, fit.cup.damping)
+
+    def values(at: Array) -> Array:
+        """Return what a cup of these parameters does."""
+        cup = Cup(*fit.structure.matrices(at), fit.cup.length)
+        return np.array([value for *_, value in _predicted(cup, package, gravity, like)])
+
+    jacobian = _jacobian(values, x, _steps(fit.structure, x))
+    return [float(std) for std in _deviations(_spread(jacobian, fit.covariance))]
+
+
+def _steps(structure: Structure, x: Array) -> Array:
+    """Return steps for the parameters: relative to the diagonal entries that belong to each."""
+    stiffness, damping = structure.matrices(x)
+    sizes = []
+    for matrix in (stiffness, damping):
+        root = np.sqrt(np.abs(np.diag(matrix)))
+        sizes += [float(root[i] * root[j]) for i, j in structure.leads]
+    return STEP * np.array(sizes)
+
+
+def _jacobian(function: Callable[[Array], Array], x: Array, steps: Array) -> Array:
+    """Return derivatives (m, n) of a function of n numbers."""
+    columns = [
+        (function(x + step) - function(x - step)) / (2.0 * step.sum()) for step in np.diag(steps)
+    ]
+    return np.array(columns).T
+
+
+def _shaken_apart(before: Cup, after: Cup, package: Package, gravity: float) -> Array:
+    """Return the RMS difference (6,) of the motion in the tool under the same shake."""
+    tool = shake()
+    seen: Sequence[Array] = [
+        relative_coordinates(tool, simulate(cup, package, tool, gravity=gravity))
+        for cup in (before, after)
+    ]
+    return np.asarray(np.sqrt(np.mean((seen[1] - seen[0]) ** 2, axis=0)))
+
+
+def shake() -> Trajectory:
+    """Return a tool that swings at 3 Hz in all six directions, out of step, from standstill."""
+    stamps = np.arange(int(SHAKE_S * SHAKE_RATE_HZ) + 1) * round(NS_PER_S / SHAKE_RATE_HZ)
+    t = stamps / NS_PER_S
+    omega = 2.0 * np.pi * SHAKE_HZ
+    grown, rate = 1.0 - np.exp(-(4.0 * t) ** 2), 32.0 * t * np.exp(-(4.0 * t) ** 2)
+    phases = np.arange(3) * 2.0 * np.pi / 3.0
+    wave, slope = np.sin(omega * t[:, None] + phases), np.cos(omega * t[:, None] + phases)
+    position = SHAKE_M * grown[:, None] * wave
+    velocity = SHAKE_M * (rate[:, None] * wave + omega * grown[:, None] * slope)
+    angle = SHAKE_RAD * grown * wave[:, 0]
+    spin = SHAKE_RAD * (rate * wave[:, 0] + omega * grown * slope[:, 0])
+    axis = np.array([1.0, 1.0, 1.0]) / np.sqrt(3.0)
+    R = exp_so3(angle[:, None] * axis)
+    body = np.einsum('nji,nj->ni', R, velocity)
+    return Trajectory(stamps, position, R, np.hstack([body, spin[:, None] * axis]))

@@ -1,0 +1,172 @@
+"""Whether fits of several recordings or packages found the same cup."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.equations import covariance_of, information_of
+from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.structure import structure_named
+from bellows_ros.errors import BellowsError
+import numpy as np
+from scipy.special import chdtrc
+
+SIGNIFICANT = 0.01
+"""Probability of such differences by chance below which the cups are said to differ."""
+
+ERRORS_OF_CHANCE = 3.0
+"""Standard errors from which a single parameter's difference is taken as no chance."""
+
+MATTERS = 0.05
+"""Relative differences of a parameter from the mean that are worth a word."""
+
+
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """
+    Outcome of the test.
+
+    Parameters
+    ----------
+    statistic, probability : float
+        Wald's chi^2, and the probability of a larger one if all cups are the same.
+    degrees : int
+        Degrees of freedom.
+    mean : ndarray (p,)
+        Weighted mean of the parameters.
+    deviations : ndarray (n, p)
+        Of each fit from the mean, in its own standard errors; 0 where it does not know.
+    of_stiffness, of_damping : float
+        The same probability for K alone, and for P alone; NaN where nothing can be compared.
+    verdict : str
+        In words.
+
+    """
+
+    statistic: float
+    probability: float
+    degrees: int
+    mean: Array
+    deviations: Array
+    of_stiffness: float
+    of_damping: float
+    verdict: str
+
+    @property
+    def differs(self) -> bool:
+        """Whether the cups are said to differ."""
+        return self.probability < SIGNIFICANT
+
+
+def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
+    """
+    Test whether independent fits of one structure found the same K and P.
+
+    Parameters
+    ----------
+    fits : sequence of Fit
+        At least two, of different recordings.
+    names : sequence of str
+        What tells them apart, such as the packages' masses.
+
+    Raises
+    ------
+    BellowsError
+        If there are fewer than two, or their parameters are not the same.
+
+    """
+    if len(fits) < 2 or any(fit.labels != fits[0].labels for fit in fits):
+        raise BellowsError(
+            'Whether cups are the same needs at least two fits of the same structure.'
+        )
+    x = np.array([parameters_of(fit) for fit in fits])
+    sizes = _sizes(fits[0], x[0])
+    relative = x / sizes
+    covariances = [fit.covariance / np.outer(sizes, sizes) for fit in fits]
+    mean, statistic, degrees = _compared(relative, covariances)
+    probability = float(chdtrc(degrees, statistic)) if degrees else float('nan')
+    half = x.shape[1] // 2
+    parts = [
+        _probability(relative[:, part], [c[part, part] for c in covariances])
+        for part in (slice(0, half), slice(half, None))
+    ]
+    std = np.sqrt([np.diag(c) for c in covariances])
+    away = np.where(np.isfinite(std), relative - mean, 0.0)
+    deviations = away / np.where(std > 0.0, std, np.inf)
+    relative_size = np.divide(away, mean, out=np.zeros_like(away), where=mean != 0.0)
+    verdict = _verdict(fits[0].labels, names, relative_size, deviations, probability, parts)
+    return Consistency(
+        statistic, probability, degrees, mean * sizes, deviations, parts[0], parts[1], verdict
+    )
+
+
+def _sizes(fit: Fit, x: Array) -> Array:
+    """Return typical sizes of the parameters, with which they are made near one."""
+    sizes = []
+    for matrix in (fit.stiffness, fit.damping):
+        root = np.sqrt(np.abs(np.diag(matrix)))
+        sizes += [root[i] * root[j] for i, j in structure_named(fit.structure).leads]
+    return np.where(np.array(sizes) > 0.0, sizes, 1.0)
+
+
+def _compared(x: Array, covariances: Sequence[Array]) -> tuple[Array, float, int]:
+    """Return the weighted mean (p,), Wald's chi^2 about it, and its degrees of freedom."""
+    weights = [information_of(covariance) for covariance in covariances]
+    total = np.sum(weights, axis=0)
+    together = covariance_of(total)
+    known = np.isfinite(np.diag(together))
+    together = np.where(np.outer(known, known), together, 0.0)
+    mean = together @ np.sum([W @ row for W, row in zip(weights, x, strict=True)], axis=0)
+    statistic = float(sum((r - mean) @ W @ (r - mean) for r, W in zip(x, weights, strict=True)))
+    known_alone = [np.isfinite(np.diag(covariance)) for covariance in covariances]
+    return mean, statistic, int(np.sum(known_alone) - np.sum(known))
+
+
+def _probability(x: Array, covariances: Sequence[Array]) -> float:
+    """Return the probability of larger differences by chance; NaN where none can be seen."""
+    _, statistic, degrees = _compared(x, covariances)
+    return float(chdtrc(degrees, statistic)) if degrees else float('nan')
+
+
+def parameters_of(fit: Fit) -> Array:
+    """Return the values of a fit's labels."""
+    return structure_named(fit.structure).parameters(fit.stiffness, fit.damping)
+
+
+def _verdict(
+    labels: Sequence[str], names: Sequence[str], relative: Array, deviations: Array, p: float,
+    parts: Sequence[float],
+) -> str:
+    """Return the outcome in words."""
+    if np.isnan(p):
+        return 'No parameter is identifiable from two of the recordings: nothing can be compared.'
+    if p >= SIGNIFICANT:
+        return (
+            f'The fits are of one cup as far as they can tell: K and P are the same for '
+            f'{_listed(names)} (differences as large come by chance with a probability of '
+            f'{p:.2g}).'
+        )
+    row, column = divmod(int(np.argmax(np.abs(deviations))), deviations.shape[1])
+    size = float(relative[row, column])
+    which = _which(parts)
+    said = (
+        f'The fits are not of one cup (chance {p:.1g}): {which} not the same for '
+        f'{_listed(names)}; {labels[column]} of {names[row]} is '
+        f'{abs(size) * 100:.2g} % {"above" if size > 0 else "below"} the common value, '
+        f'{abs(deviations[row, column]):.1f} standard errors.'
+    )
+    large = np.abs(relative[np.abs(deviations) > ERRORS_OF_CHANCE])
+    if not (large > MATTERS).any():
+        return f'{said} What is no chance is below {MATTERS * 100:g} %, which hardly matters.'
+    return f'{said} The model of stiffness and damping may not hold over this range.'
+
+
+def _which(parts: Sequence[float]) -> str:
+    """Return which of K and P differ, for a sentence."""
+    differ = [name for name, p in zip('KP', parts, strict=True) if p < SIGNIFICANT]
+    return f'{differ[0]} is' if len(differ) == 1 else 'K and P are'
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as in a sentence."""
+    return ' and '.join(filter(None, [', '.join(names[:-1]), names[-1]]))

@@ -1,1 +1,0 @@
-"""The linear equations in K and P that both methods, advice and validation stand on."""

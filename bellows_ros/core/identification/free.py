@@ -1,0 +1,319 @@
+"""What is found together with K and P because the user set it free, or did not know it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.identification import variations
+from bellows_ros.core.identification.equations import IN_NULL_SPACE
+from bellows_ros.core.identification.objective import (
+    DRAWS,
+    Evidence,
+    evidence_of,
+    Objective,
+    Solved,
+)
+from bellows_ros.core.identification.variations import Given, Variation
+from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.recording.alignment import Alignment
+from bellows_ros.core.recording.recording import Recording, TimeOffset
+from bellows_ros.core.structure import Structure
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+ROUNDS, HALVINGS = 12, 5
+
+CONVERGED = 0.05
+"""A round that goes less far than this part of the standard error is the last."""
+
+SINGULAR = 1e-10
+"""Eigenvalues of scaled information below this are no information."""
+
+
+class Block(NamedTuple):
+    """
+    Numbers that are varied together.
+
+    Parameters
+    ----------
+    name : str
+        As in fit.free.
+    vary : Variation
+        What they do to a recording.
+    steps : tuple of float
+        Change of each for derivatives.
+    raster : tuple of float
+        Values of one of them that are tried first: where the weight stretches the cup by less
+        than what is off, its stiffness has the wrong sign in a false minimum.
+    raster_of : int
+        Which one that is.
+    furthest : float
+        No round goes further than so many steps.
+    each : bool
+        Whether each recording has its own.
+
+    """
+
+    name: str
+    vary: Variation
+    steps: tuple[float, ...]
+    raster: tuple[float, ...] = ()
+    raster_of: int = 0
+    furthest: float = 200.0
+    each: bool = False
+
+    def size(self, recordings: int) -> int:
+        """Return how many numbers there are for so many recordings."""
+        return len(self.steps) * (recordings if self.each else 1)
+
+
+class Refined(NamedTuple):
+    """Numbers (n,), their covariance (n, n), infinite where not identifiable, and what is left."""
+
+    theta: Array
+    covariance: Array
+    solved: Solved
+
+    @property
+    def std(self) -> Array:
+        """Standard errors (n,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def varied(blocks: Sequence[Block], theta: Array) -> Callable[[Sequence[Given]], list[Given]]:
+    """Return what varies recordings by the numbers of blocks, one after the other."""
+    def vary(given: Sequence[Given]) -> list[Given]:
+        """Return the recordings varied."""
+        changed, first = list(given), 0
+        for block in blocks:
+            width = len(block.steps)
+            for number, own in enumerate(changed):
+                start = first + (number * width if block.each else 0)
+                changed[number] = block.vary(own, theta[start:start + width])
+            first += block.size(len(given))
+        return changed
+    return vary
+
+
+def refine(
+    objective: Objective, evidence: Evidence, blocks: Sequence[Block], start: Array | None = None,
+    rounds: int = ROUNDS,
+) -> Refined:
+    """
+    Return the numbers of blocks with which noise explains most.
+
+    They are looked for from a start, or from 0 and values on a raster where none is given.
+    """
+    count = len(evidence.given)
+    steps = np.concatenate([np.tile(b.steps, b.size(count) // len(b.steps)) for b in blocks])
+    far = np.concatenate([np.full(b.size(count), b.furthest) for b in blocks]) * steps
+
+    def at(theta: Array) -> Solved:
+        """Return what is left at some numbers."""
+        return objective.solved(evidence.varied(varied(blocks, theta)))
+
+    theta = _on_raster(objective, evidence, blocks, len(steps)) if start is None else start
+    here = at(theta)
+    for _ in range(rounds):
+        gradient, D = _derivatives(at, theta, here, steps)
+        step = -_inverse(D.T @ D)[0] @ gradient
+        step *= min(1.0, float(np.min(far / np.maximum(np.abs(step), 1e-300))))
+        for _ in range(HALVINGS):
+            further = at(theta + step)
+            if further.excess < here.excess:
+                break
+            step = 0.5 * step
+        else:
+            return Refined(theta, _covariance(here, D), here)
+        theta, here = theta + step, further
+        covariance = _covariance(here, D)
+        if np.all(np.abs(step) <= CONVERGED * np.sqrt(np.diag(covariance))):
+            break
+    return Refined(theta, covariance, here)
+
+
+def _on_raster(
+    objective: Objective, evidence: Evidence, blocks: Sequence[Block], size: int
+) -> Array:
+    """Return the numbers (size,) on the rasters of blocks that explain most, 0 without any."""
+    theta, first, count = np.zeros(size), 0, len(evidence.given)
+    quiet = Evidence(evidence.given, ())
+    least = objective.solved(quiet).excess
+    for block in blocks:
+        for place in range(first, first + block.size(count), len(block.steps)):
+            for value in block.raster:
+                there = theta.copy()
+                there[place + block.raster_of] = value
+                excess = objective.solved(quiet.varied(varied(blocks, there))).excess
+                if excess < least:
+                    theta, least = there, excess
+        first += block.size(count)
+    return theta
+
+
+def _derivatives(
+    at: Callable[[Array], Solved], theta: Array, here: Solved, steps: Array
+) -> tuple[Array, Array]:
+    """Return half the gradient (n,) of the squares left, and the residuals' Jacobian (N, n)."""
+    gradient, columns = np.zeros(len(theta)), []
+    for i, step in enumerate(steps):
+        change = np.zeros(len(theta))
+        change[i] = step
+        after, before = at(theta + change), at(theta - change)
+        gradient[i] = 0.25 * here.residuals * (after.excess - before.excess) / step
+        columns.append(
+            ((after.rows.A - before.rows.A) @ here.x - after.rows.b + before.rows.b)
+            / (2.0 * step))
+    D = np.column_stack(columns)
+    return gradient, D - here.basis @ (here.basis.T @ D)  # what the cup explains as well
+
+
+def _inverse(information: Array) -> tuple[Array, Mask]:
+    """Return the inverse of an information matrix as far as it goes, and what is unknown."""
+    diagonal = np.diag(information)
+    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    known = values > SINGULAR * max(float(values[-1]), SINGULAR)
+    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
+    unknown: Mask = np.any(np.abs(vectors[:, ~known]) > IN_NULL_SPACE, axis=1)
+    return inverse / np.outer(scale, scale), unknown
+
+
+def _covariance(here: Solved, D: Array) -> Array:
+    """Return the covariance that allows for residuals that hang together in clusters."""
+    inverse, unknown = _inverse(D.T @ D)
+    left = here.rows.A @ here.x - here.rows.b
+    scores = np.array([D[part].T @ left[part] for part in here.rows.clusters])
+    covariance: Array = inverse @ scores.T @ scores @ inverse
+    covariance[np.ix_(unknown, unknown)] = 0.0
+    covariance[unknown, unknown] = np.inf
+    return covariance
+
+
+RASTER = 0.01
+"""Time (s) between the offsets tried first: the residuals of motions up to 10 Hz have one dip."""
+
+LARGEST_ERROR = 3e-4
+"""An offset whose standard error is larger (s) is not identifiable."""
+
+WORLD_ERROR = 5e-3
+"""The same of the transform between two worlds, m and rad."""
+
+FALLS = 0.9
+"""Residuals that fall to this part up to the largest offset tell that the true one is larger."""
+
+FEWEST_SECONDS = 3.0
+"""Valid samples of less time than this (s) tell nothing."""
+
+_OFFSETS = tuple(RASTER * i for i in range(-10, 11))
+
+_HEIGHTS = (-8e-3, -4e-3, -2e-3, -1e-3, 1e-3, 2e-3, 4e-3, 8e-3)
+
+BLOCKS = {
+    'time_offset': Block('time_offset', variations.time_offset, (1e-4,), _OFFSETS, 0, 100.0, True),
+    'com': Block('com', variations.com, (1e-5,) * 3, _HEIGHTS, 2, furthest=1000.0),
+    'length': Block('length', variations.length, (1e-5,), _HEIGHTS, furthest=500.0),
+    'inertia': Block('inertia', variations.inertia, (1e-3,) * 3, furthest=1000.0),
+    'mass': Block('mass', variations.mass, (1e-3,), furthest=1000.0),
+    'package_world': Block(
+        'package_world', variations.package_world, (1e-5,) * 6, _HEIGHTS, 2, 5000.0, True),
+    'grip': Block('grip', variations.grip, (1e-5,) * 5, furthest=5000.0, each=True),
+}
+"""What may be set free, by its name in fit.free; the grip with package_world and alignment."""
+
+
+class Found(NamedTuple):
+    """
+    What was found of one recording, None where it was not wanted or is not identifiable.
+
+    The motion of the package's world (6,) about a point (3,), its standard errors (6,), the
+    alignment that belongs to it, and the time offset.
+    """
+
+    world: Array | None
+    world_std: Array
+    middle: Array
+    alignment: Alignment | None
+    offset: TimeOffset | None
+
+
+def refined_preparation(
+    recording: Recording, length: float, structure: Structure, world: bool, offset: bool,
+    rough: bool = False,
+) -> Found:
+    """
+    Find the package's world and the time offset of a recording, together with K and P.
+
+    Parameters
+    ----------
+    recording : Recording
+        Prepared with a first guess of the world.
+    length : float
+        Of the cup, m.
+    structure : Structure
+        Of K and P.
+    world, offset : bool
+        Which of the two is wanted. Where alignment at rest was made, the grip's offset and turn
+        are found with the world.
+    rough : bool
+        Whether it is for a better first guess alone, without regard to noise.
+
+    Raises
+    ------
+    BellowsError
+        If the offset is beyond those looked for, or the world is not identifiable.
+
+    """
+    names = [*(['time_offset'] if offset else []), *(['package_world'] if world else []),
+             *(['grip'] if world and recording.settings.align_at_rest else [])]
+    evidence = evidence_of([recording], length, structure, 0 if rough else DRAWS)
+    if evidence.seconds < FEWEST_SECONDS:
+        return Found(None, np.zeros(6), np.zeros(3), None, None)
+    body = recording.package
+    middle = body.position[body.valid].mean(axis=0)
+    objective = Objective.of(evidence)
+    found = refine(objective, evidence, [BLOCKS[name] for name in names])
+    theta, std = found.theta, found.std
+    taken = None
+    if offset:
+        fallen = found.solved.excess < FALLS * objective.solved(evidence).excess
+        taken = _offset(float(theta[0]), float(std[0]), fallen)
+        theta, std = theta[1:], std[1:]
+    if not world:
+        return Found(None, np.zeros(6), middle, None, taken)
+    if not (rough or np.all(std[:6] < WORLD_ERROR)):
+        raise BellowsError(
+            'recording.package_world is not identifiable from this recording: the standard errors '
+            f'are {_listed(1e3 * std[:3])} mm and {_listed(1e3 * std[3:6])} mrad. Tilt and turn '
+            'the tool more, best with three standstills tilted to different sides, or give its '
+            'seven numbers.'
+        )
+    alignment = _gripped(recording, theta[6:11]) if 'grip' in names else recording.alignment
+    return Found(theta[:6], std[:6], middle, alignment, taken)
+
+
+def _offset(value: float, std: float, fallen: bool) -> TimeOffset | None:
+    """Return a time offset; None where it is not identifiable."""
+    if abs(value) > variations.LARGEST_OFFSET - RASTER / 2.0 and fallen:
+        raise BellowsError(
+            f'The stamps of tool and package are {1e3 * variations.LARGEST_OFFSET:g} ms or more '
+            'apart, and fit.time_offset looks no further. Shift the stamps of one topic by what '
+            'is known.'
+        )
+    return TimeOffset(value, std) if std < LARGEST_ERROR else None
+
+
+def _gripped(recording: Recording, theta: Array) -> Alignment:
+    """Return the alignment of a recording with the grip moved and turned by theta (5,)."""
+    known, R = recording.alignment, exp_so3(theta[2:])
+    way = np.array([theta[0], theta[1], 0.0])
+    # B' is at R_B way from B, and origin_to_com is in axes of the lip, which has turned by R.
+    return replace(
+        known, R_package_markers_lip=known.R_package_markers_lip @ R,
+        origin_to_com=R.T @ (known.origin_to_com + way), lateral_offset=known.lateral_offset - way)
+
+
+def _listed(values: Array) -> str:
+    """Return numbers in words."""
+    return ', '.join(f'{x:.2g}' for x in values)

@@ -1,0 +1,421 @@
+"""
+Which parts of a cup are identifiable from recordings, before anything is fitted.
+
+What the motion changes in the direction of a parameter is information on it. What the sensors add
+there looks like motion, too, but is none, and makes least squares find too little (errors in
+variables). Its part in the equations, and the bias that it causes, are computed by adding noise of
+the same kind once more.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.equations import (
+    joined,
+    Moments,
+    r_factor,
+    regular,
+    Solution,
+    solution,
+    whitening_of,
+)
+from bellows_ros.core.identification.reduction import Information
+from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.identification.samples import PassBand
+from bellows_ros.core.structure import AXES, Structure, structure_named
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+LARGEST_SHARE, SHARE_WEAK = 0.5, 0.05
+"""Noise in a parameter's equations beyond which it is not, and weakly, identifiable."""
+
+PAIRS_SHOWN = 3
+
+DIRECTIONS = {
+    'x': ('Sideways motion along x', 'move the tool along x, or tilt it about y, at 1-3 Hz'),
+    'y': ('Sideways motion along y', 'move the tool along y, or tilt it about x, at 1-3 Hz'),
+    'z': ('Axial motion', 'move the tool up and down at 4-6 Hz'),
+    'rx': ('Bending about x', 'tilt the tool about x, or move it along y, at 1-3 Hz'),
+    'ry': ('Bending about y', 'tilt the tool about y, or move it along x, at 1-3 Hz'),
+    'rz': ('Torsion', 'turn the tool about z at 1-3 Hz'),
+}
+"""What moves, and what would make it move."""
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """
+    How one direction is excited.
+
+    Parameters
+    ----------
+    name : str
+        'x' to 'rz'.
+    strain, motion : float
+        RMS of the lip's displacement in the tool from the nominal pose, and from its own mean; m
+        or rad.
+    twist : float
+        RMS of its velocity, m/s or rad/s.
+    band_hz : (float, float)
+        Frequencies between which 90 % of the velocity's power lies; nan where nothing moves.
+    strain_noise, twist_noise : float
+        Standard deviation of the noise in them after filtering; nan where it is not known.
+
+    """
+
+    name: str
+    strain: float
+    motion: float
+    twist: float
+    band_hz: tuple[float, float]
+    strain_noise: float
+    twist_noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """
+    How identifiable one parameter is.
+
+    Parameters
+    ----------
+    label : str
+        'K x', 'P rz', ...
+    value : float
+        A first estimate, SI; nan where it is not identifiable.
+    noise_share : float
+        Part (0 to 1) of the information on it that is nothing but measurement noise; nan where
+        the noise is not known, 1 where there is no other.
+    bias : float
+        Expected error of least squares that comes from noise, as a part of the value.
+
+    """
+
+    label: str
+    value: float
+    noise_share: float
+    bias: float
+
+    @property
+    def signal_to_noise(self) -> float:
+        """Amplitude of the information from motion over that from noise."""
+        if not self.noise_share > 0.0:
+            return np.inf if self.noise_share == 0.0 else np.nan
+        return float(np.sqrt(max(1.0 / self.noise_share - 1.0, 0.0)))
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether there is information on it beside that of noise."""
+        return not (np.isnan(self.value) or self.noise_share > LARGEST_SHARE)
+
+    @property
+    def weak(self) -> bool:
+        """Whether it is identifiable, but least squares will be noticeably off."""
+        return self.identifiable and bool(
+            self.noise_share > SHARE_WEAK or abs(self.bias) > SHARE_WEAK
+        )
+
+
+def advice(
+    parameters: Sequence[Identifiability],
+    structure: Structure,
+    rank: int,
+    pairs: Sequence[tuple[str, str, float]],
+    source: str,
+    biased: bool = True,
+) -> Iterator[str]:
+    """Yield what the user should know and do; of noise that biases only where it does."""
+    size = structure.size
+    coupled = []
+    for number, entries in enumerate(structure.entries):
+        own = (parameters[number], parameters[size + number])
+        if entries[0][0] == entries[0][1]:
+            yield from _direction_warnings(
+                [AXES[row] for row, _, _ in entries], own, source, biased)
+        else:
+            coupled += [each.label for each in own if not each.identifiable]
+    if coupled:
+        yield (
+            f'{len(coupled)} couplings of directions ({_some(coupled)}) are not identifiable from '
+            f'{source}; take a simpler fit.structure, or move all axes at once, each with '
+            'frequencies of its own.'
+        )
+    if rank < len(parameters):
+        yield (
+            f'Only {rank} of {len(parameters)} combinations of parameters are identifiable. '
+            'Excite all six directions, or take a simpler fit.structure.'
+        )
+    for one, other, correlation in pairs[:PAIRS_SHOWN]:
+        yield (
+            f'{one} and {other} can hardly be separated (correlation {correlation:+.2f}): their '
+            'directions always move together. Move them one without the other.'
+        )
+
+
+def _direction_warnings(
+    axes: list[str], own: tuple[Identifiability, Identifiability], source: str, biased: bool
+) -> Iterator[str]:
+    """Yield what is to be said about a direction's stiffness and damping."""
+    what = ('stiffness', 'damping')
+    unknown = [name for name, each in zip(what, own, strict=True) if not each.identifiable]
+    weak = [(name, each) for name, each in zip(what, own, strict=True) if each.weak and biased]
+    title, advice = DIRECTIONS[axes[0]]
+    if len(axes) > 1:
+        title += f' and {axes[1][-1]}'
+    if unknown:
+        verb = 'are' if len(unknown) > 1 else 'is'
+        yield (
+            f'{title} is hardly excited: its {" and ".join(unknown)} {verb} not identifiable from '
+            f'{source}; {advice}.'
+        )
+    for name, each in weak:
+        share = (f'{each.noise_share:.0%} of the information on its {name} is noise, and'
+                 if each.noise_share > SHARE_WEAK else f'noise disturbs its {name}:')
+        yield (
+            f'{title} is weakly excited: {share} least squares will find it some '
+            f'{abs(each.bias):.0%} too {"small" if each.bias < 0.0 else "large"}. Take '
+            f'fit.method: prediction_error, or {advice}.'
+        )
+
+
+def _some(labels: list[str]) -> str:
+    """Return the first few labels."""
+    shown = ', '.join(labels[:PAIRS_SHOWN])
+    return shown + (', ...' if len(labels) > PAIRS_SHOWN else '')
+
+
+LOST, STANDS_OUT = 0.03, 5.0
+"""
+A direction is too fast if the filter takes more than this part of its velocities.
+
+Velocities count as so many times the power of the noise at least, which is known to some percent.
+"""
+
+
+SHORTEST = 4
+"""Half window (samples) that is the shortest for polynomials of order 6."""
+
+
+def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
+    """
+    Yield a warning for each direction whose motion the filter does not follow.
+
+    Parameters
+    ----------
+    axes : sequence of Axis
+        The six directions.
+    passed : sequence of PassBand
+        Of each recording.
+
+    """
+    if not passed:
+        return
+    power = np.mean([own.power for own in passed], axis=0)
+    lost = np.mean([own.lost for own in passed], axis=0)
+    of_noise = np.mean([own.of_noise for own in passed])
+    floor = np.mean([own.floor for own in passed], axis=0)
+    variance = np.maximum(np.array([axis.twist_noise for axis in axes]) ** 2, floor)
+    moving, lost = power - variance, lost - of_noise * variance
+    least = LOST * np.maximum(moving, STANDS_OUT * variance)
+    first = min(passed, key=lambda own: own.end_hz)
+    for axis, is_lost in zip(axes, lost > least, strict=True):
+        if is_lost:
+            yield _sentence(axis, first)
+
+
+def _sentence(axis: Axis, passed: PassBand) -> str:
+    """Return what is said of a direction that is too fast for the filter, with the remedy."""
+    end, fastest = passed.end_hz, axis.band_hz[1]
+    tool, package = (max(int(n * end / fastest), SHORTEST) for n in passed.half_windows)
+    shorter = (f', or shorter windows (filter.tool.half_window: {tool}, '
+               f'filter.package.half_window: {package})' if fastest > end else '')
+    return (
+        f'{DIRECTIONS[axis.name][0]} of up to {fastest:.1f} Hz is too fast for the filter, which '
+        f'follows up to {end:.1f} Hz: least squares may find its stiffness and damping wrong by '
+        'more than the standard errors say. Take fit.method: '
+        f'prediction_error{shorter}.'
+    )
+
+
+SMALLEST_RATIO = 0.5
+"""An estimate that noise of the same size shrinks by more than this is off by its own size."""
+
+CORRELATED = 0.95
+"""Parameters with estimates correlated by more than this can hardly be separated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """
+    What is identifiable from recordings.
+
+    Parameters
+    ----------
+    structure : str
+        The structure of K and P that was asked for.
+    axes : tuple of Axis
+        The six directions.
+    parameters : tuple of Identifiability
+        The free parameters.
+    rank, size : int
+        How many combinations of parameters are identifiable, of how many.
+    condition_number : float
+        Of the whitened equations with columns of unit length.
+    pairs : tuple of (str, str, float)
+        Parameters that can hardly be separated, and the correlation of their estimates.
+    warnings : tuple of str
+        What the user should know and do, in sentences.
+
+    """
+
+    structure: str
+    axes: tuple[Axis, ...]
+    parameters: tuple[Identifiability, ...]
+    rank: int
+    size: int
+    condition_number: float
+    pairs: tuple[tuple[str, str, float], ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def not_identifiable(self) -> tuple[str, ...]:
+        """Labels of the parameters on which there is no information but that of noise."""
+        return tuple(own.label for own in self.parameters if not own.identifiable)
+
+
+def found_by(
+    fit: Fit, excitation: Excitation, source: str
+) -> Excitation:
+    """Return what recordings can tell with a fit's own verdicts on what is identifiable."""
+    structure = structure_named(fit.structure)
+    values = structure.parameters(fit.stiffness, fit.damping)
+    known = np.isfinite(np.diag(fit.covariance))
+    parameters = tuple(
+        replace(own, value=float(value), noise_share=min(own.noise_share, LARGEST_SHARE))
+        if seen else replace(own, value=np.nan, noise_share=1.0)
+        for own, value, seen in zip(excitation.parameters, values, known, strict=True))
+    spread = np.where(known, np.sqrt(np.diag(fit.covariance)), 1.0)
+    pairs = tuple(_correlated(fit.covariance / np.outer(spread, spread), fit.labels))
+    return replace(
+        excitation, parameters=parameters, rank=int(np.count_nonzero(known)), pairs=pairs,
+        warnings=tuple(advice(parameters, structure, len(known), pairs, source, False)))
+
+
+def excitation_of(
+    parts: Sequence[Information], structure: Structure, filtered: bool = True
+) -> Excitation:
+    """
+    Return what of K and P is identifiable, from the information of each recording.
+
+    Parameters
+    ----------
+    parts : sequence of Information
+        Of each recording.
+    structure : Structure
+        Which entries are to be found.
+    filtered : bool
+        Whether to warn of what biases least squares of filtered motion: noise, and what is too
+        fast for the filter.
+
+    Raises
+    ------
+    BellowsError
+        If there is no valid sample.
+
+    """
+    wrench = joined(part.wrench for part in parts)
+    if not wrench.count:
+        raise BellowsError('No valid sample is left: nothing is identifiable.')
+    whitening = whitening_of(regular(wrench.covariance(structure)))
+    found = solution(_r_factor(parts, 0, whitening), structure)
+    x = np.where(found.identifiable, found.x, np.nan)
+    shares, bias = _noise_effects(parts, structure, whitening, found)
+    parameters = tuple(
+        Identifiability(label, float(value), 1.0 if np.isnan(value) else float(share), float(off))
+        for label, value, share, off in zip(structure.labels, x, shares, bias, strict=True)
+    )
+    axes, pairs = _axes(parts), tuple(_pairs(found, structure.labels))
+    source = 'this recording' if len(parts) == 1 else 'these recordings'
+    fast = too_fast(axes, [part.passed for part in parts if part.passed]) if filtered else ()
+    return Excitation(
+        structure.name, axes, parameters, found.rank, len(x), found.condition_number, pairs,
+        (*advice(parameters, structure, found.rank, pairs, source, filtered), *fast))
+
+
+def _r_factor(parts: Sequence[Information], draw: int, whitening: Array) -> Array:
+    """Return the R factor of the whitened equations, as they are (0) or with noise once more."""
+    size = parts[0].rows.shape[-1]
+    return r_factor(((whitening @ part.rows[draw]).reshape(-1, size) for part in parts), size)
+
+
+def _noise_effects(
+    parts: Sequence[Information], structure: Structure, whitening: Array, found: Solution
+) -> tuple[Array, Array]:
+    """
+    Return the share of noise in the information on each parameter, and its bias.
+
+    Noise that is added once more shrinks the estimates again. An estimate that goes as 1 / (1 + n)
+    with the noise's variance n, as that of one parameter does, was off before by 1 - x / x', where
+    x' is the one with more noise. The share is the noise's energy in a parameter's own column,
+    over the energy of the part of that column that no other parameter explains.
+    """
+    draws = range(1, min(len(part.rows) for part in parts))
+    if not draws:
+        return np.full(2 * structure.size, np.nan), np.full(2 * structure.size, np.nan)
+    added = np.sum([part.added for part in parts], axis=0)
+    energy = np.einsum('ab,pbc,ac->p', whitening, added, whitening)
+    again = [solution(_r_factor(parts, draw, whitening), structure) for draw in draws]
+    later = np.mean([np.where(noisy.identifiable, noisy.x, np.nan) for noisy in again], axis=0)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        share = np.minimum(energy * np.sum(found.inverse**2, axis=1), 1.0)
+        return share, 1.0 - 1.0 / np.maximum(later / found.x, SMALLEST_RATIO)
+
+
+def _axes(parts: Sequence[Information]) -> tuple[Axis, ...]:
+    """Return how the six directions are excited."""
+    strain, twist, strain_noise, twist_noise = (
+        joined(getattr(part, kind) for part in parts)
+        for kind in ('strain', 'twist', 'strain_noise', 'twist_noise')
+    )
+    columns = (
+        _rms(strain), strain.std, _rms(twist), _bands(parts).T.tolist(), strain_noise.std,
+        twist_noise.std,
+    )
+    return tuple(
+        Axis(name, float(lip), float(motion), float(rate), (low, high), float(shake), float(hum))
+        for name, lip, motion, rate, (low, high), shake, hum in zip(AXES, *columns, strict=True)
+    )
+
+
+def _bands(parts: Sequence[Information]) -> Array:
+    """Return the frequencies (2, 6) in Hz between which most of the velocities' power lies."""
+    ends = np.array([part.bands_hz for part in parts])
+    known = np.isfinite(ends[:, 0])
+    low = np.where(known, ends[:, 0], np.inf).min(axis=0)
+    high = np.where(known, ends[:, 1], -np.inf).max(axis=0)
+    return np.where(known.any(axis=0), np.array([low, high]), np.nan)
+
+
+def _rms(moments: Moments) -> Array:
+    """Return the root mean squares (6,)."""
+    return np.asarray(np.hypot(moments.mean, moments.std))
+
+
+def _pairs(found: Solution, labels: Sequence[str]) -> Iterator[tuple[str, str, float]]:
+    """Yield the pairs of parameters that can hardly be separated, the worst first."""
+    gram = found.inverse @ found.inverse.T
+    spread = np.where(found.identifiable, np.sqrt(np.diag(gram)), np.inf)
+    yield from _correlated(gram / np.outer(spread, spread), labels)
+
+
+def _correlated(
+    correlation: Array, labels: Sequence[str]
+) -> Iterator[tuple[str, str, float]]:
+    """Yield the pairs of parameters with nearly the same errors, the worst first."""
+    upper = np.abs(np.triu(correlation, 1))
+    for flat in np.argsort(-upper, axis=None):
+        i, j = divmod(int(flat), upper.shape[1])
+        if upper[i, j] <= CORRELATED:
+            return
+        yield labels[i], labels[j], float(correlation[i, j])

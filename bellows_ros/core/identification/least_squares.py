@@ -1,0 +1,267 @@
+"""
+Weighted linear least squares on accelerations (4.66-4.81).
+
+Sufficient statistics of the recordings are weighted and joined by QR factorisations: the normal
+equations of the raw data are never formed.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.identification.equations import (
+    CLUSTER_WINDOWS,
+    joined,
+    LEAST_SIGNAL,
+    r_factor,
+    regular,
+    Rows,
+    solution,
+    whitening_of,
+    without,
+    WRENCH,
+)
+from bellows_ros.core.identification.reduction import Statistics
+from bellows_ros.core.identification.result import definiteness_warnings, Fit, WRENCH_UNITS
+from bellows_ros.core.structure import Structure
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+SHOWN = 4
+"""Parameters that a sentence names."""
+
+CLUSTERS_PER_PARAMETER = 2
+"""Clusters that correlations of the estimates need at least."""
+
+ENOUGH_CLUSTERS = 10
+"""Clusters that variances of the estimates need at least."""
+
+SMALLEST_SHARE = 1e-3
+"""Least information on a direction in other clusters, as a part, for a residual to count."""
+
+UNEXPLAINED, OF_THE_WRENCH = 1.5, 0.1
+"""Residuals so many times those of noise, and by such a part of the wrench, are too large."""
+
+
+def least_squares(parts: Sequence[Statistics]) -> Fit:
+    """
+    Fit K and P so that the cup's wrench is the one that the motion needs (4.66, 4.74).
+
+    Parameters
+    ----------
+    parts : sequence of Statistics
+        Of recordings of one cup, all with one structure and cup length.
+
+    Returns
+    -------
+    Fit
+        K and P with standard errors that allow for the correlation that the filter's window puts
+        into the residuals, and are infinite where a parameter is not identifiable. Where the noise
+        is known, they hold the bias that it causes as well. A result that is not positive definite
+        is returned as it is, with a warning that says so.
+
+    Raises
+    ------
+    BellowsError
+        If there are none or too few samples, the parts differ in structure or length, or no
+        parameter is identifiable.
+
+    """
+    structure = common_structure(parts)
+    used, rejected = sum(part.used for part in parts), sum(part.rejected for part in parts)
+    if 6 * used <= 2 * structure.size:
+        raise BellowsError(
+            f'{used} valid samples are too few for {2 * structure.size} parameters. Record '
+            'longer, or see in the report why samples were rejected.'
+        )
+    whitening = whitening_of(regular(joined(part.moments for part in parts).covariance(structure)))
+    known = [part.noise for part in parts if part.noise is not None]
+    noise = np.sum(known, axis=0) if len(known) == len(parts) else None
+
+    def rows() -> Iterator[Rows]:
+        """Yield the whitened rows of all parts."""
+        return (own.whitened(whitening) for part in parts for own in part.rows())
+
+    R = r_factor((own.stacked for own in rows()), 2 * structure.size + 1)
+    x, inverse, identifiable, _, condition = solution(R, structure)
+    if not identifiable.any():
+        raise BellowsError(
+            f'{", ".join(structure.labels[:SHOWN])} and all others are not identifiable from '
+            'these recordings: nothing moves. Excite all six directions.'
+        )
+    covariance, squares = _uncertainty(rows, whitening, x, inverse)
+    bias = noise_rms = None
+    if noise is not None:
+        bias = _bias(noise, whitening, x, inverse)
+        covariance = covariance + np.outer(bias, bias)
+        noise_rms = _noise_rms(noise, x, used)
+    covariance = without(covariance, ~identifiable | np.isinf(np.diag(covariance)))
+    residual_rms = np.sqrt(squares / used)
+    stiffness, damping = structure.matrices(x)
+    stiffness_std, damping_std = structure.spread(np.sqrt(np.diag(covariance)))
+    return Fit(
+        method='least_squares',
+        structure=structure.name,
+        stiffness=stiffness,
+        damping=damping,
+        stiffness_std=stiffness_std,
+        damping_std=damping_std,
+        covariance=covariance,
+        labels=structure.labels,
+        samples_used=used,
+        samples_rejected=rejected,
+        condition_number=condition,
+        weight=whitening.T @ whitening,
+        residual_rms=residual_rms,
+        residual_units=WRENCH_UNITS,
+        noise_rms=noise_rms,
+        bias=bias,
+        warnings=(
+            *definiteness_warnings(stiffness, damping, structure.name),
+            *identifiability_warnings(structure.labels, identifiable),
+            *_short_warnings(covariance),
+            *_doubts(residual_rms, noise_rms, whitening),
+        ),
+    )
+
+
+def common_structure(parts: Sequence[Statistics]) -> Structure:
+    """Return the structure of all parts, or raise BellowsError if they are not of one cup."""
+    kinds = {(part.structure.name, part.cup_length) for part in parts}
+    if len(kinds) != 1:
+        found = ', '.join(f'{name} with {length:g} m' for name, length in sorted(kinds))
+        raise BellowsError(
+            'Recordings can be fitted together only where fit.structure and cup.length are the '
+            f'same; these have {found or "none"}. Use one parameter file for all of them.'
+        )
+    return parts[0].structure
+
+
+def _uncertainty(
+    rows: Callable[[], Iterable[Rows]], whitening: Array, x: Array, inverse: Array
+) -> tuple[Array, Array]:
+    """Return the covariance (p, p) of x, however few clusters, and the squares (6,) left."""
+    covariance, squares, clusters = _cluster_robust(rows(), whitening, x, inverse)
+    if clusters < ENOUGH_CLUSTERS:
+        variances = np.maximum(np.diag(covariance), _least_variances(rows(), x, inverse, clusters))
+        covariance = _with_correlations_of(inverse @ inverse.T, variances)
+    return covariance, squares
+
+
+def _cluster_robust(
+    rows: Iterable[Rows], whitening: Array, x: Array, inverse: Array
+) -> tuple[Array, Array, int]:
+    """
+    Return the covariance (p, p) of x, the squares (6,) of wrench residuals, and the clusters.
+
+    The covariance needs no independence of residuals that are less than a cluster apart, and
+    no equal noise (the cluster-robust estimator; with Z = A R^-1 it is
+    R^-1 (sum of u u^T) R^-T, u = (I - Z_j^T Z_j)^-1/2 Z_j^T r_j for cluster j, in which the
+    root makes up for residuals that the fit itself has shrunk). Too few clusters cannot tell the
+    correlations of many parameters; these are then those of the equations.
+    """
+    meat, squares, count = np.zeros((len(x), len(x))), np.zeros(6), 0
+    colour = np.linalg.inv(whitening)
+    for A, b, clusters in rows:
+        r = b - A @ x
+        squares += np.sum((r @ colour.T) ** 2, axis=0)
+        count += len(clusters)
+        for part in clusters:
+            Z = A[part].reshape(-1, len(x)) @ inverse
+            share, V = np.linalg.eigh(np.eye(len(x)) - Z.T @ Z)
+            root = V / np.sqrt(np.maximum(share, SMALLEST_SHARE))
+            u = root @ (V.T @ (Z.T @ r[part].ravel()))
+            meat += np.outer(u, u)
+    covariance = inverse @ meat @ inverse.T
+    if count < CLUSTERS_PER_PARAMETER * len(x):
+        covariance = _with_correlations_of(inverse @ inverse.T, np.diag(covariance))
+    return covariance, squares, count
+
+
+def _least_variances(rows: Iterable[Rows], x: Array, inverse: Array, clusters: int) -> Array:
+    """
+    Return the variances (p,) of x if residuals in a filter window are one, else independent.
+
+    They are infinite where so many windows leave no residual. The last cluster may be short and
+    is not counted. (A fit brings the scores of its clusters to a sum of zero: those of few
+    clusters say next to nothing of the variances, that of one says zero.)
+    """
+    products, squares = np.zeros((6, len(x), len(x))), np.zeros(6)
+    for A, b, _ in rows:
+        Z = np.swapaxes(A @ inverse, 0, 1)
+        products += np.swapaxes(Z, 1, 2) @ Z
+        squares += np.sum((b - A @ x) ** 2, axis=0)
+    degrees = 6 * CLUSTER_WINDOWS * (clusters - 1) - len(x)
+    if degrees <= 0:
+        return np.full(len(x), np.inf)
+    meat = np.tensordot(6.0 * squares / degrees, products, axes=1)
+    return np.asarray(np.diag(inverse @ meat @ inverse.T))
+
+
+def _bias(noise: Array, whitening: Array, x: Array, inverse: Array) -> Array:
+    """
+    Return the expected error (p,) of x that noise in the equations causes.
+
+    With noise that adds M to A^T A and m to A^T b on average, the truth is near
+    (A^T A - M)^-1 (A^T b - m), and the estimate off it by -(A^T A - M)^-1 (M x - m).
+    """
+    added = np.einsum('ij,ipjq->pq', whitening.T @ whitening, noise)
+    share, V = np.linalg.eigh(inverse.T @ added[:-1, :-1] @ inverse)
+    slope = inverse.T @ (added[:-1] @ np.append(x, -1.0))
+    return np.asarray(-inverse @ V @ (V.T @ slope / np.maximum(1.0 - share, LEAST_SIGNAL)))
+
+
+def _noise_rms(noise: Array, x: Array, used: int) -> Array:
+    """Return the RMS of the wrenches (6,) that noise alone would leave unexplained."""
+    left = np.append(x, -1.0)
+    return np.asarray(np.sqrt(np.einsum('p,ipiq,q->i', left, noise, left) / used))
+
+
+def _with_correlations_of(covariance: Array, variances: Array) -> Array:
+    """Return a covariance with the correlations of one and with other variances (p,)."""
+    size = np.sqrt(variances / np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    return np.asarray(covariance * np.outer(size, size))
+
+
+def identifiability_warnings(labels: Sequence[str], identifiable: Mask) -> tuple[str, ...]:
+    """Return a sentence that names the parameters that are not identifiable, or none."""
+    names = [label for label, known in zip(labels, identifiable, strict=True) if not known]
+    if not names:
+        return ()
+    more = f' and {len(names) - SHOWN} more' if len(names) > SHOWN else ''
+    one = len(names) == 1
+    return (
+        f'{", ".join(names[:SHOWN])}{more} {"is" if one else "are"} not identifiable from these '
+        f'recordings; {"its estimate is" if one else "their estimates are"} meaningless. Excite '
+        'all six directions, or take a simpler fit.structure.',
+    )
+
+
+def _short_warnings(covariance: Array) -> tuple[str, ...]:
+    """Return a sentence where no standard error is known, or none."""
+    if np.isfinite(np.diag(covariance)).any():
+        return ()
+    return (
+        'The recordings are too short to say how far off K and P may be: residuals within some '
+        'filter windows are not independent, and too few are left. The standard errors are '
+        'infinite. Record longer.',
+    )
+
+
+def _doubts(left: Array, by_noise: Array | None, whitening: Array) -> tuple[str, ...]:
+    """Return a sentence where a fit leaves more of the wrench (6,) than noise explains."""
+    if by_noise is None:
+        return ()
+    spread = np.linalg.norm(np.linalg.inv(whitening), axis=1)
+    excess = np.sqrt(np.maximum(left**2 - by_noise**2, 0.0)) / spread
+    doubtful = (left > UNEXPLAINED * by_noise) & (excess > OF_THE_WRENCH)
+    if not doubtful.any():
+        return ()
+    worst = int(np.argmax(np.where(doubtful, excess, 0.0)))
+    what, unit = WRENCH[worst]
+    return (
+        f'The model does not explain the recordings: of the {what} {left[worst]:.2g} {unit} RMS '
+        f'are left where noise explains {by_noise[worst]:.2g} {unit}. Check recording.world and '
+        'the other frames, that the topics are not exchanged, package.mass, package.com and '
+        'cup.length, and that both streams are stamped by one clock; or take a richer '
+        'fit.structure, or a shorter filter window where the motion is jerky.',
+    )

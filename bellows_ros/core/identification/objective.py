@@ -1,0 +1,270 @@
+"""
+How well a cup explains a recording, as a function of what was given with it.
+
+The wrench that the motion needs is linear in K and P (4.67), so that these are eliminated: what is
+left is a function of the few numbers that were given (variable projection). Means over short times
+lose hardly any motion and most of the noise of accelerations. What noise adds on average is seen
+by adding noise of the same kind once more, and is taken off: with noise alone nothing is left.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+import functools
+from typing import NamedTuple
+
+from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.identification.equations import Moments, regular
+from bellows_ros.core.identification.reduction import draws
+from bellows_ros.core.identification.samples import samples_of
+from bellows_ros.core.identification.variations import Given, time_offset
+from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.parameter_table import THESIS_DAMPING, THESIS_STIFFNESS
+from bellows_ros.core.recording.noise import Colour, colours_of
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.savgol import savgol
+from bellows_ros.core.structure import Structure
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+import numpy as np
+
+RATE_HZ = 60.0
+"""Samples per second that are looked at, or a few more."""
+
+MEAN_OVER = 0.08
+"""Time (s) over which equations are averaged."""
+
+MEANS = 300
+"""Means that are enough to decide; of longer recordings every so many are looked at."""
+
+FLOOR = 0.01
+"""Part of the wrench that no model of rubber explains."""
+
+DRAWS = 2
+"""How often noise is added."""
+
+CLUSTER = 8
+"""Means that hang together, for standard errors."""
+
+LARGEST_CUP = 3.0
+"""Times the thesis' cup: K and P count up to that in first weights."""
+
+LEAST_SIGNAL = 0.05
+"""Noise is taken to leave at least this part of the information on a direction."""
+
+SMALLEST = 1e-7
+"""Singular values below this part of the largest are nothing."""
+
+
+class Rows(NamedTuple):
+    """Whitened equations A x = b of all recordings (N, p), (N,), and those of their noise."""
+
+    A: Array
+    b: Array
+    clusters: list[slice]
+
+
+Vary = Callable[[Sequence[Given]], Sequence[Given]]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """
+    Recordings, and the same with noise once more.
+
+    Parameters
+    ----------
+    given : tuple of Given
+        Of each recording.
+    noisier : tuple of tuple of Given
+        For each draw the same with noise added.
+
+    """
+
+    given: tuple[Given, ...]
+    noisier: tuple[tuple[Given, ...], ...]
+
+    @property
+    def seconds(self) -> float:
+        """Time (s) that valid samples cover inside the largest time offsets."""
+        return sum(
+            float(np.count_nonzero(inner.valid)) * float(np.median(np.diff(inner.tool.stamps_ns)))
+            / NS_PER_S for inner in (time_offset(own, np.zeros(1)).samples for own in self.given))
+
+    def varied(self, vary: Vary) -> 'Evidence':
+        """Return them with what was given varied."""
+        return Evidence(tuple(vary(self.given)), tuple(tuple(vary(own)) for own in self.noisier))
+
+
+def evidence_of(
+    recordings: Sequence[Recording], length: float, structure: Structure, count: int = DRAWS
+) -> Evidence:
+    """Return recordings and the same with noise once more, thinned."""
+    def given(recording: Recording) -> Given:
+        settings, samples = recording.settings, samples_of(recording)
+        rate = 1e9 / float(np.median(np.diff(samples.package.stamps_ns)))
+        some = samples.thinned(max(int(RATE_HZ / rate * len(samples.tool)), 1))
+        bins = _bins(some.package.stamps_ns)
+        every = -(-int(bins[-1] - bins[0] + 1) * len(recordings) // MEANS)
+        body = replace(some.package, valid=some.package.valid & (bins % every == 0))
+        return Given(replace(some, package=body), length, structure,
+                     settings.package_frame == 'lip', settings.align_at_rest)
+
+    return Evidence(
+        tuple(map(given, recordings)),
+        tuple(tuple(given(_noisier(own, draw)) for own in recordings) for draw in draws(count)))
+
+
+def _noisier(recording: Recording, draw: np.random.Generator) -> Recording:
+    """Return a recording with as much noise once more, through the same filters."""
+    settings = recording.settings
+    tool, package = (
+        _shaken(poses, recording.once(('colours', body), functools.partial(
+            colours_of, poses, getattr(recording.noise, body))), draw)
+        for body, poses in (('tool', recording.aligned_tool),
+                            ('package', recording.aligned_package)))
+    filtered_tool, filtered = (
+        savgol(body, weights.shape[1] // 2, order) for body, weights, order in (
+            (tool, recording.tool_weights, settings.tool_order),
+            (package, recording.package_weights, settings.package_order)))
+    stamps = recording.package.stamps_ns
+    first = int(np.searchsorted(filtered.stamps_ns, stamps[0]))
+    there = resample(filtered_tool, stamps)
+    noisy = replace(
+        recording, package=filtered.select(slice(first, first + len(stamps))),
+        tool=replace(there, valid=recording.tool.valid))
+    if settings.relative:
+        at = int(np.searchsorted(package.stamps_ns, recording.measured_package.stamps_ns[0]))
+        span = slice(at, at + len(recording.measured_package))
+        noisy = replace(
+            noisy, measured_package=package.select(span), measured_tool=replace(
+                resample(tool, recording.measured_tool.stamps_ns),
+                valid=recording.measured_tool.valid))
+    return noisy
+
+
+def _shaken(
+    poses: Trajectory, colours: tuple[Colour, Colour], draw: np.random.Generator
+) -> Trajectory:
+    """Return poses with noise of their kind once more."""
+    way, turn = (colour.drawn(len(poses), draw) for colour in colours)
+    return Trajectory(poses.stamps_ns, poses.position + way, poses.rotation @ exp_so3(turn),
+                      valid=poses.valid)
+
+
+def _bins(stamps_ns: Stamps) -> Stamps:
+    """Return which mean each stamp belongs to, whatever the first one is."""
+    return stamps_ns // int(MEAN_OVER * NS_PER_S)
+
+
+def equations(given: Given) -> Array:
+    """Return means (N, 6, p + 1) of the rows [L c]."""
+    lip = given.samples.lip
+    L = np.concatenate([own.A for own in lip.equations(given.length, given.structure)])
+    rows = np.dstack([L, *_extra(given, L), lip.wrench])
+    bins = _bins(lip.stamps_ns)
+    starts = np.unique(bins, return_index=True)[1]
+    counts = np.diff([*starts, len(bins)])
+    full = counts >= 0.7 * np.median(counts)
+    return np.asarray(np.add.reduceat(rows, starts, axis=0)[full] / counts[full, None, None])
+
+
+def _extra(given: Given, L: Array) -> list[Array]:
+    """Return columns of a cup that drifts or is not linear."""
+    n, lip = given.structure.size, given.samples.lip
+    if given.extra == 'drift':
+        since = (lip.stamps_ns - lip.stamps_ns[0]) / NS_PER_S
+        return [(since / since[-1] - 0.5)[:, None, None] * L[:, :, :n]]
+    if given.extra == 'cubic':
+        strain = lip.displacement(given.length)
+        radial = np.hypot(strain[:, 0], strain[:, 1]), np.hypot(strain[:, 3], strain[:, 4])
+        size = np.array([radial[0], radial[0], strain[:, 2], radial[1], radial[1], strain[:, 5]])
+        leads = [row for row, column in given.structure.leads if row == column]
+        own = [i for i, (row, column) in enumerate(given.structure.leads) if row == column]
+        square = (size[leads] / np.abs(size[leads]).max(axis=1, keepdims=True)) ** 2
+        return [square.T[:, None, :] * L[:, :, own]]
+    return []
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """
+    What noise does not explain, in wrenches weighted by what is expected of them.
+
+    Parameters
+    ----------
+    weight : ndarray (6,)
+        One over the standard deviation of each component of a mean's residual.
+
+    """
+
+    weight: Array
+
+    @classmethod
+    def of(cls, evidence: Evidence, sound: bool = False) -> 'Objective':
+        """
+        Return the objective whose weights come from noise, and a small part of the wrench.
+
+        Noise in the cup's wrench grows with K and P. These may be absurd where what was given is
+        wrong; unless it is sound, they count up to a multiple of those of the thesis' cup.
+        """
+        parts = [equations(given) for given in evidence.given]
+        wrench = np.concatenate([own[:, :, -1] for own in parts])
+        structure = evidence.given[0].structure
+        spread = np.diag(regular(Moments.of(wrench).covariance(structure)))
+        first = cls(1.0 / np.sqrt(spread))
+        x = first.solved(evidence).x
+        if not sound:
+            most = LARGEST_CUP * structure.parameters(
+                np.diag(THESIS_STIFFNESS), np.diag(THESIS_DAMPING))
+            x = np.clip(x[:len(most)], -most, most)
+        noise = np.zeros(6)
+        for draw in evidence.noisier:
+            added = np.concatenate(
+                [equations(n) - own for n, own in zip(draw, parts, strict=True)])
+            noise += np.mean((added @ np.append(x, -1.0)) ** 2, axis=0) / len(evidence.noisier)
+        return cls(1.0 / np.sqrt(noise + FLOOR**2 * spread))
+
+    def rows(self, given: Sequence[Given]) -> Rows:
+        """Return the weighted equations of recordings."""
+        A, b, clusters, count = [], [], [], 0
+        for own in given:
+            rows = equations(own) * self.weight[None, :, None]
+            clusters += [slice(count + 6 * i, count + 6 * min(i + CLUSTER, len(rows)))
+                         for i in range(0, len(rows), CLUSTER)]
+            count += 6 * len(rows)
+            A.append(rows[:, :, :-1].reshape(-1, rows.shape[2] - 1))
+            b.append(rows[:, :, -1].ravel())
+        return Rows(np.concatenate(A), np.concatenate(b), clusters)
+
+    def solved(self, evidence: Evidence) -> 'Solved':
+        """Return the cup that explains most, and what it leaves."""
+        rows = self.rows(evidence.given)
+        full = np.column_stack([rows.A, rows.b])
+        scale = np.linalg.norm(full, axis=0)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        full = full / scale
+        noise = np.zeros((full.shape[1],) * 2)
+        for draw in evidence.noisier:
+            there = self.rows(draw)
+            added = np.column_stack([there.A, there.b]) / scale - full
+            noise += added.T @ added / len(evidence.noisier)
+        U, s, Vt = np.linalg.svd(full[:, :-1], full_matrices=False)
+        known = s > SMALLEST * s[0]
+        root = Vt[known].T / s[known]
+        share, V = np.linalg.eigh(root.T @ noise[:-1, :-1] @ root)
+        root = root @ V / np.sqrt(np.maximum(1.0 - share, LEAST_SIGNAL))
+        slope = root.T @ (full[:, :-1].T @ full[:, -1] - noise[:-1, -1])
+        left = float(full[:, -1] @ full[:, -1] - noise[-1, -1] - slope @ slope)
+        x = root @ slope / scale[:-1] * scale[-1]
+        count = len(full)
+        return Solved(rows, x, left * scale[-1] ** 2 / count, count, U[:, known])
+
+
+class Solved(NamedTuple):
+    """The rows, the cup x (p,), mean squares left beyond noise, their count, and a basis of A."""
+
+    rows: Rows
+    x: Array
+    excess: float
+    residuals: int
+    basis: Array

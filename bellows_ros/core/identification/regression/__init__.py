@@ -1,1 +1,0 @@
-"""Fits on wrenches: linear in K and P."""

@@ -1,0 +1,345 @@
+"""
+The filtered motions of a recording as identification sees them.
+
+The wrench that a motion needs and how the lip moves, what of the cup the motion has seen (its
+validity range), and whether the filter follows it: of a fast motion it leaves less, and of each
+derivative another part, so that K and P of least squares are off, which their standard errors do
+not know.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.envelope import Envelope
+from bellows_ros.core.identification.equations import BLOCK, LipMotion
+from bellows_ros.core.lie import apply, exp_so3
+from bellows_ros.core.model import Package
+from bellows_ros.core.recording.noise import FilterNoise
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.residuals import interpolated, relative_coordinates, Spectrum, spectrum
+from bellows_ros.core.trajectory import Trajectory, uniform_rate_hz
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import ArrayLike
+
+FARTHEST = 2.0
+"""Distance (m) of the lip from the tool tip that no cup has: its length is at most 1 m."""
+
+LOOKED_AT_EVERY = 20
+"""So many samples are stepped over where only the arrangement is looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """
+    Filtered motions of tool and package at the same stamps.
+
+    Parameters
+    ----------
+    tool : Trajectory
+        N poses of E in the world with body twists.
+    package : Trajectory
+        N poses of B with body twists and accelerations, at the same stamps.
+    payload : Package
+        Mass, inertia and centre of mass of the package in this recording.
+    gravity : float
+        m/s^2 along -z of the world.
+    window : float
+        Duration of the package's filter window, s: so far residuals are correlated.
+
+    """
+
+    tool: Trajectory
+    package: Trajectory
+    payload: Package
+    gravity: float
+    window: float
+
+    @property
+    def valid(self) -> Mask:
+        """Where both motions are to be used (N,)."""
+        return self.tool.valid & self.package.valid
+
+    @property
+    def count(self) -> int:
+        """Number of valid samples."""
+        return int(np.count_nonzero(self.valid))
+
+    @cached_property
+    def lip(self) -> LipMotion:
+        """What equations are made of."""
+        parts = [(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 6)), np.empty((0, 6)))]
+        for block in self.blocks():
+            motion = lip_relative(block.tool, block.package, block.payload.com)
+            parts.append((*motion, needed_wrench(block.payload, block.package, block.gravity)))
+        index = np.flatnonzero(self.valid)
+        return LipMotion(
+            index, self.tool.stamps_ns[index], self.window,
+            *(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+    def select(self, index: slice | Mask | Stamps) -> 'Samples':
+        """Return the samples that a slice, a mask or increasing indices pick."""
+        return replace(self, tool=self.tool.select(index), package=self.package.select(index))
+
+    def blocks(self) -> 'Iterator[Samples]':
+        """Yield the valid samples in blocks, in the order of time."""
+        valid = np.flatnonzero(self.valid)
+        for start in range(0, len(valid), BLOCK):
+            yield self.select(valid[start:start + BLOCK])
+
+    def thinned(self, most: int) -> 'Samples':
+        """Return every so many of the samples, about as many as asked for or a few more."""
+        step = max(len(self.tool) // most, 1)
+        if step == 1:
+            return self
+        some = self.select(slice(None, None, step))
+        if 'lip' in vars(self):  # with what is known of it
+            vars(some)['lip'] = self.lip.thinned(step)
+        return some
+
+
+def samples_of(recording: Recording) -> Samples:
+    """
+    Return what least squares takes, filtered as the parameter filter.relative says.
+
+    Raises
+    ------
+    BellowsError
+        If the package is not on that side of the tool where the cup is.
+
+    """
+    return recording.once('samples', lambda: _samples(recording))
+
+
+def filtered_samples(recording: Recording) -> Samples:
+    """Return the filtered motions, whatever filter.relative says."""
+    return recording.once('filtered samples', lambda: Samples(
+        recording.tool, recording.package, recording.payload, recording.settings.gravity,
+        recording.package_weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns)))
+
+
+def _samples(recording: Recording) -> Samples:
+    """Return the samples of a recording that was looked at."""
+    _require_below(recording)
+    samples = filtered_samples(recording)
+    if not recording.settings.relative:
+        return samples
+    from bellows_ros.core.recording.relative_filter import relatively_filtered  # late: rare
+
+    tool, package = relatively_filtered(recording)
+    return replace(samples, tool=tool, package=package)
+
+
+def _require_below(recording: Recording) -> None:
+    """Refuse a recording whose package is mostly not below the tool, along its z axis."""
+    some = np.flatnonzero(recording.valid)[::LOOKED_AT_EVERY]
+    package = recording.measured_package.select(some)
+    relative = relative_coordinates(recording.measured_tool.select(some), package)
+    lip = relative[:, :3] - exp_so3(relative[:, 3:]) @ recording.payload.com
+    if not len(some):
+        return
+    away, above = float(np.median(np.linalg.norm(lip, axis=1))), float(np.median(lip[:, 2]))
+    if away > FARTHEST:
+        raise BellowsError(_millimetres(recording, away))
+    if above > 0.0:
+        upward = float(np.median(
+            (package.position - recording.measured_tool.select(some).position)[:, 2]))
+        raise BellowsError(
+            f'The lip of the cup is {1e3 * above:.0f} mm above the tool tip in axes of the tool, '
+            'but the cup hangs below it. ' + (
+                f'The package is {1e3 * upward:.0f} mm above the tool in the world, too: '
+                'topics.tool_pose and topics.package_pose are exchanged, or else recording.world '
+                'is wrong.' if upward > 0.0 else
+                'In the world the package is below the tool: z of the tool points the wrong way, '
+                'it must point from the cup back into the arm; or package.com is wrong.')
+        )
+
+
+def _millimetres(recording: Recording, away: float) -> str:
+    """Return what is to be said of poses that are so far apart (m)."""
+    names = [f"'{stream.name}'" for stream in (recording.tool_pose, recording.package_pose)]
+    tool, package = (np.median(stream.position, axis=0)
+                     for stream in (recording.tool_pose, recording.package_pose))
+    scaled = [float(np.linalg.norm(p * package - t * tool))
+              for t, p in ((1e-3, 1.0), (1.0, 1e-3), (1e-3, 1e-3))]
+    which = (names[0], names[1], f'{names[0]} and {names[1]}')[int(np.argmin(scaled))]
+    if min(scaled) > FARTHEST:
+        return (f'The lip of the cup is {away:.3g} m from the tool tip: the poses of {names[0]} '
+                f'and {names[1]} are not in one world. Set recording.package_world.')
+    return (f'The lip of the cup is {away:.3g} m from the tool tip: the poses of {which} are in '
+            'millimetres. They must be in m: change the driver, or convert the recording.')
+
+
+def lip_relative(
+    tool: Trajectory, package: Trajectory, com: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """
+    Return E_o_S (N, 3), E_R_S (N, 3, 3) and the body twist S_v_ES (N, 6) of the lip in the tool.
+
+    `kernels.lip_relative_to_tool` for arrays: S_v_ES = X(S_H_B) B_v_AB - X(E_H_S)^-1 E_v_AE.
+    """
+    if tool.twist is None or package.twist is None:
+        raise BellowsError('Tool and package need twists; filter the recording first.')
+    com = np.asarray(com, dtype=float)
+    R_E_A = np.swapaxes(tool.rotation, 1, 2)
+    R_E_S = R_E_A @ package.rotation
+    o_E_S = apply(R_E_A, package.position - apply(package.rotation, com) - tool.position)
+    v_B, w_B = package.twist[:, :3], package.twist[:, 3:]
+    v_E, w_E = tool.twist[:, :3], tool.twist[:, 3:]
+    R_S_E = np.swapaxes(R_E_S, 1, 2)
+    linear = v_B + np.cross(com, w_B) - apply(R_S_E, v_E + np.cross(w_E, o_E_S))
+    return o_E_S, R_E_S, np.hstack([linear, w_B - apply(R_S_E, w_E)])
+
+
+def needed_wrench(package: Package, motion: Trajectory, gravity: ArrayLike) -> Array:
+    """
+    Return c (N, 6), the cup's wrench at the lip that the motion of the package needs (4.68).
+
+    c = X(S_H_B)^-T (M dv + v x* M v - f_g) in lip axes; gravity is its size along -z of the
+    world, or the vector (3,) there, m/s^2.
+    """
+    if motion.twist is None or motion.acceleration is None:
+        raise BellowsError('The package needs twists and accelerations; filter the recording.')
+    g = np.asarray(gravity, dtype=float)
+    g = np.array([0.0, 0.0, -float(g)]) if g.ndim == 0 else g
+    v, w = motion.twist[:, :3], motion.twist[:, 3:]
+    dv, dw = motion.acceleration[:, :3], motion.acceleration[:, 3:]
+    g_B = apply(np.swapaxes(motion.rotation, 1, 2), np.broadcast_to(g, dv.shape))
+    force = package.mass * (dv + np.cross(w, v) - g_B)
+    moment = dw @ package.inertia + np.cross(w, w @ package.inertia)
+    return np.hstack([force, moment + np.cross(package.com, force)])
+
+
+FOLLOWED = 0.013
+"""A filter follows while it takes less than this part of a velocity: up to 6 Hz, if automatic."""
+
+RESOLUTION = 0.05
+"""Step (Hz) in which the end of a pass band is looked for."""
+
+NO_FLOOR = 1e-3
+"""Frequencies at which the filter leaves less than this part of white noise show none."""
+
+BAND = 0.95
+"""Part of the deflection's power that the frequency bands hold."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """
+    Spectra of one recording's relative motion, six channels each.
+
+    Parameters
+    ----------
+    strain, twist : Spectrum
+        Of the lip's displacement from nominal (m, rad) and of its twist (m/s, rad/s), in the tool.
+
+    """
+
+    strain: Spectrum
+    twist: Spectrum
+
+
+def relative_spectra(samples: Samples, cup_length: float) -> Spectra:
+    """
+    Return the spectra of a recording's relative motion.
+
+    Raises
+    ------
+    BellowsError
+        Without valid samples.
+
+    """
+    rate_hz = uniform_rate_hz(samples.package.stamps_ns)
+    found = []
+    for values in (samples.lip.displacement(cup_length), samples.lip.twist):
+        every = np.full((len(samples.tool), 6), np.nan)
+        every[samples.lip.index] = values
+        found.append(spectrum(interpolated(every), rate_hz))
+    return Spectra(*found)
+
+
+def envelope(samples: Samples, cup_length: float, spectra: Spectra | None = None) -> Envelope:
+    """
+    Return the validity range of a recording.
+
+    Parameters
+    ----------
+    samples : Samples
+        As they go into the fit; samples that are not valid are left out.
+    cup_length : float
+        Nominal length l0, m.
+    spectra : Spectra, optional
+        Those of `relative_spectra`, where they are known already.
+
+    Raises
+    ------
+    BellowsError
+        Without valid samples.
+
+    """
+    if not samples.count:
+        raise BellowsError('A recording without valid samples has no validity range.')
+    strain = (spectra or relative_spectra(samples, cup_length)).strain
+    deflection, mass = samples.lip.displacement(cup_length), samples.payload.mass
+    return Envelope(
+        deflection.min(axis=0), deflection.max(axis=0), np.abs(samples.lip.twist).max(axis=0),
+        _bands(strain), np.array([mass, mass]))
+
+
+def _bands(densities: Spectrum) -> Array:
+    """Return the frequency bands (2, 2) of shift and rotation."""
+    both = np.column_stack([densities.density[:, i:i + 3].sum(axis=1) for i in (0, 3)])
+    low, high = Spectrum(densities.frequency, both).band(BAND)
+    return np.nan_to_num(np.column_stack([low, high]))
+
+
+def left(weights: Array, rate_hz: float, frequency: Array) -> Array:
+    """Return the parts (F,) of velocities at frequencies (F,) in Hz that a filter leaves."""
+    half_window = weights.shape[1] // 2
+    time = np.arange(-half_window, half_window + 1) / rate_hz
+    omega = 2.0 * np.pi * np.maximum(frequency, RESOLUTION)
+    return np.asarray(np.sin(omega[:, None] * time) @ weights[1] / omega)
+
+
+def pass_band(weights: Array, rate_hz: float) -> float:
+    """Return the frequency (Hz) up to which a filter with weights (3, 2n+1) follows."""
+    frequency = np.arange(RESOLUTION, 0.5 * rate_hz, RESOLUTION)
+    beyond = left(weights, rate_hz, frequency) < 1.0 - FOLLOWED
+    return float(frequency[np.argmax(beyond)]) if beyond.any() else 0.5 * rate_hz
+
+
+class PassBand(NamedTuple):
+    """
+    What the filter of one recording's package leaves of the lip's twist.
+
+    Mean squares (6,) of the filtered twist, power, and of what the filter took of it, lost; the
+    part of white noise that it took; the end (Hz) of its pass band; half windows (samples) of the
+    filters of tool and package; and the mean squares of the white noise that the spectra show
+    beyond the pass band, where noise in one axis is larger than in the others.
+    """
+
+    power: Array
+    lost: Array
+    of_noise: float
+    end_hz: float
+    half_windows: tuple[int, int]
+    floor: Array
+
+    @classmethod
+    def of(cls, twist: Spectrum, rate_hz: float, noise: FilterNoise) -> 'PassBand':
+        """Return that of a recording by the spectrum of its twist, at a rate of samples."""
+        part = left(noise.package_weights, rate_hz, twist.frequency)
+        white = (part * twist.frequency) ** 2
+        end = pass_band(noise.package_weights, rate_hz)
+        beyond = (twist.frequency > 2.0 * end) & (white > NO_FLOOR * white.max())
+        level = twist.density[beyond] / white[beyond, None]
+        floor = np.median(level, axis=0) * white.sum() if beyond.any() else np.zeros(6)
+        return cls(
+            twist.frequency[1] * twist.density.sum(axis=0),
+            twist.frequency[1] * (1.0 - part) @ twist.density,
+            float((1.0 - part) @ white / white.sum()), end,
+            (noise.tool_half_window, noise.package_weights.shape[1] // 2),
+            twist.frequency[1] * floor)

@@ -1,0 +1,340 @@
+"""
+Validation of a cup on a recording that it was not identified from.
+
+The model runs freely through the whole recording: it sees the tool's motion and never again the
+package. The tool is smoothed lightly, as its noise drives the package, and what the noise of both
+bodies does to the comparison is known from simulation too: an error beyond that is the model's.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.kernels import ModelTuple, State
+from bellows_ros.core.lie import apply, exp_so3, rotation_to_quaternion
+from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.residuals import (
+    AXES,
+    compare,
+    Comparison,
+    interpolated,
+    portmanteau,
+    relative_coordinates,
+    Spectrum,
+    spectrum,
+    Whiteness,
+)
+from bellows_ros.core.savgol import savgol, weights
+from bellows_ros.core.simulation import lip_wrenches, simulate, state_row, tool_rows
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+if TYPE_CHECKING:
+    from bellows_ros.core.identification.innovations import OneStep
+
+LIGHT_HALF_WINDOW, LIGHT_ORDER = 1 / 60, 4
+"""Half window (s) and order of the smoothing of the tool: motions to 20 Hz pass."""
+
+BRIDGE_PASSES = 2
+"""How often gaps are filled and their edges filtered again; more would carry noise into them."""
+
+LIMIT = 0.05
+"""NRMSE that the thesis wishes for."""
+
+NOISE_RUNS = 2
+"""Simulations with made-up tool noise, from which the error that noise makes is taken."""
+
+LONGEST_BRIDGE_S = 0.08
+"""A gap of the tool longer than this is warned about: what the tool did in it is a guess."""
+
+REST_S = 0.2
+REST_SPEED = np.array([5e-3] * 3 + [2e-2] * 3)
+"""A body stands still where its RMS twist over `REST_S` seconds is below this, m/s, rad/s."""
+
+NOISE_WIDTHS = 3.0
+"""Standard deviations of a twist's own noise that do not count as motion."""
+
+
+SEED = 0
+"""Of the made-up noise: the same recording gives the same numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Validation(Comparison):
+    """
+    A recording compared with the free simulation of it, at all samples of the simulation.
+
+    Parameters
+    ----------
+    noise : ndarray (6,)
+        RMS error that measurement noise alone makes, m and rad.
+    whiteness : Whiteness
+        Of the errors of the free simulation.
+    spectrum, motion : Spectrum
+        Of these errors, and of the measured coordinates; lost samples interpolated.
+    corrected : tuple
+        What `one_step_errors` takes.
+    wrench : ndarray (N, 6)
+        Of the cup at the lip in the free simulation, in lip axes, N and N m.
+    start : str
+        'equilibrium' or 'measured': where the simulation begins.
+    warnings : tuple of str
+        What the user should know.
+
+    """
+
+    noise: Array
+    whiteness: Whiteness
+    spectrum: Spectrum
+    motion: Spectrum
+    corrected: tuple[ModelTuple, State, Trajectory, Trajectory, Trajectory, tuple[Noise, Noise]]
+    wrench: Array
+    start: str
+    warnings: tuple[str, ...]
+
+    @cached_property
+    def one_step(self) -> 'OneStep | None':
+        """The same with the model corrected at every sample; None without noise to weigh."""
+        from .innovations import one_step_errors  # late: not for the verdict on a fit
+
+        return one_step_errors(*self.corrected)
+
+    @property
+    def moves(self) -> Mask:
+        """Which axes move so much that noise alone stays within the limit (6,)."""
+        return np.asarray(self.scores.motion * LIMIT > self.noise)
+
+    @property
+    def model_error(self) -> Array:
+        """RMS error (6,) beyond that of noise, as part of the motion."""
+        excess = np.sqrt(np.maximum(self.scores.rms**2 - self.noise**2, 0.0))
+        ratio: Array = np.full(6, np.nan)
+        np.divide(excess, self.scores.motion, out=ratio, where=self.scores.motion > 0.0)
+        return ratio
+
+    def failing(self, limit: float = LIMIT) -> tuple[str, ...]:
+        """Return the names of the axes that move and whose NRMSE is above a limit."""
+        above = self.moves & ~(self.scores.nrmse <= limit)
+        return tuple(AXES[i] for i in np.flatnonzero(above))
+
+
+def validate(cup: Cup, recording: Recording) -> Validation:
+    """
+    Simulate a recording from its start to its end and compare with what was measured.
+
+    Parameters
+    ----------
+    cup : Cup
+        What is tried.
+    recording : Recording
+        Not one that the cup was identified from.
+
+    Raises
+    ------
+    BellowsError
+        If the recording is too short, the cup cannot carry the package, or the simulation does
+        not stay finite.
+
+    """
+    key = ('validated', cup.stiffness.tobytes(), cup.damping.tobytes(), cup.length)
+    return recording.once(key, lambda: _validated(cup, recording))
+
+
+def _validated(cup: Cup, recording: Recording) -> Validation:
+    """Return the comparison."""
+    noises = recording.measured_noise
+    package, gravity = recording.payload, recording.settings.gravity
+    model = model_tuple(cup, package, gravity)
+    half_window = half_window_of(recording.measured_tool)
+    tool, bridges = smoothed_tool(recording.measured_tool, half_window)
+    start, first, kind = _start(model, tool, recording, noises)
+    tool = tool.select(slice(first, None))
+    span = _span(recording.measured_tool, tool)
+    measured_tool = recording.measured_tool.select(span)
+    measured_package = recording.measured_package.select(span)
+    body = simulate(cup, package, tool, start, gravity)
+    compared = compare(body, measured_tool, measured_package)
+    rate_hz = uniform_rate_hz(tool.stamps_ns)
+    return Validation(
+        **vars(compared),
+        noise=_noise_of_errors((cup, package, gravity), tool, start, body, noises),
+        whiteness=portmanteau(compared.error),
+        spectrum=spectrum(interpolated(compared.error), rate_hz),
+        motion=spectrum(interpolated(compared.measured), rate_hz),
+        corrected=(model, start, recording.measured_tool, tool, measured_package, noises),
+        wrench=lip_wrenches(model, tool, body),
+        start=kind,
+        warnings=_warnings(bridges),
+    )
+
+
+def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, Array]:
+    """
+    Return the tool with twists at every stamp that can be known, and the gaps bridged (G, 2).
+
+    Parameters
+    ----------
+    measured : Trajectory
+        Poses of E at a uniform rate, not smoothed.
+    half_window : int
+        Of the filter, samples.
+
+    Returns
+    -------
+    Trajectory
+        Filtered with a short window. Lost samples are bridged by the cubic between those before
+        and after: first from those with whole windows, then, as what is in the windows is known
+        now, from the nearest ones.
+    ndarray (G, 2)
+        Start (s, from the first sample) and duration (s) of each gap.
+
+    Raises
+    ------
+    BellowsError
+        If the poses do not fill one window.
+
+    """
+    filtered = savgol(measured, half_window, LIGHT_ORDER)
+    known = np.flatnonzero(filtered.valid)
+    if len(known) < 2:
+        raise BellowsError(
+            f'The tool has no {2 * half_window + 1} usable poses in a row: nothing to simulate.'
+        )
+    wanted = slice(int(known[0]), int(known[-1]) + 1)
+    stamps = filtered.stamps_ns[wanted]
+    there = measured.valid[half_window:][wanted]
+    tool = _bridged(filtered, filtered.valid, stamps)
+    if not there.all():
+        for _ in range(BRIDGE_PASSES):
+            tool = _bridged(*_refiltered(measured, tool, half_window), stamps)
+    gaps = np.flatnonzero(np.diff(np.flatnonzero(there)) > 1)
+    edges = stamps[np.flatnonzero(there)]
+    bridges = np.column_stack(
+        [edges[gaps] - measured.stamps_ns[0], edges[gaps + 1] - edges[gaps]]
+    ) / NS_PER_S
+    return tool, bridges
+
+
+def _bridged(filtered: Trajectory, known: Mask, stamps: Stamps) -> Trajectory:
+    """Return the tool at all stamps from the samples of a filter that are known."""
+    usable = filtered.select(known)
+    poses = Trajectory(usable.stamps_ns, usable.position, usable.rotation, usable.twist)
+    return resample(poses, stamps)
+
+
+def _refiltered(
+    measured: Trajectory, bridged: Trajectory, half_window: int
+) -> tuple[Trajectory, Mask]:
+    """Return the tool filtered with its gaps filled, and which samples were measured."""
+    span = _span(measured, bridged)
+    position, rotation = np.array(measured.position), np.array(measured.rotation)
+    valid = np.array(measured.valid)
+    lost = np.flatnonzero(~valid[span])
+    position[span][lost], rotation[span][lost] = bridged.position[lost], bridged.rotation[lost]
+    valid[span] = True
+    filled = Trajectory(measured.stamps_ns, position, rotation, valid=valid)
+    filtered = savgol(filled, half_window, LIGHT_ORDER)
+    return filtered, filtered.valid & measured.valid[half_window:len(measured) - half_window]
+
+
+def half_window_of(tool: Trajectory) -> int:
+    """Return the half window of the light smoothing, in samples."""
+    rate_hz = uniform_rate_hz(tool.stamps_ns)
+    return max(round(LIGHT_HALF_WINDOW * rate_hz), LIGHT_ORDER // 2 + 1)
+
+
+def _span(whole: Trajectory, part: Trajectory) -> slice:
+    """Return the samples of the whole that a part of it has."""
+    first = int(np.searchsorted(whole.stamps_ns, part.stamps_ns[0]))
+    return slice(first, first + len(part))
+
+
+def _start(
+    model: ModelTuple, tool: Trajectory, recording: Recording, noises: tuple[Noise, Noise]
+) -> tuple[State, int, str]:
+    """Return the package's first state, at which sample of the tool, and where it is from."""
+    rows = tool_rows(tool.select(slice(0, 1)))[0]
+    rest = static_equilibrium(model, state_row(rows[:3], rows[3:7], np.zeros(6)))
+    bodies = (recording.tool, recording.package)
+    weights = (recording.tool_weights, recording.package_weights)
+    if all(_at_rest(*body) for body in zip(bodies, weights, noises, strict=True)):
+        return rest, 0, 'equilibrium'
+    package = recording.package
+    usable = package.valid & (package.stamps_ns >= tool.stamps_ns[0])
+    first = int(np.argmax(usable))
+    if package.twist is None or not usable[first]:
+        return rest, 0, 'equilibrium'
+    quaternion = rotation_to_quaternion(package.rotation[first])
+    state = state_row(package.position[first], quaternion, package.twist[first])
+    return state, int(np.searchsorted(tool.stamps_ns, package.stamps_ns[first])), 'measured'
+
+
+def _at_rest(filtered: Trajectory, weights: Array, noise: Noise) -> bool:
+    """Return whether the body stands still at first, as far as noise lets one see."""
+    span = filtered.stamps_ns <= filtered.stamps_ns[0] + int(REST_S * NS_PER_S)
+    seen = filtered.valid & span
+    if filtered.twist is None or not seen.any():
+        return True
+    speed = np.sqrt(np.mean(filtered.twist[seen] ** 2, axis=0))
+    blur = NOISE_WIDTHS * float(np.linalg.norm(weights[1])) * _six(noise)
+    return bool(np.all(speed <= REST_SPEED + blur))
+
+
+def _six(noise: Noise) -> Array:
+    """Return the standard deviations of the six coordinates of a pose."""
+    return np.repeat([noise.position, noise.rotation], 3)
+
+
+def _noise_of_errors(
+    payload: tuple[Cup, Package, float],
+    tool: Trajectory,
+    start: State,
+    body: Trajectory,
+    noises: tuple[Noise, Noise],
+) -> Array:
+    """Return the RMS error (6,) of the package's noise and of what the tool's noise drives."""
+    cup, package, gravity = payload
+    rng = np.random.default_rng(SEED)
+    squares = []
+    for _ in range(NOISE_RUNS):
+        shaken = simulate(cup, package, _shaken(tool, noises[0], rng), start, gravity)
+        moved = relative_coordinates(tool, shaken) - relative_coordinates(tool, body)
+        squares.append(np.mean(moved**2, axis=0))
+    return np.asarray(np.sqrt(np.mean(squares, axis=0) + _six(noises[1]) ** 2))
+
+
+def _shaken(tool: Trajectory, noise: Noise, rng: np.random.Generator) -> Trajectory:
+    """Return the tool as it would be smoothed from poses with so much more white noise."""
+    n = half_window_of(tool)
+    added = rng.normal(size=(len(tool) + 2 * n, 6)) * _six(noise)
+    W = weights(n, LIGHT_ORDER, uniform_rate_hz(tool.stamps_ns))
+    value, slope = (
+        np.column_stack([np.correlate(column, row, 'valid') for column in added.T])
+        for row in W[:2]
+    )
+    R_old_new = exp_so3(value[:, 3:])
+    R_new_old = np.swapaxes(R_old_new, 1, 2)
+    rows = tool_rows(tool)
+    v, w = rows[:, 7:10], rows[:, 10:]
+    twist = np.hstack([apply(R_new_old, v + slope[:, :3]), apply(R_new_old, w) + slope[:, 3:]])
+    return Trajectory(
+        tool.stamps_ns,
+        tool.position + apply(tool.rotation, value[:, :3]),
+        tool.rotation @ R_old_new,
+        twist,
+    )
+
+
+def _warnings(bridges: Array) -> tuple[str, ...]:
+    """Return what the user should know."""
+    return tuple(
+        f'The tool is unknown for {duration:.2f} s from {start:.2f} s on; the simulation goes '
+        'through a guess there, and is off for a while after it.'
+        for start, duration in bridges.tolist() if duration > LONGEST_BRIDGE_S
+    )

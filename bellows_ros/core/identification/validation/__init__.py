@@ -1,1 +1,0 @@
-"""Fits held against other recordings, and against each other."""

@@ -1,0 +1,191 @@
+"""What was given with a recording, and how each of it may be otherwise; pure functions of it."""
+
+from collections.abc import Callable
+from copy import copy
+from typing import NamedTuple
+
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.samples import Samples
+from bellows_ros.core.lie import adjoint, apply, exp_so3, inverse_transform, transform
+from bellows_ros.core.model import Package
+from bellows_ros.core.resampling import resample
+from bellows_ros.core.structure import Structure
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+import numpy as np
+
+LARGEST_OFFSET = 0.1
+"""Time offsets of the streams are looked for up to this, s."""
+
+SLACK = 0.01
+"""... and a little beyond for derivatives, s."""
+
+
+class Given(NamedTuple):
+    """
+    A recording with what was given with it.
+
+    Parameters
+    ----------
+    samples : Samples
+        Its filtered motions.
+    length : float
+        Nominal length l0 of the cup, m.
+    structure : Structure
+        Of K and P.
+    lip_recorded : bool
+        Whether the recorded poses are of the lip, so that another centre of mass moves B.
+    aligned : bool
+        Whether alignment at rest has put the lip below the tool tip, whatever the centre of mass.
+    extra : str
+        'drift' or 'cubic' for columns beside those of K and P; '' for none.
+
+    """
+
+    samples: Samples
+    length: float
+    structure: Structure
+    lip_recorded: bool = False
+    aligned: bool = False
+    extra: str = ''
+
+
+Variation = Callable[[Given, Array], Given]
+
+
+def time_offset(given: Given, theta: Array) -> Given:
+    """Return it with the tool's stamps earlier by an offset, s."""
+    samples = given.samples
+    stamps = samples.package.stamps_ns
+    furthest = LARGEST_OFFSET + SLACK
+    shift = round(float(np.clip(theta[0], -furthest, furthest)) * NS_PER_S)
+    edge = round(furthest * NS_PER_S)
+    inside = (stamps >= stamps[0] + edge) & (stamps <= stamps[-1] - edge)
+    there = resample(samples.tool, stamps[inside] + shift)
+    package = samples.package.select(inside)
+    lost = samples.tool.stamps_ns[~samples.tool.valid]  # the same samples for every offset
+    first, last = (np.searchsorted(lost, package.stamps_ns + side) for side in (-edge, edge))
+    tool = Trajectory(package.stamps_ns, there.position, there.rotation, there.twist,
+                      valid=first == last)
+    return _with(given, tool=tool, package=package)
+
+
+def com(given: Given, theta: Array) -> Given:
+    """Return it with the centre of mass elsewhere by so much (3,) in axes of the lip, m."""
+    held = given.samples.payload
+    there = Package(held.mass, held.inertia, held.com + theta)
+    fixed = np.array([given.aligned, given.aligned, False]) | given.lip_recorded  # then B moves
+    return _body_moved(_with(given, payload=there), np.zeros(3), np.where(fixed, theta, 0.0))
+
+
+def length(given: Given, theta: Array) -> Given:
+    """Return it with a longer cup, m."""
+    return given._replace(length=given.length + float(theta[0]))
+
+
+def mass(given: Given, theta: Array) -> Given:
+    """Return it with a mass exp(theta) times as large and the same inertia."""
+    held = given.samples.payload
+    return _with(given, payload=Package(
+        held.mass * float(np.exp(theta[0])), held.inertia, held.com))
+
+
+def inertia(given: Given, theta: Array) -> Given:
+    """Return it with moments of inertia exp(theta) (1,) or (3,) times as large."""
+    root = np.exp(0.5 * np.broadcast_to(theta, 3))
+    held = copy(given.samples.payload)  # a little beyond what a body can have, on the way
+    object.__setattr__(held, 'inertia', held.inertia * np.outer(root, root))
+    return _with(given, payload=held)
+
+
+def package_world(given: Given, theta: Array) -> Given:
+    """
+    Return it with the world of the package moved and turned by theta (6,), m and rad.
+
+    It turns about the middle of the package's positions. Body twists stay what they are.
+    """
+    body = given.samples.package
+    R, middle = exp_so3(theta[3:]), body.position[body.valid].mean(axis=0)
+    return _with(given, package=Trajectory(
+        body.stamps_ns, middle + theta[:3] + apply(R, body.position - middle), R @ body.rotation,
+        body.twist, body.acceleration, body.valid))
+
+
+def grip(given: Given, theta: Array) -> Given:
+    """Return it with the package's frame in the recorded one moved by x, y (m), and turned."""
+    return _body_moved(given, theta[2:5], np.array([theta[0], theta[1], 0.0]))
+
+
+def gravity(R: Array) -> Variation:
+    """Return what turns the world of both bodies."""
+    def turned(given: Given, theta: Array) -> Given:
+        """Return it in a world that is turned by R."""
+        tool, package = given.samples.tool, given.samples.package
+        return _with(
+            given, tool=_in_world(R, tool), package=_in_world(R, package))
+    return turned
+
+
+def yaw(angle: float, of_tool: bool) -> Variation:
+    """Return what turns a body's frame about its z axis."""
+    phi = np.array([0.0, 0.0, angle])
+
+    def turned(given: Given, theta: Array) -> Given:
+        """Return it with a body turned."""
+        if not of_tool:
+            return _body_moved(given, phi, np.zeros(3), about_lip=True)
+        return _with(given, tool=_moved(given.samples.tool, phi, np.zeros(3)))
+    return turned
+
+
+def other_frame(given: Given, theta: Array) -> Given:
+    """Return it with the package's poses taken for those of the lip instead of B, or reverse."""
+    com = given.samples.payload.com
+    moved = _body_moved(given, np.zeros(3), -com if given.lip_recorded else com)
+    return moved._replace(lip_recorded=not given.lip_recorded)
+
+
+def scaled(what: Variation, factor: float) -> Variation:
+    """Return a mass or an inertia in other units."""
+    return lambda given, theta: what(given, np.array([np.log(factor)]))
+
+
+def structure(other: Structure) -> Variation:
+    """Return another structure of K and P."""
+    return lambda given, theta: given._replace(structure=other)
+
+
+def extra(name: str) -> Variation:
+    """Return columns of a cup that is not the same all the time, or not linear."""
+    return lambda given, theta: given._replace(extra=name)
+
+
+def _with(given: Given, **changes: object) -> Given:
+    """Return it with other samples."""
+    own = given.samples
+    parts = {'tool': own.tool, 'package': own.package, 'payload': own.payload, **changes}
+    return given._replace(samples=Samples(
+        gravity=own.gravity, window=own.window, **parts))  # type: ignore[arg-type]
+
+
+def _in_world(R: Array, body: Trajectory) -> Trajectory:
+    """Return a motion in another world, whose body twists are the same."""
+    return Trajectory(body.stamps_ns, apply(R, body.position), R @ body.rotation, body.twist,
+                      body.acceleration, body.valid)
+
+
+def _body_moved(given: Given, phi: Array, way: Array, about_lip: bool = False) -> Given:
+    """Return it with B turned and moved in its own axes."""
+    if about_lip:  # B = S + R com
+        com = given.samples.payload.com
+        way = exp_so3(phi) @ com - com
+    return _with(given, package=_moved(given.samples.package, phi, way))
+
+
+def _moved(body: Trajectory, phi: Array, way: Array) -> Trajectory:
+    """Return the motion of a frame that is fixed in a body, by its pose there."""
+    R = exp_so3(phi)
+    X = adjoint(inverse_transform(transform(R, way)))
+    return Trajectory(
+        body.stamps_ns, body.position + apply(body.rotation, way), body.rotation @ R,
+        None if body.twist is None else apply(X, body.twist),
+        None if body.acceleration is None else apply(X, body.acceleration), body.valid)

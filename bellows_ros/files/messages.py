@@ -1,0 +1,427 @@
+"""
+Messages of recordings: decoded, encoded, and as streams of what of them can be used.
+
+These messages are a header, one or two strings, and a fixed row of doubles; messages whose first
+bytes and strings agree therefore lie in memory as one array. Everything else about CDR is not
+needed here.
+
+What cannot be used is left out of a stream, and counted by reason.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import struct
+from types import MappingProxyType
+
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.lie import quaternion_to_rotation
+from bellows_ros.core.screening import unusable_stamps
+from bellows_ros.core.trajectory import PoseStream, TwistStream
+import numpy as np
+
+Indices = Stamps
+
+# A stamped pose or twist is at most this long; longer ones are not decoded.
+LARGEST_MESSAGE = 4096
+
+_STAMP_AT, _STRINGS_AT = 4, 12
+_LARGEST_PADDING = 3  # at the end, to a multiple of four
+_NS_PER_S = 1_000_000_000
+
+BOOL = 'std_msgs/msg/Bool'
+"""Type of the messages of a valve."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """
+    What follows the stamp of a message type.
+
+    Parameters
+    ----------
+    strings : int
+        Number of frame names.
+    doubles : int
+        Number of doubles after them.
+    pose : slice or None
+        Where among the doubles x, y, z and the quaternion (x, y, z, w) are.
+    twist : slice or None
+        Where among the doubles the linear and the angular velocity are.
+
+    """
+
+    strings: int
+    doubles: int
+    pose: slice | None = None
+    twist: slice | None = None
+
+
+_POSE, _TWIST, _COVARIANCE = 7, 6, 36
+_SECOND = _POSE + _COVARIANCE
+
+LAYOUTS: Mapping[str, Layout] = MappingProxyType(
+    {
+        'geometry_msgs/msg/PoseStamped': Layout(1, _POSE, pose=slice(0, 7)),
+        'geometry_msgs/msg/PoseWithCovarianceStamped': Layout(1, _SECOND, pose=slice(0, 7)),
+        'geometry_msgs/msg/TransformStamped': Layout(2, _POSE, pose=slice(0, 7)),
+        'geometry_msgs/msg/TwistStamped': Layout(1, _TWIST, twist=slice(0, 6)),
+        'nav_msgs/msg/Odometry': Layout(
+            2,
+            _SECOND + _TWIST + _COVARIANCE,
+            pose=slice(0, 7),
+            twist=slice(_SECOND, _SECOND + _TWIST),
+        ),
+    }
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Decoded:
+    """
+    Messages of one topic, decoded.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        Header stamps, ns.
+    values : array (N, D)
+        The doubles asked for.
+    frame : int array (N,)
+        Index into `frames`; -1 where the message could not be decoded.
+    frames : list of tuple of str
+        The frame names met: frame_id, and child_frame_id where the type has one.
+    arrivals_ns : int array (N,), optional
+        When the messages were received, ns, not decreasing, where that is known.
+
+    """
+
+    stamps_ns: Stamps
+    values: Array
+    frame: Stamps
+    frames: list[tuple[str, ...]]
+    arrivals_ns: Stamps | None = None
+
+
+def decode(messages: Sequence[bytes], layout: Layout, part: slice) -> Decoded:
+    """
+    Decode messages of one type.
+
+    Parameters
+    ----------
+    messages : sequence of bytes
+        CDR with its four-byte head, of either endianness.
+    layout : Layout
+        Of their type.
+    part : slice
+        Which of the doubles to return.
+
+    Returns
+    -------
+    Decoded
+
+    """
+    count = len(messages)
+    stamps_ns = np.zeros(count, dtype=np.int64)
+    values = np.zeros((count, part.stop - part.start))
+    frame = np.full(count, -1, dtype=np.int64)
+    numbers: dict[tuple[str, ...], int] = {}
+    for (head, size), members in _alike(messages, layout.strings).items():
+        names, dtype = _names(head, layout.strings), _dtype(head, size, layout)
+        if names is None or dtype is None:
+            continue
+        rows = np.frombuffer(b''.join(messages[i] for i in members), dtype=dtype)
+        index = np.array(members)
+        stamps_ns[index] = rows['sec'].astype(np.int64) * _NS_PER_S + rows['nanosec']
+        values[index] = rows['doubles'][:, part]
+        sound = (rows['sec'] >= 0) & (rows['nanosec'] < _NS_PER_S)
+        frame[index[sound]] = numbers.setdefault(names, len(numbers))
+    return Decoded(stamps_ns, values, frame, list(numbers))
+
+
+def _alike(messages: Sequence[bytes], strings: int) -> dict[tuple[bytes, int], list[int]]:
+    """Return the indices of messages that agree in size and, but for the stamp, in their head."""
+    groups: dict[tuple[bytes, int], list[int]] = {}
+    end = 0  # of the strings of the message before, which the next one mostly repeats
+    for i, message in enumerate(messages):
+        key = (message[:_STAMP_AT] + message[_STRINGS_AT:end], len(message))
+        if not (end and key in groups):
+            end = _end_of_strings(message, strings)
+            key = (message[:_STAMP_AT] + message[_STRINGS_AT:end], len(message))
+        if end:
+            groups.setdefault(key, []).append(i)
+    return groups
+
+
+def _end_of_strings(message: bytes, strings: int) -> int:
+    """Return where the strings end, or 0 if they do not end in the message."""
+    if len(message) > LARGEST_MESSAGE:
+        return 0
+    form = '<I' if message[1:2] == b'\1' else '>I'
+    at = _STRINGS_AT
+    for _ in range(strings):
+        at += -at % 4
+        if at + 4 > len(message):
+            return 0
+        at += 4 + struct.unpack_from(form, message, at)[0]
+    return at if at <= len(message) else 0
+
+
+def _names(head: bytes, strings: int) -> tuple[str, ...] | None:
+    """Return the strings of a head without its stamp, or None if they are damaged."""
+    form = '<I' if head[1] else '>I'
+    names = []
+    at = _STAMP_AT
+    for _ in range(strings):
+        at += -at % 4
+        (size,) = struct.unpack_from(form, head, at)
+        text = head[at + 4:at + 4 + size]
+        if text[-1:] != b'\0':
+            return None
+        try:
+            names.append(text[:-1].decode())
+        except UnicodeDecodeError:
+            return None
+        at += 4 + size
+    return tuple(names)
+
+
+def _dtype(head: bytes, size: int, layout: Layout) -> np.dtype[np.void] | None:
+    """Return how messages with this head lie in memory, or None if that is not the layout."""
+    if head[0] or head[1] > 1:  # not plain CDR
+        return None
+    order = '<' if head[1] else '>'
+    doubles_at = _doubles_at(head)
+    if not 0 <= size - doubles_at - 8 * layout.doubles <= _LARGEST_PADDING:
+        return None
+    return np.dtype(
+        {
+            'names': ['sec', 'nanosec', 'doubles'],
+            'formats': [f'{order}i4', f'{order}u4', (f'{order}f8', (layout.doubles,))],
+            'offsets': [_STAMP_AT, _STAMP_AT + 4, doubles_at],
+            'itemsize': size,
+        }
+    )
+
+
+def _doubles_at(head: bytes) -> int:
+    """Return where the doubles begin: aligned to 8, counted after the first 4 bytes."""
+    end = len(head) + _STRINGS_AT - _STAMP_AT
+    return end + (_STAMP_AT - end) % 8
+
+
+def encode(
+    stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layout
+) -> list[bytes]:
+    """
+    Encode messages of one type, little-endian.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        Header stamps, ns.
+    values : array (N, D)
+        Pose, then twist, as far as the type has them; what else it has (covariances) is zero.
+    names : sequence of str
+        frame_id, and child_frame_id where the type has one.
+    layout : Layout
+        Of the type.
+
+    Returns
+    -------
+    list of bytes
+
+    """
+    head = _head(names)
+    doubles_at = _doubles_at(head)
+    size = doubles_at + 8 * layout.doubles
+    dtype = _dtype(head, size, layout)
+    rows = np.zeros(len(stamps_ns), dtype=dtype)
+    rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, _NS_PER_S)
+    column = 0
+    for part in filter(None, (layout.pose, layout.twist)):
+        width = part.stop - part.start
+        rows['doubles'][:, part] = values[:, column:column + width]
+        column += width
+    raw = rows.view(np.uint8).reshape(len(rows), size)
+    raw[:, :_STAMP_AT] = np.frombuffer(head[:_STAMP_AT], np.uint8)
+    raw[:, _STRINGS_AT:_STRINGS_AT + len(head) - _STAMP_AT] = np.frombuffer(
+        head[_STAMP_AT:], np.uint8
+    )
+    return [row.tobytes() for row in raw]
+
+
+def _head(names: Sequence[str]) -> bytes:
+    """Return the head of a message without its stamp."""
+    head = b'\0\1\0\0'
+    for name in names:
+        text = name.encode() + b'\0'
+        head += bytes(-len(head) % 4) + struct.pack('<I', len(text)) + text
+    return head
+
+
+def encode_bool(value: bool) -> bytes:
+    """Return a std_msgs/Bool."""
+    return b'\0\1\0\0' + bytes([value])
+
+
+def decode_bool(message: bytes) -> bool | None:
+    """Return what a std_msgs/Bool says; None where it is damaged."""
+    sound = len(message) > 4 and message[0] == 0 and message[1] <= 1 and message[4] <= 1
+    return bool(message[4]) if sound else None
+
+
+Refused = dict[str, tuple[int, ...]]
+
+# A quaternion shorter than this is zero; one whose norm is off by more than that is no unit
+# quaternion. Smaller deviations are the rounding of drivers that send single precision or a few
+# decimals.
+ZERO_QUATERNION_BELOW = 1e-6
+NOT_UNIT_ABOVE = 0.01
+# No robot is further away (m), or faster (m/s, rad/s), than this; a damaged message may say so.
+LARGEST_VALUE = 1e6
+
+REASONS: Mapping[str, str] = MappingProxyType(
+    {
+        'malformed': 'could not be decoded',
+        'zero_stamp': 'have no stamp',
+        'nan': 'hold NaN or infinity',
+        'out_of_range': f'hold a number above {LARGEST_VALUE:g}',
+        'zero_quaternion': 'have a quaternion of zero',
+        'not_unit': f'have a quaternion whose norm is off by more than {NOT_UNIT_ABOVE:.0%}',
+        'frame_id': 'name another frame than most',
+        'duplicate_stamp': 'repeat the stamp before',
+        'backward_stamp': 'have a stamp before an earlier one',
+        'future_stamp': 'have a stamp ahead of its time',
+    }
+)
+
+_ROTATIONS_AT_ONCE = 65536
+
+
+def describe(refused: Mapping[str, tuple[int, ...]]) -> str:
+    """Return the refusals in words: how many of each reason, and where the first is."""
+    parts = [
+        f'{len(indices)} {REASONS.get(reason, reason)} (first: message {indices[0]})'
+        for reason, indices in refused.items()
+        if indices
+    ]
+    return ', '.join(parts) or 'none'
+
+
+def pose_stream(name: str, decoded: Decoded) -> PoseStream:
+    """
+    Return the usable poses.
+
+    Parameters
+    ----------
+    name : str
+        Topic.
+    decoded : Decoded
+        In the recording's order; values are x, y, z and the quaternion (x, y, z, w).
+
+    Returns
+    -------
+    PoseStream
+        Its `refused` holds only the reasons that occur; each message is counted once, under the
+        first that applies.
+
+    """
+    norm = _norm(decoded.values[:, 3:])
+    unusable = {
+        'zero_quaternion': norm < ZERO_QUATERNION_BELOW,
+        'not_unit': np.abs(norm - 1.0) > NOT_UNIT_ABOVE,
+    }
+    used, frame_id, refused = _sift(decoded, decoded.values[:, :3], unusable)
+    return PoseStream(
+        name=name,
+        frame_id=frame_id,
+        stamps_ns=decoded.stamps_ns[used],
+        position=decoded.values[used, :3],
+        rotation=_rotations(decoded.values[used, 3:]),
+        refused=refused,
+    )
+
+
+def twist_stream(name: str, decoded: Decoded, in_child_frame: bool) -> TwistStream:
+    """
+    Return the usable twists, in the axes they were recorded in.
+
+    Parameters
+    ----------
+    name : str
+        Topic.
+    decoded : Decoded
+        In the recording's order; values are linear, then angular.
+    in_child_frame : bool
+        True for Odometry, whose twist is in its child frame: that frame becomes the stream's.
+
+    Returns
+    -------
+    TwistStream
+        With `refused` as in `pose_stream`.
+
+    """
+    used, frame_id, refused = _sift(decoded, decoded.values, {}, -1 if in_child_frame else 0)
+    return TwistStream(
+        name=name,
+        frame_id=frame_id,
+        stamps_ns=decoded.stamps_ns[used],
+        linear=decoded.values[used, :3],
+        angular=decoded.values[used, 3:],
+        refused=refused,
+    )
+
+
+def _norm(values: Array) -> Array:
+    """Return the norms of rows; infinite where the square overflows."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        return np.asarray(np.linalg.norm(values, axis=1))
+
+
+def _sift(
+    decoded: Decoded, lengths: Array, unusable: Mapping[str, Mask], frame_name: int = 0
+) -> tuple[Stamps, str, Refused]:
+    """Return the indices of the usable messages, their frame, and the others by reason."""
+    finite = np.isfinite(decoded.values).all(axis=1)
+    tests = {
+        'malformed': decoded.frame < 0,
+        'zero_stamp': decoded.stamps_ns == 0,
+        'nan': ~finite,
+        'out_of_range': finite & (np.abs(lengths) > LARGEST_VALUE).any(axis=1),
+        **unusable,
+    }
+    left = np.arange(len(decoded.stamps_ns))
+    refused: Refused = {}
+    for reason, bad in tests.items():
+        left = _refuse(refused, reason, left, bad[left])
+    frame = _most_common(decoded.frame[left])
+    left = _refuse(refused, 'frame_id', left, decoded.frame[left] != frame)
+    arrivals = None if decoded.arrivals_ns is None else decoded.arrivals_ns[left]
+    unusable = unusable_stamps(decoded.stamps_ns[left], arrivals)
+    for reason, bad in unusable.items():
+        _refuse(refused, reason, left, bad)
+    left = left[~np.logical_or.reduce(list(unusable.values()))]
+    return left, decoded.frames[frame][frame_name] if len(left) else '', refused
+
+
+def _refuse(
+    refused: Refused, reason: str, left: Stamps, bad: Mask
+) -> Stamps:
+    """Note the bad ones of the messages left, and return the others."""
+    if bad.any():
+        refused[reason] = tuple(int(i) for i in left[bad])
+    return left[~bad]
+
+
+def _most_common(frame: Stamps) -> int:
+    """Return the frame most messages have; of equals, the one met first."""
+    return int(np.argmax(np.bincount(frame))) if len(frame) else 0
+
+
+def _rotations(quaternion_xyzw: Array) -> Array:
+    """Return rotation matrices, converted in parts to spare memory."""
+    rotation = np.empty((len(quaternion_xyzw), 3, 3))
+    for start in range(0, len(quaternion_xyzw), _ROTATIONS_AT_ONCE):
+        part = slice(start, start + _ROTATIONS_AT_ONCE)
+        rotation[part] = quaternion_to_rotation(quaternion_xyzw[part])
+    return rotation

@@ -1,0 +1,195 @@
+"""Comparison of fits against hand calculation, and the cup's modes against textbook formulas."""
+
+from bellows_ros.core.identification.comparison import Change, compare_fits, Fitted, modes, shake
+from bellows_ros.core.lie import log_so3
+from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.structure import structure_named
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from scipy.stats import chi2, norm
+
+PACKAGE = Package(2.0, np.diag([0.008, 0.009, 0.016]), np.array([0.0, 0.0, -0.03]))
+K, P = np.array([6000.0, 6000, 11000, 4.0, 4.0, 1.2]), np.array([60.0, 60, 25, 0.06, 0.06, 0.1])
+DIAGONAL, FULL = structure_named('diagonal'), structure_named('full')
+AXISYMMETRIC = structure_named('axisymmetric')
+G = 9.81
+
+
+def fitted(k=K, p=P, part=0.01, structure=DIAGONAL):
+    """Return a fit with standard errors that are a part of each entry."""
+    cup = Cup(np.diag(k), np.diag(p), 0.048)
+    x = structure.parameters(cup.stiffness, cup.damping)
+    return Fitted(structure, cup, np.diag((part * x) ** 2))
+
+
+def changed(values, index, factor):
+    """Return values with one of them changed."""
+    new = np.array(values)
+    new[index] *= factor
+    return new
+
+
+def test_a_fit_does_not_differ_from_itself():
+    """Find no change, nothing significant, nothing that matters."""
+    found = compare_fits(fitted(), fitted(), PACKAGE, G)
+    assert all(change.percent == 0.0 for change in found.parameters)
+    assert found.p_value == 1.0
+    assert_allclose(found.shake_rms, 0.0)
+    assert not found.significant and not found.matters
+
+
+def test_standard_errors_and_probability_of_one_change():
+    """Divide by the root of both variances; take both tails of the normal distribution."""
+    change = Change('K x', 'N/m', 100.0, 110.0, 3.0, 4.0)
+    assert_allclose(change.standard_errors, 2.0)
+    assert_allclose(change.percent, 10.0)
+    assert_allclose(change.p_value, 2 * norm.cdf(-2.0))
+    assert change.significant
+    unknown = Change('P z', 'N s/m', 100.0, 50.0, np.inf, 1.0)
+    assert unknown.standard_errors == 0.0 and not unknown.significant
+
+
+def test_parameters_together_are_judged_by_chi_squared():
+    """Add the squares of independent changes."""
+    found = compare_fits(fitted(), fitted(changed(K, 2, 1.02), changed(P, 5, 1.03)), PACKAGE, G)
+    squares = 0.02**2 / (0.01**2 * (1 + 1.02**2)) + 0.03**2 / (0.01**2 * (1 + 1.03**2))
+    assert_allclose(found.p_value, chi2.sf(squares, 12), rtol=1e-6)
+
+
+def test_a_softer_bending_matters():
+    """Bring the change to frequency and rest pose."""
+    found = compare_fits(fitted(part=1e-3), fitted(changed(K, 3, 0.8), part=1e-3), PACKAGE, G)
+    assert found.matters and found.significant and found.shake_matters
+    large = {effect.name for effect in found.effects if effect.matters}
+    assert any('turn of the lip' in name for name in large)
+    assert any('frequency' in name and 'bending' in name for name in large)
+
+
+def test_a_large_change_within_its_errors_is_open():
+    """Do not call it important where both fits hardly know it, but name it."""
+    before, after = fitted(), fitted(p=changed(P, 2, 1.3))
+    wide = [Fitted(fit.structure, fit.cup, fit.covariance + np.diag(
+        np.where(np.arange(12) == 8, 100.0, 0.0))) for fit in (before, after)]
+    found = compare_fits(*wide, PACKAGE, G)
+    assert not found.matters
+    assert any('axial' in effect.name for effect in found.open_effects)
+
+
+def test_modes_that_coincide_are_matched_by_shape():
+    """Find no change that matters between fits of one cup whose axial mode is a lateral one's."""
+    lateral = max(m.frequency for m in modes(Cup(np.diag(K), np.diag(P), 0.048), PACKAGE, G)
+                  if m.direction == 'lateral')
+    k = np.array(K)
+    k[2] = PACKAGE.mass * (2.0 * np.pi * lateral) ** 2
+    rng = np.random.default_rng(1)
+    axial_is_higher = set()
+    for _ in range(4):
+        draws = [(k * (1 + 2e-3 * rng.normal(size=6)), P * (1 + 2e-3 * rng.normal(size=6)))
+                 for _ in range(2)]
+        for draw_k, draw_p in draws:
+            cup = Cup(np.diag(draw_k), np.diag(draw_p), 0.048)
+            known = modes(cup, PACKAGE, G)
+            axial = next(m.frequency for m in known if m.direction == 'axial')
+            sideways = max(m.frequency for m in known if m.direction == 'lateral')
+            axial_is_higher.add(axial > sideways)
+        found = compare_fits(*(fitted(*draw, part=2e-3) for draw in draws), PACKAGE, G)
+        assert not any(effect.matters for effect in found.effects)
+        zeta = next(e for e in found.effects if 'damping' in e.name and 'axial' in e.name)
+        assert_allclose(zeta.after / zeta.before, draws[1][1][2] / draws[0][1][2], rtol=5e-3)
+        assert_allclose(zeta.before_std / zeta.before, np.hypot(2e-3, 1e-3), rtol=0.2)
+    assert len(axial_is_higher) == 2  # by frequency, modes would have been taken for others
+
+
+def test_structures_may_differ():
+    """Compare in the richer structure; tied entries have equal errors there."""
+    round_cup = fitted(structure=AXISYMMETRIC)
+    found = compare_fits(round_cup, fitted(changed(K, 1, 1.1)), PACKAGE, G)
+    assert [c.name for c in found.parameters] == list(DIAGONAL.labels)
+    by_name = {c.name: c for c in found.parameters}
+    assert_allclose(by_name['K y'].percent, 10.0)
+    assert_allclose(by_name['K y'].before_std, 60.0)
+    assert_allclose(by_name['K x'].before_std, 60.0)
+
+
+def test_what_is_not_identifiable_does_not_count():
+    """Leave parameters with infinite errors out of the verdict."""
+    before, after = fitted(), fitted(p=changed(P, 2, 5.0))
+    blind = before.covariance.copy()
+    blind[8, 8] = np.inf
+    found = compare_fits(Fitted(DIAGONAL, before.cup, blind), after, PACKAGE, G)
+    assert not found.significant
+    assert np.isinf({c.name: c for c in found.parameters}['P z'].before_std)
+
+
+def test_standard_errors_of_effects_follow_from_those_of_parameters():
+    """Meet the rule for powers: f ~ sqrt(k), so half the relative error; zeta ~ p / sqrt(k)."""
+    found = {e.name: e for e in compare_fits(fitted(), fitted(), PACKAGE, G).effects}
+    f = next(e for name, e in found.items() if 'frequency' in name and 'axial' in name)
+    zeta = next(e for name, e in found.items() if 'damping' in name and 'axial' in name)
+    assert_allclose(f.before_std / f.before, 0.005, rtol=1e-4)
+    assert_allclose(zeta.before_std / zeta.before, np.hypot(0.01, 0.005), rtol=1e-4)
+    # at rest the lip hangs m g / kz below its nominal place
+    rest = found['shift of the lip at rest, hanging']
+    assert_allclose(rest.before, 2.0 * G / K[2], rtol=1e-9)
+    assert_allclose(rest.before_std / rest.before, 0.01, rtol=1e-4)
+
+
+def test_modes_of_axial_and_torsion_are_those_of_one_mass():
+    """Meet f = sqrt(k/m) / 2 pi and zeta = p / (2 sqrt(k m)), exact for these two."""
+    found = {mode.direction: (mode.frequency, mode.damping) for mode in modes(
+        Cup(np.diag(K), np.diag(P), 0.048), PACKAGE, G)}
+    for name, k, p, m in (('axial', K[2], P[2], 2.0), ('torsion', K[5], P[5], 0.016)):
+        assert_allclose(found[name][0], np.sqrt(k / m) / (2 * np.pi), rtol=1e-6)
+        assert_allclose(found[name][1], p / (2 * np.sqrt(k * m)), rtol=1e-6)
+
+
+def test_modes_come_in_pairs_for_a_round_cup_and_plate():
+    """Find bending and lateral modes twice where nothing tells x from y."""
+    plate = Package(2.0, np.diag([0.008, 0.008, 0.016]), np.array([0.0, 0.0, -0.03]))
+    found = modes(Cup(np.diag(K), np.diag(P), 0.048), plate, 0.0)
+    for name in ('bending', 'lateral'):
+        pair = [mode.frequency for mode in found if mode.direction == name]
+        assert len(pair) == 2
+        assert_allclose(pair[0], pair[1], rtol=1e-6)
+    # a beam's formula: both modes of the plane, from the 2x2 problem about the cup's middle
+    a = 0.03 + 0.024
+    M = np.array([[2.0, 0.0], [0.0, 0.008]])
+    stiffness = np.array([[K[0], K[0] * a], [K[0] * a, K[3] + K[0] * a**2]])
+    squares = np.linalg.eigvals(np.linalg.solve(M, stiffness))
+    expected = np.sort(np.sqrt(squares)) / (2 * np.pi)
+    assert_allclose(sorted(
+        {round(m.frequency, 6) for m in found if m.direction in ('bending', 'lateral')}),
+                    expected, rtol=1e-5)
+
+
+def test_a_cup_that_only_bends_is_a_pendulum_with_a_spring():
+    """Meet f = sqrt((k + m g a) / (I + m a^2)) / 2 pi, with a hinge in the middle of the cup."""
+    stiff = Cup(np.diag([1e9, 1e9, 1e9, 4.0, 5.0, 1.2]), np.diag(P), 0.048)
+    a = 0.03 + 0.024
+    expected = [
+        np.sqrt((k + 2.0 * G * a) / (inertia + 2.0 * a**2)) / (2 * np.pi)
+        for k, inertia in ((4.0, 0.008), (5.0, 0.009))]
+    found = sorted(
+        mode.frequency for mode in modes(stiff, PACKAGE, G) if mode.direction == 'bending')
+    assert_allclose(found, sorted(expected), rtol=1e-4)
+
+
+def test_the_shake_moves_as_its_twist_says():
+    """Differentiate the poses; central differences at 240 Hz are off by (omega h)^2 / 6."""
+    tool = shake()
+    h = 2 / 240.0
+    velocity = (tool.position[2:] - tool.position[:-2]) / h
+    body = np.einsum('nji,nj->ni', tool.rotation[1:-1], velocity)
+    turn = log_so3(np.swapaxes(tool.rotation[:-2], 1, 2) @ tool.rotation[2:]) / h
+    largest = np.abs(tool.twist).max(axis=0)
+    off = (6 * np.pi / 240.0) ** 2 / 6
+    assert_allclose(body, tool.twist[1:-1, :3], atol=3 * off * largest[:3].max())
+    assert_allclose(turn, tool.twist[1:-1, 3:], atol=3 * off * largest[3:].max())
+
+
+def test_a_covariance_of_another_size_is_refused():
+    """Name the shape it must have."""
+    with pytest.raises(BellowsError, match=r'\(8, 8\)'):
+        Fitted(AXISYMMETRIC, fitted().cup, np.eye(12))

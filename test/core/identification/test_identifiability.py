@@ -1,0 +1,173 @@
+"""What recordings can tell, against recordings that tell it and recordings that do not."""
+
+from bellows_ros.core.identification.equations import whitening_of
+from bellows_ros.core.identification.reduction import with_noise
+from bellows_ros.core.identification.samples import relative_spectra, Samples, samples_of
+from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.recording.noise import FilterNoise, Noise
+from bellows_ros.core.savgol import savgol
+from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from . import simulated
+
+ROUND, FULL = STRUCTURES['axisymmetric'], STRUCTURES['full']
+L0 = simulated.CUP.length
+
+
+def described(recording, structure=ROUND, noisy=True):
+    """Return samples of a recording and what they tell."""
+    samples = samples_of(recording)
+    noises = [recording.noise] if noisy else ()
+    return samples, simulated.excitation([samples], L0, structure, noises)
+
+
+@pytest.fixture(scope='module')
+def rich():
+    """Return an exact recording of a motion of all axes."""
+    return simulated.record(simulated.shake())
+
+
+def test_a_rich_exact_recording_tells_everything(rich):
+    samples, found = described(rich)
+    assert found.warnings == ()
+    assert (found.rank, found.size, found.pairs) == (8, 8, ())
+    assert found.condition_number < 10.0
+    assert not any(not p.identifiable or p.weak for p in found.parameters)
+    values = [p.value for p in found.parameters]
+    fit = simulated.least_squares([samples], L0, ROUND)
+    assert_allclose(values, ROUND.parameters(fit.stiffness, fit.damping), rtol=1e-9)
+    assert_allclose(found.condition_number, fit.condition_number, rtol=1e-6)
+
+
+def test_axes_are_described_as_they_move(rich):
+    samples, found = described(rich)
+    twist = samples.lip.twist
+    z = found.axes[2]
+    # Gravity stretches the cup by m g / K z, about which it moves; bending lifts the lip a little.
+    segment = simulated.HELD.mass * simulated.GRAVITY / simulated.CUP.stiffness[2, 2]
+    assert_allclose(z.strain, np.hypot(segment, z.motion), rtol=0.1)
+    assert_allclose([a.twist for a in found.axes], np.sqrt(np.mean(twist**2, axis=0)))
+    assert [a.name for a in found.axes] == ['x', 'y', 'z', 'rx', 'ry', 'rz']
+    # Torsion follows the lines of 0.4 and 1.9 Hz that the tool turns with.
+    low, high = found.axes[5].band_hz
+    assert 0.3 <= low < high < 2.6
+    assert_allclose(relative_spectra(samples, L0).twist.peak[5], 1.9, atol=0.5)
+
+
+def test_missing_torsion_is_told_in_plain_words():
+    recording = simulated.record(
+        simulated.shake(axes=(0, 2)), tool=(1e-4, 5e-4), package=(1e-4, 5e-4))
+    _, found = described(recording)
+    (torsion,) = (w for w in found.warnings if w.startswith('Torsion'))
+    assert torsion == (
+        'Torsion is hardly excited: its stiffness and damping are not identifiable from this '
+        'recording; turn the tool about z at 1-3 Hz.')
+    unknown = {p.label for p in found.parameters if not p.identifiable}
+    assert {'K rz', 'P rz'} <= unknown and not {'K x', 'K z', 'K rx', 'P rx'} & unknown, unknown
+
+
+def test_standing_still_tells_only_what_gravity_loads(rich):
+    samples = samples_of(rich)
+    still = samples.package.seconds < 0.3
+    rest = Samples(samples.tool.select(still), samples.package.select(still), samples.payload,
+                   samples.gravity, samples.window)
+    found = simulated.excitation([rest], L0, ROUND, [rich.noise.times(1.0)])
+    words = ' '.join(found.warnings)
+    assert 'Torsion' in words and 'Axial motion is hardly excited: its damping' in words
+    assert next(p for p in found.parameters if p.label == 'K z').identifiable
+
+
+@pytest.mark.parametrize(('tool', 'package'), [
+    ((1e-4, 5e-4), (1e-4, 5e-4)), ((2e-4, 5e-4), (1e-5, 5e-5)), ((1e-5, 5e-5), (2e-4, 5e-4))])
+def test_expected_bias_is_the_bias(tool, package):
+    """Compare with what noise really did, on average over recordings."""
+    expected, found = [], []
+    for seed in range(8):
+        recording = simulated.record(
+            simulated.shake(), tool=tool, package=package, seed=seed, rate_hz=240.0)
+        own = described(recording)[1].parameters
+        expected.append([p.bias for p in own])
+        found.append([p.value for p in own])
+    truth = ROUND.parameters(simulated.CUP.stiffness, simulated.CUP.damping)
+    actual = np.mean(found, axis=0) / truth - 1.0
+    scatter = np.std(found, axis=0, ddof=1) / truth / np.sqrt(len(found))
+    off = np.abs(np.mean(expected, axis=0) - actual)
+    # An eighth of the bias for the extrapolation, 0.1 % for the filter, the rest is chance.
+    assert np.all(off < 0.125 * np.abs(actual) + 1e-3 + 3.5 * scatter)
+    assert actual[4] < -0.03  # there is a bias to predict
+
+
+def test_added_noise_is_that_of_filtered_white_noise():
+    """Filter white noise about a body at rest, and compare moments of all that comes out."""
+    rng = np.random.default_rng(3)
+    count, rate = 20000, 100.0
+    sigma = Noise(1e-3, 2e-3)
+    stamps = np.round(np.arange(count) / rate * 1e9).astype(np.int64)
+    at = exp_so3(np.array([0.3, -0.2, 0.5]))
+    white = Trajectory(
+        stamps, sigma.position * rng.standard_normal((count, 3)),
+        at @ exp_so3(sigma.rotation * rng.standard_normal((count, 3))))
+    filtered = savgol(white, 6, 4)
+    n = len(filtered)
+    rest = Trajectory(filtered.stamps_ns, np.zeros((n, 3)), np.tile(at, (n, 1, 1)),
+                      np.zeros((n, 6)), np.zeros((n, 6)))
+    noise = FilterNoise(sigma, sigma, filtered.weights, filtered.weights)
+    samples = Samples(rest, rest, simulated.HELD, simulated.GRAVITY, 0.1)
+    added = with_noise(samples, noise, np.random.default_rng(4)).package
+    for name in ('position', 'twist', 'acceleration'):
+        real, made = getattr(filtered, name), getattr(added, name)
+        assert_allclose(np.std(made, axis=0), np.std(real, axis=0), rtol=0.08)
+    real, made = (
+        np.corrcoef((t.position @ at)[:, 0], t.acceleration[:, 0])[0, 1]
+        for t in (filtered, added))
+    assert_allclose(made, real, atol=0.03)
+    assert made < -0.3  # value and second derivative go against each other
+
+
+@pytest.mark.parametrize(('name', 'axes'), [('diagonal', (0, 2, 4, 5)), ('full', (0, 1, 2))])
+def test_pairs_are_those_of_the_covariance(name, axes):
+    """Compare with the inverse of the normal equations, made from all rows."""
+    structure = STRUCTURES[name]
+    recording = simulated.record(simulated.shake(axes=axes, duration=6.0))
+    samples, found = described(recording, structure, noisy=False)
+    assert found.rank == found.size
+    whitening = whitening_of(simulated.wrench_covariance(samples, structure))
+    A = simulated.whitened_rows(samples, L0, structure, whitening)[:, :-1]
+    A = A / np.linalg.norm(A, axis=0)
+    covariance = np.linalg.inv(A.T @ A)
+    spread = np.sqrt(np.diag(covariance))
+    correlation = np.triu(covariance / np.outer(spread, spread), 1)
+    expected = {(structure.labels[i], structure.labels[j])
+                for i, j in np.argwhere(np.abs(correlation) > 0.95)}
+    assert {(a, b) for a, b, _ in found.pairs} == expected
+    assert bool(expected) == (name == 'full')
+
+
+def test_a_full_fit_of_a_poor_motion_is_advised_against():
+    recording = simulated.record(
+        simulated.shake(axes=(0, 2)), tool=(1e-4, 5e-4), package=(1e-4, 5e-4))
+    _, found = described(recording, FULL)
+    couplings = next(w for w in found.warnings if 'couplings' in w)
+    assert 'take a simpler fit.structure' in couplings
+
+
+def test_without_noises_nothing_is_said_about_noise(rich):
+    _, found = described(rich, noisy=False)
+    assert all(np.isnan(p.noise_share) and np.isnan(p.bias) for p in found.parameters)
+    assert all(np.isnan(a.strain_noise) for a in found.axes)
+    assert found.warnings == ()
+
+
+def test_the_same_recording_gets_the_same_answer(rich):
+    one, other = (described(rich)[1] for _ in range(2))
+    assert [p.bias for p in one.parameters] == [p.bias for p in other.parameters]
+
+
+def test_mistakes_are_named():
+    with pytest.raises(BellowsError, match='No valid sample'):
+        simulated.excitation([], L0, ROUND)

@@ -1,0 +1,149 @@
+"""Structure selection: the right one is advised, whichever it is."""
+
+from bellows_ros.core.identification.samples import Samples, samples_of
+from bellows_ros.core.identification.structure_selection import effective_samples, select_structure
+from bellows_ros.core.model import Cup
+from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from . import simulated
+
+NOISE = {'tool': (2e-5, 5e-5), 'package': (1e-4, 5e-4)}
+
+
+def selection_of(cup, **options):
+    """Return the structure selection of a recording of a cup with noise."""
+    recording = simulated.record(
+        simulated.shake(duration=12.0), cup, rate_hz=200.0, **{**NOISE, **options})
+    samples = samples_of(recording)
+    return samples, select_structure([samples], cup.length, [recording.noise])
+
+
+def coupled():
+    """Return a cup whose directions are coupled as no round one's are."""
+    K, P = simulated.CUP.stiffness.copy(), simulated.CUP.damping.copy()
+    K[0, 4] = K[4, 0] = 0.35 * np.sqrt(K[0, 0] * K[4, 4])
+    K[1, 5] = K[5, 1] = 0.3 * np.sqrt(K[1, 1] * K[5, 5])
+    return Cup(K, P, simulated.CUP.length)
+
+
+def oval():
+    """Return a cup that is softer about one lateral axis than about the other."""
+    K = np.diag(np.diag(simulated.CUP.stiffness) * [1.0, 1.4, 1.0, 1.3, 1.0, 1.0])
+    return Cup(K, simulated.CUP.damping, simulated.CUP.length)
+
+
+def off_middle():
+    """Return a round cup whose centre of stiffness is 8 mm above the middle."""
+    X = np.eye(6)
+    X[0, 4], X[1, 3] = -0.008, 0.008
+    return Cup(X.T @ simulated.CUP.stiffness @ X, simulated.CUP.damping, simulated.CUP.length)
+
+
+@pytest.mark.parametrize(('cup', 'name'), [
+    (simulated.CUP, 'axisymmetric'), (off_middle(), 'axisymmetric_coupled'), (oval(), 'diagonal'),
+    (coupled(), 'full')])
+def test_the_structure_of_the_truth_is_advised(cup, name):
+    _, selection = selection_of(cup)
+    assert selection.advised == name
+    assert selection.advice[0].startswith(f'Take fit.structure: {name}. ')
+    assert [candidate.parameters for candidate in selection.candidates] == [8, 10, 12, 42]
+    right = next(candidate for candidate in selection.candidates if candidate.structure == name)
+    assert right.held_out < 0.03
+    for candidate in selection.candidates[
+        : [r.structure for r in selection.candidates].index(name)
+    ]:
+        assert candidate.held_out > 2.0 * right.held_out  # too simple is far worse
+        assert candidate.aic > 10.0 and candidate.bic > 10.0
+
+
+def test_criteria_are_those_of_the_formulas():
+    """Compute AIC and BIC anew from the residuals of fits with the weight of the richest."""
+    samples, selection = selection_of(simulated.CUP)
+    aic, bic = [], []
+    rich = simulated.least_squares([samples], simulated.CUP.length, STRUCTURES['full'])
+    for candidate in selection.candidates:
+        structure = STRUCTURES[candidate.structure]
+        ((L, c, _),) = samples.lip.equations(simulated.CUP.length, structure)
+        ((full_L, _, _),) = samples.lip.equations(
+            simulated.CUP.length, STRUCTURES['full'])
+        x = STRUCTURES['full'].parameters(rich.stiffness, rich.damping)
+        residual = c - full_L @ x
+        W = np.linalg.inv(residual.T @ residual / len(residual))
+        root = np.linalg.cholesky(W).T
+        A, b = (root @ L).reshape(-1, L.shape[2]), (c @ root.T).ravel()
+        size = np.linalg.norm(A, axis=0)
+        left = b - A / size @ np.linalg.lstsq(A / size, b, rcond=None)[0]
+        deviance = selection.effective_samples / len(residual) * float(left @ left)
+        aic.append(deviance + 2 * L.shape[2])
+        bic.append(deviance + np.log(selection.effective_samples) * L.shape[2])
+    assert_allclose(
+        [candidate.aic for candidate in selection.candidates], np.array(aic) - min(aic), atol=1e-3
+    )
+    assert_allclose(
+        [candidate.bic for candidate in selection.candidates], np.array(bic) - min(bic), atol=1e-3
+    )
+
+
+@pytest.mark.parametrize('a', [0.0, 0.6, 0.9])
+def test_effective_samples_of_an_autoregression(a):
+    """Compare with (1 - a^2) / (1 + a^2) N of a first-order autoregression."""
+    rng = np.random.default_rng(8)
+    count = 20000
+    white = rng.standard_normal((count, 6))
+    values = np.empty_like(white)
+    values[0] = white[0]
+    for k in range(1, count):
+        values[k] = a * values[k - 1] + white[k]
+    valid = np.ones(count, dtype=bool)
+    expected = count * (1 - a**2) / (1 + a**2)
+    assert_allclose(effective_samples([(values, valid)], 100), expected, rtol=0.05)
+    valid[rng.integers(0, count, 2000)] = False  # samples missing here and there change nothing
+    part = np.count_nonzero(valid) / count
+    assert_allclose(effective_samples([(values, valid)], 100), expected * part, rtol=0.05)
+
+
+def test_exact_recordings_are_no_trouble():
+    _, selection = selection_of(simulated.CUP, tool=(0.0, 0.0), package=(0.0, 0.0))
+    assert selection.advised == 'axisymmetric'
+    assert all(candidate.held_out < 2e-3 for candidate in selection.candidates)
+
+
+def test_gaps_are_left_out_and_without_noises_nothing_is_corrected():
+    recording = simulated.record(simulated.shake(duration=12.0), rate_hz=120.0)
+    samples = samples_of(recording)
+    valid = np.ones(len(samples.tool), dtype=bool)
+    valid[300:330] = False
+    tool = Trajectory(*[getattr(samples.tool, name) for name in (
+        'stamps_ns', 'position', 'rotation', 'twist', 'acceleration')], valid)
+    gappy = Samples(tool, samples.package, samples.payload, samples.gravity, samples.window)
+    selection = select_structure([gappy], simulated.CUP.length)
+    assert selection.samples == len(samples.tool) - 30
+    assert selection.advised == 'axisymmetric'
+
+
+def test_a_poor_motion_leaves_the_structures_that_can_be_fitted():
+    """Refuse what cannot be fitted, with the reason, and advise what can."""
+    recording = simulated.record(simulated.shake(axes=(0, 2), duration=8.0), **NOISE)
+    samples = samples_of(recording)
+    selection = select_structure([samples], simulated.CUP.length, [recording.noise])
+    usable = [candidate.structure for candidate in selection.candidates if candidate.usable]
+    assert usable == ['axisymmetric', 'axisymmetric_coupled']
+    assert selection.advised in usable
+    for name in ('diagonal', 'full'):
+        assert any(sentence.startswith(f'{name} ') for sentence in selection.advice)
+
+
+def test_mistakes_are_named():
+    recording = simulated.record(simulated.shake(duration=4.0))
+    samples = samples_of(recording)
+    with pytest.raises(BellowsError, match='No structure can be fitted'):
+        select_structure([Samples(
+            samples.tool.select(slice(0, 1)), samples.package.select(slice(0, 1)), samples.payload,
+            samples.gravity, samples.window)], simulated.CUP.length)
+    with pytest.raises(BellowsError, match='as many noises'):
+        select_structure([samples, samples], simulated.CUP.length, [recording.noise])

@@ -1,0 +1,179 @@
+"""Free simulation of made-up recordings whose cup and noise are known."""
+
+from dataclasses import replace
+
+from bellows_ros.core.identification.validation import smoothed_tool, validate
+from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.recording.preparation import prepare
+from bellows_ros.core.recording.recording import PrepareSettings
+from bellows_ros.core.simulation import simulate
+from bellows_ros.core.trajectory import PoseStream, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+RATE = 240.0
+PACKAGE = Package(2.0, np.diag([0.008, 0.009, 0.016]), np.array([0.0, 0.0, -0.03]))
+CUP = Cup(np.diag([6000.0, 6000, 11000, 4.0, 4.0, 1.2]),
+          np.diag([60.0, 60, 25, 0.06, 0.06, 0.1]), 0.048)
+POSITION, ROTATION = 1e-4, 5e-4
+G = 9.81
+
+
+def tool_motion(duration=8.0, at_rest=1.0):
+    """Return a tool that moves in several directions after standing still, by its formula."""
+    t = np.arange(int(duration * RATE)) / RATE
+    s = np.maximum(t - at_rest, 0.0)
+    grown = 1 - np.exp(-(2 * s)**3)
+    slope = 24 * s**2 * np.exp(-(2 * s)**3)
+    position, velocity = np.zeros((2, len(t), 3))
+    for axis, (amplitude, hz) in enumerate([(0.02, 2.1), (0.015, 2.7), (0.02, 3.9)]):
+        omega = 2 * np.pi * hz
+        position[:, axis] = amplitude * grown * np.sin(omega * t)
+        velocity[:, axis] = amplitude * (
+            slope * np.sin(omega * t) + grown * omega * np.cos(omega * t))
+    angle = 0.15 * grown * np.sin(2 * np.pi * 1.3 * t)
+    rate = 0.15 * (slope * np.sin(2 * np.pi * 1.3 * t)
+                   + grown * 2 * np.pi * 1.3 * np.cos(2 * np.pi * 1.3 * t))
+    axis = np.array([0.6, 0.0, 0.8])
+    R = exp_so3(angle[:, None] * axis)
+    twist = np.hstack([np.einsum('nji,nj->ni', R, velocity), rate[:, None] * axis])
+    return Trajectory((t * 1e9).round().astype(np.int64), position, R, twist)
+
+
+def stream(name, motion, noise, rng, kept=None):
+    """Return a motion as it is recorded: noisy, with samples missing."""
+    position = motion.position + noise * POSITION * rng.normal(size=(len(motion), 3))
+    R = motion.rotation @ exp_so3(noise * ROTATION * rng.normal(size=(len(motion), 3)))
+    kept = slice(None) if kept is None else kept
+    return PoseStream(name, 'world', motion.stamps_ns[kept], position[kept], R[kept], {})
+
+
+def recording(noise=1.0, seed=0, tool=None, first=0, kept=None):
+    """Return a prepared recording of the cup."""
+    tool = tool_motion() if tool is None else tool
+    body = simulate(CUP, PACKAGE, tool, gravity=G)
+    tool, body = tool.select(slice(first, None)), body.select(slice(first, None))
+    rng = np.random.default_rng(seed)
+    return prepare(
+        stream('tool', tool, noise, rng, kept), stream('package', body, noise, rng),
+        PrepareSettings(payload=PACKAGE, gravity=G))
+
+
+@pytest.fixture(scope='module')
+def judged():
+    """Return the validation of the true cup on a noisy recording."""
+    return validate(CUP, recording())
+
+
+def test_the_true_cup_explains_a_noise_free_recording():
+    """Leave nothing but what the smoothing takes from the tool."""
+    found = validate(CUP, recording(noise=0.0))
+    assert found.start == 'equilibrium'
+    assert np.all(found.scores.nrmse < 1e-4)
+    assert found.one_step is None
+    assert found.warnings == ()
+
+
+def test_noise_explains_the_error_of_the_true_cup(judged):
+    """Predict the RMS error from the noise, within what a few seconds of random motion allow."""
+    assert_allclose(judged.scores.rms, judged.noise, rtol=0.2)
+    assert np.all(judged.noise > 0.95 * np.repeat([POSITION, ROTATION], 3))
+    assert judged.failing() == ()
+
+
+def test_one_step_errors_of_the_true_cup_are_white(judged):
+    """Meet the expected covariance: chi^2 of one, as well as the noise is estimated from 8 s."""
+    # medians of 3 * 1900 residuals of windows that overlap: 1.5 % of sigma, so 3 % of chi^2
+    assert_allclose(judged.one_step.chi2, 1.0, atol=3 * 0.03)
+    # with a gain that is fixed while the cup bends, hardly more than 1 % of the next is explained
+    assert np.all(judged.one_step.whiteness.largest < 0.1)
+
+
+def test_a_wrong_cup_is_found_out(judged):
+    """See a cup that is too soft in bending, where it bends and in the colour of its errors."""
+    soft = np.diag([1.0, 1, 1, 0.8, 0.8, 1])
+    found = validate(Cup(CUP.stiffness @ soft, CUP.damping, CUP.length), recording())
+    assert {'rx', 'ry'} <= set(found.failing())
+    assert np.all(found.model_error[3:5] > 5 * judged.model_error[3:5] + 0.05)
+    assert found.one_step.chi2 > 1.1
+    assert 'coloured' in found.one_step.whiteness.words[3:5]
+    assert np.all(found.one_step.whiteness.largest[3:5] > judged.one_step.whiteness.largest[3:5])
+
+
+def test_numbers_are_those_of_the_definition(judged):
+    """Compute RMS, NRMSE and motion again from the curves."""
+    there = np.isfinite(judged.error).all(axis=1)
+    rms = np.sqrt(np.mean(judged.error[there]**2, axis=0))
+    motion = np.std(judged.measured[there], axis=0)
+    assert_allclose(judged.scores.rms, rms)
+    assert_allclose(judged.scores.nrmse, rms / motion)
+    assert_allclose(
+        judged.model_error, np.sqrt(np.maximum(rms**2 - judged.noise**2, 0)) / motion)
+
+
+def test_a_recording_that_begins_in_motion_starts_as_measured():
+    """Begin with the filtered pose and twist, and forget what is wrong with it."""
+    found = validate(CUP, recording(noise=0.1, first=int(2.5 * RATE)))
+    assert found.start == 'measured'
+    assert found.failing() == ()
+
+
+def test_lost_package_poses_are_not_compared():
+    """Leave an outlier's sample out of the score."""
+    whole = recording()
+    body = whole.measured_package
+    holes = np.ones(len(body), dtype=bool)
+    holes[500:520] = False
+    found = validate(CUP, replace(whole, measured_package=Trajectory(
+        body.stamps_ns, body.position, body.rotation, valid=holes)))
+    at = int(np.searchsorted(found.stamps_ns, body.stamps_ns[500]))
+    assert np.isnan(found.measured[at:at + 20]).all()
+    assert found.scores.samples == np.count_nonzero(np.isfinite(found.measured[:, 0]))
+
+
+def test_a_long_gap_of_the_tool_is_said():
+    """Go on through 0.3 s without tool poses, and say so; through a short one say nothing."""
+    motion = tool_motion()
+    for seconds, count in ((0.05, 0), (0.3, 1)):
+        kept = np.ones(len(motion), dtype=bool)
+        kept[1000:1000 + int(seconds * RATE)] = False
+        found = validate(CUP, recording(kept=kept))
+        assert len(found.warnings) == count
+        assert np.isfinite(found.predicted[np.isfinite(found.measured)]).all()
+
+
+def test_smoothing_keeps_the_motion_and_bridges_gaps():
+    """Give back a smooth motion and its twist; across 20 ms nearly so."""
+    motion = tool_motion()
+    valid = np.ones(len(motion), dtype=bool)
+    valid[900:905] = False
+    tool, bridges = smoothed_tool(
+        Trajectory(motion.stamps_ns, motion.position, motion.rotation, valid=valid), 4)
+    first = int(np.searchsorted(motion.stamps_ns, tool.stamps_ns[0]))
+    same = motion.select(slice(first, first + len(tool)))
+    # in the gap within the noise of motion capture, elsewhere as the filter has it
+    assert_allclose(tool.position, same.position, atol=POSITION)
+    outside = np.abs(tool.stamps_ns - motion.stamps_ns[902]) > 0.05e9
+    assert_allclose(tool.position[outside], same.position[outside], atol=2e-6)
+    assert_allclose(tool.twist[outside], same.twist[outside], atol=5e-4)
+    (start, duration), = bridges
+    assert_allclose([start, start + duration], [899 / RATE, 905 / RATE], rtol=1e-6)
+
+
+def test_a_tool_without_poses_is_refused():
+    """Say that there is nothing to simulate."""
+    motion = tool_motion()
+    lost = Trajectory(motion.stamps_ns, motion.position, motion.rotation, valid=False)
+    with pytest.raises(BellowsError, match='nothing to simulate'):
+        smoothed_tool(lost, 4)
+
+
+def test_same_recording_same_bits(judged):
+    """Repeat every number exactly, those from made-up noise too."""
+    again = validate(CUP, recording())
+    np.testing.assert_array_equal(again.predicted, judged.predicted)
+    np.testing.assert_array_equal(again.noise, judged.noise)
+    np.testing.assert_array_equal(again.one_step.errors, judged.one_step.errors)
