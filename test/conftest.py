@@ -72,6 +72,7 @@ def pytest_configure(config: pytest.Config) -> None:
         compile_most()
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give tests that share what is made once in their module to one worker."""
     for item in items:

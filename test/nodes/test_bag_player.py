@@ -13,7 +13,6 @@ from bellows_ros.nodes.bag_player import play, stamped
 from bellows_ros.nodes.conversions import stamp_to_ns
 import numpy as np
 import pytest
-from scipy.stats import theilslopes
 
 COUNT, PERIOD_NS, LATER_NS = 30, 20_000_000, 3_000_000
 START = 1_700_000_000_000_000_000
@@ -63,6 +62,7 @@ def test_messages_come_as_recorded_and_in_time(bag: Path, heard: Any) -> None:
     """Send the very stamps and numbers, at twice the speed, under another name."""
     messages, notes = read_messages(bag)
     names = {'/tool/pose': '/a', '/tool/twist': '/b'}
+    begun = time.time()
     played, poses, twists = heard(('/a', '/b'), lambda: play(messages, names, 2.0), COUNT)
     assert notes == [] and played.messages == {'/a': COUNT, '/b': COUNT} and played.heard
     assert [stamp_to_ns(m.header.stamp) for _, m in poses] == [
@@ -72,8 +72,8 @@ def test_messages_come_as_recorded_and_in_time(bag: Path, heard: Any) -> None:
     duration = 1e-9 * PERIOD_NS * (COUNT - 1) / 2.0
     assert played.duration == pytest.approx(duration)
     due = 1e-9 * PERIOD_NS * np.arange(COUNT) / 2.0
-    pace = theilslopes([sent for sent, _ in poses], due)[0]  # whatever some are late by
-    assert pace > 0.9
+    sent = np.array([at for at, _ in poses])
+    assert np.all(sent - begun >= due)  # a busy machine makes some late, and none early
 
 
 def test_stamps_of_now_keep_pairs_and_intervals(bag: Path, heard: Any) -> None:
