@@ -36,12 +36,21 @@ FIGURES = ('stiffness', 'damping', 'stiffness_std', 'damping_std', 'covariance',
            'residual_rms', 'condition_number')
 
 
+def simulated(root, folder, **changes):
+    """Return two recordings of the motion of bags/identification, changed."""
+    motion = yaml.safe_load((root / 'bags/identification.yaml').read_text())
+    cup = read_parameters(root / 'bags/cup.yaml')
+    bags = [str(folder / name) for name in NAMES]
+    for seed, bag in enumerate(bags, 1):
+        simulate_recording(cup, {**motion, 'seed': seed, 'duration': 12.0, **changes}, bag)
+    return bags
+
+
 @pytest.fixture(scope='module')
-def settings(root):
-    """Return the parameters of two recordings, without noise of the tests' order."""
-    bags = [str(root / 'bags' / name) for name in NAMES]
-    return {**read_parameters(root / 'bags/package.yaml'), 'bags': bags,
-            'fit.method': 'least_squares'}
+def settings(root, tmp_path_factory):
+    """Return the parameters of two short recordings."""
+    return {**read_parameters(root / 'bags/package.yaml'), 'fit.method': 'least_squares',
+            'bags': simulated(root, tmp_path_factory.mktemp('settings'))}
 
 
 @pytest.fixture(scope='module')
@@ -161,15 +170,9 @@ AXES_HZ = {'x': 0.3, 'y': 0.37}
 @pytest.fixture(scope='module')
 def flat(root, tmp_path_factory):
     """Return the parameters of two noisy recordings that hardly move along z and about it."""
-    folder = tmp_path_factory.mktemp('flat')
-    motion = yaml.safe_load((root / 'bags/identification.yaml').read_text())
-    motion['duration'] = 12.0
     lines = {axis: {'amplitude': [0.05], 'frequency': [f]} for axis, f in AXES_HZ.items()}
-    motion['multi_sine'] = {'position': lines, 'rotation': lines}
-    bags = [str(folder / name) for name in ('one', 'two')]
-    cup = read_parameters(root / 'bags/cup.yaml')
-    for seed, bag in enumerate(bags, 1):
-        simulate_recording(cup, {**motion, 'seed': seed}, bag)
+    bags = simulated(root, tmp_path_factory.mktemp('flat'),
+                     multi_sine={'position': lines, 'rotation': lines})
     return {**read_parameters(root / 'bags/package.yaml'), 'package.com': (0.0, 0.004, -0.03),
             'bags': bags, 'fit.method': 'least_squares'}
 
