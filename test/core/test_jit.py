@@ -48,22 +48,38 @@ def test_interpreted_kernels_give_the_same_numbers():
 
 
 @pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing is kept on disk')
-def test_a_change_in_one_file_reaches_kernels_in_others(tmp_path):
+def test_a_change_in_one_file_reaches_its_callers_in_others_and_no_more(tmp_path):
     shutil.copytree(PACKAGE, tmp_path / 'bellows_ros', ignore=shutil.ignore_patterns('*.nb?'))
     script = """
 import json
+from bellows_ros.core.holding import ratio
 from bellows_ros.core.kernels import strain
-print(json.dumps(strain((1., 0., 0.), (1., 0., 0., 0., 1., 0., 0., 0., 1.))[0]))
+first = strain((1., 0., 0.), (1., 0., 0., 0., 1., 0., 0., 0., 1.))[0][0]
+second = ratio(4., 2.)
+hits = [sum(kernel.stats.cache_hits.values()) for kernel in (strain, ratio)]
+print(json.dumps([first, second, *hits]))
 """
     cache = {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
-    assert run(script, tmp_path, **cache) == [2.0, 0.0, 0.0]
+    assert run(script, tmp_path, **cache) == [2.0, 2.0, 0, 0]
+    assert run(script, tmp_path, **cache) == [2.0, 2.0, 1, 1]
     assert list((tmp_path / 'cache').rglob('*.nbi'))
     tuples = tmp_path / 'bellows_ros/core/tuples.py'
     text = tuples.read_text()
     line = 'return (a[0] + b[0], a[1] + b[1], a[2] + b[2])'
     assert line in text
     tuples.write_text(text.replace(line, 'return (a[0] + 5 * b[0], a[1] + b[1], a[2] + b[2])'))
-    assert run(script, tmp_path, **cache) == [6.0, 0.0, 0.0]
+    assert run(script, tmp_path, **cache) == [6.0, 2.0, 0, 1]
+
+
+@pytest.mark.parametrize('line', ['LIMIT = 2.0', 'LIMIT = (1.0, 2.0)'])
+def test_a_kernel_is_of_its_constants(line):
+    def digest(text):
+        names = {}
+        exec(f'{text}\ndef kernel(x):\n    """Compare."""\n    return x > LIMIT', names)
+        return jit._source_digest(names['kernel'])
+
+    assert digest(line) == digest(line) == digest(f'OTHER = 3\n{line}')
+    assert digest(line) != digest(line.replace('2', '3'))
 
 
 @pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing is kept on disk')
