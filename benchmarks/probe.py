@@ -3,8 +3,10 @@ Send tool poses (and twists) at a rate and take the time until each answer is he
 
 `python -m benchmarks.probe RATE SECONDS SENT HEARD PID` prints JSON: latencies in s,
 and the processor time and memory of the process that answers. SENT is `poses` or `twists` (these
-too), HEARD is `pose`, `all` (the package's twist and the cup's wrench too) or `landing` (where it
-would land, too).
+too), HEARD is `pose`, `all` (the package's twist and the cup's wrench too), `landing` (where it
+would land, too) or `plans,PERIOD,RATE,HOW`: every PERIOD (s) a plan of 2 s of what the tool does
+from now on is sent, with points at RATE, during the first half of each `CYCLE`. HOW is `raw`
+(as bytes) or `typed` (as messages of rclpy, whose making of objects then counts).
 """
 
 from collections.abc import Callable
@@ -16,6 +18,7 @@ import sys
 import time
 from typing import Any
 
+from bellows_ros.files.plan_messages import encode_multi_dof, PlanMessage
 from bellows_ros.nodes.conversions import stamp_to_ns
 from geometry_msgs.msg import (
     PoseStamped,
@@ -23,9 +26,12 @@ from geometry_msgs.msg import (
     TwistStamped,
     WrenchStamped,
 )
+import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 QUEUE = 10_000
 FIRST_NS = 1_000_000_000
@@ -35,6 +41,10 @@ DISCOVERY, TWISTS_DISCOVERY = 60.0, 1.0
 LAST_ANSWER = 2.0
 BUSY = 300e-6
 """So long (s) before a message is due nothing else is done."""
+CYCLE, PLAN_LASTS = 12, 2
+"""Plans are sent in the first half of so many seconds; the last is driven for so long (s)."""
+WAY, TURNS = 0.02, 2.0 * math.pi
+"""Amplitude (m) and angular frequency (rad/s) of the tool."""
 
 
 class Probe(Node):
@@ -60,11 +70,36 @@ class Probe(Node):
             self.create_subscription(kind, name, callback, QUEUE)
         self._period = 1.0 / rate_hz
         self._messages = [_messages(k * self._period) for k in range(round(seconds * rate_hz))]
+        self._plans: dict[int, Any] = {}
+        self.plans: list[tuple[int, int]] = []
+        self._planned_ns: int | None = None
+        if heard.startswith('plans'):
+            self._prepare_plans(heard, seconds)
         self.executor_ = SingleThreadedExecutor()
         self.executor_.add_node(self)
 
     def _on_answer(self, message: PoseStamped) -> None:
         self.answered[stamp_to_ns(message.header.stamp)] = time.perf_counter_ns()
+
+    def _prepare_plans(self, how: str, seconds: float) -> None:
+        """Make the plans, and their topics."""
+        _, period, rate_hz, kind = how.split(',')
+        each = round(float(period) / self._period)
+        for k in range(round(WARM_SECONDS / self._period), len(self._messages), each):
+            if (k * self._period - WARM_SECONDS) % CYCLE < CYCLE / 2:
+                data = plan_from(k * self._period, float(rate_hz))
+                self._plans[k] = (
+                    deserialize_message(data, MultiDOFJointTrajectory) if kind == 'typed'
+                    else data)
+        self._plan_out = self.create_publisher(MultiDOFJointTrajectory, 'tool_arm/plan', 10)
+        self.create_subscription(
+            MultiDOFJointTrajectory, 'package/plan', self._on_plan, 100, raw=kind != 'typed')
+
+    def _on_plan(self, message: Any) -> None:
+        """Note the first answer; those that follow are of what is left of the plan."""
+        if self._planned_ns is not None:
+            self.plans.append((self._planned_ns, time.perf_counter_ns()))
+            self._planned_ns = None
 
     def _on_other(self, message: Any) -> None:
         self.others += 1
@@ -99,6 +134,9 @@ class Probe(Node):
             self._pose_out.publish(pose)
             if self._twist_out:
                 self._twist_out.publish(twist)
+            if k in self._plans:
+                self._planned_ns = time.perf_counter_ns()
+                self._plan_out.publish(self._plans[k])
         self._spin_until(lambda: len(self.answered) == len(self.sent), LAST_ANSWER)
 
     def _wait_until(self, due: float) -> None:
@@ -110,15 +148,26 @@ class Probe(Node):
 def _messages(seconds: float) -> tuple[PoseStamped, TwistStamped]:
     """Return pose and twist of a tool that moves to and fro."""
     stamp_ns = FIRST_NS + round(seconds * 1e9)
-    speed = 2.0 * math.pi
     pose, twist = PoseStamped(), TwistStamped()
     for message in (pose, twist):
         message.header.frame_id = 'world'
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-    pose.pose.position.x = 0.02 * (1.0 - math.cos(speed * seconds))
+    pose.pose.position.x = WAY * (1.0 - math.cos(TURNS * seconds))
     pose.pose.orientation.w = 1.0
-    twist.twist.linear.x = 0.02 * speed * math.sin(speed * seconds)
+    twist.twist.linear.x = WAY * TURNS * math.sin(TURNS * seconds)
     return pose, twist
+
+
+def plan_from(seconds: float, rate_hz: float) -> bytes:
+    """Return a plan of what the tool does from a time on."""
+    t = np.arange(round(PLAN_LASTS * rate_hz) + 1) / rate_hz
+    poses, twists = np.zeros((len(t), 7)), np.zeros((len(t), 6))
+    poses[:, 6] = 1.0
+    poses[:, 0] = WAY * (1.0 - np.cos(TURNS * (seconds + t)))
+    twists[:, 0] = WAY * TURNS * np.sin(TURNS * (seconds + t))
+    return encode_multi_dof(PlanMessage(
+        FIRST_NS + round(seconds * 1e9), 'world', ('tool',), np.round(t * 1e9).astype(np.int64),
+        poses, twists))
 
 
 def used(pid: int) -> dict[str, float]:
@@ -155,6 +204,9 @@ def _result(probe: Probe, before: dict[str, float], after: dict[str, float]) -> 
             (probe.answered[stamp] - probe.sent[stamp]) * 1e-9
             for stamp in counted if stamp in probe.answered
         ],
+        'stamps': [(stamp - FIRST_NS) * 1e-9 - WARM_SECONDS for stamp in counted
+                   if stamp in probe.answered],
+        'plans': [(answered - sent) * 1e-9 for sent, answered in probe.plans],
         'processor_seconds': after['seconds'] - before['seconds'],
         'memory': after['memory'],
     }

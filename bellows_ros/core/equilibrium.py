@@ -74,6 +74,11 @@ def linearise(model: ModelTuple, tool: State, body: State) -> Jacobian:
     return Jacobian(*(_matrix(square) for square in (*of_body, *of_tool)))
 
 
+def stiffness(model: ModelTuple, tool: State, body: State) -> Array:
+    """Return the derivative (6, 6) of the package's acceleration by its own displacement alone."""
+    return _matrix(body_jacobians(model, tool, body)[0])
+
+
 def _matrix(square: Square) -> Array:
     """Return a 6x6 matrix of the kernels as an array."""
     parts = np.reshape(square, (2, 2, 3, 3))
@@ -141,7 +146,7 @@ def static_equilibrium(
     for load in np.linspace(0.0, 1.0, loads + 1)[1:]:
         loaded = (cup, package, scale(float(load), gravity_in_tool))
         body = _newton_equilibrium(loaded, origin, body)
-    if np.linalg.eigvals(linearise(loaded, origin, body).body_pose).real.max() >= 0.0:
+    if np.linalg.eigvals(stiffness(loaded, origin, body)).real.max() >= 0.0:
         raise _no_equilibrium(model)  # it would fall over
     position = add(tool[0], apply(R_world_tool, body[0]))
     return position, quaternion_product(tool[1], body[1]), zero, zero
@@ -152,7 +157,7 @@ def _newton_equilibrium(model: ModelTuple, tool: State, body: State) -> State:
     size = math.inf
     for _ in range(_ITERATIONS):
         residual = np.array(body_acceleration(model, tool, body)).ravel()
-        jacobian = linearise(model, tool, body).body_pose
+        jacobian = stiffness(model, tool, body)
         try:
             step = np.linalg.solve(jacobian, -residual)
         except np.linalg.LinAlgError:

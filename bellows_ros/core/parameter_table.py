@@ -436,6 +436,12 @@ _TABLE = (
         _PREDICTOR, above=0.0, maximum=50.0,
     ),
     Parameter(
+        'plan.points_rate', 'double', 100.0, 'Hz',
+        'Points per second of an answer to a plan, at most, and its last one. Their twists tell '
+        'how the package moves between them.',
+        _PREDICTOR, above=0.0, maximum=10000.0,
+    ),
+    Parameter(
         'steer.method', 'string', 'inverse', '',
         'How the node steers: by the inverse of cup and package, or by input shaping.',
         _PREDICTOR, choices=('inverse', 'zv', 'zvd'),

@@ -26,7 +26,7 @@ from bellows_ros.core.kernels import (
     tool_at,
     tool_segment,
 )
-from bellows_ros.core.simulation import row_state, state_row, tool_rows, write_row
+from bellows_ros.core.simulation import row_state, Rows, state_row, tool_rows, write_row
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import (
     add,
@@ -79,7 +79,7 @@ class Prediction:
 
     Parameters
     ----------
-    tool : Trajectory
+    tool : Trajectory or Rows
         The plan, N points.
     states : array (N, 13)
         Of B in the world: position (m), quaternion xyzw, body twist (m/s, rad/s).
@@ -99,7 +99,7 @@ class Prediction:
 
     """
 
-    tool: Trajectory
+    tool: Trajectory | Rows
     states: Array
     wrench: Array
     loads: Array
@@ -144,7 +144,7 @@ class Prediction:
 
 
 def predict(
-    model: ModelTuple, grip: Grip | None, tool: Trajectory, start: State | None = None,
+    model: ModelTuple, grip: Grip | None, tool: Trajectory | Rows, start: State | None = None,
     tail: float = LONGEST_TAIL, longest: float = 0.0,
 ) -> Prediction:
     """
@@ -156,7 +156,7 @@ def predict(
         As the kernels take it.
     grip : tuple, optional
         As `grip_of` returns it; without it nothing is said of the safety factor.
-    tool : Trajectory
+    tool : Trajectory or Rows
         A plan, as `plan_points.plan_of` returns it.
     start : State, optional
         Of B in the world at the first point; at rest there when left out.
@@ -183,7 +183,7 @@ class Run:
     """
 
     def __init__(
-        self, model: ModelTuple, grip: Grip | None, tool: Trajectory,
+        self, model: ModelTuple, grip: Grip | None, tool: Trajectory | Rows,
         start: State | None = None, tail: float = LONGEST_TAIL, longest: float = 0.0,
     ) -> None:
         """Take the plan, and find where the package rests."""

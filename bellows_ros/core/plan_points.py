@@ -3,8 +3,10 @@
 from dataclasses import replace
 from typing import Any
 
+from bellows_ros.core import tuples
 from bellows_ros.core.arm import Arm
 from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.jit import kernel
 from bellows_ros.core.lie import (
     apply,
     d2exp,
@@ -69,18 +71,21 @@ def plan_of(
     given = [part for part in (position, quaternion_xyzw, twist, acceleration) if part is not None]
     _refuse(~np.isfinite(np.hstack(given)).all(axis=1), name,
             'holds NaN or infinity', 'finite numbers', 'Leave such points out.')
-    off = np.abs(np.linalg.norm(quaternion_xyzw, axis=1) - 1.0)
+    length = np.linalg.norm(quaternion_xyzw, axis=1)
+    off = np.abs(length - 1.0)
     _refuse(off > UNIT_WITHIN, name, 'has a quaternion that is not of unit length',
             f'length 1 to {UNIT_WITHIN:g}', 'Are its numbers x, y, z, w in this order?')
     _require_times(stamps_ns, name)
     rotation = quaternion_to_rotation(quaternion_xyzw)
-    _require_reachable(stamps_ns, position, rotation, twist, name)
+    steps = np.empty((len(position) - 1, 6))
+    write_steps(np.hstack([position, quaternion_xyzw / length[:, None]]), steps)
+    _require_reachable(stamps_ns, steps, twist, name)
     if twist is None:
         twist = spline_twists((stamps_ns - stamps_ns[0]) / NS_PER_S, position, rotation)
     elif twist_frame == 'world':
         twist = _in_tool_axes(rotation, twist)
     plan = Trajectory(stamps_ns, position, rotation, twist)
-    _require_fitting(plan, twist, name)
+    _require_fitting(plan, steps, twist, name)
     if acceleration is None:
         return refined(plan)
     if twist_frame == 'world':  # d/dt R^T v = R^T a - w x R^T v; the same of w is R^T alpha
@@ -270,13 +275,24 @@ def _require_times(stamps_ns: Stamps, name: str) -> None:
             f'{name} takes {seconds:g} s; expected at most {LONGEST:g}. Are its times in seconds?')
 
 
+@kernel
+def write_steps(poses: Any, out: Any) -> None:
+    """Write shift (m, world) and rotation vector (rad, tool axes) from each pose to the next."""
+    for k in range(len(out)):
+        a, b = poses[k], poses[k + 1]
+        back = (-a[3], -a[4], -a[5], a[6])
+        turn = tuples.log_quaternion(
+            tuples.quaternion_product(back, (b[3], b[4], b[5], b[6])))
+        for i in range(3):
+            out[k, i], out[k, i + 3] = b[i] - a[i], turn[i]
+
+
 def _require_reachable(
-    stamps_ns: Stamps, position: Array, rotation: Array, twist: Array | None, name: str
+    stamps_ns: Stamps, steps: Array, twist: Array | None, name: str
 ) -> None:
     """Refuse what no arm can follow."""
     h = np.diff(stamps_ns) / NS_PER_S
-    moved = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    turned = np.linalg.norm(log_so3(np.swapaxes(rotation[:-1], -1, -2) @ rotation[1:]), axis=1)
+    moved, turned = (np.linalg.norm(part, axis=1) for part in (steps[:, :3], steps[:, 3:]))
     jump = (moved > SLACK[0] + LARGEST_SPEED * h) | (turned > SLACK[1] + LARGEST_RATE * h)
     if jump.any():
         i = int(np.argmax(jump))
@@ -291,15 +307,13 @@ def _require_reachable(
                 f'at most {LARGEST_SPEED:g} m/s and {LARGEST_RATE:g} rad/s', 'Check the units.')
 
 
-def _require_fitting(plan: Trajectory, twist: Array, name: str) -> None:
+def _require_fitting(plan: Trajectory, steps: Array, twist: Array, name: str) -> None:
     """Refuse velocities that are not those of the poses."""
     if len(plan) < DENSE:
         return
     h = (np.diff(plan.stamps_ns) / NS_PER_S)[:, None]
     world = apply(plan.rotation, twist[:, :3])
-    steps = np.hstack([
-        np.diff(plan.position, axis=0),
-        log_so3(np.swapaxes(plan.rotation[:-1], -1, -2) @ plan.rotation[1:])]) / h
+    steps = steps / h
     mean = 0.5 * np.hstack([world[1:] + world[:-1], twist[1:, 3:] + twist[:-1, 3:]])
     for part, what in ((slice(3), 'velocities'), (slice(3, 6), 'angular velocities')):
         size = float(np.sqrt(np.mean(steps[:, part] ** 2)))

@@ -19,7 +19,7 @@ from bellows_ros.core.kernels import (
 )
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package, STANDARD_GRAVITY
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import (
     apply,
     dot,
@@ -38,8 +38,42 @@ def state_row(position: ArrayLike, quaternion_xyzw: ArrayLike, twist: ArrayLike)
     return (o[0], o[1], o[2]), (q[0], q[1], q[2], q[3]), (v[0], v[1], v[2]), (v[3], v[4], v[5])
 
 
-def tool_rows(tool: Trajectory) -> Array:
-    """Return a trajectory with twists as rows (N, 13): position, quaternion xyzw, body twist."""
+@dataclass(frozen=True, eq=False, slots=True)
+class Rows:
+    """
+    A tool's motion that is known to be sound, as the kernels take it.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        ns.
+    rows : array (N, 13)
+        As `tool_rows` returns them.
+
+    """
+
+    stamps_ns: Stamps
+    rows: Array
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.stamps_ns)
+
+    @property
+    def seconds(self) -> Array:
+        """Times since the first sample, s (N,)."""
+        return np.asarray((self.stamps_ns - self.stamps_ns[0]) / NS_PER_S)
+
+    def trajectory(self) -> Trajectory:
+        """Return the same, checked."""
+        return Trajectory(self.stamps_ns, self.rows[:, :3],
+                          quaternion_to_rotation(self.rows[:, 3:7]), self.rows[:, 7:])
+
+
+def tool_rows(tool: Trajectory | Rows) -> Array:
+    """Return a motion with twists as rows (N, 13): position, quaternion xyzw, body twist."""
+    if isinstance(tool, Rows):
+        return tool.rows
     if tool.twist is None:
         raise BellowsError('The tool trajectory has no twists; filter or differentiate it first.')
     return np.hstack([tool.position, rotation_to_quaternion(tool.rotation), tool.twist])

@@ -8,6 +8,7 @@ of 2,000 points in the time in which Python objects of 20 are made.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 import struct
 
 from bellows_ros.core.arrays import Array, Stamps
@@ -154,6 +155,7 @@ def _points(
     return times, a.astype(float), b.astype(float), c.astype(float)
 
 
+@cache
 def _point(order: str, offset: int, parts: tuple[int, ...]) -> np.dtype[np.void]:
     """Return how a point lies in memory that begins at an offset (0 or 4) from 8 bytes."""
     names, formats, offsets, at = [], [], [], offset

@@ -26,7 +26,7 @@ from ..core.lie import quaternion_to_rotation, rotation_to_quaternion
 from ..core.live import LivePredictor, Prediction
 from ..core.live.ahead import Ahead, future
 from ..core.live.health import Level, number, Status
-from ..core.live.samples import ZERO
+from ..core.live.samples import ORIGIN, ZERO
 from ..core.plan import COARSE, predict
 from ..core.plan import Prediction as Predicted
 from ..core.plan_points import plan_of
@@ -43,11 +43,14 @@ LONGEST_REQUEST = 10.0
 MOST_WAITING = 4
 """Messages that wait to be answered; more are refused."""
 
-SWITCH = 2e-4
+SWITCH = 5e-5
 """The live prediction gets the interpreter back from an answer within this time (s)."""
 
 TAIL = 2.0
 """How long (s) after the end of a plan the package is looked at."""
+
+STILL = Prediction(1, *ORIGIN, ZERO, ZERO)
+"""Stands for a package of which nothing is known yet."""
 
 UNKNOWN = 1e3
 """Standard deviation (m, rad, m/s, rad/s) of an answer on package/predicted_at."""
@@ -125,10 +128,11 @@ class Planning:
 
     def _warm_up(self) -> None:
         """Answer a plan that is none."""
-        still = Trajectory(
-            np.arange(9) * 50_000_000, np.zeros((9, 3)), np.tile(np.eye(3), (9, 1, 1)),
-            np.zeros((9, 6)))
-        predict(self._live.model, grip_of(self._values), still, tail=0.1)
+        still = plan_of(np.arange(9) * 50_000_000, np.zeros((9, 3)),
+                        np.tile([0.0, 0.0, 0.0, 1.0], (9, 1)), np.zeros((9, 6)))
+        at_rest = Ahead(still, 0)
+        at_rest.follow(STILL)
+        predict(self._live.model, grip_of(self._values), at_rest.rest(STILL), tail=0.1)
         steer(self._live.model, still, self._values['steer.method'])
         self._is_warm = True
 
@@ -159,13 +163,11 @@ class Planning:
             now = self._now()
             if now is not None:
                 self._ahead.follow(now)
-            if now is None or self._ahead.off:
-                self._answer(predict(self._live.model, grip_of(self._values), tool, tail=TAIL),
-                             message.stamp_ns)
-            else:
-                self._answer(predict(
-                    self._live.model, grip_of(self._values), self._ahead.rest(now, 0.0),
-                    now.body, TAIL), now.stamp_ns)
+            rest, body, stamp_ns = self._ahead.plan, None, message.stamp_ns
+            if now is not None and not self._ahead.off:
+                rest, body, stamp_ns = self._ahead.rest(now, 0.0), now.body, now.stamp_ns
+            self._answer(predict(
+                self._live.model, grip_of(self._values), rest, body, TAIL, self._coarse), stamp_ns)
         except BellowsError as error:
             self._refuse('plan', error)
             return
@@ -204,17 +206,20 @@ class Planning:
 
     def _answer(self, found: Predicted, stamp_ns: int) -> None:
         """Publish the package along a plan, and keep what there is to say of it."""
-        self.status = self._summary(found)
         frame = self._live.frame_id
         times = found.tool.stamps_ns - found.tool.stamps_ns[0]
+        slots = np.floor(times * (self._values['plan.points_rate'] / NS_PER_S) + 1e-6)
+        sent = np.append(np.flatnonzero(slots[:-1] != np.append(-1.0, slots[:-2])), len(times) - 1)
+        times, states = times[sent], found.states[sent]
         if self._plan_out.wanted:
-            twists = in_axes(quaternion_to_rotation(found.states[:, 3:7]), found.states[:, 7:],
+            twists = in_axes(quaternion_to_rotation(states[:, 3:7]), states[:, 7:],
                              self._values['tool_twist.frame'])
             self._plan_out.publish(encode_multi_dof(PlanMessage(
-                stamp_ns, frame, (self._values['frames.package'],), times, found.states[:, :7],
+                stamp_ns, frame, (self._values['frames.package'],), times, states[:, :7],
                 twists)))
         if self._path_out.wanted:
-            self._path_out.publish(encode_path(stamp_ns, frame, times, found.states[:, :7]))
+            self._path_out.publish(encode_path(stamp_ns, frame, times, states[:, :7]))
+        self.status = self._summary(found)
 
     def _summary(self, found: Predicted) -> Status:
         """Return the line of the diagnostics."""

@@ -7,13 +7,29 @@ along its path, not to the clock. Pure code, no ROS.
 
 from __future__ import annotations
 
-from bellows_ros.core.arrays import Array
+import math
+from typing import Any
+
+from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.kernels import State
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live.flight import steadily
 from bellows_ros.core.live.payload import extrapolated
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.resampling import resample
+from bellows_ros.core.simulation import row_state, Rows, tool_rows
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.tuples import (
+    apply_transposed,
+    dot,
+    log_quaternion,
+    Quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_matrix,
+    subtract,
+    Vector,
+)
 import numpy as np
 
 LEVER = 0.1
@@ -39,6 +55,55 @@ SPACING = 0.01
 """Points of the rest of a plan are no nearer to each other (s)."""
 
 
+@kernel
+def apart(row: Any, o: Vector, q: Quaternion) -> float:
+    """Return how far (m) a tool is from a point of a plan, turns counted as by `LEVER`."""
+    x, y, z = row[0] - o[0], row[1] - o[1], row[2] - o[2]
+    same = abs(row[3] * q[0] + row[4] * q[1] + row[5] * q[2] + row[6] * q[3])
+    turned = LEVER * LEVER * 4.0 * max(0.0, 2.0 - 2.0 * same)
+    return math.sqrt(x * x + y * y + z * z + turned)
+
+
+@kernel
+def along(v: Vector, w: Vector, linear: Vector, angular: Vector) -> float:
+    """Return the product of two twists, turns counted as by `LEVER`."""
+    return dot(v, linear) + LEVER * LEVER * dot(w, angular)
+
+
+@kernel
+def locate(
+    rows: Any, seconds: Any, reach: Any, slow: float, tool: State, progress: float, expected: float
+) -> tuple[float, float, float]:
+    """
+    Return how far (m) a tool is from a plan, where on it (s), and at how many times its speed.
+
+    It is sought from the progress on, and of places as near as each other where it is expected.
+    The speed is negative where the plan is slow.
+    """
+    o, q, v, w = tool
+    until = max(expected, progress) + WINDOW
+    nearest, last = math.inf, len(seconds) - 1
+    for i in range(len(seconds)):
+        if progress - 1e-9 <= seconds[i] <= until:
+            nearest = min(nearest, apart(rows[i], o, q))
+    found, beside = last, math.inf
+    for i in range(len(seconds)):
+        if (progress - 1e-9 <= seconds[i] <= until and abs(seconds[i] - expected) < beside
+                and apart(rows[i], o, q) <= nearest + AT_ONCE + reach[i]):
+            found, beside = i, abs(seconds[i] - expected)
+    point = row_state(rows[found])
+    speed = along(point[2], point[3], point[2], point[3])
+    if speed <= slow * slow:
+        return nearest, seconds[found], -1.0
+    R = rotation_matrix(point[1])
+    turn = log_quaternion(quaternion_product(quaternion_conjugate(point[1]), q))
+    way = along(apply_transposed(R, subtract(o, point[0])), turn, point[2], point[3])
+    return (
+        nearest, min(max(seconds[found] + way / speed, 0.0), seconds[last]),
+        along(v, w, point[2], point[3]) / speed,
+    )
+
+
 class Ahead:
     """
     A plan of the tool that is being driven, or will be.
@@ -52,6 +117,7 @@ class Ahead:
 
     Attributes
     ----------
+    plan : Rows
     progress : float
         s of the plan.
     rate : float
@@ -63,39 +129,30 @@ class Ahead:
 
     def __init__(self, plan: Trajectory, stamp_ns: int) -> None:
         """Take the plan."""
-        self.plan, self._stamp_ns = plan, stamp_ns
-        self._seconds = plan.seconds
-        self._pose = np.hstack([plan.position, rotation_to_quaternion(plan.rotation)])
-        self._twist = np.asarray(plan.twist) * np.repeat([1.0, LEVER], 3)
-        speed = np.linalg.norm(self._twist, axis=1)
-        self._moving = speed > MOVING * speed.max()
+        self._stamp_ns = stamp_ns
+        self.plan = Rows(plan.stamps_ns, tool_rows(plan))
+        self._seconds, self._rows = self.plan.seconds, self.plan.rows
+        speed = np.linalg.norm(self._rows[:, 7:] * np.repeat([1.0, LEVER], 3), axis=1)
         gaps = np.diff(self._seconds)
-        self._half = 0.5 * speed * np.maximum(np.append(gaps, 0.0), np.append(0.0, gaps))
+        reach = 0.5 * speed * np.maximum(np.append(gaps, 0.0), np.append(0.0, gaps))
+        inputs: tuple[Any, Any, Any] = self._rows, self._seconds, reach
+        if not COMPILED:  # plain floats are several times faster than NumPy's in plain Python
+            inputs = self._rows.tolist(), self._seconds.tolist(), reach.tolist()
+        self._inputs, self._slow = inputs, MOVING * float(speed.max())
         self.progress, self.rate = 0.0, 1.0
         self.done = self.off = False
         self._seen_ns = -1
 
-    def distances(self, now: Prediction) -> Array:
-        """Return how far (N,) the tool is from each point of the plan, m."""
-        o, q, _, _ = now.tool
-        turned = 2.0 * np.sqrt(np.maximum(0.0, 2.0 - 2.0 * np.abs(self._pose[:, 3:] @ q)))
-        far: Array = np.hypot(np.linalg.norm(self._pose[:, :3] - o, axis=1), LEVER * turned)
-        return far
-
     def follow(self, now: Prediction) -> None:
         """Find where on the plan the tool is, and how fast it is driven."""
-        expected = self._expected(now.stamp_ns)
+        far, progress, rate = locate(
+            *self._inputs, self._slow, now.tool, self.progress, self._expected(now.stamp_ns))
         self._seen_ns = now.stamp_ns
-        far = self.distances(now)
-        allowed = (self._seconds >= self.progress - 1e-9) & (
-            self._seconds <= max(expected, self.progress) + WINDOW)
-        far[~allowed] = np.inf
-        self.off = bool(far.min() > OFF)
-        near = np.flatnonzero(far <= far.min() + AT_ONCE + self._half)
-        i = int(near[np.argmin(np.abs(self._seconds[near] - expected))])
-        self.progress = max(self.progress, self._projected(i, now))
+        self.off = far > OFF
+        self.progress = max(self.progress, progress)
         self.done = self.progress >= self._seconds[-1] - 1e-3
-        self._measure(i, now)
+        if rate > SLOWEST:  # else the driver pauses
+            self.rate += NEWEST * (min(rate, QUICKEST) - self.rate)
 
     def _expected(self, stamp_ns: int) -> float:
         """Return where it would be by the clock, s of the plan."""
@@ -103,56 +160,30 @@ class Ahead:
             return self.progress + self.rate * (stamp_ns - self._seen_ns) / NS_PER_S
         return max(0.0, (stamp_ns - self._stamp_ns) / NS_PER_S) if self._stamp_ns else 0.0
 
-    def _projected(self, i: int, now: Prediction) -> float:
-        """Return the time of the plan (s) near a point at which the tool is nearest."""
-        if not self._moving[i]:
-            return float(self._seconds[i])
-        R = self.plan.rotation[i]
-        turn = quaternion_to_rotation(np.array(now.tool[1]))
-        angle = 0.5 * (R.T @ turn - turn.T @ R)[[2, 0, 1], [1, 2, 0]]
-        way = np.concatenate([np.array(now.tool[0]) - self._pose[i, :3], LEVER * angle])
-        rate = np.concatenate([R @ self._twist[i, :3], self._twist[i, 3:]])
-        return float(np.clip(
-            self._seconds[i] + way @ rate / (rate @ rate), 0.0, self._seconds[-1]))
-
-    def _measure(self, i: int, now: Prediction) -> None:
-        """Note how fast the plan is driven, where it moves; not while the driver pauses."""
-        if not self._moving[i]:
-            return
-        planned = self._twist[i]
-        twist = np.array([*now.tool[2], *now.tool[3]]) * np.repeat([1.0, LEVER], 3)
-        rate = float(twist @ planned) / float(planned @ planned)
-        if rate > SLOWEST:
-            self.rate += NEWEST * (min(rate, QUICKEST) - self.rate)
-
-    def rest(self, now: Prediction, spacing: float = SPACING) -> Trajectory:
+    def rest(self, now: Prediction, spacing: float = SPACING) -> Rows:
         """Return what is left of the plan, from the tool as it is; stamps count from now."""
         wait = 0.0
         if self.progress == 0.0 and self._stamp_ns > now.stamp_ns:
             wait = (self._stamp_ns - now.stamp_ns) / NS_PER_S
-        error = float(self.distances(now)[np.argmin(np.abs(self._seconds - self.progress))])
+        here = int(np.argmin(np.abs(self._seconds - self.progress)))
+        error = apart(self._rows[here], now.tool[0], now.tool[1])
         join = min(LONGEST_JOIN, error / JOIN_SPEED)
         first = self.progress + max(join, 1e-4 if wait == 0.0 else 0.0)
-        left = np.flatnonzero(self._seconds >= first)
-        if not len(left):
-            left = np.array([len(self.plan) - 1])
-        kept = left[:: max(1, round(spacing * (len(left) - 1) / max(
-            self._seconds[left[-1]] - self._seconds[left[0]], 1e-9)))]
-        kept = kept if kept[-1] == left[-1] else np.append(kept, left[-1])
+        last = len(self._seconds) - 1
+        next_ = min(int(np.searchsorted(self._seconds, first)), last)
+        gap = max(float(self._seconds[-1] - self._seconds[next_]), 1e-9) / max(1, last - next_)
+        kept = np.append(np.arange(next_, last, max(1, round(spacing / gap))), last)
         later = wait + np.maximum(self._seconds[kept] - self.progress, 1e-4) / self.rate
-        o, q, v, w = now.tool
-        return Trajectory(
-            np.append(0, np.round(later * NS_PER_S)).astype(np.int64),
-            np.vstack([o, self.plan.position[kept]]),
-            np.concatenate([quaternion_to_rotation(np.array(q))[None], self.plan.rotation[kept]]),
-            np.vstack([(*v, *w), np.asarray(self.plan.twist)[kept] * self.rate]))
+        rows = np.vstack([np.hstack(now.tool), self._rows[kept]])
+        rows[1:, 7:] *= self.rate
+        return Rows(np.append(0, np.round(later * NS_PER_S)).astype(np.int64), rows)
 
 
 def future(ahead: Ahead | None, now: Prediction, duration: float) -> Trajectory:
     """Return the tool going on for a time (s) from a prediction, by its plan or steadily."""
     if ahead is None or ahead.done or ahead.off:
         return steadily(now, duration)
-    rest = ahead.rest(now)
+    rest = ahead.rest(now).trajectory()
     end_ns = round(duration * NS_PER_S)
     if rest.stamps_ns[-1] >= end_ns:
         inside = rest.stamps_ns[(rest.stamps_ns > 0) & (rest.stamps_ns < end_ns)]

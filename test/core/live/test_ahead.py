@@ -44,7 +44,7 @@ def test_follows_the_tool_and_not_the_clock(speed, late, stamp_ns):
             assert abs(ahead.progress - truth) < 2e-3
         if 0.3 < truth < 0.7:
             assert abs(ahead.rate - speed) < 0.02
-            rest = ahead.rest(now)
+            rest = ahead.rest(now).trajectory()
             for after in rest.seconds[1:-1:7]:
                 later = driven(t + after, speed, late)
                 place = rest.position[np.argmin(np.abs(rest.seconds - after))]
@@ -104,7 +104,7 @@ def test_the_future_is_the_plan_and_then_standing():
 def test_a_tool_beside_the_plan_comes_back_to_it_smoothly():
     ahead, now = Ahead(MOVE.plan(250), T0), driven(0.4, off=(0.0, 0.0, 0.004))
     ahead.follow(now)
-    rest = ahead.rest(now)
+    rest = ahead.rest(now).trajectory()
     assert_allclose(rest.position[0], now.tool[0])
     fine = resample(rest, np.arange(0, int(rest.stamps_ns[-1]), 1_000_000))
     speed = np.linalg.norm(np.diff(fine.position, axis=0), axis=1) / 1e-3
