@@ -1,15 +1,17 @@
 """
 Where a package hangs at rest, and small motions about a state.
 
-Derivatives of the package's acceleration, modes, step sizes, and the static equilibrium.
+Derivatives of the package's acceleration, modes, step sizes, and the static equilibrium. The scalar
+code of the last stands step for step in C, too (`bellows_equilibrium` in files/bellows_cup.h), so
+that both give the same bits; that is why its derivatives are differences.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.jacobians import body_jacobians, Square, tool_jacobians
-from bellows_ros.core.jit import kernel
+from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import body_acceleration, ModelTuple, State
 from bellows_ros.core.tuples import (
     add,
@@ -74,11 +76,6 @@ def linearise(model: ModelTuple, tool: State, body: State) -> Jacobian:
     return Jacobian(*(_matrix(square) for square in (*of_body, *of_tool)))
 
 
-def stiffness(model: ModelTuple, tool: State, body: State) -> Array:
-    """Return the derivative (6, 6) of the package's acceleration by its own displacement alone."""
-    return _matrix(body_jacobians(model, tool, body)[0])
-
-
 def _matrix(square: Square) -> Array:
     """Return a 6x6 matrix of the kernels as an array."""
     parts = np.reshape(square, (2, 2, 3, 3))
@@ -112,6 +109,8 @@ def substeps_for(duration: float, longest_step: float) -> int:
 _LOADS = 8
 _ITERATIONS = 50
 _LARGEST_MOVE = 0.3  # m or rad, of one iteration
+_DIFFERENCE = 1e-6  # m or rad
+_ORIGIN: State = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 def static_equilibrium(
@@ -131,47 +130,102 @@ def static_equilibrium(
         If there is none: the cup is too soft for the package in this tool pose.
 
     """
-    cup, package, gravity = model
-    zero = (0.0, 0.0, 0.0)
-    origin = (zero, (0.0, 0.0, 0.0, 1.0), zero, zero)
     R_world_tool = rotation_matrix(tool[1])
-    gravity_in_tool = apply_transposed(R_world_tool, gravity)
+    gravity = apply_transposed(R_world_tool, model[2])
     if near is None:
-        body, loads = resting_on_tool(model, origin), _LOADS
+        body, loads = resting_on_tool(model, _ORIGIN), _LOADS
     else:
         shift = apply_transposed(R_world_tool, subtract(near[0], tool[0]))
         turn = quaternion_product(quaternion_conjugate(tool[1]), near[1])
-        body, loads = (shift, turn, zero, zero), 1
-    loaded = model
-    for load in np.linspace(0.0, 1.0, loads + 1)[1:]:
-        loaded = (cup, package, scale(float(load), gravity_in_tool))
-        body = _newton_equilibrium(loaded, origin, body)
-    if np.linalg.eigvals(stiffness(loaded, origin, body)).real.max() >= 0.0:
-        raise _no_equilibrium(model)  # it would fall over
-    position = add(tool[0], apply(R_world_tool, body[0]))
-    return position, quaternion_product(tool[1], body[1]), zero, zero
+        body, loads = (shift, turn, _ORIGIN[2], _ORIGIN[3]), 1
+    work: Any = np.zeros((6, 6)), np.zeros(6)
+    rest, found = _loaded(model, gravity, body, loads, *(
+        work if COMPILED else (each.tolist() for each in work)))
+    if not found:
+        raise _no_equilibrium(model)
+    position = add(tool[0], apply(R_world_tool, rest[0]))
+    return position, quaternion_product(tool[1], rest[1]), rest[2], rest[3]
 
 
-def _newton_equilibrium(model: ModelTuple, tool: State, body: State) -> State:
-    """Return the state near body in which its acceleration is zero."""
-    size = math.inf
+@kernel
+def _loaded(
+    model: ModelTuple, gravity: Vector, body: State, loads: int, A: Any, x: Any
+) -> tuple[State, bool]:
+    """Put gravity on in steps; return the rest, and whether there is a stable one."""
+    for load in range(1, loads + 1):
+        now = (model[0], model[1], scale(load / loads, gravity))
+        body, settled, stable = _newton(now, body, A, x)
+        if not settled or (load == loads and not stable):
+            return body, False
+    return body, True
+
+
+@kernel
+def _newton(model: ModelTuple, body: State, A: Any, x: Any) -> tuple[State, bool, bool]:
+    """Return the state near body where nothing accelerates; whether it is one, and a minimum."""
+    size, stable = math.inf, False
     for _ in range(_ITERATIONS):
-        residual = np.array(body_acceleration(model, tool, body)).ravel()
-        jacobian = stiffness(model, tool, body)
-        try:
-            step = np.linalg.solve(jacobian, -residual)
-        except np.linalg.LinAlgError:
+        for j in range(6):
+            up = _unbalance(model, _moved(body, j, _DIFFERENCE))
+            down = _unbalance(model, _moved(body, j, -_DIFFERENCE))
+            for i in range(6):
+                A[i][j] = (down[i] - up[i]) / (2.0 * _DIFFERENCE)
+        force = _unbalance(model, body)
+        for i in range(6):
+            x[i] = force[i]
+        before = size
+        size, stable = _solve(A, x)
+        if not size < math.inf:
+            return body, False, False
+        part = _LARGEST_MOVE / size if size > _LARGEST_MOVE else 1.0
+        body = displaced(
+            body, (part * x[0], part * x[1], part * x[2]), (part * x[3], part * x[4], part * x[5]))
+        if (size < 1e-9 and size > 0.1 * before) or size < 1e-13:  # as near as rounding lets it
             break
-        before, size = size, float(np.linalg.norm(step))
-        if not math.isfinite(size):
-            break
-        step *= _LARGEST_MOVE / max(size, _LARGEST_MOVE)
-        body = displaced(body, tuple(step[:3].tolist()), tuple(step[3:].tolist()))
-        if size < 1e-9 and size > 0.1 * before or size < 1e-13:  # as near as rounding lets it
-            break
-    if size < 1e-9:
-        return body
-    raise _no_equilibrium(model)
+    return body, size < 1e-9, stable
+
+
+@kernel
+def _solve(A: Any, x: Any) -> tuple[float, bool]:
+    """
+    Write A^-1 x into x by Gauss; return its length, and whether all pivots are positive.
+
+    At rest A is the Hessian of the energy: then it is a minimum.
+    """
+    stable, square = True, 0.0
+    for k in range(6):
+        if A[k][k] == 0.0:
+            return math.inf, False
+        stable = stable and A[k][k] > 0.0
+        for i in range(k + 1, 6):
+            c = A[i][k] / A[k][k]
+            for j in range(k, 6):
+                A[i][j] -= c * A[k][j]
+            x[i] -= c * x[k]
+    for k in range(5, -1, -1):
+        for j in range(k + 1, 6):
+            x[k] -= A[k][j] * x[j]
+        x[k] /= A[k][k]
+        square += x[k] * x[k]
+    return math.sqrt(square), stable
+
+
+@kernel
+def _unbalance(model: ModelTuple, body: State) -> tuple[float, float, float, float, float, float]:
+    """Return force and moment that accelerate a package at rest under a tool at rest."""
+    package = model[1]
+    dv, dw = body_acceleration(model, _ORIGIN, body)
+    f, m = scale(package[0], dv), apply(package[2], dw)
+    return f[0], f[1], f[2], m[0], m[1], m[2]
+
+
+@kernel
+def _moved(body: State, axis: int, by: float) -> State:
+    """Return the body moved or turned along one of its six axes."""
+    return displaced(
+        body,
+        (by if axis == 0 else 0.0, by if axis == 1 else 0.0, by if axis == 2 else 0.0),
+        (by if axis == 3 else 0.0, by if axis == 4 else 0.0, by if axis == 5 else 0.0))
 
 
 def _no_equilibrium(model: ModelTuple) -> BellowsError:

@@ -10,8 +10,8 @@
    bellows_lip_wrench     of the cup on the package, at S in axes of S
    bellows_safety_factor  of the grip, the smaller of peel and slip; below 1 it lets go
 
-   Step, wrench and safety factor are bit for bit those of bellows_ros where multiplications and
-   additions are not contracted: gcc -ffp-contract=off. */
+   All are bit for bit what bellows_ros computes where multiplications and additions are not
+   contracted: gcc -ffp-contract=off. */
 
 #ifndef BELLOWS_CUP_H
 #define BELLOWS_CUP_H
@@ -336,12 +336,12 @@ BW double bellows_safety_factor(
     return peel < slip ? peel : slip;
 }
 
-/* Write M times the acceleration of the package at rest under the tool at rest. */
-BW void bw_unbalance(
-    const bellows_model *m, const bw_frame *tool, const bellows_state *body, double out[6])
+/* Write M times the acceleration of the package at rest under a tool at rest in the origin. */
+BW void bw_unbalance(const bellows_model *m, const bellows_state *body, double out[6])
 {
-    bw_frame b = bw_framed(body);
-    bw_pair a = bw_acceleration(m, tool, &b);
+    bellows_state origin = {{0, 0, 0}, {0, 0, 0, 1}, {0, 0, 0}, {0, 0, 0}};
+    bw_frame t = bw_framed(&origin), b = bw_framed(body);
+    bw_pair a = bw_acceleration(m, &t, &b);
     bw_vec f = bw_scale(m->package.mass, a.a), n = bw_mul(&m->package.inertia, a.b);
     out[0] = f.x; out[1] = f.y; out[2] = f.z; out[3] = n.x; out[4] = n.y; out[5] = n.z;
 }
@@ -354,61 +354,66 @@ BW bellows_state bw_displaced(const bellows_state *b, const double by[6])
     return (bellows_state){bw_add(b->o, shift), q, {0, 0, 0}, {0, 0, 0}};
 }
 
-/* Newton's method, the load put on in eight steps as far as a real cup would follow. */
+/* Move the body to where nothing accelerates. Return 0, 1 at no minimum, 2 where there is none. */
+BW int bw_newton(const bellows_model *m, bellows_state *body)
+{
+    double size = INFINITY, before, A[6][6], x[6];
+    int stable = 0;
+    for (int turn = 0; turn < 50; turn++) {
+        for (int j = 0; j < 6; j++) {
+            double by[6] = {0, 0, 0, 0, 0, 0}, up[6], down[6];
+            bellows_state moved;
+            by[j] = 1e-6;
+            moved = bw_displaced(body, by);
+            bw_unbalance(m, &moved, up);
+            by[j] = -1e-6;
+            moved = bw_displaced(body, by);
+            bw_unbalance(m, &moved, down);
+            for (int i = 0; i < 6; i++) A[i][j] = (down[i] - up[i]) / 2e-6;
+        }
+        bw_unbalance(m, body, x);
+        stable = 1; /* at rest A is the Hessian of the energy: positive pivots, a minimum */
+        for (int k = 0; k < 6; k++) {
+            if (A[k][k] == 0) return 2;
+            stable = stable && A[k][k] > 0;
+            for (int i = k + 1; i < 6; i++) {
+                double c = A[i][k] / A[k][k];
+                for (int j = k; j < 6; j++) A[i][j] -= c * A[k][j];
+                x[i] -= c * x[k];
+            }
+        }
+        before = size;
+        size = 0;
+        for (int k = 5; k >= 0; k--) {
+            for (int j = k + 1; j < 6; j++) x[k] -= A[k][j] * x[j];
+            x[k] /= A[k][k];
+            size += x[k] * x[k];
+        }
+        size = sqrt(size);
+        if (!(size < INFINITY)) return 2;
+        for (int k = 0; k < 6; k++) x[k] *= size > 0.3 ? 0.3 / size : 1;
+        *body = bw_displaced(body, x);
+        if ((size < 1e-9 && size > 0.1 * before) || size < 1e-13) break;
+    }
+    return size < 1e-9 ? !stable : 2;
+}
+
+/* Newton's method in axes of the tool, the load put on in eight steps as a real cup follows. */
 BW int bellows_equilibrium(
     const bellows_model *m, const bellows_state *tool, bellows_state *body)
 {
     bellows_model loaded = *m;
-    bw_frame at = bw_framed(tool);
-    double shift[6] = {0, 0, 0, 0, 0, 0};
-    bellows_state now = {tool->o, tool->q, {0, 0, 0}, {0, 0, 0}};
-    at.v = at.w = (bw_vec){0, 0, 0};
-    shift[0] = m->package.com.x;
-    shift[1] = m->package.com.y;
-    shift[2] = m->package.com.z - m->cup.l0;
-    now = bw_displaced(&now, shift);
+    bw_mat R = bw_rot(tool->q);
+    bw_vec gravity = bw_tmul(&R, m->gravity), com = m->package.com;
+    bellows_state now = {
+        {com.x, com.y, com.z - m->cup.l0}, {0, 0, 0, 1}, {0, 0, 0}, {0, 0, 0}};
     for (int load = 1; load <= 8; load++) {
-        double size = INFINITY, before, A[6][6], x[6];
-        int stable = 1;
-        loaded.gravity = bw_scale(load / 8.0, m->gravity);
-        for (int turn = 0; turn < 50; turn++) {
-            bw_unbalance(&loaded, &at, &now, x);
-            for (int j = 0; j < 6; j++) {
-                double by[6] = {0, 0, 0, 0, 0, 0}, up[6], down[6];
-                bellows_state moved;
-                by[j] = 1e-6;
-                moved = bw_displaced(&now, by);
-                bw_unbalance(&loaded, &at, &moved, up);
-                by[j] = -1e-6;
-                moved = bw_displaced(&now, by);
-                bw_unbalance(&loaded, &at, &moved, down);
-                for (int i = 0; i < 6; i++) A[i][j] = (down[i] - up[i]) / 2e-6;
-            }
-            stable = 1; /* at rest A is the Hessian of the energy: positive pivots, a minimum */
-            for (int k = 0; k < 6; k++) {
-                stable = stable && A[k][k] > 0;
-                for (int i = k + 1; i < 6; i++) {
-                    double c = A[i][k] / A[k][k];
-                    for (int j = k; j < 6; j++) A[i][j] -= c * A[k][j];
-                    x[i] -= c * x[k];
-                }
-            }
-            before = size;
-            size = 0;
-            for (int k = 5; k >= 0; k--) {
-                for (int j = k + 1; j < 6; j++) x[k] -= A[k][j] * x[j];
-                x[k] /= A[k][k];
-                size += x[k] * x[k];
-            }
-            size = sqrt(size);
-            if (!(size < INFINITY)) return 1;
-            for (int k = 0; k < 6; k++) x[k] *= size > 0.3 ? 0.3 / size : 1;
-            now = bw_displaced(&now, x);
-            if ((size < 1e-9 && size > 0.1 * before) || size < 1e-13) break;
-        }
-        if (!(size < 1e-9) || (load == 8 && !stable)) return 1;
+        loaded.gravity = bw_scale(load / 8.0, gravity);
+        int failed = bw_newton(&loaded, &now);
+        if (failed == 2 || (failed && load == 8)) return 1;
     }
-    now.q = bw_renormalised(now.q);
+    now.o = bw_add(tool->o, bw_mul(&R, now.o));
+    now.q = bw_qmul(tool->q, now.q);
     *body = now;
     return 0;
 }
