@@ -37,21 +37,13 @@ STRUCTURE = STRUCTURES['axisymmetric']
 class Conditioned(Search):
     """The same search for the smallest condition number of the information."""
 
-    def _information(self, lines: Any) -> tuple[float, Any]:
+    def _criterion(self, M: Array) -> tuple[float, Array]:
         """Return the negative mean logarithm of the condition number, and its slope."""
-        value, slope, count = 0.0, np.zeros_like(lines), len(self._changes)
-        for changes, constant in zip(self._changes, self._constant, strict=True):
-            y = np.einsum('nfij,fj->nfi', changes, lines, optimize=True)
-            flat = y.reshape(len(y), -1)
-            M = 0.5 * self._poses * np.real(flat.conj() @ flat.T) + constant
-            values, vectors = np.linalg.eigh(M)
-            value -= float(np.log(values[-1] / values[0])) / count
-            for i, sign in ((0, 1.0), (-1, -1.0)):
-                v = vectors[:, i]
-                weighted = np.outer(v, v @ flat).reshape(y.shape)
-                slope += sign * self._poses / (count * values[i]) * np.einsum(
-                    'nfij,nfi->fj', changes.conj(), weighted, optimize=True)
-        return value, slope
+        values, vectors = np.linalg.eigh(M)
+        least, most = vectors[:, :, :1], vectors[:, :, -1:]
+        slope = (least @ np.swapaxes(least, 1, 2) / values[:, :1, None]
+                 - most @ np.swapaxes(most, 1, 2) / values[:, -1:, None])
+        return -float(np.mean(np.log(values[:, -1] / values[:, 0]))), slope / len(M)
 
 
 def motions(

@@ -5,7 +5,8 @@ It is a Fourier series in each axis, ramped in and out, whose coefficients maxim
 of the Fisher information (D-optimal) of small motions, for the guess of K and for one too soft and
 one too stiff by `GUESS_OFF`. The largest ratio of a signal to its limit, as a p-norm over limits
 and time, divides the coefficients, so that nothing but their shape is sought; p grows in stages.
-What comes out is simulated with the whole model and scaled down until no limit is violated.
+After each the motion is simulated with the whole model, and what loads may be in the linear one
+is adapted. The stage that tells most is scaled until no limit is violated.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -41,15 +42,15 @@ GUESS_OFF = 1.3
 PRIOR = 1.0
 """Information on each number in units of itself, before: it is known to a factor of about 2."""
 
-STAGES = ((8, 200), (20, 200), (60, 300))
+STAGES = ((8, 500), (16, 500), (32, 500), *((64, 400),) * 5)
 """Powers of the norm that stands for the largest ratio, and most steps with each."""
 
-POINTS_PER_PERIOD = 8
+POINTS_PER_PERIOD, MEMORY, ENOUGH = 8, 20, 1e-6
 STRONGER = 1.4
 """Power of what a load is too large by: a part of it does not shrink with what is bounded."""
 
-ROUNDS, CLOSE, MARGIN = 4, 0.03, 1e-3
-"""Designs with bending adapted to simulations, until so close; what is left below a limit."""
+MARGIN = 1e-3
+"""What is left below a limit."""
 
 CHUNK = 4096
 
@@ -111,23 +112,25 @@ class FourierMotion(Motion):
         """Return the motion so many times as large."""
         return replace(self, coefficients=factor * self.coefficients)
 
-    def displacement(self, t: Array, order: int = 0) -> Array:
-        """Return displacement and rotation vector (N, 6) since the start, or their rates."""
-        tau = t - self.rest_duration
-        omega = 2.0 * np.pi / self.period * np.arange(1, len(self.coefficients) + 1)
-        out = np.empty((len(t), 6))
-        for part in (slice(i, i + CHUNK) for i in range(0, len(t), CHUNK)):
-            wave = np.exp(1j * np.outer(tau[part], omega))
+    def displacement(self, t: Array) -> Array:
+        """Return displacement and rotation vector since the start, and their rates (2, N, 6)."""
+        tau = np.asarray(t) - self.rest_duration
+        harmonics = np.arange(1, len(self.coefficients) + 1)[:, None]
+        both = np.hstack([self.coefficients,
+                          2j * np.pi / self.period * harmonics * self.coefficients])
+        out = np.empty((2, len(tau), 6))
+        for part in (slice(i, i + CHUNK) for i in range(0, len(tau), CHUNK)):
+            first = np.exp(2j * np.pi / self.period * tau[part])
+            wave = np.cumprod(np.broadcast_to(first, (len(harmonics), len(first))), axis=0)
+            value, rate = np.split((wave.T @ both).real, 2, axis=1)
             swell = window(tau[part], self.period)[:, :, None]
-            out[part] = swell[order] * (wave @ self.coefficients).real
-            if order == 1:
-                rate = wave @ (1j * omega[:, None] * self.coefficients)
-                out[part] += swell[0] * rate.real
+            out[0, part] = swell[0] * value
+            out[1, part] = swell[1] * value + swell[0] * rate
         return out
 
     def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
         """Return where the tool is and how it moves; the body rate is dexp(-phi) dphi/dt."""
-        u, rate = self.displacement(t), self.displacement(t, 1)
+        u, rate = self.displacement(t)
         phi = u[:, 3:]
         return (self.start.position + u[:, :3], rate[:, :3], self.start.rotation @ exp_so3(phi),
                 apply(dexp(-phi), rate[:, 3:]))
@@ -145,97 +148,120 @@ class Search:
         wide = self.count + math.ceil(2.0 * period / RAMP)  # the ramps widen the lines
         self.points = 2 ** math.ceil(math.log2(POINTS_PER_PERIOD * self.count))
         omega = 2.0 * np.pi / period * np.arange(1, wide + 1, dtype=np.float64)
-        self._s = 1j * omega[:self.count, None]
-        self._window = window(np.arange(self.points) * period / self.points, period)[:, :, None]
-        turned = limits.axes
+        self._powers = (1j * omega[:self.count]) ** np.arange(4)[:, None, None]
+        W = window(np.arange(self.points) * period / self.points, period)
+        self._swell = {(n, m): math.comb(n, m) * W[n - m] for n in range(4) for m in range(n + 1)}
         found = responses_at(omega)
-        self._changes = [r.changes @ turned for r in found]
-        self._loads = [load @ turned for r, model in zip(found, models, strict=True)
-                       for load in load_rows(r, model, limits, grip, omega)]
+        self._models = len(found)
         self._poses = rate_hz * period
-        self._constant = [self._poses * r.constant for r in found]
-        self._bounds, self.allowed = limits.bounds(), np.ones(len(self._loads))
+        changes = np.array([r.changes for r in found]) @ limits.axes
+        self._changes = changes.transpose(2, 0, 1, 3, 4).reshape(wide, -1, 6)
+        self._constant = self._poses * np.array([r.constant for r in found])
+        rows = [load for r, model in zip(found, models, strict=True)
+                for load in load_rows(r, model, limits, grip, omega)]
+        self._loads = np.concatenate(rows, axis=1) @ limits.axes
+        self._of_load = np.repeat(np.arange(len(rows)), [load.shape[1] for load in rows])
+        self._bounds, self.allowed = limits.bounds(), np.ones(len(rows))
+        self._names = [b.name for b in self._bounds] + [*LOADS] * self._models
+        self._pulls = [i % len(LOADS) > 1 for i in range(len(rows))]
         room = np.array([b.limit for b in self._bounds[:6]])
-        self.size = 0.3 * room / (1.0 + (omega[:self.count, None] / 6.0) ** 2)
+        self.size = 0.3 * room[:, None] / (1.0 + (omega[:self.count] / 6.0) ** 2)
 
     def _signals(self, spectrum: Any) -> Array:
-        """Return the real part (N, d) of a series of lines (F, d)."""
-        full = np.zeros((self.points // 2 + 1, spectrum.shape[1]), dtype=complex)
-        full[1:len(spectrum) + 1] = spectrum
-        return np.asarray(np.fft.irfft(full, self.points, axis=0) * (self.points / 2.0))
+        """Return the real part (..., N) of a series of lines (..., F)."""
+        full = np.zeros((*spectrum.shape[:-1], self.points // 2 + 1), dtype=complex)
+        full[..., 1:spectrum.shape[-1] + 1] = spectrum
+        return np.asarray(np.fft.irfft(full, self.points) * (self.points / 2.0))
 
     def _lines(self, signals: Array, count: int) -> Any:
-        """Return the adjoint of `_signals`: lines (F, d) of signals (N, d)."""
-        return np.fft.rfft(signals, axis=0)[1:count + 1]
+        """Return the adjoint of `_signals`: lines (..., F) of signals (..., N)."""
+        return np.fft.rfft(signals)[..., 1:count + 1]
 
     def __call__(self, shape: Array, power: int) -> tuple[float, Array]:
-        """Return the value and its derivatives by the shape, a flat array of 2 K 6 numbers."""
-        c = self._coefficients(shape)
-        value, slope, _ = self._value(c, power)
+        """Return the value and its derivatives by the shape, a flat array of 2 6 K numbers."""
+        value, slope, _ = self._value(self._coefficients(shape), power)
         slope = slope * self.size
         return value, np.concatenate([slope.real.ravel(), slope.imag.ravel()])
 
     def _coefficients(self, shape: Array) -> Any:
-        """Return the coefficients (K, 6) of a shape."""
-        real, imaginary = shape.reshape(2, self.count, 6)
+        """Return the coefficients (6, K) of a shape."""
+        real, imaginary = shape.reshape(2, 6, self.count)
         return self.size * (real + 1j * imaginary)
 
     def within(self, shape: Array, power: int) -> tuple[Any, dict[str, float]]:
-        """Return the coefficients scaled to the limits, and the share each has in stopping it."""
+        """Return the coefficients (K, 6), within limits, and each limit's share in stopping it."""
         c = self._coefficients(shape)
         _, _, (largest, shares) = self._value(c, power)
-        return c / largest, shares
+        return c.T / largest, shares
+
+    def told(self, coefficients: Any) -> float:
+        """Return the criterion of coefficients (K, 6) as they are."""
+        waves = self._swell[0, 0] * self._signals(coefficients.T)
+        lines = self._lines(waves, len(self._loads)).T * (2.0 / self.points)
+        return self._information(lines)[0]
 
     def _value(self, c: Any, power: int) -> tuple[float, Any, tuple[float, dict[str, float]]]:
         """Return value, slope by the coefficients, and largest ratio with the shares in it."""
-        rates = [self._signals(self._s**n * c) for n in range(4)]
-        W = self._window
-        u = [np.sum([math.comb(n, m) * W[n - m] * rates[m] for m in range(n + 1)], axis=0)
-             for n in range(4)]
-        lines = self._lines(u[0], len(self._loads[0])) * (2.0 / self.points)
-        signals = [u[b.order] @ (b.rows.T / b.limit) for b in self._bounds]
-        loads = [rows / most for rows, most in zip(self._loads, self.allowed, strict=True)]
-        signals += [self._signals(np.einsum('fij,fj->fi', rows, lines)) for rows in loads]
-        squares = [np.sum(signal**2, axis=1) for signal in signals]
-        top = max(float(square.max()) for square in squares)
-        parts = [(square / top) ** (power // 2) for square in squares]
+        rates = self._signals(self._powers * c)
+        u = np.array([sum(self._swell[n, m] * rates[m] for m in range(n + 1)) for n in range(4)])
+        wide = len(self._loads)
+        lines = self._lines(u[0], wide).T * (2.0 / self.points)
+        loads = self._loads / self.allowed[self._of_load][:, None]
+        signals = [b.rows @ u[b.order] / b.limit for b in self._bounds]
+        loaded = self._signals((loads @ lines[:, :, None])[:, :, 0].T)
+        signals += [loaded[self._of_load == i] for i in range(len(self.allowed))]
+        # A vector's length is bounded, or for peel and slip that plus the last number.
+        vectors = [s[:-1] if pulls else s for s, pulls in zip(
+            signals, [False] * len(self._bounds) + self._pulls, strict=True)]
+        lengths = np.sqrt([np.einsum('ij,ij->j', v, v) for v in vectors])
+        ratios = lengths.copy()
+        for i, (s, v) in enumerate(zip(signals, vectors, strict=True)):
+            if len(s) > len(v):
+                ratios[i] = np.maximum(ratios[i] + s[-1], 0.0)
+        top = float(ratios.max())
+        parts = (ratios / top) ** power
         total = float(np.sum(parts))
-        norm = math.sqrt(top) * (total / self.points) ** (1.0 / power)
-        by_u, by_lines = [np.zeros_like(u[0]) for _ in range(4)], np.zeros_like(lines)
-        for i, (signal, square, part) in enumerate(zip(signals, squares, parts, strict=True)):
-            pull = signal * (part / np.maximum(square, 1e-12 * top) / total)[:, None]
+        norm = top * (total / self.points) ** (1.0 / power)
+        pulls = parts / np.maximum(ratios, 1e-6 * top) / total
+        by_u, by_load = np.zeros_like(u), np.zeros_like(loaded)
+        for i, (v, pull) in enumerate(zip(vectors, pulls, strict=True)):
+            along = v * (pull / np.maximum(lengths[i], 1e-6 * top))
             if i < len(self._bounds):
                 b = self._bounds[i]
-                by_u[b.order] += pull @ (b.rows / b.limit)
+                by_u[b.order] += (b.rows / b.limit).T @ along
             else:
-                rows = loads[i - len(self._bounds)]
-                by_lines += np.einsum('fij,fi->fj', rows.conj(), self._lines(pull, len(rows)))
+                place = np.flatnonzero(self._of_load == i - len(self._bounds))
+                by_load[place[:len(v)]] = along
+                by_load[place[len(v):]] = pull
+        by_lines = (np.swapaxes(loads, 1, 2).conj() @ self._lines(
+            by_load, wide).T[:, :, None])[:, :, 0]
         value, gained = self._information(lines / norm)
         inner = float(np.real(np.sum(gained.conj() * lines))) / norm
-        by_u = [-inner * slope for slope in by_u]
-        by_u[0] += self._signals(gained / norm - inner * by_lines) * (2.0 / self.points)
-        slope = np.sum([np.conj(self._s**m) * self._lines(
-            math.comb(n, m) * W[n - m] * by_u[n], self.count)
-            for n in range(4) for m in range(n + 1)], axis=0)
+        by_u *= -inner
+        by_u[0] += self._signals((gained / norm - inner * by_lines).T) * (2.0 / self.points)
+        by_rates = np.array([sum(self._swell[n, m] * by_u[n] for n in range(m, 4))
+                             for m in range(4)])
+        slope = np.sum(np.conj(self._powers) * self._lines(by_rates, self.count), axis=0)
         shares: dict[str, float] = {}
-        names = [*(b.name for b in self._bounds), *LOADS * (len(loads) // len(LOADS))]
-        for name, part in zip(names, parts, strict=True):
+        for name, part in zip(self._names, parts, strict=True):
             shares[name] = shares.get(name, 0.0) + float(np.sum(part)) / total
-        return -value, -slope, (math.sqrt(top), shares)
+        return -value, -slope, (top, shares)
 
     def _information(self, lines: Any) -> tuple[float, Any]:
-        """Return the mean log determinant of the information in lines (F, 6), and its slope."""
-        value, slope = 0.0, np.zeros_like(lines)
-        for changes, constant in zip(self._changes, self._constant, strict=True):
-            y = np.einsum('nfij,fj->nfi', changes, lines, optimize=True)
-            flat = y.reshape(len(y), -1)
-            M = 0.5 * self._poses * np.real(flat.conj() @ flat.T) + constant
-            M += PRIOR * np.eye(len(M))
-            value += float(np.linalg.slogdet(M)[1]) / len(self._changes)
-            weighted = (np.linalg.inv(M) @ flat).reshape(y.shape)
-            slope += self._poses / len(self._changes) * np.einsum(
-                'nfij,nfi->fj', changes.conj(), weighted, optimize=True)
-        return value, slope
+        """Return the criterion of the information in lines (F, 6), and its slope."""
+        y = (self._changes @ lines[:, :, None]).reshape(len(lines), self._models, -1, 6)
+        flat = y.transpose(1, 2, 0, 3).reshape(self._models, y.shape[2], -1)
+        M = self._constant + 0.5 * self._poses * np.real(flat.conj() @ np.swapaxes(flat, 1, 2))
+        value, by_M = self._criterion(M)
+        weighted = (by_M @ flat).reshape(self._models, -1, len(lines), 6)
+        pull = weighted.transpose(2, 0, 1, 3).reshape(len(lines), -1, 1)
+        slope = (np.swapaxes(self._changes, 1, 2) @ pull.conj())[:, :, 0].conj()
+        return value, self._poses * slope
+
+    def _criterion(self, M: Array) -> tuple[float, Array]:
+        """Return the mean log determinant of informations (M, n, n), and its slope."""
+        M = M + PRIOR * np.eye(M.shape[1])
+        return float(np.mean(np.linalg.slogdet(M)[1])), np.linalg.inv(M) / len(M)
 
 
 class Design(NamedTuple):
@@ -313,25 +339,25 @@ def design(
     search = Search(limits, period, models, grip, responses_at,
                     1.0 / tracking.package_period)
     shape = np.random.default_rng(seed).standard_normal(2 * search.size.size)
-    steps = sum(most for _, most in STAGES) * ROUNDS
-    done, shares = 0, dict[str, float]()
+    steps = sum(most for _, most in STAGES)
+    best, done, shares = -math.inf, 0, dict[str, float]()
     motion = FourierMotion(limits.start, period, np.zeros((1, 6)))
-    for number in range(ROUNDS):
-        for power, most in STAGES if number == 0 else STAGES[-1:]:
-            def count(_: Array) -> None:
-                nonlocal done
-                done += 1
-                progress('designing the motion', min(done / steps, 1.0))
 
-            shape = minimise(search, shape, (power,), 'L-BFGS-B', True, callback=count,
-                             options={'maxiter': most, 'maxfun': 2 * most}).x
-        coefficients, shares = search.within(shape, STAGES[-1][0])
-        motion = FourierMotion(limits.start, period, coefficients)
-        worst = loads(motion, limits, models, grip)
-        if worst.max() < 1.0 + CLOSE:
-            break
-        change = np.maximum(worst.ravel(), 0.1) ** STRONGER
-        search.allowed = np.minimum(search.allowed / change, 1.0)
+    def count(_: Array) -> None:
+        nonlocal done
+        done += 1
+        progress('designing the motion', min(done / steps, 1.0))
+
+    for power, most in STAGES:
+        shape = minimise(search, shape, (power,), 'L-BFGS-B', True, callback=count, options={
+            'maxiter': most, 'maxfun': 2 * most, 'maxcor': MEMORY, 'ftol': ENOUGH}).x
+        coefficients, now = search.within(shape, power)
+        moved = FourierMotion(limits.start, period, coefficients)
+        worst = loads(moved, limits, models, grip).ravel()
+        told = search.told(coefficients / max(1.0, float(worst.max())))
+        if told > best:
+            best, motion, shares = told, moved, now
+        search.allowed = np.minimum(search.allowed / np.maximum(worst, 0.1) ** STRONGER, 1.0)
     motion, ratios = _within(motion, limits, models, grip)
     progress('computing what it tells', 1.0)
     tool = motion.at_rate(1.0 / tracking.package_period)
@@ -385,21 +411,24 @@ def load_rows(
     turn = (found.package - np.eye(6))[:, 3:]
     of_cup = [turn[:, :2] / limits.bending, turn[:, 2:] / limits.torsion]
     if grip is None:
-        return [*of_cup, np.zeros_like(of_cup[1]), np.zeros_like(of_cup[1])]
+        none = np.zeros((len(omega), 1, 6))
+        return [*of_cup, none, none]
     suction, radius, friction = grip
     pressed = max(suction / limits.safety - mass * float(np.linalg.norm(model[2])), 0.1 * suction)
-    return [*of_cup, wrench[:, 3:5] * 2.0 / (radius * pressed),
-            wrench[:, [0, 1, 5]] / [[1.0], [1.0], [radius]] / (friction * pressed)]
+    f, m = wrench[:, :3] / pressed, wrench[:, 3:] / pressed
+    pull = f[:, 2:]
+    return [*of_cup, np.concatenate([m[:, :2] * 2.0 / radius, pull], axis=1),
+            np.concatenate([f[:, :2] / friction, m[:, 2:] / (radius * friction), pull], axis=1)]
 
 
 def _within(
     motion: FourierMotion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
 ) -> tuple[FourierMotion, dict[str, float]]:
-    """Return a motion scaled down until it is within all limits, with its parts of them."""
-    for _ in range(20):
+    """Return a motion scaled up to the limits, or down until it is within, and its parts."""
+    for attempt in range(20):
         ratios = all_ratios(motion, limits, models, grip)
         worst = max(ratios, key=lambda name: ratios[name])
-        if ratios[worst] <= 1.0:
+        if ratios[worst] <= 1.0 and (attempt > 0 or ratios[worst] > 1.0 - 2.0 * MARGIN):
             return motion, ratios
         motion = motion.scaled((1.0 - MARGIN) / min(ratios[worst], 4.0))
     raise BellowsError(

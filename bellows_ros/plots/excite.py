@@ -31,7 +31,7 @@ def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
     """
     colours, motion = THEMES[theme], design.motion
     t = np.arange(0.0, motion.duration, 0.01)
-    u: Array = motion.displacement(t)
+    u: Array = motion.displacement(t)[0]
     lines = np.abs(motion.coefficients)
     hertz = np.arange(1, len(lines) + 1) / motion.period
     three = (colours.predicted, colours.error, colours.measured)

@@ -3,11 +3,13 @@
 from bellows_ros.core import excitation
 from bellows_ros.core.arm_limits import ArmLimits, limits_from
 from bellows_ros.core.excitation import design, FourierMotion, load_rows, loads, Search
+from bellows_ros.core.holding import safety_factors
 from bellows_ros.core.identification.fisher import motion_information, response, standard_errors
 from bellows_ros.core.jit import COMPILED
-from bellows_ros.core.lie import exp_so3, rpy_rotation
+from bellows_ros.core.kernels import lip_wrench
+from bellows_ros.core.lie import exp_so3, rotation_to_quaternion, rpy_rotation
 from bellows_ros.core.model import model_tuple
-from bellows_ros.core.simulation import simulate, state_row
+from bellows_ros.core.simulation import row_state, simulate, state_row, tool_rows
 from bellows_ros.core.synthetic.motion import Pose
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.errors import BellowsError
@@ -46,7 +48,7 @@ def errors_of(motion):
     return standard_errors(motion_information(model_of(TRUTH), tool, TRACKING, STRUCTURE))
 
 
-def require_within(found, limits, guess):
+def require_within(found, limits, guess, grip=None):
     """Check a motion at 1 kHz by differences of its poses alone, and by plain simulations."""
     tool = found.motion.at_rate(1000.0)
     o, R = tool.position, tool.rotation
@@ -65,6 +67,18 @@ def require_within(found, limits, guess):
         body = simulate(cup_of(x), PACKAGE, tool)
         bent = np.arccos(np.sum(R[:, :, 2] * body.rotation[:, :, 2], axis=1))
         assert bent.max() <= limits.bending * 1.001
+        if grip:
+            poses = np.hstack([body.position, rotation_to_quaternion(body.rotation), body.twist])
+            held = [safety_factors(grip, *lip_wrench(model_of(x), row_state(a), row_state(b)))
+                    for a, b in zip(tool_rows(tool)[::7], poses[::7], strict=True)]
+            assert np.min(held) >= limits.safety * 0.999
+
+
+@pytest.fixture(scope='module')
+def quick():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(excitation, 'STAGES', ((8, 60), (16, 20)))
+        return designed(grip=GRIP)
 
 
 @pytest.fixture(scope='module')
@@ -72,16 +86,29 @@ def found():
     return designed()
 
 
-def test_no_limit_is_violated(found):
-    require_within(found, LIMITS, TRUTH)
-    assert 0.97 < max(found.ratios.values()) <= 1.0
-    assert sum(found.shares.values()) == pytest.approx(1.0)
-
-
-def test_all_errors_are_a_third_of_those_of_our_multisine(found):
+@pytest.fixture(scope='module')
+def ours():
     recipe = read_recipe(safe_yaml.load(ROOT / 'bags' / 'identification.yaml'), PACKAGE.com)
-    ours, new = errors_of(recipe.motion), errors_of(found.motion)
-    assert_allclose(new, standard_errors(found.information), rtol=1e-3)
+    return errors_of(recipe.motion)
+
+
+def test_no_limit_is_violated(quick):
+    require_within(quick, LIMITS, TRUTH)
+    assert 0.97 < max(quick.ratios.values()) <= 1.0
+    assert sum(quick.shares.values()) == pytest.approx(1.0)
+
+
+def test_a_search_cut_short_is_better_than_our_multisine(quick, ours):
+    new = errors_of(quick.motion)
+    assert_allclose(new, standard_errors(quick.information), rtol=1e-3)
+    assert (new <= ours / 2.0).all(), ours / new
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('grip', [None, GRIP])
+def test_all_errors_are_a_third_of_those_of_our_multisine(grip, seed, ours):
+    new = errors_of(designed(grip=grip, seed=seed).motion)
     assert (new <= ours / 3.0).all(), ours / new
 
 
@@ -96,28 +123,30 @@ def test_estimates_scatter_as_expected(found):
 
 @pytest.mark.stress
 @pytest.mark.parametrize('factor', [0.7, 1.3])
-def test_a_guess_that_is_off_costs_little(found, factor):
+def test_a_guess_that_is_off_costs_little(found, factor, ours):
     """With K guessed 30 % off all errors are less than half of those of our multisine."""
     other = designed(TRUTH * np.repeat([factor, 1.0], 4))
-    recipe = read_recipe(safe_yaml.load(ROOT / 'bags' / 'identification.yaml'), PACKAGE.com)
     new = errors_of(other.motion)
-    assert (new < 0.45 * errors_of(recipe.motion)).all(), new / errors_of(recipe.motion)
+    assert (new < 0.45 * ours).all(), new / ours
     assert np.exp(np.mean(np.log(new / errors_of(found.motion)))) < 1.25
 
 
-@pytest.mark.parametrize('seed', [0, *(pytest.param(s, marks=pytest.mark.stress)
-                                       for s in range(1, 9))])
-def test_short_motions_of_a_tilted_tool_hold_the_grip(monkeypatch, seed):
-    monkeypatch.setattr(excitation, 'STAGES', ((8, 30), (60, 30)))
-    rng = np.random.default_rng(seed)
-    tight = {name: (LIMITS.linear * rng.uniform(0.2, 1.0, 3)) for name in ('linear',)}
-    start = Pose(LIMITS.start.position, rpy_rotation(np.array([0.2, -0.1, 1.0])))
-    limits = ArmLimits(
-        start, LIMITS.lower, LIMITS.upper, LIMITS.turn, tight['linear'], LIMITS.angular,
-        LIMITS.bending, LIMITS.torsion, 1.5, 6.0, None, np.zeros(0))
-    short = designed(limits=limits, duration=6.0, grip=GRIP, seed=seed)
-    require_within(short, limits, TRUTH)
-    assert max(short.ratios.values()) <= 1.0 and 'safety factor (peel)' in short.ratios
+@pytest.mark.parametrize('seeds', [range(1), *(
+    pytest.param(range(s, s + 50), marks=[pytest.mark.stress, pytest.mark.timeout(600)])
+    for s in range(1, 1001, 50))])
+def test_short_motions_of_a_tilted_tool_hold_the_grip(monkeypatch, seeds):
+    """No limit is violated at 1 kHz, from 1,000 seeds of the search and of the arm's limits."""
+    monkeypatch.setattr(excitation, 'STAGES', ((8, 30), (64, 30)))
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        start = Pose(LIMITS.start.position, rpy_rotation(np.array([0.2, -0.1, 1.0])))
+        limits = ArmLimits(
+            start, LIMITS.lower, LIMITS.upper, LIMITS.turn,
+            LIMITS.linear * rng.uniform(0.2, 1.0, 3), LIMITS.angular,
+            LIMITS.bending, LIMITS.torsion, 1.5, 6.0, None, np.zeros(0))
+        short = designed(limits=limits, duration=6.0, grip=GRIP, seed=seed)
+        require_within(short, limits, TRUTH, GRIP)
+        assert max(short.ratios.values()) <= 1.0
 
 
 def test_slopes_of_the_search_are_its_differences():
@@ -160,7 +189,7 @@ def test_small_motions_tell_what_the_linear_response_says():
     c *= np.array([1, 1, 1, 5, 5, 5]) / (1.0 + np.arange(60)[:, None] / 6.0)
     motion = FourierMotion(LIMITS.start, 8.0, c)
     whole = motion_information(model_of(TRUTH), motion.at_rate(360.0), TRACKING, STRUCTURE)
-    u = motion.displacement(2.0 + np.arange(1024) / 128.0)
+    u = motion.displacement(2.0 + np.arange(1024) / 128.0)[0]
     lines = np.fft.rfft(u, axis=0)[1:120] / 512.0
     at = state_row(LIMITS.start.position, [0.0, 0.0, 0.0, 1.0], np.zeros(6))
     omega = 2.0 * np.pi * np.arange(1, 120) / 8.0
