@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Sequence
+import os
 from pathlib import Path
 import re
 from typing import Any, TYPE_CHECKING
@@ -231,9 +232,14 @@ def require_outputs(outputs: 'Iterable[str]', inputs: 'Iterable[str | Path]') ->
     read, targets = list(inputs), []
     for output in files:
         require_no_input(output, read)
-        targets += [] if isinstance(output, Folder) else [require_file_target(output)]
-    if len(set(targets)) < len(targets):
-        raise BellowsError(f"Two outputs have the same name, '{targets[0]}'. Give another to one.")
+        targets.append(Path(os.path.realpath(output)) if isinstance(output, Folder)
+                       else require_file_target(output))
+    for i, target in enumerate(targets):
+        if any(target == other or other in target.parents
+               for other in [*targets[:i], *targets[i + 1:]]):
+            raise BellowsError(
+                f"Two outputs have the same name, or one lies in the other: '{target}'. Give "
+                'another name to one.')
 
 
 def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] = ()) -> None:

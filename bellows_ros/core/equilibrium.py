@@ -1,9 +1,9 @@
 """
 Where a package hangs at rest, and small motions about a state.
 
-Derivatives of the package's acceleration, modes, step sizes, and the static equilibrium. The scalar
-code of the last stands step for step in C, too (`bellows_equilibrium` in files/bellows_cup.h), so
-that both give the same bits; that is why its derivatives are differences.
+Derivatives of the package's acceleration, modes, step sizes, and the static equilibrium. The
+scalar code of the last stands step for step in C, too (`bellows_equilibrium` in
+files/bellows_cup.h), so that both give the same bits; so its derivatives are differences.
 """
 
 import math

@@ -176,7 +176,7 @@ def write_bag(
     if not any(len(r.stamps_ns) for r in recorded):
         raise BellowsError(f"Recording '{path}' would be empty. Give messages to record.")
     if replace:
-        _require_replaceable(Path(path))
+        require_replaceable(Path(path))
     with atomic.new_folder(path, replace) as folder, _errors_of_the_system():
         writer = _Writer(folder, version=_VERSION, storage_plugin=STORAGES[storage])
         writer.set_compression(COMPRESSIONS[compression], CompressionFormat.ZSTD)
@@ -213,7 +213,7 @@ def _require_choices(storage: str, compression: str) -> None:
         raise BellowsError("SQLite has no chunks to compress; use 'message' or 'file', or mcap.")
 
 
-def _require_replaceable(folder: Path) -> None:
+def require_replaceable(folder: Path) -> None:
     """Refuse to replace what is not a recording and nothing else."""
     if not folder.is_dir():
         return

@@ -300,7 +300,8 @@ TARGETS: Mapping[str, Target] = {
         'A lock between gripper and lip is linear in its six deflections; (3.17) has the sine of '
         'one rotation.',
         'The package is not in it: give your own body its mass and inertia.',
-        'Written by the documentation of OpenPLX 0.19, and not tried with a simulator.',
+        'Its names are those of the documentation of OpenPLX 0.19 and 0.26; it was not tried with '
+        'a simulator.',
     )),
     'c': Target('C (C11, a header)', header, (
         'Release, flight and uncertainties; of the model itself nothing is lost.',

@@ -29,7 +29,7 @@ from bellows_ros.core.synthetic.settings import Settings
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.atomic import new_folder
-from bellows_ros.files.bag_writer import Encoded, write_bag
+from bellows_ros.files.bag_writer import Encoded, require_replaceable, write_bag
 from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, PlanMessage
 from bellows_ros.files.plans import arm_of
 from bellows_ros.files.results import provenance
@@ -156,6 +156,8 @@ def excite(
     if not SHORTEST <= duration <= LONGEST:
         raise BellowsError(
             f'A motion of {duration:g} s is wanted; expected {SHORTEST:g} to {LONGEST:g} s.')
+    if seed < 0:
+        raise BellowsError(f'The seed is {seed}; expected a whole number from 0 on.')
     tell = progress or (lambda what, part: None)
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     arm = arm_of(urdf, values['tool_link']) if urdf else None
@@ -232,19 +234,31 @@ def write_motion(
     frame = str(found.values['plan.frame']) or 'world'
     axes = str(found.values['tool_twist.frame'])
     motion = found.design.motion
+    if found.series:
+        if replace:
+            _require_series(Path(path))
+        with new_folder(path, replace) as folder:
+            folder.mkdir()
+            for name, (each, _) in found.series.items():
+                _write_plan(folder / name, each, frame, axes, False)
+    else:
+        _write_plan(path, motion, frame, axes, replace)
     if csv:
         times, rows, _ = _points(motion, axes)
         write_euroc(csv, times, rows)
     if urscript:
         slow = motion.at_rate(UR_RATE)
         write_urscript(Path(urscript), slow.seconds, slow.position, log_so3(slow.rotation), frame)
-    if not found.series:
-        _write_plan(path, motion, frame, axes, replace)
-        return
-    with new_folder(path) as folder:
-        folder.mkdir()
-        for name, (each, _) in found.series.items():
-            _write_plan(folder / name, each, frame, axes, False)
+
+
+def _require_series(folder: Path) -> None:
+    """Refuse to replace what is not a series and nothing else."""
+    for each in folder.iterdir() if folder.is_dir() else ():
+        if each.name not in (STANDSTILLS, EXCITATION, VALIDATION) or not each.is_dir():
+            raise BellowsError(
+                f"Folder '{folder}' is not replaced because it is not just a series: it holds "
+                f"'{each.name}'. Give another name, or remove it first.")
+        require_replaceable(each)
 
 
 def _write_plan(

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from .conftest import contents, diagonal, PACKAGE, Run, STIFFNESS, TOPICS, write_yaml
+from ..conftest import ROOT
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 RATE_HZ = 200.0
@@ -294,12 +295,19 @@ def test_an_output_that_cannot_be_written_is_found_before_the_work(
 
 
 def test_two_outputs_of_one_name(bellows: Run, workshop: Path, outputs: Path) -> None:
-    """Refuse to write one over the other."""
+    """Refuse to write one over the other, or into it."""
     before = contents(outputs)
     done = bellows(
         'identify', workshop / 'recording', '--params', workshop / 'package.yaml',
         '--out', outputs / 'cup.yaml', '--json', outputs / 'cup.yaml')
     check_refusal(done, outputs, before, ['same name', 'cup.yaml'])
+    (outputs / 'motion').mkdir()
+    before = contents(outputs)
+    for name in ('motion', 'motion/m.json'):
+        done = bellows(
+            'plan', ROOT / 'bags' / 'transport.yaml', '--params', workshop / 'package.yaml',
+            '--out', outputs / 'motion', '--force', '--json', outputs / name)
+        check_refusal(done, outputs, before, ['motion'])
 
 
 @pytest.mark.parametrize(

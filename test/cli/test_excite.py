@@ -92,16 +92,18 @@ def test_joints_of_an_arm_limit_it(
     ({'tracking': {'tool': {'rate_hz': 500.0}}}, 6, "'tracking.tool.noise' must have position"),
     ({'linear': None}, 6, "'linear.speed' is missing; it must be a number above 0 (m/s)"),
     ({}, 4, 'expected 5 to 120 s'),
+    ({}, '6 --seed -1', 'expected a whole number from 0 on'),
     ({'bendig': 1.0}, 6, "Did you mean 'bending'?"),
 ])
 def test_bad_input_is_refused(
-    bellows: Run, workshop: Path, tmp_path: Path, change: dict[str, Any], time: int, message: str
+    bellows: Run, workshop: Path, tmp_path: Path, change: dict[str, Any], time: int | str,
+    message: str,
 ) -> None:
     """Say what is wrong, and write nothing."""
     file = write_yaml(tmp_path / 'arm.yaml', LIMITS | change)
     before = contents(tmp_path)
-    done = bellows('excite', '--params', workshop / 'cup.yaml', '--limits', file, '--time', time,
-                   '--out', 'motion', '--csv', 'm.csv', cwd=tmp_path)
+    done = bellows('excite', '--params', workshop / 'cup.yaml', '--limits', file, '--time',
+                   *str(time).split(), '--out', 'motion', '--csv', 'm.csv', cwd=tmp_path)
     assert done.returncode == 2 and message in ' '.join(done.stderr.split())
     assert contents(tmp_path) == before
 
@@ -136,3 +138,9 @@ def test_a_series_is_three_plans_in_order(
     before = contents(tmp_path)
     done = bellows(*command, cwd=tmp_path)
     assert done.returncode == 2 and contents(tmp_path) == before
+    assert bellows(*command, '--force', cwd=tmp_path).returncode == 0
+    (tmp_path / 'series' / 'notes.txt').write_text('mine')
+    before = contents(tmp_path)
+    done = bellows(*command, '--force', cwd=tmp_path)
+    assert done.returncode == 2 and "it holds 'notes.txt'" in ' '.join(done.stderr.split())
+    assert contents(tmp_path) == before
