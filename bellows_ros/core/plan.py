@@ -66,7 +66,9 @@ PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_mome
 """Whose largest values are kept: loads, rad, m, N, N m, N m, rad."""
 
 SAME_TILT = 0.05
-"""A tool hangs the package alike where gravity turns by less in its axes (rad)."""
+"""A tool hangs the package nearly alike where gravity turns by less in its axes (rad) ..."""
+LEVEL = 1e-12
+"""... and alike where it turns by less."""
 
 UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
 """Goes into the kernel where no grip is known; nobody looks at the loads then."""
@@ -195,7 +197,7 @@ class Run:
         self._tail = tail if speed <= STILL[0] and rate <= STILL[1] else 0.0
         self._end = self._start
         if self._tail:
-            self._end = rest_after(model, rows[0], self._start, rows[-1])
+            self._end = rest_after(model, rows[0], self._start, rows[-1], self._rests)
         self._longest = longest or largest_step(model)
         durations = np.diff(tool.stamps_ns) / NS_PER_S
         self._inputs: tuple[Any, Any] = rows, durations
@@ -216,7 +218,8 @@ class Run:
         if self._rests:
             other._start = rest(model, self._rows[0], self._start)
         if self._tail:
-            other._end = rest(model, self._rows[-1], self._end)
+            other._end = rest_after(
+                model, self._rows[0], other._start, self._rows[-1], self._rests, self._end)
         other._make_room()
         return other
 
@@ -260,23 +263,30 @@ def rest(model: ModelTuple, row: Array, near: State | None = None) -> State:
     return static_equilibrium(model, state_row(row[:3], row[3:7], np.zeros(6)), near)
 
 
-def rest_after(model: ModelTuple, first: Array, start: State, last: Array) -> State:
+def rest_after(
+    model: ModelTuple, first: Array, start: State, last: Array, rests: bool = False,
+    near: State | None = None,
+) -> State:
     """
     Return the package at rest under a row, sought from where it hangs under another one.
 
-    Where the tool tilts in between, or nothing is found so, it is sought from the beginning.
+    Where the tool tilts in between it is sought near a state, or from the beginning, as where
+    nothing is found; where it rests at the start and the tool does not tilt, it hangs alike.
     """
     R, R_end = (rotation_matrix(tuple(row[3:7].tolist())) for row in (first, last))
-    tilted = subtract(apply_transposed(R, model[2]), apply_transposed(R_end, model[2]))
-    if norm(tilted) > SAME_TILT * norm(model[2]):
-        return rest(model, last)
+    tilt = norm(subtract(apply_transposed(R, model[2]), apply_transposed(R_end, model[2])))
+    if tilt > SAME_TILT * norm(model[2]):
+        return rest(model, last, near)
     shift = apply_transposed(R, subtract(start[0], tuple(first[:3].tolist())))
     turn = quaternion_product(quaternion_conjugate(tuple(first[3:7].tolist())), start[1])
-    near = (
+    still = (0.0, 0.0, 0.0)
+    alike = (
         add(tuple(last[:3].tolist()), apply(R_end, shift)),
-        quaternion_product(tuple(last[3:7].tolist()), turn), shift, shift)
+        quaternion_product(tuple(last[3:7].tolist()), turn), still, still)
+    if rests and tilt < LEVEL * norm(model[2]):
+        return alike
     try:
-        return rest(model, last, near)
+        return rest(model, last, alike)
     except BellowsError:
         return rest(model, last)
 

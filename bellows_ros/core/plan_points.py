@@ -170,12 +170,44 @@ def spline_twists(seconds: Array, position: Array, rotation: Array) -> Array:
     """Return the body twists (N, 6) of cubic splines through poses, from rest to rest."""
     from scipy.interpolate import CubicSpline
 
-    q = rotation_to_quaternion(rotation)
-    q *= np.cumprod(np.append(1.0, np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0)))[
-        :, None]  # q and -q are the same rotation: the near one
+    q = _near_quaternions(rotation)
     rate = CubicSpline(seconds, np.hstack([position, q]), bc_type='clamped')(seconds, 1)
-    angular = 2.0 * quaternion_product(quaternion_conjugate(q), rate[:, 3:])[:, :3]
-    return np.hstack([apply(np.swapaxes(rotation, -1, -2), rate[:, :3]), angular])
+    return body_twists(q, rate)[1]
+
+
+def _near_quaternions(rotation: Array) -> Array:
+    """Return quaternions (N, 4), of q and -q the one that is near to that before."""
+    q = rotation_to_quaternion(rotation)
+    q[1:] *= np.cumprod(
+        np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
+    return q
+
+
+def curve_of(motion: Trajectory) -> Any:
+    """
+    Return a motion as cubic Hermite polynomials in time, s since its first point.
+
+    Of position and quaternion, (..., 7); the latter is of unit length at the motion's points.
+    """
+    from scipy.interpolate import CubicHermiteSpline
+
+    q, twist = _near_quaternions(motion.rotation), np.asarray(motion.twist)
+    spin = 0.5 * quaternion_product(q, np.pad(twist[:, 3:], ((0, 0), (0, 1))))
+    return CubicHermiteSpline(
+        motion.seconds, np.hstack([motion.position, q]),
+        np.hstack([apply(motion.rotation, twist[:, :3]), spin]))
+
+
+def body_twists(q: Array, rate: Array) -> tuple[Array, Array]:
+    """
+    Return rotations (N, 3, 3) and body twists (N, 6) from rates (N, 7) of position and quaternion.
+
+    The quaternions (N, 4) are of any length.
+    """
+    size = np.sum(q * q, axis=1)[:, None]
+    rotation = quaternion_to_rotation(q / np.sqrt(size))
+    angular = 2.0 * quaternion_product(quaternion_conjugate(q), rate[:, 3:])[:, :3] / size
+    return rotation, np.hstack([apply(np.swapaxes(rotation, -1, -2), rate[:, :3]), angular])
 
 
 def refined(plan: Trajectory, acceleration: Array | None = None) -> Trajectory:

@@ -180,22 +180,21 @@ def land(
     package: PackageTuple, gravity: Vector, box: Box, height: float, body: State, stride: float
 ) -> tuple[float, State]:
     """Return after which time (s) the first corner is at a height, and the state; -1 if never."""
-    t, up = 0.0, upward(gravity)
+    t, up, h = 0.0, upward(gravity), stride_of(body, stride)
+    low, high = 0.0, math.inf  # of the step in which it lands: halved from then on
     while t < LONGEST_FLIGHT:
-        h = stride_of(body, stride)
         after = flown(package, gravity, body, h)
         if lowest(box, up, after) <= height:
-            low, high = 0.0, h
-            while high - low > INSTANT:
-                h = 0.5 * (low + high)
-                after = flown(package, gravity, body, h)
-                if lowest(box, up, after) <= height:
-                    high = h
-                else:
-                    low = h
+            high = h
+        elif high < math.inf:
+            low = h
+        else:
+            t, body = t + h, after
+            h = stride_of(body, stride)
+            continue
+        if high - low <= INSTANT:
             return t + h, after
-        t += h
-        body = after
+        h = 0.5 * (low + high)
     return -1.0, body
 
 
@@ -205,20 +204,24 @@ def _hold(
     states: Any, loads: Any,
 ) -> None:
     """Write state and load at the beginning of every integration step along the tool's rows."""
-    tool, j = row_state(rows[0]), 0
-    for k in range(len(durations)):
-        after = row_state(rows[k + 1])
-        segment = tool_segment(tool, after, durations[k])
+    tool, k, i = row_state(rows[0]), 0, 0
+    after = row_state(rows[1])
+    segment = tool_segment(tool, after, durations[0])
+    for j in range(len(states)):
+        write_row(states[j], body)
+        loads[j] = load_at(model, grip, tool, body)
+        if k == len(durations):
+            return
         n = counts[k]
-        for i in range(n):
-            write_row(states[j], body)
-            loads[j] = load_at(model, grip, tool, body)
-            end = after if i == n - 1 else tool_at(segment, (i + 1.0) / n)
-            middle = tool_at(segment, (i + 0.5) / n)
-            body = step(model, body, tool, middle, end, durations[k] / n)
-            tool, j = end, j + 1
-    write_row(states[j], body)
-    loads[j] = load_at(model, grip, tool, body)
+        middle = tool_at(segment, (i + 0.5) / n)
+        end = after if i == n - 1 else tool_at(segment, (i + 1.0) / n)
+        body = step(model, body, tool, middle, end, durations[k] / n)
+        tool, i = end, i + 1
+        if i == n:
+            k, i = k + 1, 0
+            if k < len(durations):
+                after = row_state(rows[k + 1])
+                segment = tool_segment(tool, after, durations[k])
 
 
 @kernel
@@ -338,7 +341,7 @@ class Held:
             still = np.concatenate([rows[-1, :7], np.zeros(6)])
             rows = np.vstack([rows[:-1], still, still])
             starts = np.append(starts, self.duration + LONGEST_WAIT)
-        count = min(int(np.searchsorted(starts, until)) + 1, len(starts))
+        count = min(max(2, int(np.searchsorted(starts, until)) + 1), len(starts))
         rows, starts = rows[:count], starts[:count]
         durations = np.diff(starts)
         if start is None:

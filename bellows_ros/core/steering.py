@@ -13,7 +13,7 @@ from dataclasses import replace
 import math
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import linearise, resting_on_tool
 from bellows_ros.core.jacobians import damper_jacobians
 from bellows_ros.core.jit import COMPILED, kernel
@@ -34,19 +34,15 @@ from bellows_ros.core.lie import (
     inverse_transform,
     log_se3,
     log_so3,
-    quaternion_conjugate,
-    quaternion_product,
     quaternion_to_rotation,
-    rotation_to_quaternion,
     transform,
 )
 from bellows_ros.core.lie import (
     apply as apply_all,
 )
 from bellows_ros.core.plan import predict, Prediction, rest, rest_after, SETTLED, STILL
-from bellows_ros.core.plan_points import spline_twists
-from bellows_ros.core.resampling import resample
-from bellows_ros.core.simulation import row_state, state_row, tool_rows, write_row
+from bellows_ros.core.plan_points import body_twists, curve_of
+from bellows_ros.core.simulation import state_row, tool_rows, write_row
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import (
     add,
@@ -58,6 +54,7 @@ from bellows_ros.core.tuples import (
     Matrix,
     multiply,
     normalised,
+    quaternion_product,
     rotation_matrix,
     scale,
     subtract,
@@ -78,8 +75,9 @@ STEEPEST = 0.25 * math.pi
 """The cup's restoring moment is largest at this bending (rad)."""
 PARTS = 5
 """It is smoothed on points so many times as near ..."""
-SMOOTHED, LONGEST_SMOOTHING = 0.2, 0.2
-"""... over this part of its duration, but no longer than this (s)."""
+SMOOTHED, LONGEST_SMOOTHING = 0.12, 0.2
+"""... over this part of its duration, but no longer than this (s): a longer time makes the rest so
+quick that a cup known to 5 % swings, a shorter one the tool jerk."""
 
 RATE_PER_STEP = 0.4
 """Largest relaxation rate of the cup times step: RK4 is accurate there to 1e-4 of what relaxes."""
@@ -165,41 +163,77 @@ def leading_tool(
 
 
 @kernel
+def polynomial(c: Any, s: float) -> Vector:
+    """Return value, first and second derivative of a polynomial, highest power first."""
+    value, rate, half = 0.0, 0.0, 0.0
+    for k in range(len(c)):
+        half = half * s + rate
+        rate = rate * s + value
+        value = value * s + c[k]
+    return value, rate, 2.0 * half
+
+
+@kernel
+def wanted_at(pieces: Any, spacing: float, t: float) -> tuple[State, Vector, Vector]:
+    """
+    Return the state of B at a time (s), and the rates of its body twist.
+
+    pieces (N, 7, 6) are polynomials in position and quaternion, so far (s) from each other.
+    """
+    i = min(int(t / spacing), len(pieces) - 1)
+    c, s = pieces[i], t - i * spacing
+    x, y, z = polynomial(c[0], s), polynomial(c[1], s), polynomial(c[2], s)
+    a, b = polynomial(c[3], s), polynomial(c[4], s)
+    d, e = polynomial(c[5], s), polynomial(c[6], s)
+    k = 1.0 / (a[0] * a[0] + b[0] * b[0] + d[0] * d[0] + e[0] * e[0])
+    q = normalised((a[0], b[0], d[0], e[0]))
+    back = (-k * a[0], -k * b[0], -k * d[0], k * e[0])
+    rate = quaternion_product(back, (a[1], b[1], d[1], e[1]))
+    bend = quaternion_product(back, (a[2], b[2], d[2], e[2]))
+    w = (2.0 * rate[0], 2.0 * rate[1], 2.0 * rate[2])
+    growth = -2.0 * rate[3]
+    dw = (2.0 * bend[0] + growth * w[0], 2.0 * bend[1] + growth * w[1],
+          2.0 * bend[2] + growth * w[2])
+    R = rotation_matrix(q)
+    v = apply_transposed(R, (x[1], y[1], z[1]))
+    dv = subtract(apply_transposed(R, (x[2], y[2], z[2])), cross(w, v))
+    return ((x[0], y[0], z[0]), q, v, w), dv, dw
+
+
+@kernel
 def _lead(
-    model: ModelTuple, tool: State, bodies: Any, rates: Any, h: float, way: float, turn: float,
-    out: Array,
+    model: ModelTuple, tool: State, pieces: Any, spacing: float, count: int, h: float,
+    way: float, turn: float, out: Array, package: Array,
 ) -> int:
     """
-    Write the tool's states that give the package its motion; return how many there are.
+    Write the states of tool and package along a motion; return how many there are.
 
-    bodies (2 N + 1, 13) and rates (2 N + 1, 6) are those of B at the beginning, middle and end of
-    N steps; it rests after them. The last tool moves by less than way (m) and turn (rad) per s.
+    The package rests after count steps of h (s). The last tool moves by less than way (m) and
+    turn (rad) per s.
     """
-    last = len(bodies) - 1
     still = (0.0, 0.0, 0.0)
+    end, end_dv, end_dw = wanted_at(pieces, spacing, 0.0)
     for k in range(len(out)):
-        i, j, n = min(2 * k, last), min(2 * k + 1, last), min(2 * k + 2, last)
-        body, middle, end = row_state(bodies[i]), row_state(bodies[j]), row_state(bodies[n])
-        a, b, c = rates[i], rates[j], rates[n]
-        dv2, dw2 = (b[0], b[1], b[2]), (b[3], b[4], b[5])
-        tool = leading_tool(
-            model, tool, body, (a[0], a[1], a[2]), (a[3], a[4], a[5]))
+        body, dv, dw = end, end_dv, end_dw
+        tool = leading_tool(model, tool, body, dv, dw)
         write_row(out[k], tool)
-        if i == last and dot(tool[2], tool[2]) < way * way and (
+        write_row(package[k], body)
+        if k >= count and dot(tool[2], tool[2]) < way * way and (
                 dot(tool[3], tool[3]) < turn * turn):
             return k + 1
+        middle, dv, dw = wanted_at(pieces, spacing, min(k + 0.5, count) * h)
+        end, end_dv, end_dw = wanted_at(pieces, spacing, min(k + 1, count) * h)
         do1, ds1 = apply(rotation_matrix(tool[1]), tool[2]), tool[3]
         stage = leading_tool(
-            model, stage_state(tool, 0.5 * h, do1, ds1, still, still), middle, dv2, dw2)
+            model, stage_state(tool, 0.5 * h, do1, ds1, still, still), middle, dv, dw)
         do2 = apply(rotation_matrix(stage[1]), stage[2])
         ds2 = rotation_rate(scale(0.5 * h, ds1), stage[3])
         stage = leading_tool(
-            model, stage_state(tool, 0.5 * h, do2, ds2, still, still), middle, dv2, dw2)
+            model, stage_state(tool, 0.5 * h, do2, ds2, still, still), middle, dv, dw)
         do3 = apply(rotation_matrix(stage[1]), stage[2])
         ds3 = rotation_rate(scale(0.5 * h, ds2), stage[3])
         stage = leading_tool(
-            model, stage_state(tool, h, do3, ds3, still, still), end,
-            (c[0], c[1], c[2]), (c[3], c[4], c[5]))
+            model, stage_state(tool, h, do3, ds3, still, still), end, end_dv, end_dw)
         do4 = apply(rotation_matrix(stage[1]), stage[2])
         ds4 = rotation_rate(scale(h, ds3), stage[3])
         tool = stage_state(
@@ -266,36 +300,45 @@ def inverse(
     rows, smoothed = _smooth_rows(wanted)
     duration = float(wanted.seconds[-1])
     count = math.ceil(duration / min(GRID, RATE_PER_STEP / rates[-1]) - 1e-9)
-    h = duration / count
-    bodies, accelerations = _motion(rows, duration, 2 * count + 1)
+    h, pieces = duration / count, _pieces(rows, duration)
     if start is None:
-        start = _tool_above(model, bodies[0], h, rates)
-    out = np.empty((count + 1 + round(LONGEST_ARRIVAL / rates[0] / h), 13))
-    found = _led(model, start, bodies, accelerations, h, rates, out)
-    axes = [quaternion_to_rotation(rows[:, 3:7])[:, :, 2] for rows in (
-        out[:found], bodies[np.minimum(2 * np.arange(found), 2 * count)])]
-    if np.sum(axes[0] * axes[1], axis=1).min() < math.cos(STEEPEST):
-        raise _too_far()
+        start = _tool_above(model, rows[0], rates)
+    out, package = np.empty((2, count + 1 + round(LONGEST_ARRIVAL / rates[0] / h), 13))
+    found = _led(
+        model, start, pieces, duration / (len(rows) - 1), count, h,
+        rates[0] * np.array(ARRIVED), out, package)
     every = max(1, round(GRID / h))
     kept = np.append(np.arange(0, found - 1, every), found - 1)
-    out = out[kept]
-    out[-1, 7:] = 0.0
+    out[found - 1, 7:] = 0.0
     stamps = wanted.stamps_ns[0] + np.round(kept * h * NS_PER_S).astype(np.int64)
-    package = bodies[np.minimum(2 * kept, 2 * count)]
-    return _trajectory(stamps, out), _trajectory(stamps, package), smoothed
+    tool, package = (Trajectory(stamps, rows[kept, :3], quaternion_to_rotation(rows[kept, 3:7]),
+                                rows[kept, 7:]) for rows in (out, package))
+    if np.sum(tool.rotation[:, :, 2] * package.rotation[:, :, 2], axis=1).min() < math.cos(
+            STEEPEST):
+        raise _too_far()
+    return tool, package, smoothed
+
+
+def _pieces(rows: Array, duration: float) -> Array:
+    """Return the polynomials (N, 7, 6) of a quintic spline through poses (N + 1, 7)."""
+    from scipy.interpolate import make_interp_spline
+
+    still: Any = [(1, np.zeros(7)), (2, np.zeros(7))]
+    knots = np.linspace(0.0, duration, len(rows))
+    spline = make_interp_spline(knots, rows, 5, bc_type=(still, still))
+    return np.stack([spline(knots[:-1], power) / math.factorial(power)
+                     for power in range(5, -1, -1)], axis=2)
 
 
 def _led(
-    model: ModelTuple, tool: State, bodies: Array, rates: Array, h: float, relaxation: Array,
-    out: Array,
+    model: ModelTuple, tool: State, pieces: Array, spacing: float, count: int, h: float,
+    arrived: Array, out: Array, package: Array,
 ) -> int:
-    """Fill in the tool's states; return how many there are."""
-    inputs: tuple[Any, Any] = bodies, rates
-    if not COMPILED:
-        inputs = bodies.tolist(), rates.tolist()
-    way, turn = (relaxation[0] * np.array(ARRIVED)).tolist()
+    """Fill in the states of tool and package; return how many there are."""
+    inputs: Any = pieces if COMPILED else pieces.tolist()
+    way, turn = arrived.tolist()
     try:
-        found = int(_lead(model, tool, *inputs, h, way, turn, out))
+        found = int(_lead(model, tool, inputs, spacing, count, h, way, turn, out, package))
     except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
         found = 0
     if not found or not np.isfinite(out[:found]).all():
@@ -310,39 +353,37 @@ def _too_far() -> BellowsError:
         'motion more time, or take --method zvd.')
 
 
-def _tool_above(model: ModelTuple, body: Array, h: float, rates: Array) -> State:
-    """Return the tool from which a package (13,) hangs at rest."""
+def _tool_above(model: ModelTuple, body: Array, rates: Array) -> State:
+    """Return the tool from which a package of pose (7,) hangs at rest."""
     shift = resting_on_tool(model, state_row(np.zeros(3), [0, 0, 0, 1], np.zeros(6)))[0]
-    o = body[:3] - quaternion_to_rotation(body[3:7]) @ shift
-    out = np.empty((round(2.0 * LONGEST_ARRIVAL / rates[0] / h), 13))
-    found = _led(model, state_row(o, body[3:7], np.zeros(6)), body[None], np.zeros((1, 6)), h,
-                 1e-4 * rates, out)
-    return state_row(out[found - 1, :3], out[found - 1, 3:7], np.zeros(6))
+    o = body[:3] - quaternion_to_rotation(body[3:]) @ shift
+    h = min(GRID, RATE_PER_STEP / rates[-1])
+    out = np.empty((2, round(2.0 * LONGEST_ARRIVAL / rates[0] / h), 13))
+    pieces = np.zeros((1, 7, 6))
+    pieces[0, :, -1] = body
+    found = _led(model, state_row(o, body[3:], np.zeros(6)), pieces, 1.0, 0, h,
+                 1e-4 * rates[0] * np.array(ARRIVED), *out)
+    return state_row(out[0, found - 1, :3], out[0, found - 1, 3:7], np.zeros(6))
 
 
 def tool_above(model: ModelTuple, package: Trajectory) -> Trajectory:
     """Return the motion of the tool to which a package, hanging below it, is fixed."""
-    o, q, _, _ = _tool_above(model, tool_rows(package)[0], GRID, relaxation_rates(model))
+    o, q, _, _ = _tool_above(model, tool_rows(package)[0, :7], relaxation_rates(model))
     T_B = transform(package.rotation[0], package.position[0])
     T_E = transform(quaternion_to_rotation(np.array(q)), np.array(o))
     return carried(package, inverse_transform(T_B) @ T_E)
 
 
-def _trajectory(stamps: Stamps, rows: Array) -> Trajectory:
-    """Return states (N, 13) as a trajectory."""
-    return Trajectory(stamps, rows[:, :3], quaternion_to_rotation(rows[:, 3:7]), rows[:, 7:])
-
-
 def _smooth_rows(wanted: Trajectory) -> tuple[Array, float]:
     """Return poses (N, 7) evenly spaced from rest to rest, smoothed if need be, and how far."""
-    duration = float(wanted.seconds[-1])
-    knots = max(6, round(duration / SPACING))
+    curve, duration = curve_of(wanted), float(wanted.seconds[-1])
+    rows = curve(np.linspace(0.0, duration, max(6, round(duration / SPACING)) + 1))
     if is_smooth(wanted):
-        return _poses_at(wanted, np.linspace(0.0, duration, knots + 1)), 0.0
-    fine = knots * PARTS
+        return rows, 0.0
+    fine = (len(rows) - 1) * PARTS
     box = round(0.25 * fine * min(SMOOTHED, LONGEST_SMOOTHING / duration)) | 1  # has a middle
     reach = 2 * (box - 1)
-    quick = _poses_at(wanted, np.linspace(0.0, duration, fine + 1 - 2 * reach))
+    quick = curve(np.linspace(0.0, duration, fine + 1 - 2 * reach))
     rows = np.pad(quick, ((2 * reach, 2 * reach), (0, 0)), mode='edge')
     weights = np.ones(1)
     for _ in range(4):
@@ -352,19 +393,6 @@ def _smooth_rows(wanted: Trajectory) -> tuple[Array, float]:
     return smooth[::PARTS], 2.0 * reach * duration / fine
 
 
-def _poses_at(motion: Trajectory, seconds: Array) -> Array:
-    """Return positions and quaternions (N, 7), none jumping to its negative, at times (s)."""
-    stamps = motion.stamps_ns[0] + np.round(seconds * NS_PER_S).astype(np.int64)
-    stamps, place = np.unique(
-        np.clip(stamps, motion.stamps_ns[0], motion.stamps_ns[-1]), return_inverse=True)
-    at = resample(motion, stamps)
-    q = rotation_to_quaternion(at.rotation)
-    signs = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))
-    q[1:] *= signs[:, None]
-    rows: Array = np.hstack([at.position, q])[place]
-    return rows
-
-
 def is_smooth(motion: Trajectory) -> bool:
     """
     Tell whether a motion from rest to rest has four continuous derivatives.
@@ -372,39 +400,15 @@ def is_smooth(motion: Trajectory) -> bool:
     Where it has not, the change of the fourth from one point to the next does not become smaller
     with their distance.
     """
-    def fourth(spacing: float) -> Array:
-        count = max(3, round(float(motion.seconds[-1]) / spacing))
-        at = np.linspace(0.0, float(motion.seconds[-1]), count + 1)
-        rows = np.pad(_poses_at(motion, at), ((6, 6), (0, 0)), mode='edge')
-        found: Array = np.diff(rows, 4, axis=0) / at[1] ** 4
-        return found
-
-    spacing = max(SPACING, float(np.median(np.diff(motion.seconds))))
-    fine = fourth(spacing)
-    change, coarse = (np.abs(np.diff(d, axis=0)).max() for d in (fine, fourth(2.0 * spacing)))
-    return bool(change < max(JUMP, LITTLE * np.abs(fine).max()) or change < 0.7 * coarse)
-
-
-def _motion(rows: Array, duration: float, count: int) -> tuple[Array, Array]:
-    """Return states (N, 13) and rates of body twists (N, 6) of a quintic spline through poses."""
-    from scipy.interpolate import make_interp_spline
-
-    still: Any = [(1, np.zeros(7)), (2, np.zeros(7))]
-    spline = make_interp_spline(
-        np.linspace(0.0, duration, len(rows)), rows, 5, bc_type=(still, still))
-    t = np.linspace(0.0, duration, count)
-    here, rate, bend = spline(t), spline(t, 1), spline(t, 2)
-    q = here[:, 3:]
-    size = np.sum(q * q, axis=1)[:, None]
-    back = quaternion_conjugate(q) / size
-    w = 2.0 * quaternion_product(back, rate[:, 3:])[:, :3]
-    growth = np.sum(q * rate[:, 3:], axis=1)[:, None] / size
-    dw = 2.0 * quaternion_product(back, bend[:, 3:])[:, :3] - 2.0 * growth * w
-    q = q / np.sqrt(size)
-    R = quaternion_to_rotation(q)
-    v, a = (np.einsum('nji,nj->ni', R, part[:, :3]) for part in (rate, bend))
-    bodies = np.hstack([here[:, :3], q, v, w])
-    return bodies, np.hstack([a - np.cross(w, v), dw])
+    duration = float(motion.seconds[-1])
+    count = round(duration / max(SPACING, float(np.median(np.diff(motion.seconds)))))
+    count = 2 * max(3, round(0.5 * count))
+    rows = np.pad(curve_of(motion)(np.linspace(0.0, duration, count + 1)), ((6, 6), (0, 0)),
+                  mode='edge')
+    fine, coarse = (np.diff(rows[::every], 4, axis=0) * (count / (every * duration)) ** 4
+                    for every in (1, 2))
+    change, before = (np.abs(np.diff(d, axis=0)).max() for d in (fine, coarse))
+    return bool(change < max(JUMP, LITTLE * np.abs(fine).max()) or change < 0.7 * before)
 
 
 # -------------------------------------------------------------------------------------- shaping
@@ -464,14 +468,12 @@ def to_shape(modes: Sequence[Mode]) -> list[Mode]:
 
 def shaped(tool: Trajectory, delays: Array, sizes: Array) -> Trajectory:
     """Return the sum of delayed copies of a motion, quaternions added up and normalised."""
-    duration = float(tool.seconds[-1])
+    duration, curve = float(tool.seconds[-1]), curve_of(tool)
     seconds = np.arange(math.ceil((duration + delays.max()) / GRID - 1e-9) + 1) * GRID
-    rows = sum(size * _poses_at(tool, np.clip(seconds - delay, 0.0, duration))
-               for delay, size in zip(delays, sizes, strict=True))
-    rotation = quaternion_to_rotation(rows[:, 3:] / np.linalg.norm(
-        rows[:, 3:], axis=1, keepdims=True))
+    at = np.clip(seconds - delays[:, None], 0.0, duration)
+    rows, rates = (np.tensordot(sizes, of(at), 1) for of in (curve, curve.derivative()))
     stamps = tool.stamps_ns[0] + np.round(seconds * NS_PER_S).astype(np.int64)
-    twist = spline_twists(seconds, rows[:, :3], rotation)
+    rotation, twist = body_twists(rows[:, 3:], rates)
     return Trajectory(stamps, rows[:, :3], rotation, twist)
 
 
@@ -539,7 +541,7 @@ def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
     T_E = transform(tool.rotation[[0, -1]], tool.position[[0, -1]])
     first, last = tool_rows(tool)[[0, -1]]
     start = rest(model, first)
-    rests = start, rest_after(model, first, start, last)
+    rests = start, rest_after(model, first, start, last, True)
     T_B = transform(quaternion_to_rotation(np.array([state[1] for state in rests])),
                     np.array([state[0] for state in rests]))
     T_E_B = inverse_transform(T_E) @ T_B

@@ -1,5 +1,6 @@
 """The shortest safe time against an exhaustive scan; standard deviations against Monte Carlo."""
 
+from time import process_time
 from timeit import repeat
 
 from bellows_ros.core.fastest import fastest
@@ -58,12 +59,13 @@ def lower_end(values, model, plan, scale):
     return smallest(model, plan, scale) - 2 * np.linalg.norm(parts)
 
 
-@pytest.mark.parametrize('plan', [
-    Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0).plan(500),
-    Move([0.3, 0.2, -0.2], [0.5, 0.0, 0.8], 0.7).plan(500)])
-def test_is_that_of_an_exhaustive_scan(plan):
+@pytest.mark.parametrize(('plan', 'count'), [
+    (Move([0.3, 0.2, -0.2], [0.5, 0.0, 0.8], 0.7).plan(250), 6),
+    pytest.param(Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0).plan(500), 60,
+                 marks=pytest.mark.stress)])
+def test_is_that_of_an_exhaustive_scan(plan, count):
     found = fastest(VALUES, MODEL, GRIP, plan, 1.5)
-    scales = found.scale * np.concatenate([np.geomspace(0.3, 0.98, 30), [0.9975, 1.0025]])
+    scales = found.scale * np.concatenate([np.geomspace(0.3, 0.98, count), [0.9975, 1.0025]])
     ends = [lower_end(VALUES, MODEL, plan, scale) for scale in scales]
     assert max(ends[:-1]) < 1.5 <= ends[-1]
     assert_allclose(found.factor - 2 * found.std, 1.5, rtol=2e-3)
@@ -74,7 +76,7 @@ def test_finds_the_window_below_a_resonance(least):
     """Faster than the resonance is safe again, in a window of time scales however narrow."""
     model = model_tuple(Cup(CUP.stiffness, 0.3 * CUP.damping, CUP.length), PACKAGE, 9.81)
     plan = shake(0.005)
-    scales = np.geomspace(0.1, 2.0, 600)
+    scales = np.geomspace(0.1, 2.0, 300)
     truth = np.array([smallest(model, plan, scale) for scale in scales])
     first = scales[np.argmax(truth >= least)]
     found = fastest(EXACT, model, GRIP, plan, least)
@@ -91,11 +93,12 @@ def test_nothing_helps_a_package_that_is_too_heavy():
 
 @pytest.mark.skipif(not COMPILED, reason='the limit is for compiled kernels')
 def test_a_plan_of_a_second_takes_a_tenth():
-    """The limit is 0.1 s on an idle core; a factor of five is for the tests beside."""
+    """Of the processor, so that it is so beside other tests, too."""
     plan = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0).plan()
     fastest(VALUES, MODEL, GRIP, plan, 1.5)
     assert min(repeat(
-        lambda: fastest(VALUES, MODEL, GRIP, plan, 1.5), number=1, repeat=3)) < 0.5
+        lambda: fastest(VALUES, MODEL, GRIP, plan, 1.5), number=1, repeat=5,
+        timer=process_time)) < 0.1
 
 
 def test_each_number_is_changed_in_its_place():
@@ -119,8 +122,10 @@ def test_an_entry_of_which_nothing_is_known_counts_whole():
     assert_allclose(deviations_of(unknown)[2], np.sqrt(5400.0 * 9200.0))
 
 
-def test_standard_deviations_are_those_of_monte_carlo():
-    """2,000 draws have a standard deviation to 1.6 %."""
+@pytest.mark.parametrize(('count', 'within'), [
+    (200, 0.15),  # three deviations of what chance does to so many
+    pytest.param(2000, 0.03, marks=pytest.mark.stress)])
+def test_standard_deviations_are_those_of_monte_carlo(count, within):
     plan = Move([0.5, 0.2, -0.1], [0.2, 0.0, 0.4], 0.7).plan(250)
     names = ('smallest_safety_factor', 'peak_bending', 'peak_deflection', 'peak_force',
              'peak_moment', 'rigid_peak_moment', 'swing_left')
@@ -132,6 +137,6 @@ def test_standard_deviations_are_those_of_monte_carlo():
 
     _, parts = contributions(VALUES, MODEL, figures)
     rng = np.random.default_rng(8)
-    draws = numbers_of(VALUES) + deviations_of(VALUES) * rng.standard_normal((2000, 52))
+    draws = numbers_of(VALUES) + deviations_of(VALUES) * rng.standard_normal((count, 52))
     spread = np.std([figures(model_with(MODEL, numbers)) for numbers in draws], axis=0)
-    assert_allclose(np.linalg.norm(parts, axis=0), spread, rtol=0.03)
+    assert_allclose(np.linalg.norm(parts, axis=0), spread, rtol=within)

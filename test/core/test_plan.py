@@ -1,6 +1,7 @@
 """Prediction along plans against an independent integrator, brute force and Monte Carlo."""
 
 import math
+from time import process_time
 from timeit import repeat
 
 from bellows_ros.core.equilibrium import static_equilibrium
@@ -18,7 +19,6 @@ from .plans import Batch, CUP, GRAVITY, GRIP, Move, PACKAGE, random_case
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 SLIDE = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.5)
 TWIST = Move([0.4, -0.2, 0.1], [0.3, -0.2, 0.6], 0.6)
-STEPS_PER_SECOND = 2000
 
 
 def batch_start(cases):
@@ -31,7 +31,7 @@ def batch_start(cases):
     return np.array(T), np.zeros((len(cases), 6))
 
 
-def truths(cases, after=0.5):
+def truths(cases, after=0.5, rate=1000):
     """Return the smallest safety factor of each case by the independent integrator."""
     batch = Batch(CUP, [move for move, _, _ in cases], [package for _, package, _ in cases])
     duration = max(move.duration for move, _, _ in cases) + after
@@ -39,11 +39,11 @@ def truths(cases, after=0.5):
     grips = np.array([grip for _, _, grip in cases])
     before = None
     for _, (T_E, v_E), _, _, wrench in batch.run(
-            *batch_start(cases), duration, round(STEPS_PER_SECOND * duration)):
+            *batch_start(cases), duration, round(rate * duration)):
         arm = batch.com - [0.0, 0.0, CUP.length]
         R = T_E[:, :3, :3]
         velocity = np.einsum('nij,nj->ni', R, v_E[:, :3] + np.cross(v_E[:, 3:], arm))
-        pull = -GRAVITY if before is None else (velocity - before) * STEPS_PER_SECOND - GRAVITY
+        pull = -GRAVITY if before is None else (velocity - before) * rate - GRAVITY
         before = velocity
         f = batch.mass[:, None] * np.einsum('nji,nj->ni', R, np.broadcast_to(pull, arm.shape))
         load = np.hstack([f, np.cross(batch.com, f)])  # of m (a - g) at B, held at the lip
@@ -66,8 +66,7 @@ def test_agrees_with_an_independent_integrator(move):
     plan = move.plan()
     found = predict(MODEL, GRIP, plan)
     batch = Batch(CUP, [move], [PACKAGE])
-    steps = 2 * (len(plan) - 1)
-    rows = list(batch.run(*batch_start([(move, PACKAGE, GRIP)]), move.duration, steps))[::2]
+    rows = list(batch.run(*batch_start([(move, PACKAGE, GRIP)]), move.duration, len(plan) - 1))
     T = np.array([row[2][0] for row in rows])
     assert np.abs(found.states[:, :3] - T[:, :3, 3]).max() < 0.2e-6
     turn = log_so3(
@@ -90,31 +89,37 @@ def test_figures_are_those_of_a_fine_simulation():
     found = predict(MODEL, GRIP, plan)
     figures = found.figures()
     batch = Batch(CUP, [TWIST], [PACKAGE])
-    out = {'load': 0.0, 'bending': 0.0, 'shift': 0.0, 'force': 0.0, 'moment': 0.0}
-    swing, settled = 0.0, 0.0
+    rows, turns, settled = [], [], 0.0
     end = plan.stamps_ns[-1] * 1e-9
     rest = quaternion_to_rotation(np.array(static_equilibrium(MODEL, state_row(
         plan.position[-1], quaternion_to_xyzw(plan.rotation[-1]), np.zeros(6)))[1]))
     for t, (T_E, _), T, _, wrench in batch.run(
-            *batch_start([(TWIST, PACKAGE, GRIP)]), 2.5, round(2.5 * STEPS_PER_SECOND)):
+            *batch_start([(TWIST, PACKAGE, GRIP)]), 1.5, 1500):
         R = T_E[0, :3, :3].T @ T[0, :3, :3]
         o = T_E[0, :3, :3].T @ (T[0, :3, 3] - T[0, :3, :3] @ PACKAGE.com - T_E[0, :3, 3])
-        values = (
+        rows.append((
             loads(np.array([GRIP]), wrench)[0], math.acos(R[2, 2]),
             np.linalg.norm(o + [0, 0, CUP.length]),
-            np.linalg.norm(wrench[0, :3]), np.linalg.norm(wrench[0, 3:]))
-        out = {key: max(out[key], value) for key, value in zip(out, values, strict=True)}
+            np.linalg.norm(wrench[0, :3]), np.linalg.norm(wrench[0, 3:])))
         if t > end - 1e-9:
             turn = float(np.linalg.norm(log_so3(rest.T @ T[0, :3, :3])))
-            swing = max(swing, turn)
+            turns.append(turn)
             settled = t - end if turn > SETTLED else settled
-    assert_allclose(1 / figures['smallest_safety_factor'], out['load'], rtol=1e-5)
-    assert_allclose(figures['peak_bending'], out['bending'], rtol=1e-5)
-    assert_allclose(figures['peak_deflection'], out['shift'], rtol=1e-5)
-    assert_allclose(figures['peak_force'], out['force'], rtol=1e-5)
-    assert_allclose(figures['peak_moment'], out['moment'], rtol=1e-5)
-    assert_allclose(figures['swing_left'], swing, rtol=1e-4)
+    load, *others = (top(column) for column in np.transpose(rows))
+    assert_allclose(1 / figures['smallest_safety_factor'], load, rtol=1e-5)
+    for name, largest in zip(('bending', 'deflection', 'force', 'moment'), others, strict=True):
+        assert_allclose(figures[f'peak_{name}'], largest, rtol=1e-5, err_msg=name)
+    assert_allclose(figures['swing_left'], top(np.array(turns)), rtol=1e-4)
     assert_allclose(figures['settled_after'], settled, atol=1e-3)
+
+
+def top(values):
+    """Return the largest value of even samples: the vertex of the parabola there."""
+    i = int(np.argmax(values))
+    if not 0 < i < len(values) - 1:
+        return values[i]
+    below, here, above = values[i - 1:i + 2]
+    return here - (above - below) ** 2 / (8 * (above - 2 * here + below))
 
 
 def quaternion_to_xyzw(R):
@@ -152,15 +157,15 @@ def test_a_plan_that_ends_in_motion_has_no_swing():
 
 
 def test_never_holds_what_lets_go():
-    """The safety factor is no larger than that of an integrator that samples at 2 kHz."""
+    """The safety factor is that of an integrator that samples at 1 kHz."""
     rng = np.random.default_rng(5)
-    cases = [random_case(rng) for _ in range(60)]
-    truth, rigid = truths(cases)
+    cases = [random_case(rng) for _ in range(30)]
+    truth, rigid = truths(cases, after=0.3)
     found = np.array([
         predict(model_tuple(CUP, package, 9.81), grip, move.plan(250)).smallest_safety[0]
         for move, package, grip in cases])
     lets_go = truth < 1.0
-    assert 6 < lets_go.sum() < 54  # the cases are not trivial
+    assert 6 < lets_go.sum() < 24  # the cases are not trivial
     assert not (lets_go & (found >= 1.0)).any()
     assert not ((truth >= 1.0) & (found < 1.0)).any()  # nor afraid
     assert (lets_go & (rigid >= 1.0)).sum() >= 3  # which the rigid load would have driven
@@ -175,7 +180,7 @@ def test_a_thousand_random_plans():
     lets_go, wrong, afraid, rigid_wrong = 0, 0, 0, 0
     for _ in range(5):
         cases = [random_case(rng) for _ in range(200)]
-        truth, rigid = truths(cases)
+        truth, rigid = truths(cases, rate=2000)
         found = np.array([
             predict(model_tuple(CUP, package, 9.81), grip, move.plan(250)).smallest_safety[0]
             for move, package, grip in cases])
@@ -190,10 +195,10 @@ def test_a_thousand_random_plans():
 
 @pytest.mark.skipif(not COMPILED, reason='the limit is for compiled kernels')
 def test_a_second_at_1_khz_takes_a_millisecond():
-    """The limit is 1 ms on an idle core; a factor of two is for the tests beside."""
+    """Of the processor, so that it is so beside other tests, too."""
     run = Run(MODEL, GRIP, Move([0.6, 0, 0], [0, 0, 0], 1.0).plan(), tail=0.0)
     run.at(1.0)
-    assert min(repeat(lambda: run.at(1.0), number=1, repeat=20)) < 2e-3
+    assert min(repeat(lambda: run.at(1.0), number=5, repeat=10, timer=process_time)) < 5e-3
 
 
 def test_settling_is_waited_for():

@@ -1,11 +1,14 @@
 """Steered motions against an independent integrator, closed forms and Monte Carlo."""
 
 import math
+from time import process_time
 from timeit import repeat
 
+from bellows_ros.core import steering
 from bellows_ros.core.jit import COMPILED
 from bellows_ros.core.lie import log_so3, quaternion_to_rotation, transform
-from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.model import Cup, model_tuple
+from bellows_ros.core.motion_limits import demands
 from bellows_ros.core.perturbed import deviations_of, mean_square, model_with, numbers_of
 from bellows_ros.core.plan import predict, rest, Run
 from bellows_ros.core.simulation import tool_rows
@@ -31,6 +34,7 @@ from .test_fastest import VALUES
 
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 SLIDE = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.5)
+SOFTER = Cup(0.95 * CUP.stiffness, CUP.damping, CUP.length)
 
 
 class Smooth(Move):
@@ -56,8 +60,8 @@ class Smooth(Move):
         return step * self.way, R, np.concatenate([v, w], axis=-1)
 
 
-def followed(tool, model=MODEL, after=0.5, rate=2000):
-    """Return poses (N, 4, 4) of the package at the tool's stamps, and later, by plain RK4."""
+def followed(tool, cup=CUP, after=0.1, rate=1000):
+    """Return poses (N, 4, 4) of the package along a motion, and later, by plain RK4."""
     at = tool.seconds
     way, turn = CubicSpline(at, tool.position), RotationSpline(
         at, Rotation.from_matrix(tool.rotation))
@@ -68,10 +72,9 @@ def followed(tool, model=MODEL, after=0.5, rate=2000):
         v = np.concatenate([R.T @ way(t, 1), turn(t, 1)])  # body rates both
         return transform(R, way(t))[None], v[None] * (t < at[-1])
 
-    batch = Batch(CUP, [SLIDE], [Package(model[1][0], np.reshape(model[1][2], (3, 3)),
-                                         model[1][1])])
+    batch = Batch(cup, [SLIDE], [PACKAGE])
     batch.tools = tools
-    start = rest(model, tool_rows(tool)[0])
+    start = rest(model_tuple(cup, PACKAGE, 9.81), tool_rows(tool)[0])
     T = transform(quaternion_to_rotation(np.array(start[1])), np.array(start[0]))[None]
     duration = float(at[-1]) + after
     rows = list(batch.run(T, np.zeros((1, 6)), duration, round(duration * rate)))
@@ -121,7 +124,7 @@ def test_four_continuous_derivatives_are_told_from_fewer(order, smooth):
 def test_shaping_is_as_in_the_table():
     """0.6 m in 0.5 s: time added, largest tilt and swing left of quintic, ZV, ZVD, inverse."""
     plan = SLIDE.plan()
-    softer = model_tuple(Cup(0.95 * CUP.stiffness, CUP.damping, CUP.length), PACKAGE, 9.81)
+    softer = model_tuple(SOFTER, PACKAGE, 9.81)
 
     def row(tool, wanted):
         run = Run(MODEL, None, tool)
@@ -138,7 +141,21 @@ def test_shaping_is_as_in_the_table():
     assert_allclose(row(zvd.tool, zvd.package), (0.310, 8.7, 0.04, 0.05), atol=0.02)
     found = steer(MODEL, plan, 'inverse')
     _, tilt, swing, soft = row(found.tool, found.package)
-    assert tilt < 0.004 and swing < 0.01 and soft > 0.9  # where zvd leaves 0.05
+    assert tilt < 0.004 and swing < 0.01
+    assert_allclose(soft, 1.83, atol=0.05)  # where zvd leaves 0.05; see the next test
+    assert_allclose(demands(found.tool)['angular_acceleration'], 230.0, atol=5.0)
+
+
+def test_smoothing_is_what_makes_the_inverse_of_a_quintic_depend_on_the_cup(monkeypatch):
+    """Inverted as it is, the quintic of the table leaves less with K 5 % softer: 0.95 degrees."""
+    monkeypatch.setattr(steering, 'SMOOTHED', 0.0)
+    tool = steer(MODEL, SLIDE.plan(), 'inverse').tool
+    t, T = followed(tool, SOFTER, 0.3)
+    left = angle(T[t > tool.seconds[-1], :3, :3], T[0, :3, :3]).max()
+    own = predict(model_tuple(SOFTER, PACKAGE, 9.81), None, tool).figures()['swing_left']
+    assert_allclose(math.degrees(own), left, rtol=2e-3)
+    assert_allclose(left, 0.93, atol=0.03)
+    assert_allclose(demands(tool)['angular_acceleration'], 393.0, atol=5.0)  # that it costs
 
 
 @pytest.mark.parametrize('move', [SLIDE, Smooth([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.5)])
@@ -213,7 +230,7 @@ def test_what_cannot_be_steered_is_refused():
 
 
 def test_the_expected_swing_is_that_of_monte_carlo():
-    """300 draws have a root mean square to 4 %; the second order of the rest is a few percent."""
+    """100 draws have a root mean square to 7 %; the second order of the rest is a few percent."""
     tool = steer(MODEL, Smooth([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.6).plan(500), 'inverse').tool
     run = Run(MODEL, None, tool, tail=0.5)
 
@@ -221,14 +238,16 @@ def test_the_expected_swing_is_that_of_monte_carlo():
         return run.of(model).at(1.0).figures()['swing_left']
 
     rng = np.random.default_rng(3)
-    draws = numbers_of(VALUES) + deviations_of(VALUES) * rng.standard_normal((300, 52))
+    draws = numbers_of(VALUES) + deviations_of(VALUES) * rng.standard_normal((100, 52))
     drawn = math.sqrt(np.mean([swing(model_with(MODEL, numbers)) ** 2 for numbers in draws]))
     assert_allclose(math.sqrt(mean_square(VALUES, MODEL, swing)), drawn, rtol=0.15)
 
 
 @pytest.mark.skipif(not COMPILED, reason='the limit is for compiled kernels')
-def test_a_second_is_inverted_in_10_ms():
-    """The limit is 10 ms on an idle core; a factor of two is for the tests beside."""
+@pytest.mark.parametrize('method', ['inverse', 'zv', 'zvd'])
+def test_a_second_is_steered_in_10_ms(method):
+    """Of the processor, so that it is so beside other tests, too."""
     plan = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0).plan()
-    steer(MODEL, plan, 'inverse')
-    assert min(repeat(lambda: steer(MODEL, plan, 'inverse'), number=1, repeat=10)) < 0.02
+    steer(MODEL, plan, method)
+    assert min(repeat(
+        lambda: steer(MODEL, plan, method), number=1, repeat=10, timer=process_time)) < 0.01
