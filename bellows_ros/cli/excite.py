@@ -10,13 +10,13 @@ from .options import (
     add_json_option,
     add_parameter_options,
     Folder,
+    given_parameters,
     Output,
     put_json,
     require_free,
     STDOUT,
     THESIS_CUP,
 )
-from .plan import with_tool_link
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.excite import Excitation
@@ -85,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Design, write, report."""
-    values = with_tool_link(arguments)
+    values = given_parameters(arguments)
     from bellows_ros.files.safe_yaml import load
     from bellows_ros.workflows.excite import excite, write_motion
 

@@ -72,19 +72,6 @@ def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
     )
 
 
-def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add a plan, and how it is to be read."""
-    parser.add_argument(
-        'plan', metavar='PLAN', type=Path,
-        help='a recording with a MultiDOFJointTrajectory, Path or JointTrajectory, with tool '
-        'poses, joint states or transforms; such a message or a motion of simulate as YAML; a TUM '
-        'or EuRoC file',
-    )
-    parser.add_argument(
-        '--topic', metavar='TOPIC', default='', help='of the plan, where a recording has several')
-    add_arm_options(parser)
-
-
 def add_arm_options(parser: argparse.ArgumentParser) -> None:
     """Add --urdf and --tool-link."""
     parser.add_argument(
@@ -123,7 +110,8 @@ def given_parameters(
     Parameters
     ----------
     arguments : Namespace
-        With `params`, files of which later ones prevail, and `overrides`, each 'name=value'.
+        With `params`, files of which later ones prevail, and `overrides`, each 'name=value';
+        `tool_link`, where there is one, over both.
     node : str, optional
         Only what a file holds for this node.
 
@@ -142,6 +130,8 @@ def given_parameters(
     for override in [*arguments.overrides, *given_span(arguments)]:
         name, value = parse_override(override)
         values[name] = value
+    if link := getattr(arguments, 'tool_link', ''):
+        values['tool_link'] = link
     require_named_outputs(arguments, [file for name in INPUTS for file in values.get(name, ())])
     return values
 

@@ -5,19 +5,8 @@ from collections.abc import Mapping
 import math
 from typing import Any, TYPE_CHECKING
 
-from .console import Console, OK
-from .options import (
-    add_json_option,
-    add_parameter_options,
-    add_plan_arguments,
-    Folder,
-    given_parameters,
-    Output,
-    put_json,
-    require_free,
-    STDOUT,
-    THESIS_CUP,
-)
+from .console import Console
+from .planned import add_plan_options, carry_out, Given
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.plan import PlanReport
@@ -39,20 +28,9 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_plan_arguments(parser)
-    add_parameter_options(parser)
-    add_json_option(parser, 'all figures')
-    parser.add_argument(
-        '--plot', metavar='FILE', default='', type=Output,
-        help='picture to write: .png, .svg or .pdf; bands are two standard deviations',
-    )
-    parser.add_argument(
-        '--out', metavar='BAG', default='', type=Folder,
-        help='recording to write: the plan, and the package along it'
-    )
-    parser.add_argument(
-        '--force', action='store_true', help='replace a recording that is there already'
-    )
+    add_plan_options(
+        parser, 'all figures', '.png, .svg or .pdf; bands are two standard deviations',
+        'the plan, and the package along it')
     parser.add_argument(
         '--fastest', action='store_true',
         help='seek the shortest time in which the safety factor, less two standard deviations, '
@@ -60,43 +38,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def with_tool_link(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the given parameters, --tool-link over tool_link."""
-    values: dict[str, Any] = given_parameters(arguments)
-    return values | ({'tool_link': arguments.tool_link} if arguments.tool_link else {})
-
-
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, predict, write, report."""
-    values = with_tool_link(arguments)
     from bellows_ros.workflows.plan import plan, write_prediction
 
-    require_free(arguments.out, arguments.force)
-    if arguments.plot:
-        from bellows_ros.plots.style import require_picture
+    def work(given: Given, progress: Any) -> 'PlanReport':
+        progress(f'predicting {given.path}')
+        return plan(*given, arguments.fastest, bool(arguments.plot))
 
-        require_picture(arguments.plot)
-    with console.progress() as progress:
-        progress(f'predicting {arguments.plan}')
-        report = plan(
-            arguments.plan, values, str(arguments.urdf or ''), arguments.topic, arguments.fastest,
-            bool(arguments.plot))
-    put_json(arguments.json, report.as_json(arguments.params), console)
-    if arguments.plot:
+    def draw(report: 'PlanReport') -> None:
         from bellows_ros.plots.plan import plan_figure
         from bellows_ros.plots.style import write_figure
 
         write_figure(arguments.plot, plan_figure(report, f'{arguments.plan}'))
-    if arguments.out:
-        write_prediction(arguments.out, report, arguments.force)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        if 'cup.stiffness' not in values:
-            console.warn(THESIS_CUP)
-        _say(report, console)
-        for target in (arguments.json, arguments.plot, arguments.out):
-            if target not in ('', STDOUT):
-                console.say(f'Wrote {target}.')
-    return OK
+
+    return carry_out(
+        arguments, console, work, draw, _say,
+        lambda report: write_prediction(arguments.out, report, arguments.force))
 
 
 def _say(report: 'PlanReport', console: Console) -> None:

@@ -3,21 +3,10 @@
 import argparse
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
-from .console import Console, OK
-from .options import (
-    add_json_option,
-    add_parameter_options,
-    add_plan_arguments,
-    Folder,
-    Output,
-    put_json,
-    require_free,
-    STDOUT,
-    THESIS_CUP,
-)
-from .plan import with_tool_link
+from .console import Console
+from .planned import add_plan_options, carry_out, Given
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.steer import SteerReport
@@ -32,67 +21,56 @@ EXAMPLES = (
      'the motion of the tool under which the package moves as planned'),
     ('bellows steer plan_bag --method zvd --params cup.yaml --limits limits.yaml \\\n'
      '    --out steered --json steer.json', 'a shaped motion within limits, with all figures'),
+    ('bellows steer plan_bag --method inverse --params cup.yaml --plot steer.gif',
+     'as planned and steered side by side, four times as slow'),
 )
+
+
+FILMS = ('.gif', '.mp4')
+SLOWER = 4.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_plan_arguments(parser)
+    add_plan_options(
+        parser, 'all figures',
+        '.png, .svg or .pdf: tilt of the package over time; .gif or .mp4: as planned and steered',
+        'the steered motion, and the package along it')
     parser.add_argument(
         '--method', required=True, choices=('inverse', 'zv', 'zvd'),
         help='how: the inverse of cup and package, or input shaping for their modes at rest',
     )
-    add_parameter_options(parser)
     parser.add_argument(
         '--limits', metavar='FILE', type=Path,
         help='limits of the arm: the motion is stretched in time until all hold; '
         'config/limits_example.yaml explains every setting',
     )
-    add_json_option(parser, 'all figures')
-    parser.add_argument(
-        '--plot', metavar='FILE', default='', type=Output,
-        help='picture to write: .png, .svg or .pdf; tilt of the package over time',
-    )
-    parser.add_argument(
-        '--out', metavar='BAG', default='', type=Folder,
-        help='recording to write: the steered motion, and the package along it',
-    )
-    parser.add_argument(
-        '--force', action='store_true', help='replace a recording that is there already'
-    )
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, steer, write, report."""
-    values = with_tool_link(arguments)
     from bellows_ros.workflows.steer import steer_plan, write_steered
 
-    require_free(arguments.out, arguments.force)
-    if arguments.plot:
-        from bellows_ros.plots.style import require_picture
+    def work(given: Given, progress: Any) -> 'SteerReport':
+        progress(f'steering {given.path}')
+        return steer_plan(
+            given.path, given.values, arguments.method, arguments.limits or '', given.urdf,
+            given.topic)
 
-        require_picture(arguments.plot)
-    with console.progress() as progress:
-        progress(f'steering {arguments.plan}')
-        report = steer_plan(
-            arguments.plan, values, arguments.method, arguments.limits or '',
-            str(arguments.urdf or ''), arguments.topic)
-    put_json(arguments.json, report.as_json(arguments.params), console)
-    if arguments.plot:
-        from bellows_ros.plots.steer import steer_figure
-        from bellows_ros.plots.style import write_figure
+    def draw(report: 'SteerReport') -> None:
+        if arguments.plot.lower().endswith(FILMS):
+            from bellows_ros.plots.animation import write_steering
 
-        write_figure(arguments.plot, steer_figure(report.motions, f'{arguments.plan}'))
-    if arguments.out:
-        write_steered(arguments.out, report, arguments.force)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        if 'cup.stiffness' not in values:
-            console.warn(THESIS_CUP)
-        _say(report, console)
-        for target in (arguments.json, arguments.plot, arguments.out):
-            if target not in ('', STDOUT):
-                console.say(f'Wrote {target}.')
-    return OK
+            write_steering(arguments.plot, report, f'{arguments.plan}', speed=1.0 / SLOWER)
+        else:
+            from bellows_ros.plots.steer import steer_figure
+            from bellows_ros.plots.style import write_figure
+
+            write_figure(arguments.plot, steer_figure(report.motions, f'{arguments.plan}'))
+
+    return carry_out(
+        arguments, console, work, draw, _say,
+        lambda report: write_steered(arguments.out, report, arguments.force), FILMS)
 
 
 def _say(report: 'SteerReport', console: Console) -> None:

@@ -2,20 +2,12 @@
 
 import argparse
 import math
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
-from .console import Console, OK
-from .options import (
-    add_json_option,
-    add_parameter_options,
-    add_plan_arguments,
-    Output,
-    put_json,
-    STDOUT,
-    THESIS_CUP,
-)
-from .plan import with_tool_link
+from bellows_ros.errors import BellowsError
+
+from .console import Console
+from .planned import add_plan_options, carry_out, Given
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.toss import Share, TossResult
@@ -40,8 +32,8 @@ UNITS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_plan_arguments(parser)
-    add_parameter_options(parser)
+    add_plan_options(
+        parser, 'the toss', '.png, .svg or .pdf; the toss from the side and from above')
     parser.add_argument(
         '--release', metavar='T', type=float,
         help='when the valve is switched, s since the beginning of the plan',
@@ -59,18 +51,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--monte-carlo', metavar='N', type=int, default=0,
         help='draw so many tosses as well, beside the linear ellipse',
     )
-    add_json_option(parser, 'the toss')
-    parser.add_argument(
-        '--plot', metavar='FILE', default='', type=Output,
-        help='draw the toss from the side and from above (.png, .svg or .pdf)',
-    )
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Predict, write, report."""
-    values = with_tool_link(arguments)
-    from bellows_ros.errors import BellowsError
+    _require_numbers(arguments)
+    from bellows_ros.workflows.toss import toss_plan
 
+    def work(given: Given, progress: Any) -> 'TossResult':
+        target = tuple(arguments.target) if arguments.target else None
+        return toss_plan(
+            given.path, given.values, arguments.release, target, arguments.target_rotation,
+            arguments.monte_carlo, progress, given.urdf, given.topic)
+
+    def draw(result: 'TossResult') -> None:
+        from bellows_ros.plots.style import write_figure
+        from bellows_ros.plots.toss import toss_figure
+
+        write_figure(arguments.plot, toss_figure(result, f'Toss of {arguments.plan.name}'))
+
+    return carry_out(arguments, console, work, draw, _say)
+
+
+def _require_numbers(arguments: argparse.Namespace) -> None:
+    """Refuse numbers that are none."""
     if arguments.monte_carlo < 0 or arguments.monte_carlo == 1:
         raise BellowsError(
             f'--monte-carlo is {arguments.monte_carlo}; expected 2 tosses or more, or 0 for none.')
@@ -82,35 +86,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             raise BellowsError(
                 f'--{name.replace("_", "-")} is {given}; expected finite numbers'
                 f'{", a quaternion of length 1" if name == "target_rotation" else ""}.')
-    from bellows_ros.workflows.toss import toss_plan
-
-    with console.progress() as progress:
-        result = toss_plan(
-            arguments.plan, values, arguments.release,
-            tuple(arguments.target) if arguments.target else None,
-            arguments.target_rotation, arguments.monte_carlo, progress, str(arguments.urdf or ''),
-            arguments.topic)
-    figure = _figure(result, arguments.plan) if arguments.plot else None
-    put_json(arguments.json, result.as_json(), console)
-    if figure is not None:
-        from bellows_ros.plots.style import write_figure
-
-        write_figure(arguments.plot, figure)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        if 'cup.stiffness' not in values:
-            console.warn(THESIS_CUP)
-        _say(result, console)
-        for file in (arguments.json, arguments.plot):
-            if file not in ('', STDOUT):
-                console.say(f'Wrote {file}.')
-    return OK
-
-
-def _figure(result: 'TossResult', plan: Path) -> object:
-    """Return the picture."""
-    from bellows_ros.plots.toss import toss_figure
-
-    return toss_figure(result, f'Toss of {plan.name}')
 
 
 def _say(result: 'TossResult', console: Console) -> None:

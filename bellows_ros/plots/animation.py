@@ -1,6 +1,6 @@
-"""A moving picture of tool, cup and package: predicted, with the measured package over it."""
+"""Moving pictures of tool, cup and package: a replay, and a motion as planned and steered."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 import io
@@ -9,13 +9,16 @@ import os
 from pathlib import Path
 import shutil
 import subprocess
-from typing import Any
+from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.lie import quaternion_to_rotation
+from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
 from bellows_ros.files.atomic import scratch_folder, write_bytes
 from bellows_ros.workflows.plot import Replayed
+from bellows_ros.workflows.steer import SteerReport
 import numpy as np
 
 from .shapes import bellows_rings, SIDES
@@ -30,7 +33,8 @@ NO_FFMPEG = (
 )
 SIZE, DPI = (8.0, 4.5), 80
 ARM = 0.10  # m, of the tool that is drawn above its tip
-NEAR_ZOOM, FAR_ZOOM = 1.6, 1.3  # as large as the box stays inside of, wherever it swings
+AFTER = 0.5  # s, that a steered motion is shown after its end
+NEAR_ZOOM, FAR_ZOOM, WAY_ZOOM = 1.6, 1.3, 2.0  # the box stays inside, wherever it swings
 VIEW = {'elev': 14.0, 'azim': -60.0}
 EDGES = ((0, 1), (1, 3), (3, 2), (2, 0), (4, 5), (5, 7), (7, 6), (6, 4), (0, 4), (1, 5), (2, 6),
          (3, 7))
@@ -64,13 +68,84 @@ def write_animation(
         If the ending is another, or ffmpeg is missing.
 
     """
+    measured = replayed.motion
+    scene = Scene(
+        replayed.seconds, Bodies(measured.tool_position, measured.tool_rotation),
+        Bodies(replayed.position, replayed.rotation),
+        Bodies(measured.package_position, measured.package_rotation), replayed.com, replayed.box,
+        replayed.cup_length)
+    _write(
+        path, (View('in the world', scene, FAR_ZOOM),
+               View('moving with the tool tip', scene, NEAR_ZOOM, near=True)),
+        'Predicted, and measured as an outline', note, theme, progress, speed)
+
+
+def write_steering(
+    path: str | os.PathLike[str], report: SteerReport, note: str, theme: str = 'light',
+    progress: Progress | None = None, speed: float = 1.0,
+) -> None:
+    """Write a motion as planned, and steered beside it; see `write_animation`."""
+    values = report.values
+    com, box = np.array(values['package.com']), np.array(equivalent_box(values))
+    views = []
+    last = max(float(motion.tool.seconds[-1]) for motion in report.motions.values()) + AFTER
+    for name in ('as planned', report.method):
+        if motion := report.motions.get(name):
+            shown = motion.seconds <= last
+            tool, wanted = motion.along.select(shown), motion.wanted.select(shown)
+            states = motion.states[shown]
+            views.append(View(name, Scene(
+                motion.seconds[shown], Bodies(tool.position, tool.rotation),
+                Bodies(states[:, :3], quaternion_to_rotation(states[:, 3:7])),
+                Bodies(wanted.position, wanted.rotation), com, box,
+                float(values['cup.length'])), WAY_ZOOM))
+    _write(path, views, 'The same way, with and without swing; wanted as an outline', note, theme,
+           progress, speed)
+
+
+class Bodies(NamedTuple):
+    """Poses of a body in the world: positions (N, 3), m, and rotations (N, 3, 3)."""
+
+    position: Array
+    rotation: Array
+
+
+class Scene(NamedTuple):
+    """Tool and package at times (N,), s, with the package once more as an outline."""
+
+    seconds: Array
+    tool: Bodies
+    package: Bodies
+    outline: Bodies
+    com: Array
+    box: Array
+    cup_length: float
+
+
+class View(NamedTuple):
+    """A scene seen in the world, or from near and moving with the tool tip."""
+
+    words: str
+    scene: Scene
+    zoom: float
+    near: bool = False
+
+
+def _write(
+    path: str | os.PathLike[str], views: Sequence[View], title: str, note: str, theme: str,
+    progress: Progress | None, speed: float,
+) -> None:
+    """Write views beside each other, from the first time to the last of all."""
     ending = Path(path).suffix.lower()
     if ending not in FRAMES_PER_SECOND:
         raise BellowsError(f"Animation '{path}' must end in .gif or .mp4.")
     rate_hz = FRAMES_PER_SECOND[ending]
     encode = _gif if ending == '.gif' else partial(_mp4, ffmpeg=_ffmpeg())
-    chosen = _frames(replayed.seconds, rate_hz / speed)
-    pictures = _drawn(replayed, chosen, note, THEMES[theme], progress or (lambda what, part: None))
+    first, last = (limit(view.scene.seconds[end] for view in views)
+                   for limit, end in ((min, 0), (max, -1)))
+    times = np.arange(first, last, speed / rate_hz)
+    pictures = _drawn(
+        views, times, title, note, THEMES[theme], progress or (lambda what, part: None))
     write_bytes(path, encode(pictures, rate_hz))
 
 
@@ -87,15 +162,8 @@ def _ffmpeg() -> str:
     return str(found)
 
 
-def _frames(seconds: Array, rate_hz: float) -> Stamps:
-    """Return the samples to show."""
-    times = np.arange(seconds[0], seconds[-1], 1.0 / rate_hz)
-    chosen: Stamps = np.minimum(np.searchsorted(seconds, times), len(seconds) - 1)
-    return chosen
-
-
 def _drawn(
-    replayed: Replayed, chosen: Stamps, note: str, colours: Theme, progress: Progress
+    views: Sequence[View], times: Array, title: str, note: str, colours: Theme, progress: Progress
 ) -> Iterator[Any]:
     """Yield each picture as an array (H, W, 3) of bytes."""
     with drawing(colours) as figures:
@@ -103,61 +171,59 @@ def _drawn(
 
         figure = figures.Figure(figsize=SIZE, dpi=DPI)
         canvas = FigureCanvasAgg(figure)
-        spaces = _spaces(figure, replayed, note, colours)
-        for number, i in enumerate(chosen):
-            progress('drawing', number / len(chosen))
-            drawn = [_draw(space, replayed, int(i), colours, near) for space, near in spaces]
-            clock = figure.text(0.985, 0.03, f'{replayed.seconds[i]:.2f} s', ha='right',
-                                fontsize=11)
+        figure.text(0.03, 0.935, title, fontsize=12, fontweight='bold')
+        figure.text(0.03, 0.885, note, color=colours.quiet)
+        spaces = [_space(figure, left, view, colours)
+                  for left, view in zip((-0.02, 0.48), views, strict=False)]
+        for number, t in enumerate(times):
+            progress('drawing', number / len(times))
+            drawn = [artist for space, view in zip(spaces, views, strict=True)
+                     for artist in _draw(space, view, t, colours)]
+            drawn.append(figure.text(0.985, 0.03, f'{t:.2f} s', ha='right', fontsize=11))
             canvas.draw()
             yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
-            for artist in (clock, *drawn[0], *drawn[1]):
+            for artist in drawn:
                 artist.remove()
 
 
-def _spaces(figure: Any, replayed: Replayed, note: str, colours: Theme) -> list[tuple[Any, bool]]:
-    """Return the two panels: the whole way, and the cup from near, which moves with the tool."""
-    figure.text(0.03, 0.935, 'Predicted, and measured as an outline', fontsize=12,
-                fontweight='bold')
-    figure.text(0.03, 0.885, note, color=colours.quiet)
-    bodies = np.vstack([replayed.motion.tool_position, replayed.position])
+def _space(figure: Any, left: float, view: View, colours: Theme) -> Any:
+    """Return a panel that shows the whole way, or the cup from near."""
+    scene = view.scene
+    bodies = np.vstack([scene.tool.position, scene.package.position])
     low, high = bodies.min(axis=0), bodies.max(axis=0)
-    reach = 0.5 * float(np.max(high - low)) + 0.7 * float(np.max(replayed.box))
-    size = 0.8 * float(np.max(replayed.box)) + 0.2 * replayed.cup_length
-    panels = []
-    for left, near, centre, half, words in (
-        (-0.02, False, 0.5 * (low + high), reach, 'in the world'),
-        (0.48, True, np.array([0.0, 0.0, -0.15 * size]), size, 'moving with the tool tip'),
-    ):
-        space = figure.add_axes((left, -0.06, 0.54, 0.98), projection='3d',
-                                computed_zorder=False)
-        space.set_axis_off()
-        space.view_init(**VIEW)
-        for name, c in zip('xyz', centre, strict=True):
-            getattr(space, f'set_{name}lim')(c - half, c + half)
-        space.set_box_aspect((1.0, 1.0, 1.0), zoom=NEAR_ZOOM if near else FAR_ZOOM)
-        figure.text(left + 0.27, 0.03, words, ha='center', color=colours.quiet)
-        panels.append((space, near))
-    return panels
+    centre, half = 0.5 * (low + high), 0.5 * float(np.max(high - low)) + 0.7 * float(
+        np.max(scene.box))
+    if view.near:
+        half = 0.8 * float(np.max(scene.box)) + 0.2 * scene.cup_length
+        centre = np.array([0.0, 0.0, -0.15 * half])
+    space = figure.add_axes((left, -0.06, 0.54, 0.98), projection='3d', computed_zorder=False)
+    space.set_axis_off()
+    space.view_init(**VIEW)
+    for name, c in zip('xyz', centre, strict=True):
+        getattr(space, f'set_{name}lim')(c - half, c + half)
+    space.set_box_aspect((1.0, 1.0, 1.0), zoom=view.zoom)
+    figure.text(left + 0.27, 0.03, view.words, ha='center', color=colours.quiet)
+    return space
 
 
-def _draw(space: Any, replayed: Replayed, i: int, colours: Theme, near: bool) -> list[Any]:
+def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
     """Draw one moment into a panel and return what was drawn."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-    tool_o, tool_R = replayed.motion.tool_position[i], replayed.motion.tool_rotation[i]
-    shift = tool_o if near else np.zeros(3)
-    body_o, body_R = replayed.position[i] - shift, replayed.rotation[i]
+    scene = view.scene
+    i = min(int(np.searchsorted(scene.seconds, t)), len(scene.seconds) - 1)
+    tool_o, tool_R = scene.tool.position[i], scene.tool.rotation[i]
+    shift = tool_o if view.near else np.zeros(3)
+    body_o, body_R = scene.package.position[i] - shift, scene.package.rotation[i]
     tool_o = tool_o - shift
-    lip_o = body_o - body_R @ replayed.com
-    faces = [_face(body_o, body_R, replayed.box, k) for k in range(6)]
+    lip_o = body_o - body_R @ scene.com
+    faces = [_face(body_o, body_R, scene.box, k) for k in range(6)]
     package = Poly3DCollection(faces, facecolor=colours.predicted, alpha=0.55,
                                edgecolor=colours.text, linewidth=0.8)
     cup = Poly3DCollection(_cup(tool_o, tool_R, lip_o, body_R), facecolor=colours.measured,
                            edgecolor=colours.quiet, linewidth=0.3)
     arm = np.array([tool_o, tool_o + tool_R @ np.array([0.0, 0.0, ARM])])
-    corners = _corners(replayed.motion.package_position[i] - shift,
-                       replayed.motion.package_rotation[i], replayed.box)
+    corners = _corners(scene.outline.position[i] - shift, scene.outline.rotation[i], scene.box)
     outline = Line3DCollection([corners[list(edge)] for edge in EDGES], colors=colours.error,
                                linewidths=1.3)
     for order, thing in enumerate((package, cup, outline), 1):

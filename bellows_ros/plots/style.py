@@ -100,12 +100,13 @@ def _settings(theme: Theme) -> dict[Any, Any]:
     }
 
 
-def require_picture(path: str | os.PathLike[str]) -> str:
-    """Return the format of a picture by its name's ending; refuse any other."""
-    ending = Path(path).suffix.lower().lstrip('.')
-    if ending not in ('png', 'svg', 'pdf'):
-        raise BellowsError(f"Picture '{path}' must end in .png, .svg or .pdf.")
-    return ending
+def require_picture(path: str | os.PathLike[str], films: tuple[str, ...] = ()) -> str:
+    """Return the format of a picture, or of a film, by its name's ending; refuse any other."""
+    ending, allowed = Path(path).suffix.lower(), ('.png', '.svg', '.pdf', *films)
+    if ending not in allowed:
+        raise BellowsError(
+            f"Picture '{path}' must end in {', '.join(allowed[:-1])} or {allowed[-1]}.")
+    return ending.lstrip('.')
 
 
 def write_figure(path: str | os.PathLike[str], figure: Any) -> None:

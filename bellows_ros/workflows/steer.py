@@ -40,20 +40,33 @@ class Motion(NamedTuple):
     prediction: Prediction
     added_time: float
     """s, until the package has arrived, beyond what was planned."""
-    tilt: Array
-    """Turn of the package (N,) from the pose that is wanted, until `TAIL` after the end, rad."""
-    seconds: Array
-    """(N,), of the tilt."""
-    path_error: float
-    """Largest distance of the package from where it is wanted, m."""
+    along: Trajectory
+    """The tool until `TAIL` after the end, N points."""
+    states: Array
+    """Of B in the world (N, 13): position, quaternion, body twist."""
+    wanted: Trajectory
+    """Where B is wanted, N points."""
     expected_swing: float
     """Root of the mean square of the swing left over what is uncertain, rad."""
 
+    @property
+    def seconds(self) -> Array:
+        """Times (N,), s."""
+        return self.along.seconds
+
+    @property
+    def tilt(self) -> Array:
+        """Turn of the package (N,) from the pose that is wanted, rad."""
+        R = quaternion_to_rotation(self.states[:, 3:7])
+        turn = log_so3(np.swapaxes(self.wanted.rotation, -1, -2) @ R)
+        return np.asarray(np.linalg.norm(turn, axis=1))
+
     def figures(self) -> dict[str, float]:
         """Return the numbers of a summary, SI units."""
+        off = np.linalg.norm(self.states[:, :3] - self.wanted.position, axis=1)
         return {
             'duration': float(self.tool.seconds[-1]), 'added_time': self.added_time,
-            'largest_tilt': float(self.tilt.max()), 'path_error': self.path_error,
+            'largest_tilt': float(self.tilt.max()), 'path_error': float(off.max()),
             'swing_left': self.prediction.figures()['swing_left'],
             'expected_swing': self.expected_swing,
             'smallest_safety_factor': self.prediction.figures()['smallest_safety_factor'],
@@ -260,14 +273,12 @@ def _motion(
 ) -> Motion:
     """Return what a motion of the tool does to the package that is wanted somewhere."""
     run = Run(model, grip_of(values), tool, tail=TAIL)
-    longer, goal = standing(tool, TAIL), standing(wanted, TAIL)
-    states = Run(model, None, longer, tail=0.0).at(1.0).states
-    turn = log_so3(np.swapaxes(goal.rotation, -1, -2) @ quaternion_to_rotation(states[:, 3:7]))
+    longer = standing(tool, TAIL)
     square = mean_square(
         values, model, lambda changed: float(run.of(changed).at(1.0).figures()['swing_left']))
     return Motion(
-        tool, run.at(1.0), added_time, np.linalg.norm(turn, axis=1), longer.seconds,
-        float(np.linalg.norm(states[:, :3] - goal.position, axis=1).max()), math.sqrt(square))
+        tool, run.at(1.0), added_time, longer, Run(model, None, longer, tail=0.0).at(1.0).states,
+        standing(wanted, TAIL), math.sqrt(square))
 
 
 def write_steered(

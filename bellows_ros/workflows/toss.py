@@ -6,6 +6,7 @@ import math
 import os
 from typing import Any, NamedTuple
 
+from bellows_ros import __version__
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.holding import grip_of
 from bellows_ros.core.kernels import State
@@ -15,6 +16,7 @@ from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.release import flight_path, Held, release_of, Toss, toss
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.results import provenance
 from bellows_ros.workflows.plan import read_plan
 import numpy as np
 
@@ -39,6 +41,7 @@ class Share(NamedTuple):
 class TossResult:
     """A toss of a plan, with all that was asked of it."""
 
+    plan: str
     case: Case
     held: Held
     toss: Toss
@@ -75,7 +78,7 @@ class TossResult:
                     math.hypot(*(s.metres for s in own)), math.hypot(*(s.radians for s in own))))
         return sorted(found, key=lambda share: -share.metres)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
         """Return all numbers, SI units, twists and quaternions (x, y, z, w) of B in the world."""
         found = self.toss
         content: dict[str, Any] = {
@@ -93,7 +96,8 @@ class TossResult:
             'budget': [{
                 'name': s.name, 'std': s.std, 'contribution_mm': MILLI * s.metres,
                 'contribution_deg': float(np.degrees(s.radians))} for s in self.shares()],
-            'warnings': list(self.warnings),
+            'warnings': list(self.warnings), 'plan': self.plan, 'version': __version__,
+            'provenance': provenance([self.plan], parameter_files),
         }
         if self.aim is not None and self.target is not None:
             content['target'] = {
@@ -196,8 +200,8 @@ def toss_plan(
         progress(f'drawing {monte_carlo} tosses')
     drawn = draw(case, nominal, monte_carlo) if monte_carlo else None
     return TossResult(
-        case, held, nominal, parts, found, asked if found else None, target, drawn,
-        (*notes, *_warnings(case, held)))
+        os.fspath(path), case, held, nominal, parts, found, asked if found else None, target,
+        drawn, (*notes, *_warnings(case, held)))
 
 
 def _warnings(case: Case, held: Held) -> list[str]:

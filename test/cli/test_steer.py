@@ -70,10 +70,24 @@ def test_keeps_to_limits(
         assert 'Stretched to' in ' '.join(done.stderr.split())
 
 
+def test_an_animation_shows_planned_and_steered(
+    bellows: Run, workshop: Path, transport: Path, tmp_path: Path
+) -> None:
+    """Twelve pictures a second, four times as slow as it is, until half a second after the end."""
+    image = pytest.importorskip('PIL.Image', reason='Pillow comes with matplotlib')
+    done = bellows('steer', transport, '--method', 'zv', '--params', workshop / 'cup.yaml',
+                   '--plot', 'steer.gif', '--json', '-', cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    with image.open(tmp_path / 'steer.gif') as picture:
+        expected = 48.0 * (json.loads(done.stdout)['duration'] + 0.5)
+        assert abs(picture.n_frames - expected) <= 1.0
+
+
 @pytest.mark.parametrize(('options', 'words'), [
     (('no.yaml', '--method', 'zv'), "'no.yaml' does not exist"),
     (('plan.yaml',), '--method'),
     (('plan.yaml', '--method', 'zvdd'), 'invalid choice'),
+    (('plan.yaml', '--method', 'zv', '--plot', 'plan.avi'), '.pdf, .gif or .mp4'),
     (('plan.yaml', '--method', 'zv', '--limits', 'no.yaml'), "'no.yaml' does not exist"),
     (('plan.yaml', '--method', 'zv', '--limits', 'bad.yaml'), "Did you mean 'limits.linear'"),
     (('plan.yaml', '--method', 'zv', '--limits', 'safe.yaml'), 'set cup.lip_radius'),

@@ -1,0 +1,104 @@
+"""What the commands that are about a plan have in common: their options, and the order of work."""
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from .console import Console, OK
+from .options import (
+    add_arm_options,
+    add_json_option,
+    add_parameter_options,
+    Folder,
+    given_parameters,
+    Output,
+    put_json,
+    require_free,
+    STDOUT,
+    THESIS_CUP,
+)
+
+
+def add_plan_options(
+    parser: argparse.ArgumentParser, numbers: str, picture: str, recording: str = ''
+) -> None:
+    """Add a plan, how it is read, parameters, and outputs; what they hold in words."""
+    parser.add_argument(
+        'plan', metavar='PLAN', type=Path,
+        help='a recording with a MultiDOFJointTrajectory, Path or JointTrajectory, with tool '
+        'poses, joint states or transforms; such a message or a motion of simulate as YAML; a TUM '
+        'or EuRoC file',
+    )
+    parser.add_argument(
+        '--topic', metavar='TOPIC', default='', help='of the plan, where a recording has several')
+    add_arm_options(parser)
+    add_parameter_options(parser)
+    add_json_option(parser, numbers)
+    parser.add_argument(
+        '--plot', metavar='FILE', default='', type=Output, help=f'picture to write: {picture}')
+    if recording:
+        parser.add_argument(
+            '--out', metavar='BAG', default='', type=Folder,
+            help=f'recording to write: {recording}')
+        parser.add_argument(
+            '--force', action='store_true', help='replace a recording that is there already')
+
+
+class Given(NamedTuple):
+    """What is given of a plan, as the workflows take it."""
+
+    path: Path
+    values: Mapping[str, Any]
+    urdf: str
+    topic: str
+
+
+def carry_out(
+    arguments: argparse.Namespace, console: Console,
+    work: Callable[[Given, Callable[..., None]], Any],
+    draw: Callable[[Any], None], say: Callable[[Any, Console], None],
+    write: Callable[[Any], None] | None = None, films: tuple[str, ...] = (),
+) -> int:
+    """
+    Read, work, write, report.
+
+    Parameters
+    ----------
+    arguments, console
+        Of the command.
+    work : callable
+        From what is given and a progress to a result, which has `as_json(parameter_files)`.
+    draw, write : callable
+        Write the result as the picture `plot` and the recording `out`.
+    say : callable
+        Print the result.
+    films : tuple of str
+        Endings that a picture may have beside the usual.
+
+    """
+    values = given_parameters(arguments)
+    if write is not None:
+        require_free(arguments.out, arguments.force)
+    if arguments.plot:
+        from bellows_ros.plots.style import require_picture
+
+        require_picture(arguments.plot, films)
+    given = Given(arguments.plan, values, str(arguments.urdf or ''), arguments.topic)
+    with console.progress() as progress:
+        result = work(given, progress)
+        if arguments.plot:
+            draw(result)
+    put_json(arguments.json, result.as_json(arguments.params), console)
+    targets = [arguments.json, arguments.plot]
+    if write is not None and arguments.out:
+        write(result)
+        targets.append(arguments.out)
+    with console.results_to_stderr(arguments.json == STDOUT):
+        if 'cup.stiffness' not in values:
+            console.warn(THESIS_CUP)
+        say(result, console)
+        for target in targets:
+            if target not in ('', STDOUT):
+                console.say(f'Wrote {target}.')
+    return OK
