@@ -20,7 +20,7 @@ from .options import (
 
 DESCRIPTION = (
     'Draw a picture of a recording (motion, spectra, path), of how a cup fits it (deflection, '
-    'residuals), or of how it is predicted (prediction, animation).'
+    'residuals), or of how it is predicted (margin, prediction, animation).'
 )
 EXAMPLES = (
     ('bellows plot motion bags/identification --params bags/package.yaml --out motion.png',
@@ -40,6 +40,7 @@ WHAT = {
     'spectra': "spectra of the package's motion seen from the tool; with a cup, of the error too",
     'path': 'paths of tool and package in space',
     'deflection': "load on the cup against its deflection, with the cup's stiffness",
+    'margin': 'safety factors of the grip against time, with two standard deviations',
     'residuals': 'load on the cup against time, and what the cup leaves unexplained',
     'prediction': 'predicted and measured pose of the package, and their difference',
     'animation': 'tool, cup and package moving (.gif; .mp4 with ffmpeg)',
@@ -133,7 +134,7 @@ def _shown(
     arguments: argparse.Namespace, settings: Settings, given: bool, progress: Any
 ) -> Any:
     """Return what a picture shows."""
-    from bellows_ros.workflows.plot import loads, motion, replayed, spectra, within
+    from bellows_ros.workflows.plot import loads, margins, motion, replayed, spectra, within
 
     what, bag = arguments.what, arguments.bag
     if what == 'spectra':
@@ -142,6 +143,8 @@ def _shown(
         found: Any = motion(bag, settings)
     elif what in ('deflection', 'residuals'):
         found = loads(bag, settings)
+    elif what == 'margin':
+        found = margins(bag, settings)
     else:
         found = replayed(bag, settings, progress)
     return within(found, arguments.first, arguments.last)
@@ -150,6 +153,7 @@ def _shown(
 def _draw(arguments: argparse.Namespace, shown: Any, note: str) -> None:
     """Draw a picture and write it."""
     from bellows_ros.plots.loads import deflection_figure, residual_figure
+    from bellows_ros.plots.plan import margin_figure
     from bellows_ros.plots.recording import motion_figure, path_figure, spectra_figure
     from bellows_ros.plots.style import write_figure
 
@@ -158,6 +162,7 @@ def _draw(arguments: argparse.Namespace, shown: Any, note: str) -> None:
         'spectra': spectra_figure,
         'path': path_figure,
         'deflection': deflection_figure,
+        'margin': margin_figure,
         'residuals': residual_figure,
         'prediction': _prediction,
     }

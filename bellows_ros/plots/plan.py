@@ -1,14 +1,17 @@
-"""A picture of what a plan does to the package: path, bending, safety factors, wrench."""
+"""Pictures of what a plan does to the package, and of how firmly a grip holds over time."""
 
 import math
 from typing import Any
 
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.holding import Margin, MODES
 from bellows_ros.workflows.plan import Curves, PlanReport
-import numpy as np
+from bellows_ros.workflows.replay import Margins
 
 from .panels import head, LEFT, SIZE
 from .style import drawing, Theme, THEMES
 
+WIDE = (9.4, 4.2)  # inches
 SIGMAS = 2.0
 """Width of the bands, standard deviations to each side."""
 
@@ -74,12 +77,19 @@ def _draw(
 ) -> None:
     """Draw some columns of the curves with their bands."""
     for column, colour, name in zip(columns, colours, names, strict=True):
-        value, band = factor * curves.values[:, column], factor * SIGMAS * curves.std[:, column]
-        panel.fill_between(curves.seconds, value - band, value + band, color=colour, alpha=0.25,
-                           linewidth=0.0)
-        panel.plot(curves.seconds, value, color=colour, linewidth=1.2, label=name)
+        _draw_band(panel, curves.seconds, factor * curves.values[:, column],
+                   factor * curves.std[:, column], colour, name)
     if len(columns) > 1:
         _legend(panel)
+
+
+def _draw_band(
+    panel: Any, seconds: Array, value: Array, std: Array, colour: str, name: str
+) -> None:
+    """Draw a line with its band."""
+    panel.fill_between(seconds, value - SIGMAS * std, value + SIGMAS * std, color=colour,
+                       alpha=0.25, linewidth=0.0)
+    panel.plot(seconds, value, color=colour, linewidth=1.2, label=name)
 
 
 def _legend(panel: Any) -> None:
@@ -106,26 +116,67 @@ def _draw_offset(panel: Any, curves: Curves, colours: Theme) -> None:
     offset = curves.values[:, :3] - curves.tool
     three = (colours.predicted, colours.error, colours.measured)
     for axis, colour in enumerate(three):
-        value = 1e3 * (offset[:, axis] - offset[0, axis])
-        band = 1e3 * SIGMAS * curves.std[:, axis]
-        panel.fill_between(curves.seconds, value - band, value + band, color=colour, alpha=0.25,
-                           linewidth=0.0)
-        panel.plot(curves.seconds, value, color=colour, linewidth=1.2, label='xyz'[axis])
+        _draw_band(panel, curves.seconds, 1e3 * (offset[:, axis] - offset[0, axis]),
+                   1e3 * curves.std[:, axis], colour, 'xyz'[axis])
     _legend(panel)
 
 
 def _draw_factors(panel: Any, report: PlanReport, curves: Curves, colours: Theme) -> None:
-    """Draw the safety factors, what is needed, and where the cup lets go."""
+    """Draw the safety factors along a plan."""
     if not report.prediction.grip_known:
         panel.text(0.5, 0.5, 'not known: set cup.lip_radius and vacuum.holding', ha='center',
                    transform=panel.transAxes, color=colours.quiet)
         return
-    _draw(panel, curves, [4, 5], 1.0, [colours.predicted, colours.error], ['peel', 'slip'])
-    panel.axhline(report.least, color=colours.text, linewidth=0.8, linestyle='--')
+    _draw_margins(panel, Margins(
+        curves.seconds, curves.values[:, 4:6], curves.std[:, 4:6],
+        Margin(*report.prediction.smallest_safety), report.least), colours)
+
+
+def margin_figure(margins: Margins, note: str, theme: str = 'light') -> Any:
+    """
+    Draw how firmly a grip holds over time, with bands of two standard deviations.
+
+    Parameters
+    ----------
+    margins : Margins
+        What is drawn.
+    note : str
+        Which recording and cup.
+    theme : {'light', 'dark'}
+        For paper or for the dark.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    colours = THEMES[theme]
+    with drawing(colours) as figures:
+        figure = figures.Figure(figsize=WIDE)
+        figure.text(LEFT, 0.93, 'How firmly the grip holds', fontsize=13.5, fontweight='bold')
+        figure.text(LEFT, 0.875, f'{note}; bands: two standard deviations', color=colours.quiet)
+        panel = figure.add_axes((LEFT, 0.13, 0.985 - LEFT, 0.7))
+        _draw_margins(panel, margins, colours)
+        panel.set_xlim(margins.seconds[0], margins.seconds[-1])
+        panel.set_xlabel('time (s)')
+        panel.set_ylabel('safety factor of the grip')
+    return figure
+
+
+def _draw_margins(panel: Any, margins: Margins, colours: Theme) -> None:
+    """Draw safety factors, the smallest, what is needed, and where the cup lets go."""
+    for column, colour, name in zip(
+            range(2), (colours.predicted, colours.error), MODES, strict=True):
+        _draw_band(panel, margins.seconds, margins.factors[:, column], margins.std[:, column],
+                   colour, name)
+    factor, mode, time = margins.smallest
+    panel.plot([time], [factor], 'o', markersize=4.0, color=colours.text,
+               label=f'{factor:.3g} ({mode}, {time:.3g} s)')
+    _legend(panel)
+    panel.axhline(margins.least, color=colours.text, linewidth=0.8, linestyle='--')
     panel.axhspan(0.0, 1.0, color=colours.predicted, alpha=0.12, linewidth=0.0)
-    panel.text(0.01, report.least, ' safety.least', fontsize=7.5, va='bottom',
-               transform=panel.get_yaxis_transform(), color=colours.quiet)
-    panel.text(0.01, 0.5, ' lets go', fontsize=7.5, va='center',
-               transform=panel.get_yaxis_transform(), color=colours.quiet)
-    lowest = float(np.min(curves.values[:, 4:6]))
-    panel.set_ylim(0.0, max(LARGEST_SHOWN * report.least, 1.5 * lowest))
+    for height, words, place in ((margins.least, 'safety.least', 'bottom'),
+                                 (0.5, 'lets go', 'center')):
+        panel.text(0.99, height, words, fontsize=7.5, va=place, ha='right',
+                   transform=panel.get_yaxis_transform(), color=colours.quiet)
+    panel.set_ylim(0.0, max(LARGEST_SHOWN * margins.least, 1.5 * factor))

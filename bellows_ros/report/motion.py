@@ -1,9 +1,10 @@
 """What a free simulation of a recording shows: motion, residuals, spectra, whiteness."""
 
 from bellows_ros.core.arrays import Array
+from bellows_ros.core.holding import MODES
 from bellows_ros.core.identification.validation import LIMIT, Validation
 from bellows_ros.core.residuals import AXES, CONFIDENT, SMALL, Spectrum, Whiteness
-from bellows_ros.workflows.replay import Replay
+from bellows_ros.workflows.replay import Margins, Replay
 import numpy as np
 
 from .page import figures, heading, paragraph, table, warnings
@@ -14,7 +15,9 @@ UNITS = ('mm',) * 3 + ('mrad',) * 3
 LEAST_SPAN = 2.0
 """mm or mrad; an axis that hardly moves is not blown up beyond this."""
 
-ERROR_SIZE = (540.0, 110.0)
+ERROR_SIZE, MARGIN_SIZE = (540.0, 110.0), (1080.0, 220.0)
+LARGEST_SHOWN = 4.0
+"""Safety factors are drawn up to so many times the least."""
 LOWEST_HZ = 0.4
 """Lower end of spectra on a logarithmic axis."""
 
@@ -26,6 +29,7 @@ def motion_content(replayed: Replay) -> list[str]:
     return [
         paragraph(_verdict(found)),
         *([paragraph(replayed.margin.sentence)] if replayed.margin else []),
+        *([figures([('', _margins(replayed.margins))])] if replayed.margin else []),
         warnings(replayed.warnings),
         paragraph(
             f'The model ran freely from {start} to the end: it saw the motion of the tool, and '
@@ -47,6 +51,23 @@ def motion_content(replayed: Replay) -> list[str]:
         heading('Whiteness'),
         *_whiteness(found),
     ]
+
+
+def _margins(found: Margins) -> str:
+    """Return the safety factors over time, with bands of two standard deviations."""
+    most = LARGEST_SHOWN * found.least
+    curves = [
+        Curve(found.seconds, np.minimum(found.factors[:, i] + side * found.std[:, i], most), kind,
+              label)
+        for i, mode in enumerate(MODES)
+        for side, kind, label in (
+            (-2.0, 'quiet', ''), (2.0, 'quiet', ''), (0.0, ('predicted', 'error')[i], mode))]
+    return line_chart(
+        [*curves, Curve(found.seconds[[0, -1]], np.full(2, found.least), 'measured',
+                        'safety.least')],
+        'time (s)', 'safety factor', MARGIN_SIZE,
+        description='Safety factors of the grip over time, with two standard deviations',
+    )
 
 
 def _score_table(found: Validation) -> str:

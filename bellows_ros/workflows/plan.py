@@ -12,7 +12,7 @@ from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.envelope import known_envelope
 from bellows_ros.core.fastest import Fastest, fastest
 from bellows_ros.core.holding import grip_of
-from bellows_ros.core.kernels import ModelTuple
+from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.core.parameter_table import short
@@ -284,6 +284,22 @@ def _curves(
 
     return Curves(
         longer.seconds, longer.position, compute(model), _deviations(values, model, compute))
+
+
+def factors_along(
+    values: Mapping[str, Any], model: ModelTuple, tool: Trajectory, start: State | None = None
+) -> tuple[Array, Array]:
+    """
+    Return the safety factors (N, 2) along a motion, as in `MODES`, and their standard deviations.
+
+    They are cut off at `LARGEST_FACTOR`. The package rests at the start when that is left out.
+    """
+    run = Run(model, grip_of(values), tool, start, tail=0.0)
+
+    def compute(changed: ModelTuple) -> Array:
+        return 1.0 / np.maximum(run.of(changed).at(1.0).loads, 1.0 / LARGEST_FACTOR)
+
+    return compute(model), _deviations(values, model, compute)
 
 
 def standing(tool: Trajectory, seconds: float) -> Trajectory:

@@ -17,14 +17,14 @@ from bellows_ros.core.residuals import interpolated, relative_coordinates, score
 from bellows_ros.core.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import load, NO_INERTIA
-from bellows_ros.workflows.replay import Live, predicted_live
+from bellows_ros.workflows.replay import Live, Margins, predicted_live, validated
 import numpy as np
 
 Progress = Callable[[str, float], None]
 
 SPECTRUM_SECONDS = 4.0  # of a segment: lines of 0.25 Hz
-NOT_SAMPLES = {'stiffness', 'motion', 'live', 'cup_length', 'com', 'box', 'scores', 'counts',
-               'real_time_factor', 'took'}
+NOT_SAMPLES = {'smallest', 'least', 'stiffness', 'motion', 'live', 'cup_length', 'com', 'box',
+               'scores', 'counts', 'real_time_factor', 'took'}
 TRACKED = {'package.mass': 1.0, 'package.inertia': NO_INERTIA, 'package.com': (0.0, 0.0, 0.0)}
 """Puts B where the package is tracked; a motion has no mass."""
 
@@ -145,8 +145,8 @@ class Replayed:
     box: Array
 
 
-Timed = TypeVar('Timed', Motion, Loads, Replayed)
-Group = TypeVar('Group', Motion, Loads, Replayed, Live)
+Timed = TypeVar('Timed', Motion, Loads, Margins, Replayed)
+Group = TypeVar('Group', Motion, Loads, Margins, Replayed, Live)
 
 
 def motion(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Motion:
@@ -258,13 +258,19 @@ def replayed(
     )
 
 
+def margins(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Margins:
+    """Return the safety factors of the grip in a free simulation of a recording; see `Replay`."""
+    values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
+    return validated(values, load(bag, values)).margins
+
+
 def within(shown: Timed, first: float, last: float) -> Timed:
     """
     Return what a picture shows of a part of the time.
 
     Parameters
     ----------
-    shown : Motion, Loads or Replayed
+    shown : Motion, Loads, Margins or Replayed
         Of the whole recording.
     first, last : float
         From the recording's first stamp, s.
@@ -277,7 +283,9 @@ def within(shown: Timed, first: float, last: float) -> Timed:
     """
     seconds = shown.seconds
     part = (seconds >= first) & (seconds <= last)
-    valid = shown.motion.valid if isinstance(shown, Replayed) else shown.valid
+    valid = np.ones(len(seconds), dtype=bool)
+    if not isinstance(shown, Margins):
+        valid = shown.motion.valid if isinstance(shown, Replayed) else shown.valid
     if np.count_nonzero(part & valid) < 2:
         raise BellowsError(
             f'Of {first:g} to {last:g} s there are no two usable samples; the recording covers '
@@ -300,7 +308,7 @@ def _picked(group: Group, index: Stamps | Mask) -> Group:
     return replace(group, **picked)
 
 
-def data_json(shown: Motion | Spectra | Loads | Replayed) -> dict[str, Any]:
+def data_json(shown: Motion | Spectra | Loads | Margins | Replayed) -> dict[str, Any]:
     """Return the numbers that a picture is drawn from, for a JSON file; SI units."""
     if not isinstance(shown, Replayed):
         return dict(vars(shown))

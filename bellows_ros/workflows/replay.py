@@ -15,14 +15,16 @@ from bellows_ros.core.identification.validation import LIMIT, SEED, validate, Va
 from bellows_ros.core.lie import apply, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
-from bellows_ros.core.model import cup_of, package_of
+from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.residuals import AXES, Comparison, Spectrum, Whiteness
 from bellows_ros.core.trajectory import NS_PER_S, TwistStream
+from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import provenance
 from bellows_ros.workflows.observe import Observed, observed
+from bellows_ros.workflows.plan import factors_along, NO_GRIP
 from bellows_ros.workflows.recordings import load
 import numpy as np
 
@@ -61,6 +63,31 @@ class Live(Comparison):
             'real_time_factor': self.real_time_factor, 'took': self.took,
             'units': {**SCORE_UNITS, 'real_time_factor': '1', 'took': 's'},
         }
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """
+    How firmly a grip holds over time.
+
+    Parameters
+    ----------
+    seconds : array (N,)
+        From the recording's first stamp, s.
+    factors, std : array (N, 2)
+        Safety factors against peel and slip, and their standard deviations.
+    smallest : Margin
+        With its mode and instant.
+    least : float
+        What is needed.
+
+    """
+
+    seconds: Array
+    factors: Array
+    std: Array
+    smallest: Margin
+    least: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +133,29 @@ class Replay:
         grip, found = grip_of(self.values), self.validation
         return None if grip is None else margin(
             grip, found.wrench, self.recording.since_start(found.stamps_ns))
+
+    @property
+    def margins(self) -> 'Margins':
+        """
+        The safety factors of the grip in the free simulation, with their standard deviations.
+
+        Raises
+        ------
+        BellowsError
+            If the grip is not known.
+
+        """
+        smallest, found = self.margin, self.validation
+        if smallest is None:
+            raise BellowsError(NO_GRIP)
+        model = model_tuple(
+            cup_of(self.values), self.recording.payload, self.recording.settings.gravity)
+        factors, std = factors_along(
+            self.values, model, found.tool,
+            None if found.start == 'equilibrium' else found.state)
+        return Margins(
+            self.recording.since_start(found.stamps_ns), factors, std, smallest,
+            float(self.values['safety.least']))
 
     @property
     def sentence(self) -> str:

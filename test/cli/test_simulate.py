@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 
 from bellows_ros.files.bags import topics
+from bellows_ros.files.parameter_files import read_parameters
+import numpy as np
 
 from .conftest import contents, MOTION, Run
 
@@ -77,5 +79,25 @@ def test_the_margin_is_said_by_simulate_and_found_by_replay(
     assert found['mode'] == truth['mode'] and abs(found['time'] - truth['time']) < 0.02
     assert abs(found['factor'] - truth['factor']) < 0.02 * truth['factor']
     assert 'smallest safety factor of the grip' in page.read_text()
+    assert 'Safety factors of the grip over time' in page.read_text()
+    drawn = bellows(
+        'plot', 'margin', tmp_path / 'new', '--params', workshop / 'cup.yaml', *grip, '--set',
+        'package.mass_std=0.1', '--out', tmp_path / 'margin.png', '--json', '-')
+    assert drawn.returncode == 0, drawn.stderr
+    curves = json.loads(drawn.stdout)
+    factors, std = np.array(curves['factors']), np.array(curves['std'])
+    seconds = np.array(curves['seconds'])
+    row, column = np.unravel_index(factors.argmin(), factors.shape)
+    assert abs(factors.min() - found['factor']) < 1e-6 * found['factor']
+    assert seconds[row] == found['time'] and ('peel', 'slip')[column] == found['mode']
+    mass = float(read_parameters(workshop / 'cup.yaml')['package.mass'])
+    still = seconds < 0.1  # at rest the load is the weight, and so is its doubt
+    np.testing.assert_allclose(
+        std[still, 0] / factors[still, 0], 0.1 / mass, rtol=0.02)
+    assert (tmp_path / 'margin.png').read_bytes().startswith(b'\x89PNG')
+    unknown = bellows('plot', 'margin', tmp_path / 'new', '--params', workshop / 'cup.yaml',
+                      '--out', tmp_path / 'no.png')
+    assert unknown.returncode == 2 and 'set cup.lip_radius' in ' '.join(unknown.stderr.split())
+    assert not (tmp_path / 'no.png').exists()
     assert 'safety factor' not in bellows(
         'replay', tmp_path / 'new', '--params', workshop / 'cup.yaml').stdout

@@ -82,6 +82,10 @@ class Validation(Comparison):
         What `one_step_errors` takes.
     wrench : ndarray (N, 6)
         Of the cup at the lip in the free simulation, in lip axes, N and N m.
+    tool : Trajectory
+        Of E with twists, that was simulated.
+    state : State
+        Of B in the world at its first sample.
     start : str
         'equilibrium' or 'measured': where the simulation begins.
     warnings : tuple of str
@@ -95,6 +99,8 @@ class Validation(Comparison):
     motion: Spectrum
     corrected: tuple[ModelTuple, State, Trajectory, Trajectory, Trajectory, tuple[Noise, Noise]]
     wrench: Array
+    tool: Trajectory
+    state: State
     start: str
     warnings: tuple[str, ...]
 
@@ -169,6 +175,8 @@ def _validated(cup: Cup, recording: Recording) -> Validation:
         motion=spectrum(interpolated(compared.measured), rate_hz),
         corrected=(model, start, recording.measured_tool, tool, measured_package, noises),
         wrench=lip_wrenches(model, tool, body),
+        tool=tool,
+        state=start,
         start=kind,
         warnings=_warnings(bridges),
     )
