@@ -149,7 +149,7 @@ def _batch(section: Mapping[str, Any]) -> Table:
 
 def _plans(section: Mapping[str, Any]) -> Table:
     """Return what a second of plan costs."""
-    rows: Table = [('a plan of 1 s at 1 kHz', 'median')]
+    rows: Table = [('a plan of 1 s at 1 kHz', 'processor time, median')]
     return rows + [(name, _time(figures['median']))
                    for name, figures in section['seconds'].items()]
 

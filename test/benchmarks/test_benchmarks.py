@@ -7,10 +7,11 @@ import json
 from pathlib import Path
 
 from bellows_ros.core.jit import COMPILED
+from bellows_ros.core.steering import impulses, steer
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 from benchmarks import __main__ as command
-from benchmarks import batch, live, offline, startup, step, timing
+from benchmarks import batch, live, offline, plans, startup, step, timing
 from benchmarks.tables import markdown, tables
 import pytest
 
@@ -35,7 +36,7 @@ def test_short_form_measures_and_shows(section, root):
 
 SCRIPTS = [
     node.value
-    for module in (batch, offline, startup, step)
+    for module in (batch, offline, plans, startup, step)
     for node in ast.walk(ast.parse(Path(module.__file__).read_text()))
     if isinstance(node, ast.Constant) and isinstance(node.value, str) and '\nimport ' in node.value
 ]
@@ -51,6 +52,16 @@ def test_scripts_of_other_processes_import_what_is_there(code):
             assert all(hasattr(module, alias.name) for alias in node.names), node.module
         elif isinstance(node, ast.Import):
             assert all(import_module(alias.name) for alias in node.names)
+
+
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long')
+def test_peers_of_plans_solve_the_same_problem():
+    tool = plans.plan()
+    inverted, shaped = (steer(plans.MODEL, tool, method) for method in ('inverse', 'zvd'))
+    found = plans.numpy_inverse(tool, inverted.package)
+    assert abs(found - inverted.tool.position).max() < 2e-5
+    found = plans.numpy_shaped(tool, *impulses(shaped.modes, 'zvd'))
+    assert abs(found - shaped.tool.position[:len(found)]).max() < 2e-6
 
 
 def test_page_holds_the_figures_beside_it(root):
