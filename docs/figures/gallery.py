@@ -1,4 +1,4 @@
-"""Draw the pictures of `bellows plot` that the pages show, from the recordings in bags/."""
+"""Draw the pictures that `bellows` draws for the pages, from recordings and plans in bags/."""
 
 from contextlib import chdir
 import io
@@ -26,6 +26,10 @@ def main() -> None:
         write_bytes(IMAGES / 'deflection.png', data.getvalue())
         bellows(['plot', 'animation', 'bags/validation', *CUP, '--from', '3', '--to', '4', '--out',
                  str(IMAGES / 'replay.gif')])
+        plan = ('bags/transport.yaml', '--params', 'bags/tossing.yaml', '--plot')
+        bellows(['plan', *plan, str(IMAGES / 'plan.png')])
+        for ending in ('png', 'gif'):
+            bellows(['steer', '--method', 'inverse', *plan, str(IMAGES / f'steer.{ending}')])
 
 
 if __name__ == '__main__':
