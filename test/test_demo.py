@@ -1,5 +1,6 @@
 """The demonstration, run as `make demo` runs it."""
 
+import importlib.util
 import json
 from pathlib import Path
 import re
@@ -7,6 +8,7 @@ import shutil
 import subprocess
 import sys
 
+from bellows_ros.demo.app import main
 from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 import pytest
@@ -19,17 +21,6 @@ LONGEST = 90  # s, as promised to users
 Done = 'subprocess.CompletedProcess[str]'
 
 
-def demonstrate(
-    root: Path, environment: dict[str, str], *arguments: object, timeout: float = LONGEST
-) -> Done:
-    """Run the demonstration where the recordings are."""
-    return subprocess.run(
-        [sys.executable, '-m', 'bellows_ros.demo', *map(str, arguments)],
-        cwd=root, env=environment, capture_output=True, text=True, timeout=timeout,
-        stdin=subprocess.DEVNULL,
-    )
-
-
 @pytest.fixture(scope='module')
 def outcome(
     root: Path, user_environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory
@@ -38,7 +29,10 @@ def outcome(
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
     out = tmp_path_factory.mktemp('demo') / 'demo_output'
-    done = demonstrate(root, user_environment, '--out', out)
+    done = subprocess.run(
+        [sys.executable, '-m', 'bellows_ros.demo', '--out', str(out)], cwd=root,
+        env=user_environment, capture_output=True, text=True, timeout=LONGEST,
+        stdin=subprocess.DEVNULL)
     assert done.returncode == 0, done.stdout + done.stderr
     return done, out
 
@@ -109,33 +103,28 @@ def test_the_node_has_nothing_to_complain_about(outcome: tuple[Done, Path]) -> N
 
 @pytest.mark.parametrize('missing', ['validation', 'package.yaml'])
 def test_a_missing_recording_is_said(
-    missing: str, root: Path, user_environment: dict[str, str], tmp_path: Path
+    missing: str, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """End with 2 and say what is not there, before anything is made."""
     def leave_out(folder: str, names: list[str]) -> list[str]:
         return [missing]
 
     bags = shutil.copytree(root / 'bags', tmp_path / 'bags', ignore=leave_out)
-    done = demonstrate(root, user_environment, '--bags', bags, '--out', tmp_path / 'out')
-    assert (done.returncode, done.stdout) == (2, '')
-    assert str(bags / missing) in done.stderr and 'Traceback' not in done.stderr
+    assert main(['--bags', str(bags), '--out', str(tmp_path / 'out')]) == 2
+    out, err = capsys.readouterr()
+    assert out == '' and str(bags / missing) in err
     assert not (tmp_path / 'out').exists()
 
 
 @pytest.mark.parametrize('module', ['rclpy', 'matplotlib'])
 def test_missing_software_is_said(
-    module: str, root: Path, user_environment: dict[str, str], tmp_path: Path
+    module: str, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """End with 2 and say what to install."""
-    code = f"""
-import importlib.util, sys
-find = importlib.util.find_spec
-importlib.util.find_spec = lambda name, *rest: None if name == {module!r} else find(name, *rest)
-from bellows_ros.demo.app import main
-sys.exit(main(['--out', {str(tmp_path / 'out')!r}]))
-"""
-    done = subprocess.run(
-        [sys.executable, '-c', code], cwd=root, env=user_environment, capture_output=True,
-        text=True)
-    assert (done.returncode, done.stdout) == (2, '')
-    assert module in done.stderr and 'pip install' in done.stderr
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, 'find_spec',
+                        lambda name, *rest: None if name == module else find(name, *rest))
+    assert main(['--bags', str(root / 'bags'), '--out', str(tmp_path / 'out')]) == 2
+    out, err = capsys.readouterr()
+    assert out == '' and module in err and 'pip install' in err

@@ -16,7 +16,7 @@ from .killed_writers import HIDDEN, WRITERS
 
 ROOT = Path(__file__).parents[2]
 ROWS = 4000
-KILLS = 10  # of each kind
+KILLS = 6  # of each kind
 
 pytestmark = pytest.mark.timeout(400)
 

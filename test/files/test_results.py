@@ -5,7 +5,7 @@ import math
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json, KEYS, read_result, write_json, write_result
-from hypothesis import given, strategies
+from hypothesis import given, settings, strategies
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
@@ -135,6 +135,7 @@ def without_unknown(value):
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+@settings(max_examples=40)
 @given(strategies.dictionaries(strategies.text(), json_values))
 def test_any_content_comes_back(content):
     assert json.loads(format_json(content)) == without_unknown(content)

@@ -3,9 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+import shutil
 import subprocess
 import sys
 
+import bellows_ros
 import pytest
 
 PYTHON = f'python{sys.version_info[0]}.{sys.version_info[1]}'
@@ -44,8 +46,14 @@ def installed(
     assert done.returncode == 0, done.stdout + done.stderr
     assert 'Finished <<< bellows_ros' in done.stdout
     prefix = workspace / 'install' / 'bellows_ros'
+    site_packages = prefix / 'lib' / PYTHON / 'site-packages'
+    compiled = Path(bellows_ros.__file__).parent
+    for file in compiled.rglob('*.nb[ci]'):  # of the same source; to compile it takes a minute
+        copy = site_packages / file.relative_to(compiled.parent)
+        copy.parent.mkdir(exist_ok=True)
+        shutil.copy2(file, copy)
     environment |= {
         'AMENT_PREFIX_PATH': str(prefix),
-        'PYTHONPATH': str(prefix / 'lib' / PYTHON / 'site-packages'),
+        'PYTHONPATH': str(site_packages),
     }
     return Installed(prefix, environment)

@@ -76,8 +76,8 @@ def test_policy_of_the_identifier_is_enough(root: Path, ros: Any) -> None:
         assert used <= allowed[key]
 
 
-@pytest.mark.parametrize('enclave', [False, True], ids=['no keystore', 'nothing signed'])
-@pytest.mark.parametrize('name', ['predictor', 'identifier'])
+@pytest.mark.parametrize('name, enclave', [('predictor', True), ('identifier', False)],
+                         ids=['nothing signed', 'no keystore'])
 def test_what_is_to_be_secured_and_cannot_be_does_not_start(
         name: str, enclave: bool, root: Path, tmp_path: Path,
         user_environment: dict[str, str]) -> None:
