@@ -1,4 +1,4 @@
-"""The one base of all errors that this package raises for its user to read."""
+"""Errors that this package raises for its user to read; what callers decide on has a class."""
 
 
 class BellowsError(Exception):
@@ -17,3 +17,15 @@ class BellowsError(Exception):
     """
 
     exit_code = 2
+
+
+class UnstableError(BellowsError):
+    """The package does not stay on its cup: it has no rest, or a prediction is not finite."""
+
+
+class UndeterminedError(BellowsError):
+    """Recordings do not determine what is to be found in them."""
+
+
+class NoLandingError(BellowsError):
+    """A package is not let go, or not above the floor, or does not come down."""

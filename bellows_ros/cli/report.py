@@ -38,19 +38,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Write the page, or say what is wrong with the result."""
     from bellows_ros.files.content import content_of
+    from bellows_ros.files.results import read_result
 
+    content = read_result(arguments.fit)
+    _require_settings(arguments.fit, content)
     with content_of(arguments.fit):
-        return _report(arguments, console)
+        return _report(arguments, content, console)
 
 
-def _report(arguments: argparse.Namespace, console: Console) -> int:
+def _report(arguments: argparse.Namespace, content: dict[str, Any], console: Console) -> int:
     """Read, simulate, write."""
     from bellows_ros.core.identification.identifiability import excitation_of
     from bellows_ros.core.identification.reduction import reduced
     from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
     from bellows_ros.core.structure import structure_named
     from bellows_ros.files.atomic import write_text
-    from bellows_ros.files.results import read_result
     from bellows_ros.report.build import (
         cup_values,
         identification_report,
@@ -59,8 +61,6 @@ def _report(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.workflows.recordings import load
     from bellows_ros.workflows.replay import validated
 
-    content = read_result(arguments.fit)
-    _require_settings(arguments.fit, content)
     bags = [str(recording['bag']) for recording in content['recordings']]
     require_named_outputs(arguments, bags)
     with console.progress() as progress:

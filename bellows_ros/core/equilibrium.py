@@ -25,7 +25,7 @@ from bellows_ros.core.tuples import (
     subtract,
     Vector,
 )
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import UnstableError
 import numpy as np
 
 PHASE_PER_STEP = 0.1
@@ -126,7 +126,7 @@ def static_equilibrium(
 
     Raises
     ------
-    BellowsError
+    UnstableError
         If there is none: the cup is too soft for the package in this tool pose.
 
     """
@@ -228,9 +228,9 @@ def _moved(body: State, axis: int, by: float) -> State:
         (by if axis == 3 else 0.0, by if axis == 4 else 0.0, by if axis == 5 else 0.0))
 
 
-def _no_equilibrium(model: ModelTuple) -> BellowsError:
+def _no_equilibrium(model: ModelTuple) -> UnstableError:
     """Return the error that says so."""
-    return BellowsError(
+    return UnstableError(
         f'No static equilibrium: the cup cannot carry {model[1][0]:g} kg in this tool pose '
         'without falling over. Check package.mass, package.com, cup.stiffness and their units.'
     )

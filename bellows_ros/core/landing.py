@@ -36,7 +36,7 @@ from bellows_ros.core.tuples import (
     quaternion_product,
     subtract,
 )
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import NoLandingError, UnstableError
 import numpy as np
 
 RELEASE_NAMES = ('release.delay', 'release.tau', 'release.impulse')
@@ -153,7 +153,7 @@ def draw(case: Case, nominal: Toss, count: int, seed: int = 0) -> Drawn:
         release = changed(case.release, of_release * rng.standard_normal(3))
         try:
             found = case.with_numbers(model, release, until)
-        except BellowsError:
+        except (NoLandingError, UnstableError):
             failed += 1
         else:
             rows.append(figures(found, nominal, case.model[2]))
@@ -229,7 +229,7 @@ def aim(
 
     Raises
     ------
-    BellowsError
+    NoLandingError
         If no release during the plan leads to a landing.
 
     """
@@ -240,7 +240,7 @@ def aim(
     def miss(switched: float) -> Array:
         try:
             found = toss(held, release, switched, COARSE_STRIDE)
-        except BellowsError:
+        except (NoLandingError, UnstableError):
             return np.full(5, np.nan)
         turn = np.zeros(3)
         if rotation is not None:
@@ -269,7 +269,7 @@ def aim(
             tried += [(cost(t), float(t)) for t in (best.x, times[k], times[k + 1])]
     size, switched = min(tried, default=(1e6, 0.0))
     if size >= 1e6:
-        raise BellowsError(
+        raise NoLandingError(
             'No release during the plan leads to a landing. Check landing.height, release.*, and '
             'whether the plan throws the package.')
     left = miss(switched)

@@ -42,7 +42,7 @@ from bellows_ros.core.tuples import (
     subtract,
     Vector,
 )
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import UnstableError
 import numpy as np
 
 SETTLED = math.radians(0.5)
@@ -250,9 +250,9 @@ class Run:
             raise _not_finite() from None
 
 
-def _not_finite() -> BellowsError:
+def _not_finite() -> UnstableError:
     """Return the error that says so."""
-    return BellowsError(
+    return UnstableError(
         'The prediction along the plan does not stay finite. Check the plan for jumps, and '
         'cup.stiffness, cup.damping, package.mass and their units.'
     )
@@ -287,7 +287,7 @@ def rest_after(
         return alike
     try:
         return rest(model, last, alike)
-    except BellowsError:
+    except UnstableError:
         return rest(model, last)
 
 

@@ -48,7 +48,7 @@ from bellows_ros.core.tuples import (
     scale,
     Vector,
 )
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, NoLandingError, UnstableError
 import numpy as np
 
 STRIDE, LONGEST_STRIDE = 0.01, 0.01
@@ -367,7 +367,7 @@ class Held:
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             self.states[-1] = math.nan
         if not np.isfinite(self.states[-1]).all():
-            raise BellowsError(
+            raise UnstableError(
                 'The prediction along the plan does not stay finite. Check the plan for jumps, '
                 'and cup.stiffness, cup.damping, package.mass and their units.')
         out: list[Any] = [self.states, self.loads]
@@ -412,18 +412,18 @@ def toss(held: Held, release: Release, switched: float, stride: float = STRIDE) 
 
     Raises
     ------
-    BellowsError
+    NoLandingError
         If the valve is not switched during the plan, the cup does not let go, or the package is
         below the floor then or does not come down.
 
     """
     if not 0.0 <= switched <= held.duration:
-        raise BellowsError(
+        raise NoLandingError(
             f'The valve is switched at {switched:g} s, which is not during the plan; expected 0 '
             f'to {held.duration:g} s. Release earlier, or make the plan longer.')
     released, body = held.let_go(release.valve, switched)
     if released < 0.0:
-        raise BellowsError(
+        raise NoLandingError(
             f'The cup does not let go within {held.times[-1] - switched:.3g} s after the valve is '
             f'switched at {switched:g} s. ' + (
                 'Check release.delay, release.tau and whether the package hangs from the cup.'
@@ -433,14 +433,14 @@ def toss(held: Held, release: Release, switched: float, stride: float = STRIDE) 
     body = pushed_off(package, body, release.impulse)
     height = lowest(release.box, upward(gravity), body)
     if height <= release.height:
-        raise BellowsError(
+        raise NoLandingError(
             f'The lowest corner of the package is at {height:.4g} m when it is let go at '
             f'{released:.4g} s, and landing.height is {release.height:g} m: the floor is above '
             'it. Check landing.height, package.size, package.size_center and the frame of the '
             'plan.')
     after, landed = land(package, gravity, release.box, release.height, body, stride)
     if after < 0.0:
-        raise BellowsError(
+        raise NoLandingError(
             f'The package does not land within {LONGEST_FLIGHT:g} s. Check gravity, '
             'landing.height and release.impulse.')
     return Toss(released, held.mode, body, released + after, landed)

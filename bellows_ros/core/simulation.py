@@ -25,7 +25,7 @@ from bellows_ros.core.tuples import (
     dot,
     rotation_matrix,
 )
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -144,7 +144,7 @@ def simulate(
     except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
         out = np.full(1, np.nan)
     if not np.all(np.isfinite(out)):
-        raise BellowsError(
+        raise UnstableError(
             'The simulation did not stay finite. The cup is too stiff for the sampling time, or '
             'its damping is negative; check cup.stiffness, cup.damping and their units.'
         )

@@ -288,14 +288,14 @@ def unzstd(data: bytes, limit: int, cut: bool = False) -> bytes:
 
     Raises
     ------
-    BellowsError
+    DamagedError
         If the data is damaged, incomplete, or longer than the limit once decompressed.
 
     """
     try:
         return _decompress(zstd.ZstdDecompressor, data, limit, cut)
     except zstd.ZstdError as error:
-        raise BellowsError(f'zstd data is damaged: {error}') from None
+        raise DamagedError(f'zstd data is damaged: {error}') from None
 
 
 def unlz4(data: bytes, limit: int, cut: bool = False) -> bytes:
@@ -304,14 +304,14 @@ def unlz4(data: bytes, limit: int, cut: bool = False) -> bytes:
 
     Raises
     ------
-    BellowsError
+    DamagedError
         If the data is damaged, incomplete, or longer than the limit once decompressed.
 
     """
     try:
         return _decompress(lz4.frame.LZ4FrameDecompressor, data, limit, cut)
     except RuntimeError as error:  # what lz4 raises for damaged frames
-        raise BellowsError(f'lz4 data is damaged: {error}') from None
+        raise DamagedError(f'lz4 data is damaged: {error}') from None
 
 
 def _decompress(new_decompressor: Any, data: bytes, limit: int, cut: bool) -> bytes:
@@ -323,9 +323,9 @@ def _decompress(new_decompressor: Any, data: bytes, limit: int, cut: bool) -> by
         piece = frame.decompress(data, max_length=left + 1)
         left -= len(piece)
         if left < 0:
-            raise BellowsError(f'decompressed data is longer than the {limit} bytes expected')
+            raise DamagedError(f'decompressed data is longer than the {limit} bytes expected')
         if not (frame.eof or cut):
-            raise BellowsError('compressed data ends early')
+            raise DamagedError('compressed data ends early')
         pieces.append(piece)
         data = frame.unused_data
     return b''.join(pieces)

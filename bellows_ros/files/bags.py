@@ -344,7 +344,7 @@ def _plain(data: bytes) -> bytes:
         return data if len(data) <= messages.LARGEST_MESSAGE else b''
     try:
         return unzstd(data, messages.LARGEST_MESSAGE)
-    except BellowsError:
+    except DamagedError:
         return b''
 
 

@@ -21,8 +21,6 @@ def content_of(*paths: str | os.PathLike[str]) -> Iterator[None]:
     try:
         yield
     except BellowsError as error:
-        if any(os.fspath(path) in str(error) for path in paths):
-            raise
         names = "' and '".join(os.fspath(path) for path in paths)
         raise type(error)(f"Of '{names}': {error}") from None
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:

@@ -14,7 +14,6 @@ import struct
 from typing import BinaryIO
 import zlib
 
-from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import (
     DamagedError,
     LARGEST_RECORD,
@@ -323,7 +322,7 @@ def _decompress(compression: str, stored: bytes, size: int, cut: bool) -> bytes:
             return unzstd(stored, size, cut)
         if compression == 'lz4':
             return unlz4(stored, size, cut)
-    except BellowsError as error:
+    except DamagedError as error:
         raise DamagedError(f'a chunk cannot be decompressed: {error}') from None
     raise DamagedError(
         f"its compression '{compression[:20]}' is not supported; zstd, lz4 and none are"

@@ -33,6 +33,10 @@ DESCRIPTION = 'std_msgs/msg/String'
 PLAN_TYPES = (MULTI_DOF, PATH, JOINTS)
 
 
+class NoArmError(BellowsError):
+    """Joints are given, and nothing says of which arm they are."""
+
+
 class JointPlan(NamedTuple):
     """Positions of an arm's joints over time, rad and m, with rates where they are given."""
 
@@ -216,12 +220,12 @@ def joints_or_tf(
     """
     try:
         arm = arm_of(urdf, tool_link, path)
-    except BellowsError as no_arm:
-        try:
-            stamps, T, root = poses_in(read_transforms(path), tool_link, '', f"'{path}'")
-            return _recorded(stamps, T, None, root)
-        except BellowsError as no_transforms:
-            raise BellowsError(f'{no_transforms} {no_arm}') from None
+    except NoArmError as no_arm:
+        links = read_transforms(path)
+        if not links:
+            raise NoArmError(f"'{path}' has no transforms. {no_arm}") from None
+        stamps, T, root = poses_in(links, tool_link, '', f"'{path}'")
+        return _recorded(stamps, T, None, root)
     return recorded_joints(path, arm)
 
 
@@ -247,7 +251,7 @@ def arm_of(
 
     """
     if not tool_link:
-        raise BellowsError(
+        raise NoArmError(
             'Joints are given, and where the tool is on the arm is not. Name the link of the tool '
             'tip: --tool-link LINK.')
     if urdf:
@@ -259,7 +263,7 @@ def arm_of(
         for name, kind, _, data in messages_of(recording, (DESCRIPTION,)):
             if name.endswith('robot_description'):
                 return read_arm(_types().deserialize_cdr(data, kind).data, tool_link)
-    raise BellowsError(
+    raise NoArmError(
         'Joints are given, and the arm is not: there is no /robot_description. Give its URDF: '
         '--urdf FILE.')
 

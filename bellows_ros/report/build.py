@@ -9,7 +9,7 @@ from bellows_ros.core.envelope import Envelope, FIELDS
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.reduction import spectra_of
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import UnstableError
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import format_json, provenance
 from bellows_ros.workflows.identification import Identification
@@ -162,5 +162,5 @@ def _simulated(values: Mapping[str, Any], recording: Recording) -> list[str]:
     """Return how a recording of the fit is simulated, or why it cannot be."""
     try:
         return motion_content(validated(values, recording))
-    except BellowsError as error:
+    except UnstableError as error:
         return [paragraph(f'This cup cannot be simulated: {error}', 'quiet')]

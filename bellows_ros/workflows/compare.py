@@ -9,7 +9,6 @@ from bellows_ros.core.identification.comparison import Change, compare_fits, Fit
 from bellows_ros.core.model import Cup, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.structure import structure_named
-from bellows_ros.errors import BellowsError
 from bellows_ros.files.content import content_of
 from bellows_ros.files.results import read_result
 import numpy as np
@@ -87,50 +86,35 @@ def compare_files(before: Path, after: Path) -> Comparison:
 
     """
     contents = read_result(before), read_result(after)
+    fitted = []
+    for path, content in zip((before, after), contents, strict=True):
+        with content_of(path):
+            fitted.append(_fitted(content))
+    with content_of(before):
+        values: dict[str, Any] = dict(resolve(contents[0]['settings'], PACKAGE_PARAMETERS))
     with content_of(before, after):
-        values = _settings(before, contents[0])
-        fits = compare_fits(
-            _fitted(before, contents[0]), _fitted(after, contents[1]), package_of(values),
-            values['gravity.magnitude'],
-        )
         return Comparison(
             paths=(os.fspath(before), os.fspath(after)),
-            fits=fits,
+            fits=compare_fits(
+                fitted[0], fitted[1], package_of(values), values['gravity.magnitude']),
             settings=tuple(_differences(*contents)),
             shared=_shared(*contents),
         )
 
 
-def _fitted(path: Path, content: Mapping[str, Any]) -> Fitted:
-    """Return what a comparison needs of a result file."""
-    try:
-        structure = structure_named(content['structure'])
-        labels = list(content['parameters']['labels'])
-        rows = content['parameters']['covariance']
-        covariance = np.array(
-            [[np.inf if x is None else float(x) for x in row] for row in rows], dtype=float)
-        order = [labels.index(label) for label in structure.labels]
-        cup = Cup(
-            np.array(content['stiffness'], dtype=float), np.array(content['damping'], dtype=float),
-            float(content['cup_length']),
-        )
-        return Fitted(structure, cup, covariance[np.ix_(order, order)])
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise BellowsError(
-            f"Result '{os.fspath(path)}' lacks what a comparison needs ({error}). Identify the "
-            'cup again with this version.'
-        ) from None
-
-
-def _settings(path: Path, content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the checked settings of a result file."""
-    settings = content.get('settings')
-    if not isinstance(settings, dict):
-        raise BellowsError(
-            f"Result '{os.fspath(path)}' has no settings, so its package is not known. Identify "
-            'the cup again with this version.'
-        )
-    return dict(resolve(settings, PACKAGE_PARAMETERS))
+def _fitted(content: Mapping[str, Any]) -> Fitted:
+    """Return what a comparison needs of a result."""
+    structure = structure_named(content['structure'])
+    labels = list(content['parameters']['labels'])
+    rows = content['parameters']['covariance']
+    covariance = np.array(
+        [[np.inf if x is None else float(x) for x in row] for row in rows], dtype=float)
+    order = [labels.index(label) for label in structure.labels]
+    cup = Cup(
+        np.array(content['stiffness'], dtype=float), np.array(content['damping'], dtype=float),
+        float(content['cup_length']),
+    )
+    return Fitted(structure, cup, covariance[np.ix_(order, order)])
 
 
 def _differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Difference]:

@@ -14,7 +14,7 @@ from bellows_ros.core.identification.release_fit import (
     ValveFit,
 )
 from bellows_ros.core.model import cup_of, model_tuple, package_of
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import UndeterminedError
 from bellows_ros.files.bags import messages_of
 from bellows_ros.files.messages import BOOL, decode_bool
 from bellows_ros.files.results import provenance
@@ -151,9 +151,9 @@ def identify_release(
     progress('done', 1.0)
     try:
         fit = valve_fit([toss for _, toss in tosses], grip[0] if grip else 0.0)
-    except BellowsError as error:
+    except UndeterminedError as error:
         reasons = (f'Left out: {text}.' for text in left_out)
-        raise BellowsError(' '.join([str(error), *reasons])) from None
+        raise UndeterminedError(' '.join([str(error), *reasons])) from None
     return ReleaseResult(
         fit, bags, tuple(tosses), tuple(left_out), values, tuple(parameter_files))
 

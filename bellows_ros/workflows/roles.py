@@ -15,7 +15,6 @@ from bellows_ros.core.lie import apply
 from bellows_ros.core.recording.alignment import in_world, world_rotation, WORLDS
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
-from bellows_ros.errors import BellowsError
 import numpy as np
 
 TOOL_WORDS = frozenset({'tool', 'tcp', 'ee', 'eef', 'effector', 'flange', 'arm', 'robot',
@@ -233,10 +232,7 @@ def _ways(tool: PoseStream, twist: TwistStream) -> dict[str, Array] | None:
     stamps = twist.stamps_ns[inside]
     if len(stamps) < 10:
         return None
-    try:
-        body = resample(poses, stamps)
-    except BellowsError:
-        return None
+    body = resample(poses, stamps)
     seconds = (stamps - stamps[0]) / NS_PER_S
     linear = twist.linear[inside]
     stride = max(1, round(STRIDE / float(np.median(np.diff(seconds)))))

@@ -19,7 +19,7 @@ from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve, validate
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.synthetic.settings import Settings
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.workflows.recordings import load, NO_INERTIA, values_of_static
@@ -250,7 +250,7 @@ def _read(
     length, no_length = None, ''
     try:
         length = nominal_length(stills, values['gravity.magnitude'])
-    except BellowsError as error:
+    except UndeterminedError as error:
         no_length = str(error)
     return StaticResult(tuple(recordings), length, no_length, values['cup.length'])
 

@@ -21,7 +21,7 @@ from bellows_ros.core.plan_points import timed
 from bellows_ros.core.steering import hanging, steer, Steered, tool_above
 from bellows_ros.core.synthetic.settings import Settings
 from bellows_ros.core.trajectory import Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.bag_writer import write_bag
 from bellows_ros.files.parameter_files import with_chosen_cup
@@ -208,7 +208,7 @@ def steer_plan(
             other = steer(model, wanted, 'zvd', of_package)
             motions['zvd'] = _motion(values, model, other.tool, other.package,
                                      float(other.tool.seconds[-1]) - duration)
-    except BellowsError:  # as planned the package falls over: the method stands alone
+    except UnstableError:  # as planned the package falls over: the method stands alone
         pass
     return SteerReport(
         os.fspath(path), source, method, motions, steered, scale, limit,

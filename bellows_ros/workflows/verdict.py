@@ -10,7 +10,7 @@ from bellows_ros.core.model import Cup
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.residuals import AXES
 from bellows_ros.core.structure import structure_named
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import UnstableError
 import numpy as np
 
 LOOKED_AT = 3
@@ -156,7 +156,7 @@ def _simulated(cup: Cup, recording: Recording) -> Simulated:
 
     try:
         found = validate(cup, recording)
-    except BellowsError:
+    except UnstableError:
         nothing = np.full(6, np.nan)
         return Simulated(recording.name, nothing, nothing, nothing, AXES)
     beyond = found.moves & ~(found.model_error <= UNEXPLAINED)

@@ -23,7 +23,7 @@ from bellows_ros.core.identification.equations import (
 from bellows_ros.core.identification.reduction import Statistics
 from bellows_ros.core.identification.result import definiteness_warnings, Fit, WRENCH_UNITS
 from bellows_ros.core.structure import Structure
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
 SHOWN = 4
@@ -69,7 +69,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     structure = common_structure(parts)
     used, rejected = sum(part.used for part in parts), sum(part.rejected for part in parts)
     if 6 * used <= 2 * structure.size:
-        raise BellowsError(
+        raise UndeterminedError(
             f'{used} valid samples are too few for {2 * structure.size} parameters. Record '
             'longer, or see in the report why samples were rejected.'
         )
@@ -84,7 +84,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     R = r_factor((own.stacked for own in rows()), 2 * structure.size + 1)
     x, inverse, identifiable, _, condition = solution(R, structure)
     if not identifiable.any():
-        raise BellowsError(
+        raise UndeterminedError(
             f'{", ".join(structure.labels[:SHOWN])} and all others are not identifiable from '
             'these recordings: nothing moves. Excite all six directions.'
         )

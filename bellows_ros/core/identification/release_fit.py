@@ -22,7 +22,7 @@ from bellows_ros.core.release import flight, Held, pushed_off, STRIDE
 from bellows_ros.core.simulation import state_row, tool_rows
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import add
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import UndeterminedError, UnstableError
 import numpy as np
 
 FEWEST = 3
@@ -161,7 +161,7 @@ def letting_go(
     best = min(fits, key=lambda fit: float(fit.cost))
     chi2 = 2.0 * float(best.cost) / (len(best.fun) - len(best.x))
     if not math.isfinite(chi2):
-        raise BellowsError('No letting go explains the poses of this toss. Leave it out.')
+        raise UndeterminedError('No letting go explains the poses of this toss. Leave it out.')
     back = np.linalg.pinv(np.asarray(best.jac))
     moved = [back @ (residuals(best.x, Held(model, None, replica, start, end)) - best.fun)
              for replica in replicas]
@@ -219,7 +219,7 @@ def tosses_of(
                 model, grip, tool.select(part), poses.select(poses.valid), start,
                 (valve_ns - since) / NS_PER_S, (flies_ns - since) / NS_PER_S, noise,
                 _replicas(recording, tool.select(part)))
-        except BellowsError as error:
+        except (UndeterminedError, UnstableError) as error:
             left_out.append(f'{where}: {error}')
             continue
         found.append(one if valves_ns is not None else replace(one, late=math.nan))
@@ -289,7 +289,7 @@ def valve_fit(tosses: Sequence[LettingGo], suction: float) -> ValveFit:
 
     """
     if len(tosses) < FEWEST:
-        raise BellowsError(
+        raise UndeterminedError(
             f'{len(tosses)} tosses can be used; a valve is found from {FEWEST} or more. Record '
             'more.')
     impulses = np.array([t.impulse for t in tosses])
@@ -311,7 +311,7 @@ def _line(tosses: Sequence[LettingGo], suction: float) -> tuple[float, float, fl
     if suction:
         x = np.log(suction / np.array([t.load for t in tosses]))
         if np.ptp(x) < 0.05:
-            raise BellowsError(
+            raise UndeterminedError(
                 f'tau is not identifiable: all tosses let go under nearly the same load, ln(V0/L) '
                 f'from {x.min():.3g} to {x.max():.3g}. Release at other times of the swing as '
                 'well.')

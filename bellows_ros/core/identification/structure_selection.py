@@ -35,7 +35,7 @@ from bellows_ros.core.residuals import relative_coordinates
 from bellows_ros.core.simulation import simulate, state_row
 from bellows_ros.core.structure import Structure, STRUCTURES
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UndeterminedError, UnstableError
 import numpy as np
 
 FOLDS = 5
@@ -250,7 +250,7 @@ def _fit(
     """Return the least-squares fit, or why there is none."""
     try:
         return least_squares([statistics(s, cup_length, structure) for s in recordings]), ''
-    except BellowsError as error:
+    except UndeterminedError as error:
         return None, str(error)
 
 
@@ -369,7 +369,7 @@ def _simulated_error(problem: _Problem, fold: int, structure: Structure, x: Arra
         for run in _runs(samples):
             try:
                 error, motion = _simulated_run(cup, run)
-            except BellowsError:
+            except UnstableError:
                 return np.inf
             squares += np.sum(error**2, axis=0)
             sizes += np.sum(motion**2, axis=0)

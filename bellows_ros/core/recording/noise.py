@@ -7,7 +7,7 @@ from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.lie import log_so3
 from bellows_ros.core.savgol import weights
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import UndeterminedError
 import numpy as np
 from scipy.signal import lfilter
 
@@ -70,7 +70,7 @@ def noise_of(poses: Trajectory) -> Noise:
         position += W[j] * (poses.position[part] - poses.position[centres])
         rotation += W[j] * log_so3(R_centre @ poses.rotation[part])
     if not windows.any():
-        raise BellowsError(
+        raise UndeterminedError(
             f'No {2 * n + 1} valid samples in a row from which to estimate the measurement noise.'
         )
     scale = MAD_TO_STD / np.sqrt(1.0 - W[n])  # the centre is part of its own fit
@@ -104,7 +104,7 @@ def colours_of(poses: Trajectory, noise: Noise) -> tuple[Colour, Colour]:
     stride = max(round(WIDE_WINDOW * rate_hz / (2 * HALF_WINDOW)), 1)
     try:
         wide = noise_of(poses.select(slice(None, None, stride))) if stride > 1 else noise
-    except BellowsError:
+    except UndeterminedError:
         wide = noise
     times = np.array([0.0, *np.geomspace(1.0, 200.0, 24)]) / 1e3
     seen = np.array([[_seen(time * rate_hz / step) for step in (1, stride)] for time in times])

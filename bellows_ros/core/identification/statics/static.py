@@ -16,7 +16,7 @@ from bellows_ros.core.recording.noise import Noise
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.simulation import state_row
 from bellows_ros.core.trajectory import Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import UndeterminedError, UnstableError
 import numpy as np
 from scipy.special import chdtrc
 
@@ -124,7 +124,7 @@ def nominal_length(
     errors = np.array([max(still.error.position, 1e-9) for still in upright])
     different = _different([still.payload.mass for still in upright], SAME_MASS_WITHIN)
     if different < 2:
-        raise BellowsError(
+        raise UndeterminedError(
             f'The nominal length needs two different masses or more, held with the tool vertical, '
             f'but there {"is" if different == 1 else "are"} {different}. Record standstills with '
             'other known masses, and give each its own --mass.'
@@ -310,7 +310,7 @@ def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     tool = state_row(still.tool.position[0], quaternion, np.zeros(6))
     try:
         position, q, _, _ = static_equilibrium(model_tuple(cup, still.payload, gravity), tool)
-    except BellowsError as error:
+    except UnstableError as error:
         return PoseCheck(still, measured, np.full(6, np.nan), 'falls', str(error))
     there = Trajectory(
         still.package.stamps_ns, np.array([position]), quaternion_to_rotation(np.array([q]))
