@@ -42,8 +42,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     put_json(arguments.json, result.as_json(), console)
     with console.results_to_stderr(arguments.json == STDOUT):
         _say(result, console)
-        if arguments.json not in ('', STDOUT):
-            console.say(f'Wrote {arguments.json}.')
+        console.wrote(arguments.json)
     return NOT_USABLE if result.fits.matters else OK
 
 

@@ -6,7 +6,7 @@ there, and not where NO_COLOR is set or TERM is dumb. Signals that end a command
 and none divides finished work.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 import os
 import shutil
@@ -84,6 +84,19 @@ class Console:
         )
         for line in lines:
             self.say(line, style)
+
+    def wrote(self, *files: str) -> None:
+        """Name the files that were written; '' and '-' are none."""
+        for file in files:
+            if file not in ('', '-'):
+                self.say(f'Wrote {file}.')
+
+    def table(self, rows: Sequence[Sequence[str]], right: bool = False) -> None:
+        """Say rows in columns, indented; numbers to the right."""
+        from .words import aligned
+
+        for line in aligned(rows, right):
+            self.say(f'  {line}'.rstrip())
 
     def warn(self, text: str) -> None:
         """Print a warning."""

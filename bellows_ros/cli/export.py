@@ -4,7 +4,14 @@ import argparse
 from pathlib import Path
 
 from .console import Console, OK
-from .options import add_json_option, given_parameters, Output, put_json, STDOUT, THESIS_CUP
+from .options import (
+    add_json_option,
+    given_parameters,
+    Output,
+    put_json,
+    STDOUT,
+    warn_of_thesis_cup,
+)
 
 DESCRIPTION = (
     'Write a cup and its package as a model for MuJoCo (MJCF), Drake, OpenPLX or any simulator '
@@ -54,8 +61,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     content = {'format': arguments.to, 'file': arguments.out, 'not_expressed': lost}
     put_json(arguments.json, content, console)
     with console.results_to_stderr(arguments.json == STDOUT):
-        if 'cup.stiffness' not in values:
-            console.warn(THESIS_CUP)
+        warn_of_thesis_cup(values, console)
         console.say(f'Wrote {arguments.out} for {target.name}.')
         console.say('What it cannot express:')
         for sentence in lost:

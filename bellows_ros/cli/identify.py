@@ -15,7 +15,7 @@ from .options import (
     put_json,
     require_outputs,
     STDOUT,
-    THESIS_CUP,
+    warn_of_thesis_cup,
 )
 
 if TYPE_CHECKING:
@@ -152,18 +152,15 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
             write_parameters(arguments.out, result.parameters())
         put_json(str(arguments.json), result.as_json(), console)
     with console.results_to_stderr(arguments.json == STDOUT):
-        if 'cup.stiffness' not in settings:
-            console.warn(THESIS_CUP)
+        warn_of_thesis_cup(settings, console)
         _say_release(result, console)
-        for file in (arguments.out, arguments.json):
-            if file not in ('', STDOUT):
-                console.say(f'Wrote {file}.')
+        console.wrote(arguments.out, arguments.json)
     return OK
 
 
 def _say_release(result: 'ReleaseResult', console: Console) -> None:
     """Print delay, tau and impulse with their errors, and how well they repeat."""
-    from .words import aligned, listed
+    from .words import listed
 
     fit, milli = result.fit, 1e3
     rows = [('', '', 'standard error', 'scatter')]
@@ -175,8 +172,7 @@ def _say_release(result: 'ReleaseResult', console: Console) -> None:
                          '' if scatter is None else f'{milli * scatter:.2f} {unit}'))
     console.say(f'Release identified from {len(result.tosses)} tosses in {listed(result.bags)}',
                 'bold')
-    for line in aligned(rows, right=True):
-        console.say(f'  {line}'.rstrip())
+    console.table(rows, right=True)
     console.say()
     if fit.delay == fit.delay:
         console.paragraph(
@@ -314,8 +310,7 @@ def _say_files(
 ) -> None:
     """Print what was written and what comes next."""
     console.say()
-    if json_file not in ('', STDOUT):
-        console.say(f'Wrote {json_file}.')
+    console.wrote(json_file)
     if not usable:
         kept = f'{cup_file} was not written' if cup_file else 'do not use it'
         if written and cup_file:

@@ -141,8 +141,7 @@ def _noise(topic: 'TopicInfo') -> Iterator[str]:
 
 def _say_files(arguments: argparse.Namespace, console: Console) -> None:
     """Print what was written, and what to do with it."""
-    if arguments.json not in ('', STDOUT):
-        console.say(f'Wrote {arguments.json}.')
+    console.wrote(arguments.json)
     if arguments.write_params:
         console.say(f'Wrote {arguments.write_params}. Fill in the package there, then:')
         console.say(f'  bellows identify --params {arguments.write_params} --out cup.yaml')

@@ -91,6 +91,12 @@ def require_free(bag: str, force: bool) -> None:
         )
 
 
+def warn_of_thesis_cup(values: 'Mapping[str, Any]', console: 'Console') -> None:
+    """Say so where the cup is not given."""
+    if 'cup.stiffness' not in values:
+        console.warn(THESIS_CUP)
+
+
 def put_json(target: str, content: 'Mapping[str, Any]', console: 'Console') -> None:
     """Write a result where --json says: to a file, to stdout, or nowhere."""
     from bellows_ros.files.results import format_json, write_json

@@ -13,7 +13,7 @@ from .options import (
     Output,
     put_json,
     STDOUT,
-    THESIS_CUP,
+    warn_of_thesis_cup,
 )
 
 if TYPE_CHECKING:
@@ -86,8 +86,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.report:
         _write_report(result, arguments)
     with console.results_to_stderr(arguments.json == STDOUT):
-        if 'cup.stiffness' not in values:
-            console.warn(THESIS_CUP)
+        warn_of_thesis_cup(values, console)
         _say(result, limit, arguments, console)
     failing = result.validation.failing(limit)
     return NOT_USABLE if failing and arguments.limit is not None else OK
@@ -132,9 +131,7 @@ def _say(
         _say_observed(result.observed, console)
     for warning in result.warnings:
         console.warn(warning)
-    for path in (arguments.json, arguments.report):
-        if path not in ('', STDOUT):
-            console.say(f'Wrote {path}.')
+    console.wrote(arguments.json, arguments.report)
 
 
 def margin_lines(result: 'Replay') -> list[str]:

@@ -16,7 +16,7 @@ from .options import (
     put_json,
     require_free,
     STDOUT,
-    THESIS_CUP,
+    warn_of_thesis_cup,
 )
 
 if TYPE_CHECKING:
@@ -67,8 +67,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         )
     put_json(arguments.json, as_json(report), console)
     with console.results_to_stderr(arguments.json == STDOUT):
-        if 'cup.stiffness' not in values:
-            console.warn(THESIS_CUP)
+        warn_of_thesis_cup(values, console)
         _say(report, console)
     return OK
 

@@ -81,9 +81,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     put_json(arguments.json, content, console)
     with console.results_to_stderr(arguments.json == STDOUT):
         _say(result, console)
-        for file in (arguments.out, arguments.json):
-            if file not in ('', STDOUT):
-                console.say(f'Wrote {file}.')
+        console.wrote(arguments.out, arguments.json)
     return OK
 
 
@@ -117,11 +115,8 @@ def _bags(
 
 def _say(result: 'StaticResult', console: Console) -> None:
     """Print standstills, length and spring."""
-    from .words import aligned
-
     console.say('Standstills', 'bold')
-    for line in aligned(_standstill_rows(result), right=True):
-        console.say(f'  {line}')
+    console.table(_standstill_rows(result), right=True)
     console.say()
     _say_length(result, console)
     if result.spring is not None:

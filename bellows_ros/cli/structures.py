@@ -56,31 +56,25 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     put_json(arguments.json, result.as_json(), console)
     with console.results_to_stderr(arguments.json == STDOUT):
         _say(result, console)
-        if arguments.json not in ('', STDOUT):
-            console.say(f'Wrote {arguments.json}.')
+        console.wrote(arguments.json)
     return OK
 
 
 def _say(result: 'StructureAdvice', console: Console) -> None:
     """Print the excitation, the candidates and the advice."""
-    from .words import aligned
-
     excitation, selection = result.excitation, result.selection
     console.say('Excitation of the lip, relative to the tool', 'bold')
-    for line in aligned(_axis_rows(result), right=True):
-        console.say(f'  {line}')
+    console.table(_axis_rows(result), right=True)
     console.say()
     console.say('What least squares can identify', 'bold')
-    for line in aligned(_parameter_rows(result), right=True):
-        console.say(f'  {line}')
+    console.table(_parameter_rows(result), right=True)
     console.paragraph(
         f'Rank {excitation.rank} of {excitation.size}, scaled condition number '
         f'{excitation.condition_number:.3g}.'
     )
     console.say()
     console.say('Structures', 'bold')
-    for line in aligned(_candidate_rows(result), right=True):
-        console.say(f'  {line}')
+    console.table(_candidate_rows(result), right=True)
     console.paragraph(
         f'{selection.samples} samples, as good as {selection.effective_samples:.0f} '
         'independent ones.'

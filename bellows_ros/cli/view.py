@@ -12,7 +12,7 @@ from .options import (
     Output,
     put_json,
     STDOUT,
-    THESIS_CUP,
+    warn_of_thesis_cup,
 )
 
 DESCRIPTION = (
@@ -56,8 +56,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             write_view(arguments.out, shown, str(arguments.bag))
     put_json(arguments.json, shown.live.as_json(), console)
     with console.results_to_stderr(arguments.json == STDOUT):
-        if 'cup.stiffness' not in values:
-            console.warn(THESIS_CUP)
+        warn_of_thesis_cup(values, console)
         if arguments.out:
             console.say(f'Wrote {arguments.out}. Open it with:')
             console.say(f'  rerun {arguments.out}')

@@ -11,7 +11,8 @@ import importlib
 from pathlib import Path
 import re
 
-from bellows_ros.cli.commands import COMMANDS, EXIT_CODES
+from bellows_ros.cli.app import COMMANDS
+from bellows_ros.cli.console import EXIT_CODES
 from bellows_ros.core.parameters import Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
 from bellows_ros.nodes.predictor import INTERFACE
