@@ -28,7 +28,7 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
-R_FACTOR_WITHIN = 1e-3
+MOMENTS_WITHIN = 1e-3
 """How far (relative) the largest principal moment may be above the sum of the other two.
 
 The rounded figures of a thin plate's data sheet may be so.
@@ -397,7 +397,7 @@ def check_inertia(inertia: Array) -> None:
             f'No body has this package.inertia: its principal moments are {shown} kg m^2, '
             'all must be above zero. Check the order ixx, iyy, izz, ixy, ixz, iyz and the signs.'
         )
-    if moments[2] > (moments[0] + moments[1]) * (1.0 + R_FACTOR_WITHIN):
+    if moments[2] > (moments[0] + moments[1]) * (1.0 + MOMENTS_WITHIN):
         raise BellowsError(
             f'No body has this package.inertia: its principal moments are {shown} kg m^2, '
             'but the largest is at most the sum of the other two. '

@@ -100,12 +100,12 @@ def rotation_rate_change(sigma: Vector, w: Vector, d_sigma: Any, d_w: Any) -> An
 
 
 @kernel
-def slope_changes(
+def rate_changes(
     model: ModelTuple, tool: State, body: State, sigma: Vector, h: float,
-    S: Any, slopes: Any, pushes: Any, weight: float, total: Any,
+    S: Any, rates: Any, pushes: Any, weight: float, total: Any,
 ) -> None:
     """
-    Turn the changes of one stage's slopes into those of the next, and add them up.
+    Turn the changes of one stage's rates into those of the next, and add them up.
 
     Parameters
     ----------
@@ -117,13 +117,13 @@ def slope_changes(
         Time from the start of the step to this stage, s.
     S : ndarray (12, n)
         Changes at the start of the step.
-    slopes : ndarray (12, n)
+    rates : ndarray (12, n)
         In: of the stage before, of position (in axes of the start), rotation vector and twist.
         Out: of this stage.
     pushes : ndarray (6, n)
         Accelerations that come on top.
     weight : float
-        With which the slopes are added to the total.
+        With which the rates are added to the total.
     total : ndarray (12, n)
         What they are added to.
 
@@ -131,18 +131,18 @@ def slope_changes(
     by_pose, by_twist = body_jacobians(model, tool, body)
     E = rotation_matrix(exp_quaternion(sigma))
     for c in columns(S.shape[1]):
-        slope = change_at(slopes, c)
+        slope = change_at(rates, c)
         shift, turn, v, w = followed(S, c, E, sigma, h, slope)
         a, b = apply_square(by_pose, shift, turn)
         a_twist, b_twist = apply_square(by_twist, v, w)
-        write_change(slopes, c, (
+        write_change(rates, c, (
             apply(E, add(cross(turn, body[2]), v)),
             rotation_rate_change(sigma, body[3], scale(h, slope[1]), w),
             add(add(a, a_twist), (pushes[0, c], pushes[1, c], pushes[2, c])),
             add(add(b, b_twist), (pushes[3, c], pushes[4, c], pushes[5, c])),
         ))
         for i in range(12):
-            total[i, c] += weight * slopes[i, c]
+            total[i, c] += weight * rates[i, c]
 
 
 @kernel
@@ -180,10 +180,10 @@ def step_changes(
         Room to work in.
 
     """
-    slopes, total, pushes = work[0], work[1], work[2]
+    rates, total, pushes = work[0], work[1], work[2]
     first, last = parameters
     of_tool = S.shape[1] - tool_changes.shape[2]
-    slopes[:], total[:], pushes[:] = 0.0, 0.0, 0.0
+    rates[:], total[:], pushes[:] = 0.0, 0.0, 0.0
     half = 0.5 * h
     body2, body3, body4, end = stages(model, body, tool, tool_middle, tool_end, h)
     rate2 = rotation_rate(scale(half, body[3]), body2[3])
@@ -198,8 +198,8 @@ def step_changes(
                 model, tools[i], bodies[i], first, last, pushes, of_tool - (last - first))
         if tool_changes.shape[2]:
             _push(model, tools[i], bodies[i], tool_changes[(i + 1) // 2], pushes, of_tool)
-        slope_changes(
-            model, tools[i], bodies[i], sigmas[i], times[i], S, slopes, pushes, weights[i], total)
+        rate_changes(
+            model, tools[i], bodies[i], sigmas[i], times[i], S, rates, pushes, weights[i], total)
     sigma = scale(h, weighted(body[3], rate2, rate3, rate4))
     E = rotation_matrix(exp_quaternion(sigma))
     for c in columns(S.shape[1]):

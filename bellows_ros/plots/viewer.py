@@ -178,7 +178,7 @@ def _send_cup(rr: Any, recording: Any, replayed: Replayed) -> None:
     outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
     count = RINGS * SIDES
     recording.log('world/cup', rr.Mesh3D.from_fields(
-        triangle_indices=_r_factors(), albedo_factor=_rgb(COLOURS.measured)), static=True)
+        triangle_indices=_triangles(), albedo_factor=_rgb(COLOURS.measured)), static=True)
     recording.send_columns(
         'world/cup', [rr.TimeColumn(TIMELINE, duration=replayed.seconds[shown])],
         rr.Mesh3D.columns(
@@ -187,7 +187,7 @@ def _send_cup(rr: Any, recording: Any, replayed: Replayed) -> None:
     )
 
 
-def _r_factors() -> Stamps:
+def _triangles() -> Stamps:
     """Return the corners (T, 3) of the triangles between the rings."""
     ring, side = (x.ravel() for x in np.mgrid[:RINGS - 1, :SIDES - 1])
     a = ring * SIDES + side

@@ -35,7 +35,7 @@ def samples_content(recording: Recording) -> list[str]:
 def spans(
     mask: Mask, seconds: Array, step: float
 ) -> list[tuple[float, float]]:
-    """Return start and end (s) of the stretches of samples in a mask; each lasts a step."""
+    """Return start and end (s) of the runs of samples in a mask; each lasts a step."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [
         (float(seconds[first]), float(seconds[end - 1]) + step)

@@ -289,8 +289,8 @@ def test_opens_with_the_accuracy_at_a_typical_motion(
     assert done.returncode == 0, done.stderr
     said = ' '.join(done.stdout.split())
     assert said.index('the package is predicted to') < said.index('stiffness K')
-    told = json.loads((tmp_path / 'fit.json').read_text())['typical']
-    assert 0.0 < told['position_std_rms'] < told['position_std_max'] < 0.01
+    accuracy = json.loads((tmp_path / 'fit.json').read_text())['typical']
+    assert 0.0 < accuracy['position_std_rms'] < accuracy['position_std_max'] < 0.01
     page = (tmp_path / 'page.html').read_text()
     assert page.index('is predicted to') < page.index('The fit can be used.')
     before = contents(tmp_path)

@@ -61,7 +61,7 @@ def test_an_interrupt_waits_for_finished_work_to_be_written() -> None:
 def test_progress_says_how_far_and_how_long(
     fraction: float | None, elapsed: float, line: str
 ) -> None:
-    """Show a bar and the time left once it can be told."""
+    """Show a bar and the time left once it is known."""
     assert progress_line('reading', fraction, elapsed) == line
 
 

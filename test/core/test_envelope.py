@@ -98,7 +98,7 @@ def test_distance_is_one_on_the_edge():
     assert 'bending about y' in far.words
 
 
-def test_a_mass_that_is_not_known_is_not_judged():
+def test_a_mass_that_is_not_known_is_not_checked():
     known = Envelope([-0.01] * 6, [0.01] * 6, [1.0] * 6, np.zeros((2, 2)), [0.0, 0.0])
     assert distance(known, mass=2.0) == Distance(0.0, ())
     assert distance(known, [0.02] * 6, mass=2.0).value == pytest.approx(2.0)

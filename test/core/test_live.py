@@ -175,7 +175,7 @@ def test_poses_stamped_in_bursts_lose_no_more_than_their_stamps(messages, predic
     assert worst < poll * speed  # by which the tool itself moves while its stamp is wrong
 
 
-def test_tool_axes_and_world_axes_are_told_apart(messages):
+def test_tool_axes_and_world_axes_are_distinguished(messages):
     in_tool = LivePredictor(Cup.thesis(), PLATE, 9.81, twist_frame='tool')
     in_world = LivePredictor(Cup.thesis(), PLATE, 9.81)
     in_tool.expect_twists = in_world.expect_twists = True

@@ -116,7 +116,7 @@ def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
     ('cups.soft.stifness', 'cups.soft.stiffness'),
     ('filter.tol.order', 'filter.tool.order'),
 ])
-def test_a_wrong_name_is_told_the_one_that_was_meant(wrong, meant):
+def test_a_wrong_name_suggests_the_one_that_was_meant(wrong, meant):
     with pytest.raises(BellowsError, match=rf"Did you mean '{meant}'\?"):
         lookup(wrong)
 

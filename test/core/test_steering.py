@@ -114,7 +114,7 @@ def test_the_inverse_moves_the_package_as_wanted(move):
 
 
 @pytest.mark.parametrize(('order', 'smooth'), [(2, False), (3, False), (4, True), (5, True)])
-def test_four_continuous_derivatives_are_told_from_fewer(order, smooth):
+def test_four_continuous_derivatives_are_distinguished_from_fewer(order, smooth):
     move = Smooth([0.6, 0.1, 0.0], [0.0, 0.0, 0.3], 0.6)
     move.order = order
     assert is_smooth(move.plan()) == smooth

@@ -1,5 +1,5 @@
 """
-Damaged and hostile recordings: each is an error that can be told, or a loss that is counted.
+Damaged and hostile recordings: each is an error that can be named, or a loss that is counted.
 
 Nothing here may end in another exception, take long, or fill the memory.
 """

@@ -147,7 +147,7 @@ def test_measured_markers_tell_where_there_is_no_quality(tmp_path: Path) -> None
     assert (tool.unseen, len(tool.stamps_ns)) == (1, 1)
 
 
-def test_a_spreadsheet_with_semicolons_is_told_so(tmp_path: Path) -> None:
+def test_a_spreadsheet_with_semicolons_is_named(tmp_path: Path) -> None:
     """Ask for the file that Motive has written."""
     file = export(tmp_path / 'take.csv')
     file.write_text(file.read_text().replace(',', ';'))

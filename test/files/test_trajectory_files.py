@@ -70,7 +70,7 @@ KITTI = '0.8 -0.6 0 1\n 0.6 0.8 0 2 0 0 1 3\n'.replace('\n', ' ') + '\n1 0 0 4 0
 
 
 def test_kitti_takes_its_times_from_beside(tmp_path: Path) -> None:
-    """Read rows of matrices, told from TUM by their count; both names of the times."""
+    """Read rows of matrices, distinguished from TUM by their count; both names of the times."""
     (tmp_path / '00.txt').write_text(KITTI)
     (tmp_path / 'times.txt').write_text('0.0\n1.5e-1\n')
     stamps, values = read_trajectory(tmp_path / '00.txt')

@@ -142,7 +142,7 @@ def test_run_with_namespace_and_remaps(number: int, user: User) -> None:
 @pytest.mark.parametrize('number', [
     signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.stress)])
 def test_waits_for_its_manager_and_ends_from_any_state(number: int, user: User) -> None:
-    """Do nothing before it is told to; end in order from there."""
+    """Do nothing before it is asked to; end in order from there."""
     from lifecycle_msgs.msg import Transition
 
     user.start('-p', 'autostart:=false')

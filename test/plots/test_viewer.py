@@ -74,9 +74,9 @@ def test_the_cup_is_drawn_sixty_times_a_second(replayed: Any, tmp_path: Path) ->
     found = read(tmp_path / 'a.rrd')
     corners = found['/world/cup', 'Mesh3D:vertex_positions']
     assert [len(x) for x in corners.to_pylist()] == [RINGS * SIDES] * (COUNT // 2)
-    (r_factors,) = found['/world/cup', 'Mesh3D:triangle_indices'].to_pylist()
-    assert len(r_factors) == 2 * (RINGS - 1) * (SIDES - 1)
-    assert np.max(r_factors) == RINGS * SIDES - 1
+    (triangles,) = found['/world/cup', 'Mesh3D:triangle_indices'].to_pylist()
+    assert len(triangles) == 2 * (RINGS - 1) * (SIDES - 1)
+    assert np.max(triangles) == RINGS * SIDES - 1
 
 
 def test_a_bellows_begins_at_the_tool_and_ends_at_the_lip() -> None:

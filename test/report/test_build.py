@@ -147,7 +147,7 @@ def test_a_cup_that_cannot_be_simulated_still_has_its_page(content, result):
     assert 'cannot be simulated' in html
 
 
-def test_parameters_that_are_not_told_are_named(content, result):
+def test_parameters_that_are_not_identifiable_are_named(content, result):
     """Show no interval where there is none."""
     std = [row[:] for row in content['damping_std']]
     std[2][2] = None

@@ -4,7 +4,7 @@ Damage files, kill writers and fill disks, and say how it ended.
     python -m test.stress [--minutes 60] [--seed 1] [--only ROUND ...]
 
 Ends with 1 on any traceback, hang, number that is not finite, or change that a checksum shows and
-nobody told. A failure names the options that make it again.
+nobody reported. A failure names the options that make it again.
 """
 
 import argparse

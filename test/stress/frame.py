@@ -3,7 +3,7 @@ What all rounds have in common: attempts that are counted, timed and judged.
 
 A round is a generator: it takes a random generator and an empty folder, and yields the outcome of
 each attempt. An exception other than what an attempt expects, an attempt that takes too long, and
-whatever a round raises as `Failed` is a failure, which is told with what makes it again.
+whatever a round raises as `Failed` is a failure, which is reported with what makes it again.
 """
 
 from collections import Counter
@@ -20,7 +20,7 @@ import traceback
 import numpy as np
 
 REFUSED, CLEAN, COUNTED, SILENT = 'refused', 'clean', 'counted', 'silent'
-"""Refused with a message; as if undamaged; with a loss that is told; changed without a word."""
+"""Refused with a message; as if undamaged; with a loss reported; changed without a word."""
 
 OUTCOMES = (REFUSED, CLEAN, COUNTED, SILENT)
 

@@ -1,4 +1,4 @@
-"""Damaged and hostile files of every reader: refused, read as if sound, or with the loss told."""
+"""Damaged and hostile files of every reader: refused, read as if sound, or the loss reported."""
 
 from collections.abc import Callable, Iterator
 import json
@@ -90,7 +90,7 @@ def judged(bag: Path, good: Contents, summed: bool) -> str:
     if all(same(found.streams[role], good.streams[role]) for role in ROLES):
         return CLEAN
     if summed:
-        raise Failed('a change that the checksums show was not told')
+        raise Failed('a change that the checksums show was not reported')
     return SILENT
 
 

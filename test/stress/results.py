@@ -97,7 +97,7 @@ def summaries(rng: np.random.Generator, folder: Path) -> Iterator[str]:
             raise Failed('a cup that is not finite can be used')
         same = np.array_equal(figures(found), good, equal_nan=True)
         if stored and not same:
-            raise Failed('a change that the checksums show was not told')
+            raise Failed('a change that the checksums show was not reported')
         yield CLEAN if same else SILENT
 
 

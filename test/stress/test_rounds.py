@@ -31,7 +31,7 @@ def hanging(rng, folder):
 
 
 @pytest.mark.parametrize('run, reason', [(failing, 'of this kind'), (hanging, 'TookTooLong')])
-def test_a_failure_is_told_with_what_makes_it_again(run, reason):
+def test_a_failure_names_what_makes_it_again(run, reason):
     tally = Tally()
     turn('bad', Round(run, patience=0.2), (7, 3), tally, time.monotonic() + 60.0)
     assert tally.tried == 2 and tally.outcomes == {CLEAN: 1}

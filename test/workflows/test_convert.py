@@ -53,7 +53,7 @@ def test_tum_to_bag_to_tum_changes_nothing(tmp_path: Path) -> None:
     np.testing.assert_allclose(values, VALUES, rtol=1e-8, atol=1e-12)
 
 
-def test_euroc_is_told_from_motive(tmp_path: Path) -> None:
+def test_euroc_is_distinguished_from_motive(tmp_path: Path) -> None:
     """Look into a .csv, not at its name."""
     (tmp_path / 'data.csv').write_text('#t\n1000000000,1,2,3,1,0,0,0\n2000000000,1,2,3,1,0,0,0\n')
     to_bag([tmp_path / 'data.csv'], tmp_path / 'bag')

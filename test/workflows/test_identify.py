@@ -486,7 +486,7 @@ def test_what_is_not_identifiable_is_infinite_everywhere(shipped, sideways, tmp_
 
 
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: the fit takes minutes')
-def test_prediction_error_is_told_what_nothing_tells(shipped, sideways):
+def test_prediction_error_names_what_is_not_identifiable(shipped, sideways):
     result = identify(
         {**shipped[0].values, 'bags': [sideways], 'fit.method': 'prediction_error'})
     assert np.isinf(result.fit.stiffness_std[5, 5]) and np.isinf(result.fit.damping_std[5, 5])

@@ -359,12 +359,12 @@ def test_summaries_mean_least_squares_and_say_so_once(settings, tmp_path):
     other = {**settings, 'bags': settings['bags'][1:], 'fit.method': 'prediction_error'}
     file = tmp_path / 'one.npz'
     write_summary(other, file)
-    quiet, told = identify_summaries([file]), identify_summaries(
+    quiet, noted = identify_summaries([file]), identify_summaries(
         [file], {'fit.method': 'prediction_error'})
-    assert_same(told.fit, quiet.fit)
-    assert quiet.fit.method == told.values['fit.method'] == 'least_squares'
-    said = [text for text in told.warnings if 'by least squares' in text]
-    assert len(said) == 1 and set(told.warnings) - set(said) == set(quiet.warnings)
+    assert_same(noted.fit, quiet.fit)
+    assert quiet.fit.method == noted.values['fit.method'] == 'least_squares'
+    said = [text for text in noted.warnings if 'by least squares' in text]
+    assert len(said) == 1 and set(noted.warnings) - set(said) == set(quiet.warnings)
 
 
 def test_summaries_of_two_structures_are_refused(settings, tmp_path):
@@ -459,7 +459,7 @@ def test_a_length_that_is_not_given_is_said(settings, tmp_path):
     assert any('cup.length is not set' in warning for warning in warnings)
 
 
-def test_time_offsets_are_told_as_with_one_fit(settings, one_fit):
+def test_time_offsets_are_those_of_one_fit(settings, one_fit):
     """Tell the offset of each recording, here of one clock."""
     fit = identify({**settings, 'fit.time_offset': True}).fit
     assert len(fit.delays) == len(NAMES)

@@ -31,7 +31,7 @@ def plan(root, found):
 def test_is_the_spread_of_predictions_with_drawn_cups(found, plan):
     """Draw K and P with their correlations, and simulate plainly."""
     path, source = plan
-    told = typical(path, source, found)
+    accuracy = typical(path, source, found)
     fit, structure = found.fit, structure_named(found.fit.structure)
     x = structure.parameters(fit.stiffness, fit.damping)
     package, rng = package_of(found.cup_values()), np.random.default_rng(3)
@@ -41,9 +41,9 @@ def test_is_the_spread_of_predictions_with_drawn_cups(found, plan):
         for each in draws])
     spread = np.sqrt(np.var(positions, axis=0).sum(axis=1))
     # of 150 draws of mainly one number a standard deviation is known to 6 %
-    assert_allclose(told.position[0], np.sqrt(np.mean(spread**2)), rtol=0.15)
-    assert_allclose(told.position[1], spread.max(), rtol=0.2)
-    assert sum(told.shares.values()) == pytest.approx(1.0)
+    assert_allclose(accuracy.position[0], np.sqrt(np.mean(spread**2)), rtol=0.15)
+    assert_allclose(accuracy.position[1], spread.max(), rtol=0.2)
+    assert sum(accuracy.shares.values()) == pytest.approx(1.0)
 
 
 def test_says_what_to_record_again(found, plan):
@@ -54,9 +54,9 @@ def test_says_what_to_record_again(found, plan):
     covariance[i], covariance[:, i] = 0.0, 0.0
     covariance[i, i] = np.inf
     less = replace(found, fit=replace(fit, covariance=covariance))
-    told, before = typical(*plan, less), typical(*plan, found)
-    assert told.unknown == ('K rx',) and next(iter(told.shares)) == 'K rx'
-    assert told.position[0] > 20.0 * before.position[0]
-    assert 'record tilts of the tool at 1 to 4 Hz again' in told.sentence
-    assert 'counted with 100 %: K rx.' in told.sentence
+    accuracy, before = typical(*plan, less), typical(*plan, found)
+    assert accuracy.unknown == ('K rx',) and next(iter(accuracy.shares)) == 'K rx'
+    assert accuracy.position[0] > 20.0 * before.position[0]
+    assert 'record tilts of the tool at 1 to 4 Hz again' in accuracy.sentence
+    assert 'counted with 100 %: K rx.' in accuracy.sentence
     assert f'{1e3 * before.position[0]:.2g} mm' in before.as_json()['sentence']

@@ -322,7 +322,7 @@ def _direction(displacement: Array, stiffness: Array) -> str:
 
 
 def _spread(jacobian: Array, covariance: Array) -> Array:
-    """Return the covariance of what has these slopes (m, n) by parameters; inf stays infinite."""
+    """Return the covariance of what has this Jacobian (m, n) by parameters; inf stays infinite."""
     known = np.isfinite(np.diag(covariance))
     inner = np.where(np.outer(known, known), covariance, 0.0)
     result = jacobian @ inner @ jacobian.T

@@ -2,8 +2,8 @@
 The equations of identification: the wrench of the cup is the one that the motion needs.
 
 At the lip L x = c for every sample, with x the parameters of K and P (4.66-4.68). They are
-weighted by the wrenches' covariance, reduced to R factors, small triangles with the same inner
-products, and solved as far as they go. A parameter that has a part in a direction which is not
+weighted by the wrenches' covariance, reduced to R factors, which have the same inner products,
+and solved as far as they go. A parameter that has a part in a direction which is not
 known at all has an infinite variance and no covariances; the information about it is zero.
 """
 
@@ -308,7 +308,7 @@ def without(covariance: Array, unknown: Mask) -> Array:
 
 
 QR_ROWS = 512
-"""Rows that are reduced to a triangle at a time: they stay in the processor's cache."""
+"""Rows that are reduced to an R factor at a time: they stay in the processor's cache."""
 
 
 def r_factor(parts: Iterable[Array], columns: int) -> Array:
@@ -323,7 +323,7 @@ def r_factor_of(rows: Array) -> Array:
     """Return R (q, q) of the QR factorisation of rows (N, q), N at least q."""
     whole = len(rows) // QR_ROWS * QR_ROWS
     size = rows.shape[1]
-    # Triangles of small parts, then of these: four times faster than at once.
+    # R factors of small parts, then of these: four times faster than at once.
     parts = np.asarray(np.linalg.qr(rows[:whole].reshape(-1, QR_ROWS, size), mode='r'))
     left = np.concatenate([parts.reshape(-1, size), rows[whole:]])
     return np.asarray(np.linalg.qr(left, mode='r'))

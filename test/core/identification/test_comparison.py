@@ -51,7 +51,7 @@ def test_standard_errors_and_probability_of_one_change():
     assert unknown.standard_errors == 0.0 and not unknown.significant
 
 
-def test_parameters_together_are_judged_by_chi_squared():
+def test_parameters_together_are_tested_by_chi_squared():
     """Add the squares of independent changes."""
     found = compare_fits(fitted(), fitted(changed(K, 2, 1.02), changed(P, 5, 1.03)), PACKAGE, G)
     squares = 0.02**2 / (0.01**2 * (1 + 1.02**2)) + 0.03**2 / (0.01**2 * (1 + 1.03**2))

@@ -59,7 +59,7 @@ def test_axes_are_described_as_they_move(rich):
     assert_allclose(relative_spectra(samples, L0).twist.peak[5], 1.9, atol=0.5)
 
 
-def test_missing_torsion_is_told_in_plain_words():
+def test_missing_torsion_is_said_in_plain_words():
     recording = simulated.record(
         simulated.shake(axes=(0, 2)), tool=(1e-4, 5e-4), package=(1e-4, 5e-4))
     _, found = described(recording)

@@ -31,7 +31,7 @@ def noises_of(recording):
 
 
 def errors(recording, filtering, valid=None, model=MODEL):
-    """Return the innovations of a stretch from its first measured pose on."""
+    """Return the innovations of a segment from its first measured pose on."""
     package = recording.package
     poses = np.hstack([package.position, rotation_to_quaternion(package.rotation)])
     durations = np.diff(package.stamps_ns) * 1e-9
@@ -44,7 +44,7 @@ def errors(recording, filtering, valid=None, model=MODEL):
 
 
 @pytest.mark.parametrize('tool_noise', [(0.0, 0.0), (1e-4, 5e-4)])
-def test_white_and_of_the_told_covariance_at_the_truth(tool_noise):
+def test_white_and_of_the_expected_covariance_at_the_truth(tool_noise):
     (recording,) = segments(11, 20.0, tool_noise=tool_noise)
     filtering = observer(
         MODEL, LEVEL, REST, 0.004, 0.004, *noises_of(recording))

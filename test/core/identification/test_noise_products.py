@@ -67,7 +67,7 @@ def test_exact_recordings_have_no_bias():
     assert_allclose(fit.covariance, plain.covariance, rtol=1e-3)
 
 
-def test_a_full_structure_is_told_its_bias():
+def test_the_bias_of_a_full_structure_is_known():
     full = STRUCTURES['full']
     fit, samples, products = fitted((1e-4, 5e-4), 1, full)
     plain = simulated.least_squares([samples], L0, full)

@@ -89,7 +89,7 @@ def test_clock_set_back_is_believed_in_time(period_ns, offset_ns):
 
 
 @SPEEDS
-def test_clock_set_forward_is_told_from_one_stamp_in_the_future(period_ns):
+def test_clock_set_forward_is_distinguished_from_one_stamp_in_the_future(period_ns):
     driver = Driver(period_ns=period_ns)
     driver.send(100)
     verdicts = driver.send(30, offset_ns=10**10)

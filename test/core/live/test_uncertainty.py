@@ -122,7 +122,7 @@ def test_exact_knowledge_has_no_covariance():
 
 
 def test_an_entry_that_nobody_knows_is_no_more_uncertain_than_it_is_large():
-    """A cup file says 1e9 where an identification was told nothing."""
+    """A cup file says 1e9 for what is not identifiable."""
     unknown = np.diag([1.0, 1.0, 1.0, 1e9, 1e9, 1e9])
     whole = np.diag([1.0, 1.0, 1.0, *np.diag(THESIS.stiffness)[3:]])
     live, out = predict()
@@ -150,7 +150,7 @@ def test_a_package_that_hangs_from_a_tool_that_points_down_has_a_covariance():
 
 
 @pytest.mark.filterwarnings('error')
-def test_a_covariance_that_cannot_be_told_says_so_and_comes_back():
+def test_a_covariance_that_is_not_known_says_so_and_comes_back():
     live, out = predict()
     uncertainty = Uncertainty(live.model, values(0.1 * THESIS.stiffness, position=1e-4))
     upside_down = out[0].tool[0], (1.0, 0.0, 0.0, 0.0), *out[0].tool[2:]

@@ -136,7 +136,7 @@ def test_an_excursion_within_an_excursion_is_marked_as_a_whole():
     assert found.steps == ()
 
 
-def test_an_excursion_after_a_step_is_told_from_it():
+def test_an_excursion_after_a_step_is_distinguished_from_it():
     rng = np.random.default_rng(18)
     poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
     poses = displaced(poses, slice(3000, None), np.array([0.05, 0, 0]), np.zeros(3), False)

@@ -115,7 +115,7 @@ def test_no_more_are_lost_than_are_wrong_or_live():
         assert lost <= max(wrong + len(faults), live(stamps, arrivals))
 
 
-def test_sound_stamps_need_no_judging(monkeypatch):
+def test_sound_stamps_need_no_screening(monkeypatch):
     monkeypatch.setattr(StampScreen, 'judge_stamp', None)
     stamps, arrivals = sent()
     assert_array_equal(list(unusable_stamps(stamps, arrivals).values()), False)

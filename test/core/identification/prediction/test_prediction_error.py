@@ -67,7 +67,7 @@ def test_starts_half_off_end_at_the_same_optimum(exact_tool, seed):
     assert_allclose(np.diag(fit.damping), np.diag(reference.damping), rtol=1e-3)
 
 
-def test_errors_are_of_the_size_that_is_told(exact_tool):
+def test_errors_are_of_the_size_of_their_standard_errors(exact_tool):
     _, fit = exact_tool
     for found, std, true in (
             (fit.stiffness, fit.stiffness_std, TRUTH.stiffness),
@@ -77,12 +77,12 @@ def test_errors_are_of_the_size_that_is_told(exact_tool):
         assert np.all(np.diag(std) > 0.0)
 
 
-def test_iterations_are_told_and_kept(exact_tool):
+def test_iterations_are_reported_and_kept(exact_tool):
     recordings, reference = exact_tool
-    told = []
-    fit = prediction_error(recordings, AXISYMMETRIC, TRUTH, told.append)
-    assert tuple(told) == fit.iterations
-    assert [i.number for i in told] == list(range(len(told)))
+    reported = []
+    fit = prediction_error(recordings, AXISYMMETRIC, TRUTH, reported.append)
+    assert tuple(reported) == fit.iterations
+    assert [i.number for i in reported] == list(range(len(reported)))
     assert_allclose(fit.stiffness, reference.stiffness, rtol=0, atol=0)  # and bit for bit again
     assert_allclose(fit.covariance, reference.covariance, rtol=0, atol=0)
 

@@ -163,9 +163,9 @@ def test_a_wrong_mass_is_noticed(count):
     assert found.freedom == 1 and np.isfinite(found.length_std)
     assert abs(found.length - 0.0481) < 1e-7
     assert not any('off the polynomial' in warning for warning in found.warnings)
-    told = masses * np.where(np.arange(count) == 1, 1.03, 1.0)
+    given = masses * np.where(np.arange(count) == 1, 1.03, 1.0)
     wrong = nominal_length(
-        [upright(x, m, error=2e-6) for x, m in zip(lengths, told, strict=True)], G)
+        [upright(x, m, error=2e-6) for x, m in zip(lengths, given, strict=True)], G)
     assert any('off the polynomial' in warning for warning in wrong.warnings)
     assert abs(wrong.length - 0.0481) < 3.0 * wrong.length_std
 

@@ -61,10 +61,10 @@ def test_errors_of_the_equations_have_unit_variance():
 
 @pytest.mark.parametrize('wrong', [0.7, 1.5])
 def test_a_wrong_guess_leads_to_the_truth_in_a_few_rounds(wrong):
-    holds = resting(1, {}, hold=6.0)
+    standstills = resting(1, {}, hold=6.0)
     K = wrong * simulated.CUP.stiffness
     for _ in range(6):
-        A, b = rows(holds, stiffness=K)
+        A, b = rows(standstills, stiffness=K)
         k = np.linalg.lstsq(A, b, rcond=None)[0]
         K = ROUND.matrices(np.concatenate([k[:3], TRUTH[3:4], TRUTH[4:]]))[0]
     assert_allclose(k[:3], TRUTH[:3], rtol=1e-3)
@@ -78,11 +78,11 @@ def test_torsion_without_load_is_not_identifiable_by_its_noise():
 
 def test_an_uncertain_length_makes_the_axial_stiffness_uncertain():
     """Without it the axial stretch m g / k is known; with it only its error over the stretch."""
-    holds = resting(3)
+    standstills = resting(3)
     exact, uncertain = (
-        np.sqrt(np.diag(covariance_of((A := rows(holds, length_std=std)[0]).T @ A)))
+        np.sqrt(np.diag(covariance_of((A := rows(standstills, length_std=std)[0]).T @ A)))
         for std in (0.0, 1e-4))
-    # All holds are of one mass: the error of l0 is that of the stretch, which tilting by 0.3
+    # All standstills are of one mass: the error of l0 is that of the stretch, which tilting by 0.3
     # hardly changes.
     segment = simulated.HELD.mass * G / TRUTH[1]
     assert_allclose(uncertain[1] / TRUTH[1], 1e-4 / segment, rtol=0.25)
