@@ -9,8 +9,8 @@ from bellows_ros.core.identification import variations
 from bellows_ros.core.identification.equations import IN_NULL_SPACE
 from bellows_ros.core.identification.objective import (
     DRAWS,
-    Evidence,
-    evidence_of,
+    Ensemble,
+    ensemble_of,
     Objective,
     Solved,
 )
@@ -97,7 +97,7 @@ def varied(blocks: Sequence[Block], theta: Array) -> Callable[[Sequence[Given]],
 
 
 def refine(
-    objective: Objective, evidence: Evidence, blocks: Sequence[Block], start: Array | None = None,
+    objective: Objective, ensemble: Ensemble, blocks: Sequence[Block], start: Array | None = None,
     rounds: int = ROUNDS,
 ) -> Refined:
     """
@@ -105,15 +105,15 @@ def refine(
 
     They are looked for from a start, or from 0 and values on a raster where none is given.
     """
-    count = len(evidence.given)
+    count = len(ensemble.given)
     steps = np.concatenate([np.tile(b.steps, b.size(count) // len(b.steps)) for b in blocks])
     far = np.concatenate([np.full(b.size(count), b.furthest) for b in blocks]) * steps
 
     def at(theta: Array) -> Solved:
         """Return what is left at some numbers."""
-        return objective.solved(evidence.varied(varied(blocks, theta)))
+        return objective.solved(ensemble.varied(varied(blocks, theta)))
 
-    theta = _on_raster(objective, evidence, blocks, len(steps)) if start is None else start
+    theta = _on_raster(objective, ensemble, blocks, len(steps)) if start is None else start
     here = at(theta)
     for _ in range(rounds):
         gradient, D = _derivatives(at, theta, here, steps)
@@ -134,11 +134,11 @@ def refine(
 
 
 def _on_raster(
-    objective: Objective, evidence: Evidence, blocks: Sequence[Block], size: int
+    objective: Objective, ensemble: Ensemble, blocks: Sequence[Block], size: int
 ) -> Array:
     """Return the numbers (size,) on the rasters of blocks that explain most, 0 without any."""
-    theta, first, count = np.zeros(size), 0, len(evidence.given)
-    quiet = Evidence(evidence.given, ())
+    theta, first, count = np.zeros(size), 0, len(ensemble.given)
+    quiet = Ensemble(ensemble.given, ())
     least = objective.solved(quiet).excess
     for block in blocks:
         for place in range(first, first + block.size(count), len(block.steps)):
@@ -267,17 +267,17 @@ def refined_preparation(
     """
     names = [*(['time_offset'] if offset else []), *(['package_world'] if world else []),
              *(['grip'] if world and recording.settings.align_at_rest else [])]
-    evidence = evidence_of([recording], length, structure, 0 if rough else DRAWS)
-    if evidence.seconds < FEWEST_SECONDS:
+    ensemble = ensemble_of([recording], length, structure, 0 if rough else DRAWS)
+    if ensemble.seconds < FEWEST_SECONDS:
         return Found(None, np.zeros(6), np.zeros(3), None, None)
     body = recording.package
     middle = body.position[body.valid].mean(axis=0)
-    objective = Objective.of(evidence)
-    found = refine(objective, evidence, [BLOCKS[name] for name in names])
+    objective = Objective.of(ensemble)
+    found = refine(objective, ensemble, [BLOCKS[name] for name in names])
     theta, std = found.theta, found.std
     taken = None
     if offset:
-        fallen = found.solved.excess < FALLS * objective.solved(evidence).excess
+        fallen = found.solved.excess < FALLS * objective.solved(ensemble).excess
         taken = _offset(float(theta[0]), float(std[0]), fallen)
         theta, std = theta[1:], std[1:]
     if not world:

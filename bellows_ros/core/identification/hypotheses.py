@@ -12,7 +12,7 @@ from typing import NamedTuple
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification import variations
 from bellows_ros.core.identification.free import Block, BLOCKS, FEWEST_SECONDS, refine, ROUNDS
-from bellows_ros.core.identification.objective import Evidence, evidence_of, Objective, Solved
+from bellows_ros.core.identification.objective import Ensemble, ensemble_of, Objective, Solved
 from bellows_ros.core.identification.variations import Given, Variation
 from bellows_ros.core.model import Package
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
@@ -140,7 +140,7 @@ def hypotheses(given: Given, world: str) -> Iterator[Hypothesis]:
     K and P scaled with mass and inertia make the same motion. So another mass is the same as
     another inertia, and only that is tried.
     """
-    enough = Evidence((given,), ()).seconds > FEWEST_SECONDS
+    enough = Ensemble((given,), ()).seconds > FEWEST_SECONDS
     for name in (*(('time_offset',) if enough else ()), 'com', 'length', 'package_world'):
         block = BLOCKS[name]._replace(each=False)
         yield Hypothesis(name, block.vary, len(block.steps), block=block)
@@ -207,20 +207,20 @@ def diagnose(
     for own in recordings:
         if absurd := _absurd(own.payload):
             return Diagnosis(np.inf, (absurd,))
-    evidence = evidence_of(recordings, length, structure)
-    objective = Objective.of(evidence)
-    before = objective.solved(evidence)
+    ensemble = ensemble_of(recordings, length, structure)
+    objective = Objective.of(ensemble)
+    before = objective.solved(ensemble)
     if before.excess < TRIED:
         return Diagnosis(before.excess, ())
-    quiet = Evidence(evidence.given, ())
+    quiet = Ensemble(ensemble.given, ())
     level = objective.solved(quiet).excess - before.excess
     tried = sorted((_tried(h, objective, quiet, rounds=ROUGHLY, level=level)
-                    for h in hypotheses(evidence.given[0], recordings[0].settings.world)),
+                    for h in hypotheses(ensemble.given[0], recordings[0].settings.world)),
                    key=_mark)
     # With weights as they are where the best of them is true.
-    objective = Objective.of(evidence.varied(tried[0].vary), sound=True)
-    before = objective.solved(evidence)
-    tried = sorted((_tried(trial.hypothesis, objective, evidence, trial.theta)
+    objective = Objective.of(ensemble.varied(tried[0].vary), sound=True)
+    before = objective.solved(ensemble)
+    tried = sorted((_tried(trial.hypothesis, objective, ensemble, trial.theta)
                     for number, trial in enumerate(tried[:AGAIN])
                     if number < SHOWN or _mark(trial) < NEAR * _mark(tried[0])), key=_mark)
     labels = known or structure.labels
@@ -253,15 +253,15 @@ class _Trial(NamedTuple):
 
 
 def _tried(
-    hypothesis: Hypothesis, objective: Objective, evidence: Evidence, start: Array | None = None,
+    hypothesis: Hypothesis, objective: Objective, ensemble: Ensemble, start: Array | None = None,
     rounds: int = ROUNDS, level: float = 0.0,
 ) -> _Trial:
     """Return a hypothesis with the numbers that explain most, less a level of noise."""
     if hypothesis.block is not None:
-        found = refine(objective, evidence, [hypothesis.block], start, rounds)
+        found = refine(objective, ensemble, [hypothesis.block], start, rounds)
         found = found._replace(solved=found.solved._replace(excess=found.solved.excess - level))
         return _Trial(hypothesis, found.theta, found.std, found.solved)
-    solved = objective.solved(evidence.varied(
+    solved = objective.solved(ensemble.varied(
         lambda given: [hypothesis.vary(own, np.empty(0)) for own in given]))
     solved = solved._replace(excess=solved.excess - level)
     return _Trial(hypothesis, np.empty(0), np.empty(0), solved)

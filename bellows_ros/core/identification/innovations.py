@@ -162,7 +162,7 @@ def _one_step(
 
 
 @kernel
-def moved(state: State, change: Change) -> State:
+def corrected(state: State, change: Change) -> State:
     """Return a state moved and turned along its own axes, with its twist changed."""
     o, q, _, _ = displaced(state, change[0], change[1])
     return o, q, add(state[2], change[2]), add(state[3], change[3])
@@ -269,7 +269,7 @@ def _innovations(
             later = row_state(tool[k + 1])
             body = advance(model, body, now, later, durations[k], substeps[k])
             now = later
-            body = moved(body, correction(gain, recent))
+            body = corrected(body, correction(gain, recent))
 
 
 @kernel

@@ -67,7 +67,7 @@ Vary = Callable[[Sequence[Given]], Sequence[Given]]
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class Ensemble:
     """
     Recordings, and the same with noise once more.
 
@@ -90,14 +90,14 @@ class Evidence:
             float(np.count_nonzero(inner.valid)) * float(np.median(np.diff(inner.tool.stamps_ns)))
             / NS_PER_S for inner in (time_offset(own, np.zeros(1)).samples for own in self.given))
 
-    def varied(self, vary: Vary) -> 'Evidence':
+    def varied(self, vary: Vary) -> 'Ensemble':
         """Return them with what was given varied."""
-        return Evidence(tuple(vary(self.given)), tuple(tuple(vary(own)) for own in self.noisier))
+        return Ensemble(tuple(vary(self.given)), tuple(tuple(vary(own)) for own in self.noisier))
 
 
-def evidence_of(
+def ensemble_of(
     recordings: Sequence[Recording], length: float, structure: Structure, count: int = DRAWS
-) -> Evidence:
+) -> Ensemble:
     """Return recordings and the same with noise once more, thinned."""
     def given(recording: Recording) -> Given:
         settings, samples = recording.settings, samples_of(recording)
@@ -109,7 +109,7 @@ def evidence_of(
         return Given(replace(some, package=body), length, structure,
                      settings.package_frame == 'lip', settings.align_at_rest)
 
-    return Evidence(
+    return Ensemble(
         tuple(map(given, recordings)),
         tuple(tuple(given(_noisier(own, draw)) for own in recordings) for draw in draws(count)))
 
@@ -200,28 +200,28 @@ class Objective:
     weight: Array
 
     @classmethod
-    def of(cls, evidence: Evidence, sound: bool = False) -> 'Objective':
+    def of(cls, ensemble: Ensemble, sound: bool = False) -> 'Objective':
         """
         Return the objective whose weights come from noise, and a small part of the wrench.
 
         Noise in the cup's wrench grows with K and P. These may be absurd where what was given is
         wrong; unless it is sound, they count up to a multiple of those of the thesis' cup.
         """
-        parts = [equations(given) for given in evidence.given]
+        parts = [equations(given) for given in ensemble.given]
         wrench = np.concatenate([own[:, :, -1] for own in parts])
-        structure = evidence.given[0].structure
+        structure = ensemble.given[0].structure
         spread = np.diag(regular(Moments.of(wrench).covariance(structure)))
         first = cls(1.0 / np.sqrt(spread))
-        x = first.solved(evidence).x
+        x = first.solved(ensemble).x
         if not sound:
             most = LARGEST_CUP * structure.parameters(
                 np.diag(THESIS_STIFFNESS), np.diag(THESIS_DAMPING))
             x = np.clip(x[:len(most)], -most, most)
         noise = np.zeros(6)
-        for draw in evidence.noisier:
+        for draw in ensemble.noisier:
             added = np.concatenate(
                 [equations(n) - own for n, own in zip(draw, parts, strict=True)])
-            noise += np.mean((added @ np.append(x, -1.0)) ** 2, axis=0) / len(evidence.noisier)
+            noise += np.mean((added @ np.append(x, -1.0)) ** 2, axis=0) / len(ensemble.noisier)
         return cls(1.0 / np.sqrt(noise + FLOOR**2 * spread))
 
     def rows(self, given: Sequence[Given]) -> Rows:
@@ -236,18 +236,18 @@ class Objective:
             b.append(rows[:, :, -1].ravel())
         return Rows(np.concatenate(A), np.concatenate(b), clusters)
 
-    def solved(self, evidence: Evidence) -> 'Solved':
+    def solved(self, ensemble: Ensemble) -> 'Solved':
         """Return the cup that explains most, and what it leaves."""
-        rows = self.rows(evidence.given)
+        rows = self.rows(ensemble.given)
         full = np.column_stack([rows.A, rows.b])
         scale = np.linalg.norm(full, axis=0)
         scale = np.where(scale > 0.0, scale, 1.0)
         full = full / scale
         noise = np.zeros((full.shape[1],) * 2)
-        for draw in evidence.noisier:
+        for draw in ensemble.noisier:
             there = self.rows(draw)
             added = np.column_stack([there.A, there.b]) / scale - full
-            noise += added.T @ added / len(evidence.noisier)
+            noise += added.T @ added / len(ensemble.noisier)
         U, s, Vt = np.linalg.svd(full[:, :-1], full_matrices=False)
         known = s > SMALLEST * s[0]
         root = Vt[known].T / s[known]

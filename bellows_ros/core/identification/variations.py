@@ -133,7 +133,7 @@ def yaw(angle: float, of_tool: bool) -> Variation:
         """Return it with a body turned."""
         if not of_tool:
             return _body_moved(given, phi, np.zeros(3), about_lip=True)
-        return _with(given, tool=_moved(given.samples.tool, phi, np.zeros(3)))
+        return _with(given, tool=_of_fixed_frame(given.samples.tool, phi, np.zeros(3)))
     return turned
 
 
@@ -178,10 +178,10 @@ def _body_moved(given: Given, phi: Array, way: Array, about_lip: bool = False) -
     if about_lip:  # B = S + R com
         com = given.samples.payload.com
         way = exp_so3(phi) @ com - com
-    return _with(given, package=_moved(given.samples.package, phi, way))
+    return _with(given, package=_of_fixed_frame(given.samples.package, phi, way))
 
 
-def _moved(body: Trajectory, phi: Array, way: Array) -> Trajectory:
+def _of_fixed_frame(body: Trajectory, phi: Array, way: Array) -> Trajectory:
     """Return the motion of a frame that is fixed in a body, by its pose there."""
     R = exp_so3(phi)
     X = adjoint(inverse_transform(transform(R, way)))

@@ -82,14 +82,14 @@ class FilteredStreams:
         """Return them with the stamps of the tool earlier by an offset."""
         (tool, package, twist), shift = self.recorded, round(offset.value * NS_PER_S)
 
-        def moved(stamped: Any) -> Any:
+        def earlier(stamped: Any) -> Any:
             """Return the same at earlier stamps."""
             return stamped and replace(stamped, stamps_ns=stamped.stamps_ns - shift)
 
         return replace(
-            self, recorded=(moved(tool), package, moved(twist)),
-            aligned=(moved(self.aligned[0]), self.aligned[1]),
-            filtered=(moved(self.filtered[0]), self.filtered[1]))
+            self, recorded=(earlier(tool), package, earlier(twist)),
+            aligned=(earlier(self.aligned[0]), self.aligned[1]),
+            filtered=(earlier(self.filtered[0]), self.filtered[1]))
 
     def joined(self) -> Recording:
         """

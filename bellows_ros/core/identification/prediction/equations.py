@@ -99,7 +99,7 @@ class Segment:
         model = model_tuple(cup, self.measured.payload, self.measured.gravity)
         parts = np.hsplit(noise, 2)
         (body, rate), (of_tool, _) = (
-            _states(_moved(poses, -own), REACH, 2 * REACH)
+            _states(_changed_poses(poses, -own), REACH, 2 * REACH)
             for poses, own in zip((self.package, self.tool(delay or 0.0)), parts, strict=True))
         of_model: Array = np.empty((6, len(rate)))
         _accelerations(model, of_tool, body, of_model)
@@ -115,7 +115,7 @@ class Segment:
         """Return the derivatives of `equations`: jacobian, package and tool, about a motion."""
         model = model_tuple(cup, self.measured.payload, self.measured.gravity)
         (body, rate), (tool, tool_rate) = (
-            self._smooth(_moved(poses, -own)) for poses, own in zip(
+            self._smooth(_changed_poses(poses, -own)) for poses, own in zip(
                 (self.package, self.tool(delay or 0.0)), np.hsplit(noise, 2), strict=True))
         first, last = ENTRIES
         out = np.zeros((6, 24 + last - first, len(rate)))
@@ -153,7 +153,7 @@ def _states(poses: Trajectory, half_window: int, order: int) -> tuple[Array, Arr
     return np.ascontiguousarray(rows.T), np.array(found.acceleration)
 
 
-def _moved(poses: Trajectory, change: Array) -> Trajectory:
+def _changed_poses(poses: Trajectory, change: Array) -> Trajectory:
     """Return poses after small changes (N, 6) in their own axes."""
     return Trajectory(
         poses.stamps_ns, poses.position + apply(poses.rotation, change[:, :3]),
