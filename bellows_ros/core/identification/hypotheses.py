@@ -51,7 +51,7 @@ AGAIN = 6
 """Hypotheses that are tried a second time, with noise taken off."""
 
 SHOWN, NEAR = 2, 10.0
-"""So many are told of; others that leave more than so many times the best are not tried again."""
+"""So many are named; others that leave more than so many times the best are not tried again."""
 
 K_MOVES = 0.05
 """Part by which a material change moves an entry of K."""
