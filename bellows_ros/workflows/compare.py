@@ -9,6 +9,7 @@ from bellows_ros.core.identification.comparison import Change, compare_fits, Fit
 from bellows_ros.core.model import Cup, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.structure import structure_named
+from bellows_ros.errors import BellowsError
 from bellows_ros.files.content import content_of
 from bellows_ros.files.results import read_result
 import numpy as np
@@ -91,7 +92,11 @@ def compare_files(before: Path, after: Path) -> Comparison:
         with content_of(path):
             fitted.append(_fitted(content))
     with content_of(before):
-        values: dict[str, Any] = dict(resolve(contents[0]['settings'], PACKAGE_PARAMETERS))
+        settings = contents[0].get('settings')
+        if not isinstance(settings, dict):
+            raise BellowsError('There are no settings, so the package is not known. Identify the '
+                               'cup again with this version.')
+        values: dict[str, Any] = dict(resolve(settings, PACKAGE_PARAMETERS))
     with content_of(before, after):
         return Comparison(
             paths=(os.fspath(before), os.fspath(after)),

@@ -71,8 +71,8 @@ def test_other_settings_are_listed(files, tmp_path):
 
 @pytest.mark.parametrize(('change', 'word'), [
     ({'parameters': {}}, 'labels'), ({'settings': None}, 'no settings'),
-    ({'structure': 'round'}, 'round'), ({'cup_length': None}, 'needs'),
-    ({'parameters': {'labels': ['K x'], 'covariance': [[1.0]]}}, 'lacks'),
+    ({'structure': 'round'}, 'round'), ({'cup_length': None}, 'damaged'),
+    ({'parameters': {'labels': ['K x'], 'covariance': [[1.0]]}}, 'damaged'),
 ])
 def test_incomplete_results_are_refused(files, tmp_path, change, word):
     """Say what is missing."""
