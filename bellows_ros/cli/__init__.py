@@ -1,7 +1,7 @@
 """
 The command `bellows`: the package's work from a shell, without ROS.
 
-One module per command, loaded only when it is asked for; see `commands`.
+One module per command, loaded only when it is asked for; see `app`.
 """
 
 from .app import main

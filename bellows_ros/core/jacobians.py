@@ -66,6 +66,8 @@ ENTRIES = tuple((i, j) for i in range(6) for j in range(i, 6))
 
 UNITS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO = (0.0, 0.0, 0.0)
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+NOTHING = (0.0,) * 9
 
 
 @kernel
@@ -293,6 +295,21 @@ def acceleration_at(package: PackageTuple, c: Vector, f: Vector, m: Vector) -> W
 
 
 @kernel
+def accelerations_at(
+    package: PackageTuple, c: Vector, forces: Matrix, moments: Matrix, couples: Matrix
+) -> tuple[Wrench, Wrench, Wrench, Wrench, Wrench, Wrench]:
+    """Return those that wrenches make: rows of forces with those of moments, then of couples."""
+    return (
+        acceleration_at(package, c, row(forces, 0), row(moments, 0)),
+        acceleration_at(package, c, row(forces, 1), row(moments, 1)),
+        acceleration_at(package, c, row(forces, 2), row(moments, 2)),
+        acceleration_at(package, c, ZERO, row(couples, 0)),
+        acceleration_at(package, c, ZERO, row(couples, 1)),
+        acceleration_at(package, c, ZERO, row(couples, 2)),
+    )
+
+
+@kernel
 def write_column(out: Any, column: int, a: Vector, b: Vector) -> None:
     """Write two vectors into a column (6,)."""
     out[0, column], out[1, column], out[2, column] = a
@@ -342,30 +359,9 @@ def _entries(
     u_R = apply(R, w)
     h = _six(*strain(o, R))
     near, far = _six(v, w), _six(add(apply(R, v), cross(o, u_R)), u_R)
-    s = (
-        acceleration_at(package, c, row(J_oo, 0), row(J_oR, 0)),
-        acceleration_at(package, c, row(J_oo, 1), row(J_oR, 1)),
-        acceleration_at(package, c, row(J_oo, 2), row(J_oR, 2)),
-        acceleration_at(package, c, ZERO, row(J_RR, 0)),
-        acceleration_at(package, c, ZERO, row(J_RR, 1)),
-        acceleration_at(package, c, ZERO, row(J_RR, 2)),
-    )
-    e = (
-        acceleration_at(package, c, UNITS[0], ZERO),
-        acceleration_at(package, c, UNITS[1], ZERO),
-        acceleration_at(package, c, UNITS[2], ZERO),
-        acceleration_at(package, c, ZERO, UNITS[0]),
-        acceleration_at(package, c, ZERO, UNITS[1]),
-        acceleration_at(package, c, ZERO, UNITS[2]),
-    )
-    x = (
-        acceleration_at(package, c, row(R, 0), row(o_R, 0)),
-        acceleration_at(package, c, row(R, 1), row(o_R, 1)),
-        acceleration_at(package, c, row(R, 2), row(o_R, 2)),
-        acceleration_at(package, c, ZERO, row(R, 0)),
-        acceleration_at(package, c, ZERO, row(R, 1)),
-        acceleration_at(package, c, ZERO, row(R, 2)),
-    )
+    s = accelerations_at(package, c, J_oo, J_oR, J_RR)
+    e = accelerations_at(package, c, IDENTITY, NOTHING, IDENTITY)
+    x = accelerations_at(package, c, R, o_R, R)
     number = 0
     for j in range(6):
         for k in range(j, 6):

@@ -1,7 +1,7 @@
 """
 Analytic derivatives of the integrator: how the package's next state follows small changes.
 
-They are those of the discrete step itself (`integrator.step`), exact up to rounding, stage by
+They are those of the discrete step itself (`kernels.step`), exact up to rounding, stage by
 stage. Changes of states are as in `jacobians`: shift, turn, linear and angular twist in the axes
 of the body itself, the columns of arrays (12, n). What is scalar here may be an array: compiled
 code goes through the columns one by one, interpreted code takes all at once.
@@ -168,7 +168,7 @@ def step_changes(
     Parameters
     ----------
     model, body, tool, tool_middle, tool_end, h
-        As `integrator.step` takes them.
+        As `kernels.step` takes them.
     S : ndarray (12, n)
         Changes of the package, before and then after the step. The last columns are also driven
         by changes of the tool, those before them by changes of parameters.
@@ -228,12 +228,12 @@ def advance_changes(
     S: Any, parameters: tuple[int, int], at_start: Any, at_end: Any, tool_changes: Any, work: Any,
 ) -> State:
     """
-    Carry changes through `integrator.advance`, and return the package's state after it.
+    Carry changes through `kernels.advance`, and return the package's state after it.
 
     Parameters
     ----------
     model, body, start, end, duration, substeps
-        As `integrator.advance` takes them.
+        As `kernels.advance` takes them.
     S, parameters, work
         As `step_changes` takes them.
     at_start, at_end : ndarray (12, m)
@@ -265,7 +265,7 @@ def advance_changes(
 def _between(
     segment: Segment, end: State, s: float, at_start: Any, at_end: Any, out: Any
 ) -> None:
-    """Write the changes (12, m) of `integrator.tool_at`, the tool's samples being changed."""
+    """Write the changes (12, m) of `kernels.tool_at`, the tool's samples being changed."""
     duration, _, a1, a2, a3, q0, c1, c2, c3 = segment
     R0, R1 = rotation_matrix(q0), rotation_matrix(end[1])
     v0 = scale(1.0 / duration, apply_transposed(R0, a1))
@@ -363,7 +363,7 @@ def twice_turned(
 
 class Jacobians(NamedTuple):
     """
-    Derivatives of the package's state after `integrator.advance`, and that state itself.
+    Derivatives of the package's state after `kernels.advance`, and that state itself.
 
     By the state before and by the tool's samples at start and end (12, 12), and by parameters
     (12, p).
@@ -381,12 +381,12 @@ def advance_jacobians(
     parameters: slice = NO_PARAMETERS,
 ) -> Jacobians:
     """
-    Return the derivatives of one call of `integrator.advance`.
+    Return the derivatives of one call of `kernels.advance`.
 
     Parameters
     ----------
     model, body, start, end, duration, substeps
-        As `integrator.advance` takes them.
+        As `kernels.advance` takes them.
     parameters : slice
         Those by which it is derived, of `jacobians.PARAMETERS`; none when left out.
 

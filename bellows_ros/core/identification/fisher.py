@@ -1,7 +1,7 @@
 """
 The Fisher information of a motion on K and P, before or after it is recorded.
 
-It is that of the prediction-error method: of innovations (see `prediction.innovations`), which
+It is that of the prediction-error method: of innovations (see `identification.innovations`), which
 know the noise of both bodies, with the package's first state unknown. About a motion without noise
 their derivatives follow the sensitivities of the motion, corrected at every sample by the gain.
 """
