@@ -155,7 +155,8 @@ def identify(
     --------
     >>> package = bellows_ros.read_package('bags/package.yaml')
     >>> fit = bellows_ros.identify(
-    ...     ['bags/identification'], package, 0.046, {'fit.method': 'least_squares'})
+    ...     ['bags/identification'], package, 0.046,
+    ...     {'fit.method': 'least_squares', 'recording.package_frame': 'com'})
     >>> bool(abs(fit.stiffness[2, 2] - 9200.0) < 50.0)
     True
     >>> cup = bellows_ros.Cup(fit.stiffness, fit.damping, 0.046)

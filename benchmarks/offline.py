@@ -36,6 +36,7 @@ SETTINGS: Mapping[str, Any] = {
     'package.mass': 1.8,
     'package.inertia': (0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0),
     'package.com': (0.0, 0.0, -0.03),
+    'recording.package_frame': 'com',
 }
 
 _PEAK = """

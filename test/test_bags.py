@@ -57,7 +57,8 @@ def test_what_is_known_beforehand_agrees_with_the_truth_and_does_not_hold_it(bag
     truth, known = read_parameters(bags / 'cup.yaml'), read_parameters(bags / 'package.yaml')
     assert not {'cup.stiffness', 'cup.damping'} & set(known)
     shared = set(truth) & set(known)
-    assert shared == {'package.mass', 'package.inertia', 'package.com', 'cup.length'}
+    assert shared == {'package.mass', 'package.inertia', 'package.com', 'cup.length',
+                      'recording.package_frame'}
     assert {name: known[name] for name in shared} == {name: truth[name] for name in shared}
     assert {known[f'topics.{role}'] for role in ROLES} == set(ROLES.values())
 

@@ -256,9 +256,9 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
             'No recording is given. Name one or more: bellows identify BAG ... --params FILE, '
             "or set the parameter 'bags'."
         )
-    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+    from bellows_ros.core.parameters import RECORDING_PARAMETERS, resolve
 
-    checked = resolve(settings, () if values.get('package.files') else PACKAGE_PARAMETERS)
+    checked = resolve(settings, () if values.get('package.files') else RECORDING_PARAMETERS)
     return {**settings, **{name: checked[name] for name in named}}
 
 

@@ -72,10 +72,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Replay, write, report."""
-    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+    from bellows_ros.core.parameters import RECORDING_PARAMETERS, resolve
 
     values = given_parameters(arguments)
-    settings = resolve(values, PACKAGE_PARAMETERS)
+    settings = resolve(values, RECORDING_PARAMETERS)
     from bellows_ros.core.identification.validation import LIMIT
     from bellows_ros.workflows.replay import replay
 

@@ -154,15 +154,16 @@ _TABLE = (
         _IDENTIFIER, choices=('z_up', 'motive_y_up'),
     ),
     Parameter(
-        'recording.package_frame', 'string', 'com', '',
-        "Frame the package poses are of: its centre of mass B, or the cup's lip S.",
-        _IDENTIFIER, choices=('com', 'lip'),
+        'recording.package_frame', 'string', None, '',
+        "What the package's poses are poses of: com, its centre of mass B; lip, the cup's lip S.",
+        _IDENTIFIER, choices=('com', 'lip'), example='com',
     ),
     Parameter(
         'recording.package_world', 'string', '', '',
         "Pose of the world of the package's poses in that of the tool's, where a robot driver and "
-        "motion capture give them: 'x y z qx qy qz qw' (m), or estimate; '' where it is one.",
-        _IDENTIFIER,
+        "motion capture give them: 'x y z qx qy qz qw' (m), or estimate for a recording; '' where "
+        'it is one. Live it is that of package/measured.',
+        _BOTH,
     ),
     Parameter(
         'recording.align_at_rest', 'bool', False, '',
@@ -661,6 +662,9 @@ SHORT_FORMS: Mapping[str, str] = MappingProxyType({'gravity': 'gravity.magnitude
 
 # What neither node can do without and nobody can guess.
 PACKAGE_PARAMETERS = ('package.mass', 'package.inertia', 'package.com')
+
+# The same of a recording.
+RECORDING_PARAMETERS = ('recording.package_frame', *PACKAGE_PARAMETERS)
 
 
 def parameters_of(user: str) -> tuple[Parameter, ...]:

@@ -21,6 +21,7 @@ from bellows_ros.core.parameter_table import (
     Parameter,
     PARAMETERS,
     parameters_of,
+    RECORDING_PARAMETERS,
     short,
     Value,
 )
@@ -41,6 +42,8 @@ __all__ = [
     'Parameter',
     'PARAMETERS',
     'parameters_of',
+    'RECORDING_PARAMETERS',
+    'require',
     'Value',
     'inertia_matrix',
     'matrix',
@@ -121,7 +124,7 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
 
     """
     given = {lookup(name).name: validate(name, value) for name, value in values.items()}
-    _require(given, required)
+    require(given, required)
     named = {name: value for name, value in given.items() if name not in PARAMETERS}
     filled = {**{p.name: given.get(p.name, p.default) for p in PARAMETERS.values()}, **named}
     resolved = {name: value for name, value in filled.items() if value is not None}
@@ -318,11 +321,12 @@ def _in_range(parameter: Parameter, value: float, where: str) -> float:
     return value
 
 
-def _require(given: Mapping[str, object], required: Iterable[str]) -> None:
+def require(given: Mapping[str, object], required: Iterable[str]) -> None:
     """Refuse missing required parameters, all in one message that shows what to set."""
     missing = [lookup(name) for name in required if name not in given]
     if missing:
-        lines = [f'  {p.name}: {p.example}  # {p.unit}; {p.description}' for p in missing]
+        lines = [f'  {p.name}: {p.example}  # {p.unit}{"; " * bool(p.unit)}{p.description}'
+                 for p in missing]
         names = ', '.join(p.name for p in missing)
         raise BellowsError(
             f'Not set, and without a default: {names}. '

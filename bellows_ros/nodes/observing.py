@@ -16,6 +16,7 @@ from ..core.arrays import Array
 from ..core.live import LivePredictor
 from ..core.live.health import input_status, Level, Status
 from ..core.observer import Alarm, Observer, VERDICTS, warm_up_observer
+from ..core.parameters import short
 
 KINDS = {
     'pose': PoseStamped, 'pose_with_covariance': PoseWithCovarianceStamped, 'odometry': Odometry,
@@ -79,6 +80,13 @@ class Observing:
             stamp_ns, header.frame_id, vector(pose.position), quaternion_xyzw(pose.orientation),
             covariance)
         self._outputs.model = live.model
+        own_world = live.observer is not None and live.observer.sight.has_own_world
+        if header.frame_id != live.frame_id and not own_world:
+            self._node.get_logger().warning(
+                f"package/measured is in frame '{short(header.frame_id)}', the tool in "
+                f"'{short(live.frame_id)}': its poses are not used. Set recording.package_world "
+                'to the pose of the first frame in the second, as bellows identify finds it.',
+                throttle_duration_sec=10.0)
         self._say_alarms()
         payload = live.observer and live.observer.payload
         if payload and self._estimated.wanted:

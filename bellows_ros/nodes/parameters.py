@@ -110,7 +110,7 @@ class TableNode(GuardedNode):
         self._join(user, options)
         self._read_only = read_only
         try:
-            self._take_given()
+            self._take_given(user)
             for parameter in table.parameters_of(user):
                 if parameter.name in self.values and parameter.name not in results:
                     self.declare_from_table(parameter.name, self.values[parameter.name])
@@ -171,7 +171,7 @@ class TableNode(GuardedNode):
             raise BellowsError(
                 f"ROS cannot make the node '{user}': {table.short(why, 400)}.") from None
 
-    def _take_given(self) -> None:
+    def _take_given(self, user: str) -> None:
         """Check what files and the command line say, and fill in the defaults."""
         given = {
             table.lookup(name).name: parameter.value
@@ -179,7 +179,7 @@ class TableNode(GuardedNode):
             if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))
         }
         self.given = frozenset(given)
-        _require_package(given)
+        _require_package(given, user)
         self.values: Values = table.resolve(given)
         self.check_values(self.values)
 
@@ -305,17 +305,18 @@ def _as_double(parameter: Parameter) -> Parameter:
     return ros_parameter(parameter.name, [float(x) for x in value])
 
 
-def _require_package(given: Mapping[str, object]) -> None:
+def _require_package(given: Mapping[str, object], user: str) -> None:
     """Refuse to start without the package, and show the file to write."""
-    missing = [name for name in table.PACKAGE_PARAMETERS if name not in given]
+    missing = [p for p in table.parameters_of(user) if p.default is None and p.name not in given]
     if not missing or given.get('package.files'):
         return
+    names = ', '.join(p.name for p in missing)
     lines = [
-        f'    {p.name}: {p.example}  # {p.unit}. {p.description}'
-        for p in map(table.lookup, missing)
+        f'    {p.name}: {p.example}  # {p.unit}{". " * bool(p.unit)}{p.description}'
+        for p in missing
     ]
     raise BellowsError(
-        f'Not set, and without a default: {", ".join(missing)}. The held package must be '
+        f'Not set, and without a default: {names}. The held package must be '
         'described, for instance in a file package.yaml:\n\n'
         '/**:\n  ros__parameters:\n' + '\n'.join(lines) + '\n\n'
         'Then start again with: --ros-args --params-file package.yaml'

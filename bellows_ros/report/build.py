@@ -13,7 +13,7 @@ from bellows_ros.errors import UnstableError
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import format_json, provenance
 from bellows_ros.workflows.identification import Identification
-from bellows_ros.workflows.recordings import offset_sentence
+from bellows_ros.workflows.recordings import offset_sentence, values_of_each
 from bellows_ros.workflows.replay import Replay, validated
 
 from .cup import cup_content, envelope_content, excitation_content, iteration_content
@@ -131,11 +131,12 @@ def cup_values(content: Mapping[str, Any]) -> dict[str, Any]:
 
 def values_of_recordings(content: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the settings of a result for each of its recordings: its cup, and what was held."""
-    each = []
+    values, each = cup_values(content), []
+    own = dict(zip(map(str, values['bags']), values_of_each(values), strict=True))
     for recording in content['recordings']:
         payload = recording['package']
         each.append({
-            **cup_values(content),
+            **own[str(recording['bag'])],
             'package.mass': payload['mass'],
             'package.inertia': tuple(payload['inertia'][i][j] for i, j in INERTIA),
             'package.com': tuple(payload['com']),

@@ -15,7 +15,7 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.identification.methods import fit, fitted
 from bellows_ros.core.identification.reduction import Reduced, reduced
 from bellows_ros.core.parameter_table import THESIS_LENGTH
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
@@ -202,7 +202,7 @@ def _require_reducible(values: Mapping[str, Any]) -> None:
 
 def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
     """Return all parameters of a run, or raise BellowsError where something is missing."""
-    required = () if settings.get('package.files') else PACKAGE_PARAMETERS
+    required = () if settings.get('package.files') else RECORDING_PARAMETERS
     values: dict[str, Any] = resolve(settings, required)
     if not values['bags']:
         raise BellowsError(

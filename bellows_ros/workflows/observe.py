@@ -12,6 +12,7 @@ from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
 from bellows_ros.core.model import cup_of, package_of
 from bellows_ros.core.observer import Alarm, Observer
 from bellows_ros.core.recording.alignment import in_world, world_rotation
+from bellows_ros.core.recording.package_world import in_tool_world, pose_of
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.residuals import compare, Comparison
 from bellows_ros.core.trajectory import PoseStream, Trajectory
@@ -96,6 +97,10 @@ def observed(
     """
     stream = read_streams(bag, {'measured': topic})['measured']
     assert isinstance(stream, PoseStream)
+    if world := values['recording.package_world']:
+        found = recording.report.package_world
+        stream = in_tool_world(stream, found.pose if found else pose_of(world), '')
+    values = {**values, 'recording.package_world': ''}  # as they are brought into one world here
     turn = world_rotation(values['recording.world'], values['gravity.direction'])
     poses = in_world(stream.trajectory(), turn)
     alone, corrected = (_predictor(values) for _ in range(2))

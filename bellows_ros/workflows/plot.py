@@ -25,7 +25,8 @@ Progress = Callable[[str, float], None]
 SPECTRUM_SECONDS = 4.0  # of a segment: lines of 0.25 Hz
 NOT_SAMPLES = {'smallest', 'least', 'stiffness', 'motion', 'live', 'cup_length', 'com', 'box',
                'scores', 'counts', 'real_time_factor', 'took'}
-TRACKED = {'package.mass': 1.0, 'package.inertia': NO_INERTIA, 'package.com': (0.0, 0.0, 0.0)}
+TRACKED = {'recording.package_frame': 'com', 'package.mass': 1.0, 'package.inertia': NO_INERTIA,
+           'package.com': (0.0, 0.0, 0.0)}
 """Puts B where the package is tracked; a motion has no mass."""
 
 

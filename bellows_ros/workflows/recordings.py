@@ -7,7 +7,12 @@ import os
 from typing import Any
 
 from bellows_ros.core.model import package_of
-from bellows_ros.core.parameters import ESTIMATE, PACKAGE_PARAMETERS
+from bellows_ros.core.parameters import (
+    ESTIMATE,
+    PACKAGE_PARAMETERS,
+    RECORDING_PARAMETERS,
+    require,
+)
 from bellows_ros.core.recording.preparation import filter_streams
 from bellows_ros.core.recording.recording import (
     PackageWorld,
@@ -74,6 +79,7 @@ def load(
         If it cannot be read, or is not a recording that a cup can be identified from.
 
     """
+    settings = prepare_settings(values)  # before anything is read
     roles = ('tool_pose', 'package_pose', 'tool_twist')
     contents = read_contents(path, {role: values[f'topics.{role}'] for role in roles})
     streams = part_of(contents.all_streams(), values['recording.start'], values['recording.end'])
@@ -82,7 +88,7 @@ def load(
         raise BellowsError(
             f"Topic '{empty[0]}' has nothing from recording.start to recording.end.")
     recording = _prepared(
-        streams['tool_pose'], streams['package_pose'], streams.get('tool_twist'), values)
+        streams['tool_pose'], streams['package_pose'], streams.get('tool_twist'), settings, values)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
     files = tuple(digests(path)) if with_digest else ()
     return replace(
@@ -128,10 +134,11 @@ def part_of(
 
 
 def _prepared(
-    tool: PoseStream, package: PoseStream, twist: TwistStream | None, values: Mapping[str, Any]
+    tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
+    values: Mapping[str, Any],
 ) -> Recording:
     """Return streams prepared, in one world and with one clock."""
-    settings, world = prepare_settings(values), values['recording.package_world']
+    world = values['recording.package_world']
     recorded, pose = package, None
     if world == '':
         require_one_frame(tool, package)
@@ -235,7 +242,7 @@ def values_of_each(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         If there are not as many package.files, or one of them lacks something.
 
     """
-    return _each(values, 'bags', 'package.files', PACKAGE_PARAMETERS)
+    return _each(values, 'bags', 'package.files', RECORDING_PARAMETERS)
 
 
 def values_of_static(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -281,6 +288,7 @@ def _each(
 
 def prepare_settings(values: Mapping[str, Any]) -> PrepareSettings:
     """Return the settings of the preparation that parameters stand for."""
+    require(values, RECORDING_PARAMETERS)
     return PrepareSettings(
         world=values['recording.world'],
         gravity_direction=values['gravity.direction'],

@@ -16,7 +16,7 @@ from bellows_ros.core.lie import apply, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
 from bellows_ros.core.model import cup_of, model_tuple, package_of
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters import RECORDING_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.residuals import AXES, Comparison, Spectrum, Whiteness
@@ -234,7 +234,7 @@ def replay(
         If a parameter or the recording is not usable, or the cup cannot hold the package.
 
     """
-    values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
+    values: dict[str, Any] = resolve(settings, RECORDING_PARAMETERS)
     tell = progress or (lambda what, part: None)
     tell(f'reading {os.fspath(bag)}', 0.0)
     recording = load(bag, values)

@@ -24,6 +24,7 @@ TOPICS = {
     'topics.tool_pose': '/tool_arm/pose',
     'topics.tool_twist': '/tool_arm/twist',
     'topics.package_pose': '/package/pose',
+    'recording.package_frame': 'com',
 }
 MOTION: Mapping[str, Any] = {
     'kind': 'multi_sine',

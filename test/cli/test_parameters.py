@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, PARAMETERS, resolve
+from bellows_ros.core.parameters import PARAMETERS, RECORDING_PARAMETERS, resolve
 from bellows_ros.files.parameter_files import read_parameters
 
 from .conftest import Run
@@ -45,7 +45,7 @@ def test_the_template_is_a_parameter_file_with_the_defaults(bellows: Run, tmp_pa
 def test_the_template_can_be_filled_in(bellows: Run, tmp_path: Path) -> None:
     """Make a complete file by removing the comment signs, as the file says."""
     file = tmp_path / 'all.yaml'
-    names = ('bags', *PACKAGE_PARAMETERS)
+    names = ('bags', *RECORDING_PARAMETERS)
     text = bellows('parameters', '--yaml').stdout
     for name in names:
         assert f'    #{name}: ' in text

@@ -11,6 +11,7 @@ from bellows_ros.core.parameters import (
     PACKAGE_PARAMETERS,
     PARAMETERS,
     parameters_of,
+    RECORDING_PARAMETERS,
     resolve,
     validate,
 )
@@ -87,8 +88,9 @@ def test_resolve_fills_in_defaults_but_not_the_package():
     assert values['gravity.magnitude'] == 9.0
     assert isinstance(values['gravity.magnitude'], float)
     assert values['filter.tool.half_window'] == 0
-    assert not set(PACKAGE_PARAMETERS) & set(values)
-    assert set(resolve(PACKAGE, PACKAGE_PARAMETERS)) == set(PARAMETERS)
+    assert not set(RECORDING_PARAMETERS) & set(values)
+    known = {**PACKAGE, 'recording.package_frame': 'lip'}
+    assert set(resolve(known, RECORDING_PARAMETERS)) == set(PARAMETERS)
 
 
 def test_gravity_alone_is_its_magnitude():

@@ -30,6 +30,7 @@ PACKAGE = {
     'package.mass': 2.17,
     'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
     'package.com': [0.0, 0.0, -0.03],
+    'recording.package_frame': 'com',
 }
 
 

@@ -8,10 +8,12 @@ from bellows_ros.core.model import Cup, package_of
 from bellows_ros.core.observer.filter import changed
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from .conftest import PACKAGE, Partner
 from ..core.observer.cases import truth
 
+WORLD = [1.2, -0.7, 0.3, 0.0, 0.6, 0.0, 0.8]  # of the measured package, in that of the tool
 TURN = 0.1  # rad, by which the measured package begins beside its rest
 
 
@@ -31,17 +33,19 @@ def swinging() -> list[Any]:
     return truth(tool, package, Cup.thesis(), start)
 
 
-@pytest.mark.parametrize('kind', ['pose', 'pose_with_covariance', 'odometry'])
+@pytest.mark.parametrize(('kind', 'apart'), [
+    ('pose', False), ('pose_with_covariance', True), ('odometry', False)])
 def test_measured_poses_correct_what_is_published(
-        make_partner: Callable[..., Partner], kind: str) -> None:
-    """Come near where the package is seen; count what cannot be used, and go on."""
+        make_partner: Callable[..., Partner], kind: str, apart: bool) -> None:
+    """Come near where the package is seen, in a world of its own too; count what is no use."""
     from bellows_ros.nodes.observing import KINDS
     from diagnostic_msgs.msg import DiagnosticArray
     from geometry_msgs.msg import InertiaStamped
 
     partner = make_partner({
         **PACKAGE, 'measured.type': kind, 'measured.noise': [1e-4, 1e-3],
-        'payload.estimate': True})
+        'payload.estimate': True,
+        'recording.package_world': ' '.join(map(str, WORLD)) if apart else ''})
     writer = partner.node.create_publisher(KINDS[kind], 'package/measured', 10)
     lines: list[Any] = []
     payloads: list[Any] = []
@@ -58,9 +62,14 @@ def test_measured_poses_correct_what_is_published(
     def see(stamp_ns: int, body: Any, frame_id: str = 'world', variance: float = 1e-8) -> None:
         message = stamped(KINDS[kind](), stamp_ns, frame_id)
         pose = message.pose if kind == 'pose' else message.pose.pose
-        pose.position.x, pose.position.y, pose.position.z = body[0]
+        position, q_xyzw = body[:2]
+        if apart:
+            back = Rotation.from_quat(WORLD[3:]).inv()
+            position = back.apply(np.subtract(position, WORLD[:3]))
+            q_xyzw = (back * Rotation.from_quat(q_xyzw)).as_quat().tolist()
+        pose.position.x, pose.position.y, pose.position.z = map(float, position)
         q = pose.orientation
-        q.x, q.y, q.z, q.w = body[1]
+        q.x, q.y, q.z, q.w = q_xyzw
         if kind != 'pose':
             message.pose.covariance = [variance if i % 7 == 0 else 0.0 for i in range(36)]
         writer.publish(message)
@@ -92,7 +101,7 @@ def test_measured_poses_correct_what_is_published(
     see(now_ns - 2_000_000, ((float('nan'), 0.0, 0.0), swing[-1][1]))
     see(now_ns - 3_000_000, swing[-1], variance=float('nan'))
     see(now_ns - 2_500_000, ((2.0, 0.0, 0.0), swing[-1][1]))
-    expected = {'frame_id': 1, 'future_stamp': 1, 'nan': 1, 'out_of_reach': 1}
+    expected = {'frame_id': 0 if apart else 1, 'future_stamp': 1, 'nan': 1, 'out_of_reach': 1}
     if kind != 'pose':
         expected['covariance'] = 1
     assert partner.ros.spin_until(

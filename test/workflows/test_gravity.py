@@ -10,7 +10,7 @@ import pytest
 
 PACKAGE = {
     'package.mass': 2.17, 'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
-    'package.com': [0.0, 0.0, -0.03], 'cup.length': 0.0481,
+    'package.com': [0.0, 0.0, -0.03], 'cup.length': 0.0481, 'recording.package_frame': 'com',
 }
 MARKERS = {'noise': {'position': 1e-5, 'rotation': 1e-5}}
 MOTION = {

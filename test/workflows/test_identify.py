@@ -24,7 +24,7 @@ from .two_clocks import late
 
 CLEAN = {
     'topics.tool_pose': '/tool_arm/pose', 'topics.tool_twist': '/tool_arm/twist',
-    'topics.package_pose': '/package/pose',
+    'topics.package_pose': '/package/pose', 'recording.package_frame': 'com',
     'package.mass': 2.17, 'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
     'package.com': [0.0, 0.0, -0.03], 'cup.length': 0.0481, 'fit.method': 'least_squares',
 }
@@ -199,7 +199,8 @@ def two_packages(tmp_path_factory, root):
     for number, (mass, inertia) in enumerate((
             (1.8, [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0]),
             (1.2, [0.003, 0.0045, 0.0068, 0.0, 0.0, 0.0]))):
-        payload = {'package.mass': mass, 'package.inertia': inertia, 'package.com': [0, 0, -0.03]}
+        payload = {'package.mass': mass, 'package.inertia': inertia, 'package.com': [0, 0, -0.03],
+                   'recording.package_frame': 'com'}
         bags.append(str(folder / f'bag{number}'))
         simulate_recording({**cup, **payload}, {**motion, 'seed': number}, folder / f'bag{number}')
         files.append(str(folder / f'package{number}.yaml'))
@@ -252,7 +253,7 @@ def test_each_recording_may_have_its_own_topics(two_packages, root, tmp_path):
     simulate_recording({**truth, **own}, motion, tmp_path / 'other')
     write_parameters(tmp_path / 'other.yaml', {
         **own, 'topics.tool_pose': '/arm', 'topics.package_pose': '/box',
-        'recording.world': 'motive_y_up'}, [])
+        'recording.world': 'motive_y_up', 'recording.package_frame': 'com'}, [])
     result = identify({
         'bags': [bags[0], str(tmp_path / 'other')],
         'package.files': [files[0], str(tmp_path / 'other.yaml')],

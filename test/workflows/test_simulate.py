@@ -32,6 +32,7 @@ PARAMETERS = {
     'package.inertia': INERTIA,
     'package.com': COM.tolist(),
     'gravity': GRAVITY,
+    'recording.package_frame': 'com',
 }
 MOTION = {
     'kind': 'multi_sine',

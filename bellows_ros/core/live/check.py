@@ -11,7 +11,7 @@ from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
 from bellows_ros.core.live.uncertainty import Uncertainty
 from bellows_ros.core.live.vacuum import check_thresholds
 from bellows_ros.core.model import cup_of, package_of
-from bellows_ros.core.parameters import gravity_of
+from bellows_ros.core.parameters import ESTIMATE, gravity_of
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -32,6 +32,11 @@ def check_live(values: Mapping[str, Any]) -> None:
 
     """
     check_thresholds(values)
+    if values['recording.package_world'] == ESTIMATE:
+        raise BellowsError(
+            f'recording.package_world: {ESTIMATE} is for recordings. Give the node its seven '
+            'numbers, which the file of bellows identify --out has.'
+        )
     model = prepared(cup_of(values), package_of(values), gravity_of(values)).model
     still = Prediction(1, *ORIGIN, ZERO, ZERO)
     load = Load(values)

@@ -356,7 +356,8 @@ class LivePredictor:
         Correct what is predicted next with a measured pose of the package, as `observe` has it.
 
         It may be late, and out of order; what cannot be used is counted by the observer. The
-        covariance (6, 6) is that of the message, about axes of the world.
+        covariance (6, 6) is that of the message, about axes of the world. Its frame is the
+        tool's unless recording.package_world is given.
         """
         observer = self._package.observer
         if observer is None:
@@ -364,7 +365,7 @@ class LivePredictor:
         seen = observer.sight.measurement(stamp_ns, position, quaternion_xyzw, covariance)
         if isinstance(seen, str):
             observer.counts[seen] += 1
-        elif frame_id != self.frame_id:
+        elif not observer.sight.has_own_world and frame_id != self.frame_id:
             observer.counts['frame_id'] += 1
         elif self.flight is not None and self.flight.is_free:
             observer.counts['not_held'] += 1

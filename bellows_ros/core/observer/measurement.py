@@ -42,7 +42,7 @@ class Sight:
     Parameters
     ----------
     values : mapping
-        Parameters by name: measured.*.
+        Parameters by name: measured.*, recording.package_world.
 
     """
 
@@ -53,6 +53,11 @@ class Sight:
         x, y, z, *turn = values['measured.offset']
         self._offset: Vector = x, y, z
         self._turn = exp_quaternion((turn[0], turn[1], turn[2]))
+        world = values['recording.package_world'] or '0 0 0 0 0 0 1'
+        self.has_own_world = bool(values['recording.package_world'])
+        x, y, z, qx, qy, qz, qw = map(float, world.split())
+        self._origin: Vector = x, y, z
+        self._world: Quaternion = qx, qy, qz, qw
 
     def measurement(
         self, stamp_ns: int, position: Vector, quaternion_xyzw: Quaternion,
@@ -62,7 +67,8 @@ class Sight:
         Return a measured pose, or why it cannot be used.
 
         Its covariance (6, 6) is about axes of the world, as in ROS; without one, and with one
-        that is all zero, measured.noise counts.
+        that is all zero, measured.noise counts. What is measured in a world of its own is
+        brought into that of the tool.
         """
         reason = why_no_pose(position, quaternion_xyzw) or ('' if stamp_ns > 0 else 'zero_stamp')
         if reason:
@@ -72,7 +78,14 @@ class Sight:
             noise = 0.5 * (covariance + covariance.T)
             if not (np.isfinite(noise).all() and np.linalg.eigvalsh(noise)[0] > 0.0):
                 return 'covariance'
-        return Measurement(stamp_ns, position, normalised(quaternion_xyzw), noise)
+        q = normalised(quaternion_xyzw)
+        if self.has_own_world:
+            R = rotation_matrix(self._world)
+            position = add(self._origin, apply(R, position))
+            q = quaternion_product(self._world, q)
+            turn = np.kron(np.eye(2), np.reshape(R, (3, 3)))
+            noise = turn @ noise @ turn.T
+        return Measurement(stamp_ns, position, q, noise)
 
     def at_com(self, seen: Measurement, com: Vector) -> tuple[Vector, Quaternion, Array]:
         """Return the pose of B, and its noise (6, 6) in B axes, with B at com (m) from the lip."""
