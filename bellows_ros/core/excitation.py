@@ -194,7 +194,7 @@ class Search:
         _, _, (largest, shares) = self._value(c, power)
         return c.T / largest, shares
 
-    def told(self, coefficients: Any) -> float:
+    def criterion(self, coefficients: Any) -> float:
         """Return the criterion of coefficients (K, 6) as they are."""
         waves = self._swell[0, 0] * self._signals(coefficients.T)
         lines = self._lines(waves, len(self._loads)).T * (2.0 / self.points)
@@ -354,9 +354,9 @@ def design(
         coefficients, now = search.within(shape, power)
         moved = FourierMotion(limits.start, period, coefficients)
         worst = loads(moved, limits, models, grip).ravel()
-        told = search.told(coefficients / max(1.0, float(worst.max())))
-        if told > best:
-            best, motion, shares = told, moved, now
+        reached = search.criterion(coefficients / max(1.0, float(worst.max())))
+        if reached > best:
+            best, motion, shares = reached, moved, now
         search.allowed = np.minimum(search.allowed / np.maximum(worst, 0.1) ** STRONGER, 1.0)
     motion, ratios = _within(motion, limits, models, grip)
     progress('computing what it tells', 1.0)
