@@ -137,6 +137,9 @@ class Uncertainty:
             [[np.zeros((6, 6)), np.eye(6)], [jacobian.body_pose, jacobian.body_twist]]
         )
         self._tool_pose, self._tool_twist = jacobian.tool_pose, jacobian.tool_twist
+        block = np.zeros((24, 24))
+        block[:12, :12], block[:12, 12:] = self._A, np.eye(12)
+        self._powers = [np.asarray(expm(block * 1e-4))]  # each the square of the one before
         self._step_of = (0, np.eye(12), np.zeros((12, 12)))  # the one used last
         self._noise_of: dict[int, Array] = {}
         self._left_since_ns = -1
@@ -177,10 +180,13 @@ class Uncertainty:
         """Return exp(A h) and its integral, for a duration rounded to 0.1 ms."""
         key = max(1, round(duration_ns / 100_000))
         if key != self._step_of[0]:
-            block = np.zeros((24, 24))
-            block[:12, :12], block[:12, 12:] = self._A, np.eye(12)
-            exponential = expm(block * key * 1e-4)
-            self._step_of = key, exponential[:12, :12], exponential[:12, 12:]
+            product, powers = np.eye(24), self._powers
+            for k in range(key.bit_length()):
+                if k == len(powers):
+                    powers.append(powers[-1] @ powers[-1])
+                if key >> k & 1:
+                    product = product @ powers[k]
+            self._step_of = key, product[:12, :12], product[:12, 12:]
         return self._step_of[1:]
 
     def _noise_root(self) -> Array:
