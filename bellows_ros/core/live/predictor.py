@@ -16,9 +16,9 @@ from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import deflection
 from bellows_ros.core.live.pairing import Pairing
 from bellows_ros.core.live.payload import LivePayload
-from bellows_ros.core.live.samples import PoseSample, Prediction, TwistSample
+from bellows_ros.core.live.samples import ORIGIN, PoseSample, Prediction, TwistSample
 from bellows_ros.core.live.screening import FrameChange, lengths, Screen
-from bellows_ros.core.live.twist_check import in_tool_axes, misfit, TwistCheck
+from bellows_ros.core.live.twist_check import measured, TwistCheck
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.observer import Observer
 from bellows_ros.core.screening import LARGEST_RATE, LARGEST_SPEED, LONGEST_GAP_NS
@@ -429,13 +429,13 @@ class LivePredictor:
         q = pose.quaternion_xyzw
         if self.twist_check.is_due(pose.stamp_ns, q, twist.linear, twist.angular):
             self.twist_check.compare(self._history.state(back=2))
-        v, w = twist.linear, twist.angular
-        if self._twist_in_world:
-            v, w = in_tool_axes(q, v, w)
-        now, last = (pose.position, q, v, w), self._package.sample
+        last = self._package.sample
+        before = ORIGIN if last is None else last.tool
+        seconds = 0.0 if last is None else (pose.stamp_ns - last.stamp_ns) * 1e-9
+        now, excess, doubt, off = measured(
+            before, pose.position, q, twist.linear, twist.angular, self._twist_in_world, seconds)
         if last is None:
             return now
-        excess, doubt, off = misfit(last.tool, now, (pose.stamp_ns - last.stamp_ns) * 1e-9)
         if excess > 1.0:
             self._counts['twist_misses_pose'] += 1
             return None

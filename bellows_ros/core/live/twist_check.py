@@ -159,3 +159,17 @@ def misfit(
     doubt = max(
         shift / (SLACK + DOUBTED_JERK * cubed), angle / (TURN_SLACK + DOUBTED_TURN_JERK * cubed))
     return excess, doubt, (shift, angle)
+
+
+@kernel
+def measured(
+    before: State, position: Vector, q: Quaternion, linear: Vector, angular: Vector,
+    in_world: bool, seconds: float,
+) -> tuple[State, float, float, tuple[float, float]]:
+    """Return the tool with a twist as it was measured, in tool axes, and its `misfit`."""
+    v, w = linear, angular
+    if in_world:
+        v, w = in_tool_axes(q, linear, angular)
+    now = position, q, v, w
+    excess, doubt, off = misfit(before, now, seconds)
+    return now, excess, doubt, off
