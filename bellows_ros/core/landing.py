@@ -13,7 +13,6 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import displaced
 from bellows_ros.core.holding import Grip
 from bellows_ros.core.kernels import ModelTuple
 from bellows_ros.core.lie import log_so3, quaternion_to_rotation
@@ -28,7 +27,6 @@ from bellows_ros.core.perturbed import (
 from bellows_ros.core.release import COARSE_STRIDE, Held, Release, Toss, toss, upward
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.core.tuples import (
-    add,
     add_scaled,
     dot,
     log_quaternion,
@@ -46,8 +44,6 @@ MARGIN = 0.25
 
 SCAN, FOUND = 4e-3, 1e-6
 """Times of release (s) between which the nearest is sought, and to which it is found."""
-PUSHES = (1e-4, 1e-3, 1e-3, 1e-2)
-"""Differences by shift (m), turn (rad), linear and angular twist (m/s, rad/s)."""
 
 CANDIDATES = 8
 """So many of the best times of the scan are looked at closely."""
@@ -174,25 +170,6 @@ def part_inside(covariance: Array, landings: Array) -> float:
     xy = landings[:, :2]
     squared = np.einsum('ni,ni->n', xy, np.linalg.solve(covariance[:2, :2], xy.T).T)
     return float(np.mean(squared <= ELLIPSE ** 2))
-
-
-def by_state(held: Held, release: Release, nominal: Toss) -> Array:
-    """
-    Return the derivatives (6, 12) of a landing by the state in which the valve is switched.
-
-    By shift, turn, linear and angular twist of B in its own axes; by differences to one side.
-    """
-    columns = []
-    for i, size in enumerate(np.repeat(PUSHES, 3)):
-        push = np.zeros(12)
-        push[i] = size
-        moved = displaced(held.start, tuple(push[:3].tolist()), tuple(push[3:6].tolist()))
-        start = (
-            moved[0], moved[1], add(held.start[2], tuple(push[6:9].tolist())),
-            add(held.start[3], tuple(push[9:].tolist())))
-        found = toss(held.again(start), release, 0.0, COARSE_STRIDE)
-        columns.append(figures(found, nominal, held.model[2]) / size)
-    return np.array(columns).T
 
 
 class Aim(NamedTuple):

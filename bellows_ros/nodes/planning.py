@@ -30,7 +30,7 @@ from ..core.live.samples import ORIGIN, ZERO
 from ..core.plan import COARSE, predict
 from ..core.plan import Prediction as Predicted
 from ..core.plan_points import plan_of
-from ..core.simulation import state_row
+from ..core.simulation import Rows, state_row
 from ..core.steering import steer
 from ..core.trajectory import NS_PER_S, Trajectory
 from ..errors import BellowsError
@@ -94,11 +94,11 @@ class Planning:
                 (MultiDOFJointTrajectory, 'tool_arm/steer', self._on_steer, True),
                 (Header, 'package/predict_at', self._on_request, False)):
             node.create_subscription(
-                kind, topic, partial(self._submit, callback), QoSProfile(depth=10), raw=raw,
+                kind, topic, partial(self.submit, callback), QoSProfile(depth=10), raw=raw,
                 event_callbacks=events, qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
         self.forget()
 
-    def _submit(self, work: Callable[..., None], *arguments: Any) -> None:
+    def submit(self, work: Callable[..., None], *arguments: Any) -> None:
         """Let something be done beside the live prediction; too much of it is refused."""
         self._jobs = [job for job in self._jobs if not job.done()]
         if len(self._jobs) < MOST_WAITING:
@@ -107,6 +107,11 @@ class Planning:
         self._node.get_logger().warning(
             'Plans come faster than they can be answered, and some are left out. Send fewer.',
             throttle_duration_sec=1.0)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether something is being answered."""
+        return any(not job.done() for job in self._jobs)
 
     def forget(self) -> None:
         """Drop the plan; what is being answered is waited for."""
@@ -124,7 +129,7 @@ class Planning:
     def _on_publishers(self, matched: Any) -> None:
         """Compile what is needed when somebody is there who may send a plan."""
         if matched.current_count and not self._is_warm:
-            self._submit(self._warm_up)
+            self.submit(self._warm_up)
 
     def _warm_up(self) -> None:
         """Answer a plan that is none."""
@@ -136,7 +141,7 @@ class Planning:
         steer(self._live.model, still, self._values['steer.method'])
         self._is_warm = True
 
-    def future(self, now: Prediction, duration: float) -> Trajectory:
+    def future(self, now: Prediction, duration: float) -> Rows:
         """Return the tool going on for a time (s), by its plan or steadily."""
         return future(self._ahead, now, duration)
 
@@ -186,14 +191,14 @@ class Planning:
         monotonic_ns = time.monotonic_ns()
         if ahead is None or now is None or monotonic_ns - self._predicted_ns < self._period_ns:
             return
-        if any(not job.done() for job in self._jobs):
+        if self.is_busy:
             return
         self._predicted_ns = monotonic_ns
         ahead.follow(now)
         if ahead.done:
             self._ahead = None
         elif ahead.progress > 0.0 and not ahead.off:
-            self._submit(self._predict_rest, ahead, now)
+            self.submit(self._predict_rest, ahead, now)
 
     def _predict_rest(self, ahead: Ahead, now: Prediction) -> None:
         """Predict what is left of a plan from a live state."""

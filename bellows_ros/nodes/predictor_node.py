@@ -126,7 +126,7 @@ class PredictorNode(ManagedNode):
             self, values, self._attach, lambda pressure: self._diagnostics.load.hear(pressure))
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._planning = Planning(self, lambda: self._last)
-        self._tossing = Tossing(self, self._on_valve, self._planning.future)
+        self._tossing = Tossing(self, self._on_valve, self._planning)
         self._observing = Observing(self, values['measured.type'])
         self._apply(live, values)
         self._diagnostics.watch(

@@ -14,13 +14,14 @@ from visualization_msgs.msg import Marker, MarkerArray
 from .conversions import write_quaternion, write_stamp, write_vector
 from .markers import NAMESPACE
 from .outputs import Topic
+from .planning import Planning
 from .tool_inputs import OVERRIDABLE
 from ..core.arrays import Array
 from ..core.kernels import ModelTuple
 from ..core.landing import ellipse
 from ..core.live import Prediction
-from ..core.live.flight import Flight, Future, Landing
-from ..core.live.samples import ORIGIN, ZERO
+from ..core.live.flight import Flight, Landing, PATH_POINTS
+from ..core.release import flight_path
 
 AIM_PERIOD_NS = 200_000_000
 """Time (ns) between two answers on release/at."""
@@ -37,8 +38,9 @@ class Tossing:
         Publishes and subscribes.
     on_valve : callable
         Takes whether the valve is on.
-    future : callable
-        The tool's motion after a prediction; see `Flight`.
+    planning : Planning
+        Knows the tool's motion after a prediction, and does beside the live prediction what
+        takes long.
 
     Attributes
     ----------
@@ -47,11 +49,14 @@ class Tossing:
 
     """
 
-    def __init__(self, node: Node, on_valve: Callable[[bool], None], future: Future) -> None:
+    def __init__(
+        self, node: Node, on_valve: Callable[[bool], None], planning: Planning
+    ) -> None:
         """Advertise, and listen to the valve."""
-        self._future = future
+        self._planning = planning
         self._landing = Topic(node, PoseWithCovarianceStamped, 'package/landing')
         self._at = Topic(node, Header, 'release/at')
+        self._message = PoseWithCovarianceStamped()
         self._picture = Topic(node, MarkerArray, 'package/landing_markers')
         node.create_subscription(
             Bool, 'vacuum/valve', lambda m: on_valve(m.data), 10,  # type: ignore[attr-defined]
@@ -60,11 +65,9 @@ class Tossing:
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Go on with other values; compile what a landing needs."""
-        self.flight = Flight(values, self._future)
+        self.flight = Flight(values, self._planning.future)
         self._period_ns = round(0.9e9 / values['landing.rate'])  # ticks are not exact
-        if self.flight.known:
-            still = Prediction(1, *ORIGIN, ZERO, ZERO)
-            self.flight.landing(model, still, np.zeros((12, 12)))
+        self.flight.warm_up(model)
 
     def publish(
         self, model: ModelTuple, prediction: Prediction, frame_id: str,
@@ -75,37 +78,44 @@ class Tossing:
         wanted = self._landing.wanted or self._picture.wanted
         if wanted and now_ns - self._landed_ns >= self._period_ns:
             self._landed_ns = now_ns
-            found = self.flight.landing(model, prediction, covariance(prediction))
+            found = self.flight.landing(model, prediction, covariance)
             if found is not None:
-                self._landing.publish(_message(found, prediction.stamp_ns, frame_id))
+                _write(self._message, found, prediction.stamp_ns, frame_id)
+                self._landing.publish(self._message)
                 if self._picture.wanted:
-                    self._picture.publish(_picture(found, prediction.stamp_ns, frame_id))
-        if self._at.wanted and now_ns - self._aimed_ns >= AIM_PERIOD_NS:
+                    path = flight_path(model, found.toss, PATH_POINTS)
+                    self._picture.publish(_picture(found, path, prediction.stamp_ns, frame_id))
+        if (self._at.wanted and now_ns - self._aimed_ns >= AIM_PERIOD_NS
+                and not self._planning.is_busy):
             self._aimed_ns = now_ns
-            after = self.flight.time_to_target(model, prediction)
-            if after is not None:
-                message = Header(frame_id=frame_id)
-                write_stamp(message.stamp, prediction.stamp_ns + round(after * 1e9))
-                self._at.publish(message)
+            self._planning.submit(self._aim, model, prediction, frame_id)
+
+    def _aim(self, model: ModelTuple, prediction: Prediction, frame_id: str) -> None:
+        """Say when to switch the valve for the target."""
+        after = self.flight.time_to_target(model, prediction)
+        if after is not None:
+            message = Header(frame_id=frame_id)
+            write_stamp(message.stamp, prediction.stamp_ns + round(after * 1e9))
+            self._at.publish(message)
 
 
-def _message(found: Landing, stamp_ns: int, frame_id: str) -> PoseWithCovarianceStamped:
-    """Return the pose of B at landing, stamped as the prediction that it was made from."""
-    message = PoseWithCovarianceStamped()
+def _write(
+    message: PoseWithCovarianceStamped, found: Landing, stamp_ns: int, frame_id: str
+) -> None:
+    """Write the pose of B at landing, stamped as the prediction that it was made from."""
     message.header.frame_id = frame_id
     write_stamp(message.header.stamp, stamp_ns)
     write_vector(message.pose.pose.position, found.toss.landing[0])
     write_quaternion(message.pose.pose.orientation, found.toss.landing[1])
     message.pose.covariance = found.covariance.ravel()
-    return message
 
 
-def _picture(found: Landing, stamp_ns: int, frame_id: str) -> MarkerArray:
+def _picture(found: Landing, path: Array, stamp_ns: int, frame_id: str) -> MarkerArray:
     """Return the path of the flight, and the 95 % ellipse about its end."""
     ring = np.zeros((33, 3)) + found.toss.landing[0]
     ring[:, :2] += ellipse(found.covariance, 33)
     markers = []
-    for number, points in enumerate((found.path[:, :3], ring)):
+    for number, points in enumerate((path[:, :3], ring)):
         marker = Marker(ns=f'{NAMESPACE}_landing', id=number, type=Marker.LINE_STRIP)
         marker.header.frame_id = frame_id
         write_stamp(marker.header.stamp, stamp_ns)

@@ -11,12 +11,10 @@ import math
 from typing import Any
 
 from bellows_ros.core.jit import COMPILED, kernel
-from bellows_ros.core.kernels import State
-from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.kernels import State, tool_at, tool_segment
 from bellows_ros.core.live.flight import steadily
 from bellows_ros.core.live.payload import extrapolated
 from bellows_ros.core.live.samples import Prediction
-from bellows_ros.core.resampling import resample
 from bellows_ros.core.simulation import row_state, Rows, tool_rows
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import (
@@ -179,22 +177,22 @@ class Ahead:
         return Rows(np.append(0, np.round(later * NS_PER_S)).astype(np.int64), rows)
 
 
-def future(ahead: Ahead | None, now: Prediction, duration: float) -> Trajectory:
+@kernel
+def tool_within(before: Any, after: Any, duration: float, s: float) -> State:
+    """Return the tool at a fraction s of the time (s) between two rows."""
+    return tool_at(tool_segment(row_state(before), row_state(after), duration), s)
+
+
+def future(ahead: Ahead | None, now: Prediction, duration: float) -> Rows:
     """Return the tool going on for a time (s) from a prediction, by its plan or steadily."""
     if ahead is None or ahead.done or ahead.off:
         return steadily(now, duration)
-    rest = ahead.rest(now).trajectory()
-    end_ns = round(duration * NS_PER_S)
-    if rest.stamps_ns[-1] >= end_ns:
-        inside = rest.stamps_ns[(rest.stamps_ns > 0) & (rest.stamps_ns < end_ns)]
-        return resample(rest, np.concatenate([[0], inside, [end_ns]]))
-    last = rest.select(slice(-1, None))
-    twist = np.asarray(last.twist)[0]
-    state = (tuple(last.position[0].tolist()),
-             tuple(rotation_to_quaternion(last.rotation[0]).tolist()),
-             tuple(twist[:3].tolist()), tuple(twist[3:].tolist()))
-    o, q, v, w = extrapolated(state, (end_ns - int(rest.stamps_ns[-1])) / NS_PER_S)
-    return Trajectory(
-        np.append(rest.stamps_ns, end_ns), np.vstack([rest.position, o]),
-        np.concatenate([rest.rotation, quaternion_to_rotation(np.array(q))[None]]),
-        np.vstack([np.asarray(rest.twist), (*v, *w)]))
+    rest, end_ns = ahead.rest(now), round(duration * NS_PER_S)
+    k = int(np.searchsorted(rest.stamps_ns, end_ns))
+    since = (end_ns - int(rest.stamps_ns[k - 1])) / NS_PER_S
+    if k < len(rest):
+        gap = float(rest.stamps_ns[k] - rest.stamps_ns[k - 1]) / NS_PER_S
+        end = tool_within(rest.rows[k - 1], rest.rows[k], gap, since / gap)
+    else:
+        end = extrapolated(row_state(rest.rows[-1]), since)
+    return Rows(np.append(rest.stamps_ns[:k], end_ns), np.vstack([rest.rows[:k], np.hstack(end)]))

@@ -7,25 +7,26 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import largest_step
+from bellows_ros.core.equilibrium import displaced, largest_step
 from bellows_ros.core.holding import grip_of
 from bellows_ros.core.kernels import ModelTuple, State
-from bellows_ros.core.landing import aim, by_state, changed, figures, release_deviations
-from bellows_ros.core.lie import quaternion_to_rotation
+from bellows_ros.core.landing import aim, changed, figures, release_deviations
 from bellows_ros.core.live.payload import extrapolated
-from bellows_ros.core.live.samples import Prediction, ZERO
+from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
 from bellows_ros.core.release import (
     COARSE_STRIDE,
     flight,
     flight_path,
     Held,
-    land,
-    pushed_off,
+    NO_GRIP,
+    Release,
     release_of,
     Toss,
-    toss,
+    toss_along,
+    upward,
 )
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.simulation import Rows
+from bellows_ros.core.tuples import add, scale
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -35,10 +36,12 @@ AIMED_AHEAD = 0.4
 """So far ahead (s) a release for the target is sought."""
 AIMED_SCAN, AIMED_CLOSELY = 0.01, 1
 """Step (s) of the scan for it, and how many of its times are looked at closely."""
-MARGIN = 0.01
-"""A state a little different lets go so much (s) later at most."""
+INSTANT = 1e-7
+"""To this (s) the instant of letting go is found."""
+PUSHES = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3
+"""Differences by shift (m), turn (rad), linear and angular twist (m/s, rad/s)."""
 RENEWED = 10
-"""Every so many landings their derivatives are computed anew."""
+"""Every so many landings the covariance of the package's state is asked for."""
 PATH_POINTS = 24
 
 
@@ -49,20 +52,21 @@ class Landing(NamedTuple):
     """Times are s since the prediction."""
     covariance: Array
     """Of position on the floor and rotation vector, in world axes (6, 6)."""
-    path: Array
-    """States (N, 13) from letting go to landing."""
 
 
-def steadily(prediction: Prediction, duration: float) -> Trajectory:
+def motion(times_ns: tuple[int, int], start: State, end: State) -> Rows:
+    """Return the tool between two states."""
+    return Rows(np.array(times_ns), np.array([
+        (*o, *q, *v, *w) for o, q, v, w in (start, end)]))
+
+
+def steadily(prediction: Prediction, duration: float) -> Rows:
     """Return the tool going on from a prediction, its tip straight and its rotation steadily."""
-    ends = prediction.tool, extrapolated(prediction.tool, duration)
-    return Trajectory(
-        np.array([0, round(duration * 1e9)]), np.array([end[0] for end in ends]),
-        quaternion_to_rotation(np.array([end[1] for end in ends])),
-        np.array([[*end[2], *end[3]] for end in ends]))
+    tool = prediction.tool
+    return motion((0, round(duration * 1e9)), tool, extrapolated(tool, duration))
 
 
-Future = Callable[[Prediction, float], Trajectory]
+Future = Callable[[Prediction, float], Rows]
 
 
 class Flight:
@@ -91,7 +95,23 @@ class Flight:
         self._values, self._future = values, future
         self.known = min(values['package.size']) > 0.0
         self._release = release_of(values) if self.known else None
+        self._grip = grip_of(values) or NO_GRIP
+        self._deviations = release_deviations(values)
+        self._uncertain = [*range(12), *(12 + np.flatnonzero(self._deviations)).tolist()]
         self._longest: tuple[ModelTuple | None, float] = None, 0.0
+        self.forget()
+
+    def warm_up(self, model: ModelTuple) -> None:
+        """Compile all that a toss needs."""
+        if self._release is None:
+            return
+        high = scale(self._release.height + 1.0 + 2.0 * max(self._values['package.size']),
+                     upward(model[2]))
+        still = Prediction(1, high, *ORIGIN[1:], ZERO, ZERO, (high, *ORIGIN[1:]))
+        found = self.landing(model, still, lambda _: np.zeros((12, 12)))
+        self.time_to_target(model, still)
+        if found is not None:
+            flight_path(model, found.toss, 2)
         self.forget()
 
     def forget(self) -> None:
@@ -100,7 +120,8 @@ class Flight:
         self._switched_ns = self._stamp_ns = 0
         self._landing_ns: int | None = None
         self._body: State | None = None
-        self._by: Array | None = None
+        self._by: Array | None = None  # (6, 15), derivatives by state and release
+        self._covariance = np.zeros((12, 12))
         self._count = 0
         self._before: Prediction | None = None
 
@@ -122,21 +143,15 @@ class Flight:
         duration = (now.stamp_ns - before.stamp_ns) * 1e-9
         if not 0.0 < duration < 1.0:
             return now
-        tool = Trajectory(
-            np.array([before.stamp_ns, now.stamp_ns]), np.array([before.tool[0], now.tool[0]]),
-            quaternion_to_rotation(np.array([before.tool[1], now.tool[1]])),
-            np.array([[*t.tool[2], *t.tool[3]] for t in (before, now)]))
-        held = Held(model, grip_of(self._values), tool, before.body, duration)
+        tool = motion((before.stamp_ns, now.stamp_ns), before.tool, now.tool)
         switched = (self._switched_ns - before.stamp_ns) * 1e-9
-        released, body = held.let_go(self._release.valve, switched)
-        if released < 0.0 or switched > duration:
+        released, body, landed, _ = self._toss(
+            model, self._release, before.body, tool, switched)
+        if released < 0.0:
             return now
-        _, package, gravity = model
-        self._body = pushed_off(package, body, self._release.impulse)
+        self._body = body
         self._stamp_ns = before.stamp_ns + round(released * 1e9)
-        after, _ = land(
-            package, gravity, self._release.box, self._release.height, self._body, COARSE_STRIDE)
-        self._landing_ns = None if after < 0.0 else self._stamp_ns + round(after * 1e9)
+        self._landing_ns = None if landed < 0.0 else before.stamp_ns + round(landed * 1e9)
         self.state = 'flying'
         return self.fly(model, now.stamp_ns, now.tool) or now
 
@@ -152,11 +167,25 @@ class Flight:
         self._stamp_ns = max(stamp_ns, self._stamp_ns)
         return Prediction(stamp_ns, *self._body, ZERO, ZERO, tool)
 
+    def _toss(
+        self, model: ModelTuple, release: Release, body: State, tool: Rows, switched: float = 0.0,
+    ) -> tuple[float, State, float, State]:
+        """Return when it is let go and the state then, when it lands and the state then."""
+        if self._longest[0] is not model:
+            self._longest = model, largest_step(model)
+        return toss_along(
+            model, self._grip, release.valve, release.impulse, release.box, release.height, body,
+            tool.rows, tool.seconds, switched, self._longest[1], INSTANT)
+
     def landing(
-        self, model: ModelTuple, prediction: Prediction, covariance: Array
+        self, model: ModelTuple, prediction: Prediction,
+        covariance: Callable[[Prediction], Array],
     ) -> Landing | None:
         """
         Return where it would land if the valve were switched now, the tool going on as planned.
+
+        One derivative is renewed each time: all of them take as long as what they are used for
+        hardly changes.
 
         Parameters
         ----------
@@ -164,41 +193,60 @@ class Flight:
             As the kernels take it.
         prediction : Prediction
             Of the held package.
-        covariance : array (12, 12)
-            Of its state, in its own axes.
+        covariance : callable
+            From it to the covariance (12, 12) of its state, in its own axes.
 
         """
         release = self._release
         if release is None or self.state:
             return None
-        grip = grip_of(self._values)
         ahead = release.valve[0] + TAUS * release.valve[1] + AHEAD
         try:
-            if self._longest[0] is not model:
-                self._longest = model, largest_step(model)
-            held = Held(
-                model, grip, self._future(prediction, ahead), prediction.body, ahead,
-                self._longest[1])
-            nominal = toss(held, release, 0.0, COARSE_STRIDE)
+            tool = self._future(prediction, ahead)
+            nominal = Toss(*self._toss(model, release, prediction.body, tool))
+            if nominal.landing_time <= nominal.release_time:
+                return None
+            if self._count % RENEWED == 0:
+                self._covariance = covariance(prediction)
+            due = self._uncertain
+            if self._by is None:
+                self._by = np.zeros((6, 15))
+            else:
+                due = [due[self._count % len(due)]]
+            for i in due:
+                self._by[:, i] = self._derivative(model, release, prediction, tool, nominal, i)
             self._count += 1
-            if self._by is None or self._count % RENEWED == 0:
-                ahead = nominal.release_time + MARGIN
-                self._by = by_state(Held(
-                    model, grip, self._future(prediction, ahead),
-                    prediction.body, ahead, self._longest[1]), release, nominal)
-            parts = [self._by @ covariance @ self._by.T]
-            for sigma, unit in zip(release_deviations(self._values), np.eye(3), strict=True):
-                if sigma > 0.0:
-                    part = figures(
-                        toss(held, changed(release, sigma * unit), 0.0, COARSE_STRIDE), nominal,
-                        model[2])
-                    parts.append(np.outer(part, part))
         except (BellowsError, ArithmeticError, ValueError):
+            self._by = None
             return None
-        total = np.sum(parts, axis=0)
-        if not np.isfinite(total).all():
-            return None
-        return Landing(nominal, total, flight_path(model, nominal, PATH_POINTS))
+        of_state, of_release = self._by[:, :12], self._by[:, 12:]
+        total = of_state @ self._covariance @ of_state.T + of_release @ of_release.T
+        return Landing(nominal, total) if np.isfinite(total).all() else None
+
+    def _derivative(
+        self, model: ModelTuple, release: Release, prediction: Prediction, tool: Rows,
+        nominal: Toss, i: int,
+    ) -> Array:
+        """
+        Return the change (6,) of a landing by the i-th of what it depends on.
+
+        By shift, turn, linear and angular twist of B in its own axes, for a unit of each, and by
+        delay, tau and impulse, for a standard deviation.
+        """
+        body, size = prediction.body, 1.0
+        push = np.zeros(15)
+        if i < 12:
+            push[i] = size = PUSHES[i]
+            x = push.tolist()
+            o, q, v, w = displaced(body, (x[0], x[1], x[2]), (x[3], x[4], x[5]))
+            body = o, q, add(v, (x[6], x[7], x[8])), add(w, (x[9], x[10], x[11]))
+        else:
+            push[i] = 1.0
+            release = changed(release, push[12:] * self._deviations)
+        found = Toss(*self._toss(model, release, body, tool))
+        if found.landing_time <= found.release_time:
+            raise BellowsError('A toss that differs a little does not land.')
+        return figures(found, nominal, model[2]) / size
 
     def time_to_target(self, model: ModelTuple, prediction: Prediction) -> float | None:
         """Return after what time (s) to switch the valve for the target; None without one."""

@@ -77,7 +77,7 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
         (tuple(tool[0]), tuple(tool[1]), tuple(tool[2][:3]), tuple(tool[2][3:])))
     flight = Flight(VALUES)
     std = np.repeat([1e-4, 1e-3, 2e-3, 1e-2], 3)
-    found = flight.landing(MODEL, now, np.diag(std**2))
+    found = flight.landing(MODEL, now, lambda _: np.diag(std**2))
     steady = Held(MODEL, tosses.GRIP, steadily(now, 0.5), now.body, 0.5)
     expected = toss(steady, release_of(VALUES), 0.0)
     np.testing.assert_allclose(found.toss.landing[0], expected.landing[0], atol=1e-7)
@@ -115,4 +115,4 @@ def test_says_when_to_release_for_a_target(plan):
     assert aimed.time_to_target(MODEL, now) == pytest.approx(0.123, abs=1e-4)
     assert Flight(VALUES).time_to_target(MODEL, now) is None
     unknown = Flight({**VALUES, 'package.size': (0.0, 0.0, 0.0)})
-    assert unknown.landing(MODEL, now, np.zeros((12, 12))) is None
+    assert unknown.landing(MODEL, now, lambda _: np.zeros((12, 12))) is None
