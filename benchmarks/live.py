@@ -29,8 +29,10 @@ EVENTS = 'bare, events'
 """... and the same spun as the commands of this package spin theirs."""
 PREDICTOR = 'predictor'
 HEARD = 'predictor, twist and wrench heard'
-LANDING = 'predictor, landing heard'
 """Only what somebody listens to is published, beside the pose."""
+PLANS = 'bare, events, plans'
+"""A bare node that sends plans back, too."""
+TOSSING = 'predictor, release and landing set'
 
 PARAMETERS = (
     '-p', 'package.mass:=2.17',
@@ -46,9 +48,10 @@ TOSSED = (
 NODES: Mapping[str, tuple[str, ...]] = {
     BARE: ('benchmarks.echo',),
     EVENTS: ('benchmarks.echo', 'events'),
+    PLANS: ('benchmarks.echo', 'events', 'plans'),
     PREDICTOR: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
     HEARD: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
-    LANDING: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS, *TOSSED),
+    TOSSING: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS, *TOSSED),
 }
 
 
@@ -74,8 +77,10 @@ def run(short: bool) -> dict[str, Any]:
     return {'runs': found}
 
 
-def measured(name: str, rate: int, seconds: float, twists: bool, folder: Path) -> dict[str, Any]:
-    """Return what the probe finds of one node."""
+def measured(
+    name: str, rate: int, seconds: float, twists: bool, folder: Path, heard: str = 'pose'
+) -> dict[str, Any]:
+    """Return what the probe finds of one node; `heard` as the probe has it."""
     environment = {
         **same_package(),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_LOG_DIR': str(folder),
@@ -83,7 +88,7 @@ def measured(name: str, rate: int, seconds: float, twists: bool, folder: Path) -
     }
     with _process(NODES[name], environment, folder / f'{name}.log') as pid:
         sent = 'twists' if twists else 'poses'
-        heard = {HEARD: 'all', LANDING: 'landing'}.get(name, 'pose')
+        heard = 'all' if name == HEARD else heard
         arguments = [str(rate), str(seconds), sent, heard, str(pid)]
         probe = subprocess.run(
             [sys.executable, '-P', '-m', 'benchmarks.probe', *arguments],

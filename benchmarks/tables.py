@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from .live import BARE, EVENTS, LONG
+from .live import BARE, EVENTS, LONG, PLANS, PREDICTOR
 from .step import OURS
 
 Table = list[tuple[str, ...]]
@@ -162,6 +162,22 @@ def _motions(section: Mapping[str, Any]) -> Table:
          f'{row["swing_left"]:.2g} degrees') for name, row in section['motions'].items()]
 
 
+def _ahead(section: Mapping[str, Any]) -> Table:
+    """Return how soon plans are answered, and what looking ahead costs."""
+    answers = section['answers']
+    plan = f'a plan of 2 s, {answers["points"]} points'
+    rows: Table = [('over DDS', 'p50', 'p99', 'CPU per pose')]
+    rows += [
+        (f'{plan}, {done}', *map(_time, answers[name]), '') for name, done in (
+            (PREDICTOR, 'answered'), (PLANS, 'sent back by a bare node'))]
+    rows.append(('poses while such plans come at 1 Hz, to without',
+                 *(f'{ratio:.2f}' for ratio in answers['ratios']), ''))
+    return rows + [
+        (f'poses at {row["rate_hz"]} Hz with package/landing, to without',
+         *(f'{row[name]:.2f}' for name in ('p50', 'p99', 'processor')))
+        for row in section['landing']]
+
+
 _TABLES: Mapping[str, Callable[[Mapping[str, Any]], Table]] = {
     'step': _step,
     'step.accuracy': _accuracy,
@@ -172,6 +188,7 @@ _TABLES: Mapping[str, Callable[[Mapping[str, Any]], Table]] = {
     'batch': _batch,
     'plans': _plans,
     'plans.motions': _motions,
+    'ahead': _ahead,
 }
 
 

@@ -15,7 +15,7 @@ from benchmarks import batch, live, offline, plans, startup, step, timing
 from benchmarks.tables import markdown, tables
 import pytest
 
-NEEDED = {'node': 'rclpy', 'startup': 'rclpy', 'batch': 'joblib'}
+NEEDED = {'node': 'rclpy', 'ahead': 'rclpy', 'startup': 'rclpy', 'batch': 'joblib'}
 
 
 @pytest.mark.stress

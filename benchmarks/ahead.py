@@ -1,0 +1,63 @@
+"""What looking ahead costs the node and takes: plans answered, the landing said, in pairs."""
+
+from pathlib import Path
+import tempfile
+from typing import Any
+
+import numpy as np
+
+from .live import measured, PLANS, PREDICTOR, TOSSING
+from .probe import CYCLE, PLAN_LASTS
+
+POINTS, RATE = 500, 500
+"""Points per second of a plan; rate (Hz) of the tool's poses."""
+PLAN_ROUNDS, LANDING_ROUNDS, LANDING_RATES, LANDING_SECONDS = 4, 7, (125, 500), 5.0
+
+
+def run(short: bool) -> dict[str, Any]:
+    """Return times of answers (s), and ratios of latencies and processor time."""
+    with tempfile.TemporaryDirectory() as folder:
+        return {'answers': _answers(Path(folder), short), 'landing': [
+            _landing(Path(folder), rate, short) for rate in LANDING_RATES[short:]]}
+
+
+def _answers(folder: Path, short: bool) -> dict[str, Any]:
+    """Plans of 2 s, one each second for half of each cycle, while poses come."""
+    times: dict[str, list[float]] = {PLANS: [], PREDICTOR: []}
+    pairs = []
+    for _ in range(1 if short else PLAN_ROUNDS):
+        for name, found in times.items():
+            run = measured(name, RATE, (1 if short else 3) * CYCLE, True, folder,
+                           f'plans,1,{POINTS},raw')
+            found += run['plans']
+            if name == PREDICTOR:
+                pairs += _pairs(np.array(run['stamps']), np.array(run['latency']))
+    return {
+        'points': POINTS * PLAN_LASTS + 1, 'count': len(times[PREDICTOR]),
+        **{name: np.percentile(found, [50.0, 99.0]).tolist() for name, found in times.items()},
+        'ratios': np.median(pairs, axis=0).tolist(), 'pairs': len(pairs),
+    }
+
+
+def _pairs(stamps: np.ndarray, latency: np.ndarray) -> list[np.ndarray]:
+    """Return p50 and p99 of poses while plans come to those of the same cycle without."""
+    cycle, phase = np.divmod(stamps, CYCLE)
+    with_, without = phase < CYCLE / 2, phase > CYCLE / 2 + PLAN_LASTS
+    return [
+        np.percentile(latency[(cycle == k) & with_], [50.0, 99.0])
+        / np.percentile(latency[(cycle == k) & without], [50.0, 99.0])
+        for k in np.unique(cycle[without])]
+
+
+def _landing(folder: Path, rate: int, short: bool) -> dict[str, Any]:
+    """Compare the node that says where the package would land with one that knows of no toss."""
+    rows = []
+    for _ in range(1 if short else LANDING_ROUNDS):
+        pair = []
+        for name, heard in ((PREDICTOR, 'pose'), (TOSSING, 'landing')):
+            run = measured(name, rate, LANDING_SECONDS, True, folder, heard)
+            pair.append([*np.percentile(run['latency'], [50.0, 99.0]),
+                         run['processor_seconds'] / run['answered']])
+        rows.append(np.divide(pair[1], pair[0]))
+    p50, p99, processor = np.median(rows, axis=0).tolist()
+    return {'rate_hz': rate, 'pairs': len(rows), 'p50': p50, 'p99': p99, 'processor': processor}
