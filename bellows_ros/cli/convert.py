@@ -1,6 +1,7 @@
 """`bellows convert`: trajectory files to recordings, and recordings to trajectory files."""
 
 import argparse
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -128,7 +129,7 @@ def _require_one(arguments: argparse.Namespace) -> None:
 def _require_text(arguments: argparse.Namespace) -> None:
     """Say how a recording can be converted, where a recording is to be made of one."""
     for source in arguments.sources:
-        if source.is_dir() or source.suffix in ('.mcap', '.db3'):
+        if os.path.isdir(source) or source.suffix in ('.mcap', '.db3'):
             raise BellowsError(
                 f"'{source}' is a recording already. To write its poses as text, give --out a "
                 'name that ends in .tum; to make tool poses of its joints or transforms, name the '

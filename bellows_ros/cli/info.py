@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Iterator
-from pathlib import Path
+import os
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Look, write, report."""
-    if arguments.write_params and Path(arguments.write_params).exists() and not arguments.force:
+    if arguments.write_params and os.path.exists(arguments.write_params) and not arguments.force:
         raise BellowsError(
             f"Parameter file '{arguments.write_params}' exists. Give another name, or --force to "
             'replace it with all that was filled in.')

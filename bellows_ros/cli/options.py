@@ -85,7 +85,7 @@ def add_arm_options(parser: argparse.ArgumentParser) -> None:
 
 def require_free(bag: str, force: bool) -> None:
     """Refuse a recording that exists, unless it may be replaced."""
-    if bag and Path(bag).exists() and not force:
+    if bag and os.path.exists(bag) and not force:
         raise BellowsError(
             f"Output '{bag}' exists. Give another name, or --force to replace the recording."
         )
@@ -222,14 +222,14 @@ def require_outputs(outputs: 'Iterable[str]', inputs: 'Iterable[str | Path]') ->
     files = [output for output in outputs if output not in ('', STDOUT)]
     if not files:
         return
-    from bellows_ros.files.atomic import require_file_target
+    from bellows_ros.files.atomic import require_file_target, require_folder_target
     from bellows_ros.files.bag_folder import require_no_input
 
     read, targets = list(inputs), []
     for output in files:
         require_no_input(output, read)
-        targets.append(Path(os.path.realpath(output)) if isinstance(output, Folder)
-                       else require_file_target(output))
+        require = require_folder_target if isinstance(output, Folder) else require_file_target
+        targets.append(Path(os.path.realpath(require(output))))
     for i, target in enumerate(targets):
         if any(target == other or other in target.parents
                for other in [*targets[:i], *targets[i + 1:]]):

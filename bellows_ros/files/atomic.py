@@ -121,13 +121,33 @@ def new_folder(path: str | os.PathLike[str], replace: bool = False) -> Iterator[
         raise _failed(path, error) from None
 
 
+def require_folder_target(path: str | os.PathLike[str]) -> Path:
+    """
+    Return where a folder will be written, before any work is put into its content.
+
+    Raises
+    ------
+    BellowsError
+        If the folder that it shall lie in does not exist, or the name cannot be one.
+
+    """
+    try:
+        target = Path(os.path.abspath(path))
+        with suppress(FileNotFoundError):
+            os.lstat(target)
+        no_folder = not target.parent.is_dir()
+    except (OSError, ValueError) as error:
+        raise _failed(path, error) from None
+    if no_folder:
+        raise _no_folder(path, target)
+    return target
+
+
 def _folder_target(path: str | os.PathLike[str], replace: bool) -> Path:
-    """Return where a folder goes."""
-    target = Path(os.path.abspath(path))
+    """Return where a folder goes that is not there, or that may be replaced."""
+    target = require_folder_target(path)
     if os.path.lexists(target) and not (replace and target.is_dir() and not target.is_symlink()):
         raise BellowsError(f"Output '{path}' exists. Give another name, or remove it first.")
-    if not target.parent.is_dir():
-        raise _no_folder(path, target)
     return target
 
 

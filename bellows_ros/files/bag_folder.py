@@ -113,9 +113,9 @@ def require_no_input(
         If it would replace or change what is read.
 
     """
-    target = Path(os.path.realpath(path))
+    target = _real(path)
     for name in inputs:
-        source = Path(os.path.realpath(name))
+        source = _real(name)
         if source.suffix in STORED and (source.parent / METADATA).exists():
             source = source.parent
         if target == source:
@@ -126,6 +126,14 @@ def require_no_input(
         if target in source.parents:
             raise BellowsError(
                 f"Output '{path}' has the input '{name}' in it. Give another name.")
+
+
+def _real(path: str | os.PathLike[str]) -> Path:
+    """Return where a name leads."""
+    try:
+        return Path(os.path.realpath(path))
+    except (OSError, ValueError) as error:
+        raise BellowsError(f"'{path}' is no name of a file: {error}.") from None
 
 
 def differing_counts(listed: Listing, counts: Mapping[Topic, int]) -> tuple[str, ...]:

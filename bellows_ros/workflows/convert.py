@@ -265,7 +265,7 @@ def _renamed(item: tuple[Converted, Recorded], topic: str) -> tuple[Converted, R
 
 def _read(source: Path, fewest_markers: int) -> list[tuple[Converted, Recorded]]:
     """Return the bodies in a file, with what was left out."""
-    if not source.is_file():
+    if not os.path.isfile(source):
         raise BellowsError(
             f"'{source}' is not a file. Give a Motive CSV export, or a TUM, KITTI or EuRoC file."
         )

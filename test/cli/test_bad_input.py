@@ -275,6 +275,24 @@ def test_a_bad_override(
     check_refusal(bellows(*command, '--set', override), outputs, before, words)
 
 
+@pytest.mark.parametrize('command', [
+    ['plan', 'PLAN', '--out', 'NAME'], ['plan', 'PLAN', '--json', 'NAME'],
+    ['plan', 'PLAN', '--out', 'no/bag'], ['info', 'NAME'], ['export', 'NAME', '--to', 'c'],
+    ['info', 'BAG', '--write-params', 'NAME'], ['convert', 'NAME', '--out', 'bag'],
+])
+def test_names_that_cannot_be(
+    command: list[str], bellows: Run, workshop: Path, outputs: Path
+) -> None:
+    """Refuse a name that is too long, and a folder that is not there, before the work."""
+    words = {'NAME': 'x' * 300, 'PLAN': ROOT / 'bags' / 'transport.yaml',
+             'BAG': workshop / 'recording', 'no/bag': outputs / 'no' / 'bag'}
+    before = contents(outputs)
+    done = bellows(*(words.get(word, word) for word in command),
+                   *(['--out', outputs / 'cup.h'] if command[0] == 'export' else []))
+    named = words.get('no/bag') if 'no/bag' in command else 'x' * 300
+    check_refusal(done, outputs, before, [str(named)])
+
+
 def test_no_recording_at_all(bellows: Run, workshop: Path, outputs: Path) -> None:
     """Ask for one."""
     before = contents(outputs)
