@@ -181,7 +181,7 @@ def test_a_thousand_random_plans():
     lets_go, wrong, afraid, rigid_wrong = 0, 0, 0, 0
     for _ in range(5):
         cases = [random_case(rng) for _ in range(200)]
-        truth, rigid = truths(cases)
+        truth, rigid = truths(cases, rate=2000)
         found = np.array([
             predict(model_tuple(CUP, package, 9.81), grip, move.plan(250)).smallest_safety[0]
             for move, package, grip in cases])
