@@ -23,7 +23,7 @@ def test_lands_and_says_what_to_fix_first(bellows: Run, tmp_path: Path) -> None:
     assert set(found) >= {
         'release_time', 'release_mode', 'release_pose', 'release_twist', 'landing_time',
         'landing_position', 'landing_rotation', 'landing_covariance', 'tumbling', 'budget',
-        'monte_carlo'}
+        'monte_carlo', 'plan', 'version', 'provenance'}
     assert found['release_mode'] == 'peel'
     assert 3.012 < found['release_time'] < found['landing_time'] < 4.0
     covariance = np.array(found['landing_covariance'])
