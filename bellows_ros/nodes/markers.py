@@ -48,7 +48,8 @@ class Picture:
         tip = add_scaled(lip, METRES_PER_NEWTON, apply(R_world_package, prediction.force))
         write_vector(self._box.pose.position, prediction.position)
         write_quaternion(self._box.pose.orientation, prediction.quaternion_xyzw)
-        self._cup.points = [_point(prediction.tool[0]), _point(lip)]
+        end = prediction.tool[0] if prediction.flies else lip
+        self._cup.points = [_point(prediction.tool[0]), _point(end)]
         self._force.points = [_point(lip), _point(tip)]
         for marker, colour in ((self._box, CARDBOARD), (self._cup, RUBBER), (self._force, FORCE)):
             write_stamp(marker.header.stamp, prediction.stamp_ns)

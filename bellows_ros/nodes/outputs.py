@@ -177,7 +177,7 @@ class Outputs:
         """Send what goes on while the tool is extrapolated."""
         if self._odometry.wanted:
             self._publish_odometry(prediction, frame_id)
-        if self._deflection.wanted:
+        if self._deflection.wanted and not prediction.flies:
             message = PoseStamped()
             write_deflection(
                 message, self._values['frames.lip'] + NOMINAL, self.model, prediction)

@@ -125,7 +125,7 @@ class PredictorNode(ManagedNode):
         self._attachment = Attachment(
             self, values, self._attach, lambda pressure: self._diagnostics.load.hear(pressure))
         self.create_service(Trigger, '~/reset', self._on_reset)
-        self._planning = Planning(self, lambda: self._last)
+        self._planning = Planning(self, self._held)
         self._tossing = Tossing(self, self._on_valve, self._planning)
         self._observing = Observing(self, values['measured.type'])
         self._apply(live, values)
@@ -332,14 +332,18 @@ class PredictorNode(ManagedNode):
             self._publish(live.flush())
         if idle:
             self._publish(live.coast(self._ticked_ns))
-        if self._last is not None and self._ticks % LOAD_TICKS == 0:
-            self._diagnostics.load.watch_deflection(live.model, self._last)
+        held = self._held()
+        if held is not None and self._ticks % LOAD_TICKS == 0:
+            self._diagnostics.load.watch_deflection(live.model, held)
         self._planning.follow()
         flight = self._tossing.flight
-        if self._last is not None and flight.known and not flight.state:
-            self._tossing.publish(
-                live.model, self._last, live.frame_id, self._outputs.covariance)
+        if held is not None and flight.known and not flight.state:
+            self._tossing.publish(live.model, held, live.frame_id, self._outputs.covariance)
         self._say_state()
+
+    def _held(self) -> Prediction | None:
+        """Return the newest prediction of a package that the cup holds."""
+        return None if self._last is None or self._last.flies else self._last
 
     def _is_late(self) -> bool:
         """Return whether this process has paused, so that what waits comes first; not twice."""

@@ -29,6 +29,23 @@ def numbers(messages: list[Any]) -> np.ndarray:
     ])
 
 
+@pytest.mark.parametrize(('direction', 'xyzw'), [
+    ([0.0, 0.0, 2.0], (1.0, 0.0, 0.0, 0.0)),  # an arm on a ceiling, its base upside down
+    ([0.0, 1.0, 0.0], (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))),  # and one on a wall
+])
+def test_an_arm_on_wall_or_ceiling_carries_the_package_at_rest(
+        direction: list[float], xyzw: tuple[float, ...],
+        make_partner: Callable[..., Any]) -> None:
+    """Things fall along gravity.direction, of any length; z of the tool points against it."""
+    partner = make_partner({**PACKAGE, 'gravity.direction': direction})
+    partner.send_pose(START, xyzw=xyzw)
+    partner.send_twist(START)
+    partner.wait_for_poses(1)
+    hanging = LENGTH + MASS * GRAVITY / AXIAL + DEPTH
+    down = np.array(direction) / np.linalg.norm(direction)
+    assert_allclose(numbers(partner.poses), [[*hanging * down, *xyzw]], atol=1e-12)
+
+
 def test_standing_tool_carries_the_package_at_rest(make_partner: Callable[..., Any]) -> None:
     """Publish the static equilibrium with the input's stamp, and the weight as the wrench."""
     partner = make_partner()

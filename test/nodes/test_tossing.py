@@ -18,20 +18,22 @@ SPEED = 0.4  # m/s
 
 def test_lands_where_it_said_it_would(make_partner: Callable[..., Partner]) -> None:
     """Say landing and time of release; then fly on after the valve, land, and take up the next."""
-    from geometry_msgs.msg import PoseWithCovarianceStamped
+    from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
     from std_msgs.msg import Bool, Header, String
 
     partner = make_partner(TOSSED)
-    heard: dict[str, list[Any]] = {'landing': [], 'at': [], 'state': []}
+    heard: dict[str, list[Any]] = {'landing': [], 'at': [], 'state': [], 'lip': []}
     ends = [
         partner.node.create_subscription(kind, name, heard[key].append, 10)
         for kind, name, key in (
             (PoseWithCovarianceStamped, 'package/landing', 'landing'),
-            (Header, 'release/at', 'at'), (String, 'package/state', 'state'))]
+            (Header, 'release/at', 'at'), (String, 'package/state', 'state'),
+            (PoseStamped, 'cup/deflection', 'lip'))]
     valve = partner.node.create_publisher(Bool, 'vacuum/valve', 10)
     assert partner.ros.spin_until(lambda: (
         valve.get_subscription_count() and all(e.get_publisher_count() for e in ends)
-        and partner.predictor._tossing._landing.wanted and partner.predictor._tossing._at.wanted))
+        and partner.predictor._tossing._landing.wanted and partner.predictor._tossing._at.wanted
+        and partner.predictor._outputs._deflection.wanted))
     start_ns, sent = time.time_ns(), 0
 
     def go_on() -> None:
@@ -60,6 +62,8 @@ def test_lands_where_it_said_it_would(make_partner: Callable[..., Partner]) -> N
     valve.publish(Bool(data=False))
     assert until(lambda: state() == 'flying')
     assert until(lambda: state() == 'landed')
+    assert partner.predictor._held() is None  # nor does the cup any longer
+    assert heard['lip'] and max(abs(lip.pose.position.z) for lip in heard['lip']) < 0.02
     assert 'released' in [message.data for message in heard['state']]
     heights = [message.pose.position.z for message in partner.poses]
     # A corner, 0.21 m from the middle of the tilted plate, comes down first.

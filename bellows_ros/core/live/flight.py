@@ -11,7 +11,7 @@ from bellows_ros.core.equilibrium import displaced, largest_step
 from bellows_ros.core.holding import grip_of
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.landing import aim, changed, figures, release_deviations
-from bellows_ros.core.live.payload import extrapolated
+from bellows_ros.core.live.payload import extrapolated, MOST_SUBSTEPS
 from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
 from bellows_ros.core.release import (
     COARSE_STRIDE,
@@ -173,6 +173,8 @@ class Flight:
         """Return when it is let go and the state then, when it lands and the state then."""
         if self._longest[0] is not model:
             self._longest = model, largest_step(model)
+        if float(tool.seconds[-1]) > MOST_SUBSTEPS * self._longest[1]:  # would hold up the poses
+            return -1.0, body, -1.0, body
         return toss_along(
             model, self._grip, release.valve, release.impulse, release.box, release.height, body,
             tool.rows, tool.seconds, switched, self._longest[1], INSTANT)

@@ -29,6 +29,9 @@ PHASE_MESSAGES = {
     'waiting': 'Waiting for the first pose of the tool.',
     'settling': 'Settling: the prediction started while the tool moved, or after doubtful poses.',
     'coasting': 'Coasting: no pose of the tool comes, its motion is extrapolated.',
+    'released': 'Released: the valve is switched off, and the cup still holds the package.',
+    'flying': 'Flying: the cup has let the package go.',
+    'landed': 'Landed: nothing is published until vacuum/valve is true again.',
     'lost': 'Lost: no pose of the tool that can be used; nothing is published until one comes.',
 }
 

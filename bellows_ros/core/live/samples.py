@@ -71,3 +71,8 @@ class Prediction(NamedTuple):
     def body(self) -> State:
         """Pose and body twist of the package, as the kernels take them."""
         return self.position, self.quaternion_xyzw, self.linear, self.angular
+
+    @property
+    def flies(self) -> bool:
+        """Whether no cup holds the package: none does without the least force."""
+        return self.force == ZERO
