@@ -6,13 +6,16 @@ import sys
 from types import SimpleNamespace
 from typing import Any
 
+from bellows_ros.core.holding import Margin
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.errors import BellowsError
 from bellows_ros.plots.animation import _ffmpeg as ffmpeg
 from bellows_ros.plots.animation import FRAMES_PER_SECOND, write_animation
 from bellows_ros.plots.loads import deflection_figure, residual_figure
+from bellows_ros.plots.plan import margin_figure
 from bellows_ros.plots.recording import motion_figure, path_figure, spectra_figure
 from bellows_ros.plots.style import THEMES
+from bellows_ros.workflows.replay import Margins
 import numpy as np
 import pytest
 
@@ -52,7 +55,11 @@ def draw_all(motion: Any, loads: Any, theme: str) -> dict[str, Any]:
     frequency = np.linspace(0.0, 50.0, 40)
     spectra = SimpleNamespace(
         frequency_hz=frequency, measured=1e-5 + np.zeros((40, 6)), error=1e-6 + np.zeros((40, 6)))
+    margins = Margins(
+        np.linspace(0.0, 2.0, 40), np.full((40, 2), [2.2, 3.0]), np.full((40, 2), 0.1),
+        Margin(0.9, 'slip', 1.234), 1.5)
     return {
+        'margin': margin_figure(margins, 'note', theme),
         'motion': motion_figure(motion, 'note', theme),
         'path': path_figure(motion, 'note', theme),
         'spectra': spectra_figure(spectra, 'note', theme),
@@ -112,6 +119,16 @@ def test_residuals_say_their_part_of_the_load(motion: Any, loads: Any) -> None:
         zero, left = lower.get_lines()
         assert set(zero.get_ydata()) == {0.0}
         np.testing.assert_array_equal(left.get_ydata(), loads.residual[:, axis])
+
+
+def test_margins_are_drawn_with_two_standard_deviations(motion: Any, loads: Any) -> None:
+    """Draw bands to both sides of each factor, and mark the smallest with mode and instant."""
+    panel, = draw_all(motion, loads, 'light')['margin'].axes
+    for band, factor in zip(panel.collections, (2.2, 3.0), strict=False):
+        heights = band.get_paths()[0].vertices[:, 1]
+        assert heights.min() == pytest.approx(factor - 0.2)
+        assert heights.max() == pytest.approx(factor + 0.2)
+    assert '0.9 (slip, 1.23 s)' in [text.get_text() for text in panel.get_legend().get_texts()]
 
 
 @pytest.fixture(scope='module')
