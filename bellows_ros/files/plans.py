@@ -7,7 +7,7 @@ what lies between the points, is not decided here.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 import os
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.arm import Arm, read_arm
 from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion, transform
+from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.plan_points import require_count
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
@@ -284,12 +284,6 @@ def _three(vector: Any) -> tuple[float, float, float]:
 def _seven(vector: Any, q: Any) -> tuple[float, ...]:
     """Return the numbers of a position and a quaternion."""
     return (*_three(vector), float(q.x), float(q.y), float(q.z), float(q.w))
-
-
-def _pose_matrix(seven: Iterable[float]) -> Array:
-    """Return a pose (4, 4) of position and quaternion."""
-    numbers = np.array(tuple(seven))
-    return transform(quaternion_to_rotation(numbers[3:]), numbers[:3])
 
 
 def _ns(stamp: Any) -> int:
