@@ -164,7 +164,7 @@ def error_table(result: 'Replay') -> list[str]:
     from .words import aligned, MILLI, percent, short
 
     found, live = result.validation, result.live
-    white = found.one_step.whiteness.words if found.one_step else ('-',) * 6
+    white = found.one_step.whiteness.verdicts if found.one_step else ('-',) * 6
     rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE', 'one-step')]
     for i, name in enumerate(AXES):
         errors = (found.scores.rms, live.scores.rms if live else None, found.noise,

@@ -154,7 +154,7 @@ def _say_length(result: 'StaticResult', console: Console) -> None:
         console.paragraph(f'No nominal length: {result.no_length}')
         return
     console.say('Nominal length', 'bold')
-    console.say(f'  l0 {length.words}')
+    console.say(f'  l0 {length.text}')
     console.paragraph(
         f'  polynomial of order {len(length.coefficients) - 1} through {len(length.loads)} '
         f'standstills; a straight line through the linear range gives '

@@ -144,7 +144,7 @@ class Distance:
     outside: tuple[str, ...]
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Return a sentence on it."""
         if not self.outside:
             return 'Inside of what the fit has seen.'

@@ -268,7 +268,7 @@ class Whiteness:
         return len(self.autocorrelation)
 
     @property
-    def words(self) -> tuple[str, ...]:
+    def verdicts(self) -> tuple[str, ...]:
         """'white', 'nearly white' or 'coloured' for each channel."""
         small = self.largest < SMALL
         return tuple(

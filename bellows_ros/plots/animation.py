@@ -125,7 +125,7 @@ class Scene(NamedTuple):
 class View(NamedTuple):
     """A scene seen in the world, or from near and moving with the tool tip."""
 
-    words: str
+    label: str
     scene: Scene
     zoom: float
     near: bool = False
@@ -202,7 +202,7 @@ def _space(figure: Any, left: float, view: View, colours: Theme) -> Any:
     for name, c in zip('xyz', centre, strict=True):
         getattr(space, f'set_{name}lim')(c - half, c + half)
     space.set_box_aspect((1.0, 1.0, 1.0), zoom=view.zoom)
-    figure.text(left + 0.27, 0.03, view.words, ha='center', color=colours.quiet)
+    figure.text(left + 0.27, 0.03, view.label, ha='center', color=colours.quiet)
     return space
 
 

@@ -183,7 +183,7 @@ def _test_rows(name: str, test: Whiteness) -> list[tuple[str, ...]]:
     """Return a row of the table per axis."""
     return [
         (name, AXES[i], f'{test.statistic[i]:.1f}', _probability(float(test.p_value[i])),
-         f'{test.largest[i]:.3f}', test.words[i])
+         f'{test.largest[i]:.3f}', test.verdicts[i])
         for i in range(6)
     ]
 

@@ -17,7 +17,7 @@ def standstill_content(content: Mapping[str, Any]) -> list[str]:
     ]
     length = found['nominal_length']
     facts = [
-        f'Nominal length {length["words"]}.'
+        f'Nominal length {length["text"]}.'
         if length else f'No nominal length: {found["no_nominal_length"]}'
     ]
     if added:

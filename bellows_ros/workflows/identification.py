@@ -276,7 +276,7 @@ def _standstill_sentences(result: Identification) -> list[str]:
         f'{found.chi2:.2g}): {narrowed}.'
     ]
     if static.length:
-        lines.append(f'Nominal length by the loads alone: {static.length.words}.')
+        lines.append(f'Nominal length by the loads alone: {static.length.text}.')
     if result.values['static.length']:
         lines.append(f'Nominal length with the fit: {1e3 * found.length:.3f} ± '
                      f'{1e3 * found.length_std:.3f} mm.')

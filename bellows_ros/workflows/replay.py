@@ -358,7 +358,7 @@ def _coloured_json(whiteness: Whiteness, spectrum: Spectrum) -> dict[str, Any]:
         'portmanteau': whiteness.statistic,
         'p_value': whiteness.p_value,
         'largest_autocorrelation': whiteness.largest,
-        'verdict': whiteness.words,
+        'verdict': whiteness.verdicts,
         'spectrum_peak_hz': spectrum.peak,
         'units': dict.fromkeys(
             ('portmanteau', 'p_value', 'largest_autocorrelation', 'chi2'), '1'),

@@ -92,7 +92,7 @@ class StaticResult:
             'nominal_length': self.length and {
                 'length': self.length.length,
                 'length_std': self.length.length_std,
-                'words': self.length.words,
+                'text': self.length.text,
                 'chi2': self.length.chi2,
                 'degrees_of_freedom': self.length.freedom,
                 'linear_length': self.length.linear_length,
@@ -308,6 +308,6 @@ def save_length(
     bags = ', '.join(recording.name for recording in result.recordings)
     header = [
         f'Nominal length found by bellows_ros {__version__} from {bags}:',
-        f'{result.length.words}.',
+        f'{result.length.text}.',
     ]
     write_parameters(path, {**given, 'cup.length': result.length.length}, header)

@@ -95,7 +95,7 @@ def test_distance_is_one_on_the_edge():
     far = distance(KNOWN, np.where(np.arange(6) == 4, 0.45, middle), np.zeros(6), 2.0)
     assert_allclose(far.value, 1.5)
     assert far.outside == ('bending about y is 450 mrad, seen -300 to 300 mrad',)
-    assert 'bending about y' in far.words
+    assert 'bending about y' in far.text
 
 
 def test_a_mass_that_is_not_known_is_not_checked():

@@ -42,7 +42,7 @@ def test_coloured_noise_is_found():
     for t in range(1, 2000):
         white[t, 0] += 0.3 * white[t - 1, 0]
     found = portmanteau(white)
-    assert found.words == ('coloured', 'white')
+    assert found.verdicts == ('coloured', 'white')
     assert_allclose(found.autocorrelation[0, 0], 0.3, atol=0.07)  # three standard errors
 
 
@@ -53,7 +53,7 @@ def test_small_but_certain_colour_is_nearly_white():
     e[1:] += 0.02 * e[:-1]
     found = portmanteau(e)
     assert found.p_value[0] < 1e-3
-    assert found.words == ('nearly white',)
+    assert found.verdicts == ('nearly white',)
 
 
 def test_too_few_residuals_are_refused():

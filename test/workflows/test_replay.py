@@ -147,7 +147,7 @@ def test_the_truth_leaves_nothing_but_noise(rig):
     found = replay(rig / 'lab_validation', {**LAB, **true_cup}).validation
     assert_allclose(found.scores.rms, found.noise, rtol=0.1)
     assert_allclose(found.one_step.chi2, 1.0, atol=0.05)
-    assert set(found.one_step.whiteness.words) <= {'white', 'nearly white'}
+    assert set(found.one_step.whiteness.verdicts) <= {'white', 'nearly white'}
 
 
 def test_the_truth_without_noise_leaves_nothing(rig):

@@ -308,7 +308,7 @@ def _judge_load(
             f'The cup bends by {bending:.2g} rad: its restoring moment hardly grows any more.'
         )
     if away is not None and away.outside:
-        return Level.WARN, away.words
+        return Level.WARN, away.text
     if not known:
         return Level.OK, (
             'No limits are known: see cup.lip_radius with vacuum.holding, cup.max_force, '

@@ -99,7 +99,7 @@ def test_a_wrong_cup_is_found_out(judged):
     assert {'rx', 'ry'} <= set(found.failing())
     assert np.all(found.model_error[3:5] > 5 * judged.model_error[3:5] + 0.05)
     assert found.one_step.chi2 > 1.1
-    assert 'coloured' in found.one_step.whiteness.words[3:5]
+    assert 'coloured' in found.one_step.whiteness.verdicts[3:5]
     assert np.all(found.one_step.whiteness.largest[3:5] > judged.one_step.whiteness.largest[3:5])
 
 

@@ -88,7 +88,7 @@ def test_smallest_margin_and_largest_distance_are_kept():
     safety, away, bending = load.take()
     assert_allclose(safety.factor, 4 / 3)
     assert safety.mode == 'force'
-    assert away.value > 1.0 and 'bending about x' in away.words
+    assert away.value > 1.0 and 'bending about x' in away.text
     assert_allclose(bending, 0.2)
     assert load.take() == (None, None, 0.0)
     unknown = Load(resolve(PACKAGE))

@@ -89,7 +89,7 @@ class NominalLength:
     warnings: tuple[str, ...]
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """The length with its standard error, or that there is none."""
         if np.isfinite(self.length_std):
             return f'{1e3 * self.length:.3f} ± {1e3 * self.length_std:.3f} mm'

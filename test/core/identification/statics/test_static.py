@@ -149,7 +149,7 @@ def test_tilted_standstills_and_repeated_masses_do_not_count():
     two = nominal_length([*standstills, upright(0.0501, 2.0)], G)
     assert_allclose(two.length, 0.0481, atol=1e-9)
     assert len(two.coefficients) == 2 and two.freedom == 0
-    assert np.isinf(two.length_std) and 'without a standard error' in two.words
+    assert np.isinf(two.length_std) and 'without a standard error' in two.text
     assert 'Add a third mass' in two.warnings[0]
 
 
