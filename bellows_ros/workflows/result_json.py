@@ -27,37 +27,23 @@ def fit_json(fit: Fit) -> dict[str, Any]:
     units, found = parameter_units(structure_named(fit.structure)), fit.standstills
     residual = list(fit.residual_units)
     return {
-        'method': fit.method,
-        'structure': fit.structure,
-        'stiffness': fit.stiffness,
-        'damping': fit.damping,
-        'stiffness_std': fit.stiffness_std,
-        'damping_std': fit.damping_std,
+        **_of(fit, 'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std'),
         'intervals_95': {
             **{name: _interval(getattr(fit, name), getattr(fit, f'{name}_std'))
                for name in MATRIX_UNITS},
             'units': MATRIX_UNITS,
         },
-        'samples_used': fit.samples_used,
-        'samples_rejected': fit.samples_rejected,
-        'condition_number': fit.condition_number,
-        'usable': fit.usable,
+        **_of(fit, 'samples_used', 'samples_rejected', 'condition_number', 'usable'),
         'parameters': {
             'labels': fit.labels, 'covariance': fit.covariance, 'noise_bias': fit.bias,
             'units': {'covariance': _products(units), 'noise_bias': units},
         },
-        'weight': fit.weight,
-        'residual_rms': fit.residual_rms,
-        'noise_rms': fit.noise_rms,
-        'chi2': fit.chi2,
-        'robust_chi2': fit.robust_chi2,
-        'converged': fit.converged,
+        **_of(fit, 'weight', 'residual_rms', 'noise_rms', 'chi2', 'robust_chi2', 'converged'),
         'time_offsets': fit.delays,
         'time_offsets_std': fit.delays_std,
         'iterations': [
-            {'stage': i.stage, 'chi2': i.chi2, 'stiffness': i.stiffness, 'damping': i.damping,
-             'units': {'chi2': '1', **MATRIX_UNITS}}
-            for i in fit.iterations
+            {**_of(i, 'stage', 'chi2', 'stiffness', 'damping'),
+             'units': {'chi2': '1', **MATRIX_UNITS}} for i in fit.iterations
         ],
         'with_standstills': found and {
             'standstills': found.count,
@@ -75,13 +61,16 @@ def fit_json(fit: Fit) -> dict[str, Any]:
             'weight': _products([f'1/({unit})' for unit in residual]),
             'residual_rms': residual,
             'noise_rms': residual,
-            'chi2': '1',
-            'robust_chi2': '1',
-            'time_offsets': 's',
-            'time_offsets_std': 's',
+            **dict.fromkeys(('chi2', 'robust_chi2'), '1'),
+            **dict.fromkeys(('time_offsets', 'time_offsets_std'), 's'),
             'cup_length': 'm',
         },
     }
+
+
+def _of(found: object, *names: str) -> dict[str, Any]:
+    """Return some attributes by name."""
+    return {name: getattr(found, name) for name in names}
 
 
 def _interval(value: Array, error: Array) -> dict[str, Array]:
@@ -104,19 +93,13 @@ def excitation_json(excitation: Excitation) -> dict[str, Any]:
         'axes': {axis.name: _axis_json(axis) for axis in excitation.axes},
         'parameters': {
             own.label: {
-                'value': own.value,
-                'noise_share': own.noise_share,
-                'signal_to_noise': own.signal_to_noise,
-                'bias': own.bias,
-                'identifiable': own.identifiable,
+                **_of(own, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable'),
                 'units': {'value': units[own.label], 'noise_share': '1', 'signal_to_noise': '1',
                           'bias': '1'},
             }
             for own in excitation.parameters
         },
-        'rank': excitation.rank,
-        'size': excitation.size,
-        'condition_number': excitation.condition_number,
+        **_of(excitation, 'rank', 'size', 'condition_number'),
         'pairs': [list(pair) for pair in excitation.pairs],
         'warnings': excitation.warnings,
         'units': {'condition_number': '1', 'pairs': '1'},
@@ -127,12 +110,7 @@ def _axis_json(axis: Axis) -> dict[str, Any]:
     """Return one direction's excitation."""
     unit = 'rad' if axis.name.startswith('r') else 'm'
     return {
-        'strain': axis.strain,
-        'motion': axis.motion,
-        'twist': axis.twist,
-        'band_hz': list(axis.band_hz),
-        'strain_noise': axis.strain_noise,
-        'twist_noise': axis.twist_noise,
+        **_of(axis, 'strain', 'motion', 'twist', 'band_hz', 'strain_noise', 'twist_noise'),
         'units': {
             'strain': unit, 'motion': unit, 'twist': f'{unit}/s', 'strain_noise': unit,
             'twist_noise': f'{unit}/s'},
@@ -146,19 +124,12 @@ def selection_json(selection: Any) -> dict[str, Any]:
     return {
         'candidates': [
             {
-                'structure': candidate.structure,
-                'parameters': candidate.parameters,
-                'usable': candidate.usable,
-                'refused': candidate.refused,
-                **{name: getattr(candidate, name) for name in marks},
+                **_of(candidate, 'structure', 'parameters', 'usable', 'refused', *marks),
                 'units': marks,
             }
             for candidate in selection.candidates
         ],
-        'samples': selection.samples,
-        'effective_samples': selection.effective_samples,
-        'advised': selection.advised,
-        'advice': selection.advice,
+        **_of(selection, 'samples', 'effective_samples', 'advised', 'advice'),
         'units': {'effective_samples': '1'},
     }
 
