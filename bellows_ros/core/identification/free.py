@@ -222,6 +222,9 @@ BLOCKS = {
 }
 """What may be set free, by its name in fit.free; the grip with package_world and alignment."""
 
+SCALE = Block('inertia', variations.inertia, (1e-3,), furthest=1000.0)
+"""All moments of inertia together: with K and P, as good as the mass."""
+
 
 class Found(NamedTuple):
     """

@@ -7,11 +7,10 @@ nearly as much, and where the change is many times its standard error.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TYPE_CHECKING
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification import variations
-from bellows_ros.core.identification.free import Block, BLOCKS, FEWEST_SECONDS, refine, ROUNDS
 from bellows_ros.core.identification.objective import Ensemble, ensemble_of, Objective, Solved
 from bellows_ros.core.identification.variations import Given, Variation
 from bellows_ros.core.model import Package
@@ -19,6 +18,9 @@ from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.structure import Structure, STRUCTURES
 import numpy as np
+
+if TYPE_CHECKING:
+    from bellows_ros.core.identification.free import Block
 
 TRIED = 0.08
 """Residuals beyond noise, in their weights, below which nothing is looked for."""
@@ -92,7 +94,7 @@ class Hypothesis(NamedTuple):
     vary: Variation
     freed: int = 0
     value: str = ''
-    block: Block | None = None
+    block: 'Block | None' = None
     datum: bool = True
 
 
@@ -140,6 +142,8 @@ def hypotheses(given: Given, world: str) -> Iterator[Hypothesis]:
     K and P scaled with mass and inertia make the same motion. So another mass is the same as
     another inertia, and only that is tried.
     """
+    from bellows_ros.core.identification.free import BLOCKS, FEWEST_SECONDS, SCALE
+
     enough = Ensemble((given,), ()).seconds > FEWEST_SECONDS
     for name in (*(('time_offset',) if enough else ()), 'com', 'length', 'package_world'):
         block = BLOCKS[name]._replace(each=False)
@@ -163,10 +167,6 @@ def hypotheses(given: Given, world: str) -> Iterator[Hypothesis]:
                              other.name, datum=False)
     for name in ('drift', 'cubic'):
         yield Hypothesis(name, variations.extra(name), 6, datum=False)
-
-
-SCALE = Block('inertia', variations.inertia, (1e-3,), furthest=1000.0)
-"""All moments of inertia together: with K and P, as good as the mass."""
 
 
 def _worlds(world: str) -> Iterator[tuple[str, Array]]:
@@ -254,11 +254,13 @@ class _Trial(NamedTuple):
 
 def _tried(
     hypothesis: Hypothesis, objective: Objective, ensemble: Ensemble, start: Array | None = None,
-    rounds: int = ROUNDS, level: float = 0.0,
+    rounds: int = 0, level: float = 0.0,
 ) -> _Trial:
     """Return a hypothesis with the numbers that explain most, less a level of noise."""
     if hypothesis.block is not None:
-        found = refine(objective, ensemble, [hypothesis.block], start, rounds)
+        from bellows_ros.core.identification.free import refine, ROUNDS
+
+        found = refine(objective, ensemble, [hypothesis.block], start, rounds or ROUNDS)
         found = found._replace(solved=found.solved._replace(excess=found.solved.excess - level))
         return _Trial(hypothesis, found.theta, found.std, found.solved)
     solved = objective.solved(ensemble.varied(
