@@ -35,6 +35,9 @@ NOT_OF_THE_CUP = (
 NO_CUP = 'This is no cup that can hold a package: the warnings say why.'
 """Why a fit is refused that no predictor can take."""
 
+MISFIT = 'The model does not explain the recording'
+"""Begins what either method says of residuals that are larger than noise."""
+
 UNKNOWN_STD = 1e9
 """Stands in parameter files for the standard error of an entry of which nothing is known."""
 
@@ -178,7 +181,8 @@ class Identification:
         return (
             *(f"Recording '{f.bag}' was left out: {f.reason}" for f in self.failed),
             *self.assumed,
-            *self.fit.warnings,
+            *(text for text in self.fit.warnings if not (  # the cause is named instead
+                self.verdict and self.verdict.is_certain and text.startswith(MISFIT))),
             *self.excitation.warnings,
             *((one_cup.verdict,) if one_cup and one_cup.differs else ()),
             *(static.warnings if static else ()),

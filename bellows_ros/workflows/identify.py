@@ -290,6 +290,13 @@ def read_part(
     return recording if keep else part
 
 
+def _read_listed(
+    kept: frozenset[str], bag: str, values: Mapping[str, Any], path: str = ''
+) -> Any:
+    """Return a recording that was read and reduced; itself where it is one to be kept."""
+    return read_part(bag, values, bag in kept, path)
+
+
 def read_here(values: Mapping[str, Any], keep: bool, tell: Progress) -> list[Any]:
     """Return the recordings, read one after the other; all must be usable."""
     bags, parts = values['bags'], list[Any]()
@@ -312,7 +319,7 @@ def _read_by_others(
     tell(words, 0.0)
     work = [(n, bag, dict(own)) for n, (bag, own) in
             enumerate(zip(bags, values_of_each(values), strict=True))]
-    task = partial(read_part, keep=keep)
+    task = partial(_read_listed, frozenset(bags if keep else bags[:LOOKED_AT]))
     results: dict[int, Any] = {}
     for number, result in on_dask(work, dask, task) if dask else on_cores(work, jobs, task):
         results[number] = result
@@ -320,9 +327,6 @@ def _read_by_others(
     done = [n for n, result in sorted(results.items()) if not isinstance(result, Failed)]
     for place, sentence in repeats((results[n].name, results[n].digest) for n in done):
         results[done[place]] = Failed(bags[done[place]], sentence)
-    for n in done[:0 if dask else LOOKED_AT]:  # a verdict takes the recordings themselves
-        if not isinstance(results[n], Recording | Failed):
-            results[n] = read_part(bags[n], work[n][2], True)
     in_order = [results[n] for n in range(len(bags))]
     parts = [result for result in in_order if not isinstance(result, Failed)]
     failed = [result for result in in_order if isinstance(result, Failed)]

@@ -79,6 +79,11 @@ class Verdict(NamedTuple):
         return (f'Likely, but not certain: {finding_sentence(first, self.given)}',)
 
     @property
+    def is_certain(self) -> bool:
+        """Whether one cause is named."""
+        return any(found.certain for found in self.diagnosis.findings[:1])
+
+    @property
     def refusals(self) -> tuple[str, ...]:
         """Why the cup is refused; nothing where it is not."""
         found = []
@@ -90,8 +95,8 @@ class Verdict(NamedTuple):
         first = self.diagnosis.findings[:1]
         if first and first[0].material:
             found.append(
-                f'What was given is wrong, and K with it: {setting_of(first[0])}. See the first '
-                'line, and fit again.')
+                f'What was given is wrong: {setting_of(first[0])}. See the first line, and fit '
+                'again.')
         return tuple(found)
 
     def as_json(self) -> dict[str, Any]:
@@ -228,6 +233,9 @@ def _setting_words(found: Finding) -> tuple[str, str]:
             return ('Things fall elsewhere than along -z of the world',
                     f'Set gravity.direction: {value.removeprefix("gravity ")}.')
         return (f'The world of the recording is {value}', f'Set recording.world: {value}.')
+    if name == 'tool_twist.frame':
+        return (f"The tool's twists are in axes of the {value}: so they suit its poses",
+                f'Set {name}: {value}.')
     if name == 'recording.package_frame':
         return (f'The package poses are those of the {value}', f'Set {name}: {value}.')
     if name == 'yaw':

@@ -62,6 +62,12 @@ def test_clean_recording_of_the_rig(rig):
     assert result.warnings == ()
 
 
+def test_twists_in_other_axes_are_named(rig):
+    result = identify({**CLEAN, 'bags': [str(rig / 'clean')], 'tool_twist.frame': 'tool'})
+    assert "The tool's twists are in axes of the world" in result.findings[0]
+    assert 'tool_twist.frame' in result.refusals[0]
+
+
 @pytest.fixture(scope='module')
 def shipped(root):
     """Return the identification of the recording that is shipped, and the truth."""
@@ -97,8 +103,8 @@ def test_wrong_axes_of_the_world_is_said(shipped, root):
     wrong = identify({
         **read_parameters(root / 'bags/package.yaml'), 'bags': [str(root / 'bags/validation')],
         'recording.world': 'motive_y_up', 'fit.method': 'least_squares'})
-    found = [warning for warning in wrong.warnings if 'does not explain' in warning]
-    assert len(found) == 1 and 'recording.world' in found[0]
+    assert 'Set recording.world: z_up.' in wrong.findings[0]
+    assert not any('does not explain' in warning for warning in wrong.warnings)  # the cause does
 
 
 def test_files_hold_the_result_and_the_cup_file_serves_both_nodes(shipped, tmp_path):
@@ -522,6 +528,7 @@ def test_a_wrong_length_is_suspected(shipped):
     result = identify({**shipped[0].values, 'cup.length': 0.047})
     assert result.findings[0].startswith('cup.length is 1.00')
     assert 'mm too long' in result.findings[0] and 'it would be 0.0460' in result.findings[0]
+    assert not any('does not explain' in text for text in result.warnings)  # the cause does
     content = json.loads(format_json(result.as_json()))
     assert content['usable'] is False and 'cup.length' in content['refusals'][-1]
 

@@ -236,6 +236,7 @@ def test_dask_cluster_gives_the_same(settings, one_fit, tmp_path):
         result = identify({**settings, 'bags': bags}, dask=address)
     assert_same(result.fit, one_fit('axisymmetric'))
     assert [failed.bag for failed in result.failed] == ['nowhere']
+    assert len(result.verdict.simulated) == len(settings['bags'])  # read where the workers are
 
 
 @pytest.mark.parametrize('address', [

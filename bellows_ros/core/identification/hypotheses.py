@@ -13,6 +13,7 @@ from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification import variations
 from bellows_ros.core.identification.objective import Ensemble, ensemble_of, Objective, Solved
 from bellows_ros.core.identification.variations import Given, Variation
+from bellows_ros.core.lie import apply
 from bellows_ros.core.model import Package
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
 from bellows_ros.core.recording.recording import Recording
@@ -30,6 +31,12 @@ NOTHING = 0.06
 
 EXPLAINS, BETTER = 0.2, 0.5
 """A certain hypothesis leaves at most this part of what there was, and of what others leave."""
+
+OF_THE_CUP = 0.25
+"""The same as the latter for what the cup may be, beside what may be wrong in what was given."""
+
+MISSES = 1e-3
+"""Mean square by which twists miss those of the poses, in theirs, below which they suit."""
 
 ERRORS = 6.0
 """Standard errors that a certain change is away from nothing."""
@@ -205,8 +212,8 @@ def diagnose(
 
     """
     for own in recordings:
-        if absurd := _absurd(own.payload):
-            return Diagnosis(np.inf, (absurd,))
+        if found := _absurd(own.payload) or _in_other_axes(own):
+            return Diagnosis(np.inf, (found,))
     ensemble = ensemble_of(recordings, length, structure)
     objective = Objective.of(ensemble)
     before = objective.solved(ensemble)
@@ -237,6 +244,35 @@ def _absurd(held: Package) -> Finding | None:
         return None
     unit = next((u for u, k in UNITS if gyration / np.sqrt(k) < TYPICAL), UNITS[-1][0])
     return Finding('inertia', unit, none, none, 0.0, 1.0, True, True, '')
+
+
+def _in_other_axes(own: Recording) -> Finding | None:
+    """Return in which axes the tool's recorded twists are, None where it is as given."""
+    tool, measured = own.tool, own.measured_tool
+    if measured.twist is None or tool.twist is None:
+        return None
+    _, i, j = np.intersect1d(measured.stamps_ns, tool.stamps_ns, return_indices=True)
+    known = measured.valid[i] & tool.valid[j]
+    given, true = measured.twist[i][known], tool.twist[j][known]
+    if not len(given):
+        return None
+    R_E_A = np.swapaxes(measured.rotation[i][known], 1, 2)
+    turn = own.settings.R_world_recorded.T @ np.swapaxes(R_E_A, 1, 2)  # from E to as recorded
+    other = 'tool'
+    if own.settings.tool_twist_frame == 'tool':
+        turn = R_E_A @ own.settings.R_world_recorded
+        other = 'world'
+    markers = own.alignment.R_tool_markers_tool
+    turn = turn @ markers if other == 'world' else markers.T @ turn
+    before, after = (sum(
+        float(np.mean((twist[:, part] - true[:, part]) ** 2) / np.mean(true[:, part] ** 2 + 1e-12))
+        for part in (slice(0, 3), slice(3, 6)))
+        for twist in (given, np.hstack([apply(turn, given[:, :3]), apply(turn, given[:, 3:])])))
+    if before < MISSES or after > EXPLAINS**2 * before:
+        return None
+    none = np.empty(0)
+    return Finding('tool_twist.frame', other, none, none, float(np.sqrt(after / before)), 0.0,
+                   True, True, '')
 
 
 class _Trial(NamedTuple):
@@ -292,7 +328,9 @@ def _finding(
               and t.hypothesis.freed <= own.freed and not any(t is i for i in instead)]
     first = max(before.excess, 0.0) + NOTHING
     certain = trial is tried[0] and all(_left(trial) < most for most in (
-        BETTER * first, EXPLAINS * first + NOTHING, *(BETTER * _left(t) for t in others)))
+        BETTER * first, EXPLAINS * first + NOTHING,
+        *((BETTER if own.datum or not t.hypothesis.datum else OF_THE_CUP) * _left(t)
+          for t in others)))
     if own.block is not None:
         far = np.abs(trial.theta) > np.maximum(ERRORS * trial.std, LEAST[own.name])
         certain = certain and bool(far.any())
