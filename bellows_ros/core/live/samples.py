@@ -74,5 +74,5 @@ class Prediction(NamedTuple):
 
     @property
     def flies(self) -> bool:
-        """Whether no cup holds the package: none does without the least force."""
-        return self.force == ZERO
+        """Whether no cup holds the package: `Flight` gives this very ZERO, and no kernel does."""
+        return self.force is ZERO
