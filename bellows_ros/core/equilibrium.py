@@ -101,6 +101,7 @@ def largest_step(model: ModelTuple) -> float:
     return PHASE_PER_STEP / fastest if fastest > 0.0 else math.inf
 
 
+@kernel
 def substeps_for(duration: float, longest_step: float) -> int:
     """Return into how many integration steps a time between two tool samples is cut."""
     return max(1, math.ceil(duration / longest_step - 1e-9))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 import math
 from typing import NamedTuple
 
@@ -244,7 +245,7 @@ class LivePayload:
         body, (force, moment) = result
         self._sample = Sample(stamp_ns, now, body)
         unsettled = self.settling.follow(stamp_ns, now)
-        known = None if self.observer is None else self.observer.covariance
+        known = None if self.observer is None else partial(self.observer.covariance, stamp_ns)
         return Prediction(stamp_ns, *body, force, moment, now, False, unsettled, known)
 
     def coast(self, stamp_ns: int) -> Prediction | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array
@@ -64,8 +65,8 @@ class Prediction(NamedTuple):
     """True where no tool pose has come and the tool is extrapolated."""
     unsettled: Unsettled | None = None
     """What is left of an error at the start, or of doubted poses; None where nothing is."""
-    covariance: Array | None = None
-    """Of the state (12, 12) where an observer knows it, in body axes."""
+    covariance: Callable[[], Array | None] | None = None
+    """Gives that of the state (12, 12), in body axes, where an observer knows it."""
 
     @property
     def body(self) -> State:

@@ -98,9 +98,10 @@ class Uncertainty:
         """Return what gives the covariance when multiplied with its transpose (12, n)."""
         if not prediction.coasting:
             self._note_period(prediction.stamp_ns)
-        if prediction.covariance is not None:
+        observed = prediction.covariance and prediction.covariance()
+        if observed is not None:
             self.known = True
-            return np.asarray(np.linalg.cholesky(prediction.covariance))
+            return np.asarray(np.linalg.cholesky(observed))
         if not self.known and abs(prediction.stamp_ns - self._tried_ns) < RETRY_NS:
             return UNKNOWN_ROOT
         try:

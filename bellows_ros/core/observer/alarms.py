@@ -7,26 +7,34 @@ martingale where nothing is wrong. Summed over the onsets, and over the causes b
 are, it grows by 1 with each onset on average: it is A or more after A onsets at the earliest, on
 average (Shiryaev and Roberts), so that the threshold follows from the false alarms allowed.
 
-The error of `filter` is extended by faults (41,): the cup's length (m) and its rate (m/s), the
-part by which its spring's force and moment are too small, shift and turn of the camera's frame in
-the world (m, rad), how far a lip that is measured has slipped (m), whether the force of the
-cup is gone, and speed and shift (m/s, m) of the fall that follows.
+The error of `filter`, extended by faults, is extended further (41,): by shift and turn of the
+camera's frame in the world (m, rad), and by how far a lip that is measured has slipped (m).
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.kernels import lip_wrench, ModelTuple, State
-from bellows_ros.core.lie import hat
-from bellows_ros.core.observer.filter import BIAS, EXTENDED, Innovation, SIZE, ZERO
-from bellows_ros.core.tuples import apply, Quaternion, rotation_matrix, Vector
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.jit import kernel
+from bellows_ros.core.observer.filter import (
+    FALL,
+    FORCE,
+    GONE,
+    Innovation,
+    LENGTHENED,
+    LENGTHENING,
+    MOMENT,
+    PASSAGE,
+    product,
+    SPEED,
+)
+from bellows_ros.core.tuples import cross, Quaternion, rotation_matrix, Vector
 import numpy as np
 
-LENGTHENED, LENGTHENING, FORCE, MOMENT = range(SIZE, SIZE + 4)
-FRAME, SLIPPED = slice(SIZE + 4, SIZE + 10), slice(SIZE + 10, SIZE + 12)
-GONE, SPEED, FALL = SIZE + 12, slice(SIZE + 13, SIZE + 16), slice(SIZE + 16, SIZE + 19)
+FRAME, SLIPPED = slice(PASSAGE, PASSAGE + 6), slice(PASSAGE + 6, PASSAGE + 8)
+EXTENDED = PASSAGE + 8
 
 
 class Cause(NamedTuple):
@@ -68,6 +76,11 @@ CAUSES = (
 """What is looked for."""
 
 ROWS = tuple(row for cause in CAUSES for row in cause.rows)
+FIRSTS = np.cumsum([0, *(len(cause.rows) for cause in CAUSES)])
+"""Where the numbers of each cause begin, and where the last end."""
+AT_START: Mask = np.array([cause.at_start for cause in CAUSES])
+SETS_IN: Mask = np.array([cause.sets_in for cause in CAUSES])
+NOT_USED: Array = np.zeros((22, 6))
 SHARES = np.log([cause.share for cause in CAUSES])
 USUAL = np.array([std for cause in CAUSES for std in cause.usual])
 JUMPS: Array = np.zeros((EXTENDED, len(ROWS)))
@@ -106,40 +119,6 @@ class Alarm(NamedTuple):
     words: str
 
 
-def extended(
-    model: ModelTuple, tool: State, body: State, F: Array, seconds: float, passage: Array
-) -> Array:
-    """
-    Return a passage (41, 41) of the extended error from then to now, one sample further.
-
-    Parameters
-    ----------
-    model, tool, body : tuples
-        At the beginning of the sample.
-    F : ndarray (12, 23)
-        Of `filter.carried`.
-    seconds : float
-        Of the sample.
-    passage : ndarray (41, 41)
-        Up to its beginning.
-
-    """
-    force, moment = lip_wrench(model, (*tool[:2], ZERO, ZERO), (*body[:2], ZERO, ZERO))
-    push = F[:, BIAS]
-    T: Array = np.zeros((12, EXTENDED))
-    T[:, :LENGTHENING] = F
-    T[:, LENGTHENING] = 0.5 * seconds * F[:, LENGTHENED]
-    T[:, FORCE], T[:, MOMENT] = push[:, :3] @ force, push[:, 3:] @ moment
-    later = passage.copy()
-    later[:12] = T @ passage
-    later[LENGTHENED] += seconds * passage[LENGTHENING]
-    pull = apply(rotation_matrix(body[1]), lip_wrench(model, tool, body)[0])
-    drop = np.multiply.outer(np.array(pull) * (-seconds / model[1][0]), passage[GONE])
-    later[FALL] += seconds * (passage[SPEED] + 0.5 * drop)
-    later[SPEED] += drop
-    return later
-
-
 class Alarms:
     """
     Look for causes in the innovations, one after the other.
@@ -158,12 +137,14 @@ class Alarms:
 
     def forget(self) -> None:
         """Begin anew."""
+        n = len(ROWS)
         self.last_ns = -1
-        self._E: Array = np.zeros((EXTENDED, 0))
-        self._information: Array = np.zeros((0, len(ROWS), len(ROWS)))
-        self._evidence: Array = np.zeros((0, len(ROWS)))
-        self._total: Array = np.zeros(0)  # of the squared distances since each onset
-        self._onsets: list[tuple[int, int]] = []  # stamp, measurements since
+        self._E: Array = np.zeros((EXTENDED, (ONSETS + 1) * n))
+        self._information: Array = np.zeros((ONSETS + 1, n, n))
+        self._evidence: Array = np.zeros((ONSETS + 1, n))
+        self._total: Array = np.zeros(ONSETS + 1)  # of the squared distances since each onset
+        self._counts = np.zeros(ONSETS + 1, np.int64)  # of measurements since each onset
+        self._onsets, self._newest_ns = 0, -1
         self._half_way: list[int] = []  # stamps since half-way to the threshold
 
     def step(
@@ -177,8 +158,8 @@ class Alarms:
         ----------
         stamp_ns : int
             Of the measurement.
-        passage : ndarray (41, 41)
-            Of the extended error since then.
+        passage : ndarray (33, 33)
+            Of the error and of faults, since then.
         found : Innovation
             Of its pose.
         used : bool
@@ -187,11 +168,15 @@ class Alarms:
             Measured pose of B in the world.
 
         """
-        if not self._onsets or stamp_ns - self._onsets[-1][0] >= ONSET_NS:
+        if not self._onsets or stamp_ns - self._newest_ns >= ONSET_NS:
             self._begin(stamp_ns)
         self.last_ns = stamp_ns
-        self._take(passage, found, used, _sight(found.H, position, quaternion_xyzw))
-        self._onsets = [(onset, count + 1) for onset, count in self._onsets]
+        C = _sight(found.H, position, quaternion_xyzw)
+        _take(self._E, self._information, self._evidence, passage, C, found.y, found.whitener,
+              found.gain if used else NOT_USED)
+        known = slice(0, min(self._onsets, ONSETS + 1))
+        self._total[known] += found.distance
+        self._counts[known] += 1
         return self._judge(stamp_ns)
 
     def lost(self, stamp_ns: int) -> Alarm:
@@ -201,61 +186,17 @@ class Alarms:
 
     def _begin(self, stamp_ns: int) -> None:
         """Look at another onset, and no longer at the oldest but the first."""
-        n = len(ROWS)
-        keep = [k for k in range(len(self._onsets)) if k != 1 or len(self._onsets) <= ONSETS]
-        self._onsets = [self._onsets[k] for k in keep] + [(stamp_ns, 0)]
-        columns = [c for k in keep for c in range(k * n, k * n + n)]
-        self._E = np.hstack([self._E[:, columns], JUMPS])
-        self._information = np.concatenate([self._information[keep], np.zeros((1, n, n))])
-        self._evidence = np.concatenate([self._evidence[keep], np.zeros((1, n))])
-        self._total = np.append(self._total[keep], 0.0)
-
-    def _take(self, passage: Array, found: Innovation, used: bool, C: Array) -> None:
-        """Follow what each fault makes of the error, and compare with the innovation."""
-        E = passage @ self._E
-        made = C @ E
-        root = np.linalg.inv(np.linalg.cholesky(found.S))
-        y = root @ found.y
-        seen = (root @ made).reshape(6, len(self._onsets), len(ROWS)).transpose(1, 0, 2)
-        self._information += seen.transpose(0, 2, 1) @ seen
-        self._evidence += y @ seen
-        self._total += found.distance
-        if used:
-            E[:SIZE] -= found.gain @ made
-        self._E = E
-
-    def _ratios(self) -> Array:
-        """Return the logarithms of the likelihood ratios, by onset and cause."""
-        out = np.full((len(self._onsets), len(CAUSES)), -np.inf)
-        counts = np.array([count for _, count in self._onsets])
-        enough = counts >= LEAST
-        usual = 6.0 * counts + 4.0 * np.sqrt(12.0 * counts)
-        at = 0
-        for k, cause in enumerate(CAUSES):
-            part = slice(at, at + len(cause.rows))
-            at = part.stop
-            rows = enough.copy()
-            rows[0] &= cause.at_start
-            rows[1:] &= cause.sets_in
-            if not rows.any():
-                continue
-            J, d = self._information[rows, part, part], self._evidence[rows, part]
-            mean, std = MEAN[part], USUAL[part]
-            d = d - J @ mean
-            shift = d @ mean + 0.5 * mean @ J @ mean
-            A = np.eye(len(std)) + J * std[:, None] * std
-            z = d * std
-            best = np.linalg.solve(A, z[..., None])[..., 0]
-            explained = (z * best).sum(axis=1) + 2.0 * shift
-            left = self._total[rows] - explained
-            fits = left <= usual[rows] + UNEXPLAINED * explained
-            ratio = 0.5 * (explained - np.linalg.slogdet(A)[1])
-            out[rows, k] = np.where(fits, ratio, -np.inf)
-        return out
+        k, n = self._onsets, len(ROWS)
+        if k > ONSETS:
+            k = 1 + (k - 1) % ONSETS
+        self._onsets, self._newest_ns = self._onsets + 1, stamp_ns
+        self._E[:, k * n:k * n + n] = JUMPS
+        self._information[k], self._evidence[k] = 0.0, 0.0
+        self._total[k], self._counts[k] = 0.0, 0
 
     def _judge(self, stamp_ns: int) -> Alarm | None:
         """Return an alarm when one is due, with the likeliest cause."""
-        ratios = self._ratios()
+        ratios = _ratios(self._information, self._evidence, self._total, self._counts)
         sums = np.logaddexp.reduce(ratios, axis=0) + SHARES
         order = np.argsort(sums)[::-1]
         total = np.logaddexp.reduce(sums)
@@ -272,20 +213,113 @@ class Alarms:
 
     def _size(self, onset: int, which: int) -> float:
         """Return the most likely size of a fault: of a vector its length, of the first three."""
-        at = sum(len(cause.rows) for cause in CAUSES[:which])
-        part = slice(at, at + len(CAUSES[which].rows))
+        part = slice(FIRSTS[which], FIRSTS[which + 1])
         J, d = self._information[onset, part, part], self._evidence[onset, part]
         found = np.linalg.solve(J + np.diag(USUAL[part] ** -2.0), d)
         return float(np.linalg.norm(found[:3]))
 
 
+@kernel
 def _sight(H: Array, position: Vector, quaternion_xyzw: Quaternion) -> Array:
     """Return what the extended error makes of an innovation (6, 41)."""
-    C: Array = np.zeros((6, EXTENDED))
-    C[:, :SIZE] = H
-    turn = np.reshape(rotation_matrix(quaternion_xyzw), (3, 3)).T
-    C[:3, FRAME] = np.hstack([turn, -turn @ hat(np.array(position))])
-    C[3:, FRAME.start + 3:FRAME.stop] = turn
-    C[:3, FALL] = turn
-    C[:3, SLIPPED] = -H[:3, 13:15]
+    C = np.zeros((6, 41))
+    for i in range(6):
+        for j in range(22):
+            C[i, j] = H[i, j]
+    R = rotation_matrix(quaternion_xyzw)
+    for i in range(3):
+        row = R[i], R[3 + i], R[6 + i]
+        across = cross(row, position)
+        for j in range(3):
+            C[i, 33 + j] = C[3 + i, 36 + j] = C[i, FALL + j] = row[j]
+            C[i, 36 + j] = -across[j]
+        C[i, 39], C[i, 40] = -H[i, 13], -H[i, 14]
     return C
+
+
+@kernel
+def _take(
+    E: Array, information: Array, evidence: Array, M: Array, C: Array, y: Array, root: Array,
+    gain: Array,
+) -> None:
+    """Follow what each fault makes of the error, and compare with the innovation, in place."""
+    width, n = E.shape[1], evidence.shape[1]
+    _pass_on(E, M, product(M[:12], E[:PASSAGE], np.empty((12, width))))
+    made = product(C, E, np.empty((6, width)))
+    seen = product(root, made, np.empty((6, width)))
+    for i in range(6):
+        z = 0.0
+        for j in range(i + 1):
+            z += root[i, j] * y[j]
+        for c in range(width):
+            k, a = divmod(c, n)
+            evidence[k, a] += seen[i, c] * z
+            for b in range(n):
+                information[k, a, b] += seen[i, c] * seen[i, c - a + b]
+    taken_out = product(gain, made, np.empty((22, width)))
+    for i in range(22):
+        for c in range(width):
+            E[i, c] -= taken_out[i, c]
+
+
+@kernel
+def _pass_on(E: Array, M: Array, state: Array) -> None:
+    """Write what becomes of the state's error, and let the other faults go on as they do."""
+    for c in range(E.shape[1]):
+        for i in range(12):
+            E[i, c] = state[i, c]
+        E[LENGTHENED, c] += M[LENGTHENED, LENGTHENING] * E[LENGTHENING, c]
+        for i in range(3):
+            speed, fall = SPEED + i, FALL + i
+            E[fall, c] += M[fall, speed] * E[speed, c] + M[fall, GONE] * E[GONE, c]
+            E[speed, c] += M[speed, GONE] * E[GONE, c]
+
+
+@kernel
+def _ratios(information: Array, evidence: Array, total: Array, counts: Stamps) -> Array:
+    """Return the logarithms of the likelihood ratios, by onset and cause."""
+    out = np.empty((len(counts), len(AT_START)))
+    for k in range(len(counts)):
+        usual = 6.0 * counts[k] + 4.0 * math.sqrt(12.0 * counts[k])
+        for cause in range(len(AT_START)):
+            out[k, cause] = -math.inf
+            if counts[k] >= LEAST and (AT_START[cause] if k == 0 else SETS_IN[cause]):
+                explained, spread = _explained(
+                    information[k], evidence[k], FIRSTS[cause], FIRSTS[cause + 1])
+                if total[k] - explained <= usual + UNEXPLAINED * explained:
+                    out[k, cause] = 0.5 * explained - spread
+    return out
+
+
+@kernel
+def _explained(J: Array, d: Array, first: int, end: int) -> tuple[float, float]:
+    """
+    Return how much of the squared distances some numbers explain, and the price of their freedom.
+
+    With J and d their information and evidence: z^T A^-1 z, and half of log det A, where
+    A = I + s J s and z = s d with s the numbers' usual sizes; beside what their mean explains.
+    """
+    n, by_mean = end - first, 0.0
+    A, z = np.zeros((6, 6)), np.zeros(6)
+    for i in range(n):
+        z[i] = d[first + i]
+        for j in range(n):
+            a = J[first + i, first + j]
+            z[i] -= a * MEAN[first + j]
+            by_mean += 0.5 * MEAN[first + i] * a * MEAN[first + j]
+            A[i, j] = USUAL[first + i] * a * USUAL[first + j] + (1.0 if i == j else 0.0)
+        by_mean += z[i] * MEAN[first + i]
+        z[i] *= USUAL[first + i]
+    explained, spread = 2.0 * by_mean, 0.0
+    for i in range(n):  # A = L L^T, z becomes L^-1 z
+        for j in range(i):
+            for k in range(j):
+                A[i, j] -= A[i, k] * A[j, k]
+            A[i, j] /= A[j, j]
+            A[i, i] -= A[i, j] ** 2
+            z[i] -= A[i, j] * z[j]
+        A[i, i] = math.sqrt(A[i, i])
+        z[i] /= A[i, i]
+        explained += z[i] ** 2
+        spread += math.log(A[i, i])
+    return explained, spread

@@ -4,54 +4,101 @@ An error-state Kalman filter on SE(3) x R^6, with a wrench bias and what a paylo
 The error (22,) is in the package's own axes: shift (m), turn (rad), linear and angular twist
 (m/s, rad/s), as in `jacobians`; then the relative error of mass and inertia, that of the centre
 of mass (m), and the wrench (N, N m) on the package at the lip, in S axes, beside the cup's.
+
+`alarms` extends it by faults, from `LENGTHENED` on, which a passage (33, 33) carries along: the
+cup's length (m) and its rate (m/s), the part by which its spring's force and moment are too small,
+whether the cup's force is gone, and speed and shift (m/s, m; world) of the fall that follows.
+
+The state goes through all samples of the tool with the predictor's steps. The covariance follows
+where it is asked for, in steps as long as the package's modes allow.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import linearise, substeps_for
-from bellows_ros.core.jacobians import COM, INERTIA, LENGTH, MASS, PARAMETERS, WRENCH
-from bellows_ros.core.jit import kernel
-from bellows_ros.core.kernels import ModelTuple, PackageTuple, State
-from bellows_ros.core.lie import hat
-from bellows_ros.core.sensitivities import advance_changes, workspace
+from bellows_ros.core.jacobians import acceleration_at, body_jacobians, parameter_jacobian, Square
+from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.kernels import (
+    advance,
+    lip_wrench,
+    ModelTuple,
+    State,
+    tool_at,
+    tool_segment,
+    Wrench,
+)
+from bellows_ros.core.simulation import row_state, write_row
 from bellows_ros.core.tuples import (
     add,
+    add_scaled,
     apply,
     apply_transposed,
     exp_quaternion,
+    hat,
     log_quaternion,
+    Matrix,
     normalised,
     Quaternion,
     quaternion_conjugate,
     quaternion_product,
     rotation_matrix,
+    scale,
     scale_matrix,
     subtract,
     Vector,
 )
 import numpy as np
 
-STATE, CENTRE, BIAS = slice(0, 12), slice(13, 16), slice(16, 22)
-SIZE, EXTENDED = 22, 41
+STATE, CENTRE = slice(0, 12), slice(13, 16)
+SIZE = 22
+LENGTHENED, LENGTHENING, FORCE, MOMENT, GONE, SPEED, FALL = 22, 23, 24, 25, 26, 27, 30
+PASSAGE = 33
 ZERO = (0.0, 0.0, 0.0)
 
-FIRST = LENGTH.start
-"""Of the parameters by which is derived."""
-COLUMNS = 12 + PARAMETERS - FIRST
-NO_CHANGES: Array = np.zeros((12, 0))
-IDENTITY = np.eye(SIZE)
+COARSE = 8
+"""Steps of the covariance are so many times longer than those of the state at most."""
 
-ENTRIES = 0, 4, 8, 1, 2, 5
-"""Of an inertia's nine numbers those that `INERTIA` is by."""
+NOT_FOLLOWED: Array = np.zeros((0, 0))
+"""In place of a covariance or a passage."""
+
+
+if COMPILED:
+    @kernel
+    def product(A: Array, B: Array, out: Array) -> Array:
+        """Write A B, and return it."""
+        for i in range(A.shape[0]):
+            for j in range(B.shape[1]):
+                out[i, j] = 0.0
+            for k in range(A.shape[1]):
+                a = A[i, k]
+                for j in range(B.shape[1]):
+                    out[i, j] += a * B[k, j]
+        return out
+else:
+    def product(A: Array, B: Array, out: Array) -> Array:
+        """Write A B, and return it."""
+        return np.matmul(A, B, out=out)
+
+
+@kernel
+def turned_over(A: Array) -> Array:
+    """Return A^T, its rows one after the other in memory."""
+    out = np.empty((A.shape[1], A.shape[0]))
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            out[j, i] = A[i, j]
+    return out
 
 
 class Estimate(NamedTuple):
     """What is known of the package at one stamp."""
 
     stamp_ns: int
+    tool: State
     body: State
     theta: Array
     """The relative error of mass and inertia, that of the centre of mass, and the wrench (10,)."""
@@ -59,8 +106,8 @@ class Estimate(NamedTuple):
     """Of the error (22, 22)."""
     refused: int = 0
     """Measurements outside the gate, one after the other."""
-    passage: Array = np.eye(EXTENDED)
-    """Of the extended error, see `alarms`, since the measurement before (41, 41)."""
+    passage: Array = NOT_FOLLOWED
+    """Of the error and of faults since the measurement before (33, 33), where it is followed."""
 
 
 class Driving(NamedTuple):
@@ -69,7 +116,7 @@ class Driving(NamedTuple):
     noise: Array
     """Of the state (12, 12) by noise of the tool's pose that is held for a second."""
     walk: Array
-    """Variances of the steps of theta in a second (10,)."""
+    """Variances of the steps of the error (22,) in a second."""
 
 
 @kernel
@@ -94,22 +141,21 @@ def pose_error(body: State, position: Vector, q: Quaternion) -> tuple[Vector, Ve
 
 
 @kernel
-def with_payload(model: ModelTuple, scale: float, shift: Vector) -> ModelTuple:
-    """Return a model with mass and inertia 1 + scale times as large, and B shifted (m)."""
+def with_payload(model: ModelTuple, theta: Array) -> ModelTuple:
+    """Return a model with mass and inertia 1 + theta[0] times as large, and B shifted (m)."""
     cup, package, gravity = model
     mass, com, inertia, inverse = package
-    k = 1.0 + scale
+    k = 1.0 + theta[0]
     return cup, (
-        k * mass, add(com, shift), scale_matrix(k, inertia), scale_matrix(1.0 / k, inverse),
+        k * mass, add(com, (theta[1], theta[2], theta[3])),
+        scale_matrix(k, inertia), scale_matrix(1.0 / k, inverse),
     ), gravity
 
 
-def payload_model(model: ModelTuple, theta: Array) -> ModelTuple:
-    """Return the model with the payload as it is estimated."""
-    if not theta[:4].any():
-        return model
-    k, x, y, z = theta[:4].tolist()
-    return with_payload(model, k, (x, y, z))
+@kernel
+def wrench_of(theta: Array) -> Wrench:
+    """Return the wrench (N, N m) beside the cup's."""
+    return (theta[4], theta[5], theta[6]), (theta[7], theta[8], theta[9])
 
 
 def changed(body: State, error: Array) -> State:
@@ -130,65 +176,287 @@ def driving(model: ModelTuple, tool: State, body: State, noise: Array, walk: Arr
     return Driving(drive @ drive.T, walk)
 
 
-def steps(
-    model: ModelTuple, body: State, start: State, end: State, seconds: float,
-    longest_step: float,
-) -> tuple[State, Array]:
-    """Return the state under the cup alone, and its derivatives (12, 32): see `FIRST`."""
-    S: Array = np.zeros((12, COLUMNS))
-    S[:, STATE] = np.eye(12)
-    body = advance_changes(
-        model, body, start, end, seconds, substeps_for(seconds, longest_step), S,
-        (FIRST, PARAMETERS), NO_CHANGES, NO_CHANGES, *workspace(COLUMNS))
-    return body, S
+@kernel
+def pushed(
+    model: ModelTuple, push: Wrench, body: State, start: State, end: State, seconds: float,
+    substeps: int,
+) -> State:
+    """Return a state after a motion of the tool: half of the push before and half after it."""
+    dv, dw = acceleration_at(model[1], model[1][1], push[0], push[1])
+    half = 0.5 * seconds
+    body = body[0], body[1], add_scaled(body[2], half, dv), add_scaled(body[3], half, dw)
+    body = advance(model, body, start, end, seconds, substeps)
+    return body[0], body[1], add_scaled(body[2], half, dv), add_scaled(body[3], half, dw)
 
 
-def transition(package: PackageTuple, S: Array, theta: Array) -> Array:
+@kernel
+def write_block(out: Any, i: int, j: int, block: Matrix) -> None:
+    """Write a 3x3 matrix into an array."""
+    out[i, j], out[i, j + 1], out[i, j + 2] = block[0], block[1], block[2]
+    out[i + 1, j], out[i + 1, j + 1], out[i + 1, j + 2] = block[3], block[4], block[5]
+    out[i + 2, j], out[i + 2, j + 1], out[i + 2, j + 2] = block[6], block[7], block[8]
+
+
+@kernel
+def write_square(out: Any, i: int, j: int, square: Square) -> None:
+    """Write a 6x6 matrix into an array."""
+    write_block(out, i, j, square[0])
+    write_block(out, i, j + 3, square[1])
+    write_block(out, i + 3, j, square[2])
+    write_block(out, i + 3, j + 3, square[3])
+
+
+@kernel
+def slopes(
+    model: ModelTuple, push: Wrench, grown: float, tool: State, body: State, A: Array, B: Array
+) -> Vector:
     """
-    Return by how much an error (22,) before changes the state after (12, 22).
+    Write the slope of the state's error, and return the force of the cup in the world (N).
 
-    Scale and centre of mass change what the bias does, too.
+    Parameters
+    ----------
+    model, push, tool, body : tuples
+        With the payload as it is estimated.
+    grown : float
+        By how much mass and inertia are times the nominal ones.
+    A : ndarray (12, 12)
+        Slope by the state's error: pose and twist change in axes that turn with the body.
+    B : ndarray (12, 13)
+        By the rest of the error, and by the faults from `LENGTHENED` to `MOMENT` but the rate.
+
     """
-    mass, _, inertia, _ = package
-    F: Array = np.empty((12, SIZE))
-    F[:, STATE] = S[:, STATE]
-    F[:, 12] = mass * S[:, _of(MASS).start] + S[:, _of(INERTIA)] @ [inertia[i] for i in ENTRIES]
-    F[:, BIAS] = S[:, _of(WRENCH)]
-    F[:, 12] -= F[:, BIAS] @ theta[4:] / (1.0 + theta[0])
-    F[:, CENTRE] = S[:, _of(COM)] + F[:, 19:] @ hat(theta[4:7])
-    return F
+    package, com = model[1], model[1][1]
+    v_hat, w_hat = hat(body[2]), hat(body[3])
+    by_pose, by_twist = body_jacobians(model, tool, body)
+    write_block(A, 0, 0, scale_matrix(-1.0, w_hat))
+    write_block(A, 0, 3, scale_matrix(-1.0, v_hat))
+    write_block(A, 3, 3, scale_matrix(-1.0, w_hat))
+    for i in range(6):
+        A[i, 6 + i] = 1.0
+    write_square(A, 6, 0, by_pose)
+    write_square(A, 6, 6, by_twist)
+    columns = np.zeros((6, 20))
+    parameter_jacobian(model, tool, body, 42, 62, columns, 0)
+    f, m = lip_wrench(model, tool, body)
+    dv, dw = acceleration_at(package, com, add(f, push[0]), add(m, push[1]))
+    write_column(B, 0, scale(-1.0 / grown, dv), scale(-1.0 / grown, dw))
+    x, y, z = push[0]
+    # by the centre of mass (m), the push has another arm: -e x push
+    ex = apply(package[3], (0.0, z, -y))
+    ey = apply(package[3], (-z, 0.0, x))
+    ez = apply(package[3], (y, -x, 0.0))
+    for i in range(6):
+        for j in range(9):
+            B[6 + i, 1 + j] = columns[i, 11 + j]
+        B[6 + i, 10] = columns[i, 0]
+    for i in range(3):
+        B[9 + i, 1] += ex[i]
+        B[9 + i, 2] += ey[i]
+        B[9 + i, 3] += ez[i]
+    still = lip_wrench(model, (tool[0], tool[1], ZERO, ZERO), (body[0], body[1], ZERO, ZERO))
+    dv, dw = acceleration_at(package, com, still[0], ZERO)
+    write_column(B, 11, dv, dw)
+    dv, dw = acceleration_at(package, com, ZERO, still[1])
+    write_column(B, 12, dv, dw)
+    return apply(rotation_matrix(body[1]), f)
 
 
-def _of(parameters: slice) -> slice:
-    """Return the columns of parameters in what `steps` gives."""
-    return slice(12 + parameters.start - FIRST, 12 + parameters.stop - FIRST)
+@kernel
+def write_column(out: Array, column: int, a: Vector, b: Vector) -> None:
+    """Write accelerations into a column of slopes."""
+    out[6, column], out[7, column], out[8, column] = a
+    out[9, column], out[10, column], out[11, column] = b
 
 
-def carried(
-    model: ModelTuple, estimate: Estimate, start: State, end: State, stamp_ns: int,
-    longest_step: float, driven: Driving,
-) -> tuple[Estimate, Array]:
+@kernel
+def spread(
+    A: Array, B: Array, h: float, held: float, noise: Array, walk: Array, P: Array
+) -> tuple[Array, Array]:
     """
-    Carry an estimate along with the tool; return derivatives of the state, too.
+    Carry a covariance (22, 22) through a step, in place; return what the step does (12, 12 + 13).
 
-    They are by the error before, and by the cup's length (12, 23).
+    With G the mean of exp(A t) over the step, to fourth order, the error becomes
+    (I + h A G) x + h G B theta. What drives it acts half before and half after the step.
 
-    The model is the nominal one. The bias acts through the derivatives by it: to first order in
-    what it does from one sample of the tool to the next.
+    Parameters
+    ----------
+    A, B : ndarray
+        As `slopes` gives them, for the whole step.
+    h, held : float
+        Length of the step (s); sum of products (s^2) with the times the tool's noise is held.
+    noise, walk : ndarray
+        Of `Driving`.
+    P : ndarray (22, 22)
+        Covariance of the error.
+
     """
-    seconds = (stamp_ns - estimate.stamp_ns) * 1e-9
-    theta = estimate.theta
-    body, S = steps(
-        payload_model(model, theta), estimate.body, start, end, seconds, longest_step)
-    F = transition(model[1], S, theta)
-    P = estimate.covariance.copy()
-    top = F @ P
-    P[STATE], P[:, STATE] = top, top.T
-    P[STATE, STATE] = top @ F.T + seconds ** 2 * driven.noise
-    P[np.diag_indices(SIZE)] += np.concatenate([np.zeros(12), seconds * driven.walk])
-    body = changed(body, F[:, BIAS] @ theta[4:])
-    after = estimate._replace(stamp_ns=stamp_ns, body=body, covariance=P)
-    return after, np.column_stack([F, S[:, _of(LENGTH)]])
+    X, F = np.empty((12, 12)), np.empty((12, 12))
+    G = _beside_unity(0.25 * h, A, np.empty((12, 12)))
+    for n in (3.0, 2.0):
+        _beside_unity(h / n, product(A, G, X), G)
+    _beside_unity(h, product(A, G, X), F)
+    D = product(G, B, np.empty((12, 13)))
+    T, top = np.empty((12, 22)), np.empty((12, 22))
+    for i in range(12):
+        for j in range(13):
+            D[i, j] *= h
+        for j in range(22):
+            T[i, j] = F[i, j] if j < 12 else D[i, j - 12]
+    _drive(P, 0.5 * h, 0.5 * held, noise, walk)
+    product(T, P, top)
+    product(top, turned_over(T), X)
+    for i in range(12):
+        for j in range(12):
+            P[i, j] = X[i, j]
+        for j in range(12, 22):
+            P[i, j] = P[j, i] = top[i, j]
+    _drive(P, 0.5 * h, 0.5 * held, noise, walk)
+    return F, D
+
+
+@kernel
+def _beside_unity(factor: float, A: Array, out: Array) -> Array:
+    """Write I + factor A, and return it."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            out[i, j] = factor * A[i, j]
+        out[i, i] += 1.0
+    return out
+
+
+@kernel
+def _drive(P: Array, h: float, held: float, noise: Array, walk: Array) -> None:
+    """Add what drives the error to its covariance."""
+    for i in range(12):
+        for j in range(12):
+            P[i, j] += held * noise[i, j]
+    for i in range(22):
+        P[i, i] += h * walk[i]
+
+
+@kernel
+def pass_on(M: Array, F: Array, D: Array, h: float, falling: Vector) -> None:
+    """
+    Carry a passage (33, 33) through a step that `spread` has described, in place.
+
+    What falls is accelerated by `falling` (m/s^2, world) against the model, which holds it.
+    """
+    V, X, Y = np.empty((13, PASSAGE)), np.empty((12, PASSAGE)), np.empty((12, PASSAGE))
+    for c in range(PASSAGE):
+        for i in range(11):
+            V[i, c] = M[12 + i, c]
+        V[10, c] += 0.5 * h * M[LENGTHENING, c]
+        V[11, c], V[12, c] = M[FORCE, c], M[MOMENT, c]
+        M[LENGTHENED, c] += h * M[LENGTHENING, c]
+        for i in range(3):
+            M[FALL + i, c] += h * M[SPEED + i, c] + 0.5 * h * h * falling[i] * M[GONE, c]
+            M[SPEED + i, c] += h * falling[i] * M[GONE, c]
+    product(F, M[:12], X)
+    product(D, V, Y)
+    for i in range(12):
+        for c in range(PASSAGE):
+            M[i, c] = X[i, c] + Y[i, c]
+
+
+@kernel
+def is_coarse(stamp_ns: int, next_ns: int, longest: float) -> bool:
+    """Return whether a step of the covariance ends at a sample, wherever it began."""
+    length_ns = int(1e9 * min(COARSE * longest, 1.0))
+    return stamp_ns // length_ns != next_ns // length_ns
+
+
+@kernel
+def swept(
+    model: ModelTuple, theta: Array, tool: State, body: State, P: Array, M: Array,
+    stamps: Any, starts: Any, ends: Any, k: int, now_ns: int, until_ns: int,
+    longest: float, driven: tuple[Array, Array],
+) -> tuple[State, State]:
+    """
+    Return tool and package at a later stamp, and carry covariance and passage there in place.
+
+    Parameters
+    ----------
+    model, theta : tuple and ndarray
+        With the payload and the wrench as they are estimated.
+    tool, body : State
+        At the beginning.
+    P, M : ndarray (22, 22), (33, 33)
+        Covariance and passage; of no size where they are not followed.
+    stamps, starts, ends : sequences
+        Of the tool's samples: stamp (ns), and states (13,) at the beginning and at the end of
+        its motion from the sample before.
+    k : int
+        The first sample after the beginning.
+    now_ns, until_ns : int
+        Beginning, and end.
+    longest : float
+        Longest step of the state, s.
+    driven : tuple of ndarray
+        As `Driving`.
+
+    """
+    push, follows, fresh, h, held = wrench_of(theta), P.shape[0] > 0, True, 0.0, 0.0
+    A0, B0 = np.zeros((12, 12)), np.zeros((12, 13))
+    A1, B1 = np.zeros((12, 12)), np.zeros((12, 13))
+    while True:
+        if follows and (fresh or now_ns == until_ns or now_ns != stamps[k - 1] or is_coarse(
+                now_ns, stamps[k], longest)):
+            force = slopes(model, push, 1.0 + theta[0], tool, body, A1, B1)
+            if not fresh:
+                _mean(A0, A1)
+                _mean(B0, B1)
+                F, D = spread(A0, B0, h, held, driven[0], driven[1], P)
+                if M.shape[0]:
+                    pass_on(M, F, D, h, scale(-1.0 / model[1][0], force))
+            A0, B0, A1, B1 = A1, B1, A0, B0
+            fresh, h, held = False, 0.0, 0.0
+        if now_ns == until_ns:
+            return tool, body
+        whole_ns = stamps[k] - stamps[k - 1]
+        if now_ns == stamps[k - 1]:
+            tool = row_state(starts[k])
+        later_ns = min(stamps[k], until_ns)
+        cuts = substeps_for((later_ns - now_ns) * 1e-9, COARSE * longest)
+        later_ns = now_ns + (later_ns - now_ns) // cuts
+        there = row_state(ends[k])
+        if later_ns < stamps[k]:
+            segment = tool_segment(row_state(starts[k]), there, whole_ns * 1e-9)
+            there = tool_at(segment, (later_ns - stamps[k - 1]) / whole_ns)
+        part = (later_ns - now_ns) * 1e-9
+        body = pushed(model, push, body, tool, there, part, substeps_for(part, longest))
+        tool, now_ns, h, held = there, later_ns, h + part, held + part * whole_ns * 1e-9
+        if now_ns == stamps[k]:
+            k += 1
+
+
+@kernel
+def _mean(A: Array, B: Array) -> None:
+    """Write the mean of two arrays into the first."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            A[i, j] = 0.5 * (A[i, j] + B[i, j])
+
+
+@kernel
+def followed(
+    model: ModelTuple, theta: Array, body: State, stamps: Any, starts: Any, ends: Any, k: int,
+    stamp_ns: int, start: State, end: State, longest: float,
+) -> State:
+    """Keep a sample of the tool as number k, and return the package there."""
+    stamps[k] = stamp_ns
+    write_row(starts[k], start)
+    write_row(ends[k], end)
+    seconds, tool = (stamp_ns - stamps[k - 1]) * 1e-9, start
+    cuts = substeps_for(seconds, COARSE * longest)
+    part = seconds / cuts
+    for i in range(cuts):
+        there = end
+        if i < cuts - 1:
+            there = tool_at(tool_segment(start, end, seconds), (i + 1) / cuts)
+        body = pushed(
+            model, wrench_of(theta), body, tool, there, part, substeps_for(part, longest))
+        tool = there
+    return body
 
 
 class Innovation(NamedTuple):
@@ -198,30 +466,91 @@ class Innovation(NamedTuple):
     """Shift (m) and turn (rad) from the estimated to the measured pose, in B axes (6,)."""
     H: Array
     """Its derivative by the error (6, 22)."""
-    S: Array
-    """Its covariance (6, 6)."""
+    whitener: Array
+    """What makes its covariance unity, triangular (6, 6)."""
     distance: float
     """Its squared Mahalanobis distance."""
     gain: Array
     """(22, 6)."""
 
 
+@kernel
+def whitener(S: Array) -> Array:
+    """Return the inverse of the Cholesky factor of a covariance (6, 6)."""
+    L, W = np.zeros((6, 6)), np.zeros((6, 6))
+    for i in range(6):
+        for j in range(i + 1):
+            a = S[i, j]
+            for k in range(j):
+                a -= L[i, k] * L[j, k]
+            L[i, j] = math.sqrt(a) if i == j else a / L[j, j]
+        for j in range(i + 1):
+            a = 1.0 if i == j else 0.0
+            for k in range(j, i):
+                a -= L[i, k] * W[k, j]
+            W[i, j] = a / L[i, i]
+    return W
+
+
+@kernel
+def _innovation(
+    body: State, P: Array, position: Vector, q: Quaternion, noise: Array, H: Array
+) -> tuple[Array, Array, float, Array]:
+    """Return y, whitener, squared distance and gain of an `Innovation`."""
+    shift, turn = pose_error(body, position, q)
+    y = np.array((shift[0], shift[1], shift[2], turn[0], turn[1], turn[2]))
+    PH = product(P, turned_over(H), np.empty((22, 6)))
+    S = product(H, PH, np.empty((6, 6)))
+    for i in range(6):
+        for j in range(6):
+            S[i, j] += noise[i, j]
+    W, distance = whitener(S), 0.0
+    for i in range(6):
+        z = 0.0
+        for j in range(i + 1):
+            z += W[i, j] * y[j]
+        distance += z * z
+    inverse = product(turned_over(W), W, np.empty((6, 6)))
+    return y, W, distance, product(PH, inverse, np.empty((22, 6)))
+
+
 def innovation(
     estimate: Estimate, position: Vector, quaternion_xyzw: Quaternion, noise: Array, H: Array
 ) -> Innovation:
     """Return what a measured pose of B, its noise (6, 6) in B axes, says of an estimate."""
-    y = np.concatenate(pose_error(estimate.body, position, quaternion_xyzw))
-    PH = estimate.covariance @ H.T
-    S = H @ PH + noise
-    inverse = np.linalg.inv(S)
-    return Innovation(y, H, S, float(y @ inverse @ y), PH @ inverse)
+    y, root, distance, gain = _innovation(
+        estimate.body, estimate.covariance, position, quaternion_xyzw, noise, H)
+    return Innovation(y, H, root, distance, gain)
+
+
+@kernel
+def _corrected(
+    body: State, theta: Array, P: Array, y: Array, H: Array, gain: Array, noise: Array
+) -> tuple[State, Array, Array]:
+    """Return state, theta and covariance of `corrected`."""
+    e, theta = np.zeros(22), theta.copy()
+    A = product(gain, H, np.empty((22, 22)))
+    for i in range(22):
+        for j in range(6):
+            e[i] += gain[i, j] * y[j]
+        for j in range(22):
+            A[i, j] = (1.0 if i == j else 0.0) - A[i, j]
+        if i >= 12:
+            theta[i - 12] += e[i]
+    body = moved(
+        body, (e[0], e[1], e[2]), (e[3], e[4], e[5]), (e[6], e[7], e[8]), (e[9], e[10], e[11]))
+    by_P = product(product(A, P, np.empty((22, 22))), turned_over(A), np.empty((22, 22)))
+    by_noise = product(
+        product(gain, noise, np.empty((22, 6))), turned_over(gain), np.empty((22, 22)))
+    for i in range(22):
+        for j in range(i + 1):
+            a = by_P[i, j] + by_P[j, i] + by_noise[i, j] + by_noise[j, i]
+            by_P[i, j] = by_P[j, i] = 0.5 * a
+    return body, theta, by_P
 
 
 def corrected(estimate: Estimate, found: Innovation, noise: Array) -> Estimate:
     """Return an estimate with a measurement taken in, its covariance by Joseph's form."""
-    error = found.gain @ found.y
-    A = IDENTITY - found.gain @ found.H
-    P = A @ estimate.covariance @ A.T + found.gain @ noise @ found.gain.T
-    return estimate._replace(
-        body=changed(estimate.body, error[STATE]), theta=estimate.theta + error[12:],
-        covariance=0.5 * (P + P.T), refused=0)
+    body, theta, P = _corrected(
+        estimate.body, estimate.theta, estimate.covariance, found.y, found.H, found.gain, noise)
+    return estimate._replace(body=body, theta=theta, covariance=P, refused=0)

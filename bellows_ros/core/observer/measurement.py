@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
+from bellows_ros.core.jit import kernel
 from bellows_ros.core.kernels import State
-from bellows_ros.core.lie import hat
+from bellows_ros.core.observer.filter import product, turned_over
 from bellows_ros.core.screening import why_no_pose
 from bellows_ros.core.tuples import (
     add,
     apply,
+    dot,
     exp_quaternion,
+    hat,
+    multiply,
     normalised,
     Quaternion,
     quaternion_conjugate,
     quaternion_product,
     rotation_matrix,
     subtract,
+    transposed,
     Vector,
 )
 import numpy as np
@@ -89,17 +95,31 @@ class Sight:
 
     def at_com(self, seen: Measurement, com: Vector) -> tuple[Vector, Quaternion, Array]:
         """Return the pose of B, and its noise (6, 6) in B axes, with B at com (m) from the lip."""
-        q = quaternion_product(seen.quaternion_xyzw, quaternion_conjugate(self._turn))
-        R = rotation_matrix(q)
         arm = subtract(com if self.of_lip else (0.0, 0.0, 0.0), self._offset)
-        T: Array = np.zeros((6, 6))
-        T[:3, :3] = T[3:, 3:] = np.reshape(R, (3, 3)).T
-        T[:3, 3:] = -hat(np.array(arm)) @ T[3:, 3:]
-        return add(seen.position, apply(R, arm)), q, T @ seen.noise @ T.T
+        return _at_com(seen.position, seen.quaternion_xyzw, seen.noise, self._turn, arm)
 
 
-def lip_shift(position: Vector, q: Quaternion, com: Vector, tool: State, length: float) -> Vector:
+@kernel
+def _at_com(
+    position: Vector, quaternion_xyzw: Quaternion, noise: Array, turn: Quaternion, arm: Vector
+) -> tuple[Vector, Quaternion, Array]:
+    """Return the pose of B, `arm` (m) from what was measured, and its noise in B axes."""
+    q = quaternion_product(quaternion_xyzw, quaternion_conjugate(turn))
+    R = rotation_matrix(q)
+    across = multiply(hat(arm), transposed(R))
+    T = np.zeros((6, 6))
+    for i in range(3):
+        for j in range(3):
+            T[i, j] = T[3 + i, 3 + j] = R[3 * j + i]
+            T[i, 3 + j] = -across[3 * i + j]
+    found = product(product(T, noise, np.empty((6, 6))), turned_over(T), np.empty((6, 6)))
+    return add(position, apply(R, arm)), q, found
+
+
+@kernel
+def lip_shift(position: Vector, q: Quaternion, com: Vector, tool: State, length: float) -> float:
     """Return how far (m) the lip of a package at a pose is from where it is without load."""
     lip = subtract(position, apply(rotation_matrix(q), com))
     free = add(tool[0], apply(rotation_matrix(tool[1]), (0.0, 0.0, -length)))
-    return subtract(lip, free)
+    away = subtract(lip, free)
+    return math.sqrt(dot(away, away))

@@ -8,30 +8,32 @@ so that the outcome is that of measurements that came in order.
 
 from __future__ import annotations
 
-from bisect import bisect_left, insort
+from bisect import bisect_left, bisect_right, insort
 from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import resting_on_tool
-from bellows_ros.core.kernels import ModelTuple, State, tool_at, tool_segment
-from bellows_ros.core.observer.alarms import Alarm, Alarms, extended
+from bellows_ros.core.equilibrium import resting_on_tool, substeps_for
+from bellows_ros.core.jit import COMPILED
+from bellows_ros.core.kernels import ModelTuple, State
+from bellows_ros.core.observer.alarms import Alarm, Alarms
 from bellows_ros.core.observer.filter import (
-    BIAS,
-    carried,
     CENTRE,
-    changed,
     corrected,
     driving,
     Estimate,
-    EXTENDED,
+    followed,
     Innovation,
     innovation,
-    payload_model,
+    is_coarse,
+    NOT_FOLLOWED,
+    PASSAGE,
+    pushed,
     SIZE,
-    steps,
-    transition,
+    swept,
+    with_payload,
+    wrench_of,
 )
 from bellows_ros.core.observer.measurement import lip_shift, Measurement, Sight
 from bellows_ros.core.tuples import Matrix, Quaternion, Vector
@@ -45,6 +47,12 @@ GATE = 27.86
 
 WRONG_GATE = 8
 """After so many outside the gate, one after the other, the gate is wrong: start anew there."""
+
+KEPT_NS = 50_000_000
+"""Estimates are kept at least so much longer (ns) than anything can change them."""
+
+LEAST_ROOM = 4096
+"""For samples of the tool: seconds of them."""
 
 START = np.repeat([0.01, 0.1, 0.5, 1.0], 3)
 """Standard deviations at the start: m, rad, m/s, rad/s."""
@@ -65,17 +73,43 @@ VERDICTS = (
 """Why a measured pose is not used."""
 
 
-class Slot(NamedTuple):
-    """From one sample of the tool to the next."""
+class Track:
+    """The tool's samples of the last moments, as the kernels take them."""
 
-    stamp_ns: int
-    """Of its end."""
-    start: State
-    """Of the tool."""
-    end: State
-    seen: tuple[Measurement, ...]
-    """In order."""
-    after: Estimate
+    def __init__(self) -> None:
+        """Know of none."""
+        self._make(LEAST_ROOM)
+
+    def _make(self, room: int) -> None:
+        """Make room for samples."""
+        stamps, starts, ends = np.zeros(room, np.int64), np.zeros((room, 13)), np.zeros((room, 13))
+        self.count = 0
+        self.rows: tuple[Any, Any, Any] = (stamps, starts, ends)
+        if not COMPILED:  # plain floats are several times faster than NumPy's in plain Python
+            self.rows = stamps.tolist(), starts.tolist(), ends.tolist()
+
+    def begin(self, stamp_ns: int) -> None:
+        """Keep nothing but where a motion begins."""
+        self.rows[0][0], self.count = stamp_ns, 1
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest sample."""
+        return int(self.rows[0][self.count - 1])
+
+    def after(self, stamp_ns: int) -> int:
+        """Return the number of the first sample after a stamp."""
+        return bisect_right(self.rows[0], stamp_ns, 0, self.count)
+
+    def make_room(self, since_ns: int) -> None:
+        """Let another sample fit in; forget what was before a stamp."""
+        if self.count < len(self.rows[0]):
+            return
+        before, kept = self.rows, slice(self.after(since_ns) - 1, self.count)
+        self._make(max(LEAST_ROOM, 4 * (kept.stop - kept.start)))
+        self.count = kept.stop - kept.start
+        for old, new in zip(before, self.rows, strict=True):
+            new[:self.count] = old[kept]
 
 
 class Payload(NamedTuple):
@@ -116,10 +150,12 @@ class Observer:
         self._H[:, :6] = np.eye(6)
         if self.sight.of_lip:
             self._H[:3, CENTRE] = -np.eye(3)
-        self._slots: list[Slot] = []
+        self._track = Track()
+        self._known: list[Estimate] = []  # the oldest, and those after each of what was seen
+        self._seen: list[Measurement] = []
         self._ahead: list[Measurement] = []
-        self._kept: Estimate | None = None
-        self._new: set[int] = set()  # stamps of measurements that are not yet counted
+        self._asked: Estimate | None = None  # for, last
+        self._kept = np.zeros(10), np.zeros((4, 4))  # payload of the same package
         self._opened_ns: set[int] = set()  # stamps of measurements at which an alarm was raised
         allowed = values['alarm.false_per_hour']
         self._alarms = Alarms(allowed) if allowed > 0.0 else None
@@ -133,7 +169,7 @@ class Observer:
         bias = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN], 3)
         self._prior = np.concatenate([START, self._payload_std(), bias])
         walk = BIAS_WALK * weight * np.repeat([1.0, WALK_ARM], 3)
-        self._walk = np.concatenate([np.zeros(4), np.square(walk)])
+        self._walk = np.concatenate([np.zeros(16), np.square(walk)])
         self.forget()
 
     def _payload_std(self) -> Array:
@@ -146,100 +182,123 @@ class Observer:
 
     def forget(self, is_another: bool = True) -> None:
         """Begin anew, with the same package or with another."""
-        self._kept = None if is_another else self.estimate or self._kept
-        self._slots.clear()
+        if is_another:
+            self._kept = np.zeros(10), np.diag(np.square(self._prior[12:16]))
+        elif self._known:
+            known = self._known[-1]
+            self._kept = np.r_[known.theta[:4], np.zeros(6)], known.covariance[12:16, 12:16]
+        self._known.clear()
+        self._seen.clear()
         self._ahead.clear()
-        self._new.clear()
         self._opened_ns.clear()
         self._away, self._were_near = 0, False
+        self._use(self._kept[0])
         if self._alarms is not None:
             self._alarms.forget()
+
+    def _use(self, theta: Array) -> None:
+        """Take what is known of the payload into the model."""
+        self._theta, self._asked = theta, None
+        self.model = self._with(theta)
+
+    def _with(self, theta: Array) -> ModelTuple:
+        """Return the model with the payload as it is estimated."""
+        return with_payload(self._nominal, theta) if theta[:4].any() else self._nominal
 
     @property
     def estimate(self) -> Estimate | None:
         """What is known at the newest sample of the tool."""
-        return self._slots[-1].after if self._slots else None
+        if not self._known:
+            return None
+        known, newest_ns = self._asked or self._known[-1], self._track.newest_ns
+        if known.stamp_ns < newest_ns:
+            known = self._carried(known, newest_ns)
+        self._asked = known
+        return known
 
-    @property
-    def body(self) -> State:
-        """The package at the newest sample of the tool."""
-        return self._slots[-1].after.body
-
-    @property
-    def covariance(self) -> Array:
-        """Of its state (12, 12)."""
-        return self._slots[-1].after.covariance[:12, :12]
+    def covariance(self, stamp_ns: int) -> Array | None:
+        """Return that of the state (12, 12) at a stamp of the tool, if it is known still."""
+        known = self.estimate
+        return None if known is None or known.stamp_ns != stamp_ns else known.covariance[:12, :12]
 
     @property
     def payload(self) -> Payload | None:
         """What the payload is found to be, where it is estimated."""
-        known = self.estimate
-        if known is None or not self._values['payload.estimate']:
+        if not self._known or not self._values['payload.estimate']:
             return None
+        known = self._known[-1]
         mass, com, inertia, _ = self.model[1]
         std = np.sqrt(np.diag(known.covariance)[12:16])
         return Payload(known.stamp_ns, mass, com, inertia, float(std[0] * self._nominal[1][0]),
                        std[1:])
-
-    @property
-    def model(self) -> ModelTuple:
-        """The model with the payload as it is estimated."""
-        known = self.estimate or self._kept
-        return self._nominal if known is None else payload_model(self._nominal, known.theta)
 
     # ---------------------------------------------------------------- the tool
 
     def start(self, stamp_ns: int, tool: State, body: State) -> None:
         """Begin with a package at rest."""
         P = np.diag(np.square(self._prior))
-        theta = np.zeros(10)
-        if self._kept is not None:
-            theta[:4] = self._kept.theta[:4]
-            P[12:16, 12:16] = self._kept.covariance[12:16, 12:16]
+        theta, P[12:16, 12:16] = self._kept
         noise = np.repeat([self._values['tool_noise.position'],
                            self._values['tool_noise.rotation']], 3)
         self._driven = driving(self._nominal, tool, body, noise, self._walk)
-        self._slots = [Slot(stamp_ns, tool, tool, (), Estimate(stamp_ns, body, theta, P))]
+        self._track.begin(stamp_ns)
+        self._seen.clear()
+        self._known = [Estimate(stamp_ns, tool, body, theta, P, 0, self._unpassed())]
+        self._use(theta)
+        self.body = body
+
+    def _unpassed(self) -> Array:
+        """Return the passage to a stamp from the very same one, where it is followed."""
+        return NOT_FOLLOWED if self._alarms is None else np.eye(PASSAGE)
 
     def follow(self, stamp_ns: int, start: State, end: State) -> State:
         """Carry the package along with the tool, from the newest sample to this one."""
-        seen = tuple(m for m in self._ahead if m.stamp_ns <= stamp_ns)
-        self._ahead = [m for m in self._ahead if m.stamp_ns > stamp_ns]
-        self._slots.append(self._through(Slot(
-            stamp_ns, start, end, seen, self._slots[-1].after)))
-        while self._slots[1].stamp_ns < stamp_ns - LATEST_NS:
-            del self._slots[0]
+        track = self._track
+        track.make_room(self._known[0].stamp_ns)
+        self.body = followed(
+            self.model, self._theta, self.body, *track.rows, track.count, stamp_ns, start, end,
+            self._longest)
+        track.count += 1
+        while self._ahead and self._ahead[0].stamp_ns <= stamp_ns:
+            self._put(self._ahead.pop(0))
+        if stamp_ns - self._known[0].stamp_ns > LATEST_NS + KEPT_NS:
+            self._let_go(stamp_ns - LATEST_NS)
         return self.body
+
+    def _let_go(self, before_ns: int) -> None:
+        """Forget estimates that nothing can change any more, but for the last of them."""
+        known, seen = self._known, self._seen
+        while seen and seen[0].stamp_ns <= before_ns:
+            del known[0], seen[0]
+        stamps, k = self._track.rows[0], self._track.after(before_ns) - 1
+        while stamps[k] > known[0].stamp_ns:
+            if is_coarse(stamps[k], stamps[k + 1], self._longest):  # it would end there anyhow
+                known[0] = self._carried(known[0], int(stamps[k]))
+                break
+            k -= 1
 
     def drifted(self, body: State, start: State, end: State, seconds: float) -> State:
         """Return a package after a motion of the tool that is not kept."""
-        theta = self._slots[-1].after.theta
-        body, S = steps(self.model, body, start, end, seconds, self._longest)
-        return changed(body, transition(self._nominal[1], S, theta)[:, BIAS] @ theta[4:])
+        return pushed(
+            self.model, wrench_of(self._theta), body, start, end, seconds,
+            substeps_for(seconds, self._longest))
 
-    def _through(self, slot: Slot) -> Slot:
-        """Return a slot with the estimate after it; it holds the one before."""
-        estimate, tool = slot.after, slot.start
-        for seen in slot.seen:
-            part = (seen.stamp_ns - estimate.stamp_ns) / (slot.stamp_ns - estimate.stamp_ns)
-            segment = tool_segment(tool, slot.end, (slot.stamp_ns - estimate.stamp_ns) * 1e-9)
-            now = tool_at(segment, part) if part < 1.0 else slot.end
-            estimate = self._carried(estimate, tool, now, seen.stamp_ns)
-            estimate, tool = self._taken(estimate, seen, now), now
-        if estimate.stamp_ns < slot.stamp_ns:
-            estimate = self._carried(estimate, tool, slot.end, slot.stamp_ns)
-        return slot._replace(after=estimate)
+    def _carried(self, known: Estimate, stamp_ns: int) -> Estimate:
+        """Return an estimate carried along with the tool."""
+        P, passage = known.covariance.copy(), known.passage.copy()
+        tool, body = self._swept(self._with(known.theta), known, stamp_ns, P, passage)
+        return known._replace(
+            stamp_ns=stamp_ns, tool=tool, body=body, covariance=P, passage=passage)
 
-    def _carried(self, estimate: Estimate, start: State, end: State, stamp_ns: int) -> Estimate:
-        """Carry an estimate along with the tool."""
-        after, F = carried(
-            self._nominal, estimate, start, end, stamp_ns, self._longest, self._driven)
-        if self._alarms is None:
-            return after
-        model = payload_model(self._nominal, estimate.theta)
-        seconds = (stamp_ns - estimate.stamp_ns) * 1e-9
-        return after._replace(passage=extended(
-            model, start, estimate.body, F, seconds, estimate.passage))
+    def _swept(
+        self, model: ModelTuple, known: Estimate, stamp_ns: int,
+        P: Array = NOT_FOLLOWED, passage: Array = NOT_FOLLOWED,
+    ) -> tuple[State, State]:
+        """Return tool and package at a stamp; carry covariance and passage there in place."""
+        return swept(
+            model, known.theta, known.tool, known.body, P, passage, *self._track.rows,
+            self._track.after(known.stamp_ns), known.stamp_ns, stamp_ns, self._longest,
+            self._driven)
 
     # ------------------------------------------------------------ measurements
 
@@ -252,46 +311,53 @@ class Observer:
 
     def _place(self, seen: Measurement) -> str:
         """Put a measured pose where it belongs, and work out what followed again."""
-        slots, stamp_ns = self._slots, seen.stamp_ns
-        if not slots:
+        stamp_ns = seen.stamp_ns
+        if not self._known:
             return 'not_held'
-        if stamp_ns > slots[-1].stamp_ns + LATEST_NS:
+        newest_ns = self._track.newest_ns
+        if stamp_ns > newest_ns + LATEST_NS:
             return 'future_stamp'
-        if stamp_ns <= slots[0].stamp_ns:
-            return 'late'
-        if stamp_ns > slots[-1].stamp_ns:
-            insort(self._ahead, seen, key=lambda m: m.stamp_ns)
-            self._new.add(stamp_ns)
-            return ''
-        at = bisect_left(slots, stamp_ns, key=lambda slot: slot.stamp_ns)
-        slot = slots[at]
-        if any(other.stamp_ns == stamp_ns for other in slot.seen):
+        if any(other.stamp_ns == stamp_ns for other in (*self._seen, *self._ahead)):
             return 'duplicate_stamp'
-        self._new.add(stamp_ns)
-        slot = slot._replace(seen=tuple(sorted((*slot.seen, seen), key=lambda m: m.stamp_ns)))
-        for k in range(at, len(slots)):
-            again = slot if k == at else slots[k]
-            slots[k] = self._through(again._replace(after=slots[k - 1].after))
+        if stamp_ns <= self._known[0].stamp_ns:
+            return 'late'
+        if stamp_ns > newest_ns:
+            insort(self._ahead, seen, key=lambda m: m.stamp_ns)
+        else:
+            self._put(seen)
         return ''
 
-    def _taken(self, estimate: Estimate, seen: Measurement, tool: State) -> Estimate:
+    def _put(self, seen: Measurement) -> None:
+        """Put a measured pose where it belongs, and work out what followed again."""
+        at = bisect_left(self._seen, seen.stamp_ns, key=lambda m: m.stamp_ns)
+        self._seen.insert(at, seen)
+        del self._known[at + 1:]
+        for k in range(at, len(self._seen)):
+            known = self._carried(self._known[k], self._seen[k].stamp_ns)
+            self._known.append(self._taken(known, self._seen[k], k == at))
+        known, newest_ns = self._known[-1], self._track.newest_ns
+        self._use(known.theta)
+        self.body = known.body
+        if known.stamp_ns < newest_ns:
+            self.body = self._swept(self.model, known, newest_ns)[1]
+
+    def _taken(self, estimate: Estimate, seen: Measurement, is_new: bool) -> Estimate:
         """Correct an estimate, or leave it where the measurement is outside the gate."""
         x, y, z = (np.array(self._nominal[1][1]) + estimate.theta[1:4]).tolist()
         position, q, noise = self.sight.at_com(seen, (x, y, z))
-        shift = lip_shift(position, q, (x, y, z), tool, self._nominal[0][1])
+        shift = lip_shift(position, q, (x, y, z), estimate.tool, self._nominal[0][1])
         found = innovation(estimate, position, q, noise, self._H)
         verdict = 'used'
-        if math.hypot(*shift) > self._reach + 5.0 * math.sqrt(np.trace(noise[:3, :3])):
+        if shift > self._reach + 5.0 * math.sqrt(np.trace(noise[:3, :3])):
             verdict = 'out_of_reach'  # no lip can be there: that is another package
         elif found.distance > GATE:
             verdict = 'recovered' if estimate.refused + 1 >= WRONG_GATE else 'gate'
-        if seen.stamp_ns in self._new:
-            self._new.remove(seen.stamp_ns)
+        if is_new:
             self.counts[verdict] += 1
             self._look_for_causes(seen.stamp_ns, estimate, found, verdict, position, q)
         if verdict == 'out_of_reach':
             return estimate
-        estimate = estimate._replace(passage=np.eye(EXTENDED))
+        estimate = estimate._replace(passage=self._unpassed())
         if seen.stamp_ns in self._opened_ns:
             verdict = 'recovered'
         if verdict == 'gate':
@@ -319,8 +385,6 @@ class Observer:
                 stamp_ns, estimate.passage, found, verdict == 'used', position, q)
             if verdict == 'recovered':
                 alarms.forget()
-        else:  # one that came in between, of which what was known did not know
-            alarms.forget()
         if alarm is not None:
             self.alarms.append(alarm)
             if alarm.cause not in ('camera', 'lost'):

@@ -98,7 +98,7 @@ def with_noise(rng, body, std):
 
 def error_of(made, body):
     """Give the change (12,) that leads from what an observer says to a true state."""
-    known = made.estimate.body
+    known = made.body
     return np.concatenate([
         *pose_error(known, body[0], body[1]),
         np.subtract(body[2], known[2]), np.subtract(body[3], known[3])])

@@ -1,6 +1,9 @@
 """Correct a package whose true motion is known."""
 
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.equilibrium import largest_step, substeps_for
+from bellows_ros.core.kernels import advance
+from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.observer.filter import changed, pose_error
 from bellows_ros.core.tuples import quaternion_product
 import numpy as np
@@ -17,6 +20,7 @@ from .cases import (
     NOISE,
     observer,
     PACKAGE,
+    PERIOD_NS,
     tool_motion,
     truth,
     with_noise,
@@ -58,6 +62,27 @@ def test_late_and_out_of_order_equals_in_order(late):
     np.testing.assert_allclose(numbers(made), numbers(in_order), rtol=1e-9, atol=1e-15)
     assert made.counts == in_order.counts
     assert made.counts['used'] == len(seen)
+
+
+def test_nothing_seen_changes_nothing():
+    """Predict bit for bit what the model alone does, observed or not, until something is seen."""
+    stamps, tool, body, _ = scene(8, seconds=0.3)
+    alone, watched = (LivePredictor(CUP, PACKAGE, 9.81, 'tool') for _ in range(2))
+    watched.observe(observer())
+    model, states = model_tuple(CUP, PACKAGE, 9.81), []
+    for stamp_ns, (position, q, linear, angular) in zip(stamps.tolist(), tool, strict=True):
+        for live in (alone, watched):
+            live.expect_twists = True
+            live.on_twist(stamp_ns, linear, angular)
+            states += live.on_pose(stamp_ns, 'world', position, q)
+    true = states[0].body
+    for before, after in zip(states[::2], states[2::2], strict=False):
+        steps = substeps_for(PERIOD_NS * 1e-9, largest_step(model))
+        true = advance(model, true, before.tool, after.tool, PERIOD_NS * 1e-9, steps)
+        assert after.body == true
+        assert after.covariance is None
+    for without, observed in zip(states[::2], states[1::2], strict=True):
+        assert observed[:8] == without[:8]
 
 
 def test_between_samples_and_ahead_of_the_tool():
@@ -104,7 +129,7 @@ def test_error_is_what_the_covariance_says():
         theta = rng.normal(size=10) * std[12:]
         for k in range(1, len(tool)):
             body.append(later(body[-1], theta, tool[k - 1], tool[k], 0.004))
-            theta[4:] += rng.normal(size=6) * np.sqrt(0.004 * made._walk[4:])
+            theta += rng.normal(size=10) * np.sqrt(0.004 * made._walk[12:])
         seen = {k: with_noise(rng, body[k], NOISE) for k in range(8, len(tool), 8)}
         follow(made, stamps, tool, None, at_once(stamps, seen))
         error = error_of(made, body[-1])
