@@ -9,5 +9,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 """Which samples are meant."""
 
+Places = NDArray[np.intp]
+"""Indices."""
+
 Stamps = NDArray[np.int64]
 """Times, ns."""

@@ -86,7 +86,8 @@ class Parameter:
         """What the value must be, in words: its kind, count, range, choices and unit."""
         unit = f' ({self.unit})' if self.unit else ''
         if self.choices:
-            return 'one of ' + ', '.join(self.choices)
+            some = 'a list of some of ' if self.kind == 'string_array' else 'one of '
+            return some + ', '.join(self.choices)
         return _KIND_MESSAGES[self.kind].format(count=self.length) + self._range() + unit
 
     def _range(self) -> str:
@@ -401,6 +402,13 @@ _TABLE = (
         'Whether the time by which the stamps of the tool are behind those of the package, up to '
         '0.1 s, is found and taken off, for every recording: for streams of two clocks.',
         _IDENTIFIER,
+    ),
+    Parameter(
+        'fit.free', 'string_array', (), '',
+        'What else is found together with K and P, with standard errors: time_offset, com, '
+        'length, inertia, mass, package_world. Refused where the recordings do not tell it.',
+        _IDENTIFIER, choices=(
+            'time_offset', 'com', 'length', 'inertia', 'mass', 'package_world'),
     ),
     Parameter(
         'gravity.magnitude', 'double', 9.81, 'm/s^2',

@@ -262,6 +262,9 @@ def _to_strings(parameter: Parameter, value: object) -> Value:
     texts = tuple(_text(parameter, x) for x in _items(parameter, value))
     if not all(texts):
         raise _refuse(parameter, f'an empty text at index {texts.index("")}')
+    for text in texts:
+        if parameter.choices and text not in parameter.choices:
+            raise _refuse(parameter, f"'{short(text)}'")
     return texts
 
 

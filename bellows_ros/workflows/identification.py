@@ -44,6 +44,11 @@ UNKNOWN_STD = 1e9
 NARROWED = 0.95
 """A standard error above this part of what it was is not worth a word."""
 
+FREED = {
+    'com': ('package.com', 'm'), 'length': ('cup.length', 'm'),
+    'mass': ('package.mass', 'kg'), 'inertia': ('package.inertia', 'kg m^2')}
+"""The parameters of names in fit.free, and their units."""
+
 SHOWN = 6
 """Parameters that a sentence names."""
 
@@ -157,6 +162,10 @@ class Identification:
         lines += [text for part in self.parts
                   for text in world_sentence(part.name, part.package_world)]
         lines += self._offset_sentences()
+        lines += [
+            f'{name} was found together with K and P: '
+            f'{", ".join(f"{x:.6g} ± {s:.2g}" for x, s in zip(value, std, strict=True))} {unit}.'
+            for name, value, std, unit in self._freed()]
         lines += _standstill_sentences(self)
         if self.static is not None and self.static.spring is not None:
             lines.append(self.static.spring.sentence)
@@ -167,6 +176,14 @@ class Identification:
         for replayed in self.validations:
             lines += [*offset_sentence(replayed.bag, replayed.time_offset), replayed.sentence]
         return tuple(lines)
+
+    def _freed(self) -> Iterator[tuple[str, list[float], list[float], str]]:
+        """Yield the parameters that fit.free let be found: value, standard error and unit."""
+        for name, _, std in self.fit.freed:
+            parameter, unit = FREED[name]
+            value = np.atleast_1d(self.values[parameter])[:len(std)]
+            relative = value if name in ('mass', 'inertia') else np.ones(len(value))
+            yield parameter, value.tolist(), (relative * std).tolist(), unit
 
     def _offset_sentences(self) -> Iterator[str]:
         """Yield sentences about the clocks of the recordings."""
@@ -208,6 +225,9 @@ class Identification:
             'warnings': self.warnings,
             'findings': self.findings,
             'cup_length': self.cup_length,
+            'found_parameters': {
+                name: {'value': value, 'std': std, 'units': {'value': unit, 'std': unit}}
+                for name, value, std, unit in self._freed()},
             'usable': not self.refusals,
             'refusals': self.refusals,
             'verdict': self.verdict and self.verdict.as_json(),

@@ -12,7 +12,7 @@ from functools import partial
 import os
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.core.identification.methods import fit, fitted
+from bellows_ros.core.identification.methods import first_guess, fit, fitted, with_freed
 from bellows_ros.core.identification.reduction import Reduced, reduced
 from bellows_ros.core.parameter_table import THESIS_LENGTH
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # what a plain identification does without
 
 Progress = Callable[[str, float], None]
 Part = Recording | Reduced
+Read = Callable[[Mapping[str, Any]], tuple[list[Part], list['Failed']]]
 
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 """Parts of the whole work at which fitting begins and ends, for the progress."""
@@ -93,11 +94,18 @@ def identify(
     static = _static(values, tell)
     effective = {**values, 'cup.length': static.cup_length} if static else values
     keep = bool(needing_recordings(values))
-    if jobs is None and not dask:
-        parts, failed = read_here(effective, keep, tell), list[Failed]()
-    else:
-        parts, failed = _read_by_others(effective, keep, jobs or 1, dask, tell)
-    return _identified(values, effective, parts, static, tell, failed=tuple(failed),
+
+    def read(using: Mapping[str, Any]) -> tuple[list[Part], list[Failed]]:
+        """Return the recordings that could be used, and the others."""
+        if jobs is None and not dask:
+            return read_here(using, keep, tell), []
+        return _read_by_others(using, keep, jobs or 1, dask, tell)
+
+    parts, failed = read(effective)
+    if guess := first_guess([part for part in parts if isinstance(part, Recording)], effective):
+        values, effective = (with_freed(own, guess) for own in (values, effective))
+        parts, failed = read(effective)
+    return _identified(values, effective, parts, static, tell, read, failed=tuple(failed),
                        assumed=assumed(settings), parameter_files=of_files)
 
 
@@ -204,6 +212,8 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
     """Return all parameters of a run, or raise BellowsError where something is missing."""
     required = () if settings.get('package.files') else RECORDING_PARAMETERS
     values: dict[str, Any] = resolve(settings, required)
+    if values['fit.free']:
+        values = _with_free(values)
     if not values['bags']:
         raise BellowsError(
             'No recording is given: the parameter bags is empty. Name at least one rosbag2 '
@@ -233,6 +243,27 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
             'package.files.'
         )
     return values
+
+
+def _with_free(values: dict[str, Any]) -> dict[str, Any]:
+    """Return parameters with what fit.free says of clocks and worlds, or refuse."""
+    free = set(values['fit.free'])
+    given = sorted(free - {'time_offset', 'package_world'})
+    for wrong, remedy in (
+        (given and values['fit.method'] != 'prediction_error',
+         'they are found by fit.method: prediction_error, not by least squares. Set that, and '
+         'give the recordings themselves'),
+        (set(given) - {'length'} and values['package.files'],
+         'package.files gives each recording a package of its own. Fit the recordings of one '
+         'package alone'),
+        ('length' in free and values['static.length'],
+         'static.length finds the length from standstills. Take one of the two'),
+    ):
+        if wrong:
+            raise BellowsError(f'fit.free: {", ".join(given)}: {remedy}.')
+    world = values['recording.package_world']
+    return {**values, 'fit.time_offset': values['fit.time_offset'] or 'time_offset' in free,
+            'recording.package_world': world or ('estimate' if 'package_world' in free else '')}
 
 
 def assumed(settings: Mapping[str, object]) -> tuple[str, ...]:
@@ -340,19 +371,23 @@ def _read_by_others(
 
 def _identified(
     values: Mapping[str, Any], effective: Mapping[str, Any], parts: Sequence[Part],
-    static: 'StaticResult | None', tell: Progress, **more: Any,
+    static: 'StaticResult | None', tell: Progress, read: Read | None = None, **more: Any,
 ) -> Identification:
     """
     Return what follows from the recordings.
 
     Of the parameters there are those that were given, and those in effect, with the length that
-    standstills have given.
+    standstills have given. What is found of the package or the cup's length takes the place of
+    what was given, and the recordings are read again with it.
     """
     tell('fitting', FIT_BEGINS)
     uncertain = static.length if static and values['static.length'] else None
     result = fit(
         parts, effective, _within(tell), static.standstills if static else (),
         uncertain.length_std if uncertain else 0.0)
+    if read and result.fit.freed and result.fit.converged:
+        values, effective = (with_freed(own, result.fit.freed) for own in (values, effective))
+        parts, _ = read(effective)
     whole = tuple(part for part in parts if isinstance(part, Recording))
     tell('trying what may be wrong', FIT_ENDS)
     length = result.fit.standstills.length if result.fit.standstills else effective['cup.length']

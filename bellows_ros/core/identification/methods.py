@@ -9,10 +9,10 @@ from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of, found_by
 from bellows_ros.core.identification.least_squares import common_structure, least_squares
 from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
-from bellows_ros.core.identification.result import Fit, Iteration
+from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import Cup, cup_of
-from bellows_ros.core.recording.recording import Recording, TimeOffset
+from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.structure import structure_named
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -82,6 +82,8 @@ def fit(
             'static.bags.'
         )
     found = fitted(recordings, values, progress)
+    if found.converged:
+        _require_identifiable(found.freed)
     if found.method == 'least_squares':
         found = found.without(excitation.not_identifiable)
     else:
@@ -162,16 +164,87 @@ def _by_prediction_error(
     structure = structure_named(values['fit.structure'])
     margin = LARGEST_OFFSET if values['fit.time_offset'] else 0.0
 
+    free = free_of(values)
+
     def segments_of(own: Recording) -> list[Measured]:
         """Return the segments of a recording."""
         return own.once(('segments', margin), lambda: measured_segments(
             own.aligned_tool, own.aligned_package, own.payload, own.settings.gravity, margin))
 
     start = start_cup([_reduced(own, values).statistics for own in recordings], cup_of(values))
-    segments = [replace(segment, recording=number) for number, own in enumerate(recordings)
-                for segment in segments_of(own)]
-    return prediction_error(
-        segments, structure, start, _teller(progress), values['fit.time_offset'])
+    segments = [replace(segment, recording=number, moves_with_com=moves_with_com(own.settings))
+                for number, own in enumerate(recordings) for segment in segments_of(own)]
+    return prediction_error(segments, structure, start, _teller(progress), free)
+
+
+def first_guess(
+    recordings: Sequence[Recording], values: Mapping[str, Any]
+) -> tuple[Freed, ...]:
+    """
+    Return what fit.free names of package and cup as least squares sees it.
+
+    It is looked for as hypotheses are, on a raster first: where something is far off, so are K and
+    P, and the prediction error would start from there. What is not identifiable so is not changed.
+    """
+    names = [name for name in values['fit.free'] if name not in ('time_offset', 'package_world')]
+    if not names:
+        return ()
+    from bellows_ros.core.identification.free import BLOCKS, refine
+    from bellows_ros.core.identification.objective import ensemble_of, Objective
+    from bellows_ros.core.identification.prediction.free import KINDS
+
+    ensemble = ensemble_of(recordings, values['cup.length'], structure_named(
+        values['fit.structure']))
+    found = refine(Objective.of(ensemble), ensemble, [BLOCKS[name] for name in names])
+    guess, first = [], 0
+    for name in names:
+        part = slice(first, first + KINDS[name].size)
+        change, std = found.theta[part], found.std[part]
+        known = std < KINDS[name].known
+        change = np.where(known, change, 0.0)
+        guess.append(Freed(name, tuple(change.tolist()), tuple(std.tolist())))
+        first = part.stop
+    return tuple(guess)
+
+
+def with_freed(values: Mapping[str, Any], freed: Sequence[Freed]) -> dict[str, Any]:
+    """Return parameters with what was found beside them."""
+    found = dict(values)
+    for name, change, _ in freed:
+        if name == 'com':
+            found['package.com'] = tuple(np.add(values['package.com'], change).tolist())
+        elif name == 'length':
+            found['cup.length'] = values['cup.length'] + change[0]
+        elif name == 'mass':
+            found['package.mass'] = values['package.mass'] * math.exp(change[0])
+        else:
+            log = np.array(change)
+            factors = np.exp(0.5 * (log[[0, 1, 2, 0, 0, 1]] + log[[0, 1, 2, 1, 2, 2]]))
+            found['package.inertia'] = tuple((factors * values['package.inertia']).tolist())
+    return found
+
+
+def _require_identifiable(freed: Sequence[Freed]) -> None:
+    """Raise BellowsError where the recordings do not tell what was set free."""
+    unknown = [own.name for own in freed if not np.all(np.isfinite(own.std))]
+    if unknown:
+        raise BellowsError(
+            f'fit.free: {", ".join(unknown)} cannot be found from these recordings, their '
+            'standard errors are too large. Leave out what you know best (mass and inertia '
+            'together never are, nor are com and cup.length along z with poses of the centre of '
+            'mass), or record a richer motion.')
+
+
+def free_of(values: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return what is found together with K and P: fit.free, and a time offset where wanted."""
+    offset = ('time_offset',) if values['fit.time_offset'] else ()
+    return tuple(dict.fromkeys((*offset, *values['fit.free'])))
+
+
+def moves_with_com(settings: PrepareSettings) -> tuple[bool, bool, bool]:
+    """Return with which components of the centre of mass B moves: the lip is where it is."""
+    lip = settings.package_frame == 'lip'
+    return lip or settings.align_at_rest, lip or settings.align_at_rest, lip
 
 
 def start_cup(parts: Sequence[Statistics], known: Cup) -> Cup:

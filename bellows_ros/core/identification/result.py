@@ -2,6 +2,7 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.equations import without
@@ -32,6 +33,14 @@ class Iteration:
     stiffness: Array
     damping: Array
     seconds: float
+
+
+class Freed(NamedTuple):
+    """Numbers found together with K and P beside those given, of a name in fit.free, SI."""
+
+    name: str
+    change: tuple[float, ...]
+    std: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +114,9 @@ class Fit:
     delays, delays_std : tuple of float
         Times (s) by which each recording's tool stamps are behind the package's, where wanted, and
         their standard errors; inf where it is not identifiable.
+    freed : tuple of Freed
+        What else was found: com and length as changes, m, inertia and mass as logarithms of
+        factors; inf as the standard error of what is not identifiable.
     standstills : StandstillPart or None
         What standstills have added, where there were any.
     noise_rms : ndarray (6,) or None
@@ -136,6 +148,7 @@ class Fit:
     iterations: tuple[Iteration, ...] = ()
     delays: tuple[float, ...] = ()
     delays_std: tuple[float, ...] = ()
+    freed: tuple[Freed, ...] = ()
     standstills: StandstillPart | None = None
     noise_rms: Array | None = None
     bias: Array | None = None

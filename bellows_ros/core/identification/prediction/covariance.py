@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.identification.prediction.free import KINDS
 from bellows_ros.core.identification.prediction.minimum import Found, Search
 from bellows_ros.core.identification.prediction.segments import SMALLEST
 from bellows_ros.core.identification.prediction.whitening import Root, Whitened
@@ -23,6 +24,9 @@ CLUSTER = 1.0
 
 COMMON = 10.0
 """What all parameters have in common counts as much as so many parts of the recordings."""
+
+LEAST_EXCESS = 0.25
+"""Scatter that is less than this part of what the noise model says is of what nothing tells."""
 
 LARGEST_LEVERAGE = 0.999
 """Part of a second that is left out: something is left where one second tells all."""
@@ -69,7 +73,7 @@ def certainty(search: Search, found: Found) -> Certainty:
             own.errors[:, :, None]) ** 2))
         for segment, own, missing in zip(
             search.segments, search.equations(found.theta), search.missing, strict=True))
-    identifiable = np.sqrt(np.diag(covariance)) <= LARGEST_ERROR * _sizes(search, found.theta)
+    identifiable = np.sqrt(np.diag(covariance)) <= _largest_errors(search, found.theta)
     return Certainty(
         covariance, identifiable, untrimmed / degrees,
         float((np.median(np.abs(r)) / MEDIAN_OF_NORMAL) ** 2))
@@ -87,7 +91,7 @@ def _signal(search: Search, found: Found) -> Array:
         added = -(part.jacobian.T @ part.jacobian)
         for side in (-1.0, 1.0):
             jacobian, _, _ = segment.linearised(
-                cup, noise + side * left, search.delay(found.theta, segment))
+                cup, noise + side * left, search.free(found.theta, segment))
             J = part.root.whitened(search.by_numbers(segment, jacobian))
             added += 0.5 * J.T @ J
         total -= added
@@ -122,14 +126,21 @@ def _excess(influences: Array, variances: Array) -> Array:
     if count < 2:
         return np.ones(len(variances))
     own = np.sum(influences**2, axis=0) / variances * count / (count - 1)
+    own = np.maximum(own, LEAST_EXCESS)
     common = float(np.median(own))
     return np.asarray((COMMON * common + count * own) / (COMMON + count))
 
 
-def _sizes(search: Search, theta: Array) -> Array:
-    """Return the size (m,) of each number: of entries, the root of the diagonals' product."""
-    cup, size = search.cup(theta), np.full(len(theta), np.inf)
+def _largest_errors(search: Search, theta: Array) -> Array:
+    """
+    Return the standard errors (m,) above which numbers are not identifiable.
+
+    The size of an entry of K or P is the root of the product of its diagonals.
+    """
+    cup, largest = search.cup(theta), np.empty(len(theta))
     i, j = np.array(search.structure.leads).T
-    size[:search.count] = np.concatenate([
+    largest[:search.count] = LARGEST_ERROR * np.concatenate([
         np.sqrt(np.abs(M[i, i] * M[j, j])) for M in (cup.stiffness, cup.damping)])
-    return np.asarray(size / search.units)
+    for name, places in search.places.items():
+        largest[places] = KINDS[name].known
+    return np.asarray(largest / search.units)

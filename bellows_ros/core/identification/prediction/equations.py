@@ -7,16 +7,24 @@ nine poses that follow each other, so noise n of the poses leaves c = sum_j A_j 
 covariance is known, and banded. All is linearised about the motion as all poses tell it.
 """
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.prediction.free import (
+    Free,
+    model_columns,
+    payload_of,
+    pose_changes,
+    poses_of,
+)
 from bellows_ros.core.identification.prediction.segments import Measured
 from bellows_ros.core.jacobians import (
     body_jacobians,
     DAMPING,
     parameter_jacobian,
+    PARAMETERS,
     Square,
-    STIFFNESS,
     tool_jacobians,
 )
 from bellows_ros.core.jit import kernel
@@ -38,7 +46,6 @@ SMOOTHED_OVER = 1 / 12
 """Half a window (s) of the polynomials that take noise off the motion that is linearised about."""
 
 SMOOTHED_ORDER = 6
-ENTRIES = STIFFNESS.start, DAMPING.stop
 
 
 class Equations(NamedTuple):
@@ -46,7 +53,8 @@ class Equations(NamedTuple):
     The equations at N poses.
 
     Errors (N, 6): c as the measured poses make it, m/s^2 and rad/s^2; jacobian (N, 6, p): of f
-    by the parameters; package, tool (N, 6, 9, 6): the A_j, of changes in the body's own axes.
+    by the entries of K and P, then of -c by the free numbers; package, tool (N, 6, 9, 6): the
+    A_j, of changes in the body's own axes.
     """
 
     errors: Array
@@ -61,21 +69,27 @@ class Segment:
     def __init__(self, measured: Measured) -> None:
         self.measured = measured
         package = measured.package
-        self.package = Trajectory(package.stamps_ns, package.position, package.rotation)
+        self._poses = Trajectory(package.stamps_ns, package.position, package.rotation)
+        self._moves = np.array(measured.moves_with_com, dtype=float)
         self.period = float(np.median(np.diff(package.stamps_ns))) / NS_PER_S
         self.weights = weights(REACH, 2 * REACH, 1.0 / self.period)
         self._tool: tuple[float, Trajectory] | None = None
 
-    def tool(self, delay: float) -> Trajectory:
-        """Return the tool's poses at the package's stamps plus a delay (s)."""
+    def tool(self, free: Free) -> Trajectory:
+        """Return the tool's poses at the package's stamps plus how late it is."""
+        delay = float(free['time_offset'][0]) if 'time_offset' in free else 0.0
         if self._tool is None or self._tool[0] != delay:
-            stamps = self.package.stamps_ns + round(delay * NS_PER_S)
+            stamps = self._poses.stamps_ns + round(delay * NS_PER_S)
             poses = resample(self.measured.tool, stamps)
             self._tool = delay, Trajectory(
-                self.package.stamps_ns, poses.position, poses.rotation)
+                self._poses.stamps_ns, poses.position, poses.rotation)
         return self._tool[1]
 
-    def equations(self, cup: Cup, noise: Array, delay: float | None) -> Equations:
+    def package(self, free: Free) -> Trajectory:
+        """Return the package's poses."""
+        return poses_of(self._poses, free, self._moves)
+
+    def equations(self, cup: Cup, noise: Array, free: Free) -> Equations:
         """
         Return the equations with a cup, about the poses without an estimate of their noise.
 
@@ -85,42 +99,46 @@ class Segment:
             K, P and length.
         noise : ndarray (M, 12)
             Of package and tool, small changes in their own axes, m and rad.
-        delay : float or None
-            Of the tool's stamps, s; where there is one, it is the last parameter.
+        free : mapping
+            What is not as it was given; derivatives by these numbers follow those by K and P.
 
         """
-        jacobian, package, tool = self.linearised(cup, noise, delay)
-        return Equations(self.errors(cup, noise, delay, package, tool), jacobian, package, tool)
+        jacobian, package, tool = self.linearised(cup, noise, free)
+        return Equations(self.errors(cup, noise, free, package, tool), jacobian, package, tool)
+
+    def _model(self, cup: Cup, free: Free) -> ModelTuple:
+        """Return the model with the free numbers in it."""
+        longer = float(free['length'][0]) if 'length' in free else 0.0
+        return model_tuple(
+            replace(cup, length=cup.length + longer), payload_of(self.measured.payload, free),
+            self.measured.gravity)
 
     def errors(
-        self, cup: Cup, noise: Array, delay: float | None, package: Array, tool: Array
+        self, cup: Cup, noise: Array, free: Free, package: Array, tool: Array
     ) -> Array:
         """Return the errors of `equations`, with effects of noise as they are there."""
-        model = model_tuple(cup, self.measured.payload, self.measured.gravity)
         parts = np.hsplit(noise, 2)
         (body, rate), (of_tool, _) = (
             _states(_changed_poses(poses, -own), REACH, 2 * REACH)
-            for poses, own in zip((self.package, self.tool(delay or 0.0)), parts, strict=True))
+            for poses, own in zip((self.package(free), self.tool(free)), parts, strict=True))
         of_model: Array = np.empty((6, len(rate)))
-        _accelerations(model, of_tool, body, of_model)
+        _accelerations(self._model(cup, free), of_tool, body, of_model)
         errors = rate - of_model.T
         for A, own in zip((package, tool), parts, strict=True):
             for j in range(STEPS):
                 errors += apply(A[:, :, j], own[j:j + len(errors)])
         return errors
 
-    def linearised(
-        self, cup: Cup, noise: Array, delay: float | None
-    ) -> tuple[Array, Array, Array]:
+    def linearised(self, cup: Cup, noise: Array, free: Free) -> tuple[Array, Array, Array]:
         """Return the derivatives of `equations`: jacobian, package and tool, about a motion."""
-        model = model_tuple(cup, self.measured.payload, self.measured.gravity)
+        poses = self.package(free)
         (body, rate), (tool, tool_rate) = (
-            self._smooth(_changed_poses(poses, -own)) for poses, own in zip(
-                (self.package, self.tool(delay or 0.0)), np.hsplit(noise, 2), strict=True))
-        first, last = ENTRIES
-        out = np.zeros((6, 24 + last - first, len(rate)))
-        _derivatives(model, tool, body, first, last, out)
-        by_pose, by_twist, by_tool, by_tool_twist, jacobian = (
+            self._smooth(_changed_poses(own, -part)) for own, part in zip(
+                (poses, self.tool(free)), np.hsplit(noise, 2), strict=True))
+        last = PARAMETERS if free.keys() - {'time_offset'} else DAMPING.stop
+        out = np.zeros((6, 24 + last, len(rate)))
+        _derivatives(self._model(cup, free), tool, body, 0, last, out)
+        by_pose, by_twist, by_tool, by_tool_twist, parameters = (
             np.ascontiguousarray(part) for part in np.split(
                 np.moveaxis(out, 2, 0), (6, 12, 18, 24), axis=2))
         turning, tool_turning = twist_cross(body[7:].T), twist_cross(tool[7:].T)
@@ -131,10 +149,19 @@ class Segment:
             of_tool[:, :, j] = self.weights[1, j] * tool_slope
         package[:, :, REACH] += twist_cross(rate) - by_twist @ turning - by_pose
         of_tool[:, :, REACH] -= by_tool_twist @ tool_turning + by_tool
-        if delay is not None:
-            by_delay = apply(by_tool, tool[7:].T) + apply(by_tool_twist, tool_rate)
-            jacobian = np.concatenate([jacobian, by_delay[:, :, None]], axis=2)
-        return jacobian, package, of_tool
+        columns = [parameters[:, :, :DAMPING.stop]]
+        for name in free:
+            if name == 'time_offset':
+                by_delay = apply(by_tool, tool[7:].T) + apply(by_tool_twist, tool_rate)
+                columns.append(by_delay[:, :, None])
+                continue
+            column = model_columns(name, payload_of(self.measured.payload, free), parameters)
+            changes = pose_changes(name, poses, self._moves)
+            if changes is not None:
+                column = column - sum(
+                    package[:, :, j] @ changes[j:j + len(rate)] for j in range(STEPS))
+            columns.append(column)
+        return np.concatenate(columns, axis=2), package, of_tool
 
     def _smooth(self, poses: Trajectory) -> tuple[Array, Array]:
         """Return states and rates of twists as of `_states`, smoother away from the ends."""

@@ -7,11 +7,12 @@ linearised is that which all poses tell, poses that are far off count less (Hube
 minimum the colour of the noise is taken from the likelihood of the innovations.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.arrays import Array, Places
 from bellows_ros.core.identification.prediction.equations import Equations, Segment
+from bellows_ros.core.identification.prediction.free import Free, KINDS
 from bellows_ros.core.identification.prediction.segments import PoseNoise
 from bellows_ros.core.identification.prediction.whitening import Root, Whitened, whitened
 from bellows_ros.core.model import Cup
@@ -79,8 +80,11 @@ def _barrier(x: Array, units: Array) -> tuple[Array, Array]:
 Note = Callable[[Array, float], None]
 """Takes the free numbers of a step and its chi^2."""
 
-WIDEST = 10.0
-"""The parameters are thought to be within so many times their scale of the start: weakly."""
+WIDEST, FURTHEST = 10.0, 100.0
+"""
+K and P are thought to be within so many times their scale of the start, and what else is free
+within so many of its units: weakly.
+"""
 
 TOLERANCE = 1e-3
 """Half the fall of chi^2 that another step would bring, below which the search has converged."""
@@ -105,7 +109,6 @@ poses are far off.
 MISSING, LARGEST_MISSING = np.repeat([5e-3, 5e-2], 3), 1000.0
 """Scatter of a pose that is not measured, m and rad, and at most so many deviations."""
 
-DELAY_UNIT = 1e-3
 KEPT = (0.0, 0.4, 0.65, 0.8, 0.9, 0.95, 0.975, 0.99)
 """Part of the noise that the next pose has in common: values among which is searched."""
 
@@ -135,8 +138,8 @@ class Search:
     """
     Steps towards the minimum.
 
-    Free numbers are the structure's parameters in units of the scale, then a delay (ms) for every
-    recording where delays are wanted.
+    Free numbers are the structure's parameters in units of the scale, then those of `KINDS` that
+    are wanted, one after the other, in theirs.
 
     Parameters
     ----------
@@ -146,16 +149,16 @@ class Search:
         Of K and P.
     start : Cup
         First guess, with the length.
-    delays : int
-        How many.
+    free : sequence of str
+        Names of what else is wanted.
 
     """
 
     def __init__(
-        self, segments: list[Segment], structure: Structure, start: Cup, delays: int
+        self, segments: list[Segment], structure: Structure, start: Cup, free: Sequence[str]
     ) -> None:
         self.segments, self.structure, self.length = segments, structure, start.length
-        self.delays = delays
+        recordings = 1 + max(segment.measured.recording for segment in segments)
         diagonals = [np.abs(np.diag(M)) for M in (start.stiffness, start.damping)]
         for diagonal in diagonals:
             for part in (slice(0, 3), slice(3, 6)):  # metres and radians
@@ -163,7 +166,15 @@ class Search:
         i, j = np.array(structure.leads).T
         units = np.concatenate([np.sqrt(d[i] * d[j]) for d in diagonals])
         self.count = len(units)
-        self.units = np.concatenate([units, np.full(delays, DELAY_UNIT)])
+        self.places: dict[str, Places] = {}
+        wanted = [units]
+        for name in free:
+            kind = KINDS[name]
+            rows = recordings if kind.each else 1
+            first = sum(map(len, wanted))
+            self.places[name] = first + np.arange(rows * kind.size).reshape(rows, kind.size)
+            wanted.append(np.full(rows * kind.size, kind.unit))
+        self.units = np.concatenate(wanted)
         self.start = np.zeros(len(self.units))
         self.start[:self.count] = structure.parameters(start.stiffness, start.damping) / units
         upper = np.triu_indices(6)
@@ -179,18 +190,24 @@ class Search:
         x = (self.units * theta)[:self.count]
         return Cup(*self.structure.matrices(x), self.length)
 
-    def delay(self, theta: Array, segment: Segment) -> float | None:
-        """Return how late a segment's tool is, s; None where that is not wanted."""
-        if not self.delays:
-            return None
-        return float((self.units * theta)[self.count + segment.measured.recording])
+    def own_places(self, segment: Segment) -> dict[str, Places]:
+        """Return where a segment's free numbers are, by name."""
+        return {name: rows[segment.measured.recording if KINDS[name].each else 0]
+                for name, rows in self.places.items()}
+
+    def free(self, theta: Array, segment: Segment) -> Free:
+        """Return the free numbers of a segment, in SI units."""
+        values = self.units * theta
+        return {name: values[places] for name, places in self.own_places(segment).items()}
 
     def by_numbers(self, segment: Segment, jacobian: Array) -> Array:
-        """Return derivatives (..., m) by the free numbers, of those by entries and delay."""
+        """Return derivatives (..., m) by all numbers, of those by entries and free numbers."""
         out = np.zeros((*jacobian.shape[:-1], len(self.units)))
-        out[..., :self.count] = jacobian[..., :len(self._entries)] @ self._entries
-        if self.delays:
-            out[..., self.count + segment.measured.recording] = jacobian[..., -1]
+        first = len(self._entries)
+        out[..., :self.count] = jacobian[..., :first] @ self._entries
+        for places in self.own_places(segment).values():
+            out[..., places] = jacobian[..., first:first + len(places)]
+            first += len(places)
         return np.asarray(out * self.units)
 
     def noises(self, segment: Segment, kept: tuple[float, float]) -> tuple[PoseNoise, PoseNoise]:
@@ -202,7 +219,7 @@ class Search:
     def found(self, note: Note) -> Found:
         """Go to the minimum."""
         theta, looks, before = self.start, 0, np.inf
-        prior = np.zeros(len(theta))
+        prior = np.full(len(theta), FURTHEST**-2)
         prior[:self.count] = WIDEST**-2
         for number in range(MOST_STEPS):
             if number > 0:
@@ -229,7 +246,7 @@ class Search:
     def equations(self, theta: Array) -> list[Equations]:
         """Return the equations of all segments, about the motions without their noise."""
         cup = self.cup(theta)
-        return [segment.equations(cup, noise, self.delay(theta, segment))
+        return [segment.equations(cup, noise, self.free(theta, segment))
                 for segment, noise in zip(self.segments, self.noise, strict=True)]
 
     def estimate_noise(self, theta: Array, robustly: bool) -> None:

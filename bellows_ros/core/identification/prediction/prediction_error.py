@@ -6,18 +6,20 @@ poses makes errors in them whose covariance is known. In units of it the errors 
 prediction errors (see `whitening`), whose squares are minimised (see `minimum`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import time
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.equations import without
 from bellows_ros.core.identification.prediction.covariance import Certainty, certainty
 from bellows_ros.core.identification.prediction.equations import Segment
+from bellows_ros.core.identification.prediction.free import KINDS
 from bellows_ros.core.identification.prediction.minimum import Found, minimum_in_cone, Search
 from bellows_ros.core.identification.prediction.segments import Measured
 from bellows_ros.core.identification.result import (
     definiteness_warnings,
     Fit,
+    Freed,
     Iteration,
     POSE_UNITS,
 )
@@ -48,7 +50,7 @@ def prediction_error(
     structure: Structure,
     start: Cup,
     progress: Progress | None = None,
-    estimate_delay: bool = False,
+    free: Sequence[str] = (),
 ) -> Fit:
     """
     Fit K and P so that the model predicts every measured pose from those before it.
@@ -63,9 +65,8 @@ def prediction_error(
         First guess, as from least squares, with the nominal length l0.
     progress : callable, optional
         Called with every iteration.
-    estimate_delay : bool
-        Whether the time by which the tool's stamps are behind the package's is estimated for
-        every recording, s.
+    free : sequence of str
+        What else is found, of `KINDS`.
 
     Raises
     ------
@@ -75,8 +76,7 @@ def prediction_error(
     """
     if not any(r.package.valid.any() for r in recordings):
         raise BellowsError('No valid package pose to compare with. See the report for why.')
-    delays = 1 + max(r.recording for r in recordings) if estimate_delay else 0
-    search = Search([Segment(r) for r in recordings], structure, start, delays)
+    search = Search([Segment(r) for r in recordings], structure, start, free)
     iterations: list[Iteration] = []
     began = time.perf_counter()
 
@@ -125,6 +125,12 @@ def _fit(
     covariance = without((sure.covariance * np.outer(unit, unit))[:size, :size], ~known[:size])
     errors = structure.spread(np.sqrt(np.diag(covariance)))
     std = np.where(known, unit * np.sqrt(np.diag(sure.covariance)), np.inf)
+
+    def of_name(numbers: Array, name: str) -> tuple[float, ...]:
+        """Return the numbers of one name."""
+        places = search.places.get(name)
+        return () if places is None else tuple(numbers[places.ravel()].tolist())
+
     noise = np.concatenate([own[:, :6] for own in found.noise])
     used = int(sum(np.count_nonzero(m.package.valid) for m in measured))
     return Fit(
@@ -149,8 +155,11 @@ def _fit(
         robust_chi2=sure.robust_chi2,
         converged=found.converged,
         iterations=tuple(iterations),
-        delays=tuple((unit * found.theta)[size:].tolist()),
-        delays_std=tuple(std[size:].tolist()),
+        delays=of_name((unit * found.theta), 'time_offset'),
+        delays_std=of_name(std, 'time_offset'),
+        freed=tuple(
+            Freed(name, of_name(unit * found.theta, name), of_name(std, name))
+            for name in search.places if not KINDS[name].each),
     )
 
 

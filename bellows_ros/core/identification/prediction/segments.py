@@ -130,6 +130,9 @@ class Measured:
         Noise of the measured poses; the tool's has its density at the package's rate.
     recording : int
         Number of the recording it is of.
+    moves_with_com : tuple of 3 bool
+        Components of the centre of mass with which the poses of B move, as those of the lip are
+        known.
 
     """
 
@@ -140,6 +143,7 @@ class Measured:
     tool_noise: PoseNoise
     package_noise: PoseNoise
     recording: int = 0
+    moves_with_com: tuple[bool, bool, bool] = (False, False, False)
 
 
 def measured_segments(

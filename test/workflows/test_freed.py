@@ -1,0 +1,47 @@
+"""What `fit.free` names is found with the cup, and takes the place of what was given."""
+
+import json
+
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import format_json
+from bellows_ros.workflows.identify import identify, resolved
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope='module')
+def settings(root):
+    """Return the parameters of a short recording."""
+    return {**read_parameters(root / 'bags/package.yaml'), 'bags': [str(root / 'bags/validation')]}
+
+
+def test_a_wrong_length_and_centre_are_found_and_used(settings):
+    """Start 2 mm off, where K would be several times too large."""
+    result = identify({**settings, 'fit.free': ['length'], 'cup.length': 0.048})
+    content = json.loads(format_json(result.as_json()))['found_parameters']['cup.length']
+    (value,), (std,) = content['value'], content['std']
+    assert abs(value - 0.046) < 4.0 * std < 4e-4 and content['units']['std'] == 'm'
+    assert result.parameters()['cup.length'] == result.cup_length == value
+    error = result.fit.stiffness[2, 2] - 9200.0
+    assert abs(error) < 4.0 * result.fit.stiffness_std[2, 2] < 0.05 * 9200.0
+    assert any(line.startswith('cup.length was found') for line in result.findings)
+    assert result.refusals == () and np.all(result.verdict.simulated[0].rms[:3] < 3e-4)
+
+
+@pytest.mark.parametrize(('change', 'words'), [
+    ({'fit.free': ['com'], 'fit.method': 'least_squares'}, 'by fit.method: prediction_error'),
+    ({'fit.free': ['mass'], 'package.files': ['a', 'b']}, 'one package alone'),
+    ({'fit.free': ['length'], 'static.length': True, 'static.bags': ['a']}, 'one of the two'),
+    ({'fit.free': ['weight']}, 'a list of some of time_offset, com'),
+    ({'fit.free': ['mass', 'inertia']}, 'cannot be found from these recordings'),
+])
+def test_what_cannot_be_free_is_refused(settings, change, words):
+    with pytest.raises(BellowsError, match=words):
+        identify({**settings, **change})
+
+
+def test_clocks_and_worlds_are_the_parameters_that_there_are(settings):
+    values = resolved({**settings, 'fit.free': ['time_offset', 'package_world'],
+                       'fit.method': 'least_squares'})
+    assert values['fit.time_offset'] and values['recording.package_world'] == 'estimate'
