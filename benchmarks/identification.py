@@ -31,12 +31,14 @@ from bellows_ros.core.synthetic.motion import motion_from
 from bellows_ros.core.synthetic.settings import Settings
 from bellows_ros.core.trajectory import Trajectory
 import numpy as np
+from scipy.signal import lfilter
 
 RATE_HZ = 360.0
 GRAVITY = 9.81
 HALF_WINDOW, ORDER = 30, 6
 PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), np.array([0.0, 0.0, -0.03]))
 STRUCTURE = structure_named('axisymmetric')
+KINDS = ('white', '26 ms', '140 ms', 'anisotropic', 'heavy-tailed')
 NOISES = ((0.0, 0.0), (5e-5, 2e-4), (1e-4, 5e-4), (3e-4, 1e-3), (1e-3, 1e-3))
 MOTION = {
     'kind': 'multi_sine', 'rest_duration': 1.0, 'ramp_duration': 1.0,
@@ -55,24 +57,41 @@ MOTION = {
 Poses = tuple[Trajectory, Trajectory]
 
 
-def recorded(seed: int, duration: float, noise: Noise, tool_noise: Noise) -> Poses:
+def recorded(
+    seed: int, duration: float, noise: Noise, tool_noise: Noise, kind: str = 'white',
+    cup: Cup | None = None,
+) -> Poses:
     """Return noisy poses of tool and package of one simulated recording."""
     rng = np.random.default_rng(seed)
     motion = motion_from(Settings({**MOTION, 'duration': duration}), rng)
     stamps = np.round(np.arange(int(duration * RATE_HZ)) / RATE_HZ * 1e9).astype(np.int64)
     tool = motion.trajectory(stamps, 0)
-    body = simulate(Cup.thesis(), PLATE, tool, gravity=GRAVITY)
-    return _noisy(tool, tool_noise, rng), _noisy(body, noise, rng)
+    body = simulate(cup or Cup.thesis(), PLATE, tool, gravity=GRAVITY)
+    return _noisy(tool, tool_noise, rng, kind), _noisy(body, noise, rng, kind)
 
 
-def _noisy(poses: Trajectory, noise: Noise, rng: np.random.Generator) -> Trajectory:
-    """Return poses with white noise."""
-    shape = poses.position.shape
+def _noisy(poses: Trajectory, noise: Noise, rng: np.random.Generator, kind: str) -> Trajectory:
+    """Return poses with noise of a kind."""
+    draw = _drawn(kind, len(poses), rng)
     return Trajectory(
         poses.stamps_ns,
-        poses.position + noise.position * rng.standard_normal(shape),
-        poses.rotation @ exp_so3(noise.rotation * rng.standard_normal(shape)),
+        poses.position + noise.position * draw[:, :3],
+        poses.rotation @ exp_so3(noise.rotation * draw[:, 3:]),
     )
+
+
+def _drawn(kind: str, count: int, rng: np.random.Generator) -> Array:
+    """Return noise (N, 6) with a variance of one, but along z where that is larger."""
+    if kind == 'heavy-tailed':
+        return rng.standard_t(3, (count, 6)) / np.sqrt(3.0)
+    draw = rng.standard_normal((count, 6))
+    if kind == 'anisotropic':
+        draw[:, 2] *= 3.0
+    if kind.endswith('ms'):
+        kept = np.exp(-1e3 / RATE_HZ / float(kind.split()[0]))
+        draw[1:] *= np.sqrt(1.0 - kept**2)
+        draw = lfilter([1.0], [1.0, -kept], draw, axis=0)
+    return np.asarray(draw)
 
 
 def by_least_squares(poses: Poses) -> Fit:
@@ -126,17 +145,18 @@ def cramer_rao(seed: int, duration: float, noise: Noise) -> Array:
 
 
 def rows(
-    noise: tuple[float, float], runs: int, duration: float, exact_tool: bool, methods: list[str]
+    noise: tuple[float, float], runs: int, duration: float, exact_tool: bool, methods: list[str],
+    kind: str,
 ) -> list[str]:
     """Return the lines of the table for one noise."""
     of_package = Noise(*noise)
     of_tool = Noise(0.0, 0.0) if exact_tool else of_package
     results: dict[str, list[tuple[Array, Array]]] = {name: [] for name in methods}
     for seed in range(runs):
-        poses = recorded(seed, duration, of_package, of_tool)
+        poses = recorded(seed, duration, of_package, of_tool, kind)
         for name in methods:
             results[name].append(ratios(METHODS[name](poses)))
-    what = f'{noise[0] * 1e3:g} mm, {noise[1] * 1e3:g} mrad'
+    what = f'{noise[0] * 1e3:g} mm, {noise[1] * 1e3:g} mrad, {kind}'
     lines = []
     for name in methods:
         x, std = (np.array(part) for part in zip(*results[name], strict=True))
@@ -164,6 +184,7 @@ def main() -> None:
     parser.add_argument('--exact-tool', action='store_true', help='noise on the package only')
     parser.add_argument('--methods', nargs='+', choices=METHODS, default=list(METHODS))
     parser.add_argument('--noise', nargs=2, type=float, metavar=('M', 'RAD'), help='only this')
+    parser.add_argument('--kind', choices=KINDS, default='white', help='of the noise')
     arguments = parser.parse_args()
     header = ['noise', 'method', '', *STRUCTURE.labels]
     print(_line(header))
@@ -171,7 +192,8 @@ def main() -> None:
     noises = [tuple(arguments.noise)] if arguments.noise else NOISES
     for noise in noises:
         for line in rows(
-            noise, arguments.runs, arguments.duration, arguments.exact_tool, arguments.methods
+            noise, arguments.runs, arguments.duration, arguments.exact_tool, arguments.methods,
+            arguments.kind,
         ):
             print(line, flush=True)
 
