@@ -3,6 +3,7 @@
 import json
 
 from bellows_ros.cli import main
+from bellows_ros.core.identification.prediction import minimum
 import pytest
 
 
@@ -68,3 +69,15 @@ def test_a_page_of_very_many_recordings_is_refused(call, tmp_path, capsys):
     assert call('identify', *bags, '--params', 'bags/package.yaml', '--jobs', 1,
                 '--report', tmp_path / 'page.html') == 2
     assert 'of at most 20, not of 21' in ' '.join(capsys.readouterr().err.split())
+
+
+def test_a_search_that_does_not_end_gives_no_cup(call, tmp_path, capsys, monkeypatch):
+    """End with 1, without standard errors and without a cup file."""
+    monkeypatch.setattr(minimum, 'MOST_STEPS', 2)
+    cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
+    assert call('identify', 'bags/validation', '--params', 'bags/package.yaml', '--out', cup,
+                '--json', fit) == 1
+    content = json.loads(fit.read_text())
+    assert not content['converged'] and not content['usable'] and not cup.exists()
+    assert all(content['stiffness_std'][i][i] is None for i in range(6))
+    assert 'has not converged' in ' '.join(capsys.readouterr().err.split())

@@ -1,6 +1,10 @@
 """The prediction-error method recovers the truth, from afar, through noise and outliers."""
 
 from dataclasses import replace
+import os
+from pathlib import Path
+import subprocess
+import sys
 
 from bellows_ros.core.identification.consistency import same_cup
 from bellows_ros.core.identification.prediction.prediction_error import prediction_error
@@ -187,3 +191,32 @@ def test_nothing_to_compare_is_an_error():
     blind = [replace(r, package=replace(r.package, valid=np.array(False))) for r in recordings]
     with pytest.raises(BellowsError, match='No valid package pose'):
         prediction_error(blind, AXISYMMETRIC, TRUTH)
+
+
+FULL_FIT = """
+from bellows_ros.core.identification.prediction.prediction_error import prediction_error
+from bellows_ros.core.model import Cup
+from bellows_ros.core.structure import STRUCTURES
+import numpy as np
+from test.core.cases import random_cup
+from test.core.identification.recordings import segments
+
+cup = random_cup(np.random.default_rng(21))
+recordings = segments(3, 5.0, (1e-4, 5e-4), (1e-4, 5e-4), cup, rate_hz=200.0)
+start = Cup(0.97 * cup.stiffness, 1.03 * cup.damping, cup.length)
+fit = prediction_error(recordings, STRUCTURES['full'], start)
+print(*fit.stiffness.ravel(), *fit.damping.ravel(), *np.diag(fit.covariance))
+"""
+
+
+@pytest.mark.stress
+def test_threads_of_linear_algebra_change_nothing(root: Path) -> None:
+    """Ask for one and for two before NumPy starts."""
+    found = []
+    for count in '12':
+        threads = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'), count)
+        done = subprocess.run([sys.executable, '-c', FULL_FIT], cwd=root, check=True, text=True,
+                              capture_output=True, env={**os.environ, **threads})
+        found.append(np.array(done.stdout.split(), dtype=float))
+    assert_allclose(found[1][:72], found[0][:72], rtol=1e-9, atol=1e-9)
+    assert_allclose(found[1][72:], found[0][72:], rtol=1e-6)
