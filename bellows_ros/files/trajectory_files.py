@@ -17,6 +17,8 @@ import numpy as np
 
 LARGEST_FILE = 2**31
 NS_PER_S = 10**9
+LATEST_NS = 9 * 10**18
+"""Stamps above do not fit into 64 bits."""
 
 NO_ROTATION = 0.01
 """R^T R of a KITTI pose may differ from I by so much; then it is made a rotation."""
@@ -229,18 +231,25 @@ def _floats(path: str | os.PathLike[str], number: int, cells: list[str]) -> list
 
 def _whole(path: str | os.PathLike[str], number: int, cell: str) -> int:
     """Return a time in ns."""
-    _require(path, number, cell.isdigit(), f"a time in ns, got '{cell[:40]}'")
+    known = _digits(cell) and len(cell) < 20 and int(cell) < LATEST_NS
+    _require(path, number, known, f"a time in ns, got '{cell[:40]}'")
     return int(cell)
 
 
 def _seconds_to_ns(path: str | os.PathLike[str], number: int, cell: str) -> int:
     """Return a time in ns, without going through a float where the text is decimal."""
     whole, _, rest = cell.partition('.')
-    if whole.isdigit() and (rest.isdigit() or not rest):
+    if _digits(whole) and len(whole) < 10 and (_digits(rest) or not rest):
         return int(whole) * NS_PER_S + int(rest[:9].ljust(9, '0'))
     (seconds,) = _floats(path, number, [cell])
-    _require(path, number, 0.0 <= seconds < 9e9, f"a time in s, got '{cell[:40]}'")
+    _require(path, number, 0.0 <= seconds < LATEST_NS / NS_PER_S,
+             f"a time in s, got '{cell[:40]}'")
     return round(seconds * NS_PER_S)
+
+
+def _digits(text: str) -> bool:
+    """Return whether a text is digits from 0 to 9 and nothing else."""
+    return text.isascii() and text.isdigit()
 
 
 def _arrays(

@@ -151,7 +151,7 @@ def identify_summaries(
     for name, value in shared.items():
         if values[name] != value and name not in OF_ALL_SUMMARIES:
             raise BellowsError(
-                f'{name} is {values[name]!r}, but the recordings were reduced with {value!r}. '
+                f"{name} is {values[name]!r}, but '{paths[0]}' was reduced with {value!r}. "
                 'Leave it out, or reduce them again.'
             )
     _require_reducible(values)

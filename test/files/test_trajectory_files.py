@@ -51,6 +51,12 @@ def test_euroc_has_w_first(tmp_path: Path) -> None:
         (read_tum, '-1 0 0 0 0 0 0 1\n', 'a time in s'),
         (read_euroc, '1.5,0,0,0,1,0,0,0\n', 'a time in ns'),
         (read_euroc, '1,0,0,0\n', 'at least 8 numbers'),
+        (read_euroc, f'{2**63},0,0,0,1,0,0,0\n', 'a time in ns'),
+        (read_euroc, '9' * 5000 + ',0,0,0,1,0,0,0\n', 'a time in ns'),
+        (read_euroc, '²,0,0,0,1,0,0,0\n', 'a time in ns'),
+        (read_tum, '9999999999 0 0 0 0 0 0 1\n', 'a time in s'),
+        (read_tum, '9' * 5000 + '.5 0 0 0 0 0 0 1\n', 'a time in s'),
+        (read_tum, '².1 0 0 0 0 0 0 1\n', 'line 1'),
     ],
 )
 def test_bad_lines_are_named(read: object, text: str, words: str, tmp_path: Path) -> None:
