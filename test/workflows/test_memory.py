@@ -44,12 +44,12 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope='module')
 def bags(root, tmp_path_factory):
-    """Return recordings of 3, 6 and 12 s."""
+    """Return recordings of 5, 10 and 20 s."""
     folder = tmp_path_factory.mktemp('memory')
     motion = yaml.safe_load((root / 'bags/identification.yaml').read_text())
     del motion['package']['outliers'], motion['package']['dropouts']
     made = []
-    for seconds in (3.0, 6.0, 12.0):
+    for seconds in (5.0, 10.0, 20.0):
         made.append(str(folder / f'{seconds:g}'))
         known = read_parameters(root / 'bags/cup.yaml')
         simulate_recording(known, {**motion, 'duration': seconds}, made[-1])
