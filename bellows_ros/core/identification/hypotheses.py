@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 TRIED = 0.08
 """Residuals beyond noise, in their weights, below which nothing is looked for."""
 
+CHANCE = 2.0
+"""The same in standard deviations of what chance leaves of so many residuals."""
+
 NOTHING = 0.06
 """Residuals that chance leaves."""
 
@@ -217,7 +220,7 @@ def diagnose(
     ensemble = ensemble_of(recordings, length, structure)
     objective = Objective.of(ensemble)
     before = objective.solved(ensemble)
-    if before.excess < TRIED:
+    if before.excess < max(TRIED, CHANCE * np.sqrt(2.0 / before.residuals)):
         return Diagnosis(before.excess, ())
     quiet = Ensemble(ensemble.given, ())
     level = objective.solved(quiet).excess - before.excess
