@@ -239,7 +239,7 @@ def _whole(path: str | os.PathLike[str], number: int, cell: str) -> int:
 def _seconds_to_ns(path: str | os.PathLike[str], number: int, cell: str) -> int:
     """Return a time in ns, without going through a float where the text is decimal."""
     whole, _, rest = cell.partition('.')
-    if _digits(whole) and len(whole) < 10 and (_digits(rest) or not rest):
+    if _digits(whole) and len(whole) < 10 + (whole < '9') and (_digits(rest) or not rest):
         return int(whole) * NS_PER_S + int(rest[:9].ljust(9, '0'))
     (seconds,) = _floats(path, number, [cell])
     _require(path, number, 0.0 <= seconds < LATEST_NS / NS_PER_S,
