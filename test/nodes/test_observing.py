@@ -96,6 +96,9 @@ def test_measured_poses_correct_what_is_published(
     assert abs(payload.inertia.m - PACKAGE['package.mass']) < 0.1
     assert abs(payload.inertia.com.x) < 1e-3 and abs(payload.inertia.com.z + 0.03) < 0.01
     now_ns = start_ns + 119 * 4_000_000
+    used = counts['used']
+    see(now_ns - 3_500_000, swing[-1], variance=0.0)  # not known: measured.noise counts
+    assert partner.ros.spin_until(lambda: counts['used'] == used + 1)
     see(now_ns - 2_000_000, swing[-1], 'camera')
     see(now_ns + 5_000_000_000, swing[-1])
     see(now_ns - 2_000_000, ((float('nan'), 0.0, 0.0), swing[-1][1]))

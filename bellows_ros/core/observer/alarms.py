@@ -90,11 +90,11 @@ MEAN = np.where(np.array(ROWS) == GONE, 1.0, 0.0)
 JUMPS[ROWS, range(len(ROWS))] = 1.0
 JUMPS[:2, :2] = JUMPS[SLIPPED, :2] = np.eye(2)  # a package that slips moves, its lip does not
 
-ONSET_NS = 100_000_000
+ONSET_NS = 30_000_000
 """Time (ns) between two onsets that are looked at."""
 
-ONSETS = 12
-"""So many of them, and the beginning."""
+ONSETS, DENSE_NS = 28, 550_000_000
+"""So many of them, and the beginning: all of a time (ns), and what is older farther apart."""
 
 LEAST = 3
 """Measurements after an onset without which nothing is said."""
@@ -144,7 +144,7 @@ class Alarms:
         self._evidence: Array = np.zeros((ONSETS + 1, n))
         self._total: Array = np.zeros(ONSETS + 1)  # of the squared distances since each onset
         self._counts = np.zeros(ONSETS + 1, np.int64)  # of measurements since each onset
-        self._onsets, self._newest_ns = 0, -1
+        self._onsets: list[int] = []  # stamps
         self._half_way: list[int] = []  # stamps since half-way to the threshold
 
     def step(
@@ -168,13 +168,13 @@ class Alarms:
             Measured pose of B in the world.
 
         """
-        if not self._onsets or stamp_ns - self._newest_ns >= ONSET_NS:
+        if not self._onsets or stamp_ns - max(self._onsets) >= ONSET_NS:
             self._begin(stamp_ns)
         self.last_ns = stamp_ns
         C = _sight(found.H, position, quaternion_xyzw)
         _take(self._E, self._information, self._evidence, passage, C, found.y, found.whitener,
               found.gain if used else NOT_USED)
-        known = slice(0, min(self._onsets, ONSETS + 1))
+        known = slice(0, len(self._onsets))
         self._total[known] += found.distance
         self._counts[known] += 1
         return self._judge(stamp_ns)
@@ -185,11 +185,16 @@ class Alarms:
         return Alarm(stamp_ns, 'lost', 1.0, next(c.words for c in CAUSES if c.name == 'lost'))
 
     def _begin(self, stamp_ns: int) -> None:
-        """Look at another onset, and no longer at the oldest but the first."""
-        k, n = self._onsets, len(ROWS)
+        """Look at another onset, for one of the older ones that is nearest to its neighbours."""
+        k, n = len(self._onsets), len(ROWS)
         if k > ONSETS:
-            k = 1 + (k - 1) % ONSETS
-        self._onsets, self._newest_ns = self._onsets + 1, stamp_ns
+            order = np.argsort(self._onsets)
+            stamps = np.array(self._onsets)[order]
+            older = np.maximum(stamp_ns - DENSE_NS - stamps[1:-1], 1)
+            k = int(order[1 + np.argmin((stamps[2:] - stamps[:-2]) / older)])
+            self._onsets[k] = stamp_ns
+        else:
+            self._onsets.append(stamp_ns)
         self._E[:, k * n:k * n + n] = JUMPS
         self._information[k], self._evidence[k] = 0.0, 0.0
         self._total[k], self._counts[k] = 0.0, 0

@@ -405,3 +405,4 @@ def warm_up_observer(values: Mapping[str, Any], model: ModelTuple) -> None:
     made.start(1, tool, resting_on_tool(model, tool))
     made.see(Measurement(500_000, *made.body[:2], np.eye(6)))
     made.drifted(made.follow(1_000_000, tool, tool), tool, tool, 1e-3)
+    with_payload(model, np.zeros(10))  # if the payload is estimated later

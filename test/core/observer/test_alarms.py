@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from .faults import KINDS, work
+from .faults import KINDS, most_within, SLIP, work
 
 
 @pytest.mark.parametrize('kind', KINDS)
@@ -27,19 +27,31 @@ def test_sound_work_raises_no_alarm():
 
 @pytest.mark.stress
 @pytest.mark.timeout(3600)
-def test_faults_and_false_alarms_counted(capsys):
-    """Count right causes, delays of 3 mm of slip, and false alarms in an hour of sound work."""
-    right = 0
+def test_a_thousand_faults(capsys):
+    """Name the causes of faults of six kinds, and slips nearly as soon as any test can."""
+    right, slips = 0, []
+    most = np.mean([most_within(0.5, 1.0, seed) for seed in range(20)])
     for kind in KINDS:
-        firsts = [(work(seed, kind) or [('none', np.inf)])[0] for seed in range(100)]
+        firsts = [(work(seed, kind) or [('none', np.inf)])[0] for seed in range(167)]
         named = Counter(cause for cause, _ in firsts)
         delays = np.array([after for _, after in firsts])
         right += named[kind]
+        slips = delays if kind == 'slip' else slips
         with capsys.disabled():
             print(f'\n{kind}: {dict(named)}, after {np.median(delays):.2f} s (median), '
                   f'{100 * np.mean(delays <= 0.5):.0f} % within 0.5 s')
-    false = sum(len(work(seed, '', 60.0)) for seed in range(60))
     with capsys.disabled():
-        print(f'right {right} of 600; {false} false alarms in an hour')
-    assert right >= 0.95 * 600
-    assert false <= 3  # one is expected at most; with that 4 are seen in 2 % of all hours
+        print(f'right {right} of {167 * len(KINDS)}; no test finds more than {100 * most:.1f} % '
+              f'of slips of {1e3 * SLIP:g} mm within 0.5 s')
+    assert right >= 0.95 * 167 * len(KINDS)
+    assert np.mean(np.array(slips) <= 0.5) >= 0.8
+
+
+@pytest.mark.stress
+@pytest.mark.timeout(7200)
+def test_ten_hours_of_sound_work(capsys):
+    """Raise no more false alarms than are allowed: one an hour."""
+    false = Counter(alarm[0] for seed in range(600) for alarm in work(seed, '', 60.0))
+    with capsys.disabled():
+        print(f'\nfalse alarms in 10 h: {dict(false)}')
+    assert false.total() <= 10
