@@ -58,7 +58,8 @@ def test_the_template_of_some_is_a_parameter_file(bellows: Run, tmp_path: Path) 
     """Write only those asked for."""
     file = tmp_path / 'some.yaml'
     file.write_text(bellows('parameters', '--yaml', 'fit').stdout)
-    assert set(read_parameters(file)) == {name for name in PARAMETERS if name.startswith('fit')}
+    assert set(read_parameters(file)) == {  # ROS has no empty lists
+        name for name, p in PARAMETERS.items() if name.startswith('fit') and p.default != ()}
 
 
 def test_the_table_is_there_as_json(bellows: Run) -> None:
