@@ -69,6 +69,7 @@ def test_policy_of_the_identifier_is_enough(root: Path, ros: Any) -> None:
 
     node = IdentifierNode(context=ros.context, parameter_overrides=[
         *(Parameter(name, value=value) for name, value in PACKAGE.items()),
+        Parameter('recording.package_frame', value='com'),
         Parameter('bags', value=[str(root / 'bags' / 'static')])])
     ros.executor.add_node(node)
     allowed = permitted(root, 'identifier')
