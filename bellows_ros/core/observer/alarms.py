@@ -96,10 +96,13 @@ ONSET_NS = 30_000_000
 ONSETS, DENSE_NS = 28, 550_000_000
 """So many of them, and the beginning: all of a time (ns), and what is older farther apart."""
 
+START_WEIGHS = 30.0
+"""What is wrong from the beginning is as usual as what sets in at one of so many onsets."""
+
 LEAST = 3
 """Measurements after an onset without which nothing is said."""
 
-SURE, DECIDE_NS = 3.0, 200_000_000
+SURE, DECIDE_NS = 5.0, 500_000_000
 """A cause is named when it is ahead of the next by so much, or so long (ns) after half-way."""
 
 CONFIRMED = 2
@@ -292,7 +295,8 @@ def _ratios(information: Array, evidence: Array, total: Array, counts: Stamps) -
                 explained, spread = _explained(
                     information[k], evidence[k], FIRSTS[cause], FIRSTS[cause + 1])
                 if total[k] - explained <= usual + UNEXPLAINED * explained:
-                    out[k, cause] = 0.5 * explained - spread
+                    out[k, cause] = 0.5 * explained - spread + (
+                        math.log(START_WEIGHS) if k == 0 else 0.0)
     return out
 
 
