@@ -97,13 +97,16 @@ ONSETS, DENSE_NS = 28, 550_000_000
 """So many of them, and the beginning: all of a time (ns), and what is older farther apart."""
 
 START_WEIGHS = 30.0
-"""What is wrong from the beginning is as usual as what sets in at one of so many onsets."""
+"""A fault from the beginning is as likely as one that sets in at any of so many onsets."""
 
 LEAST = 3
 """Measurements after an onset without which nothing is said."""
 
 SURE, DECIDE_NS = 5.0, 500_000_000
-"""A cause is named when it is ahead of the next by so much, or so long (ns) after half-way."""
+"""
+A cause is named when its log-likelihood ratio leads that of the next by so much, or so long (ns)
+after half-way to the threshold.
+"""
 
 CONFIRMED = 2
 """Nor before so many measurements after half-way to the threshold: one jump can be anything."""
