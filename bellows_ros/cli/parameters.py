@@ -97,7 +97,7 @@ def _default(parameter: 'Parameter') -> str:
     if isinstance(default, tuple):
         if default and not any(default):
             return 'default all 0'
-        return f'default {"that of the thesis" if default else NOTHING}'
+        return f'default {"from the thesis" if default else NOTHING}'
     if isinstance(default, bool):
         return f'default {str(default).lower()}'
     if isinstance(default, str):

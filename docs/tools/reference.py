@@ -75,7 +75,7 @@ def _default(parameter: Parameter) -> str:
 def _list_default(name: str, default: tuple[object, ...]) -> str:
     """Return the default of a list in words."""
     if name in ('cup.stiffness', 'cup.damping'):
-        return 'that of the thesis'
+        return 'from the thesis'
     if not default:
         return 'none'
     same = len(set(default)) == 1
