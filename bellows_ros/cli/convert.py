@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING
 from bellows_ros.errors import BellowsError
 
 from .console import Console, OK
-from .options import add_arm_options, add_json_option, Folder, put_json, STDOUT
+from .options import (
+    add_arm_options,
+    add_json_option,
+    add_span_options,
+    Folder,
+    given_span,
+    put_json,
+    STDOUT,
+)
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.convert import Conversion
@@ -58,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--force', action='store_true', help='replace a recording that is there already'
     )
+    add_span_options(parser)
     add_arm_options(parser)
     for body, what in (('tool', 'the tool tip E'), ('package', 'the package')):
         parser.add_argument(
@@ -79,12 +88,13 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         transforms_to_bag,
     )
 
+    span = given_span(arguments)
     with console.progress() as progress:
         progress('converting')
         if arguments.out.lower().endswith(TEXT_ENDINGS):
             _require_one(arguments)
             topic = arguments.topic[0] if arguments.topic else ''
-            done = to_tum(arguments.sources[0], arguments.out, topic)
+            done = to_tum(arguments.sources[0], arguments.out, topic, span)
         elif arguments.tool_frame or arguments.package_frame:
             if not (arguments.tool_frame and arguments.package_frame):
                 raise BellowsError(
@@ -94,17 +104,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             done = transforms_to_bag(
                 arguments.sources[0], arguments.out, arguments.tool_frame,
                 arguments.package_frame, arguments.world_frame, arguments.topic,
-                arguments.storage, arguments.force)
+                arguments.storage, arguments.force, span)
         elif arguments.tool_link:
             _require_one(arguments)
             topic = arguments.topic[0] if arguments.topic else ''
             done = tool_to_bag(
                 arguments.sources[0], arguments.out, arguments.tool_link,
-                str(arguments.urdf or ''), topic, arguments.storage, arguments.force)
+                str(arguments.urdf or ''), topic, arguments.storage, arguments.force, span)
         else:
             _require_text(arguments)
             done = to_bag(arguments.sources, arguments.out, arguments.topic, arguments.storage,
-                          arguments.markers, arguments.force)
+                          arguments.markers, arguments.force, span)
     put_json(arguments.json, done.as_json(), console)
     with console.results_to_stderr(arguments.json == STDOUT):
         _say(done, console)

@@ -9,6 +9,7 @@ from .options import (
     add_arm_options,
     add_json_option,
     add_parameter_options,
+    add_span_options,
     Folder,
     given_parameters,
     Output,
@@ -67,8 +68,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--beside', metavar='PLAN', action='append', default=[], type=Path,
-        help='compare with another motion, a plan as of bellows plan; may be repeated',
+        help='compare with another motion, a plan as of bellows plan; may be repeated. Of these '
+        'are --from and --to',
     )
+    add_span_options(parser, '0')
     parser.add_argument(
         '--series', action='store_true',
         help='write all that is to be recorded of a new cup into the folder --out: standstills, '

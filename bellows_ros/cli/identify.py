@@ -222,10 +222,11 @@ def _with_typical(
 
     from bellows_ros.core.parameters import resolve
     from bellows_ros.workflows.plan import read_plan
+    from bellows_ros.workflows.recordings import WHOLE
     from bellows_ros.workflows.typical import typical
 
     filled: dict[str, Any] = resolve({'package.com': (0.0, 0.0, 0.0), **settings})
-    source = read_plan(arguments.typical, filled)  # before a long fit
+    source = read_plan(arguments.typical, {**filled, **WHOLE})  # before a long fit
     result = _identified(arguments, settings, progress)
     if not result.fit.usable:
         return result

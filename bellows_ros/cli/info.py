@@ -14,7 +14,6 @@ from .options import (
     add_span_options,
     given_span,
     Output,
-    parse_override,
     put_json,
     STDOUT,
 )
@@ -65,7 +64,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
-        found = info(arguments.bag, dict(map(parse_override, given_span(arguments))))
+        found = info(arguments.bag, given_span(arguments))
     put_json(arguments.json, found.as_json(), console)
     if arguments.write_params:
         write_text(arguments.write_params, parameter_file(found))

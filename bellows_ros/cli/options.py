@@ -55,12 +55,12 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_span_options(parser: argparse.ArgumentParser) -> None:
-    """Add --from and --to, which set recording.start and recording.end."""
+def add_span_options(parser: argparse.ArgumentParser, default: str = '') -> None:
+    """Add --from and --to, which set recording.start and recording.end, also when left out."""
     for name, which in (('from', 'earlier'), ('to', 'later')):
         parser.add_argument(
-            f'--{name}', metavar='S', dest=SPAN[name], default='',
-            help=f"leave out what is {which}, in seconds from the recording's start",
+            f'--{name}', metavar='S', dest=SPAN[name], default=default,
+            help=f'leave out what is {which}, in seconds from the start of what is read',
         )
 
 
@@ -133,18 +133,18 @@ def given_parameters(
     values: dict[str, Any] = {}
     for file in arguments.params:
         values.update(read_parameters(file, node))
-    for override in [*arguments.overrides, *given_span(arguments)]:
-        name, value = parse_override(override)
-        values[name] = value
+    values |= [parse_override(override) for override in arguments.overrides]
+    values |= given_span(arguments)
     if link := getattr(arguments, 'tool_link', ''):
         values['tool_link'] = link
     require_named_outputs(arguments, [file for name in INPUTS for file in values.get(name, ())])
     return values
 
 
-def given_span(arguments: argparse.Namespace) -> list[str]:
-    """Return what --from and --to set, each 'name=value'."""
-    return [f'{name}={text}' for name in SPAN.values() if (text := getattr(arguments, name, ''))]
+def given_span(arguments: argparse.Namespace) -> 'dict[str, Value]':
+    """Return the parameters that --from and --to set."""
+    return dict(parse_override(f'{name}={text}') for name in SPAN.values()
+                if (text := getattr(arguments, name, '')))
 
 
 def parse_override(text: str) -> 'tuple[str, Value]':

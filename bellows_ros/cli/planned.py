@@ -10,6 +10,7 @@ from .options import (
     add_arm_options,
     add_json_option,
     add_parameter_options,
+    add_span_options,
     Folder,
     given_parameters,
     Output,
@@ -32,6 +33,7 @@ def add_plan_options(
     )
     parser.add_argument(
         '--topic', metavar='TOPIC', default='', help='of the plan, where a recording has several')
+    add_span_options(parser, '0')  # a file may hold the part of another recording
     add_arm_options(parser)
     add_parameter_options(parser)
     add_json_option(parser, numbers)

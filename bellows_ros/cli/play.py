@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 from bellows_ros.errors import BellowsError
 
 from .console import Console, OK
-from .options import add_bag_argument, add_json_option, put_json, STDOUT
+from .options import (
+    add_bag_argument,
+    add_json_option,
+    add_span_options,
+    given_span,
+    put_json,
+    STDOUT,
+)
 
 if TYPE_CHECKING:
     from bellows_ros.nodes.bag_player import Played
@@ -29,6 +36,7 @@ EXAMPLES = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_bag_argument(parser)
+    add_span_options(parser)
     parser.add_argument(
         '--topic', metavar='TOPIC[:=NAME]', action='append', default=[], dest='topics',
         help='topic to play, and the name to play it under; may be repeated (default: all that '
@@ -54,11 +62,15 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     require_ros()
     from bellows_ros.files.bags import read_messages
     from bellows_ros.nodes.bag_player import play
+    from bellows_ros.workflows.recordings import inside
+    import numpy as np
 
     renamed = dict(_renamed(text) for text in arguments.topics)
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         messages, notes = read_messages(arguments.bag, renamed)
+        chosen, = inside([np.array([m.log_time_ns for m in messages])], given_span(arguments))
+        messages = [message for message, here in zip(messages, chosen, strict=True) if here]
         names = {m.topic.name: m.topic.name for m in messages} | renamed
         for note in notes:
             console.warn(note)

@@ -74,11 +74,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='of an animation: seconds of the recording per second (default: %(default)g)',
     )
     parser.add_argument(
-        '--from', metavar='SECONDS', type=float, dest='first', default=WHOLE[0],
+        '--from', metavar='S', type=float, dest='first', default=WHOLE[0],
         help="where the picture begins, after the recording's first stamp; not of spectra",
     )
     parser.add_argument(
-        '--to', metavar='SECONDS', type=float, dest='last', default=WHOLE[1],
+        '--to', metavar='S', type=float, dest='last', default=WHOLE[1],
         help='where it ends',
     )
 

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from dataclasses import replace as changed
+from itertools import compress
 import os
 from pathlib import Path
 import re
@@ -17,6 +19,7 @@ from bellows_ros.files.motive import FEWEST_MARKERS, is_motive, read_motive
 from bellows_ros.files.plans import joints_or_tf
 from bellows_ros.files.trajectory_files import read_trajectory, write_tum
 from bellows_ros.files.transforms import poses_in, read_transforms
+from bellows_ros.workflows.recordings import inside, part_of, WHOLE
 import numpy as np
 
 POSE = 'geometry_msgs/msg/PoseStamped'
@@ -76,13 +79,17 @@ class Conversion:
         return asdict(self) | {'version': __version__}
 
 
+Item = tuple[Converted, Recorded | Encoded]
+"""A body, and its messages."""
+
+
 def to_bag(
     sources: Sequence[str | os.PathLike[str]],
     out: str | os.PathLike[str],
     names: Sequence[str] = (),
     storage: str = 'mcap',
     fewest_markers: int = FEWEST_MARKERS,
-    replace: bool = False,
+    replace: bool = False, span: Mapping[str, Any] = WHOLE,
 ) -> Conversion:
     """
     Write a recording of PoseStamped from trajectory files.
@@ -102,6 +109,8 @@ def to_bag(
         Poses of Motive with fewer markers seen are left out.
     replace : bool
         Whether a recording that is there may be replaced.
+    span : mapping
+        Parameters 'recording.start' and 'recording.end', s, where only a part is wanted.
 
     Raises
     ------
@@ -116,25 +125,28 @@ def to_bag(
             f'{", ".join(converted.source for converted, _ in found)}. Name one for each, in this '
             'order.'
         )
-    named = [_renamed(*pair) for pair in zip(found, names, strict=True)] if names else found
+    named: list[Item] = [
+        _renamed(*pair) for pair in zip(found, names, strict=True)] if names else list(found)
     chosen = [converted.topic for converted, _ in named]
     if len(set(chosen)) < len(chosen):
         raise BellowsError(
             f'Several bodies would be written to one topic, of {", ".join(chosen)}. '
             'Name a topic for each.'
         )
+    named = _part(named, span)
     _require_poses([converted for converted, _ in named])
     write_bag(out, [recorded for _, recorded in named], storage, replace=replace)
-    motive = any(recorded.frame_id == MOTIVE_FRAME for _, recorded in named)
+    motive = any(recorded.frame_id == MOTIVE_FRAME for _, recorded in found)
     return Conversion(
         os.fspath(out), tuple(converted for converted, _ in named),
-        'motive_y_up' if motive else 'z_up', _notes(named),
+        'motive_y_up' if motive else 'z_up', _notes(found),
     )
 
 
 def tool_to_bag(
     bag: str | os.PathLike[str], out: str | os.PathLike[str], tool_link: str, urdf: str = '',
     topic: str = '', storage: str = 'mcap', replace: bool = False,
+    span: Mapping[str, Any] = WHOLE,
 ) -> Conversion:
     """
     Write a recording with poses of the tool from one that has joint states or transforms.
@@ -157,6 +169,8 @@ def tool_to_bag(
         'mcap' or 'sqlite3'.
     replace : bool
         Whether a recording that is there may be replaced.
+    span : mapping
+        Parameters 'recording.start' and 'recording.end', s, where only a part is wanted.
 
     Raises
     ------
@@ -174,20 +188,22 @@ def tool_to_bag(
     if any(there == name for there, _ in others):
         raise BellowsError(
             f"Topic '{name}' is in recording '{bag}' already. Give the tool's another: --topic.")
-    recorded: list[Recorded | Encoded] = [Recorded(name, POSE, stamps, read.poses, read.frame_id)]
-    bodies = [Converted(name, f"{tool_link} in '{read.frame_id}' of {bag}", len(stamps), {})]
+    found: list[Item] = [(
+        Converted(name, f"{tool_link} in '{read.frame_id}' of {bag}", len(stamps), {}),
+        Recorded(name, POSE, stamps, read.poses, read.frame_id))]
     for (there, kind), messages in others.items():
         times, data_of = zip(*messages, strict=True)
-        recorded.append(Encoded(there, kind, np.array(times, dtype=np.int64), data_of))
-        bodies.append(Converted(there, os.fspath(bag), len(times), {}))
+        found.append((Converted(there, os.fspath(bag), len(times), {}),
+                      Encoded(there, kind, np.array(times, dtype=np.int64), data_of)))
+    bodies, recorded = zip(*_part(found, span), strict=True)
     write_bag(out, recorded, storage, replace=replace)
-    return Conversion(os.fspath(out), tuple(bodies), 'z_up')
+    return Conversion(os.fspath(out), bodies, 'z_up')
 
 
 def transforms_to_bag(
     bag: str | os.PathLike[str], out: str | os.PathLike[str], tool_frame: str, package_frame: str,
     world_frame: str = '', names: Sequence[str] = (), storage: str = 'mcap',
-    replace: bool = False,
+    replace: bool = False, span: Mapping[str, Any] = WHOLE,
 ) -> Conversion:
     """
     Write a recording with poses of tool and package from one with transforms.
@@ -208,6 +224,8 @@ def transforms_to_bag(
         'mcap' or 'sqlite3'.
     replace : bool
         Whether a recording that is there may be replaced.
+    span : mapping
+        Parameters 'recording.start' and 'recording.end', s, where only a part is wanted.
 
     Raises
     ------
@@ -215,7 +233,7 @@ def transforms_to_bag(
         If the transforms do not lead from both to the world.
 
     """
-    links, recorded, bodies = read_transforms(bag), list[Recorded](), list[Converted]()
+    links, found = read_transforms(bag), list[Item]()
     names = names or (TOOL_POSE, PACKAGE_POSE)
     if len(set(names)) != 2:
         raise BellowsError('Name two topics with --topic, of the tool and of the package.')
@@ -224,10 +242,23 @@ def transforms_to_bag(
         rows = np.hstack([T[:, :3, 3], rotation_to_quaternion(T[:, :3, :3])])
         item = Converted(f'/{topic.lstrip("/")}', f"{frame} in '{world_frame}' of {bag}",
                          len(stamps), {})
-        recorded.append(Recorded(item.topic, POSE, stamps, rows, world_frame))
-        bodies.append(item)
+        found.append((item, Recorded(item.topic, POSE, stamps, rows, world_frame)))
+    bodies, recorded = zip(*_part(found, span), strict=True)
     write_bag(out, recorded, storage, replace=replace)
-    return Conversion(os.fspath(out), tuple(bodies), 'z_up')
+    return Conversion(os.fspath(out), bodies, 'z_up')
+
+
+def _part(items: Sequence[Item], span: Mapping[str, Any]) -> list[Item]:
+    """Return bodies and their messages from recording.start to recording.end."""
+    found = list[Item]()
+    for (body, recorded), here in zip(
+            items, inside([recorded.stamps_ns for _, recorded in items], span), strict=True):
+        content: dict[str, Any] = {
+            'data': tuple(compress(recorded.data, here))
+        } if isinstance(recorded, Encoded) else {'values': recorded.values[here]}
+        found.append((changed(body, poses=int(here.sum())),
+                      changed(recorded, stamps_ns=recorded.stamps_ns[here], **content)))
+    return found
 
 
 def _require_poses(bodies: Sequence[Converted]) -> None:
@@ -291,7 +322,8 @@ def _item(
 
 
 def to_tum(
-    bag: str | os.PathLike[str], out: str | os.PathLike[str], topic: str = ''
+    bag: str | os.PathLike[str], out: str | os.PathLike[str], topic: str = '',
+    span: Mapping[str, Any] = WHOLE,
 ) -> Conversion:
     """
     Write the poses of a topic of a recording as a TUM file.
@@ -304,6 +336,8 @@ def to_tum(
         Text file.
     topic : str, optional
         May be left out where the recording has poses on one topic only.
+    span : mapping
+        Parameters 'recording.start' and 'recording.end', s, where only a part is wanted.
 
     Raises
     ------
@@ -320,7 +354,7 @@ def to_tum(
                 f'{": " + ", ".join(fitting) if fitting else ""}. Name one with --topic.'
             )
         topic = fitting[0]
-    stream = read_streams(bag, {'tool_pose': topic})['tool_pose']
+    stream = part_of(read_streams(bag, {'tool_pose': topic}), span)['tool_pose']
     if not isinstance(stream, PoseStream):
         raise BellowsError(f"Topic '{topic}' has no poses.")
     values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])

@@ -20,7 +20,7 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.workflows.identification import Identification, names_of, NOT_OF_THE_CUP
-from bellows_ros.workflows.recordings import Failed, load, repeats, values_of_each
+from bellows_ros.workflows.recordings import Failed, load, repeats, values_of_each, WHOLE
 from bellows_ros.workflows.verdict import LOOKED_AT, verdict_of
 
 if TYPE_CHECKING:  # what a plain identification does without
@@ -45,9 +45,6 @@ BY_SUMMARIES = {'fit.method': 'least_squares'}
 ONLY_SUMS = (
     'Summaries are fitted by least squares, whatever fit.method says: they hold no poses to '
     'predict. Give the recordings themselves for the prediction error.')
-
-WHOLE = {'recording.start': 0.0, 'recording.end': 0.0}
-"""Recordings of standstills and for validation are read whole."""
 
 OF_ALL_SUMMARIES = (
     'bags', 'fit.compare_recordings', 'static.bags', 'static.files', 'validation.bags',

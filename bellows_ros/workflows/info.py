@@ -170,8 +170,7 @@ def info(
         if topic.type_name in types
     }
     streams, problems = _read(path, wanted)
-    streams = {role: own for role, own in part_of(streams, *(
-        span.get(name, 0.0) for name in ('recording.start', 'recording.end'))).items() if len(own)}
+    streams = {role: own for role, own in part_of(streams, span).items() if len(own)}
     start_ns = min((int(s.stamps_ns[0]) for s in streams.values()), default=0)
     described = tuple(
         _topic(topic.name, topic.type_name, topic.messages, streams, problems, start_ns)

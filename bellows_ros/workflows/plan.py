@@ -47,6 +47,7 @@ from bellows_ros.files.plans import (
 )
 from bellows_ros.files.results import provenance
 from bellows_ros.files.trajectory_files import read_trajectory
+from bellows_ros.workflows.recordings import inside
 import numpy as np
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
@@ -322,7 +323,7 @@ def read_plan(
     path: str | os.PathLike[str], values: Mapping[str, Any], urdf: str = '', topic: str = ''
 ) -> Source:
     """
-    Return the plan in a file; see `plan`.
+    Return the plan in a file, from recording.start to recording.end; see `plan`.
 
     Raises
     ------
@@ -330,22 +331,36 @@ def read_plan(
         If there is none, or no arm moves so.
 
     """
-    file, gravity = Path(path), gravity_of(values)
+    source, stamps = _read_plan(Path(path), values, urdf, topic)
+    chosen = inside([source.tool.stamps_ns, stamps], values)[0]
+    if (points := np.count_nonzero(chosen)) < 2:
+        raise BellowsError(
+            f'Of the plan, {points} points are from recording.start to recording.end; expected 2 '
+            'or more. Give a longer part.')
+    return source._replace(tool=source.tool.select(chosen))
+
+
+def _read_plan(
+    file: Path, values: Mapping[str, Any], urdf: str, topic: str
+) -> tuple[Source, Stamps]:
+    """Return the whole plan in a file, and the stamps of what was recorded, if it was."""
+    gravity, undated = gravity_of(values), np.empty(0, dtype=np.int64)
     if file.suffix.lower() in YAML:
         content = read_yaml(file)
         if 'kind' in content:
-            return _motion(content, values, gravity)
-        return _checked(plan_in_yaml(content, os.fspath(file)), values, urdf, '', gravity)
+            return _motion(content, values, gravity), undated
+        return _checked(
+            plan_in_yaml(content, os.fspath(file)), values, urdf, '', gravity), undated
     if file.suffix.lower() in TEXT:
         stamps, poses = read_trajectory(file)
-        tool = plan_of(stamps, poses[:, :3], poses[:, 3:], name=f"'{path}'")
-        return Source(tool, '', gravity)
+        tool = plan_of(stamps, poses[:, :3], poses[:, 3:], name=f"'{file}'")
+        return Source(tool, '', gravity), undated
     plans = plans_in(file, topic)
     if plans:
-        notes = [f"'{path}' has {len(plans)} plans, of which this is the first, on "
+        notes = [f"'{file}' has {len(plans)} plans, of which this is the first, on "
                  f'{plans[0][0]}.'] if len(plans) > 1 else []
         source = _checked(plans[0][1], values, urdf, file, gravity)
-        return source._replace(notes=tuple(notes))
+        return source._replace(notes=tuple(notes)), undated
     return _recorded(file, values, urdf, topic)
 
 
@@ -406,8 +421,10 @@ def _motion(content: Mapping[str, Any], values: Mapping[str, Any], gravity: Arra
     return Source(checked, recipe.frame_id, gravity)
 
 
-def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> Source:
-    """Return the tool's motion in a recording: of its poses, its joints or its transforms."""
+def _recorded(
+    path: Path, values: Mapping[str, Any], urdf: str, topic: str
+) -> tuple[Source, Stamps]:
+    """Return the tool's motion in a recording, of poses, joints or transforms, and stamps."""
     wanted = {'tool_pose': topic or values['topics.tool_pose'],
               'tool_twist': values['topics.tool_twist']}
     contents = read_contents(path, wanted)
@@ -415,22 +432,23 @@ def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> S
     gravity = turn.T @ [0.0, 0.0, -values['gravity.magnitude']]
     notes = contents.notes
     poses, twists = (contents.streams.get(role) for role in ('tool_pose', 'tool_twist'))
-    if isinstance(poses, PoseStream):
-        require_frame(poses.frame_id, values)
-        twist = twists if isinstance(twists, TwistStream) else None
-        return Source(_measured(poses, twist, values), poses.frame_id, gravity, notes)
-    if not values['tool_link']:
-        raise contents.problems['tool_pose']
-    read = joints_or_tf(path, urdf, values['tool_link'])
-    require_frame(read.frame_id, values)
-    stream = PoseStream(
-        'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.poses[:, :3],
-        quaternion_to_rotation(read.poses[:, 3:]))
-    if read.twists is None:
-        return Source(_measured(stream, None, values), read.frame_id, gravity, notes)
-    tool = plan_of(stream.stamps_ns, stream.position, read.poses[:, 3:], read.twists,
-                   twist_frame='tool', name='The motion')
-    return Source(tool, read.frame_id, gravity, notes)
+    rates = None
+    if not isinstance(poses, PoseStream):
+        if not values['tool_link']:
+            raise contents.problems['tool_pose']
+        read = joints_or_tf(path, urdf, values['tool_link'])
+        rates = read.twists
+        poses = PoseStream(
+            'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.poses[:, :3],
+            quaternion_to_rotation(read.poses[:, 3:]))
+        twists = None
+    require_frame(poses.frame_id, values)
+    tool = _measured(
+        poses, twists if isinstance(twists, TwistStream) else None, values
+    ) if rates is None else plan_of(
+        poses.stamps_ns, poses.position, rotation_to_quaternion(poses.rotation), rates,
+        twist_frame='tool', name='The motion')
+    return Source(tool, poses.frame_id, gravity, notes), poses.stamps_ns
 
 
 def _measured(

@@ -6,6 +6,7 @@ import math
 import os
 from typing import Any
 
+from bellows_ros.core.arrays import Mask, Stamps
 from bellows_ros.core.model import package_of
 from bellows_ros.core.parameters import (
     ESTIMATE,
@@ -35,6 +36,9 @@ NO_OFFSET = (
     'directions, with clocks that differ by less than 100 ms.'
 )
 """Said where a time offset is wanted and cannot be found."""
+
+WHOLE = {'recording.start': 0.0, 'recording.end': 0.0}
+"""What is read whole: plans, standstills, and what validates."""
 
 ARRAYS = ('stamps_ns', 'position', 'rotation', 'linear', 'angular')
 """What streams hold of each message."""
@@ -82,7 +86,7 @@ def load(
     settings = prepare_settings(values)  # before anything is read
     roles = ('tool_pose', 'package_pose', 'tool_twist')
     contents = read_contents(path, {role: values[f'topics.{role}'] for role in roles})
-    streams = part_of(contents.all_streams(), values['recording.start'], values['recording.end'])
+    streams = part_of(contents.all_streams(), values)
     empty = [own.name for own in streams.values() if not len(own)]
     if empty:
         raise BellowsError(
@@ -96,18 +100,16 @@ def load(
         digest=recording_digest(path, files) if with_digest else '')
 
 
-def part_of(
-    streams: Mapping[str, Any], start: float, end: float
-) -> dict[str, Any]:
+def inside(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask]:
     """
-    Return streams from a time to another, empty ones too.
+    Say which stamps are from recording.start to recording.end.
 
     Parameters
     ----------
-    streams : mapping of PoseStream or TwistStream
-        By role.
-    start, end : float
-        Seconds from the first stamp of all; an end of 0 is that of the recording.
+    all_stamps : sequence of int arrays
+        ns, in any order; the parameters count from the first of all.
+    values : mapping
+        With these parameters, s; an end of 0, or left out, is that of the recording.
 
     Raises
     ------
@@ -115,22 +117,27 @@ def part_of(
         If the end is not after the start, or there is nothing at all.
 
     """
+    start, end = (values.get(name, 0.0) for name in WHOLE)
     if not (start or end):
-        return dict(streams)
-    first = min((int(own.stamps_ns[0]) for own in streams.values()), default=0)
-    last = max((int(own.stamps_ns[-1]) for own in streams.values()), default=0)
+        return [np.ones(len(stamps), bool) for stamps in all_stamps]
+    first = min((int(stamps.min()) for stamps in all_stamps if len(stamps)), default=0)
+    last = max((int(stamps.max()) for stamps in all_stamps if len(stamps)), default=0)
     begins = first + round(start * NS_PER_S)
     ends = first + round(end * NS_PER_S) if end else last
-    if ends <= begins or begins >= last:
+    chosen = [(stamps >= begins) & (stamps <= ends) for stamps in all_stamps]
+    if ends <= begins or not any(mask.any() for mask in chosen):
         raise BellowsError(
             f'There is nothing from recording.start, {start:g} s, to recording.end, {end:g} s (0: '
             f'the end): the recording lasts {(last - first) / NS_PER_S:.1f} s.')
-    parts = {}
-    for role, own in streams.items():
-        inside = (own.stamps_ns >= begins) & (own.stamps_ns <= ends)
-        parts[role] = replace(own, **{
-            name: getattr(own, name)[inside] for name in ARRAYS if hasattr(own, name)})
-    return parts
+    return chosen
+
+
+def part_of(streams: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return poses and twists by role from recording.start to recording.end; see `inside`."""
+    chosen = inside([own.stamps_ns for own in streams.values()], values)
+    return {role: replace(own, **{
+        name: getattr(own, name)[mask] for name in ARRAYS if hasattr(own, name)
+    }) for (role, own), mask in zip(streams.items(), chosen, strict=True)}
 
 
 def _prepared(

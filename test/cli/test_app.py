@@ -1,5 +1,6 @@
 """What holds for all commands: help, versions, exit codes, streams, start-up."""
 
+import importlib
 import os
 from pathlib import Path
 import signal
@@ -7,7 +8,7 @@ import subprocess
 import sys
 
 import bellows_ros
-from bellows_ros.cli.app import COMMANDS
+from bellows_ros.cli.app import _command_parser, COMMANDS
 import pytest
 
 from .conftest import contents, MOTION, Run, write_yaml
@@ -54,6 +55,18 @@ except SystemExit as end:
     done = subprocess.run(
         [sys.executable, '-c', code], env=user_environment, capture_output=True, text=True)
     assert done.stdout.endswith('exit 0 []\n'), done.stdout + done.stderr
+
+
+READ_RECORDINGS = ('convert', 'excite', 'identify', 'info', 'plan', 'play', 'plot', 'replay',
+                   'static', 'steer', 'structures', 'toss', 'view')
+
+
+@pytest.mark.parametrize('name', READ_RECORDINGS)
+def test_every_command_that_reads_recordings_takes_a_part(name: str) -> None:
+    """Have --from and --to."""
+    module = importlib.import_module(f'bellows_ros.cli.{name}')
+    options = _command_parser(name, module).format_help()
+    assert '--from S' in options and '--to S' in options
 
 
 def test_version(bellows: Run) -> None:

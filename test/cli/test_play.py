@@ -28,6 +28,15 @@ def test_what_was_played_is_said(
 
 
 @needs_ros
+def test_a_part_is_played(bellows: Run, workshop: Path) -> None:
+    """Send what lies between two times, counted from the recording's start."""
+    done = bellows('play', 'recording', '--topic', '/tool_arm/pose', '--from', 2, '--to', 2.5,
+                   cwd=workshop)
+    assert done.returncode == 0 and '/tool_arm/pose  151 messages' in done.stdout, done.stderr
+    assert 'Played in 0.5 s' in done.stdout
+
+
+@needs_ros
 def test_what_cannot_be_played_is_refused(bellows: Run, workshop: Path) -> None:
     """Name topics that are there, and speeds that may be."""
     done = bellows('play', 'recording', '--topic', '/x', cwd=workshop)

@@ -53,6 +53,26 @@ def test_tum_to_bag_to_tum_changes_nothing(tmp_path: Path) -> None:
     np.testing.assert_allclose(values, VALUES, rtol=1e-8, atol=1e-12)
 
 
+def test_a_part_is_cut_of_all_alike(tmp_path: Path) -> None:
+    """Count from the first stamp of all, and leave out what is earlier and later."""
+    later = STAMPS + 6_000_000
+    for name, stamps in (('tool', STAMPS), ('plate', later)):
+        write_tum(tmp_path / f'{name}.tum', stamps, VALUES)
+    span = {'recording.start': 0.01, 'recording.end': 0.03}
+    done = to_bag([tmp_path / 'tool.tum', tmp_path / 'plate.tum'], tmp_path / 'bag', span=span)
+    assert [body.poses for body in done.bodies] == [11, 11]
+    streams = read_streams(tmp_path / 'bag', {
+        'tool_pose': '/tool/pose', 'package_pose': '/plate/pose'})
+    np.testing.assert_array_equal(streams['tool_pose'].stamps_ns, STAMPS[5:16])
+    np.testing.assert_array_equal(streams['package_pose'].stamps_ns, later[2:13])
+    to_tum(tmp_path / 'bag', tmp_path / 'part.tum', '/tool/pose', {'recording.start': 0.005})
+    stamps, values = read_tum(tmp_path / 'part.tum')
+    np.testing.assert_array_equal(stamps, STAMPS[8:16])
+    np.testing.assert_allclose(values, VALUES[8:16], rtol=1e-8, atol=1e-12)
+    with pytest.raises(BellowsError, match=r'nothing from recording.start, 1 s.* lasts 0.0 s'):
+        to_tum(tmp_path / 'bag', tmp_path / 'part.tum', '/tool/pose', {'recording.start': 1.0})
+
+
 def test_euroc_is_distinguished_from_motive(tmp_path: Path) -> None:
     """Look into a .csv, not at its name."""
     (tmp_path / 'data.csv').write_text('#t\n1000000000,1,2,3,1,0,0,0\n2000000000,1,2,3,1,0,0,0\n')

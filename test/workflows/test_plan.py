@@ -250,6 +250,23 @@ def test_recorded_poses_are_a_plan(truth, tmp_path):
     assert_allclose(smooth['peak_moment'], truth['peak_moment'], rtol=0.01)
 
 
+def test_a_part_of_a_plan_is_taken(tmp_path):
+    """Count from the first pose recorded, also where the filter needs some before its first."""
+    times, poses, _ = samples()
+    write_bag(tmp_path / 'poses', [Recorded('/tool_arm/pose', POSE, T0 + times, poses, 'base')])
+    plan_bag = bag_of(tmp_path / 'plan', MULTI_DOF, encode_multi_dof(message(stamp_ns=T0)))
+    values = resolve({**VALUES, 'topics.tool_twist': ''}, ())
+    for path in (tmp_path / 'poses', plan_bag):
+        whole = read_plan(path, values).tool
+        part = read_plan(path, {**values, 'recording.start': 0.1, 'recording.end': 0.3}).tool
+        inside = (whole.stamps_ns >= T0 + 10**8) & (whole.stamps_ns <= T0 + 3 * 10**8)
+        np.testing.assert_array_equal(part.stamps_ns, whole.stamps_ns[inside])
+        assert part.stamps_ns[0] == T0 + 10**8 and part.stamps_ns[-1] == T0 + 3 * 10**8
+        np.testing.assert_array_equal(part.position, whole.position[inside])
+    with pytest.raises(BellowsError, match='Of the plan, 1 points are from recording.start'):
+        read_plan(plan_bag, {**values, 'recording.start': 0.1, 'recording.end': 0.103})
+
+
 def test_of_several_plans_the_first_is_taken_and_said(tmp_path):
     data = encode_multi_dof(message())
     write_bag(tmp_path / 'bag', [
