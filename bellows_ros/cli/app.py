@@ -26,6 +26,7 @@ from bellows_ros import __version__
 from bellows_ros.core import keep_linear_algebra_single
 from bellows_ros.errors import BellowsError
 
+from . import options
 from .console import (
     Console,
     Ended,
@@ -36,7 +37,6 @@ from .console import (
     PIPE_CLOSED,
     USER_ERROR,
 )
-from .options import require_named_outputs
 
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
@@ -137,8 +137,10 @@ def _run(arguments: list[str], console: Console) -> int:
     keep_linear_algebra_single()
     module = importlib.import_module(f'{__package__}.{name}')
     parsed = _command_parser(name, module).parse_args(rest)
-    require_named_outputs(parsed)
-    code: int = module.run(parsed, console)
+    options.require_named_outputs(parsed)
+    to_stdout = getattr(parsed, 'json', '') == options.STDOUT
+    with console.results_to_stderr(to_stdout):  # which is left to the JSON
+        code: int = module.run(parsed, console)
     console.flush()
     return code
 

@@ -5,8 +5,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .console import Console, NOT_USABLE, OK
-from .options import add_json_option, put_json, STDOUT
+from . import options
+from .console import Console, listed, NOT_USABLE, OK, with_error
 
 if TYPE_CHECKING:
     from bellows_ros.core.identification.comparison import Change, FitComparison
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'before', metavar='FIT_A', type=Path, help='result file, as bellows identify --json writes'
     )
     parser.add_argument('after', metavar='FIT_B', type=Path, help='the other one')
-    add_json_option(parser, 'the comparison')
+    options.add_json_option(parser, 'the comparison')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -39,10 +39,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.workflows.compare import compare_files
 
     result = compare_files(arguments.before, arguments.after)
-    put_json(arguments.json, result.as_json(), console)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        _say(result, console)
-        console.wrote(arguments.json)
+    options.put_json(arguments.json, result.as_json(), console)
+    _say(result, console)
+    console.wrote(arguments.json)
     return NOT_USABLE if result.fits.matters else OK
 
 
@@ -55,8 +54,7 @@ def _say(result: 'Comparison', console: Console) -> None:
     ):
         console.say()
         console.say(f'{title}:')
-        for line in change_table(changes):
-            console.say(f'  {line}')
+        console.table(_change_rows(changes))
     console.say()
     for line in verdict(result):
         console.paragraph(line)
@@ -68,13 +66,12 @@ def _say(result: 'Comparison', console: Console) -> None:
                 f'  {difference.name}: {_short(difference.before)} -> {_short(difference.after)}')
 
 
-def change_table(changes: 'tuple[Change, ...]') -> list[str]:
-    """Return both values, the change, and how many standard errors it is, a line each."""
-    from .words import aligned, with_error
-
-    rows = [('', 'A', 'B', 'unit', 'change', 'std. errors')]
+def _change_rows(changes: 'tuple[Change, ...]') -> list[tuple[str, ...]]:
+    """Return both values, the change, and how many standard errors it is, a row each."""
+    rows: list[tuple[str, ...]] = [('', 'A', 'B', 'unit', 'change', 'std. errors')]
     for change in changes:
-        scale, unit = _shown_unit(change.unit)
+        is_pose = change.unit in ('m', 'rad')
+        scale, unit = (1e3, f'm{change.unit}') if is_pose else (1.0, change.unit)
         rows.append(
             (
                 change.name,
@@ -86,18 +83,11 @@ def change_table(changes: 'tuple[Change, ...]') -> list[str]:
                 if math.isfinite(change.standard_errors) else '- ',
             )
         )
-    return aligned(rows)
-
-
-def _shown_unit(unit: str) -> tuple[float, str]:
-    """Return how a quantity is shown: poses in mm and mrad."""
-    return (1e3, f'm{unit}') if unit in ('m', 'rad') else (1.0, unit)
+    return rows
 
 
 def verdict(result: 'Comparison') -> list[str]:
     """Return in sentences what has changed and whether it matters."""
-    from .words import listed
-
     fits = result.fits
     lines = []
     if result.shared:
@@ -107,7 +97,8 @@ def verdict(result: 'Comparison') -> list[str]:
         )
     marked = [f'{change.name} ({change.percent:+.2g} %)'
               for change in fits.parameters if change.significant]
-    chance = _probability(fits.p_value)
+    p = fits.p_value
+    chance = f'probability of chance {f"{p:.2g}" if p >= 1e-4 else "below 1e-4"}'
     lines.append(
         f'The parameters together differ by more than their standard errors explain ({chance}).'
         if fits.significant else
@@ -141,11 +132,6 @@ def _conclusion(fits: 'FitComparison') -> str:
         return 'It matters: do not take one for the other.'
     return ('It matters for motions that excite what is named; under the shake of 3 Hz it would '
             'not be seen.')
-
-
-def _probability(p: float) -> str:
-    """Return a probability in words."""
-    return f'probability of chance {p:.2g}' if p >= 1e-4 else 'probability of chance below 1e-4'
 
 
 def _short(value: object) -> str:

@@ -1,5 +1,5 @@
 """
-What a command says and ends with, and the signals that end it.
+What a command says and ends with, texts and tables, and the signals that end it.
 
 Results go to one stream, all else to stderr, both plain unless on a terminal: colour is used only
 there, and not where NO_COLOR is set or TERM is dumb. Signals that end a command end it in order,
@@ -8,6 +8,7 @@ and none divides finished work.
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+import math
 import os
 import shutil
 import signal
@@ -34,6 +35,8 @@ EXIT_CODES = """exit codes:
 """
 
 WIDTH = 79
+GUTTER, INDENTED = 2, 2  # of tables, characters
+SHOWN = 5  # items of a list
 BAR = 24  # characters
 AGAIN = 0.1  # s, between two drawings of the progress
 CLEAR_LINE = '\r\x1b[2K'
@@ -93,8 +96,6 @@ class Console:
 
     def table(self, rows: Sequence[Sequence[str]], right: bool = False) -> None:
         """Say rows in columns, indented; numbers to the right."""
-        from .words import aligned
-
         for line in aligned(rows, right):
             self.say(f'  {line}'.rstrip())
 
@@ -207,6 +208,74 @@ def _write(stream: TextIO, text: str) -> None:
     except UnicodeEncodeError:
         text = text.translate(PLAIN).encode('ascii', 'backslashreplace').decode()
     print(text, file=stream)
+
+
+def with_error(value: float, error: float) -> str:
+    """
+    Return a value to the decimal place of its standard error's second figure, and the error.
+
+    An infinite error is said: the value is meaningless.
+    """
+    if math.isinf(error):
+        return f'{value:.3g} (not identifiable)'
+    if not (math.isfinite(error) and error > 0.0 and math.isfinite(value)):
+        return f'{value:.5g}'
+    decimals = max(0, 1 - math.floor(math.log10(error)))
+    return f'{value:.{decimals}f} ± {error:.{decimals}f}'
+
+
+def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
+    """
+    Return rows as lines with columns below each other; all but the first right-aligned.
+
+    On a terminal that is too narrow, columns follow in blocks, each with the first one again.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for block in _blocks(widths, shutil.get_terminal_size((0, 0)).columns - INDENTED):
+        for row in rows:
+            cells = [
+                row[i].rjust(widths[i]) if right and i else row[i].ljust(widths[i])
+                for i in (0, *block)
+            ]
+            lines.append('  '.join(cells).rstrip())
+    return lines
+
+
+def _blocks(widths: Sequence[int], room: int) -> list[list[int]]:
+    """Return the columns beside the first in blocks that fit; in one where no width is known."""
+    blocks, used = [list[int]()], widths[0]
+    for number, width in enumerate(widths[1:], 1):
+        if blocks[-1] and 0 < room < used + GUTTER + width:
+            blocks.append([])
+            used = widths[0]
+        blocks[-1].append(number)
+        used += GUTTER + width
+    return blocks
+
+
+def short(value: float) -> str:
+    """Return a positive number in at most six characters."""
+    if value >= 1e3:
+        return f'{value:.0f}'
+    return f'{value:.3g}' if value >= 0.01 else f'{value:.4f}'
+
+
+def percent(ratio: float, decimals: int = 2) -> str:
+    """Return a ratio in percent, or a dash where nothing moved."""
+    return f'{100.0 * ratio:.{decimals}f} %' if math.isfinite(ratio) else '-'
+
+
+def listed(items: Sequence[str]) -> str:
+    """Return items as in a sentence; of many the first ones and how many more."""
+    if len(items) > SHOWN:
+        return f'{", ".join(items[:SHOWN])} and {len(items) - SHOWN} more'
+    return ' and '.join(filter(None, [', '.join(items[:-1]), items[-1]]))
+
+
+def many(count: int, one: str, several: str) -> str:
+    """Return a count with its noun."""
+    return f'{count} {one if count == 1 else several}'
 
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)

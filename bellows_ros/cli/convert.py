@@ -7,16 +7,8 @@ from typing import TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
 
+from . import options
 from .console import Console, OK
-from .options import (
-    add_arm_options,
-    add_json_option,
-    add_span_options,
-    Folder,
-    given_span,
-    put_json,
-    STDOUT,
-)
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.convert import Conversion
@@ -48,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'a TUM file or, with --tool-link or --tool-frame, one with poses',
     )
     parser.add_argument(
-        '--out', metavar='NAME', required=True, type=Folder,
+        '--out', metavar='NAME', required=True, type=options.Folder,
         help='recording to make; or, from a recording, a file that ends in .tum or .txt',
     )
     parser.add_argument(
@@ -63,11 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='of the recording made'
     )
-    parser.add_argument(
-        '--force', action='store_true', help='replace a recording that is there already'
-    )
-    add_span_options(parser)
-    add_arm_options(parser)
+    options.add_force_option(parser)
+    options.add_span_options(parser)
+    options.add_arm_options(parser)
     for body, what in (('tool', 'the tool tip E'), ('package', 'the package')):
         parser.add_argument(
             f'--{body}-frame', metavar='FRAME', default='',
@@ -75,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--world-frame', metavar='FRAME', default='',
         help='frame in which both are wanted; the farthest one above the tool when left out')
-    add_json_option(parser, 'what was converted')
+    options.add_json_option(parser, 'what was converted')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -88,7 +78,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         transforms_to_bag,
     )
 
-    span = given_span(arguments)
+    span = options.given_span(arguments)
     with console.progress() as progress:
         progress('converting')
         if arguments.out.lower().endswith(TEXT_ENDINGS):
@@ -100,7 +90,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
                 raise BellowsError(
                     'Transforms become poses of tool and package: give --tool-frame and '
                     '--package-frame. Of the tool alone: --tool-link.')
-            _require_recording(arguments)
+            if len(arguments.sources) > 1:
+                raise BellowsError('One recording is converted: give one.')
             done = transforms_to_bag(
                 arguments.sources[0], arguments.out, arguments.tool_frame,
                 arguments.package_frame, arguments.world_frame, arguments.topic,
@@ -115,19 +106,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             _require_text(arguments)
             done = to_bag(arguments.sources, arguments.out, arguments.topic, arguments.storage,
                           arguments.markers, arguments.force, span)
-    put_json(arguments.json, done.as_json(), console)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        _say(done, console)
-        if not done.out.lower().endswith(TEXT_ENDINGS):
-            console.say('Next, see what is in it:')
-            console.say(f'  bellows info {done.out} --write-params my_cell.yaml')
+    options.put_json(arguments.json, done.as_json(), console)
+    _say(done, console)
+    if not done.out.lower().endswith(TEXT_ENDINGS):
+        console.say('Next, see what is in it:')
+        console.say(f'  bellows info {done.out} --write-params my_cell.yaml')
     return OK
-
-
-def _require_recording(arguments: argparse.Namespace) -> None:
-    """Refuse several recordings where one is converted."""
-    if len(arguments.sources) > 1:
-        raise BellowsError('One recording is converted: give one.')
 
 
 def _require_one(arguments: argparse.Namespace) -> None:

@@ -4,20 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .console import Console, OK
-from .options import (
-    add_arm_options,
-    add_json_option,
-    add_parameter_options,
-    add_span_options,
-    Folder,
-    given_parameters,
-    Output,
-    put_json,
-    require_free,
-    STDOUT,
-    THESIS_CUP,
-)
+from . import options
+from .console import Console, OK, short, with_error
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.excite import Excitation
@@ -40,7 +28,7 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_parameter_options(parser)
+    options.add_parameter_options(parser)
     parser.add_argument(
         '--limits', metavar='FILE', required=True, type=Path,
         help='what the arm may do, and how both bodies are tracked (YAML); '
@@ -51,27 +39,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='of the motion, s: 2 s of rest, and ramps of 1 s at both ends of the rest of it',
     )
     parser.add_argument(
-        '--out', metavar='BAG', required=True, type=Folder,
+        '--out', metavar='BAG', required=True, type=options.Folder,
         help='recording to write, with the plan on /tool_arm/plan'
     )
     parser.add_argument(
-        '--csv', metavar='FILE', default='', type=Output,
+        '--csv', metavar='FILE', default='', type=options.Output,
         help='write the motion as text, too: EuRoC columns with velocities, 1000 lines per second',
     )
     parser.add_argument(
-        '--urscript', metavar='FILE', default='', type=Output,
+        '--urscript', metavar='FILE', default='', type=options.Output,
         help='write it as a program for an arm of Universal Robots, too',
     )
-    parser.add_argument(
-        '--plot', metavar='FILE', default='', type=Output,
-        help='picture to write: .png, .svg or .pdf',
-    )
+    options.add_plot_option(parser, '.png, .svg or .pdf')
     parser.add_argument(
         '--beside', metavar='PLAN', action='append', default=[], type=Path,
         help='compare with another motion, a plan as of bellows plan; may be repeated. Of these '
         'are --from and --to',
     )
-    add_span_options(parser, '0')
+    options.add_span_options(parser, '0')
     parser.add_argument(
         '--series', action='store_true',
         help='write all that is to be recorded of a new cup into the folder --out: standstills, '
@@ -79,20 +64,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--seed', metavar='N', type=int, default=0, help='another one gives another motion')
-    parser.add_argument(
-        '--force', action='store_true', help='replace a recording that is there already'
-    )
-    add_arm_options(parser)
-    add_json_option(parser, 'what to expect')
+    options.add_force_option(parser)
+    options.add_arm_options(parser)
+    options.add_json_option(parser, 'what to expect')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Design, write, report."""
-    values = given_parameters(arguments)
+    values = options.given_parameters(arguments)
     from bellows_ros.files.safe_yaml import load
     from bellows_ros.workflows.excite import excite, write_motion
 
-    require_free(arguments.out, arguments.force)
+    options.require_free(arguments.out, arguments.force)
     if arguments.plot:
         from bellows_ros.plots.style import require_picture
 
@@ -102,27 +85,22 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
             arguments.beside, arguments.seed, progress, arguments.series)
     write_motion(arguments.out, found, arguments.csv, arguments.urscript, arguments.force)
-    put_json(arguments.json, found.as_json(arguments.params), console)
+    options.put_json(arguments.json, found.as_json(arguments.params), console)
     if arguments.plot:
         from bellows_ros.plots.excite import excite_figure
         from bellows_ros.plots.style import write_figure
 
         write_figure(arguments.plot, excite_figure(
             found.design, f'{arguments.time:g} s, for {arguments.limits}'))
-    with console.results_to_stderr(arguments.json == STDOUT):
-        if 'cup.stiffness' not in values:
-            console.warn(THESIS_CUP)
-        _say(found, console)
-        for name in ('out', 'csv', 'urscript', 'plot', 'json'):
-            if getattr(arguments, name) not in ('', STDOUT):
-                console.say(f'Wrote {getattr(arguments, name)}.')
+    options.warn_of_thesis_cup(values, console)
+    _say(found, console)
+    console.wrote(
+        arguments.out, arguments.csv, arguments.urscript, arguments.plot, arguments.json)
     return OK
 
 
 def _say(found: 'Excitation', console: Console) -> None:
     """Print what to expect, and what limits it."""
-    from .words import aligned, with_error
-
     motion = found.design.motion
     console.say(f'A motion of {motion.duration:g} s', 'bold')
     console.say(f'(up to {motion.highest_frequency:.3g} Hz; {found.structure.name})', 'dim')
@@ -134,8 +112,7 @@ def _say(found: 'Excitation', console: Console) -> None:
         part = f'{100.0 * error / abs(value):.2g} %' if value else ''
         rows.append([label, f'{with_error(value, error)} {unit}', part, *(
             f'{errors[i] / error:.3g} times' for errors in found.beside.values())])
-    for line in aligned(rows):
-        console.say(f'  {line}')
+    console.table(rows)
     console.say()
     if found.beside:
         console.paragraph(
@@ -143,10 +120,9 @@ def _say(found: 'Excitation', console: Console) -> None:
             'motions, in times of these.')
         console.say()
     _say_series(found, console)
-    for line in aligned([['limit', 'taken', 'what stops the motion from growing']] + [
-            [name, f'{100.0 * ratio:.1f} %', f'{100.0 * found.design.shares.get(name, 0.0):.0f} %']
-            for name, ratio in found.design.ratios.items()]):
-        console.say(f'  {line}')
+    console.table([['limit', 'taken', 'what stops the motion from growing']] + [
+        [name, f'{100.0 * ratio:.1f} %', f'{100.0 * found.design.shares.get(name, 0.0):.0f} %']
+        for name, ratio in found.design.ratios.items()])
     console.say()
     for warning in found.warnings:
         console.warn(warning)
@@ -154,8 +130,6 @@ def _say(found: 'Excitation', console: Console) -> None:
 
 def _say_series(found: 'Excitation', console: Console) -> None:
     """Print what to record in which order, and what each tells."""
-    from .words import aligned, short
-
     if not found.series:
         return
     tells = (
@@ -176,8 +150,7 @@ def _say_series(found: 'Excitation', console: Console) -> None:
             rows.append([label, *(
                 f'{short(100.0 * errors[i] / abs(value))} %' if errors[i] < abs(value) else '-'
                 for _, errors in found.series.values())])
-    for line in aligned(rows, right=True):
-        console.say(f'  {line}')
+    console.table(rows, right=True)
     console.say()
     console.paragraph('Each alone, with the length known; -: not identifiable. Then, with PLAN a '
                       'motion of yours:')

@@ -3,15 +3,8 @@
 import argparse
 from pathlib import Path
 
+from . import options
 from .console import Console, OK
-from .options import (
-    add_json_option,
-    given_parameters,
-    Output,
-    put_json,
-    STDOUT,
-    warn_of_thesis_cup,
-)
 
 DESCRIPTION = (
     'Write a cup and its package as a model for MuJoCo (MJCF), Drake, OpenPLX or any simulator '
@@ -39,8 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='mjcf: MuJoCo; drake: SDF with a bushing of Drake; sdf: joints in a row; openplx: '
         'SixDofSuctionCup; c: a header in C11',
     )
-    parser.add_argument('--out', metavar='FILE', required=True, type=Output, help='model to write')
-    add_json_option(parser, 'what the format cannot express')
+    parser.add_argument(
+        '--out', metavar='FILE', required=True, type=options.Output, help='model to write')
+    options.add_json_option(parser, 'what the format cannot express')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -51,7 +45,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.files.atomic import write_text
     from bellows_ros.files.exports import Exported, limits, TARGETS
 
-    values = given_parameters(arguments)
+    values = options.given_parameters(arguments)
     settings = resolve(values, PACKAGE_PARAMETERS)
     cup, package = cup_of(settings), package_of(settings)
     target = TARGETS[arguments.to]
@@ -59,11 +53,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     gravity = tuple(gravity_of(settings).tolist())
     write_text(arguments.out, target.write(Exported(cup, package, gravity, grip_of(settings))))
     content = {'format': arguments.to, 'file': arguments.out, 'not_expressed': lost}
-    put_json(arguments.json, content, console)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        warn_of_thesis_cup(values, console)
-        console.say(f'Wrote {arguments.out} for {target.name}.')
-        console.say('What it cannot express:')
-        for sentence in lost:
-            console.paragraph(f'  - {sentence}')
+    options.put_json(arguments.json, content, console)
+    options.warn_of_thesis_cup(values, console)
+    console.say(f'Wrote {arguments.out} for {target.name}.')
+    console.say('What it cannot express:')
+    for sentence in lost:
+        console.paragraph(f'  - {sentence}')
     return OK

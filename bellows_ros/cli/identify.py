@@ -1,21 +1,21 @@
 """`bellows identify`: find a cup's stiffness and damping in recordings."""
 
 import argparse
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from .console import Console, NOT_USABLE, OK, Progress, uninterrupted
-from .options import (
-    add_json_option,
-    add_parameter_options,
-    add_span_options,
-    given_parameters,
-    INPUTS,
-    Output,
-    put_json,
-    require_outputs,
-    STDOUT,
-    warn_of_thesis_cup,
+from . import options
+from .console import (
+    aligned,
+    Console,
+    listed,
+    many,
+    NOT_USABLE,
+    OK,
+    Progress,
+    uninterrupted,
+    with_error,
 )
 
 if TYPE_CHECKING:
@@ -58,21 +58,15 @@ FOUND = 'the fit cannot be used'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
+    options.add_bags_argument(parser)
+    options.add_parameter_options(parser)
+    options.add_span_options(parser)
     parser.add_argument(
-        'bags', metavar='BAG', nargs='*', type=Path,
-        help="recording: a rosbag2 folder, or a .mcap or .db3 file; over the parameter 'bags'",
-    )
-    add_parameter_options(parser)
-    add_span_options(parser)
-    parser.add_argument(
-        '--out', metavar='FILE', default='', type=Output,
+        '--out', metavar='FILE', default='', type=options.Output,
         help='write the cup as a parameter file, for the predictor and bellows replay',
     )
-    add_json_option(parser, 'the result with its uncertainties')
-    parser.add_argument(
-        '--report', metavar='FILE', default='', type=Output,
-        help='write a page with plots (HTML)'
-    )
+    options.add_json_option(parser, 'the result with its uncertainties')
+    options.add_report_option(parser)
     parser.add_argument(
         '--typical', metavar='PLAN', default=None, type=Path,
         help='say first how well the cup predicts this motion of yours, a plan as of bellows '
@@ -93,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'tcp://host:8786; they must see the recordings under the same paths',
     )
     parser.add_argument(
-        '--summary-out', metavar='FILE', default='', type=Output,
+        '--summary-out', metavar='FILE', default='', type=options.Output,
         help='only reduce the recording to what a fit needs of it, written here (.npz)',
     )
     parser.add_argument(
@@ -112,7 +106,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     settings = _settings(arguments)
     cup_file, json_file, page = (
         str(settings.get(f'output.{name}', '')) for name in ('parameters', 'json', 'report'))
-    require_outputs((cup_file, json_file, page), [f for n in INPUTS for f in settings.get(n, ())])
+    options.require_outputs((cup_file, json_file, page), options.inputs_of(settings))
     if arguments.release:
         return _release(arguments, settings, console)
     if arguments.summary_out:
@@ -126,7 +120,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         from bellows_ros.report.build import write_page
 
         write_page(result, page)
-    with console.results_to_stderr(json_file == STDOUT):
+    with console.results_to_stderr(json_file == options.STDOUT):
         _say(result, console)
         _say_files(usable, written, cup_file, json_file, console)
         if page:
@@ -150,18 +144,15 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
     with uninterrupted():
         if arguments.out:
             write_parameters(arguments.out, result.parameters())
-        put_json(str(arguments.json), result.as_json(), console)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        warn_of_thesis_cup(settings, console)
-        _say_release(result, console)
-        console.wrote(arguments.out, arguments.json)
+        options.put_json(str(arguments.json), result.as_json(), console)
+    options.warn_of_thesis_cup(settings, console)
+    _say_release(result, console)
+    console.wrote(arguments.out, arguments.json)
     return OK
 
 
 def _say_release(result: 'ReleaseResult', console: Console) -> None:
     """Print delay, tau and impulse with their errors, and how well they repeat."""
-    from .words import listed
-
     fit, milli = result.fit, 1e3
     rows = [('', '', 'standard error', 'scatter')]
     for name, unit in (('delay', 'ms'), ('tau', 'ms'), ('impulse', 'mN s')):
@@ -190,14 +181,13 @@ def _reduce(arguments: argparse.Namespace, settings: dict[str, Any], console: Co
 
     part = write_summary(settings, arguments.summary_out, arguments.params)
     found = part.statistics
-    put_json(str(arguments.json), {
+    options.put_json(str(arguments.json), {
         'file': str(arguments.summary_out), 'structure': found.structure.name,
         'samples_used': found.used, 'samples_rejected': found.rejected,
         'recording': part.report}, console)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        console.say(
-            f'Wrote {arguments.summary_out}: {found.used} samples used, {found.rejected} '
-            f'rejected, {found.structure.name}.')
+    console.say(
+        f'Wrote {arguments.summary_out}: {found.used} samples used, {found.rejected} '
+        f'rejected, {found.structure.name}.')
     return OK
 
 
@@ -235,7 +225,7 @@ def _with_typical(
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what is set: by files, --set, and always what has an argument of its own."""
-    values = given_parameters(arguments, 'identifier')
+    values = options.given_parameters(arguments, 'identifier')
     from bellows_ros.errors import BellowsError
 
     named = {
@@ -270,17 +260,13 @@ def _write(
     from bellows_ros.workflows.identification import save
 
     with uninterrupted():
-        save(result, cup_file, '' if json_file == STDOUT else json_file, force)
-    if json_file == STDOUT:
-        from bellows_ros.files.results import format_json
-
-        console.raw(format_json(result.as_json()))
+        save(result, cup_file, '' if json_file == options.STDOUT else json_file, force)
+    if json_file == options.STDOUT:
+        options.put_json(json_file, result.as_json(), console)
 
 
 def _say(result: 'Identification', console: Console) -> None:
     """Print the cup and what it rests on."""
-    from .words import cup_table, listed, sample_lines
-
     fit = result.fit
     bags = listed(result.bags)
     first = result.verdict.sentences if result.verdict else ()
@@ -295,7 +281,7 @@ def _say(result: 'Identification', console: Console) -> None:
     for line in cup_table(fit):
         console.say(f'  {line}'.rstrip())
     console.say()
-    for line in sample_lines(fit, [part.report for part in result.parts]):
+    for line in _sample_lines(fit, [part.report for part in result.parts]):
         console.paragraph(line)
     console.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
     for line in result.findings[len(first):]:
@@ -304,6 +290,66 @@ def _say(result: 'Identification', console: Console) -> None:
         console.paragraph(reason, 'red')
     for warning in result.warnings:
         console.warn(warning)
+
+
+def cup_table(fit: Any) -> list[str]:
+    """Return K and P with standard errors, a line per direction; with couplings all entries."""
+    from bellows_ros.core.identification.result import UNITS
+    from bellows_ros.core.structure import AXES, structure_named
+
+    structure = structure_named(fit.structure)
+    rows: list[tuple[str, ...]] = [('axis', 'stiffness K', 'damping P')]
+    for axes in structure.tied_axes:
+        i = axes[0]
+        rows.append(
+            (', '.join(AXES[axis] for axis in axes), *(
+                f'{with_error(matrix[i, i], std[i, i])} {UNITS[name][2 * (i > 2)]}'
+                for name, matrix, std in (('K', fit.stiffness, fit.stiffness_std),
+                                          ('P', fit.damping, fit.damping_std))))
+        )
+    lines = aligned(rows)
+    if structure.couples:
+        lines += ['', 'K in N/m, N and N m/rad:', *_matrix(fit.stiffness)]
+        lines += ['', 'P in N s/m, N s and N m s/rad:', *_matrix(fit.damping)]
+    return lines
+
+
+def _matrix(matrix: Any) -> list[str]:
+    """Return a 6x6 matrix, a line per row."""
+    return ['  ' + ' '.join(f'{x:11.4g}' for x in row) for row in matrix]
+
+
+def _sample_lines(fit: Any, reports: Sequence[Any]) -> list[str]:
+    """
+    Return how many samples were used, and what was wrong with the others.
+
+    Parameters
+    ----------
+    fit : bellows_ros.core.identification.result.Fit
+        The fit.
+    reports : sequence of mapping
+        What became of each recording, as in the JSON file.
+
+    """
+    lines = [f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.']
+    streams = [report[name] for report in reports for name in ('tool_pose', 'package_pose')]
+    return lines + [f'  {stream["topic"]}: {line}' for stream in streams
+                    if (line := _stream_line(stream))]
+
+
+def _stream_line(stream: Mapping[str, Any]) -> str:
+    """Return what was wrong with the poses of a topic, or nothing."""
+    gaps, outliers, touched = (
+        stream[name] for name in ('gaps', 'outliers', 'filtered_samples_left_out'))
+    lost = sum(gap['duration_s'] for gap in gaps)
+    found = [
+        *(many(len(indices), f'message {reason.replace("_", " ")}', f'messages {reason}')
+          for reason, indices in stream['refused'].items() if indices),
+        *([many(outliers, 'outlier', 'outliers')] if outliers else []),
+        *([f'{many(len(gaps), "gap", "gaps")} of {lost:.2g} s together'] if gaps else []),
+    ]
+    left_out = f'; {touched} filtered samples touch these' if touched else ''
+    return ', '.join(found) + left_out if found else ''
 
 
 def _say_files(

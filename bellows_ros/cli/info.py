@@ -7,16 +7,8 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
 
-from .console import Console, OK
-from .options import (
-    add_bag_argument,
-    add_json_option,
-    add_span_options,
-    given_span,
-    Output,
-    put_json,
-    STDOUT,
-)
+from . import options
+from .console import Console, many, OK
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.info import Info, TopicInfo
@@ -41,16 +33,14 @@ UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_bag_argument(parser)
-    add_span_options(parser)
+    options.add_bag_argument(parser)
+    options.add_span_options(parser)
     parser.add_argument(
-        '--write-params', metavar='FILE', default='', type=Output,
+        '--write-params', metavar='FILE', default='', type=options.Output,
         help='write a parameter file for this recording, for bellows identify and the nodes',
     )
-    parser.add_argument(
-        '--force', action='store_true', help='replace a parameter file that is there already'
-    )
-    add_json_option(parser, 'what was found')
+    options.add_force_option(parser, 'a parameter file')
+    options.add_json_option(parser, 'what was found')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -64,23 +54,24 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
-        found = info(arguments.bag, given_span(arguments))
-    put_json(arguments.json, found.as_json(), console)
+        found = info(arguments.bag, options.given_span(arguments))
+    options.put_json(arguments.json, found.as_json(), console)
     if arguments.write_params:
         write_text(arguments.write_params, parameter_file(found))
-    with console.results_to_stderr(arguments.json == STDOUT):
-        _say(found, console)
-        _say_files(arguments, console)
+    _say(found, console)
+    console.wrote(arguments.json)
+    if arguments.write_params:
+        console.say(f'Wrote {arguments.write_params}. Fill in the package there, then:')
+        console.say(f'  bellows identify --params {arguments.write_params} --out cup.yaml')
     return OK
 
 
 def _say(found: 'Info', console: Console) -> None:
     """Print the topics, the roles and what to know."""
     console.say(f'Recording {found.path}', 'bold')
-    for line in _table(found):
-        console.say(line)
+    console.table(_topic_rows(found))
     for topic in found.topics:
-        for line in (*_flaws(topic), *_noise(topic)):
+        for line in _facts(topic):
             console.paragraph(f'  {topic.name}: {line}')
     console.say()
     for role, guess in (('tool', found.tool), ('package', found.package), ('twist', found.twist)):
@@ -95,17 +86,15 @@ def _say(found: 'Info', console: Console) -> None:
         console.paragraph(note)
 
 
-def _table(found: 'Info') -> list[str]:
-    """Return a line per topic."""
-    from .words import aligned
-
+def _topic_rows(found: 'Info') -> list[tuple[str, ...]]:
+    """Return a row per topic."""
     starts = [topic.start_ns for topic in found.topics if topic.kind]
     rows: list[tuple[str, ...]] = [
         ('topic', 'type', 'messages', 'rate', 'jitter', 'from', 'to', 'gaps')]
     for topic in found.topics:
         row = [topic.name, topic.type_name.replace('/msg/', '/'), str(topic.messages)]
         rows.append((*row, *(_timing(topic, min(starts)) if topic.kind else [''] * 5)))
-    return [f'  {line}' for line in aligned(rows)]
+    return rows
 
 
 def _timing(topic: 'TopicInfo', start_ns: int) -> list[str]:
@@ -117,10 +106,8 @@ def _timing(topic: 'TopicInfo', start_ns: int) -> list[str]:
     ]
 
 
-def _flaws(topic: 'TopicInfo') -> Iterator[str]:
-    """Yield what is wrong with a topic's messages."""
-    from .words import many
-
+def _facts(topic: 'TopicInfo') -> Iterator[str]:
+    """Yield what is wrong with a topic's messages, and the noise of its poses."""
     found = [f'{count} {reason.replace("_", " ")}' for reason, count in topic.refused.items()]
     if found:
         yield f'messages left out: {", ".join(found)}'
@@ -129,21 +116,9 @@ def _flaws(topic: 'TopicInfo') -> Iterator[str]:
     if topic.gaps:
         longest = max(length for _, length in topic.gaps)
         yield f'{many(len(topic.gaps), "gap", "gaps")}, the longest {longest * 1e3:.0f} ms'
-
-
-def _noise(topic: 'TopicInfo') -> Iterator[str]:
-    """Yield the noise of a topic's poses."""
     if topic.noise:
         position, rotation = (1e3 * topic.noise[name] for name in ('position', 'rotation'))
         yield f'noise of {position:.3f} mm and {rotation:.3f} mrad in each axis'
-
-
-def _say_files(arguments: argparse.Namespace, console: Console) -> None:
-    """Print what was written, and what to do with it."""
-    console.wrote(arguments.json)
-    if arguments.write_params:
-        console.say(f'Wrote {arguments.write_params}. Fill in the package there, then:')
-        console.say(f'  bellows identify --params {arguments.write_params} --out cup.yaml')
 
 
 def parameter_file(found: 'Info') -> str:

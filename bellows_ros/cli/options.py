@@ -34,12 +34,19 @@ class Folder(Output):
     """The name of a folder that a command makes."""
 
 
+BAG = 'recording: a rosbag2 folder, or a .mcap or .db3 file'
+
+
 def add_bag_argument(parser: argparse.ArgumentParser) -> None:
     """Add the recording that a command is about."""
+    parser.add_argument('bag', metavar='BAG', type=Path, help=BAG)
+
+
+def add_bags_argument(parser: argparse.ArgumentParser, parameter: str = 'bags') -> None:
+    """Add the recordings that a command is about; where none is given, a parameter names them."""
     parser.add_argument(
-        'bag', metavar='BAG', type=Path,
-        help='recording: a rosbag2 folder, or a .mcap or .db3 file',
-    )
+        'bags', metavar='BAG', nargs='*', type=Path,
+        help=f"{BAG}; over the parameter '{parameter}'")
 
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
@@ -70,6 +77,24 @@ def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
         '--json', metavar='FILE', default='', type=Output,
         help=f"write {what} as JSON; '-' for stdout (the summary then goes to stderr)",
     )
+
+
+def add_force_option(parser: argparse.ArgumentParser, what: str = 'a recording') -> None:
+    """Add --force, which replaces what is there."""
+    parser.add_argument(
+        '--force', action='store_true', help=f'replace {what} that is there already')
+
+
+def add_report_option(parser: argparse.ArgumentParser) -> None:
+    """Add --report."""
+    parser.add_argument(
+        '--report', metavar='FILE', default='', type=Output, help='write a page with plots (HTML)')
+
+
+def add_plot_option(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add --plot."""
+    parser.add_argument(
+        '--plot', metavar='FILE', default='', type=Output, help=f'picture to write: {what}')
 
 
 def add_arm_options(parser: argparse.ArgumentParser) -> None:
@@ -137,8 +162,13 @@ def given_parameters(
     values |= given_span(arguments)
     if link := getattr(arguments, 'tool_link', ''):
         values['tool_link'] = link
-    require_named_outputs(arguments, [file for name in INPUTS for file in values.get(name, ())])
+    require_named_outputs(arguments, inputs_of(values))
     return values
+
+
+def inputs_of(values: 'Mapping[str, Any]') -> list[str]:
+    """Return the files that parameters name as what is read."""
+    return [file for name in INPUTS for file in values.get(name, ())]
 
 
 def given_span(arguments: argparse.Namespace) -> 'dict[str, Value]':

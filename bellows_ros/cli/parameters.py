@@ -2,11 +2,12 @@
 
 import argparse
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 import textwrap
 from typing import TYPE_CHECKING
 
+from . import options
 from .console import Console, OK, WIDTH
-from .options import add_json_option, STDOUT
 
 if TYPE_CHECKING:
     from bellows_ros.core.parameters import Parameter
@@ -32,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--yaml', action='store_true', help='as a parameter file with the defaults, to fill in'
     )
-    add_json_option(parser, 'the table')
+    options.add_json_option(parser, 'the table')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -42,27 +43,15 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         console.raw(template(chosen))
         return OK
     if arguments.json:
-        _write_json(chosen, arguments.json, console)
+        content = {p.name: {**asdict(p), 'constraint': p.constraint} for p in chosen}
+        options.put_json(arguments.json, content, console)
+        console.wrote(arguments.json)
         return OK
     for parameter in chosen:
         console.say(parameter.name, 'bold')
         for line in _entry(parameter):
             console.say(line)
     return OK
-
-
-def _write_json(parameters: 'list[Parameter]', path: str, console: Console) -> None:
-    """Write the table as JSON."""
-    from dataclasses import asdict
-
-    from bellows_ros.files.results import format_json, write_json
-
-    content = {p.name: {**asdict(p), 'constraint': p.constraint} for p in parameters}
-    if path == STDOUT:
-        console.raw(format_json(content))
-    else:
-        write_json(path, content)
-        console.say(f'Wrote {path}.')
 
 
 def _chosen(prefixes: list[str]) -> 'list[Parameter]':

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import math
 from typing import Any, TYPE_CHECKING
 
-from .console import Console
+from .console import Console, with_error
 from .planned import add_plan_options, carry_out, Given
 
 if TYPE_CHECKING:
@@ -59,15 +59,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(report: 'PlanReport', console: Console) -> None:
     """Print the figures and what they mean."""
-    from .words import aligned
-
     source = report.source
     where = f", in frame '{source.frame_id}'" if source.frame_id else ''
     console.say(f'Plan {report.path}', 'bold')
     console.say(f'({len(source.tool)} points, {report.duration:.3f} s{where})', 'dim')
     console.say()
-    for line in aligned(figure_rows(report)):
-        console.say(f'  {line}')
+    console.table(figure_rows(report))
     console.say()
     for warning in report.warnings:
         console.warn(warning)
@@ -80,8 +77,6 @@ def _say(report: 'PlanReport', console: Console) -> None:
 
 def figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
     """Return what is printed: name, value with its standard deviation, and more of it."""
-    from .words import with_error
-
     figures, std = report.prediction.figures(), report.std
 
     def value(name: str, factor: float, unit: str) -> str:

@@ -5,20 +5,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from . import options
 from .console import Console, OK
-from .options import (
-    add_arm_options,
-    add_json_option,
-    add_parameter_options,
-    add_span_options,
-    Folder,
-    given_parameters,
-    Output,
-    put_json,
-    require_free,
-    STDOUT,
-    THESIS_CUP,
-)
 
 
 def add_plan_options(
@@ -33,18 +21,16 @@ def add_plan_options(
     )
     parser.add_argument(
         '--topic', metavar='TOPIC', default='', help='of the plan, where a recording has several')
-    add_span_options(parser, '0')  # a file may hold the part of another recording
-    add_arm_options(parser)
-    add_parameter_options(parser)
-    add_json_option(parser, numbers)
-    parser.add_argument(
-        '--plot', metavar='FILE', default='', type=Output, help=f'picture to write: {picture}')
+    options.add_span_options(parser, '0')  # a file may hold the part of another recording
+    options.add_arm_options(parser)
+    options.add_parameter_options(parser)
+    options.add_json_option(parser, numbers)
+    options.add_plot_option(parser, picture)
     if recording:
         parser.add_argument(
-            '--out', metavar='BAG', default='', type=Folder,
+            '--out', metavar='BAG', default='', type=options.Folder,
             help=f'recording to write: {recording}')
-        parser.add_argument(
-            '--force', action='store_true', help='replace a recording that is there already')
+        options.add_force_option(parser)
 
 
 class Given(NamedTuple):
@@ -79,9 +65,9 @@ def carry_out(
         Endings that a picture may have beside the usual.
 
     """
-    values = given_parameters(arguments)
+    values = options.given_parameters(arguments)
     if write is not None:
-        require_free(arguments.out, arguments.force)
+        options.require_free(arguments.out, arguments.force)
     if arguments.plot:
         from bellows_ros.plots.style import require_picture
 
@@ -91,16 +77,12 @@ def carry_out(
         result = work(given, progress)
         if arguments.plot:
             draw(result)
-    put_json(arguments.json, result.as_json(arguments.params), console)
+    options.put_json(arguments.json, result.as_json(arguments.params), console)
     targets = [arguments.json, arguments.plot]
     if write is not None and arguments.out:
         write(result)
         targets.append(arguments.out)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        if 'cup.stiffness' not in values:
-            console.warn(THESIS_CUP)
-        say(result, console)
-        for target in targets:
-            if target not in ('', STDOUT):
-                console.say(f'Wrote {target}.')
+    options.warn_of_thesis_cup(values, console)
+    say(result, console)
+    console.wrote(*targets)
     return OK

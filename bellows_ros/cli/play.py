@@ -6,15 +6,8 @@ from typing import TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
 
+from . import options
 from .console import Console, OK
-from .options import (
-    add_bag_argument,
-    add_json_option,
-    add_span_options,
-    given_span,
-    put_json,
-    STDOUT,
-)
 
 if TYPE_CHECKING:
     from bellows_ros.nodes.bag_player import Played
@@ -35,8 +28,8 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_bag_argument(parser)
-    add_span_options(parser)
+    options.add_bag_argument(parser)
+    options.add_span_options(parser)
     parser.add_argument(
         '--topic', metavar='TOPIC[:=NAME]', action='append', default=[], dest='topics',
         help='topic to play, and the name to play it under; may be repeated (default: all that '
@@ -50,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='of the headers: as they were recorded, or as if it happened now',
     )
     parser.add_argument('--loop', action='store_true', help='begin again at the end, for ever')
-    add_json_option(parser, 'what was played')
+    options.add_json_option(parser, 'what was played')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -69,16 +62,16 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         messages, notes = read_messages(arguments.bag, renamed)
-        chosen, = inside([np.array([m.log_time_ns for m in messages])], given_span(arguments))
+        stamps = [np.array([m.log_time_ns for m in messages])]
+        chosen, = inside(stamps, options.given_span(arguments))
         messages = [message for message, here in zip(messages, chosen, strict=True) if here]
         names = {m.topic.name: m.topic.name for m in messages} | renamed
         for note in notes:
             console.warn(note)
         played = play(messages, names, arguments.rate, arguments.stamps == 'now', arguments.loop,
                       progress)
-    put_json(arguments.json, {'bag': str(arguments.bag), **vars(played)}, console)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        _say(played, console)
+    options.put_json(arguments.json, {'bag': str(arguments.bag), **vars(played)}, console)
+    _say(played, console)
     return OK
 
 

@@ -6,17 +6,8 @@ from typing import Any
 
 from bellows_ros.errors import BellowsError
 
+from . import options
 from .console import Console, OK
-from .options import (
-    add_bag_argument,
-    add_json_option,
-    add_parameter_options,
-    given_parameters,
-    Output,
-    put_json,
-    STDOUT,
-    THESIS_CUP,
-)
 
 DESCRIPTION = (
     'Draw a picture of a recording (motion, spectra, path), of how a cup fits it (deflection, '
@@ -59,13 +50,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'what', metavar='WHAT', choices=WHAT,
         help='; '.join(f'{name}: {text}' for name, text in WHAT.items()),
     )
-    add_bag_argument(parser)
-    add_parameter_options(parser)
+    options.add_bag_argument(parser)
+    options.add_parameter_options(parser)
     parser.add_argument(
-        '--out', metavar='FILE', required=True, type=Output,
+        '--out', metavar='FILE', required=True, type=options.Output,
         help='picture to write: .png, .svg or .pdf; of an animation .gif or .mp4',
     )
-    add_json_option(parser, 'the numbers that are drawn, in SI units,')
+    options.add_json_option(parser, 'the numbers that are drawn, in SI units,')
     parser.add_argument(
         '--theme', choices=('light', 'dark'), default='light', help='for paper, or for the dark'
     )
@@ -86,48 +77,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, draw, write."""
     from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+    from bellows_ros.workflows.plot import data_json
 
-    values = given_parameters(arguments)
+    values = options.given_parameters(arguments)
     given = 'cup.stiffness' in values
     recorded = arguments.what in OF_THE_RECORDING and not (arguments.what == 'spectra' and given)
     settings = resolve(values, () if recorded else PACKAGE_PARAMETERS)
-    _require_ending(arguments.what, arguments.out)
-    _require_whole(arguments)
-    if not 0.0 < arguments.speed <= FASTEST:
-        raise BellowsError(
-            f'--speed must be above 0 and at most {FASTEST:g}, got {arguments.speed:g}.')
+    _require_possible(arguments)
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         shown = _shown(arguments, settings, given, progress)
         note = f'{arguments.bag}' + ('' if given or arguments.what in OF_THE_RECORDING
                                      else '; cup of the thesis')
         if arguments.what == 'animation':
-            _animate(arguments, shown, note, progress)
+            from bellows_ros.plots.animation import write_animation
+
+            note = f'{note}; {arguments.speed:g} times real time'
+            write_animation(
+                arguments.out, shown, note, arguments.theme, progress, arguments.speed)
         else:
             _draw(arguments, shown, note)
-    _put_data(arguments, shown, console)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        if not given and arguments.what not in OF_THE_RECORDING:
-            console.warn(THESIS_CUP)
-        console.say(f'Wrote {arguments.out}.')
+    about = {'what': arguments.what, 'bag': str(arguments.bag), 'file': arguments.out}
+    options.put_json(arguments.json, {**about, **data_json(shown)}, console)
+    if arguments.what not in OF_THE_RECORDING:
+        options.warn_of_thesis_cup(values, console)
+    console.say(f'Wrote {arguments.out}.')
     return OK
 
 
-def _require_ending(what: str, out: str) -> None:
-    """Refuse a name that does not suit what is drawn, before any work."""
+def _require_possible(arguments: argparse.Namespace) -> None:
+    """Refuse an ending, a part of the time or a speed that does not suit, before any work."""
+    what, out, span = arguments.what, arguments.out, (arguments.first, arguments.last)
     endings = ('.gif', '.mp4') if what == 'animation' else ('.png', '.svg', '.pdf')
     if not out.lower().endswith(endings):
         raise BellowsError(
-            f"--out '{out}' must end in {', '.join(endings[:-1])} or {endings[-1]} "
-            f'for {what}.'
-        )
-
-
-def _require_whole(arguments: argparse.Namespace) -> None:
-    """Refuse a part of the time for spectra, before any work."""
-    span = (arguments.first, arguments.last)
-    if arguments.what == 'spectra' and span != WHOLE:
+            f"--out '{out}' must end in {', '.join(endings[:-1])} or {endings[-1]} for {what}.")
+    if what == 'spectra' and span != WHOLE:
         raise BellowsError('Spectra are of the whole recording: leave out --from and --to.')
+    if not 0.0 < arguments.speed <= FASTEST:
+        raise BellowsError(
+            f'--speed must be above 0 and at most {FASTEST:g}, got {arguments.speed:g}.')
 
 
 def _shown(
@@ -176,20 +165,3 @@ def _prediction(shown: Any, note: str, theme: str) -> Any:
     title = 'Package: predicted, and measured'
     note = f'relative to the tool; {note}'
     return prediction_figure(shown.seconds, shown.live, title, note, theme)
-
-
-def _animate(arguments: argparse.Namespace, shown: Any, note: str, progress: Any) -> None:
-    """Draw an animation and write it."""
-    from bellows_ros.plots.animation import write_animation
-
-    note = f'{note}; {arguments.speed:g} times real time'
-    write_animation(arguments.out, shown, note, arguments.theme, progress, arguments.speed)
-
-
-def _put_data(arguments: argparse.Namespace, shown: Any, console: Console) -> None:
-    """Write the numbers that a picture is drawn from, where --json asks for them."""
-    from bellows_ros.workflows.plot import data_json
-
-    if arguments.json:
-        about = {'what': arguments.what, 'bag': str(arguments.bag), 'file': arguments.out}
-        put_json(arguments.json, {**about, **data_json(shown)}, console)

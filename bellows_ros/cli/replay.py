@@ -1,20 +1,11 @@
 """`bellows replay`: predict a recording with a cup, and say what the cup is worth."""
 
 import argparse
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from .console import Console, NOT_USABLE, OK
-from .options import (
-    add_bag_argument,
-    add_json_option,
-    add_parameter_options,
-    add_span_options,
-    given_parameters,
-    Output,
-    put_json,
-    STDOUT,
-    warn_of_thesis_cup,
-)
+from . import options
+from .console import Console, listed, many, NOT_USABLE, OK, percent, short
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.observe import Observed
@@ -40,7 +31,7 @@ EXAMPLES = (
     ('bellows replay second --params cup.yaml --limit 5',
      'in a script: exit code 1 unless every axis that moves is within 5 %'),
 )
-PERCENT = 100.0
+PERCENT, MILLI = 100.0, 1e3
 FOUND = 'an axis that moves is above --limit'
 LEGEND = (
     'RMS and peak: error of a free simulation from start to end. live: RMS error of the live '
@@ -52,13 +43,11 @@ LEGEND = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_bag_argument(parser)
-    add_parameter_options(parser)
-    add_span_options(parser)
-    add_json_option(parser, 'all figures')
-    parser.add_argument(
-        '--report', metavar='FILE', default='', type=Output, help='write a page with plots (HTML)'
-    )
+    options.add_bag_argument(parser)
+    options.add_parameter_options(parser)
+    options.add_span_options(parser)
+    options.add_json_option(parser, 'all figures')
+    options.add_report_option(parser)
     parser.add_argument(
         '--observe', metavar='TOPIC', default='',
         help='poses of the package as a camera sees them, which correct another live prediction: '
@@ -74,7 +63,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Replay, write, report."""
     from bellows_ros.core.parameters import RECORDING_PARAMETERS, resolve
 
-    values = given_parameters(arguments)
+    values = options.given_parameters(arguments)
     settings = resolve(values, RECORDING_PARAMETERS)
     from bellows_ros.core.identification.validation import LIMIT
     from bellows_ros.workflows.replay import replay
@@ -82,22 +71,16 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress() as progress:
         result = replay(arguments.bag, settings, progress, arguments.observe)
     limit = LIMIT if arguments.limit is None else arguments.limit / PERCENT
-    put_json(arguments.json, result.as_json(limit, arguments.params), console)
+    options.put_json(arguments.json, result.as_json(limit, arguments.params), console)
     if arguments.report:
-        _write_report(result, arguments)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        warn_of_thesis_cup(values, console)
-        _say(result, limit, arguments, console)
+        from bellows_ros.files.atomic import write_text
+        from bellows_ros.report.build import replay_report
+
+        write_text(arguments.report, replay_report(result, arguments.params))
+    options.warn_of_thesis_cup(values, console)
+    _say(result, limit, arguments, console)
     failing = result.validation.failing(limit)
     return NOT_USABLE if failing and arguments.limit is not None else OK
-
-
-def _write_report(result: 'Replay', arguments: argparse.Namespace) -> None:
-    """Write the page."""
-    from bellows_ros.files.atomic import write_text
-    from bellows_ros.report.build import replay_report
-
-    write_text(arguments.report, replay_report(result, arguments.params))
 
 
 def _say(
@@ -106,23 +89,24 @@ def _say(
     """Print the errors per axis and what they mean."""
     from bellows_ros.workflows.recordings import offset_sentence
 
-    from .words import count_lines
-
+    rest = result.validation.start == 'equilibrium'
     console.say(f'Replay of {arguments.bag}', 'bold')
     console.paragraph(
-        f'(package relative to the tool, predicted minus measured; from {start_words(result)})',
-        'dim')
+        '(package relative to the tool, predicted minus measured; from '
+        f'{"static equilibrium" if rest else "the measured state"})', 'dim')
     console.say()
-    for line in error_table(result):
-        console.say(f'  {line}')
+    console.table(_error_rows(result), right=True)
     console.say()
     console.paragraph(LEGEND, 'dim')
     console.say()
-    for line in (*verdict_lines(result, limit), *margin_lines(result),
-                 *offset_sentence(arguments.bag, result.time_offset)):
+    for line in _verdict_lines(result, limit):
+        console.paragraph(line)
+    if result.margin:
+        console.paragraph(result.margin.sentence)
+    for line in offset_sentence(arguments.bag, result.time_offset):
         console.paragraph(line)
     if result.live:
-        for line in count_lines(result.live.counts):
+        for line in _count_lines(result.live.counts):
             console.paragraph(line)
         console.paragraph(
             f'Predicting live took {result.live.took:.2f} s, '
@@ -134,34 +118,25 @@ def _say(
     console.wrote(arguments.json, arguments.report)
 
 
-def margin_lines(result: 'Replay') -> list[str]:
-    """Return how firmly the grip held, where that is known."""
-    return [result.margin.sentence] if result.margin else []
-
-
 def _say_observed(found: 'Observed', console: Console) -> None:
     """Print what measured poses add, and what was found to be wrong."""
+    from bellows_ros.core.residuals import AXES
+
     console.say()
     console.say(f'With {found.topic}, RMS error', 'bold')
-    for line in observed_table(found):
-        console.say(f'  {line}')
+    console.table([('axis', *found.ways), *(
+        (f'{name:2} {"mm" if i < 3 else "mrad"}',
+         *(short(MILLI * way.scores.rms[i]) for way in found.ways.values()))
+        for i, name in enumerate(AXES))], right=True)
     used = ', '.join(f'{count} {what}' for what, count in found.counts.items())
     console.paragraph(f'Measured poses: {used}.')
     for line in found.alarm_lines:
         console.warn(f'Alarm at {line}')
 
 
-def start_words(result: 'Replay') -> str:
-    """Return where the free simulation began."""
-    rest = result.validation.start == 'equilibrium'
-    return 'static equilibrium' if rest else 'the measured state'
-
-
-def error_table(result: 'Replay') -> list[str]:
-    """Return errors, what noise makes of them, and whether they are white, a line per axis."""
+def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
+    """Return errors, what noise makes of them, and whether they are white, a row per axis."""
     from bellows_ros.core.residuals import AXES
-
-    from .words import aligned, MILLI, percent, short
 
     found, live = result.validation, result.live
     white = found.one_step.whiteness.verdicts if found.one_step else ('-',) * 6
@@ -175,29 +150,12 @@ def error_table(result: 'Replay') -> list[str]:
             percent(found.scores.nrmse[i], 1) + (' ' if found.moves[i] else '*'),
             white[i].removesuffix(' white'),
         ))
-    return aligned(rows, right=True)
+    return rows
 
 
-def observed_table(found: 'Observed') -> list[str]:
-    """Return the errors of prediction and camera, each alone and both, a line per axis."""
-    from bellows_ros.core.residuals import AXES
-
-    from .words import aligned, MILLI, short
-
-    rows = [('axis', *found.ways)]
-    rows += [
-        (f'{name:2} {"mm" if i < 3 else "mrad"}',
-         *(short(MILLI * way.scores.rms[i]) for way in found.ways.values()))
-        for i, name in enumerate(AXES)
-    ]
-    return aligned(rows, right=True)
-
-
-def verdict_lines(result: 'Replay', limit: float) -> list[str]:
+def _verdict_lines(result: 'Replay', limit: float) -> list[str]:
     """Return what the figures mean, in sentences."""
     from bellows_ros.core.residuals import AXES
-
-    from .words import listed
 
     found = result.validation
     moving = [name for name, moves in zip(AXES, found.moves, strict=True) if moves]
@@ -222,3 +180,13 @@ def verdict_lines(result: 'Replay', limit: float) -> list[str]:
         )
     lines.append(f'{found.scores.samples} samples compared.')
     return lines
+
+
+def _count_lines(counts: Mapping[str, int]) -> list[str]:
+    """Return what came in and went out, and a line for all that was left out on the way."""
+    known = ('poses', 'twists', 'predictions', 'twists estimated')
+    poses, twists, predictions, estimated = (counts.get(name, 0) for name in known)
+    line = (f'{many(poses, "pose", "poses")} and {many(twists, "twist", "twists")} in, '
+            f'{many(predictions, "prediction", "predictions")} out')
+    line += f'; {many(estimated, "twist", "twists")} estimated from poses.' if estimated else '.'
+    return [line, *(f'  {name}: {count}' for name, count in counts.items() if name not in known)]

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from . import options
 from .console import Console, OK
-from .options import add_json_option, Output, put_json, require_named_outputs, STDOUT
 
 DESCRIPTION = (
     'Write one HTML file that needs no network: the cup with its intervals, measured and '
@@ -26,13 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'fit', metavar='FIT', type=Path, help='result file, as bellows identify --json writes'
     )
     parser.add_argument(
-        '--out', metavar='FILE', required=True, type=Output, help='the page to write'
+        '--out', metavar='FILE', required=True, type=options.Output, help='the page to write'
     )
     parser.add_argument(
         '--validation', metavar='BAG', action='append', default=[], type=Path,
         help='recording that the fit has not seen, of the same cup and package; may be repeated',
     )
-    add_json_option(parser, 'how well the validations went')
+    options.add_json_option(parser, 'how well the validations went')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -62,7 +62,7 @@ def _report(arguments: argparse.Namespace, content: dict[str, Any], console: Con
     from bellows_ros.workflows.replay import validated
 
     bags = [str(recording['bag']) for recording in content['recordings']]
-    require_named_outputs(arguments, bags)
+    options.require_named_outputs(arguments, bags)
     with console.progress() as progress:
         recordings, parts = [], []
         for number, (bag, own) in enumerate(zip(bags, values_of_recordings(content), strict=True)):
@@ -81,17 +81,16 @@ def _report(arguments: argparse.Namespace, content: dict[str, Any], console: Con
         write_text(arguments.out, identification_report(
             content, recordings, excitation, validations))
     others = changed(content)
-    put_json(arguments.json, {
+    options.put_json(arguments.json, {
         'file': arguments.out, 'changed_recordings': others,
         'validations': [validation.as_json() for validation in validations],
     }, console)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        for bag in others:
-            console.warn(f'{bag} is not what it was when the cup was identified from it.')
-        for validation in validations:
-            for warning in validation.warnings:
-                console.warn(f'{validation.bag}: {warning}')
-        console.say(f'Wrote {arguments.out}.')
+    for bag in others:
+        console.warn(f'{bag} is not what it was when the cup was identified from it.')
+    for validation in validations:
+        for warning in validation.warnings:
+            console.warn(f'{validation.bag}: {warning}')
+    console.say(f'Wrote {arguments.out}.')
     return OK
 
 

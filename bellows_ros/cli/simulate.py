@@ -7,17 +7,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from . import options
 from .console import Console, OK
-from .options import (
-    add_json_option,
-    add_parameter_options,
-    Folder,
-    given_parameters,
-    put_json,
-    require_free,
-    STDOUT,
-    warn_of_thesis_cup,
-)
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.simulate import SimulationReport
@@ -37,20 +28,18 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_parameter_options(parser)
+    options.add_parameter_options(parser)
     parser.add_argument(
         '--motion', metavar='FILE', required=True, type=Path,
         help='motion file (YAML): how the tool moves, and how both are tracked; '
         'config/motion_example.yaml explains every setting',
     )
     parser.add_argument(
-        '--out', metavar='BAG', required=True, type=Folder,
+        '--out', metavar='BAG', required=True, type=options.Folder,
         help='folder of the recording, made by this'
     )
-    parser.add_argument(
-        '--force', action='store_true', help='replace a recording that is there already'
-    )
-    add_json_option(parser, 'what was recorded')
+    options.add_force_option(parser)
+    options.add_json_option(parser, 'what was recorded')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -58,17 +47,16 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.files.safe_yaml import load
     from bellows_ros.workflows.simulate import simulate_recording
 
-    values = given_parameters(arguments)
-    require_free(arguments.out, arguments.force)
+    values = options.given_parameters(arguments)
+    options.require_free(arguments.out, arguments.force)
     motion = load(arguments.motion)
     with console.progress() as progress:
         report = simulate_recording(
             values, motion, arguments.out, progress, replace=arguments.force
         )
-    put_json(arguments.json, as_json(report), console)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        warn_of_thesis_cup(values, console)
-        _say(report, console)
+    options.put_json(arguments.json, as_json(report), console)
+    options.warn_of_thesis_cup(values, console)
+    _say(report, console)
     return OK
 
 

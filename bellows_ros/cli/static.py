@@ -7,17 +7,8 @@ from typing import TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
 
+from . import options
 from .console import Console, OK
-from .options import (
-    add_json_option,
-    add_parameter_options,
-    add_span_options,
-    given_parameters,
-    Output,
-    put_json,
-    require_named_outputs,
-    STDOUT,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,11 +34,7 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        'bags', metavar='BAG', nargs='*', type=Path,
-        help='recording: a rosbag2 folder, or a .mcap or .db3 file; over the parameter '
-        "'static.bags'",
-    )
+    options.add_bags_argument(parser, 'static.bags')
     parser.add_argument(
         '--mass', metavar='KG', action='append', type=float, default=[], dest='masses',
         help='mass held in a recording, once for each BAG in their order, over package.mass',
@@ -56,32 +43,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--list', metavar='FILE', type=Path, dest='listed',
         help='YAML file with recordings: a list of bag, mass and, where it differs, com',
     )
-    add_parameter_options(parser)
-    add_span_options(parser)
+    options.add_parameter_options(parser)
+    options.add_span_options(parser)
     parser.add_argument(
-        '--out', metavar='FILE', default='', type=Output,
+        '--out', metavar='FILE', default='', type=options.Output,
         help='write the parameters of --params and --set with the nominal length found',
     )
-    add_json_option(parser, 'all that was found')
+    options.add_json_option(parser, 'all that was found')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Find, write, report."""
-    settings = given_parameters(arguments)
+    settings = options.given_parameters(arguments)
     from bellows_ros import __version__
     from bellows_ros.workflows.static import save_length, static_check
 
     bags = _bags(arguments, settings)
-    require_named_outputs(arguments, [bag for bag, _ in bags])
+    options.require_named_outputs(arguments, [bag for bag, _ in bags])
     with console.progress() as progress:
         result = static_check(bags, settings, progress)
     if arguments.out:
         save_length(result, arguments.out, settings)
     content = {**result.as_json(), 'settings': settings, 'version': __version__}
-    put_json(arguments.json, content, console)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        _say(result, console)
-        console.wrote(arguments.out, arguments.json)
+    options.put_json(arguments.json, content, console)
+    _say(result, console)
+    console.wrote(arguments.out, arguments.json)
     return OK
 
 

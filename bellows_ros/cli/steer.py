@@ -75,8 +75,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(report: 'SteerReport', console: Console) -> None:
     """Print what the motions do, and which to take."""
-    from .words import aligned
-
     console.say(f'Plan {report.path}, steered by {report.method}', 'bold')
     console.say()
     rows = [(
@@ -89,8 +87,7 @@ def _say(report: 'SteerReport', console: Console) -> None:
             _degrees(found['largest_tilt']), _degrees(found['swing_left']),
             _degrees(found['expected_swing']) if report.uncertain else '-',
             f'{factor:.2f}' if math.isfinite(factor) else '-'))
-    for line in aligned(rows, right=True):
-        console.say(f'  {line}')
+    console.table(rows, right=True)
     console.say()
     own = report.motions[report.method].figures()
     console.paragraph(

@@ -2,18 +2,10 @@
 
 import argparse
 import math
-from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
+from . import options
 from .console import Console, OK
-from .options import (
-    add_json_option,
-    add_parameter_options,
-    add_span_options,
-    given_parameters,
-    put_json,
-    STDOUT,
-)
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.structures import StructureAdvice
@@ -35,28 +27,24 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        'bags', metavar='BAG', nargs='*', type=Path,
-        help="recording: a rosbag2 folder, or a .mcap or .db3 file; over the parameter 'bags'",
-    )
-    add_parameter_options(parser)
-    add_span_options(parser)
-    add_json_option(parser, 'all figures')
+    options.add_bags_argument(parser)
+    options.add_parameter_options(parser)
+    options.add_span_options(parser)
+    options.add_json_option(parser, 'all figures')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Look, compare, report."""
-    settings: dict[str, Any] = given_parameters(arguments, 'identifier')
+    settings: dict[str, Any] = options.given_parameters(arguments, 'identifier')
     if arguments.bags:
         settings['bags'] = [str(bag) for bag in arguments.bags]
     from bellows_ros.workflows.structures import structures
 
     with console.progress() as progress:
         result = structures(settings, progress)
-    put_json(arguments.json, result.as_json(), console)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        _say(result, console)
-        console.wrote(arguments.json)
+    options.put_json(arguments.json, result.as_json(), console)
+    _say(result, console)
+    console.wrote(arguments.json)
     return OK
 
 

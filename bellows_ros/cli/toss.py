@@ -134,8 +134,6 @@ def _say_aim(result: 'TossResult', console: Console) -> None:
 
 def _say_budget(result: 'TossResult', console: Console) -> None:
     """Print what contributes how much, and what to fix first."""
-    from .words import aligned
-
     groups = result.groups()
     if not groups:
         console.paragraph(
@@ -147,8 +145,7 @@ def _say_budget(result: 'TossResult', console: Console) -> None:
     rows += [
         (g.name, _amount(g), f'{MILLI * g.metres:.2f} mm', f'{math.degrees(g.radians):.2f} deg')
         for g in groups]
-    for line in aligned(rows, right=True):
-        console.say(f'  {line}')
+    console.table(rows, right=True)
     console.say()
     console.paragraph(what_to_fix(result))
 

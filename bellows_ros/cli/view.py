@@ -2,18 +2,10 @@
 
 import argparse
 
+from bellows_ros.errors import BellowsError
+
+from . import options
 from .console import Console, OK
-from .options import (
-    add_bag_argument,
-    add_json_option,
-    add_parameter_options,
-    add_span_options,
-    given_parameters,
-    Output,
-    put_json,
-    STDOUT,
-    warn_of_thesis_cup,
-)
 
 DESCRIPTION = (
     'Replay a recording and show tool, cup and package (predicted, and measured as an outline), '
@@ -29,45 +21,37 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_bag_argument(parser)
-    add_parameter_options(parser)
-    add_span_options(parser)
+    options.add_bag_argument(parser)
+    options.add_parameter_options(parser)
+    options.add_span_options(parser)
     parser.add_argument(
-        '--out', metavar='FILE', default='', type=Output,
+        '--out', metavar='FILE', default='', type=options.Output,
         help='write an .rrd file and open no window'
     )
-    add_json_option(parser, 'the scores')
+    options.add_json_option(parser, 'the scores')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Replay, then show or write."""
     from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-    from bellows_ros.plots.viewer import open_view, require_viewer, write_view
+    from bellows_ros.plots.viewer import ENDING, open_view, require_viewer, write_view
     from bellows_ros.workflows.plot import replayed
 
-    values = given_parameters(arguments)
+    values = options.given_parameters(arguments)
     settings = resolve(values, PACKAGE_PARAMETERS)
-    _require_ending(arguments.out)
+    if arguments.out and not arguments.out.lower().endswith(ENDING):
+        raise BellowsError(f"--out '{arguments.out}' must end in {ENDING}.")
     require_viewer()
     with console.progress() as progress:
         shown = replayed(arguments.bag, settings, progress)
         if arguments.out:
             progress('writing')
             write_view(arguments.out, shown, str(arguments.bag))
-    put_json(arguments.json, shown.live.as_json(), console)
-    with console.results_to_stderr(arguments.json == STDOUT):
-        warn_of_thesis_cup(values, console)
-        if arguments.out:
-            console.say(f'Wrote {arguments.out}. Open it with:')
-            console.say(f'  rerun {arguments.out}')
+    options.put_json(arguments.json, shown.live.as_json(), console)
+    options.warn_of_thesis_cup(values, console)
+    if arguments.out:
+        console.say(f'Wrote {arguments.out}. Open it with:')
+        console.say(f'  rerun {arguments.out}')
     if not arguments.out:
         open_view(shown, str(arguments.bag))
     return OK
-
-
-def _require_ending(out: str) -> None:
-    """Refuse a name that is none of Rerun's, before any work."""
-    from bellows_ros.errors import BellowsError
-
-    if out and not out.lower().endswith('.rrd'):
-        raise BellowsError(f"--out '{out}' must end in .rrd.")

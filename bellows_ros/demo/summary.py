@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from bellows_ros.cli.words import aligned, cup_table, percent
+from bellows_ros.cli.console import aligned, percent
+from bellows_ros.cli.identify import cup_table
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.residuals import AXES, Scores
 import numpy as np

@@ -2,7 +2,7 @@
 
 import os
 
-from bellows_ros.cli.words import aligned
+from bellows_ros.cli.console import aligned
 import pytest
 
 ROWS = [['axis', *(f'column {k}' for k in range(8))]] + [
