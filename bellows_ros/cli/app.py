@@ -40,25 +40,26 @@ from .console import (
 
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
-        'info': 'list the topics of a recording, and find which is the tool',
-        'identify': "find a cup's stiffness and damping in recordings",
-        'structures': 'say what is identifiable from recordings, and which structure to take',
-        'static': "find the cup's nominal length in standstills, and check its spring alone",
-        'replay': 'predict a recording with a cup, and say what the cup is worth',
-        'compare': 'say what differs between two fits, and whether it matters',
-        'report': 'write a page with plots on a fit',
-        'plan': 'say what a planned motion does to the package, and if it holds',
+        'info': 'list the topics of a recording, and guess which is the tool',
+        'identify': "identify a cup's stiffness and damping from recordings",
+        'structures': 'report what is identifiable from recordings, and recommend a structure',
+        'static': "find the cup's nominal length from standstills, and check its spring alone",
+        'replay': 'predict a recording with a cup, and report how well it does',
+        'compare': 'report what differs between two fits, and whether it matters',
+        'report': 'write a page with plots of a fit',
+        'plan': 'predict what a planned motion does to the package, and if it holds',
         'steer': 'change a planned motion so that the package does not swing',
-        'toss': 'predict where a tossed package lands, and what to fix first',
-        'excite': 'design a motion from which a cup is found best',
-        'simulate': 'make a recording of a known cup',
+        'toss': 'predict where a tossed package lands, and what limits the accuracy',
+        'excite': 'design a motion that identifies a cup best',
+        'simulate': 'simulate a recording of a known cup',
         'plot': 'draw recordings, fits and predictions',
-        'view': 'show a replay in the viewer Rerun, or write it for that',
+        'view': 'show a replay in the viewer Rerun, or write it to a file',
         'play': 'play the poses and twists of a recording to ROS',
-        'convert': 'make recordings of files of Motive, TUM, EuRoC or KITTI, of joints or of tf',
+        'convert': 'make recordings from files of Motive, TUM, EuRoC or KITTI, from joints or '
+                   'tf',
         'export': 'write a cup for MuJoCo, Drake, SDF or OpenPLX, or as C',
         'parameters': 'list all parameters, or write a parameter file to fill in',
-        'completion': 'complete commands and options in the shell',
+        'completion': 'print a script that completes commands and options in the shell',
     }
 )
 
@@ -87,7 +88,7 @@ class Parser(argparse.ArgumentParser):
         for word in (word.partition('=')[0] for word in self._words):
             near = difflib.get_close_matches(word, options, n=1)
             if word.startswith('--') and word not in options and near:
-                message = f"'{word}' is no option. Did you mean '{near[0]}'?"
+                message = f"'{word}' is not an option. Did you mean '{near[0]}'?"
         self.exit(USER_ERROR, f'{self.prog}: {message}\nSee {self.prog} --help.\n')
 
 
@@ -119,10 +120,10 @@ def main(args: Sequence[str] | None = None) -> int:
         console.error(str(error))
         return error.exit_code
     except KeyboardInterrupt:
-        console.note('Interrupted; nothing is half done.')
+        console.note('Interrupted; nothing was left half done.')
         return INTERRUPTED
     except Ended as end:
-        console.note(f'Ended by {end.name}; nothing is half done.')
+        console.note(f'Ended by {end.name}; nothing was left half done.')
         return end.exit_code
     except BrokenPipeError:  # whoever reads the output has had enough
         _silence_stdout()
@@ -155,7 +156,7 @@ def _refuse(arguments: list[str]) -> NoReturn:
     first = arguments[0]
     near = difflib.get_close_matches(first, COMMANDS, n=1)
     hint = f"Did you mean '{near[0]}'?" if near else f'There are: {", ".join(COMMANDS)}.'
-    parser.error(f"'{first}' is no command. {hint}")
+    parser.error(f"'{first}' is not a command. {hint}")
 
 
 def _top_parser() -> Parser:

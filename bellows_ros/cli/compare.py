@@ -1,4 +1,4 @@
-"""`bellows compare`: what differs between two fits, and whether it matters."""
+"""`bellows compare`: differences between two fits, and whether they matter."""
 
 import argparse
 import math
@@ -13,24 +13,26 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.compare import Comparison
 
 DESCRIPTION = (
-    'Compare two results of bellows identify: what has changed, in percent and in standard '
-    'errors, whether that can be chance, and what it changes in the predicted motion.'
+    'Compare two results of bellows identify: the change of each parameter, in percent and in '
+    'standard errors, whether it is significant, and its effect on the predicted motion.'
 )
 EXAMPLES = (
-    ('bellows compare monday.json friday.json', 'has the cup aged?'),
+    ('bellows compare monday.json friday.json', 'check whether the cup has aged'),
     ('bellows compare small.json large.json --json comparison.json',
-     'with all figures in a file'),
+     'write all figures to a file'),
 )
-FOUND = 'something has changed that matters'
+FOUND = 'a change matters'
 SHOWN = 60  # characters of a setting
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        'before', metavar='FIT_A', type=Path, help='result file, as bellows identify --json writes'
+        'before', metavar='FIT_A', type=Path, help='result file, written by bellows identify '
+                                                   '--json'
     )
-    parser.add_argument('after', metavar='FIT_B', type=Path, help='the other one')
+    parser.add_argument('after', metavar='FIT_B', type=Path, help='the result file to compare '
+                                                                  'it with')
     options.add_json_option(parser, 'the comparison')
 
 
@@ -50,7 +52,7 @@ def _say(result: 'Comparison', console: Console) -> None:
     console.say(f'{result.paths[0]} (A) and {result.paths[1]} (B)', 'bold')
     for title, changes in (
         ('Parameters', result.fits.parameters),
-        ('What the cup does with the package of A', result.fits.effects),
+        ('Motion of the package of A on each cup', result.fits.effects),
     ):
         console.say()
         console.say(f'{title}:')
@@ -87,13 +89,13 @@ def _change_rows(changes: 'tuple[Change, ...]') -> list[tuple[str, ...]]:
 
 
 def verdict(result: 'Comparison') -> list[str]:
-    """Return in sentences what has changed and whether it matters."""
+    """Return the changes and whether they matter, as sentences."""
     fits = result.fits
     lines = []
     if result.shared:
         lines.append(
-            f'Both fits have used {listed(list(result.shared))}: they are not independent, and '
-            'standard errors and probabilities do not hold.'
+            f'Both fits used {listed(list(result.shared))}: they are not independent, and the '
+            'standard errors and probabilities do not apply.'
         )
     marked = [f'{change.name} ({change.percent:+.2g} %)'
               for change in fits.parameters if change.significant]
@@ -102,22 +104,23 @@ def verdict(result: 'Comparison') -> list[str]:
     lines.append(
         f'The parameters together differ by more than their standard errors explain ({chance}).'
         if fits.significant else
-        f'The standard errors explain how the parameters together differ ({chance}).'
+        f'The standard errors explain the difference of the parameters together ({chance}).'
     )
     if marked:
-        lines.append(f'* These parameters differ by more than chance: {listed(marked)}.')
+        lines.append(f'* Significant difference: {listed(marked)}.')
     shift, turn = 1e3 * fits.shake_rms[:3].max(), 1e3 * fits.shake_rms[3:].max()
     lines.append(
-        'Under a shake of 3 Hz (5 mm, 50 mrad) the predicted motions differ by '
-        f'{shift:.2g} mm and {turn:.2g} mrad RMS.'
+        f'In a shake of 3 Hz (5 mm, 50 mrad) the predicted motions differ by {shift:.2g} mm and '
+        f'{turn:.2g} mrad RMS.'
     )
     large = [e.name for e in fits.effects if e.matters and e.significant]
     if large:
         lines.append(f'Large enough to matter: {listed(large)}.')
     if fits.open_effects:
         lines.append(
-            f'Large enough to matter, but within the standard errors: '
-            f'{listed([e.name for e in fits.open_effects])}. Record a motion that excites it more.'
+            'Large enough to matter, but within the standard errors: '
+            f'{listed([e.name for e in fits.open_effects])}. Record a motion that excites these '
+            'more.'
         )
     lines.append(_conclusion(fits))
     return lines
@@ -126,12 +129,12 @@ def verdict(result: 'Comparison') -> list[str]:
 def _conclusion(fits: 'FitComparison') -> str:
     """Return whether it matters."""
     if not fits.matters:
-        return ('No significant difference: what has changed is within the standard errors, or '
-                'too small to be seen.')
+        return ('No significant difference: the changes are within the standard errors, or too '
+                'small to matter.')
     if fits.shake_matters:
-        return 'It matters: do not take one for the other.'
-    return ('It matters for motions that excite what is named; under the shake of 3 Hz it would '
-            'not be seen.')
+        return 'The difference matters: do not exchange the two cups.'
+    return ('The difference matters for motions that excite the modes named above; the shake of '
+            '3 Hz would not show it.')
 
 
 def _short(value: object) -> str:

@@ -11,14 +11,14 @@ from .console import Console, OK
 
 DESCRIPTION = (
     'Print a script for bash or zsh that completes commands, options, files, and the names of '
-    'parameters behind --set.'
+    'parameters after --set.'
 )
 EXAMPLES = (
     ('source <(bellows completion)', 'complete in this shell'),
     ('bellows completion bash > ~/.local/share/bash-completion/completions/bellows',
-     'complete in every bash from now on'),
+     'complete in every bash'),
     ('bellows completion zsh > ~/.zfunc/_bellows',
-     'complete in every zsh; ~/.zshrc has fpath+=~/.zfunc before compinit'),
+     'complete in every zsh; needs fpath+=~/.zfunc before compinit in ~/.zshrc'),
 )
 
 BASH = """# Completion of bellows {version} for bash; made by 'bellows completion bash'.

@@ -31,7 +31,7 @@ EXIT_CODES = """exit codes:
   0    done
   1    done, with a finding that scripts want to know; see the command
   2    something to put right: the message says what; nothing was written
-  130  interrupted with Ctrl-C, 143 ended by SIGTERM; nothing is half done
+  130  interrupted with Ctrl-C, 143 ended by SIGTERM; nothing is left half done
 """
 
 WIDTH = 79

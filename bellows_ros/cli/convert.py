@@ -14,19 +14,19 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.convert import Conversion
 
 DESCRIPTION = (
-    'Make a recording (rosbag2) of Motive CSV exports, of TUM, KITTI or EuRoC files, or of one '
-    'that has joint states or transforms instead of poses; or write the poses of a topic of a '
-    'recording as a TUM file, for evo and other tools.'
+    'Make a recording (rosbag2) with poses from Motive CSV exports, from TUM, KITTI or EuRoC '
+    'files, or from a recording with joint states or transforms. Or write the poses of one '
+    'topic of a recording to a TUM file, for evo and other tools.'
 )
 EXAMPLES = (
     ('bellows convert take.csv --out my_recording',
      'a Motive export: every rigid body becomes a topic'),
     ('bellows convert tool.tum box.tum --topic /tool_arm/pose --topic /package/pose \\\n'
-     '      --out my_recording', 'two TUM trajectories, with the topics they get'),
+     '      --out my_recording', 'two TUM trajectories, and a topic for each'),
     ('bellows convert bags/validation --topic /package/pose --out package.tum',
      'poses of a recording as text'),
     ('bellows convert arm_bag --tool-link tool0 --urdf arm.urdf --out with_tool_poses',
-     'joint states to poses of the tool; without a URDF, and without /robot_description, /tf'),
+     'joint states to tool poses; the URDF defaults to /robot_description, else /tf is used'),
     ('bellows convert tf_bag --tool-frame tool0 --package-frame box --out with_poses',
      'transforms to poses of tool and package'),
 )
@@ -36,24 +36,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
         'sources', metavar='SOURCE', nargs='+', type=Path,
-        help='Motive or EuRoC .csv, TUM or KITTI .tum, .kitti or .txt; or one recording, to write '
-        'a TUM file or, with --tool-link or --tool-frame, one with poses',
+        help='Motive or EuRoC .csv, TUM or KITTI .tum, .kitti or .txt; or one recording, to '
+             'write a TUM file or, with --tool-link or --tool-frame, a recording with poses',
     )
     parser.add_argument(
         '--out', metavar='NAME', required=True, type=options.Folder,
-        help='recording to make; or, from a recording, a file that ends in .tum or .txt',
+        help='recording to write; from a recording also a file that ends in .tum or .txt',
     )
     parser.add_argument(
         '--topic', metavar='TOPIC', action='append', default=[],
-        help='topic of a source, in their order (default: /NAME/pose); of a recording, which '
-        'topic to write',
+        help='topic for each source, in the same order (default: /NAME/pose); for a recording, '
+             'the topic to write',
     )
     parser.add_argument(
         '--markers', metavar='N', type=int, default=3,
-        help='leave out poses of Motive for which fewer markers were seen (default: 3)',
+        help='leave out poses of Motive with fewer visible markers than this (default: 3)',
     )
     parser.add_argument(
-        '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='of the recording made'
+        '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='storage of the '
+                                                                       'recording'
     )
     options.add_force_option(parser)
     options.add_span_options(parser)
@@ -64,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             help=f'frame of {what} in the transforms (/tf, /tf_static) of a recording')
     parser.add_argument(
         '--world-frame', metavar='FRAME', default='',
-        help='frame in which both are wanted; the farthest one above the tool when left out')
+        help='frame of the poses to write (default: the farthest frame above the tool)')
     options.add_json_option(parser, 'what was converted')
 
 
@@ -88,10 +89,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         elif arguments.tool_frame or arguments.package_frame:
             if not (arguments.tool_frame and arguments.package_frame):
                 raise BellowsError(
-                    'Transforms become poses of tool and package: give --tool-frame and '
-                    '--package-frame. Of the tool alone: --tool-link.')
+                    '--tool-frame and --package-frame go together. Give both; for the tool '
+                    'alone, use --tool-link.')
             if len(arguments.sources) > 1:
-                raise BellowsError('One recording is converted: give one.')
+                raise BellowsError('Only one recording can be converted. Give one.')
             done = transforms_to_bag(
                 arguments.sources[0], arguments.out, arguments.tool_frame,
                 arguments.package_frame, arguments.world_frame, arguments.topic,
@@ -109,7 +110,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     options.put_json(arguments.json, done.as_json(), console)
     _say(done, console)
     if not done.out.lower().endswith(TEXT_ENDINGS):
-        console.say('Next, see what is in it:')
+        console.say('Next, check the recording:')
         console.say(f'  bellows info {done.out} --write-params my_cell.yaml')
     return OK
 
@@ -117,7 +118,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 def _require_one(arguments: argparse.Namespace) -> None:
     """Refuse to write one file from several recordings."""
     if len(arguments.sources) > 1 or len(arguments.topic) > 1:
-        raise BellowsError('One trajectory is written: give one recording and one --topic.')
+        raise BellowsError('Only one trajectory can be written. Give one recording and one '
+                           '--topic.')
 
 
 def _require_text(arguments: argparse.Namespace) -> None:
@@ -125,9 +127,9 @@ def _require_text(arguments: argparse.Namespace) -> None:
     for source in arguments.sources:
         if os.path.isdir(source) or source.suffix in ('.mcap', '.db3'):
             raise BellowsError(
-                f"'{source}' is a recording already. To write its poses as text, give --out a "
-                'name that ends in .tum; to make tool poses of its joints or transforms, name the '
-                'link of the tool: --tool-link LINK.'
+                f"'{source}' is already a recording. To write its poses as text, give --out a "
+                'name that ends in .tum. To make tool poses from its joints or transforms, name '
+                'the link of the tool: --tool-link LINK.'
             )
 
 

@@ -1,4 +1,4 @@
-"""`bellows excite`: a motion for an arm that tells a cup best."""
+"""`bellows excite`: design the motion that identifies a cup best."""
 
 import argparse
 from pathlib import Path
@@ -11,18 +11,20 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.excite import Excitation
 
 DESCRIPTION = (
-    'Design a motion of the tool, within the limits of an arm, the cup and the grip, from which '
-    'stiffness and damping are found best; say which standard errors to expect of a recording.'
+    'Design the motion of the tool that identifies stiffness and damping best, within the '
+    'limits of the arm, the cup and the grip. Report the standard errors to expect from a '
+    'recording of it.'
 )
 EXAMPLES = (
     ('bellows excite --params bags/cup.yaml --limits config/limits_example.yaml --time 20 \\\n'
-     '      --out motion', 'a motion of 20 s for a cup that is guessed, as a plan in a recording'),
+     '      --out motion', 'a motion of 20 s, based on a guess of the cup, written as a plan in '
+                           'a recording'),
     ('bellows excite --params cup_guess.yaml --limits arm.yaml --time 30 --out motion \\\n'
      '      --urdf arm.urdf --tool-link tool0 --urscript motion.script --plot motion.png',
-     "within the joints' ranges and speeds, for an arm of Universal Robots, with a picture"),
+     'within the ranges and speeds of the joints of a Universal Robots arm, with a picture'),
     ('bellows excite --params bags/cup.yaml --limits config/limits_example.yaml --time 20 \\\n'
      '      --out motion --beside bags/identification.yaml',
-     'what it tells beside another motion'),
+     'compare it with another motion'),
 )
 
 
@@ -31,12 +33,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_parameter_options(parser)
     parser.add_argument(
         '--limits', metavar='FILE', required=True, type=Path,
-        help='what the arm may do, and how both bodies are tracked (YAML); '
-        'config/limits_example.yaml explains every setting',
+        help='limits of the arm, and noise and rates of the tracking (YAML); '
+             'config/limits_example.yaml explains every setting',
     )
     parser.add_argument(
         '--time', metavar='S', required=True, type=float,
-        help='of the motion, s: 2 s of rest, and ramps of 1 s at both ends of the rest of it',
+        help='total duration, s: 2 s of standstill, then the motion with ramps of 1 s at both '
+             'ends',
     )
     parser.add_argument(
         '--out', metavar='BAG', required=True, type=options.Folder,
@@ -44,26 +47,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--csv', metavar='FILE', default='', type=options.Output,
-        help='write the motion as text, too: EuRoC columns with velocities, 1000 lines per second',
+        help='also write the motion as text: EuRoC columns with velocities, 1000 lines per '
+             'second',
     )
     parser.add_argument(
         '--urscript', metavar='FILE', default='', type=options.Output,
-        help='write it as a program for an arm of Universal Robots, too',
+        help='also write it as a program for a Universal Robots arm',
     )
     options.add_plot_option(parser, '.png, .svg or .pdf')
     parser.add_argument(
         '--beside', metavar='PLAN', action='append', default=[], type=Path,
-        help='compare with another motion, a plan as of bellows plan; may be repeated. Of these '
-        'are --from and --to',
+        help='compare with another motion, a plan as for bellows plan; may be repeated. --from '
+             'and --to apply to these',
     )
     options.add_span_options(parser, '0')
     parser.add_argument(
         '--series', action='store_true',
-        help='write all that is to be recorded of a new cup into the folder --out: standstills, '
-        'this motion, and one to validate with; say what each tells',
+        help='write everything to record for a new cup into the folder --out: standstills, this '
+             'motion, and one for validation; report what each identifies',
     )
     parser.add_argument(
-        '--seed', metavar='N', type=int, default=0, help='another one gives another motion')
+        '--seed', metavar='N', type=int, default=0, help='seed of the random start; another '
+                                                         'seed gives another motion')
     options.add_force_option(parser)
     options.add_arm_options(parser)
     options.add_json_option(parser, 'what to expect')

@@ -1,4 +1,4 @@
-"""`bellows export`: a cup for a simulator, with a word on what gets lost."""
+"""`bellows export`: a cup for a simulator, and what the format cannot express."""
 
 import argparse
 from pathlib import Path
@@ -8,12 +8,12 @@ from .console import Console, OK
 
 DESCRIPTION = (
     'Write a cup and its package as a model for MuJoCo (MJCF), Drake, OpenPLX or any simulator '
-    'that reads SDF, or as a header in C, and say what the format cannot express.'
+    'that reads SDF, or as a header in C, and list what the format cannot express.'
 )
 EXAMPLES = (
     ('bellows export cup.yaml --to mjcf --out cup.xml', 'six joints for MuJoCo'),
     ('bellows export cup.yaml --to drake --out cup.sdf', 'a roll-pitch-yaw bushing for Drake'),
-    ('bellows export cup.yaml --to c --out cup.h', 'step, rest and safety factor in C'),
+    ('bellows export cup.yaml --to c --out cup.h', 'step, equilibrium and safety factor in C'),
 )
 FORMATS = ('mjcf', 'drake', 'sdf', 'openplx', 'c')
 
@@ -25,12 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--set', metavar='NAME=VALUE', action='append', default=[], dest='overrides',
-        help='set one parameter, over those of the file; may be repeated',
+        help='set one parameter, overriding the file; may be repeated',
     )
     parser.add_argument(
         '--to', choices=FORMATS, required=True,
-        help='mjcf: MuJoCo; drake: SDF with a bushing of Drake; sdf: joints in a row; openplx: '
-        'SixDofSuctionCup; c: a header in C11',
+        help='mjcf: MuJoCo; drake: SDF with a Drake bushing; sdf: joints in series; openplx: '
+             'SixDofSuctionCup; c: a header in C11',
     )
     parser.add_argument(
         '--out', metavar='FILE', required=True, type=options.Output, help='model to write')
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Write the model, and say what is lost."""
+    """Write the model, and list what is lost."""
     from bellows_ros.core.holding import grip_of
     from bellows_ros.core.model import cup_of, package_of
     from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve

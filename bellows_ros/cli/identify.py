@@ -23,25 +23,25 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.release import ReleaseResult
 
 DESCRIPTION = (
-    'Find the stiffness K and the damping P of a cup in recordings of the tool arm and of the '
-    "package it holds. The parameter file says what is known (the package, the cup's length, the "
-    'topics), how to fit, and what else to look at: standstills, other recordings to '
-    'validate on, the structures compared. With --summary-out one recording is only reduced to '
-    'what least squares needs of it, anywhere and by any scheduler; --summaries fits all of them '
-    'by least squares. With '
-    '--release the cup is known, and the valve is found from recordings of tosses.'
+    'Identify the stiffness K and damping P of a cup from recordings of the tool arm and the '
+    "package. The parameter file gives the known quantities (the package, the cup's length, the "
+    'topics), the method, and optional inputs: standstills, recordings for validation, a '
+    'comparison of structures. --summary-out only reduces one recording to its sufficient '
+    'statistics for least squares, anywhere and with any scheduler; --summaries fits all of '
+    'them by least squares. --release takes the cup as known and identifies the valve from '
+    'recordings of tosses.'
 )
 EXAMPLES = (
     ('bellows identify bags/identification --params bags/package.yaml \\\n'
      '      --out cup.yaml --json fit.json',
-     'identify a cup; cup.yaml is what the predictor takes, fit.json has all figures'),
+     'identify a cup; cup.yaml is for the predictor, fit.json contains all figures'),
     ('bellows identify first second --params my_cell.yaml --set fit.structure=full',
-     'from two recordings, without the symmetry of a round cup; only show the result'),
+     'from two recordings, without the symmetry of a round cup; only print the result'),
     ('bellows identify recordings/* --params my_cell.yaml --jobs -1 --out cup.yaml',
      'from hundreds of recordings, on all cores'),
     ('bellows identify recording --params my_cell.yaml --set static.bags=m05,m10,m15 \\\n'
      '      --set static.files=m05.yaml,m10.yaml,m15.yaml --set static.length=true',
-     'with standstills under three masses, from which the nominal length is found, too'),
+     'with standstills under three masses, which also give the nominal length'),
     ('bellows identify recording --params my_cell.yaml --json - | jq .stiffness',
      'use the result in a script'),
     ('parallel bellows identify {} --params cell.yaml --summary-out {/}.npz ::: bags/*',
@@ -49,7 +49,7 @@ EXAMPLES = (
     ('bellows identify --summaries *.npz --out cup.yaml --json fit.json',
      'fit a cup to all of them'),
     ('bellows identify tosses --release --params bags/tossing.yaml --out release.yaml',
-     'find delay, tau and blow-off of the valve, and how well they repeat'),
+     'identify delay, tau and blow-off of the valve, and their scatter'),
 )
 
 
@@ -69,35 +69,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_report_option(parser)
     parser.add_argument(
         '--typical', metavar='PLAN', default=None, type=Path,
-        help='say first how well the cup predicts this motion of yours, a plan as of bellows '
-        'plan, and what to record again to better it',
+        help='report first how well the cup predicts this motion of yours, a plan as for '
+             'bellows plan, and what to record to improve it',
     )
     parser.add_argument(
         '--force', action='store_true',
-        help='write the cup file of a cup that is refused, too; its header says so',
+        help='also write the cup file of a refused cup; its header says so',
     )
     parser.add_argument(
         '--jobs', metavar='N', type=int, default=None,
-        help='read N recordings at a time, -1 for one per core (extra parallel); one that cannot '
-        'be used is then reported and left out',
+        help='read N recordings in parallel, -1 for one per core (extra parallel); unusable '
+             'recordings are then reported and left out',
     )
     parser.add_argument(
         '--dask', metavar='ADDRESS', default='',
-        help='let the workers of a Dask scheduler read them instead (extra dask), for example '
-        'tcp://host:8786; they must see the recordings under the same paths',
+        help='read them on the workers of a Dask scheduler instead (extra dask), for example '
+             'tcp://host:8786; the workers must see the recordings under the same paths',
     )
     parser.add_argument(
         '--summary-out', metavar='FILE', default='', type=options.Output,
-        help='only reduce the recording to what a fit needs of it, written here (.npz)',
+        help='only reduce the recording to its sufficient statistics, written here (.npz)',
     )
     parser.add_argument(
         '--summaries', metavar='FILE', nargs='+', default=[], type=Path,
-        help='fit a cup to recordings that --summary-out has reduced, instead of BAG',
+        help='fit a cup to files written by --summary-out, instead of BAG',
     )
     parser.add_argument(
         '--release', action='store_true',
-        help='find release.* instead, from tosses with the cup that the parameters describe; the '
-        "valve is on 'topics.valve'",
+        help='identify release.* instead, from tosses with the cup given by the parameters; the '
+             "valve is on 'topics.valve'",
     )
 
 
@@ -135,7 +135,7 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
     others = ('summaries', 'summary_out', 'report', 'jobs', 'dask')
     given = [f'--{name.replace("_", "-")}' for name in others if getattr(arguments, name)]
     if given:
-        raise BellowsError(f'--release does not go with {", ".join(given)}. Leave it out.')
+        raise BellowsError(f'--release cannot be combined with {", ".join(given)}. Leave it out.')
     from bellows_ros.files.parameter_files import write_parameters
     from bellows_ros.workflows.release import identify_release
 
@@ -167,10 +167,11 @@ def _say_release(result: 'ReleaseResult', console: Console) -> None:
     console.say()
     if fit.delay == fit.delay:
         console.paragraph(
-            f'From toss to toss the cup lets go within {milli * fit.delay_scatter:.2f} ms (one '
-            f'sigma) of what valve and load say; at the {result.speed:.2f} m/s of the '
-            f'fastest that is {milli * fit.delay_scatter * result.speed:.1f} mm along the flight.')
-    console.paragraph(f'chi2 per pose: {result.chi2:.2f}; 1 where model and noise are right.')
+            'From toss to toss, the time at which the cup lets go scatters by '
+            f'{milli * fit.delay_scatter:.2f} ms (one sigma) about the prediction from valve and '
+            f'load; at {result.speed:.2f} m/s, the fastest release, that is '
+            f'{milli * fit.delay_scatter * result.speed:.1f} mm along the flight.')
+    console.paragraph(f'chi2 per pose: {result.chi2:.2f} (1 if model and noise are right).')
     for warning in result.warnings:
         console.warn(warning)
 
@@ -238,13 +239,12 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.summaries:
         if settings.get('bags') or arguments.summary_out:
             raise BellowsError(
-                '--summaries are fitted instead of recordings: give neither a BAG nor '
-                '--summary-out with them.'
+                '--summaries replace the recordings: leave out BAG and --summary-out.'
             )
         return settings
     if not settings.get('bags'):
         raise BellowsError(
-            'No recording is given. Name one or more: bellows identify BAG ... --params FILE, '
+            'No recording is given. Name one or more (bellows identify BAG ... --params FILE), '
             "or set the parameter 'bags'."
         )
     from bellows_ros.core.parameters import RECORDING_PARAMETERS, resolve
@@ -361,10 +361,10 @@ def _say_files(
     if not usable:
         kept = f'{cup_file} was not written' if cup_file else 'do not use it'
         if written and cup_file:
-            kept = f'{cup_file} was written all the same, as --force says'
+            kept = f'{cup_file} was written because of --force'
         console.paragraph(f'This cup is refused: {kept}.', 'red')
     elif cup_file:
-        console.say(f'Wrote {cup_file}. Next, see how well it predicts another recording:')
+        console.say(f'Wrote {cup_file}. Next, check how well it predicts another recording:')
         console.say(f'  bellows replay BAG --params {cup_file}')
     else:
         console.say('The cup was not written to a file; give --out cup.yaml to keep it.')

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.info import Info, TopicInfo
 
 DESCRIPTION = (
-    'List the topics of a recording with their rates, gaps and jitter, say which one is probably '
-    'the tool and which the package, and why; write a parameter file for it.'
+    'List the topics of a recording with their rates, gaps and jitter. Guess which is the tool '
+    'and which the package, and explain why. Write a parameter file for the recording.'
 )
 EXAMPLES = (
-    ('bellows info bags/identification', 'what is in a recording'),
+    ('bellows info bags/identification', 'list and check the contents of a recording'),
     ('bellows info recording --write-params my_cell.yaml',
-     'a parameter file with its topics; only the package is to be filled in'),
-    ('bellows info recording --json - | jq .settings', 'the same for a script'),
+     'write a parameter file with its topics; fill in only the package'),
+    ('bellows info recording --json - | jq .settings', 'use the settings in a script'),
 )
 WORLDS = {
     'z_up': 'z up (recording.world: z_up)',
@@ -47,8 +47,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Look, write, report."""
     if arguments.write_params and os.path.exists(arguments.write_params) and not arguments.force:
         raise BellowsError(
-            f"Parameter file '{arguments.write_params}' exists. Give another name, or --force to "
-            'replace it with all that was filled in.')
+            f"Parameter file '{arguments.write_params}' exists. Give another name, or overwrite "
+            'it with --force; its entries are then lost.')
     from bellows_ros.files.atomic import write_text
     from bellows_ros.workflows.info import info
 
@@ -132,5 +132,5 @@ def parameter_file(found: 'Info') -> str:
     from .parameters import template_with
 
     open_ones: list[Any] = [PARAMETERS[name] for name in UNKNOWN]
-    header = [f'How to read {found.path}, as bellows info found it; look through it.']
+    header = [f'How to read {found.path}, as found by bellows info; check it.']
     return template_with(open_ones, found.settings, header)

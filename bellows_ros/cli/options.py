@@ -18,56 +18,57 @@ if TYPE_CHECKING:
 
 STDOUT = '-'
 INPUTS = ('bags', 'validation.bags', 'static.bags', 'static.files', 'package.files')
-"""Parameters that name what is read."""
+"""Parameters that name inputs."""
 
 SPAN = {'from': 'recording.start', 'to': 'recording.end'}
 """The parameters that options for a part of a recording set."""
 
-THESIS_CUP = 'cup.stiffness is not set: this is the cup of the thesis, (4.78, 4.79).'
+THESIS_CUP = 'cup.stiffness is not set: using the cup of the thesis, (4.78, 4.79).'
 
 
 class Output(str):
-    """The name of a file that a command writes; what it reads is a Path."""
+    """The name of a file to write; inputs are a Path."""
 
 
 class Folder(Output):
-    """The name of a folder that a command makes."""
+    """The name of a folder to write."""
 
 
 BAG = 'recording: a rosbag2 folder, or a .mcap or .db3 file'
 
 
 def add_bag_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the recording that a command is about."""
+    """Add the recording as a positional argument."""
     parser.add_argument('bag', metavar='BAG', type=Path, help=BAG)
 
 
 def add_bags_argument(parser: argparse.ArgumentParser, parameter: str = 'bags') -> None:
-    """Add the recordings that a command is about; where none is given, a parameter names them."""
+    """Add the recordings as positional arguments; without any, a parameter names them."""
     parser.add_argument(
         'bags', metavar='BAG', nargs='*', type=Path,
-        help=f"{BAG}; over the parameter '{parameter}'")
+        help=f"{BAG}; overrides the parameter '{parameter}'")
 
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
     """Add --params and --set."""
     parser.add_argument(
         '--params', metavar='FILE', action='append', default=[], type=Path,
-        help='parameter file (YAML, as ROS nodes take it); may be repeated, later ones prevail',
+        help='parameter file (YAML, as for ROS nodes); may be repeated, later files override '
+             'earlier ones',
     )
     parser.add_argument(
         '--set', metavar='NAME=VALUE', action='append', default=[], dest='overrides',
-        help='set one parameter, over those of the files; may be repeated. '
-        "All of them, with units and defaults: 'bellows parameters'",
+        help="set one parameter, overriding the files; may be repeated. 'bellows parameters' "
+             'lists all, with units and defaults',
     )
 
 
 def add_span_options(parser: argparse.ArgumentParser, default: str = '') -> None:
-    """Add --from and --to, which set recording.start and recording.end, also when left out."""
+    """Add --from and --to, which set recording.start and recording.end, by default too."""
     for name, which in (('from', 'earlier'), ('to', 'later')):
         parser.add_argument(
             f'--{name}', metavar='S', dest=SPAN[name], default=default,
-            help=f'leave out what is {which}, in seconds from the start of what is read',
+            help=f'leave out data {which} than this, in s from the start of the data',
         )
 
 
@@ -82,7 +83,7 @@ def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
 def add_force_option(parser: argparse.ArgumentParser, what: str = 'a recording') -> None:
     """Add --force, which replaces what is there."""
     parser.add_argument(
-        '--force', action='store_true', help=f'replace {what} that is there already')
+        '--force', action='store_true', help=f'replace {what} that already exists')
 
 
 def add_report_option(parser: argparse.ArgumentParser) -> None:
@@ -101,8 +102,8 @@ def add_arm_options(parser: argparse.ArgumentParser) -> None:
     """Add --urdf and --tool-link."""
     parser.add_argument(
         '--urdf', metavar='FILE', type=Path,
-        help="the arm, where its joints are given; that on the recording's /robot_description "
-        'when left out',
+        help="URDF of the arm, if the source has joint positions; default: the recording's "
+             '/robot_description',
     )
     parser.add_argument(
         '--tool-link', metavar='LINK', default='', help='link of the arm at the tool tip E')
@@ -112,18 +113,18 @@ def require_free(bag: str, force: bool) -> None:
     """Refuse a recording that exists, unless it may be replaced."""
     if bag and os.path.exists(bag) and not force:
         raise BellowsError(
-            f"Output '{bag}' exists. Give another name, or --force to replace the recording."
+            f"Output '{bag}' exists. Give another name, or replace the recording with --force."
         )
 
 
 def warn_of_thesis_cup(values: 'Mapping[str, Any]', console: 'Console') -> None:
-    """Say so where the cup is not given."""
+    """Warn if the cup is not given."""
     if 'cup.stiffness' not in values:
         console.warn(THESIS_CUP)
 
 
 def put_json(target: str, content: 'Mapping[str, Any]', console: 'Console') -> None:
-    """Write a result where --json says: to a file, to stdout, or nowhere."""
+    """Write a result to the target of --json: a file, stdout, or nowhere."""
     from bellows_ros.files.results import format_json, write_json
 
     if target == STDOUT:
@@ -141,8 +142,8 @@ def given_parameters(
     Parameters
     ----------
     arguments : Namespace
-        With `params`, files of which later ones prevail, and `overrides`, each 'name=value';
-        `tool_link`, where there is one, over both.
+        With `params`, files of which later ones override earlier ones, and `overrides`, each
+        'name=value'; `tool_link`, if there is one, overrides both.
     node : str, optional
         Only what a file holds for this node.
 
@@ -264,8 +265,8 @@ def require_outputs(outputs: 'Iterable[str]', inputs: 'Iterable[str | Path]') ->
         if any(target == other or other in target.parents
                for other in [*targets[:i], *targets[i + 1:]]):
             raise BellowsError(
-                f"Two outputs have the same name, or one lies in the other: '{target}'. Give "
-                'another name to one.')
+                f"Two outputs have the same name, or one lies in the other: '{target}'. Rename "
+                'one.')
 
 
 def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] = ()) -> None:

@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from bellows_ros.core.parameters import Parameter
 
 DESCRIPTION = (
-    'List the parameters of the nodes identifier and predictor, which parameter files and '
-    "'--set' of the other commands take too."
+    "List the parameters of the nodes identifier and predictor. Parameter files and '--set' of "
+    'the other commands take them too.'
 )
 EXAMPLES = (
     ('bellows parameters', 'all of them'),
-    ('bellows parameters filter fit', 'those whose names begin so'),
+    ('bellows parameters filter fit', 'parameters whose names begin with these words'),
     ('bellows parameters --yaml > my_cell.yaml', 'a parameter file to fill in'),
 )
 NOTHING = 'none'
@@ -29,9 +29,11 @@ EXAMPLE_LIST = "['recording']"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument('names', metavar='NAME', nargs='*', help='only names that begin so')
+    parser.add_argument('names', metavar='NAME', nargs='*', help='list only names that begin '
+                                                                 'with this')
     parser.add_argument(
-        '--yaml', action='store_true', help='as a parameter file with the defaults, to fill in'
+        '--yaml', action='store_true', help='print a parameter file with the defaults, to fill '
+                                            'in'
     )
     options.add_json_option(parser, 'the table')
 

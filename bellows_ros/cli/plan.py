@@ -12,15 +12,15 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.plan import PlanReport
 
 DESCRIPTION = (
-    'Predict what a planned motion of the tool does to the package before it moves: how firmly '
-    'the cup holds, how far it bends, how long the package swings afterwards, and how sure that '
-    'is. With --fastest, how short the motion can be.'
+    'Predict, before it moves, what a planned motion of the tool does to the package: how '
+    'firmly the cup holds, how far it bends, how long the package swings afterwards, and the '
+    'uncertainty of all these. With --fastest, find how short the motion can be.'
 )
 EXAMPLES = (
     ('bellows plan bags/transport.yaml --params bags/tossing.yaml --fastest',
-     'what a motion of simulate does, and the shortest time in which it is safe'),
+     'the effect of a motion for bellows simulate, and its shortest safe time'),
     ('bellows plan plan_bag --params cup.yaml --json plan.json --plot plan.png --out predicted',
-     'a recorded plan, with all figures, a picture, and tool and package as a recording'),
+     'a recorded plan, with all figures, a picture, and a recording of tool and package'),
     ('bellows plan moveit_bag --params cup.yaml --urdf arm.urdf --tool-link tool0',
      "a plan of an arm's joints"),
 )
@@ -33,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'the plan, and the package along it')
     parser.add_argument(
         '--fastest', action='store_true',
-        help='seek the shortest time in which the safety factor, less two standard deviations, '
-        'stays at safety.least',
+        help='find the shortest time in which the safety factor, less two standard deviations, '
+             'stays above safety.least',
     )
 
 
@@ -71,8 +71,8 @@ def _say(report: 'PlanReport', console: Console) -> None:
     if not report.warnings:
         known = any(report.values['envelope.rates'])
         console.say('The grip holds' + (
-            ', within what the fit has seen.' if known else
-            '. What the fit of the cup has seen is not known.'), 'green')
+            ', within the validity range.' if known else
+            '. The validity range of the cup is unknown.'), 'green')
 
 
 def figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:

@@ -1,4 +1,4 @@
-"""What the commands that are about a plan have in common: their options, and the order of work."""
+"""Options and order of work shared by the commands on plans."""
 
 import argparse
 from collections.abc import Callable, Mapping
@@ -12,15 +12,16 @@ from .console import Console, OK
 def add_plan_options(
     parser: argparse.ArgumentParser, numbers: str, picture: str, recording: str = ''
 ) -> None:
-    """Add a plan, how it is read, parameters, and outputs; what they hold in words."""
+    """Add the options for a plan, its parameters and its outputs."""
     parser.add_argument(
         'plan', metavar='PLAN', type=Path,
         help='a recording with a MultiDOFJointTrajectory, Path or JointTrajectory, with tool '
-        'poses, joint states or transforms; such a message or a motion of simulate as YAML; a TUM '
-        'or EuRoC file',
+             'poses, joint states or transforms; a YAML file with such a message or with a '
+             'motion for bellows simulate; or a TUM or EuRoC file',
     )
     parser.add_argument(
-        '--topic', metavar='TOPIC', default='', help='of the plan, where a recording has several')
+        '--topic', metavar='TOPIC', default='', help='topic of the plan, if the recording has '
+                                                     'several plans')
     options.add_span_options(parser, '0')  # a file may hold the part of another recording
     options.add_arm_options(parser)
     options.add_parameter_options(parser)
@@ -34,7 +35,7 @@ def add_plan_options(
 
 
 class Given(NamedTuple):
-    """What is given of a plan, as the workflows take it."""
+    """A plan on the command line, as the workflows take it."""
 
     path: Path
     values: Mapping[str, Any]

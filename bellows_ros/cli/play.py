@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from bellows_ros.nodes.bag_player import Played
 
 DESCRIPTION = (
-    'Play the poses and twists of a recording to ROS, in their time and as they were recorded: '
-    'what ros2 bag play does, for those who have ROS as wheels only. Needs rclpy.'
+    'Play the poses and twists of a recording to ROS, unchanged and at recorded speed, like '
+    'ros2 bag play where ROS comes from wheels only. Needs rclpy.'
 )
 EXAMPLES = (
     ('bellows play bags/validation --topic /tool_arm/pose --topic /tool_arm/twist',
      "the tool's messages, for a predictor that runs beside it"),
     ('bellows play bags/validation --stamps now --rate 0.5 --loop',
-     'for ever, at half the speed, stamped as if it happened now'),
+     'forever, at half the speed, with stamps of the current time'),
     ('bellows play recording --topic /mocap/tool/pose:=/tool_arm/pose',
      'one topic, under another name'),
 )
@@ -32,17 +32,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_span_options(parser)
     parser.add_argument(
         '--topic', metavar='TOPIC[:=NAME]', action='append', default=[], dest='topics',
-        help='topic to play, and the name to play it under; may be repeated (default: all that '
-        'have poses or twists)',
+        help='topic to play, and the name to play it under; may be repeated (default: all with '
+             'poses or twists)',
     )
     parser.add_argument(
         '--rate', metavar='R', type=float, default=1.0, help='times the recorded speed'
     )
     parser.add_argument(
         '--stamps', choices=('recorded', 'now'), default='recorded',
-        help='of the headers: as they were recorded, or as if it happened now',
+        help='stamps of the headers: as recorded, or the current time',
     )
-    parser.add_argument('--loop', action='store_true', help='begin again at the end, for ever')
+    parser.add_argument('--loop', action='store_true', help='start again at the end, forever')
     options.add_json_option(parser, 'what was played')
 
 
@@ -87,9 +87,9 @@ def _say(played: 'Played', console: Console) -> None:
     width = max(map(len, played.messages))
     for name, count in played.messages.items():
         console.say(f'  {name:{width}}  {count} messages')
-    console.say(f'Played in {played.duration:.1f} s; none was more than '
+    console.say(f'Played in {played.duration:.1f} s; the latest message was '
                 f'{1e3 * played.latest:.1f} ms late.')
     if not played.heard:
         console.warn(
-            'Nobody listened when it began. Start the predictor before it, in the same '
-            'ROS_DOMAIN_ID, and give --topic TOPIC:=NAME where the names differ.')
+            'No subscriber was connected at the start. Start the predictor first, in the same '
+            'ROS_DOMAIN_ID, and give --topic TOPIC:=NAME if the names differ.')

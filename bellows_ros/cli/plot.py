@@ -10,8 +10,8 @@ from . import options
 from .console import Console, OK
 
 DESCRIPTION = (
-    'Draw a picture of a recording (motion, spectra, path), of how a cup fits it (deflection, '
-    'residuals), or of how it is predicted (margin, prediction, animation).'
+    'Draw a picture of a recording (motion, spectra, path), of the fit of a cup (deflection, '
+    'residuals), or of its prediction (margin, prediction, animation).'
 )
 EXAMPLES = (
     ('bellows plot motion bags/identification --params bags/package.yaml --out motion.png',
@@ -28,11 +28,12 @@ EXAMPLES = (
 
 WHAT = {
     'motion': 'tool and package against time, all axes',
-    'spectra': "spectra of the package's motion seen from the tool; with a cup, of the error too",
+    'spectra': "spectra of the package's motion relative to the tool; with a cup, also of the "
+               'error',
     'path': 'paths of tool and package in space',
     'deflection': "load on the cup against its deflection, with the cup's stiffness",
     'margin': 'safety factors of the grip against time, with two standard deviations',
-    'residuals': 'load on the cup against time, and what the cup leaves unexplained',
+    'residuals': 'load on the cup against time, and the part the cup does not explain',
     'prediction': 'predicted and measured pose of the package, and their difference',
     'animation': 'tool, cup and package moving (.gif; .mp4 with ffmpeg)',
 }
@@ -58,19 +59,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_json_option(parser, 'the numbers that are drawn, in SI units,')
     parser.add_argument(
-        '--theme', choices=('light', 'dark'), default='light', help='for paper, or for the dark'
+        '--theme', choices=('light', 'dark'), default='light', help='colours on a light or dark '
+                                                                    'background'
     )
     parser.add_argument(
         '--speed', metavar='S', type=float, default=0.25,
-        help='of an animation: seconds of the recording per second (default: %(default)g)',
+        help='speed of an animation: seconds of the recording per second (default: %(default)g)',
     )
     parser.add_argument(
         '--from', metavar='S', type=float, dest='first', default=WHOLE[0],
-        help="where the picture begins, after the recording's first stamp; not of spectra",
+        help="start of the picture, in s after the recording's first stamp; not for spectra",
     )
     parser.add_argument(
         '--to', metavar='S', type=float, dest='last', default=WHOLE[1],
-        help='where it ends',
+        help='end of the picture',
     )
 
 
@@ -113,7 +115,7 @@ def _require_possible(arguments: argparse.Namespace) -> None:
         raise BellowsError(
             f"--out '{out}' must end in {', '.join(endings[:-1])} or {endings[-1]} for {what}.")
     if what == 'spectra' and span != WHOLE:
-        raise BellowsError('Spectra are of the whole recording: leave out --from and --to.')
+        raise BellowsError('Spectra use the whole recording. Leave out --from and --to.')
     if not 0.0 < arguments.speed <= FASTEST:
         raise BellowsError(
             f'--speed must be above 0 and at most {FASTEST:g}, got {arguments.speed:g}.')

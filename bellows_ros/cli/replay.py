@@ -12,16 +12,16 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.replay import Replay
 
 DESCRIPTION = (
-    'Predict a recording with a cup, from its start to its end: the model sees how the tool '
-    'moves, and nothing of the package. Say how far the package is off per axis, how much of that '
-    'is measurement noise, whether what is left looks like noise, and what the live predictor '
-    'makes of the recorded messages. Take a recording that the cup was not identified from.'
+    'Predict a recording with a cup, from start to end, from the motion of the tool alone. '
+    'Report the error of the package on each axis, the part due to measurement noise, whether '
+    'the residual is white, and the error of the live predictor on the recorded messages. Use a '
+    'recording that the cup was not identified from.'
 )
 EXAMPLES = (
     ('bellows replay bags/validation --params cup.yaml',
-     'what the cup identified before is worth'),
+     'check the cup identified before'),
     ('bellows replay bags/validation --params cup.yaml --report replay.html',
-     'the same as a page with plots, which needs no network'),
+     'also write a page with plots, which needs no network'),
     ('bellows replay bags/validation --params cup.yaml \\\n'
      '      --set topics.tool_twist= --json replay.json',
      'without twists, with all figures in a file'),
@@ -35,9 +35,9 @@ PERCENT, MILLI = 100.0, 1e3
 FOUND = 'an axis that moves is above --limit'
 LEGEND = (
     'RMS and peak: error of a free simulation from start to end. live: RMS error of the live '
-    'predictor, from the messages as they came. noise: RMS error that measurement noise alone '
-    'would make. NRMSE: RMS error over motion. one-step: whether the errors are white where the '
-    'model is corrected at every sample.'
+    'predictor, from the messages as they came. noise: RMS error due to measurement noise '
+    'alone. NRMSE: RMS error over motion. one-step: whether the errors are white if every '
+    'sample corrects the model.'
 )
 
 
@@ -50,12 +50,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_report_option(parser)
     parser.add_argument(
         '--observe', metavar='TOPIC', default='',
-        help='poses of the package as a camera sees them, which correct another live prediction: '
-             'see measured.*',
+        help='poses of the package from a camera, which correct a second live prediction; see '
+             'measured.*',
     )
     parser.add_argument(
         '--limit', metavar='PERCENT', type=float, default=None,
-        help='end with 1 if the NRMSE of an axis that moves is above this',
+        help='exit with 1 if the NRMSE of an axis that moves is above this',
     )
 
 
@@ -109,7 +109,7 @@ def _say(
         for line in _count_lines(result.live.counts):
             console.paragraph(line)
         console.paragraph(
-            f'Predicting live took {result.live.took:.2f} s, '
+            f'The live prediction took {result.live.took:.2f} s, '
             f'{result.live.real_time_factor:.0f} times faster than real time.')
     if result.observed:
         _say_observed(result.observed, console)
@@ -170,13 +170,13 @@ def _verdict_lines(result: 'Replay', limit: float) -> list[str]:
         lines.append('No axis moves enough for a verdict: record a larger motion.')
     if still:
         lines.append(
-            f'* {listed(still)} moves too little for a verdict: noise alone would be more than '
-            '5 % of its motion.'
+            f'* {listed(still)} moves too little for a verdict: noise alone is more than 5 % of '
+            'its motion.'
         )
     if found.one_step:
         lines.append(
-            f'One-step prediction errors: chi^2 per degree of freedom '
-            f'{found.one_step.chi2:.3f}; 1 where model and noise explain all.'
+            f'One-step prediction errors: chi^2 per degree of freedom {found.one_step.chi2:.3f} '
+            '(1 if model and noise explain everything).'
         )
     lines.append(f'{found.scores.samples} samples compared.')
     return lines

@@ -10,29 +10,29 @@ from .console import Console, OK
 
 DESCRIPTION = (
     'Write one HTML file that needs no network: the cup with its intervals, measured and '
-    'simulated motion, residuals and their spectra, excitation, lost samples, and where all '
-    'numbers come from. The recordings of the fit are read again.'
+    'simulated motion, residuals and their spectra, excitation, lost samples, and the '
+    'provenance of all numbers. The recordings of the fit are read again.'
 )
 EXAMPLES = (
-    ('bellows report fit.json --out report.html', 'a page on a fit made with --json fit.json'),
+    ('bellows report fit.json --out report.html', 'a page on a fit written with --json fit.json'),
     ('bellows report fit.json --validation bags/validation --out report.html',
-     'with another recording that the fit has not seen'),
+     'with another recording, not used in the fit'),
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        'fit', metavar='FIT', type=Path, help='result file, as bellows identify --json writes'
+        'fit', metavar='FIT', type=Path, help='result file, written by bellows identify --json'
     )
     parser.add_argument(
         '--out', metavar='FILE', required=True, type=options.Output, help='the page to write'
     )
     parser.add_argument(
         '--validation', metavar='BAG', action='append', default=[], type=Path,
-        help='recording that the fit has not seen, of the same cup and package; may be repeated',
+        help='recording of the same cup and package, not used in the fit; may be repeated',
     )
-    options.add_json_option(parser, 'how well the validations went')
+    options.add_json_option(parser, 'the result of the validations')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -86,7 +86,7 @@ def _report(arguments: argparse.Namespace, content: dict[str, Any], console: Con
         'validations': [validation.as_json() for validation in validations],
     }, console)
     for bag in others:
-        console.warn(f'{bag} is not what it was when the cup was identified from it.')
+        console.warn(f'{bag} has changed since the cup was identified from it.')
     for validation in validations:
         for warning in validation.warnings:
             console.warn(f'{validation.bag}: {warning}')
@@ -109,6 +109,5 @@ def _require_settings(path: Path, content: Mapping[str, Any]) -> None:
     settings = content.get('settings')
     if not isinstance(settings, dict) or not settings.get('bags'):
         raise BellowsError(
-            f"Result '{path}' does not say from which recordings it is. Identify the cup again "
-            'with --json.'
+            f"Result '{path}' does not name its recordings. Identify the cup again with --json."
         )

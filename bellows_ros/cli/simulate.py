@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 DESCRIPTION = (
     'Simulate a package held by a known cup while the tool moves, and write what a robot driver '
-    'and a tracking system would record of it: noise, outliers, dropouts and all.'
+    'and a tracking system would record, with noise, outliers and dropouts.'
 )
 EXAMPLES = (
     ('bellows simulate --params bags/cup.yaml --motion bags/static.yaml --out recording',
-     'a recording of a cup and a motion in files'),
+     'a recording of a cup and a motion from files'),
     ('bellows simulate --params bags/cup.yaml --set package.mass=2.5 \\\n'
      '      --motion config/motion_example.yaml --out heavy --force',
-     'with a heavier package, over the recording that is there'),
+     'with a heavier package, replacing an existing recording'),
 )
 
 
@@ -31,12 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_parameter_options(parser)
     parser.add_argument(
         '--motion', metavar='FILE', required=True, type=Path,
-        help='motion file (YAML): how the tool moves, and how both are tracked; '
-        'config/motion_example.yaml explains every setting',
+        help='motion file (YAML): the motion of the tool and the tracking; '
+             'config/motion_example.yaml explains every setting',
     )
     parser.add_argument(
         '--out', metavar='BAG', required=True, type=options.Folder,
-        help='folder of the recording, made by this'
+        help='recording to write, a folder'
     )
     options.add_force_option(parser)
     options.add_json_option(parser, 'what was recorded')
@@ -92,8 +92,8 @@ def _say(report: 'SimulationReport', console: Console) -> None:
         console.paragraph(report.margin.sentence)
     if report.tosses:
         late = [1e3 * (toss.release_time - toss.valve_time) for toss in report.tosses]
-        console.say(f'{len(late)} tosses, let go {min(late):.1f} to {max(late):.1f} ms after the '
-                    'valve.')
+        console.say(f'{len(late)} tosses, released {min(late):.1f} to {max(late):.1f} ms after '
+                    'the valve.')
     if report.truth:
         console.say(f'The true motion: {report.truth}')
     for warning in report.warnings:

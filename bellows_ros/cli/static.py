@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.static import StaticBag, StaticResult
 
 DESCRIPTION = (
-    'Find the standstills in recordings. With two or more known masses held vertically, tell the '
-    "cup's nominal length, its length without load. With a stiffness in the parameter file, tell "
-    'in every pose whether the package hangs where the spring model says.'
+    'Find the standstills in recordings. From two or more known masses held vertically, find '
+    "the cup's nominal length: its length without load. With a stiffness in the parameter file, "
+    'check in every pose whether the package hangs where the spring model predicts.'
 )
 EXAMPLES = (
     ('bellows static m05 m10 m15 m20 --params my_cell.yaml \\\n'
      '      --mass 0.5 --mass 1.0 --mass 1.5 --mass 2.0 --out my_cell_l0.yaml',
-     'the nominal length from four masses, written into a copy of the parameters'),
+     'the nominal length from four masses, written to a copy of the parameters'),
     ('bellows static --list weights.yaml --params my_cell.yaml',
-     'the same with masses from a file: recordings: [{bag: m05, mass: 0.5}, ...]'),
+     'with masses from a file: recordings: [{bag: m05, mass: 0.5}, ...]'),
     ('bellows static bags/static --params bags/cup.yaml',
      'check the spring of a cup in several orientations of the tool'),
 )
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_bags_argument(parser, 'static.bags')
     parser.add_argument(
         '--mass', metavar='KG', action='append', type=float, default=[], dest='masses',
-        help='mass held in a recording, once for each BAG in their order, over package.mass',
+        help='mass in a recording, once for each BAG in the same order; overrides package.mass',
     )
     parser.add_argument(
         '--list', metavar='FILE', type=Path, dest='listed',
@@ -47,9 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_span_options(parser)
     parser.add_argument(
         '--out', metavar='FILE', default='', type=options.Output,
-        help='write the parameters of --params and --set with the nominal length found',
+        help='write the parameters of --params and --set with the new nominal length',
     )
-    options.add_json_option(parser, 'all that was found')
+    options.add_json_option(parser, 'all results')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -82,7 +82,7 @@ def _bags(
     if masses and len(masses) != len(arguments.bags):
         raise BellowsError(
             f'{len(masses)} masses are given for {len(arguments.bags)} recordings. Give --mass '
-            'once for each BAG, in their order, or not at all.'
+            'once for each BAG, in the same order, or not at all.'
         )
     listed = read_list(arguments.listed) if arguments.listed else []
     named: list[StaticBag] = [
@@ -93,7 +93,7 @@ def _bags(
         return static_bags(resolve(settings))
     if not (named or listed):
         raise BellowsError(
-            'No recording is given. Name one or more: bellows static BAG ... --params FILE, or '
+            'No recording is given. Name one or more (bellows static BAG ... --params FILE), '
             'give a --list, or set static.bags.'
         )
     return named + listed

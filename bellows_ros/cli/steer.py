@@ -13,16 +13,16 @@ if TYPE_CHECKING:
 
 DESCRIPTION = (
     'Change a planned motion of the tool so that the package does not swing. The inverse moves '
-    'the package as planned, in no more time; ZV and ZVD shape the motion, which takes longer and '
-    'depends less on what is known of cup and package.'
+    'the package as planned, in no more time. ZV and ZVD shape the motion; they take longer and '
+    'are less sensitive to errors in cup and package.'
 )
 EXAMPLES = (
     ('bellows steer bags/transport.yaml --method inverse --params bags/tossing.yaml --out steered',
-     'the motion of the tool under which the package moves as planned'),
+     'the tool motion with which the package moves as planned'),
     ('bellows steer plan_bag --method zvd --params cup.yaml --limits limits.yaml \\\n'
      '    --out steered --json steer.json', 'a shaped motion within limits, with all figures'),
     ('bellows steer plan_bag --method inverse --params cup.yaml --plot steer.gif',
-     'as planned and steered side by side, four times as slow'),
+     'planned and steered motion side by side, at a quarter of the speed'),
 )
 
 
@@ -34,16 +34,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_plan_options(
         parser, 'all figures',
-        '.png, .svg or .pdf: tilt of the package over time; .gif or .mp4: as planned and steered',
+        '.png, .svg or .pdf: tilt of the package over time; .gif or .mp4: planned and steered '
+        'motion',
         'the steered motion, and the package along it')
     parser.add_argument(
         '--method', required=True, choices=('inverse', 'zv', 'zvd'),
-        help='how: the inverse of cup and package, or input shaping for their modes at rest',
+        help='the inverse of cup and package, or input shaping for their modes at rest',
     )
     parser.add_argument(
         '--limits', metavar='FILE', type=Path,
-        help='limits of the arm: the motion is stretched in time until all hold; '
-        'config/limits_example.yaml explains every setting',
+        help='limits of the arm: the motion is slowed down until it meets all of them; '
+             'config/limits_example.yaml explains every setting',
     )
 
 
@@ -93,7 +94,7 @@ def _say(report: 'SteerReport', console: Console) -> None:
     console.paragraph(
         f'The tool moves at up to {own["speed"]:.3g} m/s, {own["acceleration"]:.3g} m/s^2, '
         f'{own["angular_speed"]:.3g} rad/s and {own["angular_acceleration"]:.3g} rad/s^2; the '
-        f'package is at most {1e3 * own["path_error"]:.2g} mm from where it is wanted.')
+        f'package is at most {1e3 * own["path_error"]:.2g} mm from its desired path.')
     for note in report.notes:
         console.paragraph(note)
     if report.advice:

@@ -1,4 +1,4 @@
-"""`bellows structures`: what is identifiable from recordings, and which structure to take."""
+"""`bellows structures`: report what is identifiable from recordings, and recommend a structure."""
 
 import argparse
 import math
@@ -11,17 +11,16 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.structures import StructureAdvice
 
 DESCRIPTION = (
-    'Say, before a cup is identified, which parts of its stiffness and damping are '
-    'identifiable, and what motion is missing. Then compare the structures of K and P '
-    '(fit.structure) by AIC, BIC and by how well a cup found without parts of the recordings '
-    'simulates those parts, and '
-    'advise which to take.'
+    "Report, before a fit, which parts of a cup's stiffness and damping are identifiable, and "
+    'which motion is missing. Then compare the structures of K and P (fit.structure) by AIC, '
+    'BIC and the held-out error: how well a cup fitted without a part of the recordings '
+    'simulates that part. Recommend one.'
 )
 EXAMPLES = (
     ('bellows structures bags/identification --params bags/package.yaml',
-     'what a recording can tell, and which fit.structure to take'),
+     'what is identifiable from a recording, and which fit.structure to take'),
     ('bellows structures first second --params my_cell.yaml --json structures.json',
-     'of two recordings together, with all figures in a file'),
+     'for two recordings together, with all figures in a file'),
 )
 
 
@@ -54,7 +53,7 @@ def _say(result: 'StructureAdvice', console: Console) -> None:
     console.say('Excitation of the lip, relative to the tool', 'bold')
     console.table(_axis_rows(result), right=True)
     console.say()
-    console.say('What least squares can identify', 'bold')
+    console.say('Identifiability, by least squares', 'bold')
     console.table(_parameter_rows(result), right=True)
     console.paragraph(
         f'Rank {excitation.rank} of {excitation.size}, scaled condition number '
@@ -64,7 +63,7 @@ def _say(result: 'StructureAdvice', console: Console) -> None:
     console.say('Structures', 'bold')
     console.table(_candidate_rows(result), right=True)
     console.paragraph(
-        f'{selection.samples} samples, as good as {selection.effective_samples:.0f} '
+        f'{selection.samples} samples, equivalent to {selection.effective_samples:.0f} '
         'independent ones.'
     )
     console.say()
@@ -77,7 +76,7 @@ def _say(result: 'StructureAdvice', console: Console) -> None:
 def _axis_rows(result: 'StructureAdvice') -> list[tuple[str, ...]]:
     """Return a row of the table for every direction."""
     rows: list[tuple[str, ...]] = [
-        ('axis', 'deflection', 'moving', 'noise', 'velocity', 'noise', 'most of it')]
+        ('axis', 'deflection', 'moving', 'noise', 'velocity', 'noise', 'main band')]
     for axis in result.excitation.axes:
         unit, rate = ('mm', 'mm/s') if not axis.name.startswith('r') else ('mrad', 'mrad/s')
         rows.append((

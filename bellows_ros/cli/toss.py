@@ -1,4 +1,4 @@
-"""`bellows toss`: where a planned toss ends, and what to fix first."""
+"""`bellows toss`: where a planned toss lands, and what limits its accuracy."""
 
 import argparse
 import math
@@ -14,13 +14,14 @@ if TYPE_CHECKING:
 
 DESCRIPTION = (
     'Predict a toss: the valve is switched at a time of the plan, the cup lets go, the package '
-    'flies and lands. Say how sure that is, and what to fix first; or find the time for a target.'
+    'flies and lands. Report the uncertainty of the landing and the largest contribution to it; '
+    'or find the time of release for a target.'
 )
 EXAMPLES = (
     ('bellows toss bags/throw.yaml --params bags/tossing.yaml --release 3.0',
-     'where it lands when the valve is switched 3.0 s after the beginning of the plan'),
+     'the landing if the valve is switched 3.0 s after the beginning of the plan'),
     ('bellows toss bags/throw.yaml --params bags/tossing.yaml --target 1.9 0.1 --plot toss.png',
-     'when to switch the valve to land at x = 1.9 m, y = 0.1 m, with a picture'),
+     'the time to switch the valve to land at x = 1.9 m, y = 0.1 m, with a picture'),
 )
 MILLI = 1e3
 UNITS = {
@@ -36,20 +37,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser, 'the toss', '.png, .svg or .pdf; the toss from the side and from above')
     parser.add_argument(
         '--release', metavar='T', type=float,
-        help='when the valve is switched, s since the beginning of the plan',
+        help='when to switch the valve, in s from the beginning of the plan',
     )
     parser.add_argument(
         '--target', metavar=('X', 'Y'), type=float, nargs=2,
-        help='find the time with which the package lands nearest to here, m in the world',
+        help='find the time of release whose landing is nearest to this point, m in the world',
     )
     parser.add_argument(
         '--target-rotation', metavar=('QX', 'QY', 'QZ', 'QW'), type=float, nargs=4,
-        help='and turned most like this quaternion; an angle counts as the way of the farthest '
-        'corner',
+        help='with --target: also match this orientation (quaternion); an angle counts as the '
+             'distance it moves the farthest corner',
     )
     parser.add_argument(
         '--monte-carlo', metavar='N', type=int, default=0,
-        help='draw so many tosses as well, beside the linear ellipse',
+        help='also draw this many random tosses, beside the linear ellipse',
     )
 
 
@@ -89,7 +90,7 @@ def _require_numbers(arguments: argparse.Namespace) -> None:
 
 
 def _say(result: 'TossResult', console: Console) -> None:
-    """Print release, landing, what is uncertain, and what to fix first."""
+    """Print release, landing, its uncertainty, and the largest contribution."""
     import numpy as np
 
     found, case = result.toss, result.case
@@ -104,8 +105,8 @@ def _say(result: 'TossResult', console: Console) -> None:
         f'{speed:.2f} m/s')
     console.say(f'  landing   {found.landing_time:.4f} s at x {x:.4f} m, y {y:.4f} m, '
                 f'tumbling at {found.tumbling:.2f} rad/s')
-    console.say(f'  sure to   x {MILLI * std[0]:.1f} mm, y {MILLI * std[1]:.1f} mm, turned '
-                f'{math.degrees(float(np.linalg.norm(std[3:]))):.2f} deg (one sigma)')
+    console.say(f'  1 sigma   x {MILLI * std[0]:.1f} mm, y {MILLI * std[1]:.1f} mm, turned '
+                f'{math.degrees(float(np.linalg.norm(std[3:]))):.2f} deg')
     if result.aim is not None:
         _say_aim(result, console)
     if result.drawn is not None:
@@ -124,7 +125,7 @@ def _say(result: 'TossResult', console: Console) -> None:
 
 
 def _say_aim(result: 'TossResult', console: Console) -> None:
-    """Print how near to the target it lands, and what that gains."""
+    """Print the distance from the target, and the gain over --release."""
     assert result.aim is not None
     before = result.distance_as_asked
     gain = '' if before is None else f', instead of {MILLI * before:.1f} mm with --release'
@@ -133,15 +134,15 @@ def _say_aim(result: 'TossResult', console: Console) -> None:
 
 
 def _say_budget(result: 'TossResult', console: Console) -> None:
-    """Print what contributes how much, and what to fix first."""
+    """Print the contributions to the uncertainty, and which to reduce first."""
     groups = result.groups()
     if not groups:
         console.paragraph(
-            'How sure the landing is cannot be said: no standard deviation is known. Set '
-            'release.delay_std, release.tau_std, package.mass_std and package.com_std; cup.*_std '
-            "come from 'bellows identify'.")
+            'The uncertainty of the landing is unknown: no standard deviation is given. Set '
+            "release.delay_std, release.tau_std, package.mass_std and package.com_std; 'bellows "
+            "identify' writes cup.*_std.")
         return
-    rows = [('what is uncertain', 'by', 'at landing', 'turned')]
+    rows = [('uncertain quantity', 'by', 'at landing', 'turned')]
     rows += [
         (g.name, _amount(g), f'{MILLI * g.metres:.2f} mm', f'{math.degrees(g.radians):.2f} deg')
         for g in groups]
@@ -159,14 +160,14 @@ def _amount(share: 'Share') -> str:
 
 
 def what_to_fix(result: 'TossResult') -> str:
-    """Return the sentence on what gains most."""
+    """Return the sentence on the largest contribution."""
     groups = result.groups()
     total = math.hypot(*(g.metres for g in groups))
     first = groups[0]
     left = math.sqrt(max(0.0, total**2 - first.metres**2))
     text = (
-        f'Fix first: {first.name}, {MILLI * first.metres:.1f} of {MILLI * total:.1f} mm. Known '
-        f'exactly it would leave {MILLI * left:.1f} mm.')
+        f'Reduce first: {first.name}, {MILLI * first.metres:.1f} of {MILLI * total:.1f} mm. If '
+        f'it were known exactly, {MILLI * left:.1f} mm would remain.')
     cup = math.hypot(*(g.metres for g in groups if g.name.startswith('cup.')))
     if cup and not first.name.startswith('cup.'):
         gain = total - math.sqrt(max(0.0, total**2 - cup**2))

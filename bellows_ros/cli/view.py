@@ -8,14 +8,14 @@ from . import options
 from .console import Console, OK
 
 DESCRIPTION = (
-    'Replay a recording and show tool, cup and package (predicted, and measured as an outline), '
-    'the deflection of the cup and the errors in the viewer Rerun, or write what it shows to a '
-    'file. For those without RViz, and for recordings; needs the extra view.'
+    'Replay a recording and show it in the viewer Rerun, or write a file for the viewer: tool, '
+    'cup and package (predicted, and measured as an outline), the deflection of the cup, and '
+    'the errors. Needs no RViz; needs the extra view.'
 )
 EXAMPLES = (
-    ('bellows view bags/validation --params cup.yaml', 'open a window, until it is closed'),
+    ('bellows view bags/validation --params cup.yaml', 'open the viewer'),
     ('bellows view bags/validation --params cup.yaml --out replay.rrd',
-     "write a file, for 'rerun replay.rrd' on any machine"),
+     "write a file; 'rerun replay.rrd' opens it on any machine"),
 )
 
 
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_span_options(parser)
     parser.add_argument(
         '--out', metavar='FILE', default='', type=options.Output,
-        help='write an .rrd file and open no window'
+        help='write an .rrd file instead of opening the viewer'
     )
     options.add_json_option(parser, 'the scores')
 

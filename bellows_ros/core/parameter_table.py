@@ -1,5 +1,5 @@
 """
-The one table of all parameters: of both nodes, the parameter files and the command line.
+The table of all parameters: of both nodes, the parameter files and the command line.
 
 A 6x6 matrix is 36 numbers, row-major; an inertia is [ixx, iyy, izz, ixy, ixz, iyz]; units are SI.
 """
@@ -22,7 +22,7 @@ THESIS_STIFFNESS = (6417.0, 6417.0, 1.153e4, 3.868, 3.868, 1.123)
 THESIS_DAMPING = (66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736)
 THESIS_LENGTH = 0.0481
 
-# What else people call some of the parameters, and how alike names must be to be meant.
+# Other names of some parameters, and the similarity at which a name is recognised.
 OTHER_WORDS = MappingProxyType({
     'weight': 'package.mass', 'payload': 'package.mass', 'center_of_mass': 'package.com',
     'centre_of_mass': 'package.com', 'spring': 'cup.stiffness', 'nominal_length': 'cup.length',
@@ -33,7 +33,7 @@ ALIKE, CERTAIN = 0.75, 0.9
 @dataclass(frozen=True)
 class Parameter:
     """
-    One parameter: what it means, what it may be, and who reads it.
+    One parameter: its meaning, its constraints and its users.
 
     Parameters
     ----------
@@ -42,11 +42,11 @@ class Parameter:
     kind : str
         bool, integer, double, string, double_array or string_array, as in ROS.
     default : value or None
-        None where no default is honest: whoever needs the parameter must be given it.
+        None if there is no sensible default: the user must then give a value.
     unit : str
         SI unit, '' where there is none.
     description : str
-        One sentence.
+        A sentence or two.
     used_by : tuple of str
         'identifier', 'predictor'.
     minimum, maximum : float, optional
@@ -135,7 +135,8 @@ _TABLE = (
     ),
     Parameter(
         'topics.tool_twist', 'string', '', '',
-        "Topic with the tool tip's twist; '' for none: it is then estimated from the poses.",
+        "Topic with the tool tip's twist; '' for none: the twist is then estimated from the "
+        'poses.',
         _IDENTIFIER,
     ),
     Parameter(
@@ -145,8 +146,8 @@ _TABLE = (
     ),
     Parameter(
         'topics.valve', 'string', 'vacuum/valve', '',
-        "Topic (Bool) with false where the valve is switched off, for identify --release; '' for "
-        'none.',
+        'Topic (Bool) that becomes false when the valve is switched off, for identify '
+        "--release; '' for none.",
         _IDENTIFIER,
     ),
     Parameter(
@@ -156,35 +157,37 @@ _TABLE = (
     ),
     Parameter(
         'recording.package_frame', 'string', None, '',
-        "What the package's poses are poses of: com, its centre of mass B; lip, the cup's lip S.",
+        'Point of the package whose poses are recorded: com, its centre of mass B, or lip, the '
+        "cup's lip S.",
         _IDENTIFIER, choices=('com', 'lip'), example='com',
     ),
     Parameter(
         'recording.package_world', 'string', '', '',
-        "Pose of the world of the package's poses in that of the tool's, where a robot driver and "
-        "motion capture give them: 'x y z qx qy qz qw' (m), or estimate for a recording; '' where "
-        'it is one. Live it is that of package/measured.',
+        "Pose of the package's world in the tool's world, if their poses come from a robot "
+        "driver and motion capture: 'x y z qx qy qz qw' (m), or estimate (recordings only); '' "
+        'if both use one world. Live it applies to package/measured.',
         _BOTH,
     ),
     Parameter(
         'recording.align_at_rest', 'bool', False, '',
-        'Whether turned marker frames and a lateral pick-up offset are removed by means of the '
+        'Whether to correct rotated marker frames and a lateral pick-up offset from the '
         'standstill at the beginning, equations (4.2)-(4.13).',
         _IDENTIFIER,
     ),
     Parameter(
         'recording.rest_duration', 'double', 1.0, 's',
-        'How long the recording stands still at its beginning; used with recording.align_at_rest.',
+        'Duration of the standstill at the beginning of the recording; used with '
+        'recording.align_at_rest.',
         _IDENTIFIER, above=0.0, maximum=600.0,
     ),
     Parameter(
         'recording.start', 'double', 0.0, 's',
-        "What is earlier is left out, from the recording's first stamp on.",
+        "Start of the data to use, from the recording's first stamp.",
         _IDENTIFIER, minimum=0.0, maximum=1e6,
     ),
     Parameter(
         'recording.end', 'double', 0.0, 's',
-        "What is later is left out, from the recording's first stamp on; 0 for to the end.",
+        "End of the data to use, from the recording's first stamp; 0 for the whole recording.",
         _IDENTIFIER, minimum=0.0, maximum=1e6,
     ),
     Parameter(
@@ -205,7 +208,7 @@ _TABLE = (
     ),
     Parameter(
         'package.mass_std', 'double', 0.0, 'kg',
-        'Standard deviation of the mass, for what is predicted of plans.',
+        'Standard deviation of the mass, for the uncertainty of predicted plans.',
         _PREDICTOR, minimum=0.0, maximum=1e4,
     ),
     Parameter(
@@ -220,43 +223,41 @@ _TABLE = (
     ),
     Parameter(
         'package.size', 'double_array', (0.0,) * 3, 'm',
-        'Sides of the package along x, y and z of B, for where it lands; 0 where they are not '
-        'known.',
+        'Sides of the package along x, y and z of B, for its landing; 0 if unknown.',
         _PREDICTOR, minimum=0.0, maximum=10.0, length=3,
     ),
     Parameter(
         'package.size_center', 'double_array', (0.0,) * 3, 'm',
-        'Centre of the box of package.size in B; 0 where the centre of mass is in its middle.',
+        'Centre of the box of package.size in B; 0 if it is the centre of mass.',
         _PREDICTOR, minimum=-10.0, maximum=10.0, length=3,
     ),
     Parameter(
         'package.attached', 'bool', True, '',
-        'Whether the cup holds the package when the node becomes active; a vacuum signal decides '
-        'instead where there is one.',
+        'Whether the cup holds the package when the node becomes active; a vacuum signal, if '
+        'there is one, overrides it.',
         _PREDICTOR, read_only=True,
     ),
     Parameter(
         'package.files', 'string_array', (), '',
-        'Parameter files, one for each of the recordings, with package.*, topics.*, recording.*, '
-        'tool_twist.* and gravity.direction as far as these differ; none where they do not.',
+        'Parameter files, one for each recording, with package.*, topics.*, recording.*, '
+        'tool_twist.* and gravity.direction as far as they differ; empty if none differ.',
         _IDENTIFIER,
     ),
     Parameter(
         'static.bags', 'string_array', (), '',
-        'Recordings of standstills of the same cup, whose balance counts in the fit beside the '
-        'motion of the recordings in bags.',
+        'Recordings of standstills of the same cup, fitted together with the motion in bags.',
         _IDENTIFIER,
     ),
     Parameter(
         'static.files', 'string_array', (), '',
         'Parameter files with package.mass, and package.com where it differs, one for each of '
-        'static.bags; none where these held what package.* says.',
+        'static.bags; empty if package.* applies to all.',
         _IDENTIFIER,
     ),
     Parameter(
         'static.length', 'bool', False, '',
-        'Whether cup.length is found from static.bags, which must then hold two or more masses '
-        'with the tool upright, section 4.2.',
+        'Whether to find cup.length from static.bags, which must then contain two or more '
+        'masses with the tool upright, section 4.2.',
         _IDENTIFIER,
     ),
     Parameter(
@@ -276,40 +277,39 @@ _TABLE = (
     ),
     Parameter(
         'cup.name', 'string', '', '',
-        "Which of the cups in cups.NAME.* is mounted; '' for the one in cup.*.",
+        "Name of the mounted cup, one of cups.NAME.*; '' for the one in cup.*.",
         _PREDICTOR,
     ),
     Parameter(
         'cup.stiffness_std', 'double_array', (0.0,) * 36, 'N/m, N, N m/rad',
-        'Standard deviations of the entries of K, 6x6 row-major; 0 where an entry is exact, '
-        '1e9 where nothing is known of it.',
+        'Standard deviations of the entries of K, 6x6 row-major; 0 for an exact entry, 1e9 for '
+        'an unknown one.',
         _PREDICTOR, minimum=0.0, maximum=1e9, length=36,
     ),
     Parameter(
         'cup.damping_std', 'double_array', (0.0,) * 36, 'N s/m, N s, N m s/rad',
-        'Standard deviations of the entries of P, 6x6 row-major; 0 where an entry is exact, '
-        '1e9 where nothing is known of it.',
+        'Standard deviations of the entries of P, 6x6 row-major; 0 for an exact entry, 1e9 for '
+        'an unknown one.',
         _PREDICTOR, minimum=0.0, maximum=1e9, length=36,
     ),
     Parameter(
         'cup.max_force', 'double', 0.0, 'N',
-        'Largest force that the cup can hold, for the holding margin; 0 where it is not known.',
+        'Largest force that the cup can hold, for the holding margin; 0 if unknown.',
         _PREDICTOR, minimum=0.0, maximum=1e6,
     ),
     Parameter(
         'cup.max_moment', 'double', 0.0, 'N m',
-        'Largest moment at the lip that the cup can hold; 0 where it is not known.',
+        'Largest moment at the lip that the cup can hold; 0 if unknown.',
         _PREDICTOR, minimum=0.0, maximum=1e6,
     ),
     Parameter(
         'cup.lip_radius', 'double', 0.0, 'm',
-        'Radius of the lip on the package, for the safety factor of the grip; 0 where it is not '
-        'known.',
+        'Radius of the lip on the package, for the safety factor of the grip; 0 if unknown.',
         _PREDICTOR, minimum=0.0, maximum=1.0,
     ),
     Parameter(
         'cup.suction_area', 'double', 0.0, 'm^2',
-        'Area that the vacuum acts on; 0 for that of a disc of the radius cup.lip_radius.',
+        'Area on which the vacuum acts; 0 for a disc of radius cup.lip_radius.',
         _PREDICTOR, minimum=0.0, maximum=10.0,
     ),
     Parameter(
@@ -319,35 +319,36 @@ _TABLE = (
     ),
     Parameter(
         'envelope.deflection_low', 'double_array', (0.0,) * 6, 'm, rad',
-        'Smallest shift (x, y, z) and rotation vector of the lip from its nominal pose, in tool '
-        'axes, that the fit has seen; all of envelope.* is 0 where it is not known.',
+        'Validity range: smallest shift (x, y, z) and rotation vector of the lip from its '
+        'nominal pose, in tool axes, in the fit; all of envelope.* is 0 if unknown.',
         _BOTH, minimum=-10.0, maximum=10.0, length=6,
     ),
     Parameter(
         'envelope.deflection_high', 'double_array', (0.0,) * 6, 'm, rad',
-        'Largest shift (x, y, z) and rotation vector of the lip that the fit has seen.',
+        'Validity range: largest shift (x, y, z) and rotation vector of the lip in the fit.',
         _BOTH, minimum=-10.0, maximum=10.0, length=6,
     ),
     Parameter(
         'envelope.rates', 'double_array', (0.0,) * 6, 'm/s, rad/s',
-        "Largest absolute twist of the lip in the tool, in the lip's axes, that the fit has seen.",
+        "Validity range: largest absolute twist of the lip in the tool, in the lip's axes, in "
+        'the fit.',
         _BOTH, minimum=0.0, maximum=1e4, length=6,
     ),
     Parameter(
         'envelope.frequencies', 'double_array', (0.0,) * 4, 'Hz',
-        "Bands with 95 % of the power of the lip's motion: from and to of its shift, from and to "
-        'of its rotation.',
+        "Validity range: bands with 95 % of the power of the lip's motion in the fit; low and "
+        'high limit for its shift, then for its rotation.',
         _BOTH, minimum=0.0, maximum=1e5, length=4,
     ),
     Parameter(
         'envelope.mass', 'double_array', (0.0,) * 2, 'kg',
-        'Smallest and largest mass of the packages that the fit has seen.',
+        'Validity range: smallest and largest mass of the packages in the fit.',
         _BOTH, minimum=0.0, maximum=1e4, length=2,
     ),
     Parameter(
         'filter.tool.half_window', 'integer', 0, 'samples',
-        "Half window n of the filter on the tool's poses, whose window has 2 n + 1 samples; 0 "
-        'takes as many as lie in 1/12 s (30 at 360 Hz).',
+        "Half window n of the filter on the tool's poses, with 2 n + 1 samples in the window; 0 "
+        'for the number of samples in 1/12 s (30 at 360 Hz).',
         _IDENTIFIER, minimum=0, maximum=10000,
     ),
     Parameter(
@@ -357,8 +358,8 @@ _TABLE = (
     ),
     Parameter(
         'filter.package.half_window', 'integer', 0, 'samples',
-        "Half window n of the filter on the package's poses, whose window has 2 n + 1 samples; 0 "
-        'takes as many as lie in 1/12 s (30 at 360 Hz).',
+        "Half window n of the filter on the package's poses, with 2 n + 1 samples in the "
+        'window; 0 for the number of samples in 1/12 s (30 at 360 Hz).',
         _IDENTIFIER, minimum=0, maximum=10000,
     ),
     Parameter(
@@ -368,15 +369,14 @@ _TABLE = (
     ),
     Parameter(
         'filter.relative', 'bool', False, '',
-        "Whether the filter takes the lip's motion in the tool instead of the package's in the "
-        'world, appendix J.',
+        "Whether to filter the lip's motion in the tool instead of the package's in the world, "
+        'appendix J.',
         _IDENTIFIER,
     ),
     Parameter(
         'fit.method', 'string', 'prediction_error', '',
-        'How the cup is fitted: the prediction error on poses is exact with noisy recordings, '
-        'too; least squares on accelerations (section 4.3.2) is a quick look, and what summaries '
-        'of recordings are fitted by.',
+        'Method of the fit. prediction_error, on poses, is unbiased by noise. least_squares, on '
+        'accelerations (section 4.3.2), is for a quick look and for summaries of recordings.',
         _IDENTIFIER, choices=('prediction_error', 'least_squares'),
     ),
     Parameter(
@@ -388,44 +388,44 @@ _TABLE = (
     ),
     Parameter(
         'fit.compare_recordings', 'bool', False, '',
-        'Whether each recording is fitted alone as well, and tested whether all are of one cup.',
+        'Whether to fit each recording alone as well, and test whether all are of one cup.',
         _IDENTIFIER,
     ),
     Parameter(
         'fit.compare_structures', 'bool', False, '',
-        'Whether the structures of K and P are compared by AIC, BIC and held-out parts, and one '
-        'is advised, as the command structures does.',
+        'Whether to compare the structures of K and P by AIC, BIC and held-out error, and '
+        'recommend one, as bellows structures does.',
         _IDENTIFIER,
     ),
     Parameter(
         'fit.time_offset', 'bool', False, '',
-        'Whether the time by which the stamps of the tool are behind those of the package, up to '
-        '0.1 s, is found and taken off, for every recording: for streams of two clocks.',
+        "Whether to estimate, for every recording, the delay of the tool's stamps behind the "
+        "package's, up to 0.1 s, and remove it: for streams of two clocks.",
         _IDENTIFIER,
     ),
     Parameter(
         'fit.free', 'string_array', (), '',
-        'What else is found together with K and P, with standard errors: time_offset, com, '
-        'length, inertia, mass, package_world. Refused where the recordings do not tell it.',
+        'Quantities to estimate together with K and P, with standard errors: time_offset, com, '
+        'length, inertia, mass, package_world. Refused if they are not identifiable.',
         _IDENTIFIER, choices=(
             'time_offset', 'com', 'length', 'inertia', 'mass', 'package_world'),
     ),
     Parameter(
         'gravity.magnitude', 'double', 9.81, 'm/s^2',
-        'Magnitude of gravity; gravity alone is short for it.',
+        'Magnitude of gravity; may be written as gravity.',
         _BOTH, minimum=0.0, maximum=100.0, read_only=True,
     ),
     Parameter(
         'gravity.direction', 'double_array', (0.0, 0.0, -1.0), '',
-        'Direction of gravity in the world, of any length: another than -z where the world is the '
-        'base of an arm on a wall or a ceiling.',
+        'Direction of gravity in the world, of any length; not -z if the world is the base of '
+        'an arm on a wall or ceiling.',
         _BOTH, minimum=-1e3, maximum=1e3, length=3, read_only=True,
     ),
     Parameter(
         'tool_pose.type', 'string', 'pose', '',
-        'What tool_arm/pose brings: PoseStamped, PoseWithCovarianceStamped, TransformStamped or '
-        'Odometry, whose covariance and twist are not read; or tf, where the pose is that of '
-        'frames.tool in frames.world.',
+        'Type of tool_arm/pose: PoseStamped, PoseWithCovarianceStamped, TransformStamped or '
+        'Odometry, whose covariance and twist are not read; or tf, for the pose of frames.tool '
+        'in frames.world.',
         _PREDICTOR, choices=('pose', 'pose_with_covariance', 'transform', 'odometry', 'tf'),
         read_only=True,
     ),
@@ -441,18 +441,18 @@ _TABLE = (
     ),
     Parameter(
         'plan.rate', 'double', 20.0, 'Hz',
-        'How often the rest of a plan is predicted anew while the tool drives it, at most.',
+        'Highest rate at which the rest of a plan is predicted again while the tool drives it.',
         _PREDICTOR, above=0.0, maximum=50.0,
     ),
     Parameter(
         'plan.points_rate', 'double', 100.0, 'Hz',
-        'Points per second of an answer to a plan, at most, and its last one. Their twists tell '
-        'how the package moves between them.',
+        'Highest number of points per second in the answer to a plan; the last point is always '
+        'included. Their twists describe the motion between them.',
         _PREDICTOR, above=0.0, maximum=10000.0,
     ),
     Parameter(
         'steer.method', 'string', 'inverse', '',
-        'How the node steers: by the inverse of cup and package, or by input shaping.',
+        'Method of steering: the inverse of cup and package, or input shaping (zv, zvd).',
         _PREDICTOR, choices=('inverse', 'zv', 'zvd'),
     ),
     Parameter(
@@ -462,27 +462,27 @@ _TABLE = (
     ),
     Parameter(
         'frames.package', 'string', 'package', '',
-        "Name of the package's frame B in what is published.",
+        "Name of the package's frame B in published messages.",
         _PREDICTOR, required_text=True,
     ),
     Parameter(
         'frames.lip', 'string', 'cup_lip', '',
-        "Name of the frame S of the cup's lip in what is published.",
+        "Name of the frame S of the cup's lip in published messages.",
         _PREDICTOR, required_text=True,
     ),
     Parameter(
         'frames.world', 'string', 'world', '',
-        'Frame of tf that the poses of the tool are taken in, with tool_pose.type tf.',
+        "Frame of tf in which the tool's pose is looked up, with tool_pose.type tf.",
         _PREDICTOR, required_text=True, read_only=True,
     ),
     Parameter(
         'frames.tool', 'string', 'tool0', '',
-        'Frame of tf that is the tool tip E, with tool_pose.type tf.',
+        'Frame of tf at the tool tip E, with tool_pose.type tf.',
         _PREDICTOR, required_text=True, read_only=True,
     ),
     Parameter(
         'frames.tf', 'bool', True, '',
-        "Whether the package's frame is sent to tf, where tf2_msgs is installed.",
+        "Whether to send the package's frame to tf; needs tf2_msgs.",
         _PREDICTOR, read_only=True,
     ),
     Parameter(
@@ -502,53 +502,53 @@ _TABLE = (
     ),
     Parameter(
         'measured.type', 'string', 'pose', '',
-        'What package/measured brings: PoseStamped, PoseWithCovarianceStamped or Odometry.',
+        'Type of package/measured: PoseStamped, PoseWithCovarianceStamped or Odometry.',
         _PREDICTOR, choices=('pose', 'pose_with_covariance', 'odometry'), read_only=True,
     ),
     Parameter(
         'measured.noise', 'double_array', (2e-3, 1e-2), 'm, rad',
         'Standard deviations of a measured pose of the package, position and rotation in each '
-        'axis, where the message brings no covariance.',
+        'axis, if the message has no covariance.',
         _PREDICTOR, minimum=1e-6, maximum=1.0, length=2,
     ),
     Parameter(
         'measured.frame', 'string', 'com', '',
-        "Frame of the package that is measured: its centre of mass B, or the cup's lip S.",
+        "Measured frame of the package: its centre of mass B, or the cup's lip S.",
         _PREDICTOR, choices=('com', 'lip'),
     ),
     Parameter(
         'measured.offset', 'double_array', (0.0,) * 6, 'm, rad',
-        'Pose of the marker that is measured in the frame that measured.frame names: position '
-        'and rotation vector.',
+        'Pose of the measured marker in the frame named by measured.frame: position and '
+        'rotation vector.',
         _PREDICTOR, minimum=-10.0, maximum=10.0, length=6,
     ),
     Parameter(
         'payload.estimate', 'bool', False, '',
-        'Whether mass and centre of mass of each package are estimated from its measured poses, '
-        'from package.* and its standard deviations (10 % and 10 mm where these are 0).',
+        'Whether to estimate mass and centre of mass of each package from its measured poses, '
+        'starting from package.* and its standard deviations (10 % and 10 mm if these are 0).',
         _PREDICTOR,
     ),
     Parameter(
         'alarm.false_per_hour', 'double', 1.0, '1/h',
-        'How many alarms there may be in an hour of sound work with measured poses of the '
-        'package; 0 for no alarms.',
+        'Acceptable number of false alarms per hour of normal operation with measured poses of '
+        'the package; 0 for no alarms.',
         _PREDICTOR, minimum=0.0, maximum=1e3,
     ),
     Parameter(
         'coast.limit', 'double', 0.1, 's',
-        'How long the tool is extrapolated when no pose comes; 0 for not at all.',
+        'Longest time to extrapolate the tool without a new pose; 0 for no extrapolation.',
         _PREDICTOR, minimum=0.0, maximum=0.4,
     ),
     Parameter(
         'coast.poses', 'bool', False, '',
-        'Whether package/pose, package/twist and cup/wrench, which cannot show that the tool is '
-        'extrapolated, are published then as package/odometry is.',
+        'Whether to publish package/pose, package/twist and cup/wrench during extrapolation as '
+        'well, although they cannot show it; package/odometry can.',
         _PREDICTOR,
     ),
     Parameter(
         'vacuum.signal', 'string', 'none', '',
-        'What attaches and detaches the package: nothing but the services, vacuum/held (Bool), or '
-        'vacuum/pressure (FluidPressure).',
+        'Source of attaching and detaching the package: none (the services only), bool '
+        '(vacuum/held, Bool) or pressure (vacuum/pressure, FluidPressure).',
         _PREDICTOR, choices=('none', 'bool', 'pressure'), read_only=True,
     ),
     Parameter(
@@ -558,28 +558,29 @@ _TABLE = (
     ),
     Parameter(
         'vacuum.detach_above', 'double', 80000.0, 'Pa',
-        'Absolute pressure in the cup above which the package is gone.',
+        'Absolute pressure in the cup above which the package is released.',
         _PREDICTOR, minimum=0.0, maximum=1e6,
     ),
     Parameter(
         'vacuum.ambient', 'double', 101325.0, 'Pa',
-        'Absolute pressure around the cup, from which vacuum/pressure is taken off.',
+        'Absolute pressure around the cup, from which vacuum/pressure is subtracted.',
         _PREDICTOR, minimum=0.0, maximum=1e6,
     ),
     Parameter(
         'vacuum.holding', 'double', 0.0, 'Pa',
         'Pressure below ambient in the cup while it holds the package, for the safety factor of '
-        'the grip where vacuum/pressure is not heard; 0 where it is not known.',
+        'the grip if vacuum/pressure is not received; 0 if unknown.',
         _PREDICTOR, minimum=0.0, maximum=1e6,
     ),
     Parameter(
         'safety.least', 'double', 1.5, '',
-        'Least safety factor of the grip: below it there is a warning, below 1 the cup lets go.',
+        'Smallest acceptable safety factor of the grip; below it the node warns, below 1 the '
+        'cup lets go.',
         _PREDICTOR, minimum=1.0, maximum=100.0,
     ),
     Parameter(
         'release.delay', 'double', 0.0, 's',
-        'Time from switching the valve until the suction force begins to fall.',
+        'Time from switching the valve until the suction force starts to fall.',
         _PREDICTOR, minimum=0.0, maximum=1.0,
     ),
     Parameter(
@@ -589,7 +590,7 @@ _TABLE = (
     ),
     Parameter(
         'release.tau', 'double', 0.0, 's',
-        'Time constant with which the suction force falls from then on; 0 for at once.',
+        'Time constant of the fall of the suction force; 0 for an immediate fall.',
         _PREDICTOR, minimum=0.0, maximum=1.0,
     ),
     Parameter(
@@ -599,7 +600,7 @@ _TABLE = (
     ),
     Parameter(
         'release.impulse', 'double', 0.0, 'N s',
-        'Impulse of the blow-off on the package as it is let go, along -z of the lip; 0 for none.',
+        'Impulse of the blow-off on the package at release, along -z of the lip; 0 for none.',
         _PREDICTOR, minimum=-10.0, maximum=10.0,
     ),
     Parameter(
@@ -609,28 +610,28 @@ _TABLE = (
     ),
     Parameter(
         'landing.height', 'double', 0.0, 'm',
-        'Height of the floor on which a tossed package lands, in the world, against gravity.',
+        'Height of the floor on which a tossed package lands, in the world, along -gravity.',
         _PREDICTOR, minimum=-100.0, maximum=100.0,
     ),
     Parameter(
         'landing.rate', 'double', 50.0, 'Hz',
-        'How often package/landing is published, at most.',
+        'Highest rate of package/landing.',
         _PREDICTOR, above=0.0, maximum=50.0,
     ),
     Parameter(
         'landing.aim', 'bool', False, '',
-        'Whether release/at says when to switch the valve for landing.target.',
+        'Whether to publish on release/at when to switch the valve for landing.target.',
         _PREDICTOR,
     ),
     Parameter(
         'landing.target', 'double_array', (0.0,) * 2, 'm',
-        'Where the package should land: x and y of B in the frame of the tool.',
+        "Desired landing point: x and y of B in the frame of the tool's poses.",
         _PREDICTOR, minimum=-100.0, maximum=100.0, length=2,
     ),
     Parameter(
         'validation.bags', 'string_array', (), '',
-        'Recordings of the same cup and package, not in bags, on which the result is validated '
-        'by free simulation.',
+        'Recordings of the same cup and package, not in bags, to validate the result by free '
+        'simulation.',
         _IDENTIFIER,
     ),
     Parameter(
@@ -650,12 +651,12 @@ _TABLE = (
     ),
     Parameter(
         'predictor', 'string', '', '',
-        "Name of a running predictor node to set the identified cup on; '' for none.",
+        "Name of a running predictor node that receives the identified cup; '' for none.",
         _IDENTIFIER,
     ),
     Parameter(
         'exit_when_done', 'bool', False, '',
-        'Whether the node identifier ends when it has finished, or stays to show its result.',
+        'Whether the node identifier exits when it has finished, or stays to show its result.',
         _IDENTIFIER,
     ),
 )
@@ -666,12 +667,12 @@ PARAMETERS: Mapping[str, Parameter] = MappingProxyType({p.name: p for p in _TABL
 NAMED_CUP = re.compile(r'cups\.([A-Za-z][A-Za-z0-9_]*)\.([a-z_]+)')
 
 SHORT_FORMS: Mapping[str, str] = MappingProxyType({'gravity': 'gravity.magnitude'})
-"""Names that stand for others; `lookup` gives the parameter with its full name."""
+"""Aliases; `lookup` returns the parameter with its full name."""
 
-# What neither node can do without and nobody can guess.
+# Required by both nodes, without a default.
 PACKAGE_PARAMETERS = ('package.mass', 'package.inertia', 'package.com')
 
-# The same of a recording.
+# Required to read a recording.
 RECORDING_PARAMETERS = ('recording.package_frame', *PACKAGE_PARAMETERS)
 
 
@@ -700,7 +701,7 @@ def lookup(name: str) -> Parameter:
 
 
 def _hint(name: str, named: re.Match[str] | None) -> str:
-    """Return what helps to find the right name."""
+    """Return a hint at the right name."""
     if named:
         of_cups = [f'cups.{named[1]}.{key[4:]}' for key in PARAMETERS if key.startswith('cup.')]
         return _nearest(name, [key for key in of_cups if key != f'cups.{named[1]}.name'])
@@ -711,7 +712,7 @@ def _hint(name: str, named: re.Match[str] | None) -> str:
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:
-    """Return the name that was meant, or those to choose from: of the same group where it is."""
+    """Return the nearest known name, or the names of the same group, or all."""
     name = name[:80]
     group, _, leaf = name.rpartition('.')
     inside = [other for other in known if other.startswith(f'{name}.')]
@@ -729,7 +730,7 @@ def _nearest(name: str, known: Sequence[str]) -> str:
 
 
 def short(value: object, most: int = 80) -> str:
-    """Return a value in so many characters at most, printable."""
+    """Return a value as printable text of at most this many characters."""
     text = value if isinstance(value, str) else repr(value)
     text = ''.join(c if c.isprintable() else '?' for c in text[:most + 1])
     return text if len(text) <= most else text[:most - 3] + '...'

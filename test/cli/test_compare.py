@@ -41,7 +41,7 @@ def test_what_matters_exits_with_1(bellows: Run, fits: tuple[Path, Path]) -> Non
     assert (done.returncode, done.stderr) == (1, '')
     (line,) = [line for line in done.stdout.splitlines() if line.startswith('  K rx')]
     assert '-20.00 %' in line and '*' in line
-    assert 'It matters' in done.stdout
+    assert 'The difference matters' in done.stdout
 
 
 def test_json_to_stdout(bellows: Run, fits: tuple[Path, Path]) -> None:
@@ -50,7 +50,7 @@ def test_json_to_stdout(bellows: Run, fits: tuple[Path, Path]) -> None:
     assert done.returncode == 1
     content = json.loads(done.stdout)
     assert content['matters'] is True
-    assert 'It matters' in done.stderr
+    assert 'The difference matters' in done.stderr
 
 
 def test_a_file_that_is_no_result_exits_with_2(bellows: Run, workshop: Path) -> None:

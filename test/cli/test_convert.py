@@ -43,7 +43,7 @@ def test_cups_go_out_with_a_word_on_what_is_lost(
     ('arguments', 'words'),
     [
         (['convert', 'recording', '--out', 'x.tum'], 'Name one with --topic'),
-        (['convert', 'recording', '--out', 'x'], 'is a recording already'),
+        (['convert', 'recording', '--out', 'x'], 'is already a recording'),
         (['convert', 'none.csv', '--out', 'x'], 'is not a file'),
         (['export', 'none.yaml', '--to', 'sdf', '--out', 'x'], 'none.yaml'),
         (['export', 'motion.yaml', '--to', 'sdf', '--out', 'x'], 'Unknown parameter'),

@@ -263,7 +263,7 @@ def test_finds_a_valve_in_tosses(bellows: Run, root: Path, tmp_path: Path) -> No
         tmp_path / 'fit.json')
     done = bellows(
         'simulate', '--params', cup, '--motion', root / 'bags' / 'tosses.yaml', '--out', bag)
-    assert '20 tosses, let go' in done.stdout
+    assert '20 tosses, released' in done.stdout
     done = bellows('identify', bag, '--release', '--params', cup, '--out', out, '--json', fit)
     assert done.returncode == 0, done.stderr
     written, found = read_parameters(out), json.loads(fit.read_text())
@@ -272,7 +272,7 @@ def test_finds_a_valve_in_tosses(bellows: Run, root: Path, tmp_path: Path) -> No
     assert found['delay'] == written['release.delay'] and found['units']['delay'] == 's'
     assert len(found['tosses']) == 20 and 'From toss to toss' in done.stdout
     done = bellows('identify', bag, '--release', '--params', cup, '--jobs', 2, '--out', out)
-    assert done.returncode == 2 and '--release does not go with --jobs' in done.stderr
+    assert done.returncode == 2 and '--release cannot be combined with --jobs' in done.stderr
 
 
 def test_opens_with_the_accuracy_at_a_typical_motion(

@@ -24,7 +24,7 @@ def test_what_was_played_is_said(
     content = json.loads((tmp_path / 'played.json').read_text())
     assert content['messages'] == {'/pose': 2401} and content['duration'] == 1.0
     assert '/pose  2401 messages' in done.stdout
-    assert 'Warning: Nobody listened' in done.stderr
+    assert 'Warning: No subscriber was connected' in done.stderr
 
 
 @needs_ros

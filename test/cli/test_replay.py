@@ -43,7 +43,7 @@ def test_the_summary_counts_and_times(replayed: tuple[str, dict[str, object]]) -
     text = replayed[0]
     words = ' '.join(text.split())
     assert re.search(
-        r'Predicting live took [\d.]+ s, \d+ times faster than real time\.', words)
+        r'The live prediction took [\d.]+ s, \d+ times faster than real time\.', words)
     assert '2401' in text  # tool poses of 8 s at 300 Hz
 
 

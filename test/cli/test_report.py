@@ -55,5 +55,5 @@ def test_a_result_without_settings_is_refused(
     before = contents(tmp_path)
     done = bellows('report', tmp_path / 'old.json', '--out', tmp_path / 'x.html', cwd=workshop)
     assert done.returncode == 2
-    assert 'does not say from which recordings' in done.stderr
+    assert 'does not name its recordings' in done.stderr
     assert contents(tmp_path) == before

@@ -51,7 +51,7 @@ def test_summaries_must_be_there_and_alone(call, tmp_path, capsys):
     assert 'cannot be read' in capsys.readouterr().err
     assert not (tmp_path / 'cup.yaml').exists()
     assert call('identify', 'bags/validation', '--summaries', tmp_path / 'none.npz') == 2
-    assert 'instead of recordings' in ' '.join(capsys.readouterr().err.split())
+    assert 'replace the recordings' in ' '.join(capsys.readouterr().err.split())
     assert call('identify', 'bags/identification', 'bags/validation', '--params',
                 'bags/package.yaml', '--summary-out', tmp_path / 'one.npz') == 2
     assert 'of one recording, not of 2' in ' '.join(capsys.readouterr().err.split())

@@ -96,7 +96,8 @@ def test_a_signal_ends_in_order(
     os.killpg(process.pid, number)
     out, err = process.communicate(timeout=WITHIN)
     assert process.returncode == 128 + number
-    assert out == '' and err == f'Ended by {signal.Signals(number).name}; nothing is half done.\n'
+    name = signal.Signals(number).name
+    assert out == '' and err == f'Ended by {name}; nothing was left half done.\n'
     assert contents(tmp_path) == before
 
 

@@ -56,7 +56,7 @@ def test_a_cup_that_is_not_given_is_said(bellows: Run, workshop: Path, tmp_path:
         '--out', tmp_path / 'new',
     )
     assert done.returncode == 0, done.stderr
-    assert 'Warning: cup.stiffness is not set: this is the cup of the thesis' in done.stderr
+    assert 'Warning: cup.stiffness is not set: using the cup of the thesis' in done.stderr
 
 
 def test_the_margin_is_said_by_simulate_and_found_by_replay(

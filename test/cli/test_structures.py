@@ -13,7 +13,7 @@ def test_summary_and_json(bellows: Run, workshop: Path, tmp_path: Path) -> None:
         '--json', tmp_path / 'structures.json',
         cwd=workshop)
     assert (done.returncode, done.stderr) == (0, '')
-    for words in ('Excitation of the lip', 'What least squares can identify', 'P rz', 'Hz',
+    for words in ('Excitation of the lip', 'Identifiability', 'P rz', 'Hz',
                   'Structures', 'axisymmetric', 'diagonal', 'full', 'independent ones',
                   'Take fit.structure: axisymmetric.', 'Rank 8 of 8',
                   f'Wrote {tmp_path / "structures.json"}'):

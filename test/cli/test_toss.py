@@ -32,7 +32,7 @@ def test_lands_and_says_what_to_fix_first(bellows: Run, tmp_path: Path) -> None:
         assert squares == pytest.approx(
             unit ** 2 * np.trace(covariance[block, block]), rel=1e-6)
     assert set(found['budget'][0]) == {'name', 'std', 'contribution_mm', 'contribution_deg'}
-    assert 'Fix first: release.delay' in done.stdout
+    assert 'Reduce first: release.delay' in done.stdout
     assert 'A perfect K and P would gain' in ' '.join(done.stdout.split())
     assert picture.stat().st_size > 20_000
 
