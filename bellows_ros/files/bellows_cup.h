@@ -1,4 +1,4 @@
-/* A bellows suction cup and the package it holds: C11, no allocation, no dependency but libm.
+/* A bellows suction cup and the package it holds: C11 or C++17, no allocation, libm alone.
 
    Written by bellows export --to c. The numbers are at the end, in `bellows_exported` and
    `bellows_exported_grip`. SI units. World A with gravity as a vector; E tip of the tool, z into
@@ -19,6 +19,11 @@
 #include <math.h>
 
 #define BW static inline
+#ifdef __cplusplus
+#define BW_OF(type) type
+#else
+#define BW_OF(type) (type)
+#endif
 
 typedef struct { double x, y, z; } bw_vec;
 typedef struct { double x, y, z, w; } bw_quat;
@@ -42,29 +47,31 @@ typedef struct {
     bw_vec c1, c2, c3;
 } bw_segment;
 
-BW bw_vec bw_add(bw_vec a, bw_vec b) { return (bw_vec){a.x + b.x, a.y + b.y, a.z + b.z}; }
-BW bw_vec bw_sub(bw_vec a, bw_vec b) { return (bw_vec){a.x - b.x, a.y - b.y, a.z - b.z}; }
-BW bw_vec bw_scale(double k, bw_vec a) { return (bw_vec){k * a.x, k * a.y, k * a.z}; }
+BW bw_vec bw_add(bw_vec a, bw_vec b) { return BW_OF(bw_vec){a.x + b.x, a.y + b.y, a.z + b.z}; }
+BW bw_vec bw_sub(bw_vec a, bw_vec b) { return BW_OF(bw_vec){a.x - b.x, a.y - b.y, a.z - b.z}; }
+BW bw_vec bw_scale(double k, bw_vec a) { return BW_OF(bw_vec){k * a.x, k * a.y, k * a.z}; }
 BW bw_vec bw_axpy(bw_vec a, double k, bw_vec b)
 {
-    return (bw_vec){a.x + k * b.x, a.y + k * b.y, a.z + k * b.z};
+    return BW_OF(bw_vec){a.x + k * b.x, a.y + k * b.y, a.z + k * b.z};
 }
 BW double bw_dot(bw_vec a, bw_vec b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 BW bw_vec bw_cross(bw_vec a, bw_vec b)
 {
-    return (bw_vec){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+    return BW_OF(bw_vec){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 BW bw_vec bw_mul(const bw_mat *A, bw_vec v)
 {
     const double *a = A->a;
-    return (bw_vec){a[0] * v.x + a[1] * v.y + a[2] * v.z, a[3] * v.x + a[4] * v.y + a[5] * v.z,
-                    a[6] * v.x + a[7] * v.y + a[8] * v.z};
+    return BW_OF(bw_vec){a[0] * v.x + a[1] * v.y + a[2] * v.z,
+        a[3] * v.x + a[4] * v.y + a[5] * v.z,
+        a[6] * v.x + a[7] * v.y + a[8] * v.z};
 }
 BW bw_vec bw_tmul(const bw_mat *A, bw_vec v)
 {
     const double *a = A->a;
-    return (bw_vec){a[0] * v.x + a[3] * v.y + a[6] * v.z, a[1] * v.x + a[4] * v.y + a[7] * v.z,
-                    a[2] * v.x + a[5] * v.y + a[8] * v.z};
+    return BW_OF(bw_vec){a[0] * v.x + a[3] * v.y + a[6] * v.z,
+        a[1] * v.x + a[4] * v.y + a[7] * v.z,
+        a[2] * v.x + a[5] * v.y + a[8] * v.z};
 }
 BW bw_mat bw_tmulm(const bw_mat *A, const bw_mat *B)
 {
@@ -77,17 +84,17 @@ BW bw_mat bw_tmulm(const bw_mat *A, const bw_mat *B)
 }
 BW bw_quat bw_qmul(bw_quat p, bw_quat q)
 {
-    return (bw_quat){p.w * q.x + p.x * q.w + p.y * q.z - p.z * q.y,
-                  p.w * q.y - p.x * q.z + p.y * q.w + p.z * q.x,
-                  p.w * q.z + p.x * q.y - p.y * q.x + p.z * q.w,
-                  p.w * q.w - p.x * q.x - p.y * q.y - p.z * q.z};
+    return BW_OF(bw_quat){p.w * q.x + p.x * q.w + p.y * q.z - p.z * q.y,
+        p.w * q.y - p.x * q.z + p.y * q.w + p.z * q.x,
+        p.w * q.z + p.x * q.y - p.y * q.x + p.z * q.w,
+        p.w * q.w - p.x * q.x - p.y * q.y - p.z * q.z};
 }
 BW bw_mat bw_rot(bw_quat q)
 {
     double x = q.x, y = q.y, z = q.z, w = q.w;
-    return (bw_mat){{1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-                  2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-                  2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)}};
+    return BW_OF(bw_mat){{1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)}};
 }
 BW bw_quat bw_expq(bw_vec p)
 {
@@ -103,11 +110,11 @@ BW bw_quat bw_expq(bw_vec p)
         r = sin(0.5 * angle) / angle;
         c = cos(0.5 * angle);
     }
-    return (bw_quat){r * p.x, r * p.y, r * p.z, c};
+    return BW_OF(bw_quat){r * p.x, r * p.y, r * p.z, c};
 }
 BW bw_vec bw_logq(bw_quat q)
 {
-    if (q.w < 0) q = (bw_quat){-q.x, -q.y, -q.z, -q.w};
+    if (q.w < 0) q = BW_OF(bw_quat){-q.x, -q.y, -q.z, -q.w};
     double x = q.x * q.x + q.y * q.y + q.z * q.z, k;
     if (x < 1e-3) {
         k = 2 + x * (1 / 3. + x * (3 / 20. + x * (5 / 56. + x * (35 / 576.))));
@@ -115,7 +122,7 @@ BW bw_vec bw_logq(bw_quat q)
         double s = sqrt(x);
         k = 2 * atan2(s, q.w) / s;
     }
-    return (bw_vec){k * q.x, k * q.y, k * q.z};
+    return BW_OF(bw_vec){k * q.x, k * q.y, k * q.z};
 }
 BW bw_vec bw_body_rate(bw_vec phi, bw_vec rate) /* (G.65) */
 {
@@ -149,8 +156,8 @@ BW bw_vec bw_vector_rate(bw_vec phi, bw_vec omega)
 
 BW bw_pair bw_bmul(const bw_blocks *M, bw_vec a, bw_vec b)
 {
-    return (bw_pair){bw_add(bw_mul(&M->oo, a), bw_mul(&M->oR, b)),
-                     bw_add(bw_tmul(&M->oR, a), bw_mul(&M->RR, b))};
+    return BW_OF(bw_pair){bw_add(bw_mul(&M->oo, a), bw_mul(&M->oR, b)),
+        bw_add(bw_tmul(&M->oR, a), bw_mul(&M->RR, b))};
 }
 
 BW bw_pair bw_cup_wrench(
@@ -175,7 +182,7 @@ BW bw_pair bw_cup_wrench(
     bw_vec damper_m = bw_add(near.b, bw_tmul(R, bw_sub(far.b, bw_cross(o, far.a))));
     bw_vec f = bw_add(bw_scale(-0.25, spring_f), bw_scale(-0.5, damper_f));
     bw_vec n = bw_add(bw_scale(-0.25, spring_m), bw_scale(-0.5, damper_m));
-    return (bw_pair){f, {n.x - l1 * f.y, n.y + l1 * f.x, n.z}}; /* (3.25) */
+    return BW_OF(bw_pair){f, {n.x - l1 * f.y, n.y + l1 * f.x, n.z}}; /* (3.25) */
 }
 
 BW bellows_wrench bw_lip_wrench(
@@ -188,7 +195,7 @@ BW bellows_wrench bw_lip_wrench(
                       bw_tmul(&R, bw_add(tool->v, bw_cross(tool->w, o))));
     bw_vec w = bw_sub(body->w, bw_tmul(&R, tool->w));
     bw_pair f = bw_cup_wrench(m, o, &R, v, w);
-    return (bellows_wrench){f.a, f.b};
+    return BW_OF(bellows_wrench){f.a, f.b};
 }
 
 BW bw_pair bw_acceleration(
@@ -199,12 +206,12 @@ BW bw_pair bw_acceleration(
     bw_vec n = bw_sub(f.m, bw_cross(p->com, f.f));
     bw_vec fall = bw_sub(bw_tmul(&body->R, m->gravity), bw_cross(body->w, body->v));
     bw_vec turn = bw_sub(n, bw_cross(body->w, bw_mul(&p->inertia, body->w)));
-    return (bw_pair){bw_axpy(fall, 1 / p->mass, f.f), bw_mul(&p->inertia_inverse, turn)};
+    return BW_OF(bw_pair){bw_axpy(fall, 1 / p->mass, f.f), bw_mul(&p->inertia_inverse, turn)};
 }
 
 BW bw_frame bw_framed(const bellows_state *s)
 {
-    return (bw_frame){s->o, bw_rot(s->q), s->v, s->w};
+    return BW_OF(bw_frame){s->o, bw_rot(s->q), s->v, s->w};
 }
 
 BW bw_vec bw_quadratic(bw_vec step, bw_vec a, bw_vec b)
@@ -229,10 +236,11 @@ BW bw_segment bw_tool_segment(const bellows_state *s, const bellows_state *e, do
     bw_mat R0 = bw_rot(s->q), R1 = bw_rot(e->q);
     bw_vec a1 = bw_scale(h, bw_mul(&R0, s->v)), a1_end = bw_scale(h, bw_mul(&R1, e->v));
     bw_vec step = bw_sub(e->o, s->o);
-    bw_vec phi = bw_logq(bw_qmul((bw_quat){-s->q.x, -s->q.y, -s->q.z, s->q.w}, e->q));
+    bw_vec phi = bw_logq(bw_qmul(BW_OF(bw_quat){-s->q.x, -s->q.y, -s->q.z, s->q.w}, e->q));
     bw_vec c1 = bw_scale(h, s->w), c1_end = bw_scale(h, bw_vector_rate(phi, e->w));
-    return (bw_segment){h, s->o, a1, bw_quadratic(step, a1, a1_end), bw_cubic3(step, a1, a1_end),
-                     s->q, c1, bw_quadratic(phi, c1, c1_end), bw_cubic3(phi, c1, c1_end)};
+    return BW_OF(bw_segment){h, s->o, a1, bw_quadratic(step, a1, a1_end),
+        bw_cubic3(step, a1, a1_end),
+        s->q, c1, bw_quadratic(phi, c1, c1_end), bw_cubic3(phi, c1, c1_end)};
 }
 
 BW bw_frame bw_tool_at(const bw_segment *g, double s)
@@ -241,14 +249,14 @@ BW bw_frame bw_tool_at(const bw_segment *g, double s)
     bw_mat R = bw_rot(bw_qmul(g->q0, bw_expq(phi)));
     bw_vec v = bw_scale(1 / g->duration, bw_slope(s, g->a1, g->a2, g->a3));
     bw_vec w = bw_scale(1 / g->duration, bw_body_rate(phi, bw_slope(s, g->c1, g->c2, g->c3)));
-    return (bw_frame){bw_add(g->o0, bw_cubic(s, g->a1, g->a2, g->a3)), R, bw_tmul(&R, v), w};
+    return BW_OF(bw_frame){bw_add(g->o0, bw_cubic(s, g->a1, g->a2, g->a3)), R, bw_tmul(&R, v), w};
 }
 
 BW bellows_state bw_moved(
     const bellows_state *b, double h, bw_vec o, bw_vec s, bw_vec v, bw_vec w)
 {
-    return (bellows_state){bw_axpy(b->o, h, o), bw_qmul(b->q, bw_expq(bw_scale(h, s))),
-                           bw_axpy(b->v, h, v), bw_axpy(b->w, h, w)};
+    return BW_OF(bellows_state){bw_axpy(b->o, h, o), bw_qmul(b->q, bw_expq(bw_scale(h, s))),
+        bw_axpy(b->v, h, v), bw_axpy(b->w, h, w)};
 }
 
 BW bw_vec bw_rotation_rate(bw_vec sigma, bw_vec w)
@@ -265,7 +273,7 @@ BW bw_vec bw_mean(bw_vec a, bw_vec b, bw_vec c, bw_vec d)
 BW bw_quat bw_renormalised(bw_quat q)
 {
     double k = 1.5 - 0.5 * (q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w);
-    return (bw_quat){k * q.x, k * q.y, k * q.z, k * q.w};
+    return BW_OF(bw_quat){k * q.x, k * q.y, k * q.z, k * q.w};
 }
 
 BW bellows_state bw_rkmk4(
@@ -319,7 +327,7 @@ BW bellows_wrench bellows_lip_wrench(
 
 BW double bw_ratio(double suction, double load)
 {
-    return load > 0 ? suction / load : (double)INFINITY;
+    return load > 0 ? suction / load : HUGE_VAL;
 }
 
 BW double bellows_safety_factor(
@@ -349,15 +357,15 @@ BW void bw_unbalance(const bellows_model *m, const bellows_state *body, double o
 BW bellows_state bw_displaced(const bellows_state *b, const double by[6])
 {
     bw_mat R = bw_rot(b->q);
-    bw_vec shift = bw_mul(&R, (bw_vec){by[0], by[1], by[2]});
-    bw_quat q = bw_qmul(b->q, bw_expq((bw_vec){by[3], by[4], by[5]}));
-    return (bellows_state){bw_add(b->o, shift), q, {0, 0, 0}, {0, 0, 0}};
+    bw_vec shift = bw_mul(&R, BW_OF(bw_vec){by[0], by[1], by[2]});
+    bw_quat q = bw_qmul(b->q, bw_expq(BW_OF(bw_vec){by[3], by[4], by[5]}));
+    return BW_OF(bellows_state){bw_add(b->o, shift), q, {0, 0, 0}, {0, 0, 0}};
 }
 
 /* Move the body to where nothing accelerates. Return 0, 1 at no minimum, 2 where there is none. */
 BW int bw_newton(const bellows_model *m, bellows_state *body)
 {
-    double size = INFINITY, before, A[6][6], x[6];
+    double size = HUGE_VAL, before, A[6][6], x[6];
     int stable = 0;
     for (int turn = 0; turn < 50; turn++) {
         for (int j = 0; j < 6; j++) {
@@ -390,7 +398,7 @@ BW int bw_newton(const bellows_model *m, bellows_state *body)
             size += x[k] * x[k];
         }
         size = sqrt(size);
-        if (!(size < INFINITY)) return 2;
+        if (!(size < HUGE_VAL)) return 2;
         for (int k = 0; k < 6; k++) x[k] *= size > 0.3 ? 0.3 / size : 1;
         *body = bw_displaced(body, x);
         if ((size < 1e-9 && size > 0.1 * before) || size < 1e-13) break;

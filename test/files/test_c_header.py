@@ -27,6 +27,9 @@ MODEL = model_tuple(CUP, PACKAGE, GRAVITY)
 
 LIBRARY = """
 #include "cup.h"
+#ifdef __cplusplus
+extern "C" {
+#endif
 void step(const bellows_state *in, double h, int steps, bellows_state *out)
 { *out = bellows_step(&bellows_exported, &in[0], &in[1], &in[2], h, steps); }
 void wrench(const bellows_state *in, bellows_wrench *out)
@@ -39,23 +42,28 @@ int rest(const bellows_state *tool, double load, bellows_state *out)
     m.package.mass *= load;
     return bellows_equilibrium(&m, tool, out);
 }
+#ifdef __cplusplus
+}
+#endif
 """
 
 
-@pytest.fixture(scope='module', params=['-O0', '-O3'])
+@pytest.fixture(scope='module', params=[
+    'gcc -std=c11 -O0', 'gcc -std=c11 -O3', 'g++ -std=c++17 -O2'])
 def library(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> ctypes.CDLL:
     """Give the functions of the header, compiled with every warning an error."""
-    compiler = shutil.which('gcc') or shutil.which('cc')
-    if compiler is None:
-        pytest.skip('no C compiler (gcc or cc) is installed')
+    compiler, *options = request.param.split()
+    if shutil.which(compiler) is None:
+        pytest.skip(f'{compiler} is not installed')
     folder: Path = tmp_path_factory.mktemp('c')
+    name = 'cup.c' if compiler == 'gcc' else 'cup.cpp'
     (folder / 'cup.h').write_text(header(Exported(CUP, PACKAGE, GRAVITY, GRIP)))
-    (folder / 'cup.c').write_text(LIBRARY)
+    (folder / name).write_text(LIBRARY)
     subprocess.run(
-        [compiler, '-std=c11', '-Wall', '-Wextra', '-pedantic', '-Werror', '-ffp-contract=off',
-         request.param, '-shared', '-fPIC', '-o', 'cup.so', 'cup.c', '-lm'],
+        [compiler, *options, '-Wall', '-Wextra', '-pedantic', '-Wconversion', '-Wdouble-promotion',
+         '-Werror', '-ffp-contract=off', '-shared', '-fPIC', '-o', 'cup.so', name, '-lm'],
         cwd=folder, check=True)
     loaded = ctypes.CDLL(str(folder / 'cup.so'))
     loaded.factor.restype = ctypes.c_double
