@@ -244,13 +244,21 @@ def _braced(values: Any) -> str:
 
 
 def openplx(exported: Exported) -> str:
-    """Return the six-dof suction cup of OpenPLX, the same while it rests and holds."""
+    """
+    Return the six-dof suction cup of OpenPLX, the same while it rests and holds.
+
+    Its z is that of the tool. Its springs are where its connectors meet, by default at the tool.
+    """
     cup = exported.cup
+    middle = f'Math.Vec3.from_xyz(0, 0, {-0.5 * cup.length!r})'
     lines = [
         '# A bellows suction cup. Put it on your gripper; geometry and package are yours.',
         'BellowsCup is Robotics.EndEffectors.SixDofSuctionCup:',
         f'    resting_height: {cup.length!r}',
         f'    collapsed_height: {cup.length!r}',
+        '    holder_relative_position: Math.Vec3.from_xyz(0, 0, 0)',
+        *(f'    {name}_connector.position: {middle}'
+          for name in ('gripper', 'resting_mounting', 'collapsed_mounting')),
     ]
     if exported.grip:
         lines += [f'    {name}_radius: {exported.grip[1]!r}' for name in ('lip', 'mounting')]
@@ -300,8 +308,8 @@ TARGETS: Mapping[str, Target] = {
         'A lock between gripper and lip is linear in its six deflections; (3.17) has the sine of '
         'one rotation.',
         'The package is not in it: give your own body its mass and inertia.',
-        'Its names are those of the documentation of OpenPLX 0.19 and 0.26; it was not tried with '
-        'a simulator.',
+        'Its names and connectors follow the Robotics bundle of OpenPLX 0.19.0; it was not tried '
+        'with a simulator.',
     )),
     'c': Target('C (C11, a header)', header, (
         'Release, flight and uncertainties; of the model itself nothing is lost.',

@@ -69,12 +69,14 @@ def test_openplx_has_the_springs_of_a_round_cup() -> None:
     lines = TARGETS['openplx'].write(Exported(CUP, PACKAGE)).splitlines()
     assert lines[1] == 'BellowsCup is Robotics.EndEffectors.SixDofSuctionCup:'
     found = dict(line.strip().split(': ') for line in lines[2:])
-    assert len(found) == len(lines) - 2 == 2 + 16
+    assert len(found) == len(lines) - 2 == 2 + 1 + 3 + 16
     for axis, (i, j) in {'lip_normal': (2, 2), 'around_radial_axis': (3, 4)}.items():
         key = f'collapsed_elasto_dynamics.{axis}_{{}}'
         assert float(found[key.format('flexibility.stiffness')]) == 0.5 * (K[i] + K[j])
         assert float(found[key.format('dissipation.damping_constant')]) == 0.5 * (P[i] + P[j])
     assert float(found['resting_height']) == CUP.length
+    places = {found[key] for key in found if key.endswith('_connector.position')}
+    assert places == {f'Math.Vec3.from_xyz(0, 0, {-CUP.length / 2})'}  # z points into the gripper
 
 
 # What SDFormat 1.9 says of the elements used: their children, and those that are required.
