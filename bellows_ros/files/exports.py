@@ -223,12 +223,14 @@ def _joint(cup: Cup, number: int, parent: str, child: str) -> list[str]:
 def header(exported: Exported) -> str:
     """Return a header in C11: the model, and the numbers of this cup and package."""
     model = model_tuple(exported.cup, exported.package, exported.gravity)
-    grip = exported.grip or (0.0, 1.0, 0.0)
+    grip = [
+        '/* Suction force (N), radius of the lip (m), friction. */',
+        f'static const bellows_grip bellows_exported_grip = {_braced(exported.grip)};',
+    ] if exported.grip else [
+        '/* There is no bellows_exported_grip: cup.lip_radius and vacuum.holding are not set. */']
     return '\n'.join([
         HEADER.read_text(),
-        f'static const bellows_model bellows_exported = {_braced(model)};',
-        '/* Suction force (N; 0 where not known), radius of the lip (m), friction. */',
-        f'static const bellows_grip bellows_exported_grip = {_braced(grip)};',
+        f'static const bellows_model bellows_exported = {_braced(model)};', *grip,
         '/* Longest step of integration, s. */',
         f'static const double bellows_exported_longest = {largest_step(model)!r};',
         '', '#endif', '',

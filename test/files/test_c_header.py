@@ -124,3 +124,11 @@ def test_rest_is_where_nothing_accelerates(library: ctypes.CDLL) -> None:
         assert flat(found) == flat(expected)
         np.testing.assert_allclose(flat(body_acceleration(MODEL, still, found)), 0.0, atol=1e-8)
     assert library.rest(pointer(tool), ctypes.c_double(50.0), pointer(out)) == 1
+
+
+def test_a_grip_that_is_not_known_is_not_made_up() -> None:
+    """Leave it out, so that asking for it does not compile, instead of one that holds nothing."""
+    assert 'bellows_grip bellows_exported_grip =' in header(Exported(CUP, PACKAGE, grip=GRIP))
+    text = header(Exported(CUP, PACKAGE))
+    assert 'bellows_grip bellows_exported_grip =' not in text
+    assert 'cup.lip_radius' in text
