@@ -224,7 +224,7 @@ def joints_or_tf(
         links = read_transforms(path)
         if not links:
             raise NoArmError(f"'{path}' has no transforms. {no_arm}") from None
-        stamps, T, root = poses_in(links, tool_link, '', f"'{path}'")
+        stamps, T, root, _ = poses_in(links, tool_link, '', f"'{path}'")
         return _recorded(stamps, T, None, root)
     return recorded_joints(path, arm)
 

@@ -25,11 +25,16 @@ LONGEST_GAP = 4.0
 
 
 class Link(NamedTuple):
-    """A frame in its parent: poses (N, 4, 4) at stamps (ns), one of them where it is fixed."""
+    """
+    A frame in its parent: poses (N, 4, 4) at stamps (ns), one of them where it is fixed.
+
+    Bad: how many others are no poses.
+    """
 
     parent: str
     stamps_ns: Stamps
     poses: Array
+    bad: int = 0
 
 
 def read_transforms(path: str | os.PathLike[str]) -> dict[str, Link]:
@@ -62,20 +67,23 @@ def read_transforms(path: str | os.PathLike[str]) -> dict[str, Link]:
 
 
 def _link(parent: str, series: Mapping[int, tuple[float, ...]]) -> Link:
-    """Return a link in the order of its stamps, without numbers that are no pose."""
+    """Return a link in the order of its stamps, without what is not finite or no rotation."""
     stamps = np.array(sorted(series), dtype=np.int64)
     rows = np.array([series[stamp] for stamp in stamps.tolist()])
     length = np.linalg.norm(rows[:, 3:], axis=1)
     good = np.isfinite(rows).all(axis=1) & (np.abs(length - 1.0) < 0.01)
     q = rows[good, 3:] / length[good, None]
-    return Link(parent, stamps[good], transform(quaternion_to_rotation(q), rows[good, :3]))
+    return Link(parent, stamps[good], transform(quaternion_to_rotation(q), rows[good, :3]),
+                int(np.count_nonzero(~good)))
 
 
 def poses_in(
     links: Mapping[str, Link], frame: str, world: str, of: str
-) -> tuple[Stamps, Array, str]:
+) -> tuple[Stamps, Array, str, int]:
     """
     Return stamps (N,), poses (N, 4, 4) of a frame in another one, and the name of that.
+
+    And how many transforms on the way are left out because they are no poses.
 
     Parameters
     ----------
@@ -92,6 +100,7 @@ def poses_in(
         If one is unknown, no way leads from one to the other, or nothing moves on it.
 
     """
+    frame, world = frame.lstrip('/'), world.lstrip('/')
     up = _way(links, frame, of)
     root = world or (links[up[-1]].parent if up else frame)
     down = _way(links, root, of)
@@ -102,6 +111,12 @@ def poses_in(
         raise BellowsError(
             f"No way leads from '{frame}' to '{root}' in the transforms of {of}: one ends at "
             f"'{ends[0]}', the other at '{ends[1]}'. Record what connects them.")
+    for name in (*up, *down):
+        if not len(links[name].stamps_ns):
+            raise BellowsError(
+                f"No transform of '{name}' in '{links[name].parent}' of {of} is a pose "
+                f'({links[name].bad} came): numbers are not finite, or the length of the '
+                'quaternion is not 1. Mend what publishes them.')
     moving = [links[name] for name in (*up, *down) if len(links[name].stamps_ns) > 1]
     if not moving:
         raise BellowsError(f"'{frame}' does not move in '{root}' in the transforms of {of}.")
@@ -115,19 +130,24 @@ def poses_in(
         raise BellowsError(
             f"The transforms between '{frame}' and '{root}' in {of} have no time in common. "
             'Record them together, with stamps of one clock.')
-    return stamps[valid], T[valid], root
+    return stamps[valid], T[valid], root, sum(links[name].bad for name in (*up, *down))
 
 
 def _way(links: Mapping[str, Link], frame: str, of: str) -> list[str]:
-    """Return the frames from this one up to below the root."""
+    """Return the frames from this one up to below the root; refuse circles."""
     if frame not in links and frame not in {link.parent for link in links.values()}:
         raise BellowsError(
             f"Frame '{frame}' is not among the transforms of {of}: "
             f"{', '.join(sorted(links)[:8]) or 'there are none'}.")
     way: list[str] = []
-    while frame in links and frame not in way:
+    while frame in links:
         way.append(frame)
         frame = links[frame].parent
+        if frame in way:
+            circle = ' in '.join(f"'{name}'" for name in [*way[way.index(frame):], frame])
+            raise BellowsError(
+                f'The transforms of {of} go in a circle: {circle}. A frame can have only one '
+                'parent, and none that is below it; record without what publishes one of these.')
     return way
 
 

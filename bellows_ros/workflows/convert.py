@@ -237,11 +237,14 @@ def transforms_to_bag(
     names = names or (TOOL_POSE, PACKAGE_POSE)
     if len(set(names)) != 2:
         raise BellowsError('Name two topics with --topic, of the tool and of the package.')
+    if tool_frame.lstrip('/') == package_frame.lstrip('/'):
+        raise BellowsError(
+            f"'{tool_frame}' is named as the frame of the tool and of the package. Name two.")
     for frame, topic in zip((tool_frame, package_frame), names, strict=True):
-        stamps, T, world_frame = poses_in(links, frame, world_frame, f"'{bag}'")
+        stamps, T, world_frame, bad = poses_in(links, frame, world_frame, f"'{bag}'")
         rows = np.hstack([T[:, :3, 3], rotation_to_quaternion(T[:, :3, :3])])
         item = Converted(f'/{topic.lstrip("/")}', f"{frame} in '{world_frame}' of {bag}",
-                         len(stamps), {})
+                         len(stamps), {'transforms that are no poses': bad} if bad else {})
         found.append((item, Recorded(item.topic, POSE, stamps, rows, world_frame)))
     bodies, recorded = zip(*_part(found, span), strict=True)
     write_bag(out, recorded, storage, replace=replace)

@@ -79,11 +79,11 @@ def test_both_bodies_are_found_in_the_world(tmp_path):
 
 def test_the_world_may_be_any_frame(tmp_path):
     links = read_transforms(recording(tmp_path / 'tf'))
-    stamps, T, world = poses_in(links, 'box', 'tool', 'it')
+    stamps, T, world, bad = poses_in(links, '/box', 'tool', 'it')
     s = (stamps - T0) * 1e-9
     expected = [inverse_transform(MOUNT @ base_in_rail(x) @ flange_in_base(x) @ FLANGE)
                 @ CAMERA @ box_in_camera(x) for x in s]
-    assert world == 'tool' and len(s) == 201  # those of the arm; of the box between its own
+    assert world == 'tool' and len(s) == 201 and not bad  # the arm's; the box's between them
     assert_allclose(T[:, :3, 3], np.array(expected)[:, :3, 3], atol=1e-4)
 
 
@@ -98,6 +98,23 @@ def test_what_is_missing_is_said(tmp_path):
             poses_in(links, frame, world, 'it')
     with pytest.raises(BellowsError, match="'box' has two parents"):
         read_transforms(recording(tmp_path / 'two', [(T0 + 5, 'tool', 'box', CAMERA)]))
+    with pytest.raises(BellowsError, match="'tool' is named as the frame of the tool and of"):
+        transforms_to_bag(tmp_path / 'tf', tmp_path / 'out', 'tool', '/tool')
+
+
+def test_circles_and_numbers_that_are_no_poses_are_said(tmp_path):
+    nothing = CAMERA.copy()
+    nothing[0, 3] = np.nan
+    folder = recording(tmp_path / 'tf', [
+        (T0 + 5, 'b', 'a', CAMERA), (T0 + 6, 'c', 'b', CAMERA), (T0 + 7, 'a', 'c', CAMERA),
+        (T0 + 8, 'hall', 'lost', nothing), (T0 + 10**9 + 5, 'camera', 'box', nothing)])
+    links = read_transforms(folder)
+    with pytest.raises(BellowsError, match="in a circle: 'a' in 'b' in 'c' in 'a'"):
+        poses_in(links, 'a', '', 'it')
+    with pytest.raises(BellowsError, match="No transform of 'lost' in 'hall' of it is a pose"):
+        poses_in(links, 'tool', 'lost', 'it')
+    done = transforms_to_bag(folder, tmp_path / 'out', 'tool', 'box')
+    assert [b.left_out for b in done.bodies] == [{}, {'transforms that are no poses': 1}]
 
 
 def test_a_gap_is_not_bridged(tmp_path):

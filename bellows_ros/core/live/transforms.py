@@ -55,8 +55,10 @@ class Chain:
         """Know nothing yet."""
         self.world, self.tool, self.dropped = world, tool, 0
         self._parents: dict[str, str] = {}
+        self._left: dict[str, str | None] = {}  # with the last message, for another parent
+        self._both: dict[str, tuple[str, str]] = {}
         self._static: dict[str, PoseSample] = {}
-        self._found: tuple[str | None, list[str]] = '', []
+        self._found: tuple[str | None, list[tuple[str, str]]] = '', []
         self._follow()
 
     def add(self, parent: str, child: str, sample: PoseSample, static: bool = False) -> None:
@@ -66,9 +68,15 @@ class Chain:
         was_static = self._static.pop(child, None) is not None
         if static:
             self._static[child] = sample._replace(stamp_ns=STATIC)
-        if self._parents.get(child) != parent or static != was_static:
+        before = self._parents.get(child)
+        if before != parent or static != was_static:
+            if before is not None and self._left.get(child) == parent != before:
+                self._both[child] = before, parent
+            self._left[child] = before
             self._parents[child] = parent
             self._follow()
+        elif child in self._left:
+            del self._left[child]
         link = self._moving.get(child)
         if link is None:
             return
@@ -95,12 +103,14 @@ class Chain:
         ups = [self._up(self.tool), self._up(self.world)]
         shared = next((frame for frame in ups[0] if frame in ups[1]), None)
         self._ways = [up[:up.index(shared)] if shared is not None else [] for up in ups]
-        moving = [link for way in self._ways for link in way if link not in self._static]
+        moving = [(link, self._parents[link]) for way in self._ways for link in way
+                  if link not in self._static]
         if (shared, moving) == self._found:
             return
         self._found = shared, moving
-        self._moving: dict[str, deque[PoseSample]] = {link: deque(maxlen=KEPT) for link in moving}
-        self._first = moving[0] if moving else ''
+        self._moving: dict[str, deque[PoseSample]] = {
+            link: deque(maxlen=KEPT) for link, _ in moving}
+        self._first = moving[0][0] if moving else ''
         self._waiting: deque[int] = deque()
 
     def _up(self, frame: str) -> list[str]:
@@ -113,10 +123,18 @@ class Chain:
     @property
     def missing(self) -> str:
         """Why no pose of the tool can be given, or nothing."""
+        ups = [self._up(frame) for frame in (self.world, self.tool)]
+        for frame in (*ups[0], *ups[1]):
+            if frame in self._both:
+                one, other = self._both[frame]
+                return f"'{frame}' comes with two parents in turn, '{one}' and '{other}'"
         if self._found[0] is None:
-            ends = ' and '.join(f"'{self._up(frame)[-1]}'" for frame in (self.world, self.tool))
+            for way in ups:
+                if way[-1] in self._parents:
+                    return (f"the transforms go in a circle: '{self._parents[way[-1]]}' is above "
+                            f"'{way[-1]}', and below it")
             return (f"no transforms lead from '{self.world}' to '{self.tool}': from there they "
-                    f'lead up to {ends}')
+                    f"lead up to '{ups[0][-1]}' and '{ups[1][-1]}'")
         if not self._moving:
             return f"'{self.tool}' does not move in '{self.world}': all transforms are static"
         silent = [link for link, samples in self._moving.items() if not samples]

@@ -94,11 +94,31 @@ def test_a_frame_beside_the_way_changes_nothing():
     assert got == [1, 2, 3]
 
 
-def test_frames_that_go_in_circles_end():
+def test_frames_that_go_in_circles_end_and_are_named():
     chain = Chain('world', 'tool')
-    for parent, child in (('a', 'tool'), ('b', 'a'), ('tool', 'b'), ('world', 'world')):
+    for parent, child in (('a', 'tool'), ('b', 'a'), ('tool', 'b')):
         chain.add(parent, child, along_x(MS, 0.0))
-    assert not list(chain.due()) and 'no transforms lead' in chain.missing
+    assert not list(chain.due())
+    assert chain.missing == "the transforms go in a circle: 'tool' is above 'b', and below it"
+    chain.add('world', 'world', along_x(MS, 0.0))
+    assert not list(chain.due()) and "'world' is above 'world'" in chain.missing
+
+
+def test_two_parents_in_turn_are_not_mixed_and_are_named():
+    chain, got = Chain('world', 'tool'), []
+    chain.add('world', 'left', along_x(0, 1.0), static=True)
+    chain.add('world', 'right', along_x(0, -1.0), static=True)
+    chain.add('rail', 'tool', along_x(0, 0.0))
+    for stamp in range(1, 6):
+        chain.add(('left', 'right')[stamp % 2], 'rail', along_x(2 * stamp * MS, 0.0))
+        chain.add('rail', 'tool', along_x((2 * stamp - 1) * MS, 0.0))
+        got += chain.due()
+    assert not got  # between a rail on the left and one on the right there is none
+    assert chain.missing == "'rail' comes with two parents in turn, 'left' and 'right'"
+    moved = Chain('world', 'tool')
+    for stamp, parent in enumerate(('world', 'world', 'stand', 'stand', 'world', 'world')):
+        moved.add(parent, 'tool', along_x(stamp * MS, 0.0))
+    assert 'two parents' not in moved.missing  # a frame may be put elsewhere, and back
 
 
 def test_a_clock_set_back_is_followed_and_a_repetition_left_out():
