@@ -6,8 +6,14 @@ What four kinds of motion tell of K and P, in the same time and under the same l
 prints the table of docs/exciting.md: expected standard errors of the truth in percent, for random
 waypoints, our multisine (as it is, and scaled up until a limit is met), a motion designed for the
 smallest condition number, and one designed by `bellows excite`.
+
+    python -m benchmarks.excitation --fits 100
+
+fits so many recordings of that motion with noise, a few seconds each, and prints how the
+estimates scatter, and which standard errors the fits state, in times of what was expected.
 """
 
+import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,12 +24,18 @@ from bellows_ros.core.arm_limits import ArmLimits, limits_from
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.commissioning import everyday
 from bellows_ros.core.excitation import all_ratios, cups_near, design, Search
-from bellows_ros.core.identification.fisher import motion_information, standard_errors
-from bellows_ros.core.model import cup_of, model_tuple, package_of
+from bellows_ros.core.identification.fisher import motion_information, standard_errors, Tracking
+from bellows_ros.core.identification.prediction.prediction_error import prediction_error
+from bellows_ros.core.identification.prediction.segments import measured_segments
+from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.model import Cup, cup_of, model_tuple, Package, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.simulation import simulate
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.synthetic.motion import Motion
 from bellows_ros.core.synthetic.recipe import read_recipe
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.excite import tracking_from
@@ -47,7 +59,7 @@ class Conditioned(Search):
 
 
 def motions(
-    limits: ArmLimits, cup: Any, package: Any, tracking: Any
+    limits: ArmLimits, cup: Cup, package: Package, tracking: Tracking
 ) -> Iterator[tuple[str, Motion]]:
     """Yield names and motions."""
     models = [model_tuple(each, package, 9.81) for each in cups_near(cup)]
@@ -61,27 +73,86 @@ def motions(
         ours = replace(ours, amplitude=ours.amplitude * 0.999 / max(ratios.values()))
     yield 'multisine, scaled up', ours
     plain = excitation.Search
-    for name, kind in (('condition number', Conditioned), ('determinant', plain)):
-        excitation.Search = kind  # type: ignore[misc]
-        found = design(cup, package, 9.81, None, STRUCTURE, limits, tracking, SECONDS, 0,
-                       lambda what, part: None)
+    excitation.Search = Conditioned  # type: ignore[misc]
+    try:
+        yield 'condition number', designed(limits, cup, package, tracking)
+    finally:
         excitation.Search = plain  # type: ignore[misc]
-        yield name, found.motion
+    yield 'determinant', designed(limits, cup, package, tracking)
+
+
+def designed(limits: ArmLimits, cup: Cup, package: Package, tracking: Tracking) -> Motion:
+    """Return what `bellows excite` designs."""
+    return design(cup, package, 9.81, None, STRUCTURE, limits, tracking, SECONDS, 0,
+                  lambda what, part: None).motion
+
+
+def at_times(motion: Motion, period: float, margin: float) -> Trajectory:
+    """Return a motion at equal steps (s), without a margin (s) at both ends."""
+    count = int((SECONDS - 2.0 * margin) / period)
+    stamps = np.round((1.0 + margin + np.arange(count) * period) * NS_PER_S)
+    return motion.trajectory(stamps.astype(np.int64), NS_PER_S)
+
+
+def fits(
+    cup: Cup, package: Package, tracking: Tracking, motion: Motion, count: int, seed: int
+) -> tuple[Array, Array, Array]:
+    """Return expected standard errors (n,), and of each fit its errors and what it states."""
+    rng = np.random.default_rng(seed)
+    tool = at_times(motion, tracking.tool_period, 0.0)
+    at = at_times(motion, tracking.package_period, 0.1)
+    body = simulate(cup, package, at)
+
+    def noisy(poses: Trajectory, noise: Noise) -> Trajectory:
+        shift, turn = (size * rng.standard_normal((len(poses), 3)) for size in noise)
+        return Trajectory(poses.stamps_ns, poses.position + shift, poses.rotation @ exp_so3(turn))
+
+    expected = standard_errors(motion_information(cup, package, 9.81, at, tracking, STRUCTURE))
+    off, stated = [], []
+    start, truth = replace(cup, stiffness=1.2 * cup.stiffness), STRUCTURE.parameters(
+        cup.stiffness, cup.damping)
+    for _ in range(count):
+        fit = prediction_error(measured_segments(
+            noisy(tool, tracking.tool), noisy(body, tracking.package), package, 9.81),
+            STRUCTURE, start)
+        off.append(STRUCTURE.parameters(fit.stiffness, fit.damping) - truth)
+        stated.append(np.sqrt(np.diag(fit.covariance)))
+    return expected, np.array(off), np.array(stated)
+
+
+def print_fits(expected: Array, off: Array, stated: Array) -> None:
+    """Print the second table."""
+    rms = np.sqrt(np.mean((off / expected) ** 2))
+    print(f'{len(off)} fits: root mean square {rms:.3f} of what was expected')
+    print('| entry | mean | scatter | stated, median | lowest | highest |')
+    print('|---' * 6 + '|')
+    for i, label in enumerate(STRUCTURE.labels):
+        own = stated[:, i] / expected[i]
+        columns = (off[:, i].mean() / expected[i], off[:, i].std(ddof=1) / expected[i],
+                   np.median(own), own.min(), own.max())
+        print(f'| {label} | ' + ' | '.join(f'{value:.2f}' for value in columns) + ' |')
 
 
 def main() -> None:
     """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--fits', type=int, default=0, help='of so many recordings')
+    parser.add_argument('--seed', type=int, default=0, help='of their noise')
+    arguments = parser.parse_args()
     given = read_parameters(ROOT / 'bags' / 'cup.yaml')
     values: dict[str, Any] = resolve(given, PACKAGE_PARAMETERS)
     limits, block = limits_from(safe_yaml.load(ROOT / 'config' / 'limits_example.yaml'), 1.5)
     tracking, cup, package = tracking_from(block), cup_of(values), package_of(values)
+    if arguments.fits:
+        motion = designed(limits, cup, package, tracking)
+        print_fits(*fits(cup, package, tracking, motion, arguments.fits, arguments.seed))
+        return
     truth: Array = STRUCTURE.parameters(cup.stiffness, cup.damping)
     print('| motion | ' + ' | '.join(STRUCTURE.labels) + ' | condition number |')
     print('|---' * (len(truth) + 2) + '|')
     for name, motion in motions(limits, cup, package, tracking):
         M = motion_information(
-            model_tuple(cup, package, 9.81), motion.at_rate(1.0 / tracking.package_period),
-            tracking, STRUCTURE)
+            cup, package, 9.81, motion.at_rate(1.0 / tracking.package_period), tracking, STRUCTURE)
         errors = 100.0 * standard_errors(M) / truth
         condition = np.linalg.cond(M * np.outer(truth, truth))
         print(f'| {name} | ' + ' | '.join(f'{e:.2g}' for e in errors) + f' | {condition:.2g} |',

@@ -361,7 +361,8 @@ def design(
     motion, ratios = _within(motion, limits, models, grip)
     progress('computing what it tells', 1.0)
     tool = motion.at_rate(1.0 / tracking.package_period)
-    return Design(motion, ratios, shares, motion_information(models[0], tool, tracking, structure))
+    return Design(motion, ratios, shares, motion_information(
+        cup, package, gravity, tool, tracking, structure))
 
 
 def cups_near(cup: Cup) -> list[Cup]:

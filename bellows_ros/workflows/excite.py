@@ -169,7 +169,8 @@ def excite(
         model_tuple(each, package, gravity) for each in cups_near(cup)]
 
     def errors_of(tool: Trajectory) -> Array:
-        return standard_errors(motion_information(models[0], tool, tracking, structure))
+        return standard_errors(motion_information(
+            cup, package, gravity, tool, tracking, structure))
 
     period = tracking.package_period
     others = {os.fspath(path): errors_of(sampled(

@@ -1,39 +1,33 @@
 """
 The Fisher information of a motion on K and P, before or after it is recorded.
 
-It is that of the prediction-error method: of innovations (see `identification.innovations`), which
-know the noise of both bodies, with the package's first state unknown. About a motion without noise
-their derivatives follow the sensitivities of the motion, corrected at every sample by the gain.
+It is that of the prediction-error method, by its own code: of the equations of motion in units of
+what noise of both bodies makes of them along the motion (see `prediction.whitening`). For small
+motions it follows from the linear response, which is what a search can afford.
 """
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.equilibrium import largest_step, linearise, static_equilibrium
-from bellows_ros.core.identification.innovations import between, observer
-from bellows_ros.core.jacobians import DAMPING, STIFFNESS
-from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.equilibrium import linearise, static_equilibrium
+from bellows_ros.core.identification.innovations import between
+from bellows_ros.core.identification.prediction.equations import Segment
+from bellows_ros.core.identification.prediction.segments import Measured, MOST_POSES, PoseNoise
+from bellows_ros.core.identification.prediction.whitening import whitened
 from bellows_ros.core.kernels import ModelTuple, State
+from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.recording.noise import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
 from bellows_ros.core.savgol import weights
-from bellows_ros.core.sensitivities import advance_changes, columns, workspace
-from bellows_ros.core.simulation import row_state, state_row, tool_rows
+from bellows_ros.core.simulation import simulate
 from bellows_ros.core.structure import Structure
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.trajectory import Trajectory
 import numpy as np
-
-STEPS_PER_LARGEST = 0.4
-"""Integration steps may be longer than those of a simulation: derivatives to 1e-3 are enough."""
-
-ENTRIES = slice(STIFFNESS.start, DAMPING.stop)
-"""Of the parameters of `jacobians`: the upper triangles of K and P."""
 
 DIFFERENCE = 1e-4
 """Of parameters, in units of their scale, for derivatives of the linear response."""
 
 UPPER = np.triu_indices(6)
-OF_MATRICES = (slice(12, 12 + 21), slice(12 + 21, 12 + 42))
 
 
 class Tracking(NamedTuple):
@@ -46,15 +40,16 @@ class Tracking(NamedTuple):
 
 
 def motion_information(
-    model: ModelTuple, tool: Trajectory, tracking: Tracking, structure: Structure
+    cup: Cup, package: Package, gravity: Array | float, tool: Trajectory, tracking: Tracking,
+    structure: Structure,
 ) -> Array:
     """
     Return the information (2 n, 2 n) of a motion on the n parameters of K and n of P.
 
     Parameters
     ----------
-    model : ModelTuple
-        Cup, package and gravity.
+    cup, package, gravity
+        The model, as `simulate` takes it.
     tool : Trajectory
         Of E with body twists, at the stamps at which the package is tracked, from rest.
     tracking : Tracking
@@ -63,93 +58,20 @@ def motion_information(
         Of K and P.
 
     """
-    rows = tool_rows(tool)
-    first = state_row(rows[0, :3], rows[0, 3:7], np.zeros(6))
-    rest = static_equilibrium(model, first)
-    filtering = observer(
-        model, first, rest, tracking.package_period, tracking.tool_period, tracking.tool,
-        tracking.package)
-    durations = np.diff(tool.stamps_ns) / NS_PER_S
-    longest = largest_step(model) / STEPS_PER_LARGEST
-    substeps = np.maximum(np.ceil(durations / longest), 1.0).astype(np.int64)
-    changes = innovation_changes(model, rest, rows, durations, substeps, filtering.gain)
-    basis = np.array([unit[UPPER] for unit in structure.basis])
-    parts = [changes[:, :, :12], *(changes[:, :, part] @ basis.T for part in OF_MATRICES)]
-    return information(np.concatenate(parts, axis=2), filtering.covariance, 12)
-
-
-def innovation_changes(
-    model: ModelTuple, start: State, tool: Array, durations: Array, substeps: Stamps, gain: Array,
-) -> Array:
-    """
-    Return the derivatives (N, 6, 12 + 42) of the innovations of a motion without noise.
-
-    By the first state and by the upper triangles of K and P.
-
-    Parameters
-    ----------
-    model, start, tool, durations, substeps
-        As `sensitivities.sensitivities` takes them.
-    gain : ndarray (lags, 12, 6)
-        Of the observer.
-
-    """
-    n = 12 + ENTRIES.stop - ENTRIES.start
-    S: Array = np.zeros((12, n))
-    out: Array = np.empty((len(tool), 6, n))
-    S[:, :12] = np.eye(12)
-    inputs: tuple[Any, Any, Any] = (tool, durations, substeps)
-    if not COMPILED:
-        inputs = (tool.tolist(), durations.tolist(), substeps.tolist())
-    _innovation_changes(
-        model, start, *inputs, gain, (ENTRIES.start, ENTRIES.stop), np.zeros((12, 0)), S, out,
-        *workspace(n))
-    return out
-
-
-@kernel
-def _innovation_changes(
-    model: ModelTuple, body: State, tool: Any, durations: Any, substeps: Any, gain: Any,
-    parameters: tuple[int, int], none: Any, S: Any, out: Any, tool_changes: Any, work: Any,
-) -> None:
-    """Carry the changes of the predicted state from row to row, and correct them."""
-    before = row_state(tool[0])
-    for k in range(len(tool)):
-        out[k] = -S[:6]
-        if k == len(durations):
-            return
-        after = row_state(tool[k + 1])
-        body = advance_changes(
-            model, body, before, after, durations[k], substeps[k], S, parameters, none, none,
-            tool_changes, work)
-        before = after
-        for lag in range(min(k + 1, len(gain))):
-            for c in columns(S.shape[1]):
-                for i in range(12):
-                    for j in range(6):
-                        S[i, c] += gain[lag, i, j] * out[k - lag, j, c]
-
-
-def information(derivatives: Array, covariance: Array, nuisance: int = 0) -> Array:
-    """
-    Return the Fisher matrix (n, n) of white Gaussian numbers.
-
-    Parameters
-    ----------
-    derivatives : ndarray (N, m, nuisance + n)
-        Of N vectors of m numbers.
-    covariance : ndarray (m, m)
-        Of each vector.
-    nuisance : int
-        So many parameters, the first, are unknown and not wanted: the information on the others is
-        what is left when they are estimated, too.
-
-    """
-    white = np.linalg.solve(np.linalg.cholesky(covariance), derivatives)
-    J = white.reshape(-1, derivatives.shape[2])
-    own: Any = np.linalg.qr(J, mode='r')
-    own = own[nuisance:, nuisance:]
-    return np.asarray(own.T @ own)
+    body = simulate(cup, package, tool, gravity=gravity)
+    density = np.sqrt(tracking.tool_period / tracking.package_period)
+    noise = (PoseNoise(np.repeat(tracking.package, 3)),
+             PoseNoise(density * np.repeat(tracking.tool, 3)))
+    basis = np.kron(np.eye(2), np.transpose([unit[UPPER] for unit in structure.basis]))
+    total: Array = np.zeros((basis.shape[1], basis.shape[1]))
+    for part in np.array_split(np.arange(len(body)), len(body) // MOST_POSES + 1):
+        none = np.zeros((len(part), 12))
+        segment = Segment(Measured(tool, body.select(part), package, gravity, *noise[::-1]), False)
+        equations = segment.equations(cup, none, {})
+        J = whitened(
+            equations._replace(jacobian=equations.jacobian @ basis), noise, none + 1.0).jacobian
+        total += J.T @ J
+    return total
 
 
 def standard_errors(information: Array) -> Array:

@@ -1,25 +1,21 @@
-"""The information of a motion, against differences of innovations and the scatter of estimates."""
+"""The information of a motion, against the scatter of estimates."""
 
-from bellows_ros.core.equilibrium import displaced, static_equilibrium
 from bellows_ros.core.identification.fisher import (
-    information,
-    innovation_changes,
     motion_information,
     standard_errors,
     Tracking,
 )
-from bellows_ros.core.identification.innovations import innovations, observer
-from bellows_ros.core.identification.prediction.segments import in_motion
-from bellows_ros.core.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.core.identification.prediction.equations import Segment
+from bellows_ros.core.identification.prediction.segments import in_motion, Measured, PoseNoise
+from bellows_ros.core.identification.prediction.whitening import whitened
+from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.recording.noise import Noise
-from bellows_ros.core.resampling import resample
-from bellows_ros.core.simulation import simulate, state_row, tool_rows
+from bellows_ros.core.simulation import simulate
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.synthetic.motion import Oscillation, Pose
 from bellows_ros.core.trajectory import Trajectory
 import numpy as np
-from numpy.testing import assert_allclose
 import pytest
 
 STRUCTURE = STRUCTURES['axisymmetric']
@@ -50,73 +46,50 @@ def stamps(rate_hz, duration, first=0.0):
     return 10**9 + np.round((first + np.arange(count) / rate_hz) * 1e9).astype(np.int64)
 
 
-def first_state(rows):
-    return state_row(rows[0, :3], rows[0, 3:7], np.zeros(6))
+def expected(tool):
+    return standard_errors(
+        motion_information(cup_of(TRUTH), PACKAGE, 9.81, tool, TRACKING, STRUCTURE))
 
 
-def test_changes_are_those_of_the_innovations():
-    at = stamps(200.0, 1.2)
-    tool = motion(2.0).trajectory(at, 10**9)
-    rows, durations = tool_rows(tool), np.diff(at) * 1e-9
-    steps = np.full(len(durations), 2)
-    model, first = model_of(TRUTH), first_state(rows)
-    rest = static_equilibrium(model, first)
-    seen = observer(model, first, rest, 1 / 200, 1 / 500, TRACKING.tool, TRACKING.package)
-    body = simulate(cup_of(TRUTH), PACKAGE, tool, rest, substeps=2)
-    poses = np.hstack([body.position, rotation_to_quaternion(body.rotation)])
-    changes = innovation_changes(model, rest, rows, durations, steps, seen.gain)
+def recorded(mover, duration):
+    """Return the motion of the tool, and of the package at its stamps, as they are."""
+    tool = mover.trajectory(stamps(500.0, duration), 10**9)
+    at = mover.trajectory(stamps(360.0, duration - 0.2, 0.1), 10**9)
+    return tool, at, simulate(cup_of(TRUTH), PACKAGE, at)
 
-    def at_point(x, start):
-        return innovations(model_of(x), start, rows, poses, np.ones(len(rows), dtype=bool),
-                           durations, steps, seen)
 
-    assert np.abs(at_point(TRUTH, rest)).max() < 1e-12
-    upper = np.triu_indices(6)
-    for i, step in enumerate(np.diag(1e-5 * TRUTH)):
-        by_hand = (at_point(TRUTH + step, rest) - at_point(TRUTH - step, rest)) / 2e-5
-        unit = STRUCTURE.basis[i % 4][upper] * TRUTH[i]
-        first_column = 12 + 21 * (i // 4)
-        found = changes[:, :, first_column:first_column + 21] @ unit
-        assert_allclose(found, by_hand, atol=1e-6 * np.abs(by_hand).max())
-    for i in range(6):
-        d = 1e-6 * np.eye(6)[i]
-        up, down = (at_point(TRUTH, displaced(rest, tuple(s * d[:3]), tuple(s * d[3:])))
-                    for s in (1, -1))
-        assert_allclose(changes[:, :, i], (up - down) / 2e-6, atol=1e-6)
+def noisy(poses, noise, rng):
+    n = len(poses)
+    return Trajectory(
+        poses.stamps_ns, poses.position + noise.position * rng.standard_normal((n, 3)),
+        poses.rotation @ exp_so3(noise.rotation * rng.standard_normal((n, 3))))
 
 
 def estimates(mover, duration, draws):
     """Yield errors of estimates over their expected standard errors, one row per recording."""
     rng = np.random.default_rng(11)
-    coarse, fine = stamps(500.0, duration), stamps(360.0, duration - 0.2, 0.1)
-    tool, at = mover.trajectory(coarse, 10**9), mover.trajectory(fine, 10**9)
-    rows, durations = tool_rows(at), np.diff(fine) * 1e-9
-    steps, model = np.full(len(durations), 1), model_of(TRUTH)
-    first = first_state(rows)
-    rest = static_equilibrium(model, first)
-    body = simulate(cup_of(TRUTH), PACKAGE, at, rest)
-    seen = observer(model, first, rest, TRACKING.package_period, TRACKING.tool_period,
-                    TRACKING.tool, TRACKING.package)
-    changes = innovation_changes(model, rest, rows, durations, steps, seen.gain)
-    basis = np.array([unit[np.triu_indices(6)] for unit in STRUCTURE.basis])
-    J = np.concatenate(
-        [changes[:, :, :12], changes[:, :, 12:33] @ basis.T, changes[:, :, 33:] @ basis.T], axis=2)
-    white = np.linalg.inv(np.linalg.cholesky(seen.covariance))
-    inverse = np.linalg.pinv((white @ J).reshape(-1, 20))
-    expected = standard_errors(motion_information(model, at, TRACKING, STRUCTURE))
+    tool, at, body = recorded(mover, duration)
+    noises = [PoseNoise(np.repeat(noise, 3)) for noise in (TRACKING.package, TRACKING.tool)]
+    noises[1] = PoseNoise(noises[1].ripple * np.sqrt(360.0 / 500.0))
+    none, cup = np.zeros((len(body), 12)), cup_of(TRUTH)
 
-    def noisy(poses, noise):
-        n = len(poses)
-        return (poses.position + noise.position * rng.standard_normal((n, 3)),
-                poses.rotation @ exp_so3(noise.rotation * rng.standard_normal((n, 3))))
+    def segment(tool, package, noisy=True):
+        return Segment(Measured(tool, package, PACKAGE, 9.81, *noises[::-1]), noisy)
 
+    equations = segment(at, body, False).equations(cup, none, {})
+    basis = np.kron(np.eye(2), [unit[np.triu_indices(6)] for unit in STRUCTURE.basis])
+    J = equations.jacobian @ basis.T
+    _, J, root = whitened(equations._replace(jacobian=J), noises, none + 1.0)
+    inverse, usual = np.linalg.pinv(J), expected(at)
     for _ in range(draws):
-        smooth = in_motion(Trajectory(coarse, *noisy(tool, TRACKING.tool)))
-        o, R = noisy(body, TRACKING.package)
-        poses = np.hstack([o, rotation_to_quaternion(R)])
-        e = innovations(model, rest, tool_rows(resample(smooth, fine)), poses,
-                        np.ones(len(fine), dtype=bool), durations, steps, seen)
-        yield -(inverse @ (e @ white.T).ravel())[12:] / expected
+        own = segment(in_motion(noisy(tool, TRACKING.tool, rng)),
+                      noisy(body, TRACKING.package, rng))
+        noise = none
+        for _ in range(2):  # as a fit does: about the likeliest motion
+            c = own.errors(cup, noise, {}, equations.package, equations.tool)
+            r = root.whitened(c[:, :, None])[:, 0]
+            noise = root.noise(r)[0]
+        yield inverse @ r / usual
 
 
 @pytest.mark.parametrize('draws, within', [
@@ -128,10 +101,5 @@ def test_estimates_scatter_as_expected(draws, within):
     assert abs(np.sqrt(np.mean(scatter**2)) - 1.0) < within
 
 
-def test_a_nuisance_costs_what_the_inverse_says():
-    rng = np.random.default_rng(2)
-    J, covariance = rng.normal(size=(50, 6, 5)), np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
-    whole = sum(A.T @ np.linalg.inv(covariance) @ A for A in J)
-    assert_allclose(
-        np.linalg.inv(information(J, covariance, 2)), np.linalg.inv(whole)[2:, 2:], rtol=1e-9)
+def test_without_information_there_is_no_standard_error():
     assert np.isinf(standard_errors(np.diag([1.0, 0.0]))).all()

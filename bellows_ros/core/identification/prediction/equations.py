@@ -64,10 +64,14 @@ class Equations(NamedTuple):
 
 
 class Segment:
-    """A segment of a recording at the package's stamps, with a tool that may be late."""
+    """
+    A segment of a recording at the package's stamps, with a tool that may be late.
 
-    def __init__(self, measured: Measured) -> None:
-        self.measured = measured
+    Poses that are not noisy are linearised about as they are.
+    """
+
+    def __init__(self, measured: Measured, noisy: bool = True) -> None:
+        self.measured, self.noisy = measured, noisy
         package = measured.package
         self._poses = Trajectory(package.stamps_ns, package.position, package.rotation)
         self._moves = np.array(measured.moves_with_com, dtype=float)
@@ -165,6 +169,8 @@ class Segment:
 
     def _smooth(self, poses: Trajectory) -> tuple[Array, Array]:
         """Return states and rates of twists as of `_states`, smoother away from the ends."""
+        if not self.noisy:
+            return _states(poses, REACH, 2 * REACH)
         states, rate = _states(poses, REACH, SMOOTHED_ORDER)
         half = max(round(SMOOTHED_OVER / self.period), REACH)
         if len(poses) > 2 * half:

@@ -124,8 +124,8 @@ class Measured:
         valid.
     payload : Package
         Mass, inertia and centre of mass of the package in this recording.
-    gravity : float
-        m/s^2 along -z of the world.
+    gravity : float or array (3,)
+        m/s^2 along -z of the world, or as a vector there.
     tool_noise, package_noise : PoseNoise
         Noise of the measured poses; the tool's has its density at the package's rate.
     recording : int
@@ -139,7 +139,7 @@ class Measured:
     tool: Trajectory
     package: Trajectory
     payload: Package
-    gravity: float
+    gravity: Array | float
     tool_noise: PoseNoise
     package_noise: PoseNoise
     recording: int = 0
