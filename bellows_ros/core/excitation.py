@@ -336,20 +336,13 @@ def design(
             structure.parameters(each.stiffness, each.damping), _scale(structure, each), at, omega,
             tracking) for each in cups]
 
-    search = Search(limits, period, models, grip, responses_at,
-                    1.0 / tracking.package_period)
+    search = Search(limits, period, models, grip, responses_at, 1.0 / tracking.package_period)
     shape = np.random.default_rng(seed).standard_normal(2 * search.size.size)
-    steps = sum(most for _, most in STAGES)
-    best, done, shares = -math.inf, 0, dict[str, float]()
+    best, shares = -math.inf, dict[str, float]()
     motion = FourierMotion(limits.start, period, np.zeros((1, 6)))
-
-    def count(_: Array) -> None:
-        nonlocal done
-        done += 1
-        progress('designing the motion', min(done / steps, 1.0))
-
-    for power, most in STAGES:
-        shape = minimise(search, shape, (power,), 'L-BFGS-B', True, callback=count, options={
+    for number, (power, most) in enumerate(STAGES):
+        progress('designing the motion', number / len(STAGES))
+        shape = minimise(search, shape, (power,), 'L-BFGS-B', True, options={
             'maxiter': most, 'maxfun': 2 * most, 'maxcor': MEMORY, 'ftol': ENOUGH}).x
         coefficients, now = search.within(shape, power)
         moved = FourierMotion(limits.start, period, coefficients)
