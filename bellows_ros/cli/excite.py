@@ -1,11 +1,13 @@
 """`bellows excite`: design the motion that identifies a cup best."""
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import options
-from .console import Console, OK, short, with_error
+from .console import Console, short, with_error
+from .planned import carry_out, Given
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.excite import Excitation
@@ -76,32 +78,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Design, write, report."""
-    values = options.given_parameters(arguments)
     from bellows_ros.files.safe_yaml import load
     from bellows_ros.workflows.excite import excite, write_motion
 
-    options.require_free(arguments.out, arguments.force)
-    if arguments.plot:
-        from bellows_ros.plots.style import require_picture
+    def work(given: Given, progress: Callable[..., None]) -> 'Excitation':
+        return excite(
+            given.values, load(arguments.limits), arguments.time, given.urdf, arguments.beside,
+            arguments.seed, progress, arguments.series)
 
-        require_picture(arguments.plot)
-    with console.progress() as progress:
-        found = excite(
-            values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
-            arguments.beside, arguments.seed, progress, arguments.series)
-    write_motion(arguments.out, found, arguments.csv, arguments.urscript, arguments.force)
-    options.put_json(arguments.json, found.as_json(arguments.params), console)
-    if arguments.plot:
+    def draw(found: 'Excitation') -> None:
         from bellows_ros.plots.excite import excite_figure
         from bellows_ros.plots.style import write_figure
 
         write_figure(arguments.plot, excite_figure(
             found.design, f'{arguments.time:g} s, for {arguments.limits}'))
-    options.warn_of_thesis_cup(values, console)
-    _say(found, console)
-    console.wrote(
-        arguments.out, arguments.csv, arguments.urscript, arguments.plot, arguments.json)
-    return OK
+
+    return carry_out(
+        arguments, console, work, draw, _say, lambda found: write_motion(
+            arguments.out, found, arguments.csv, arguments.urscript, arguments.force))
 
 
 def _say(found: 'Excitation', console: Console) -> None:

@@ -35,7 +35,7 @@ def add_plan_options(
 
 
 class Given(NamedTuple):
-    """A plan on the command line, as the workflows take it."""
+    """A plan (or none) on the command line, as the workflows take it."""
 
     path: Path
     values: Mapping[str, Any]
@@ -73,17 +73,17 @@ def carry_out(
         from bellows_ros.plots.style import require_picture
 
         require_picture(arguments.plot, films)
-    given = Given(arguments.plan, values, str(arguments.urdf or ''), arguments.topic)
+    path, topic = getattr(arguments, 'plan', Path()), getattr(arguments, 'topic', '')
+    given = Given(path, values, str(arguments.urdf or ''), topic)
     with console.progress() as progress:
         result = work(given, progress)
         if arguments.plot:
             draw(result)
     options.put_json(arguments.json, result.as_json(arguments.params), console)
-    targets = [arguments.json, arguments.plot]
     if write is not None and arguments.out:
         write(result)
-        targets.append(arguments.out)
     options.warn_of_thesis_cup(values, console)
     say(result, console)
-    console.wrote(*targets)
+    console.wrote(*(getattr(arguments, name, '')
+                    for name in ('json', 'plot', 'csv', 'urscript', 'out')))
     return OK
