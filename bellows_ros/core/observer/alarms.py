@@ -16,25 +16,21 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.jit import kernel
 from bellows_ros.core.observer.filter import (
-    FALL,
     FORCE,
-    GONE,
-    Innovation,
     LENGTHENED,
     LENGTHENING,
     MOMENT,
-    PASSAGE,
     product,
-    SPEED,
 )
+from bellows_ros.core.observer.measurement import Innovation
 from bellows_ros.core.tuples import cross, Quaternion, rotation_matrix, Vector
 import numpy as np
 
-FRAME, SLIPPED = slice(PASSAGE, PASSAGE + 6), slice(PASSAGE + 6, PASSAGE + 8)
-EXTENDED = PASSAGE + 8
+GONE, SPEED, FALL = 26, 27, 30
+FRAME, SLIPPED, EXTENDED = 33, 39, 41
 
 
 class Cause(NamedTuple):
@@ -69,32 +65,34 @@ CAUSES = (
           'payload.estimate.'),
     Cause('lost', (GONE,), (0.3,), 0.1, False, True,
           'The package is lost: stop the arm.'),
-    Cause('camera', tuple(range(FRAME.start, FRAME.stop)), (0.01,) * 6, 0.15,
+    Cause('camera', tuple(range(FRAME, FRAME + 6)), (0.01,) * 6, 0.15,
           True, True,
           'The frame of the camera has moved by {:.1f} mm: calibrate it.'),
 )
 """What is looked for."""
 
-ROWS = tuple(row for cause in CAUSES for row in cause.rows)
-FIRSTS = np.cumsum([0, *(len(cause.rows) for cause in CAUSES)])
-"""Where the numbers of each cause begin, and where the last end."""
-AT_START: Mask = np.array([cause.at_start for cause in CAUSES])
-SETS_IN: Mask = np.array([cause.sets_in for cause in CAUSES])
-NOT_USED: Array = np.zeros((22, 6))
-SHARES = np.log([cause.share for cause in CAUSES])
-USUAL = np.array([std for cause in CAUSES for std in cause.usual])
-JUMPS: Array = np.zeros((EXTENDED, len(ROWS)))
-"""The error that each number of a size makes where it sets in."""
-MEAN = np.where(np.array(ROWS) == GONE, 1.0, 0.0)
+START = tuple(cause for cause in CAUSES if cause.at_start)
+LOOKED_FOR = START + tuple(cause for cause in CAUSES if cause.sets_in)
+"""First those that may be there from the beginning, then those that may set in."""
+ROWS = tuple(row for cause in LOOKED_FOR for row in cause.rows)
+FIRSTS = tuple(np.cumsum([0, *(len(cause.rows) for cause in LOOKED_FOR)]).tolist())
+"""Where the numbers of each begin, and where the last end."""
+AT_START, N_START = len(START), FIRSTS[len(START)]
+N_LATER = len(ROWS) - N_START
+OF_CAUSE = tuple(CAUSES.index(cause) for cause in LOOKED_FOR)
+SHARES = tuple(math.log(cause.share) for cause in CAUSES)
+USUAL = tuple(std for cause in LOOKED_FOR for std in cause.usual)
+MEAN = tuple(1.0 if row == GONE else 0.0 for row in ROWS)
 """A package that is lost has lost all of the cup's force."""
-JUMPS[ROWS, range(len(ROWS))] = 1.0
-JUMPS[:2, :2] = JUMPS[SLIPPED, :2] = np.eye(2)  # a package that slips moves, its lip does not
 
 ONSET_NS = 30_000_000
 """Time (ns) between two onsets that are looked at."""
 
-ONSETS, DENSE_NS = 28, 550_000_000
-"""So many of them, and the beginning: all of a time (ns), and what is older farther apart."""
+ONSETS, DENSE_NS, OLDEST_NS = 28, 550_000_000, 10_000_000_000
+"""
+So many of them, beside the beginning: all of a time (ns), what is older farther apart, and nothing
+that is older than this (ns): all that falls for long has fallen out of any number's range.
+"""
 
 START_WEIGHS = 30.0
 """A fault from the beginning is as likely as one that sets in at any of so many onsets."""
@@ -138,24 +136,22 @@ class Alarms:
 
     def __init__(self, false_per_hour: float) -> None:
         """Know of nothing."""
-        self._threshold = float(np.log(3.6e12 / ONSET_NS / false_per_hour))
+        self._threshold = math.log(3.6e12 / ONSET_NS / false_per_hour)
         self.forget()
 
     def forget(self) -> None:
         """Begin anew."""
-        n = len(ROWS)
         self.last_ns = -1
-        self._E: Array = np.zeros((EXTENDED, (ONSETS + 1) * n))
-        self._information: Array = np.zeros((ONSETS + 1, n, n))
-        self._evidence: Array = np.zeros((ONSETS + 1, n))
-        self._total: Array = np.zeros(ONSETS + 1)  # of the squared distances since each onset
-        self._counts = np.zeros(ONSETS + 1, np.int64)  # of measurements since each onset
-        self._onsets: list[int] = []  # stamps
+        self._E: Array = np.zeros((EXTENDED, N_START + ONSETS * N_LATER))
+        self._information: Array = np.zeros((1 + ONSETS, N_START, N_START))
+        self._evidence: Array = np.zeros((1 + ONSETS, N_START))
+        self._distances: Array = np.zeros(1 + ONSETS)  # the sum of the squared ones since each
+        self._counts: Stamps = np.zeros(1 + ONSETS, np.int64)  # of measurements since each
+        self._onsets: Stamps = np.full(1 + ONSETS, -1, np.int64)  # stamps
         self._half_way: list[int] = []  # stamps since half-way to the threshold
 
     def step(
-        self, stamp_ns: int, passage: Array, found: Innovation, used: bool,
-        position: Vector, quaternion_xyzw: Quaternion,
+        self, stamp_ns: int, passage: Array, found: Innovation, used: bool
     ) -> Alarm | None:
         """
         Take the next innovation, and say what is wrong.
@@ -164,76 +160,125 @@ class Alarms:
         ----------
         stamp_ns : int
             Of the measurement.
-        passage : ndarray (33, 33)
-            Of the error and of faults, since then.
+        passage : ndarray (13, 26)
+            Since the one before.
         found : Innovation
             Of its pose.
         used : bool
             Whether the estimate was corrected with it.
-        position, quaternion_xyzw : tuple
-            Measured pose of B in the world.
 
         """
-        if not self._onsets or stamp_ns - max(self._onsets) >= ONSET_NS:
-            self._begin(stamp_ns)
         self.last_ns = stamp_ns
-        C = _sight(found.H, position, quaternion_xyzw)
-        _take(self._E, self._information, self._evidence, passage, C, found.y, found.whitener,
-              found.gain if used else NOT_USED)
-        known = slice(0, len(self._onsets))
-        self._total[known] += found.distance
-        self._counts[known] += 1
-        return self._judge(stamp_ns)
+        total, lead, onset, which = _step(
+            self._E, self._information, self._evidence, self._distances, self._counts,
+            self._onsets, stamp_ns, passage, found, used)
+        self._half_way = [*self._half_way, stamp_ns] if total > 0.5 * self._threshold else []
+        if total < self._threshold or len(self._half_way) <= CONFIRMED or (
+                lead < SURE and stamp_ns - self._half_way[0] < DECIDE_NS):
+            return None
+        cause, size = LOOKED_FOR[which], self._size(onset, which)
+        self.forget()
+        return Alarm(stamp_ns, cause.name, size, cause.words.format(cause.unit * size))
 
     def lost(self, stamp_ns: int) -> Alarm:
         """Return that the package is lost."""
         self.forget()
         return Alarm(stamp_ns, 'lost', 1.0, next(c.words for c in CAUSES if c.name == 'lost'))
 
-    def _begin(self, stamp_ns: int) -> None:
-        """Look at another onset, for one of the older ones that is nearest to its neighbours."""
-        k, n = len(self._onsets), len(ROWS)
-        if k > ONSETS:
-            order = np.argsort(self._onsets)
-            stamps = np.array(self._onsets)[order]
-            older = np.maximum(stamp_ns - DENSE_NS - stamps[1:-1], 1)
-            k = int(order[1 + np.argmin((stamps[2:] - stamps[:-2]) / older)])
-            self._onsets[k] = stamp_ns
-        else:
-            self._onsets.append(stamp_ns)
-        self._E[:, k * n:k * n + n] = JUMPS
-        self._information[k], self._evidence[k] = 0.0, 0.0
-        self._total[k], self._counts[k] = 0.0, 0
-
-    def _judge(self, stamp_ns: int) -> Alarm | None:
-        """Return an alarm when one is due, with the likeliest cause."""
-        ratios = _ratios(self._information, self._evidence, self._total, self._counts)
-        sums = np.logaddexp.reduce(ratios, axis=0) + SHARES
-        order = np.argsort(sums)[::-1]
-        total = np.logaddexp.reduce(sums)
-        self._half_way = [*self._half_way, stamp_ns] if total > 0.5 * self._threshold else []
-        if total < self._threshold or len(self._half_way) <= CONFIRMED:
-            return None
-        ahead = sums[order[0]] - sums[order[1]]
-        if ahead < SURE and stamp_ns - self._half_way[0] < DECIDE_NS:
-            return None
-        cause = CAUSES[order[0]]
-        size = self._size(int(ratios[:, order[0]].argmax()), int(order[0]))
-        self.forget()
-        return Alarm(stamp_ns, cause.name, size, cause.words.format(cause.unit * size))
-
     def _size(self, onset: int, which: int) -> float:
         """Return the most likely size of a fault: of a vector its length, of the first three."""
-        part = slice(FIRSTS[which], FIRSTS[which + 1])
+        usual = np.array(LOOKED_FOR[which].usual)
+        first = FIRSTS[which] - (N_START if onset else 0)
+        part = slice(first, first + len(usual))
         J, d = self._information[onset, part, part], self._evidence[onset, part]
-        found = np.linalg.solve(J + np.diag(USUAL[part] ** -2.0), d)
+        found = np.linalg.solve(J + np.diag(usual ** -2.0), d)
         return float(np.linalg.norm(found[:3]))
+
+
+@kernel
+def _step(
+    E: Array, information: Array, evidence: Array, distances: Array, counts: Stamps,
+    onsets: Stamps, stamp_ns: int, M: Array, found: Innovation, used: bool,
+) -> tuple[float, float, int, int]:
+    """
+    Take the next innovation.
+
+    Returns
+    -------
+    total : float
+        Logarithm of the sum of all likelihood ratios.
+    lead : float
+        By how much that of the likeliest cause leads the next.
+    onset, which : int
+        Of the likeliest cause, and its place in `LOOKED_FOR`.
+
+    """
+    position, quaternion_xyzw, y, H, root, distance, gain = found
+    if stamp_ns - onsets.max() >= ONSET_NS:
+        k = _place(onsets, stamp_ns)
+        onsets[k], distances[k], counts[k] = stamp_ns, 0.0, 0
+        information[k], evidence[k] = 0.0, 0.0
+        _set_in(E, k)
+    _pass_on(E, M, product(M[:12], E[:GONE], np.empty((12, E.shape[1]))))
+    made = product(_sight(H, position, quaternion_xyzw), E, np.empty((6, E.shape[1])))
+    seen = product(root, made, np.empty((6, E.shape[1])))
+    z = product(root, y.reshape((6, 1)), np.empty((6, 1)))
+    for k in range(len(onsets)):
+        if onsets[k] >= 0:
+            distances[k] += distance
+            counts[k] += 1
+            _compare(seen, z, k, information[k], evidence[k])
+    if used:
+        taken_out = product(gain, made, np.empty((22, E.shape[1])))
+        for i in range(22):
+            for c in range(E.shape[1]):
+                E[i, c] -= taken_out[i, c]
+    return _judged(information, evidence, distances, counts)
+
+
+@kernel
+def _place(onsets: Stamps, stamp_ns: int) -> int:
+    """Return where another onset goes: for the one nearest to its neighbours, being older."""
+    place, least = 0, math.inf
+    for k in range(len(onsets)):
+        before_ns, after_ns = onsets[0], stamp_ns
+        if onsets[k] < 0 or (k > 0 and stamp_ns - onsets[k] > OLDEST_NS):
+            return k
+        for other in onsets:
+            if other < onsets[k]:
+                before_ns = max(before_ns, other)
+            elif other > onsets[k]:
+                after_ns = min(after_ns, other)
+        room = (after_ns - before_ns) / max(stamp_ns - DENSE_NS - onsets[k], 1)
+        if k > 0 and room < least:
+            place, least = k, room
+    return place
+
+
+@kernel
+def _columns(k: int) -> tuple[int, int, int]:
+    """Return an onset's first column, and its first and last number but one in `ROWS`."""
+    if k == 0:
+        return 0, 0, N_START
+    return N_START + (k - 1) * N_LATER, N_START, N_START + N_LATER
+
+
+@kernel
+def _set_in(E: Array, k: int) -> None:
+    """Write the error that each number of a size makes where it sets in."""
+    column, first, end = _columns(k)
+    for a in range(first, end):
+        c, row = column + a - first, ROWS[a]
+        E[:, c] = 0.0
+        E[row, c] = 1.0
+        if k > 0 and 13 <= row <= 14:  # a package that slips moves, its lip does not
+            E[row - 13, c] = E[SLIPPED + row - 13, c] = 1.0
 
 
 @kernel
 def _sight(H: Array, position: Vector, quaternion_xyzw: Quaternion) -> Array:
     """Return what the extended error makes of an innovation (6, 41)."""
-    C = np.zeros((6, 41))
+    C = np.zeros((6, EXTENDED))
     for i in range(6):
         for j in range(22):
             C[i, j] = H[i, j]
@@ -242,96 +287,101 @@ def _sight(H: Array, position: Vector, quaternion_xyzw: Quaternion) -> Array:
         row = R[i], R[3 + i], R[6 + i]
         across = cross(row, position)
         for j in range(3):
-            C[i, 33 + j] = C[3 + i, 36 + j] = C[i, FALL + j] = row[j]
-            C[i, 36 + j] = -across[j]
-        C[i, 39], C[i, 40] = -H[i, 13], -H[i, 14]
+            C[i, FRAME + j] = C[3 + i, FRAME + 3 + j] = C[i, FALL + j] = row[j]
+            C[i, FRAME + 3 + j] = -across[j]
+        C[i, SLIPPED], C[i, SLIPPED + 1] = -H[i, 13], -H[i, 14]
     return C
 
 
 @kernel
-def _take(
-    E: Array, information: Array, evidence: Array, M: Array, C: Array, y: Array, root: Array,
-    gain: Array,
-) -> None:
-    """Follow what each fault makes of the error, and compare with the innovation, in place."""
-    width, n = E.shape[1], evidence.shape[1]
-    _pass_on(E, M, product(M[:12], E[:PASSAGE], np.empty((12, width))))
-    made = product(C, E, np.empty((6, width)))
-    seen = product(root, made, np.empty((6, width)))
-    for i in range(6):
-        z = 0.0
-        for j in range(i + 1):
-            z += root[i, j] * y[j]
-        for c in range(width):
-            k, a = divmod(c, n)
-            evidence[k, a] += seen[i, c] * z
-            for b in range(n):
-                information[k, a, b] += seen[i, c] * seen[i, c - a + b]
-    taken_out = product(gain, made, np.empty((22, width)))
-    for i in range(22):
-        for c in range(width):
-            E[i, c] -= taken_out[i, c]
-
-
-@kernel
 def _pass_on(E: Array, M: Array, state: Array) -> None:
-    """Write what becomes of the state's error, and let the other faults go on as they do."""
+    """Write what becomes of the state's error, and let the faults go on as they do."""
+    last = M[12]
     for c in range(E.shape[1]):
         for i in range(12):
             E[i, c] = state[i, c]
-        E[LENGTHENED, c] += M[LENGTHENED, LENGTHENING] * E[LENGTHENING, c]
+        E[LENGTHENED, c] += last[0] * E[LENGTHENING, c]
         for i in range(3):
-            speed, fall = SPEED + i, FALL + i
-            E[fall, c] += M[fall, speed] * E[speed, c] + M[fall, GONE] * E[GONE, c]
-            E[speed, c] += M[speed, GONE] * E[GONE, c]
+            E[FALL + i, c] += last[0] * E[SPEED + i, c] + last[4 + i] * E[GONE, c]
+            E[SPEED + i, c] += last[1 + i] * E[GONE, c]
 
 
 @kernel
-def _ratios(information: Array, evidence: Array, total: Array, counts: Stamps) -> Array:
-    """Return the logarithms of the likelihood ratios, by onset and cause."""
-    out = np.empty((len(counts), len(AT_START)))
+def _compare(seen: Array, z: Array, k: int, J: Array, d: Array) -> None:
+    """Add what a measurement says of the sizes of the faults at an onset."""
+    column, first, end = _columns(k)
+    for a in range(end - first):
+        for i in range(6):
+            part = seen[i, column + a]
+            d[a] += part * z[i, 0]
+            for b in range(end - first):
+                J[a, b] += part * seen[i, column + b]
+
+
+@kernel
+def _judged(
+    information: Array, evidence: Array, distances: Array, counts: Stamps
+) -> tuple[float, float, int, int]:
+    """Return what `_step` does."""
+    top, sums = np.full(len(SHARES), -math.inf), np.zeros(len(SHARES))
+    onset, which = np.zeros(len(SHARES), np.int64), np.zeros(len(SHARES), np.int64)
     for k in range(len(counts)):
         usual = 6.0 * counts[k] + 4.0 * math.sqrt(12.0 * counts[k])
-        for cause in range(len(AT_START)):
-            out[k, cause] = -math.inf
-            if counts[k] >= LEAST and (AT_START[cause] if k == 0 else SETS_IN[cause]):
-                explained, spread = _explained(
-                    information[k], evidence[k], FIRSTS[cause], FIRSTS[cause + 1])
-                if total[k] - explained <= usual + UNEXPLAINED * explained:
-                    out[k, cause] = 0.5 * explained - spread + (
-                        math.log(START_WEIGHS) if k == 0 else 0.0)
-    return out
+        first, end = (0, AT_START) if k == 0 else (AT_START, len(OF_CAUSE))
+        for what in range(first, end if counts[k] >= LEAST else first):
+            explained, spread = _explained(information[k], evidence[k], k, what)
+            if distances[k] - explained > usual + UNEXPLAINED * explained:
+                continue
+            ratio = 0.5 * explained - spread + (math.log(START_WEIGHS) if k == 0 else 0.0)
+            c = OF_CAUSE[what]
+            if ratio > top[c]:
+                sums[c] = 1.0 + sums[c] * math.exp(top[c] - ratio)
+                top[c], onset[c], which[c] = ratio, k, what
+            else:
+                sums[c] += math.exp(ratio - top[c])
+    for c in range(len(SHARES)):
+        top[c] += math.log(max(sums[c], 1.0)) + SHARES[c]
+    best = top.argmax()
+    if top[best] == -math.inf:
+        return -math.inf, 0.0, 0, 0
+    total, second = 0.0, -math.inf
+    for c in range(len(SHARES)):
+        total += math.exp(top[c] - top[best])
+        if c != best:
+            second = max(second, top[c])
+    return top[best] + math.log(total), top[best] - second, onset[best], which[best]
 
 
 @kernel
-def _explained(J: Array, d: Array, first: int, end: int) -> tuple[float, float]:
+def _explained(J: Array, d: Array, k: int, what: int) -> tuple[float, float]:
     """
-    Return how much of the squared distances some numbers explain, and the price of their freedom.
+    Return how much of the squared distances a fault explains, and the price of its freedom.
 
-    With J and d their information and evidence: z^T A^-1 z, and half of log det A, where
+    With J and d information and evidence of its numbers: z^T A^-1 z, and half of log det A, where
     A = I + s J s and z = s d with s the numbers' usual sizes; beside what their mean explains.
     """
-    n, by_mean = end - first, 0.0
+    base, n = FIRSTS[what], FIRSTS[what + 1] - FIRSTS[what]
+    first, by_mean = base - (N_START if k > 0 else 0), 0.0
     A, z = np.zeros((6, 6)), np.zeros(6)
     for i in range(n):
         z[i] = d[first + i]
         for j in range(n):
             a = J[first + i, first + j]
-            z[i] -= a * MEAN[first + j]
-            by_mean += 0.5 * MEAN[first + i] * a * MEAN[first + j]
-            A[i, j] = USUAL[first + i] * a * USUAL[first + j] + (1.0 if i == j else 0.0)
-        by_mean += z[i] * MEAN[first + i]
-        z[i] *= USUAL[first + i]
-    explained, spread = 2.0 * by_mean, 0.0
+            z[i] -= a * MEAN[base + j]
+            by_mean += 0.5 * MEAN[base + i] * a * MEAN[base + j]
+            A[i, j] = USUAL[base + i] * a * USUAL[base + j] + (1.0 if i == j else 0.0)
+        by_mean += z[i] * MEAN[base + i]
+        z[i] *= USUAL[base + i]
+    explained, determinant = 2.0 * by_mean, 1.0
     for i in range(n):  # A = L L^T, z becomes L^-1 z
         for j in range(i):
-            for k in range(j):
-                A[i, j] -= A[i, k] * A[j, k]
+            for m in range(j):
+                A[i, j] -= A[i, m] * A[j, m]
             A[i, j] /= A[j, j]
             A[i, i] -= A[i, j] ** 2
             z[i] -= A[i, j] * z[j]
         A[i, i] = math.sqrt(A[i, i])
         z[i] /= A[i, i]
         explained += z[i] ** 2
-        spread += math.log(A[i, i])
-    return explained, spread
+        determinant *= A[i, i]
+    return explained, math.log(determinant)

@@ -5,9 +5,10 @@ The error (22,) is in the package's own axes: shift (m), turn (rad), linear and 
 (m/s, rad/s), as in `jacobians`; then the relative error of mass and inertia, that of the centre
 of mass (m), and the wrench (N, N m) on the package at the lip, in S axes, beside the cup's.
 
-`alarms` extends it by faults, from `LENGTHENED` on, which a passage (33, 33) carries along: the
-cup's length (m) and its rate (m/s), the part by which its spring's force and moment are too small,
-whether the cup's force is gone, and speed and shift (m/s, m; world) of the fall that follows.
+`alarms` extends it by faults, from `LENGTHENED` on: the cup's length (m) and its rate (m/s), and
+the part by which its spring's force and moment are too small. A passage (13, 26) is what becomes
+of the state's error since the measurement before, by all of these; its last row holds the seconds,
+and speed and shift (m/s, m; world) since then of what falls.
 
 The state goes through all samples of the tool with the predictor's steps. The covariance follows
 where it is asked for, in steps as long as the package's modes allow.
@@ -15,7 +16,6 @@ where it is asked for, in steps as long as the package's modes allow.
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
@@ -55,9 +55,11 @@ import numpy as np
 
 STATE, CENTRE = slice(0, 12), slice(13, 16)
 SIZE = 22
-LENGTHENED, LENGTHENING, FORCE, MOMENT, GONE, SPEED, FALL = 22, 23, 24, 25, 26, 27, 30
-PASSAGE = 33
+LENGTHENED, LENGTHENING, FORCE, MOMENT = 22, 23, 24, 25
 ZERO = (0.0, 0.0, 0.0)
+
+UNPASSED: Array = np.vstack([np.eye(12, 26), np.zeros((1, 26))])
+"""The passage to a stamp from the very same one."""
 
 COARSE = 8
 """Steps of the covariance are so many times longer than those of the state at most."""
@@ -69,14 +71,15 @@ NOT_FOLLOWED: Array = np.zeros((0, 0))
 if COMPILED:
     @kernel
     def product(A: Array, B: Array, out: Array) -> Array:
-        """Write A B, and return it."""
+        """Write A B, and return it; the more zeros there are in A, the sooner."""
         for i in range(A.shape[0]):
             for j in range(B.shape[1]):
                 out[i, j] = 0.0
             for k in range(A.shape[1]):
                 a = A[i, k]
-                for j in range(B.shape[1]):
-                    out[i, j] += a * B[k, j]
+                if a != 0.0:
+                    for j in range(B.shape[1]):
+                        out[i, j] += a * B[k, j]
         return out
 else:
     def product(A: Array, B: Array, out: Array) -> Array:
@@ -107,7 +110,7 @@ class Estimate(NamedTuple):
     refused: int = 0
     """Measurements outside the gate, one after the other."""
     passage: Array = NOT_FOLLOWED
-    """Of the error and of faults since the measurement before (33, 33), where it is followed."""
+    """Since the measurement before (13, 26), where it is followed."""
 
 
 class Driving(NamedTuple):
@@ -337,25 +340,23 @@ def _drive(P: Array, h: float, held: float, noise: Array, walk: Array) -> None:
 @kernel
 def pass_on(M: Array, F: Array, D: Array, h: float, falling: Vector) -> None:
     """
-    Carry a passage (33, 33) through a step that `spread` has described, in place.
+    Carry a passage (13, 26) through a step that `spread` has described, in place.
 
     What falls is accelerated by `falling` (m/s^2, world) against the model, which holds it.
     """
-    V, X, Y = np.empty((13, PASSAGE)), np.empty((12, PASSAGE)), np.empty((12, PASSAGE))
-    for c in range(PASSAGE):
-        for i in range(11):
-            V[i, c] = M[12 + i, c]
-        V[10, c] += 0.5 * h * M[LENGTHENING, c]
-        V[11, c], V[12, c] = M[FORCE, c], M[MOMENT, c]
-        M[LENGTHENED, c] += h * M[LENGTHENING, c]
-        for i in range(3):
-            M[FALL + i, c] += h * M[SPEED + i, c] + 0.5 * h * h * falling[i] * M[GONE, c]
-            M[SPEED + i, c] += h * falling[i] * M[GONE, c]
-    product(F, M[:12], X)
-    product(D, V, Y)
+    X, last = product(F, M[:12], np.empty((12, 26))), M[12]
     for i in range(12):
-        for c in range(PASSAGE):
-            M[i, c] = X[i, c] + Y[i, c]
+        for j in range(26):
+            M[i, j] = X[i, j]
+        for j in range(11):
+            M[i, 12 + j] += D[i, j]
+        M[i, LENGTHENING] += (last[0] + 0.5 * h) * D[i, 10]
+        M[i, FORCE] += D[i, 11]
+        M[i, MOMENT] += D[i, 12]
+    for i in range(3):
+        last[4 + i] += h * (last[1 + i] + 0.5 * h * falling[i])
+        last[1 + i] += h * falling[i]
+    last[0] += h
 
 
 @kernel
@@ -368,8 +369,8 @@ def is_coarse(stamp_ns: int, next_ns: int, longest: float) -> bool:
 @kernel
 def swept(
     model: ModelTuple, theta: Array, tool: State, body: State, P: Array, M: Array,
-    stamps: Any, starts: Any, ends: Any, k: int, now_ns: int, until_ns: int,
-    longest: float, driven: tuple[Array, Array],
+    stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
+    until_ns: int, longest: float, driven: tuple[Array, Array],
 ) -> tuple[State, State]:
     """
     Return tool and package at a later stamp, and carry covariance and passage there in place.
@@ -380,11 +381,15 @@ def swept(
         With the payload and the wrench as they are estimated.
     tool, body : State
         At the beginning.
-    P, M : ndarray (22, 22), (33, 33)
+    P, M : ndarray (22, 22), (13, 26)
         Covariance and passage; of no size where they are not followed.
     stamps, starts, ends : sequences
         Of the tool's samples: stamp (ns), and states (13,) at the beginning and at the end of
         its motion from the sample before.
+    bodies : sequence
+        The package at each sample (13,).
+    is_known : bool
+        Whether the package has gone this way before: it is read there, else it is written.
     k : int
         The first sample after the beginning.
     now_ns, until_ns : int
@@ -423,10 +428,26 @@ def swept(
             segment = tool_segment(row_state(starts[k]), there, whole_ns * 1e-9)
             there = tool_at(segment, (later_ns - stamps[k - 1]) / whole_ns)
         part = (later_ns - now_ns) * 1e-9
-        body = pushed(model, push, body, tool, there, part, substeps_for(part, longest))
+        body = _followed(
+            model, push, body, tool, there, part, longest, bodies[k], is_known,
+            later_ns == stamps[k])
         tool, now_ns, h, held = there, later_ns, h + part, held + part * whole_ns * 1e-9
         if now_ns == stamps[k]:
             k += 1
+
+
+@kernel
+def _followed(
+    model: ModelTuple, push: Wrench, body: State, start: State, end: State, seconds: float,
+    longest: float, row: Any, is_known: bool, is_sample: bool,
+) -> State:
+    """Return a state after a motion of the tool, from or into the row of a sample at its end."""
+    if is_known and is_sample:
+        return row_state(row)
+    body = pushed(model, push, body, start, end, seconds, substeps_for(seconds, longest))
+    if is_sample:
+        write_row(row, body)
+    return body
 
 
 @kernel
@@ -439,8 +460,8 @@ def _mean(A: Array, B: Array) -> None:
 
 @kernel
 def followed(
-    model: ModelTuple, theta: Array, body: State, stamps: Any, starts: Any, ends: Any, k: int,
-    stamp_ns: int, start: State, end: State, longest: float,
+    model: ModelTuple, theta: Array, body: State, stamps: Any, starts: Any, ends: Any, bodies: Any,
+    k: int, stamp_ns: int, start: State, end: State, longest: float,
 ) -> State:
     """Keep a sample of the tool as number k, and return the package there."""
     stamps[k] = stamp_ns
@@ -456,101 +477,5 @@ def followed(
         body = pushed(
             model, wrench_of(theta), body, tool, there, part, substeps_for(part, longest))
         tool = there
+    write_row(bodies[k], body)
     return body
-
-
-class Innovation(NamedTuple):
-    """What a measured pose says of an estimate."""
-
-    y: Array
-    """Shift (m) and turn (rad) from the estimated to the measured pose, in B axes (6,)."""
-    H: Array
-    """Its derivative by the error (6, 22)."""
-    whitener: Array
-    """What makes its covariance unity, triangular (6, 6)."""
-    distance: float
-    """Its squared Mahalanobis distance."""
-    gain: Array
-    """(22, 6)."""
-
-
-@kernel
-def whitener(S: Array) -> Array:
-    """Return the inverse of the Cholesky factor of a covariance (6, 6)."""
-    L, W = np.zeros((6, 6)), np.zeros((6, 6))
-    for i in range(6):
-        for j in range(i + 1):
-            a = S[i, j]
-            for k in range(j):
-                a -= L[i, k] * L[j, k]
-            L[i, j] = math.sqrt(a) if i == j else a / L[j, j]
-        for j in range(i + 1):
-            a = 1.0 if i == j else 0.0
-            for k in range(j, i):
-                a -= L[i, k] * W[k, j]
-            W[i, j] = a / L[i, i]
-    return W
-
-
-@kernel
-def _innovation(
-    body: State, P: Array, position: Vector, q: Quaternion, noise: Array, H: Array
-) -> tuple[Array, Array, float, Array]:
-    """Return y, whitener, squared distance and gain of an `Innovation`."""
-    shift, turn = pose_error(body, position, q)
-    y = np.array((shift[0], shift[1], shift[2], turn[0], turn[1], turn[2]))
-    PH = product(P, turned_over(H), np.empty((22, 6)))
-    S = product(H, PH, np.empty((6, 6)))
-    for i in range(6):
-        for j in range(6):
-            S[i, j] += noise[i, j]
-    W, distance = whitener(S), 0.0
-    for i in range(6):
-        z = 0.0
-        for j in range(i + 1):
-            z += W[i, j] * y[j]
-        distance += z * z
-    inverse = product(turned_over(W), W, np.empty((6, 6)))
-    return y, W, distance, product(PH, inverse, np.empty((22, 6)))
-
-
-def innovation(
-    estimate: Estimate, position: Vector, quaternion_xyzw: Quaternion, noise: Array, H: Array
-) -> Innovation:
-    """Return what a measured pose of B, its noise (6, 6) in B axes, says of an estimate."""
-    y, root, distance, gain = _innovation(
-        estimate.body, estimate.covariance, position, quaternion_xyzw, noise, H)
-    return Innovation(y, H, root, distance, gain)
-
-
-@kernel
-def _corrected(
-    body: State, theta: Array, P: Array, y: Array, H: Array, gain: Array, noise: Array
-) -> tuple[State, Array, Array]:
-    """Return state, theta and covariance of `corrected`."""
-    e, theta = np.zeros(22), theta.copy()
-    A = product(gain, H, np.empty((22, 22)))
-    for i in range(22):
-        for j in range(6):
-            e[i] += gain[i, j] * y[j]
-        for j in range(22):
-            A[i, j] = (1.0 if i == j else 0.0) - A[i, j]
-        if i >= 12:
-            theta[i - 12] += e[i]
-    body = moved(
-        body, (e[0], e[1], e[2]), (e[3], e[4], e[5]), (e[6], e[7], e[8]), (e[9], e[10], e[11]))
-    by_P = product(product(A, P, np.empty((22, 22))), turned_over(A), np.empty((22, 22)))
-    by_noise = product(
-        product(gain, noise, np.empty((22, 6))), turned_over(gain), np.empty((22, 22)))
-    for i in range(22):
-        for j in range(i + 1):
-            a = by_P[i, j] + by_P[j, i] + by_noise[i, j] + by_noise[j, i]
-            by_P[i, j] = by_P[j, i] = 0.5 * a
-    return body, theta, by_P
-
-
-def corrected(estimate: Estimate, found: Innovation, noise: Array) -> Estimate:
-    """Return an estimate with a measurement taken in, its covariance by Joseph's form."""
-    body, theta, P = _corrected(
-        estimate.body, estimate.theta, estimate.covariance, found.y, found.H, found.gain, noise)
-    return estimate._replace(body=body, theta=theta, covariance=P, refused=0)

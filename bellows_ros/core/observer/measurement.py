@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.jit import kernel
 from bellows_ros.core.kernels import State
-from bellows_ros.core.observer.filter import product, turned_over
+from bellows_ros.core.observer.filter import CENTRE, moved, pose_error, product, turned_over
 from bellows_ros.core.screening import why_no_pose
 from bellows_ros.core.tuples import (
     add,
@@ -28,6 +28,9 @@ from bellows_ros.core.tuples import (
     Vector,
 )
 import numpy as np
+
+Marker = tuple[Vector, Quaternion, bool]
+ZERO = (0.0, 0.0, 0.0)
 
 
 class Measurement(NamedTuple):
@@ -50,15 +53,23 @@ class Sight:
     values : mapping
         Parameters by name: measured.*, recording.package_world.
 
+    Attributes
+    ----------
+    marker : tuple
+        Position (m) and orientation of what is measured, in axes of B, from the lip or from B.
+    H : ndarray (6, 22)
+        Derivative of an innovation by the error.
+
     """
 
     def __init__(self, values: Mapping[str, Any]) -> None:
         """Take the frame that is measured, and the noise where a message has none."""
         self.noise = np.diag(np.repeat(np.square(values['measured.noise']), 3))
-        self.of_lip = values['measured.frame'] == 'lip'
+        of_lip = values['measured.frame'] == 'lip'
         x, y, z, *turn = values['measured.offset']
-        self._offset: Vector = x, y, z
-        self._turn = exp_quaternion((turn[0], turn[1], turn[2]))
+        self.marker: Marker = (x, y, z), exp_quaternion((turn[0], turn[1], turn[2])), of_lip
+        self.H: Array = np.eye(6, 22)
+        self.H[:3, CENTRE] = -np.eye(3) * of_lip
         world = values['recording.package_world'] or '0 0 0 0 0 0 1'
         self.has_own_world = bool(values['recording.package_world'])
         x, y, z, qx, qy, qz, qw = map(float, world.split())
@@ -95,15 +106,16 @@ class Sight:
 
     def at_com(self, seen: Measurement, com: Vector) -> tuple[Vector, Quaternion, Array]:
         """Return the pose of B, and its noise (6, 6) in B axes, with B at com (m) from the lip."""
-        arm = subtract(com if self.of_lip else (0.0, 0.0, 0.0), self._offset)
-        return _at_com(seen.position, seen.quaternion_xyzw, seen.noise, self._turn, arm)
+        return _at_com(seen.position, seen.quaternion_xyzw, seen.noise, self.marker, com)
 
 
 @kernel
 def _at_com(
-    position: Vector, quaternion_xyzw: Quaternion, noise: Array, turn: Quaternion, arm: Vector
+    position: Vector, quaternion_xyzw: Quaternion, noise: Array, marker: Marker, com: Vector
 ) -> tuple[Vector, Quaternion, Array]:
-    """Return the pose of B, `arm` (m) from what was measured, and its noise in B axes."""
+    """Return the pose of B and its noise in B axes, measured by a marker."""
+    offset, turn, of_lip = marker
+    arm = subtract(com if of_lip else ZERO, offset)
     q = quaternion_product(quaternion_xyzw, quaternion_conjugate(turn))
     R = rotation_matrix(q)
     across = multiply(hat(arm), transposed(R))
@@ -123,3 +135,138 @@ def lip_shift(position: Vector, q: Quaternion, com: Vector, tool: State, length:
     free = add(tool[0], apply(rotation_matrix(tool[1]), (0.0, 0.0, -length)))
     away = subtract(lip, free)
     return math.sqrt(dot(away, away))
+
+
+class Innovation(NamedTuple):
+    """What a measured pose says of an estimate."""
+
+    position: Vector
+    quaternion_xyzw: Quaternion
+    """Measured pose of B in the world (m)."""
+    y: Array
+    """Shift (m) and turn (rad) from the estimated to the measured pose, in B axes (6,)."""
+    H: Array
+    """Its derivative by the error (6, 22)."""
+    whitener: Array
+    """What makes its covariance unity, triangular (6, 6)."""
+    distance: float
+    """Its squared Mahalanobis distance."""
+    gain: Array
+    """(22, 6)."""
+
+
+@kernel
+def whitener(S: Array) -> Array:
+    """Return the inverse of the Cholesky factor of a covariance (6, 6)."""
+    L, W = np.zeros((6, 6)), np.zeros((6, 6))
+    for i in range(6):
+        for j in range(i + 1):
+            a = S[i, j]
+            for k in range(j):
+                a -= L[i, k] * L[j, k]
+            L[i, j] = math.sqrt(a) if i == j else a / L[j, j]
+        for j in range(i + 1):
+            a = 1.0 if i == j else 0.0
+            for k in range(j, i):
+                a -= L[i, k] * W[k, j]
+            W[i, j] = a / L[i, i]
+    return W
+
+
+@kernel
+def compared(
+    body: State, P: Array, position: Vector, q: Quaternion, noise: Array, H: Array
+) -> tuple[Array, Array, float, Array]:
+    """Return y, whitener, squared distance and gain of an `Innovation`; noise is in B axes."""
+    shift, turn = pose_error(body, position, q)
+    y = np.array((shift[0], shift[1], shift[2], turn[0], turn[1], turn[2]))
+    HP = product(H, P, np.empty((6, 22)))
+    S = product(H, turned_over(HP), np.empty((6, 6)))
+    for i in range(6):
+        for j in range(6):
+            S[i, j] += noise[i, j]
+    W, distance = whitener(S), 0.0
+    for i in range(6):
+        z = 0.0
+        for j in range(i + 1):
+            z += W[i, j] * y[j]
+        distance += z * z
+    inverse = product(turned_over(W), W, np.empty((6, 6)))
+    return y, W, distance, product(turned_over(HP), inverse, np.empty((22, 6)))
+
+
+@kernel
+def corrected(
+    body: State, theta: Array, P: Array, y: Array, H: Array, gain: Array, noise: Array
+) -> tuple[State, Array, Array]:
+    """Return state, theta and covariance with a measurement taken in, this by Joseph's form."""
+    e, theta = np.zeros(22), theta.copy()
+    A = product(gain, H, np.empty((22, 22)))
+    for i in range(22):
+        for j in range(6):
+            e[i] += gain[i, j] * y[j]
+        for j in range(22):
+            A[i, j] = (1.0 if i == j else 0.0) - A[i, j]
+        if i >= 12:
+            theta[i - 12] += e[i]
+    body = moved(
+        body, (e[0], e[1], e[2]), (e[3], e[4], e[5]), (e[6], e[7], e[8]), (e[9], e[10], e[11]))
+    half = turned_over(product(A, P, np.empty((22, 22))))
+    by_P = product(A, half, np.empty((22, 22)))
+    by_noise = product(
+        product(gain, noise, np.empty((22, 6))), turned_over(gain), np.empty((22, 22)))
+    for i in range(22):
+        for j in range(i + 1):
+            a = by_P[i, j] + by_P[j, i] + by_noise[i, j] + by_noise[j, i]
+            by_P[i, j] = by_P[j, i] = 0.5 * a
+    return body, theta, by_P
+
+
+USED, OUTSIDE, OUT_OF_REACH = 0, 1, 2
+
+
+@kernel
+def taken(
+    tool: State, body: State, theta: Array, P: Array, position: Vector,
+    quaternion_xyzw: Quaternion, noise: Array, marker: Marker, H: Array, com: Vector,
+    length: float, reach: float, gate: float,
+) -> tuple[int, tuple[Vector, Quaternion, Array, Array, Array, float, Array],
+           State, Array, Array]:
+    """
+    Take a measurement in.
+
+    Parameters
+    ----------
+    tool, body, theta, P
+        The estimate at its stamp.
+    position, quaternion_xyzw, noise, marker, H
+        Of the measurement, and of `Sight`.
+    com, length : tuple, float
+        Nominal centre of mass, and length of the cup, m.
+    reach : float
+        How far (m) a lip can be from where it is without load.
+    gate : float
+        The largest squared Mahalanobis distance.
+
+    Returns
+    -------
+    int
+        `USED`, `OUTSIDE` the gate or `OUT_OF_REACH`, where no lip can be: another package.
+    tuple
+        `Innovation`.
+    State, ndarray (10,), ndarray (22, 22)
+        Body, theta and covariance: corrected where it is used, else as they were.
+
+    """
+    com = add(com, (theta[1], theta[2], theta[3]))
+    position, q, noise = _at_com(position, quaternion_xyzw, noise, marker, com)
+    y, W, distance, gain = compared(body, P, position, q, noise, H)
+    spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
+    verdict = USED
+    if lip_shift(position, q, com, tool, length) > reach + 5.0 * spread:
+        verdict = OUT_OF_REACH
+    elif distance > gate:
+        verdict = OUTSIDE
+    else:
+        body, theta, P = corrected(body, theta, P, y, H, gain, noise)
+    return verdict, (position, q, y, H, W, distance, gain), body, theta, P

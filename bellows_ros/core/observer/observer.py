@@ -19,24 +19,26 @@ from bellows_ros.core.jit import COMPILED
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.observer.alarms import Alarm, Alarms
 from bellows_ros.core.observer.filter import (
-    CENTRE,
-    corrected,
     driving,
     Estimate,
     followed,
-    Innovation,
-    innovation,
     is_coarse,
     NOT_FOLLOWED,
-    PASSAGE,
     pushed,
-    SIZE,
     swept,
+    UNPASSED,
     with_payload,
     wrench_of,
 )
-from bellows_ros.core.observer.measurement import lip_shift, Measurement, Sight
-from bellows_ros.core.tuples import Matrix, Quaternion, Vector
+from bellows_ros.core.observer.measurement import (
+    Innovation,
+    Measurement,
+    OUT_OF_REACH,
+    OUTSIDE,
+    Sight,
+    taken,
+)
+from bellows_ros.core.tuples import Matrix, Vector
 import numpy as np
 
 LATEST_NS = 500_000_000
@@ -74,7 +76,7 @@ VERDICTS = (
 
 
 class Track:
-    """The tool's samples of the last moments, as the kernels take them."""
+    """The tool's samples of the last moments, the package at each, as the kernels take them."""
 
     def __init__(self) -> None:
         """Know of none."""
@@ -82,11 +84,11 @@ class Track:
 
     def _make(self, room: int) -> None:
         """Make room for samples."""
-        stamps, starts, ends = np.zeros(room, np.int64), np.zeros((room, 13)), np.zeros((room, 13))
         self.count = 0
-        self.rows: tuple[Any, Any, Any] = (stamps, starts, ends)
+        stamps, (starts, ends, bodies) = np.zeros(room, np.int64), np.zeros((3, room, 13))
+        self.rows: tuple[Any, Any, Any, Any] = stamps, starts, ends, bodies
         if not COMPILED:  # plain floats are several times faster than NumPy's in plain Python
-            self.rows = stamps.tolist(), starts.tolist(), ends.tolist()
+            self.rows = stamps.tolist(), starts.tolist(), ends.tolist(), bodies.tolist()
 
     def begin(self, stamp_ns: int) -> None:
         """Keep nothing but where a motion begins."""
@@ -146,10 +148,6 @@ class Observer:
         self.sight = Sight(values)
         self._values = values
         self.counts = dict.fromkeys(('used', 'recovered', *VERDICTS), 0)
-        self._H: Array = np.zeros((6, SIZE))
-        self._H[:, :6] = np.eye(6)
-        if self.sight.of_lip:
-            self._H[:3, CENTRE] = -np.eye(3)
         self._track = Track()
         self._known: list[Estimate] = []  # the oldest, and those after each of what was seen
         self._seen: list[Measurement] = []
@@ -212,7 +210,7 @@ class Observer:
             return None
         known, newest_ns = self._asked or self._known[-1], self._track.newest_ns
         if known.stamp_ns < newest_ns:
-            known = self._carried(known, newest_ns)
+            known = self._carried(known, newest_ns, True)
         self._asked = known
         return known
 
@@ -249,7 +247,7 @@ class Observer:
 
     def _unpassed(self) -> Array:
         """Return the passage to a stamp from the very same one, where it is followed."""
-        return NOT_FOLLOWED if self._alarms is None else np.eye(PASSAGE)
+        return NOT_FOLLOWED if self._alarms is None else UNPASSED.copy()
 
     def follow(self, stamp_ns: int, start: State, end: State) -> State:
         """Carry the package along with the tool, from the newest sample to this one."""
@@ -273,7 +271,7 @@ class Observer:
         stamps, k = self._track.rows[0], self._track.after(before_ns) - 1
         while stamps[k] > known[0].stamp_ns:
             if is_coarse(stamps[k], stamps[k + 1], self._longest):  # it would end there anyhow
-                known[0] = self._carried(known[0], int(stamps[k]))
+                known[0] = self._carried(known[0], int(stamps[k]), True)
                 break
             k -= 1
 
@@ -283,20 +281,21 @@ class Observer:
             self.model, wrench_of(self._theta), body, start, end, seconds,
             substeps_for(seconds, self._longest))
 
-    def _carried(self, known: Estimate, stamp_ns: int) -> Estimate:
-        """Return an estimate carried along with the tool."""
+    def _carried(self, known: Estimate, stamp_ns: int, is_known: bool) -> Estimate:
+        """Return an estimate carried along with the tool, where the package has been before."""
         P, passage = known.covariance.copy(), known.passage.copy()
-        tool, body = self._swept(self._with(known.theta), known, stamp_ns, P, passage)
+        tool, body = self._swept(
+            self._with(known.theta), known, stamp_ns, is_known, P, passage)
         return known._replace(
             stamp_ns=stamp_ns, tool=tool, body=body, covariance=P, passage=passage)
 
     def _swept(
-        self, model: ModelTuple, known: Estimate, stamp_ns: int,
+        self, model: ModelTuple, known: Estimate, stamp_ns: int, is_known: bool = False,
         P: Array = NOT_FOLLOWED, passage: Array = NOT_FOLLOWED,
     ) -> tuple[State, State]:
         """Return tool and package at a stamp; carry covariance and passage there in place."""
         return swept(
-            model, known.theta, known.tool, known.body, P, passage, *self._track.rows,
+            model, known.theta, known.tool, known.body, P, passage, *self._track.rows, is_known,
             self._track.after(known.stamp_ns), known.stamp_ns, stamp_ns, self._longest,
             self._driven)
 
@@ -333,7 +332,7 @@ class Observer:
         self._seen.insert(at, seen)
         del self._known[at + 1:]
         for k in range(at, len(self._seen)):
-            known = self._carried(self._known[k], self._seen[k].stamp_ns)
+            known = self._carried(self._known[k], self._seen[k].stamp_ns, k == at)
             self._known.append(self._taken(known, self._seen[k], k == at))
         known, newest_ns = self._known[-1], self._track.newest_ns
         self._use(known.theta)
@@ -343,33 +342,29 @@ class Observer:
 
     def _taken(self, estimate: Estimate, seen: Measurement, is_new: bool) -> Estimate:
         """Correct an estimate, or leave it where the measurement is outside the gate."""
-        x, y, z = (np.array(self._nominal[1][1]) + estimate.theta[1:4]).tolist()
-        position, q, noise = self.sight.at_com(seen, (x, y, z))
-        shift = lip_shift(position, q, (x, y, z), estimate.tool, self._nominal[0][1])
-        found = innovation(estimate, position, q, noise, self._H)
-        verdict = 'used'
-        if shift > self._reach + 5.0 * math.sqrt(np.trace(noise[:3, :3])):
-            verdict = 'out_of_reach'  # no lip can be there: that is another package
-        elif found.distance > GATE:
-            verdict = 'recovered' if estimate.refused + 1 >= WRONG_GATE else 'gate'
+        verdict, found, body, theta, P = self._compared(estimate, seen, GATE)
+        name = ('used', 'gate', 'out_of_reach')[verdict]
+        if verdict == OUTSIDE and estimate.refused + 1 >= WRONG_GATE:
+            name = 'recovered'
         if is_new:
-            self.counts[verdict] += 1
-            self._look_for_causes(seen.stamp_ns, estimate, found, verdict, position, q)
-        if verdict == 'out_of_reach':
+            self.counts[name] += 1
+            self._look_for_causes(seen.stamp_ns, estimate, Innovation(*found), name)
+        if verdict == OUT_OF_REACH:
             return estimate
-        estimate = estimate._replace(passage=self._unpassed())
-        if seen.stamp_ns in self._opened_ns:
-            verdict = 'recovered'
-        if verdict == 'gate':
-            return estimate._replace(refused=estimate.refused + 1)
-        if verdict == 'recovered':
-            estimate = self._opened(estimate)
-            found = innovation(estimate, position, q, noise, self._H)
-        return corrected(estimate, found, noise)
+        if name == 'recovered' or seen.stamp_ns in self._opened_ns:
+            _, _, body, theta, P = self._compared(self._opened(estimate), seen, math.inf)
+        elif verdict == OUTSIDE:
+            return estimate._replace(passage=self._unpassed(), refused=estimate.refused + 1)
+        return Estimate(seen.stamp_ns, estimate.tool, body, theta, P, 0, self._unpassed())
+
+    def _compared(self, estimate: Estimate, seen: Measurement, gate: float) -> Any:
+        """Return what `taken` does."""
+        return taken(
+            *estimate[1:5], *seen[1:], self.sight.marker, self.sight.H, self._nominal[1][1],
+            self._nominal[0][1], self._reach, gate)
 
     def _look_for_causes(
-        self, stamp_ns: int, estimate: Estimate, found: Innovation, verdict: str,
-        position: Vector, q: Quaternion,
+        self, stamp_ns: int, estimate: Estimate, found: Innovation, verdict: str
     ) -> None:
         """Raise an alarm where something is wrong; what a fault moves is then followed."""
         alarms, alarm = self._alarms, None
@@ -381,8 +376,7 @@ class Observer:
                 alarm = alarms.lost(stamp_ns)
         elif stamp_ns > alarms.last_ns:
             self._away, self._were_near = 0, self._were_near or verdict == 'used'
-            alarm = alarms.step(
-                stamp_ns, estimate.passage, found, verdict == 'used', position, q)
+            alarm = alarms.step(stamp_ns, estimate.passage, found, verdict == 'used')
             if verdict == 'recovered':
                 alarms.forget()
         if alarm is not None:

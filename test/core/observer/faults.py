@@ -2,7 +2,9 @@
 
 from bellows_ros.core.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.observer.alarms import Alarms
 from bellows_ros.core.observer.filter import changed
+from bellows_ros.core.observer.observer import GATE
 from bellows_ros.core.tuples import quaternion_product
 import numpy as np
 from scipy.stats import norm
@@ -98,7 +100,43 @@ def most_within(seconds, rate_per_hour, seed):
     return norm.cdf(distance - norm.isf(rate_per_hour * seconds / 3600))
 
 
-def observed(seed, kind, seconds, tool_noise):
+class Kept(Alarms):
+    """Keep all that there was to look at."""
+
+    def __init__(self):
+        """Keep nothing yet."""
+        super().__init__(1.0)
+        self.looked_at = []
+
+    def step(self, *given):
+        """Keep what is given."""
+        self.looked_at.append(given)
+        return super().step(*given)
+
+
+def by_chance(hours, seed, allowed=1.0):
+    """
+    Give the alarms (cause, hours since the beginning) in white innovations, as sound work has.
+
+    What faults would make of them is that of a motion of 20 s, over and over.
+    """
+    made, _ = observed(seed, '', 20.0, (2e-5, 1e-4), Kept())
+    given = made._alarms.looked_at[30:]
+    colours = [np.linalg.inv(found.whitener) for _, _, found, _ in given]
+    rng, alarms, found = np.random.default_rng(seed), Alarms(allowed), []
+    for n in range(round(hours * 3.6e12 / (EVERY * PERIOD_NS))):
+        _, passage, innovation, _ = given[n % len(given)]
+        white = rng.normal(size=6)
+        distance = white @ white
+        alarm = alarms.step(
+            n * EVERY * PERIOD_NS, passage, innovation._replace(
+                y=colours[n % len(given)] @ white, distance=distance), distance < GATE)
+        if alarm is not None:
+            found.append((alarm.cause, alarm.stamp_ns / 3.6e12))
+    return found
+
+
+def observed(seed, kind, seconds, tool_noise, alarms=None):
     """Give an observer of a motion with a fault, and when it began, ns."""
     rng = np.random.default_rng(seed)
     stamps, tool = tool_motion(rng, seconds)
@@ -109,5 +147,6 @@ def observed(seed, kind, seconds, tool_noise):
         seen = {k: moved(pose) if k >= FIRST else pose for k, pose in seen.items()}
     noisy = [with_noise(rng, state, np.repeat(tool_noise, 3)) for state in tool]
     made = observer()
+    made._alarms = alarms or made._alarms
     follow(made, stamps, noisy, truth(noisy[:1])[0], at_once(stamps, seen))
     return made, int(stamps[0])

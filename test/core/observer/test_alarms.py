@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from .faults import KINDS, most_within, SLIP, work
+from .faults import by_chance, KINDS, most_within, SLIP, work
 
 
 @pytest.mark.parametrize('kind', KINDS)
@@ -23,6 +23,11 @@ def test_cause_of_a_fault_is_named(kind):
 def test_sound_work_raises_no_alarm():
     """Say nothing in 24 s."""
     assert [work(seed, '', 8.0) for seed in range(3)] == [[], [], []]
+
+
+def test_chance_raises_no_alarm():
+    """Say nothing in a quarter of an hour of innovations that are pure chance."""
+    assert by_chance(0.25, 0) == []
 
 
 @pytest.mark.stress

@@ -7,16 +7,15 @@ from bellows_ros.core.kernels import tool_at, tool_segment
 from bellows_ros.core.model import model_tuple
 from bellows_ros.core.observer.filter import (
     changed,
-    corrected,
     Driving,
     driving,
     Estimate,
-    innovation,
     NOT_FOLLOWED,
     pose_error,
     swept,
     with_payload,
 )
+from bellows_ros.core.observer.measurement import compared, corrected
 import numpy as np
 import pytest
 
@@ -48,13 +47,21 @@ def by_differences(body, theta, *motion, size=1e-5):
 
 def carried(model, known, start, end, stamp_ns, longest, driven):
     """Give an estimate carried along one motion of the tool."""
-    rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (start, end)]
+    rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (start, end, end)]
     P = known.covariance.copy()
     tool, body = swept(
         with_payload(model, known.theta), known.theta, start, known.body, P, NOT_FOLLOWED,
-        np.array([known.stamp_ns, stamp_ns]), *rows, 1, known.stamp_ns, stamp_ns, longest, driven)
+        np.array([known.stamp_ns, stamp_ns]), *rows, False, 1, known.stamp_ns, stamp_ns, longest,
+        driven)
     assert tool == end
     return known._replace(stamp_ns=stamp_ns, tool=tool, body=body, covariance=P)
+
+
+def taken_in(known, position, q, noise, H):
+    """Give an estimate with a measurement taken in, and the squared distance of that."""
+    y, _, distance, gain = compared(known.body, known.covariance, position, q, noise, H)
+    body, theta, P = corrected(known.body, known.theta, known.covariance, y, H, gain, noise)
+    return known._replace(body=body, theta=theta, covariance=P), distance
 
 
 @pytest.mark.parametrize('theta', [np.zeros(10), np.array(
@@ -90,14 +97,13 @@ def test_filter_equals_a_dense_one_by_differences(theta):
         scale = np.sqrt(np.outer(np.diag(P), np.diag(P)))
         np.testing.assert_allclose(own.covariance / scale, P / scale, atol=3e-4)
         z = with_noise(rng, body, NOISE)
-        found = innovation(own, z[0], z[1], noise, H)
-        own = corrected(own, found, noise)
+        own, distance = taken_in(own, *z[:2], noise, H)
         y = difference(body, (*z[:2], body[2], body[3]))[:6]
         S = H @ P @ H.T + noise
         error = P @ H.T @ np.linalg.solve(S, y)
         P = P - P @ H.T @ np.linalg.solve(S, H @ P)
         body, theta = changed(body, error[:12]), theta + error[12:]
-        assert found.distance == pytest.approx(y @ np.linalg.solve(S, y), rel=1e-3)
+        assert distance == pytest.approx(y @ np.linalg.solve(S, y), rel=1e-3)
         np.testing.assert_allclose((own.theta - theta) / STD[12:], 0.0, atol=3e-4)
         scale = np.sqrt(np.outer(np.diag(P), np.diag(P)))
         np.testing.assert_allclose(own.covariance / scale, P / scale, atol=3e-4)
@@ -120,7 +126,7 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
             own = carried(model, own, tool, tool, own.stamp_ns + 1_000_000, 1.0, driven)
         scale, position, q = seen[37 * k % len(seen)]
         noise = np.diag(NOISE**2) * scale
-        own = corrected(own, innovation(own, position, q, noise, H), noise)
+        own, _ = taken_in(own, position, q, noise, H)
     scale = np.sqrt(np.diag(own.covariance))
     assert np.linalg.eigvalsh(own.covariance / np.outer(scale, scale))[0] > 0.0
     np.testing.assert_array_equal(own.covariance, own.covariance.T)
