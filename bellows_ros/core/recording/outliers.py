@@ -1,34 +1,364 @@
 """
 Finding poses that tracking got wrong: excursions, steps and frozen poses (appendix H).
 
-Jumps of a pose that cancel each other enclose an excursion, of which all samples are marked; a
-jump that nothing cancels is a step. Exact repeats of a pose are marked where the body moved.
+Jumps of a pose that cancel each other enclose an excursion, of which all samples are marked; in
+axes of the world or of the body. A jump over a gap is one as well, as far as the motion lets it be
+known. What nothing cancels is a step, or, near an end of the recording, the one end of an
+excursion that can be seen. Exact repeats of a pose are marked where the body moved.
 """
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.recording.excursions import (
-    edges_over_gaps,
-    edges_seen,
-    Excursion,
-    paired,
-    Step,
-)
+from bellows_ros.core.lie import log_so3
 from bellows_ros.core.recording.jumps import (
+    any_within,
     increments_of,
     Indices,
+    Jumps,
     long_look,
     MEDIAN_PER_DEVIATION,
+    overshadowed,
     short_look,
     SMALLEST_JUMP,
     SMOOTH,
     strength_of,
     uneven,
+    WEAKER,
 )
-from bellows_ros.core.trajectory import PoseStream, Trajectory
+from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory
 import numpy as np
+
+# Two jumps cancel when their sum is below this part of the larger one, ...
+CANCELS_WITHIN = 0.5
+# ... or this, when more samples than that lie between.
+CANCELS_LATE_WITHIN = 0.2
+LATE = 210
+# Noise adds this part of the threshold, and sums of what does not stand out are below that part.
+NOISE_WITHIN = 0.35
+NOTHING_WITHIN = 0.85
+# A jump lasts if lines through so many samples on each side see this part of it. Those of an
+# excursion of more samples than that must last, the smaller being this part of the larger one;
+# what nothing cancels is a step only if it lasts. Bursts of noise, as real tracks have, do not.
+LINE_SIDE = 5
+LASTS_FROM = 0.5
+ALIKE_FROM = 0.5
+# How many of the jumps around one are tried for cancelling it.
+TRIED = 50
+# Without a cancelling jump, what lies between a jump and an end of the recording is marked up to
+# this time, s.
+LONGEST_AT_END = 1.0
+# A jump over a gap counts when it is larger by this factor than any over equally long parts of
+# the same recording; so many of these are looked at, and at least so many must there be.
+GAP_STANDS_OUT = 2.0
+GAPS_TRIED = 2000
+FEWEST_GAPS_TRIED = 20
+
+
+@dataclass(frozen=True)
+class Excursion:
+    """
+    Samples that lie off the motion between a jump away and a jump back.
+
+    Parameters
+    ----------
+    first, last : int
+        Indices of the samples, both included.
+    start_ns, end_ns : int
+        Their stamps.
+    position, rotation : float
+        How far off: size of the jump, m and rad. For frozen poses, the step they end with.
+
+    """
+
+    first: int
+    last: int
+    start_ns: int
+    end_ns: int
+    position: float
+    rotation: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """
+    A jump that nothing cancels: the samples after it stay off those before it.
+
+    Parameters
+    ----------
+    index : int
+        Sample before the jump.
+    stamp_ns : int
+        Its stamp.
+    position, rotation : float
+        Size of the jump, m and rad.
+
+    """
+
+    index: int
+    stamp_ns: int
+    position: float
+    rotation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """One jump that may be the end of an excursion, between two samples."""
+
+    before: int
+    after: int
+    strength: float
+    # In world and in body axes (the body before, the body after the jump), position and rotation.
+    forms: tuple[Array, Array]  # each (variants, 3)
+    thresholds: tuple[float, float]  # of position and rotation
+    lasting: tuple[Array, Array] | None = None  # as lines on each side see it, where they can
+
+
+def edges_seen(
+    poses: Trajectory, short: list[Jumps], long: list[Jumps], certain: Mask
+) -> list[Edge]:
+    """Return the jumps that may be ends of excursions, in both looks, but not those over gaps."""
+    from_short, from_long = strength_of(short), strength_of(long)
+    both = np.maximum(from_short, from_long)
+    peak = (both >= WEAKER) & ~overshadowed(both, short, long)
+    edges = []
+    at = np.flatnonzero(certain | peak)
+    lasting = _lasting(poses, at)
+    for k, i in enumerate(at):
+        position, rotation = short if certain[i] or from_short[i] > from_long[i] else long
+        thresholds = (float(position.threshold[i]), float(rotation.threshold[i]))
+        forms = _forms(poses, int(i), position.jump[i], rotation.jump[i])
+        seen = None if np.isnan(lasting[k]).any() else (lasting[k, 0], lasting[k, 1])
+        edges.append(Edge(int(i), int(i) + 1, float(both[i]), forms, thresholds, seen))
+    return edges
+
+
+def _lasting(poses: Trajectory, at: Indices) -> Array:
+    """
+    Return the jumps after samples (K,) that lines through some samples on each side see (K, 2, 3).
+
+    A sample or two that are off, as in a burst of noise, hardly move a line. NaN near the ends.
+    """
+    m = LINE_SIDE
+    result = np.full((len(at), 2, 3), np.nan)
+    inside = (at >= m - 1) & (at < len(poses) - m)
+    i = at[inside]
+    around = i[:, None] + np.arange(1 - m, m + 1)
+    middle = 0.5 * (poses.stamps_ns[i + 1] - poses.stamps_ns[i]) / NS_PER_S
+    t = (poses.stamps_ns[around] - poses.stamps_ns[i, None]) / NS_PER_S - middle[:, None]
+    back = np.swapaxes(poses.rotation[i], -1, -2)[:, None]
+    for q, path in enumerate((
+        poses.position[around] - poses.position[i, None], log_so3(back @ poses.rotation[around]),
+    )):
+        before, after = (_at_zero(t[:, s], path[:, s]) for s in (slice(m), slice(m, None)))
+        result[inside, q] = after - before
+    return result
+
+
+def _at_zero(t: Array, y: Array) -> Array:
+    """Return lines through values y (K, m, 3) at times t (K, m), at time zero (K, 3)."""
+    centre = t.mean(axis=1, keepdims=True)
+    slope = np.einsum('km,kmi->ki', t - centre, y) / np.sum((t - centre) ** 2, axis=1)[:, None]
+    result: Array = y.mean(axis=1) - centre * slope
+    return result
+
+
+def _forms(poses: Trajectory, i: int, position: Array, rotation: Array) -> tuple[Array, Array]:
+    """
+    Return a jump in world axes and in those of the body before and after it.
+
+    Of an excursion that is constant in the world or on the body, these are what cancels.
+    """
+    R_before, R_after = poses.rotation[i], poses.rotation[i + 1]
+    return (
+        np.stack([position, R_before.T @ position, R_after.T @ position]),
+        np.stack([R_before @ rotation, rotation, rotation]),
+    )
+
+
+def edges_over_gaps(
+    poses: Trajectory, increments: dict[str, Array], gap: Mask, breaks: Mask
+) -> list[Edge]:
+    """Return the jumps over gaps, strong where larger than any over like parts without a gap."""
+    edges = []
+    period = float(np.median(np.diff(poses.stamps_ns)))
+    thresholds_over: dict[int, tuple[float, float]] = {}
+    for i in np.flatnonzero(gap[1:-1]) + 1:
+        slots = max(int(round(float(poses.stamps_ns[i + 1] - poses.stamps_ns[i]) / period)), 1)
+        # A velocity with a jump in it is none, nor is one over a gap; the other side must do.
+        beside = [k for k in (i - 1, i + 1) if not breaks[k]]
+        if not beside:
+            continue
+        if slots not in thresholds_over:
+            thresholds_over[slots] = _thresholds_over(poses, increments, breaks, slots)
+        around = np.array([[beside[0], beside[-1]]])
+        jump = _jump_over(poses, increments, np.array([i]), np.array([i + 1]), around)
+        size = [float(np.linalg.norm(part)) for part in jump]
+        thresholds = tuple(map(max, thresholds_over[slots], SMALLEST_JUMP.values()))
+        strength = max(a / b for a, b in zip(size, thresholds, strict=True))
+        forms = _forms(poses, int(i), jump[0][0], jump[1][0])
+        edges.append(Edge(int(i), int(i) + 1, strength, forms, (thresholds[0], thresholds[1])))
+    return edges
+
+
+def _jump_over(
+    poses: Trajectory, increments: dict[str, Array], i: Indices, j: Indices, around: Indices
+) -> tuple[Array, Array]:
+    """
+    Return the jumps between samples i and j (K,), in the middle of the time between them.
+
+    `around` (K, 2) are the intervals that tell the velocity before and after.
+    """
+    turn = log_so3(np.swapaxes(poses.rotation[i], -1, -2) @ poses.rotation[j])
+    moved = {'position': poses.position[j] - poses.position[i], 'rotation': turn}
+    stamps = poses.stamps_ns
+    periods = ((stamps[j] - stamps[i])[:, None] / (stamps[around + 1] - stamps[around]))[..., None]
+    position, rotation = (
+        moved[q] - np.mean(periods * increments[q][around], axis=1) for q in increments
+    )
+    return position, rotation
+
+
+def _thresholds_over(
+    poses: Trajectory, increments: dict[str, Array], breaks: Mask, slots: int
+) -> tuple[float, float]:
+    """Return the thresholds of jumps over gaps of so many periods; infinite if unknown."""
+    if len(breaks) < slots + 2:
+        return np.inf, np.inf
+    free = np.flatnonzero(~any_within(breaks, slots + 2)) + 1
+    if len(free) < FEWEST_GAPS_TRIED * slots:  # parts that overlap tell little more than one
+        return np.inf, np.inf
+    tried = free[:: len(free) // GAPS_TRIED + 1]
+    around = tried[:, None] + np.array([-1, slots])
+    position, rotation = _jump_over(poses, increments, tried, tried + slots, around)
+    return (
+        GAP_STANDS_OUT * float(np.max(np.linalg.norm(position, axis=1))),
+        GAP_STANDS_OUT * float(np.max(np.linalg.norm(rotation, axis=1))),
+    )
+
+
+def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Excursion], list[Step]]:
+    """Return the excursions between jumps that cancel, and the steps that are left over."""
+    edges = sorted(edges, key=lambda edge: edge.before)
+    excursions: list[Excursion] = []
+    used: set[int] = set()
+    single = []
+    for k, edge in enumerate(edges):
+        if edge.strength < 1.0 or k in used:
+            continue
+        found = (*_ends_ahead(edges, k, used), *_ends_behind(edges, k, used))
+        ends = [(a, b) for a, b in found if edges[b].before - edges[a].before <= LINE_SIDE
+                or _last_alike(edges[a], edges[b])]
+        if not ends:
+            single.append(edge)
+            continue
+        first, last = min(ends, key=lambda end: edges[end[1]].before - edges[end[0]].before)
+        used.update(range(first, last + 1))
+        excursions.append(_run(poses, edges[first].after, edges[last].before, edge))
+    steps = []
+    for edge in single:
+        run = _to_the_end(edge, poses) if _lasts(edge) else _run(
+            poses, edge.before, edge.after, edge)
+        if run is None:
+            size = _size(edge)
+            steps.append(Step(edge.before, int(poses.stamps_ns[edge.before]), *size))
+        else:
+            excursions.append(run)
+    return sorted(excursions, key=lambda run: run.first), steps
+
+
+def _lasts(edge: Edge) -> bool:
+    """Return whether more than the samples beside a jump show it, or nothing can tell."""
+    if edge.lasting is None:
+        return True
+    sizes = (float(np.linalg.norm(form[0])) for form in edge.forms)
+    return any(
+        size >= WEAKER * threshold
+        and float(np.linalg.norm(lasting)) >= LASTS_FROM * size
+        for size, threshold, lasting in zip(sizes, edge.thresholds, edge.lasting, strict=True))
+
+
+def _last_alike(one: Edge, other: Edge) -> bool:
+    """Return whether two jumps last, and are of one size, as lines see them, or nothing tells."""
+    if one.lasting is None or other.lasting is None:
+        return _lasts(one) and _lasts(other)
+    stronger = one if one.strength >= other.strength else other
+    q = int(np.argmax([np.linalg.norm(form[0]) / threshold for form, threshold in zip(
+        stronger.forms, stronger.thresholds, strict=True)]))
+    sizes = sorted(float(np.linalg.norm(seen[q])) for seen in (one.lasting, other.lasting))
+    return _lasts(stronger) and sizes[0] >= ALIKE_FROM * sizes[1]
+
+
+def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int, int]]:
+    """Yield the pair (k, b) of a jump and the first after it with which the sum cancels."""
+    total = edges[k].forms
+    for b in range(k + 1, min(k + 1 + TRIED, len(edges))):
+        other = edges[b]
+        late = other.before - edges[k].before > LATE
+        if b in used or (late and other.strength < 1.0):
+            continue
+        summed = _sum(total, other.forms)
+        if _cancels(edges[k], summed, CANCELS_LATE_WITHIN if late else CANCELS_WITHIN):
+            yield k, b
+            return
+        if other.strength >= 1.0:
+            total = summed
+
+
+def _ends_behind(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int, int]]:
+    """Yield the pair (b, k) of a jump and the nearest weaker one before it that it cancels."""
+    for b in range(k - 1, max(k - 1 - TRIED, -1), -1):
+        other = edges[b]
+        if b in used or edges[k].before - other.before > LATE:
+            return
+        if other.strength < 1.0 and _cancels(edges[k], _sum(other.forms, edges[k].forms)):
+            yield b, k
+            return
+
+
+def _sum(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return the sums of jumps in each form; on the body, before the first and after the last."""
+    position = np.stack(
+        [first[0][0] + second[0][0], first[0][1] + second[0][2], first[0][1] + second[0][2]]
+    )
+    return position, first[1] + second[1]
+
+
+def _cancels(edge: Edge, summed: tuple[Array, Array], within: float = CANCELS_WITHIN) -> bool:
+    """Return whether a jump and others, summed with it, cancel, in the form that suits best."""
+    for q in range(2):
+        size, threshold = float(np.linalg.norm(edge.forms[q][0])), edge.thresholds[q]
+        left = float(np.min(np.linalg.norm(summed[q], axis=1)))
+        allowed = within * size + NOISE_WITHIN * threshold
+        if left >= (allowed if size >= threshold else NOTHING_WITHIN * threshold):
+            return False
+    return True
+
+
+def _size(edge: Edge) -> tuple[float, float]:
+    """Return the size of a jump, m and rad."""
+    return float(np.linalg.norm(edge.forms[0][0])), float(np.linalg.norm(edge.forms[1][0]))
+
+
+def _run(poses: Trajectory, first: int, last: int, edge: Edge) -> Excursion:
+    """Return the excursion of samples first to last, by the size of one jump of it."""
+    stamps = poses.stamps_ns
+    return Excursion(first, last, int(stamps[first]), int(stamps[last]), *_size(edge))
+
+
+def _to_the_end(edge: Edge, poses: Trajectory) -> Excursion | None:
+    """Return what lies between a jump and an end of the recording, if short, else nothing."""
+    stamps = poses.stamps_ns
+    last = len(poses) - 1
+    before = float(stamps[edge.before] - stamps[0]) / NS_PER_S
+    after = float(stamps[last] - stamps[edge.after]) / NS_PER_S
+    if before < min(after, LONGEST_AT_END):
+        return _run(poses, 0, edge.before, edge)
+    if after < min(before, LONGEST_AT_END):
+        return _run(poses, edge.after, last, edge)
+    return None
+
 
 # Fewer samples than this between gaps and marked samples cannot be judged, and are marked.
 SHORTEST_RUN = 3

@@ -19,8 +19,7 @@ from bellows_ros.core.recording.alignment import (
     in_world,
     standstill,
 )
-from bellows_ros.core.recording.excursions import Step
-from bellows_ros.core.recording.outliers import find_outliers, Outliers, repeats_in_motion
+from bellows_ros.core.recording.outliers import find_outliers, Outliers, repeats_in_motion, Step
 from bellows_ros.core.recording.recording import (
     PrepareSettings,
     Recording,
