@@ -4,10 +4,10 @@ from dataclasses import replace
 
 from bellows_ros.core.identification.equations import covariance_of
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.identification.statics.static_rows import (
+from bellows_ros.core.identification.statics.static_equations import (
     joined_with_standstills,
     Length,
-    static_rows,
+    static_equations,
 )
 from bellows_ros.core.model import Cup
 from bellows_ros.core.recording.noise import Noise
@@ -44,16 +44,18 @@ def exact(parameters=8):
     return Length(L0, 0.0, np.zeros(parameters))
 
 
-def rows(standstills, structure=ROUND, stiffness=simulated.CUP.stiffness, length_std=0.0):
-    """Return the whitened equations."""
-    return static_rows(standstills, L0, structure, G, stiffness, length_std)
+def whitened(standstills, stiffness=simulated.CUP.stiffness, length_std=0.0):
+    """Return A and b of b = A k, whitened, with an error of the length common to all."""
+    A, b, by_length = static_equations(standstills, L0, ROUND, G, stiffness)
+    root = np.linalg.cholesky(np.eye(len(b)) + length_std**2 * np.outer(by_length, by_length))
+    return np.linalg.solve(root, A), np.linalg.solve(root, b)
 
 
 def test_errors_of_the_equations_have_unit_variance():
     """Average over recordings: with the true K they leave what the mean poses are wrong by."""
     squares = []
     for seed in range(5):
-        A, b = rows(resting(seed))
+        A, b = whitened(resting(seed))
         squares += ((b - A @ TRUTH[:4]) ** 2).tolist()
     # 150 numbers: a mean of 1 to 12 %; swinging that has not died out is counted as error, too
     assert 0.5 < np.mean(squares) < 1.25
@@ -64,14 +66,14 @@ def test_a_wrong_guess_leads_to_the_truth_in_a_few_rounds(wrong):
     standstills = resting(1, {}, hold=6.0)
     K = wrong * simulated.CUP.stiffness
     for _ in range(6):
-        A, b = rows(standstills, stiffness=K)
+        A, b = whitened(standstills, stiffness=K)
         k = np.linalg.lstsq(A, b, rcond=None)[0]
         K = ROUND.matrices(np.concatenate([k[:3], TRUTH[3:4], TRUTH[4:]]))[0]
     assert_allclose(k[:3], TRUTH[:3], rtol=1e-3)
 
 
 def test_torsion_without_load_is_not_identifiable_by_its_noise():
-    A, _ = rows(resting(2))
+    A, _ = whitened(resting(2))
     assert np.all(A[:, 3] == 0.0)
     assert np.isinf(np.diag(covariance_of(A.T @ A))).tolist() == [False, False, False, True]
 
@@ -80,7 +82,7 @@ def test_an_uncertain_length_makes_the_axial_stiffness_uncertain():
     """Without it the axial stretch m g / k is known; with it only its error over the stretch."""
     standstills = resting(3)
     exact, uncertain = (
-        np.sqrt(np.diag(covariance_of((A := rows(standstills, length_std=std)[0]).T @ A)))
+        np.sqrt(np.diag(covariance_of((A := whitened(standstills, length_std=std)[0]).T @ A)))
         for std in (0.0, 1e-4))
     # All standstills are of one mass: the error of l0 is that of the stretch, which tilting by 0.3
     # hardly changes.
@@ -146,13 +148,13 @@ def test_standstills_that_do_not_agree_count_less_and_are_warned_about():
 def test_a_better_mean_counts_more():
     found = resting(9)
     better = [replace(still, error=Noise(*(0.5 * e for e in still.error))) for still in found]
-    first, second = (rows(part)[0] for part in (found, better))
+    first, second = (whitened(part)[0] for part in (found, better))
     assert_allclose(second[:, :3], 2.0 * first[:, :3], rtol=1e-9)
 
 
 def test_none_is_a_mistake():
     with pytest.raises(BellowsError, match='at least one standstill'):
-        static_rows([], L0, ROUND, G, simulated.CUP.stiffness)
+        static_equations([], L0, ROUND, G, simulated.CUP.stiffness)
 
 
 def test_a_cup_stays_a_cup():

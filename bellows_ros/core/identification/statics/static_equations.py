@@ -40,18 +40,20 @@ SMALLEST_ERROR = (1e-7, 1e-6)
 """Errors (m, rad) of a mean pose are taken as at least this: rounding, and the model's own."""
 
 ROUNDS = 4
-"""How often rows are whitened anew with the K that they gave, and weighed by how they fit."""
+"""How often equations are whitened anew with the K that they gave, and weighed by how they fit."""
 
 LARGEST_CHI2 = 4.0
 """Chi^2 per degree of freedom of standstills above which they are said not to agree."""
 
 
-def static_rows(
+def static_equations(
     standstills: Sequence[Standstill], cup_length: float, structure: Structure, gravity: float,
-    stiffness: Array, length_std: float = 0.0,
-) -> tuple[Array, Array]:
+    stiffness: Array,
+) -> tuple[Array, Array, Array]:
     """
-    Return rows A (6 H, n) and b (6 H,) with which b = A k but for errors of unit variance.
+    Return A (6 H, n), b (6 H,) and g (6 H,) of b = A k + g dl, in errors of the mean poses.
+
+    But for errors of unit variance; dl is by how much the nominal length is off, m.
 
     Parameters
     ----------
@@ -65,8 +67,6 @@ def static_rows(
         m/s^2 along -z of the world.
     stiffness : ndarray (6, 6)
         A guess of K, by which errors of poses become errors of wrenches.
-    length_std : float
-        Standard error of the nominal length, m: it is common to all standstills.
 
     Raises
     ------
@@ -74,17 +74,6 @@ def static_rows(
         If there is no standstill.
 
     """
-    A, b, by_length = _rows(standstills, cup_length, structure, gravity, stiffness)
-    root = np.linalg.cholesky(
-        np.eye(len(b)) + length_std**2 * np.outer(by_length, by_length))
-    return np.linalg.solve(root, A), np.linalg.solve(root, b)
-
-
-def _rows(
-    standstills: Sequence[Standstill], cup_length: float, structure: Structure, gravity: float,
-    stiffness: Array,
-) -> tuple[Array, Array, Array]:
-    """Return A (6 H, n), b (6 H,) and g (6 H,) of b = A k + g dl, in errors of the mean poses."""
     if not standstills:
         raise BellowsError('Static equations need at least one standstill.')
     k = structure.parameters(stiffness, stiffness)[:structure.size]
@@ -94,14 +83,10 @@ def _rows(
     errors = np.array([still.error for still in standstills])
     error = np.repeat(np.maximum(errors, SMALLEST_ERROR), 3, axis=1).ravel()
     A, b, by_length = A / error[:, None], b / error, by_length / error
-    A[:, np.linalg.norm(A, axis=0) * _sizes(structure, stiffness) < NO_EFFECT] = 0.0
-    return A, b, by_length
-
-
-def _sizes(structure: Structure, stiffness: Array) -> Array:
-    """Return what is a large change of each entry (n,): the root of its two diagonal entries."""
     size = np.sqrt(np.abs(np.diag(stiffness)))
-    return np.array([size[row] * size[column] for row, column in structure.leads])
+    large = np.array([size[row] * size[column] for row, column in structure.leads])
+    A[:, np.linalg.norm(A, axis=0) * large < NO_EFFECT] = 0.0
+    return A, b, by_length
 
 
 class Length(NamedTuple):
@@ -150,26 +135,23 @@ def joined_with_standstills(
     weight, z, covariance = 1.0, np.append(x0, 0.0), fit.covariance
     for _ in range(ROUNDS):
         guess = _guess(structure, z[:-1], covariance, typical)
-        rows, b, by_length = _rows(standstills, length.value, structure, gravity, guess)
-        A = np.hstack([rows, np.zeros_like(rows), length.std * by_length[:, None]])
+        of_K, b, by_length = static_equations(
+            standstills, length.value, structure, gravity, guess)
+        A = np.hstack([of_K, np.zeros_like(of_K), length.std * by_length[:, None]])
         whole = covariance_of(prior + weight * A.T @ A)
         z = _minimum(np.append(x0, 0.0), prior, weight, A, b, whole)
         chi2 = _chi2(A, b - A @ z, weight, whole)
         weight, covariance = 1.0 / max(chi2, 1.0), whole[:-1, :-1]
+    before = fit.covariance + length.std**2 * np.outer(length.jacobian, length.jacobian)
     found = StandstillPart(
-        len(standstills), chi2, _narrowed(_widened(fit.covariance, length), covariance),
+        len(standstills), chi2, _narrowed(before, covariance),
         length.value + length.std * float(z[-1]), length.std * float(np.sqrt(whole[-1, -1])),
     )
     return _with(fit, structure, z[:-1], covariance, found)
 
 
-def _widened(covariance: Array, length: Length) -> Array:
-    """Return the covariance of a fit of motions with what the length is uncertain by."""
-    return np.asarray(covariance + length.std**2 * np.outer(length.jacobian, length.jacobian))
-
-
 def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) -> Array:
-    """Return K (6, 6) by which rows are whitened; what is not identifiable is typical."""
+    """Return K (6, 6) by which equations are whitened; what is not identifiable is typical."""
     if structure.couples:
         return structure.matrices(x)[0]
     known = np.isfinite(np.diag(covariance)) & (x > 0.0)
@@ -177,7 +159,7 @@ def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) ->
 
 
 def _chi2(A: Array, left: Array, weight: float, covariance: Array) -> float:
-    """Return the squares left of the rows per degree of freedom that the parameters leave them."""
+    """Return the squares left per degree of freedom that the parameters leave the equations."""
     known = np.isfinite(np.diag(covariance))
     finite = np.where(np.outer(known, known), covariance, 0.0)
     used = weight * float(np.trace(A @ finite @ A.T))
