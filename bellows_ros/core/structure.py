@@ -132,6 +132,12 @@ class Structure:
             ]
         )
 
+    def sizes(self, stiffness: Array, damping: Array) -> Array:
+        """Return what is large for each parameter (2 n,): the root of its two diagonal entries."""
+        i, j = np.array(self.leads).T
+        return np.concatenate([
+            np.sqrt(np.abs(M[i, i] * M[j, j])) for M in (stiffness, damping)])
+
     def contains(self, other: 'Structure') -> bool:
         """Return whether every matrix of another structure is one of this."""
         return all(

@@ -109,9 +109,7 @@ def typical(
     values: dict[str, Any] = resolve(found.cup_values(), PACKAGE_PARAMETERS)
     fit, structure = found.fit, structure_named(found.fit.structure)
     x = structure.parameters(fit.stiffness, fit.damping)
-    diagonal = np.sqrt(np.concatenate([
-        [matrix[i, i] * matrix[j, j] for i, j in structure.leads]
-        for matrix in (fit.stiffness, np.maximum(fit.damping, 0.0))]))
+    diagonal = structure.sizes(fit.stiffness, np.maximum(fit.damping, 0.0))
     std = np.sqrt(np.diag(fit.covariance))
     known = np.isfinite(std)
     std = np.where(known, std, diagonal)

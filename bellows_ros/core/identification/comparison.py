@@ -6,7 +6,7 @@ where it changes the predicted motion: rest poses, natural frequencies, damping,
 shake. The standard errors of these follow from those of the parameters by first derivatives.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bellows_ros.core.arrays import Array
@@ -21,6 +21,7 @@ from bellows_ros.core.structure import common_structure, Structure
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import chdtrc, ndtr
 
 SIGNIFICANT = 0.05
@@ -268,7 +269,7 @@ def modes(
     zero = (0.0, 0.0, 0.0)
     tool = (zero, (0.0, 0.0, 0.0, 1.0), zero, zero)
     jacobian = linearise(model, tool, static_equilibrium(model, tool))
-    mass = _mass_matrix(package)
+    mass = block_diag(package.mass * np.eye(3), package.inertia)
     root = np.linalg.cholesky(mass)
     inverse = np.linalg.inv(root)
     stiffness = -inverse @ (mass @ jacobian.body_pose) @ inverse.T
@@ -280,7 +281,8 @@ def modes(
         omega = float(np.sqrt(max(shape @ stiffness @ shape, 0.0)))
         ratio = float(shape @ damping @ shape) / (2.0 * omega) if omega else float('inf')
         middle = middle_body @ (inverse.T @ shape)
-        direction = _direction(middle, cup.stiffness)
+        energy = np.abs(middle * (cup.stiffness @ middle))
+        direction = GROUP_NAMES[int(np.argmax([energy[list(group)].sum() for group in GROUPS]))]
         found.append(Mode(direction, omega / (2.0 * np.pi), ratio, shape))
     return _in_order_of(like, found) if like else found
 
@@ -305,20 +307,6 @@ def _in_order_of(like: Sequence[Mode], found: Sequence[Mode]) -> list[Mode]:
         ordered[i] = found[j]
         overlap[i, :] = overlap[:, j] = -1.0
     return ordered
-
-
-def _mass_matrix(package: Package) -> Array:
-    """Return the inertia (6, 6) of the package at B."""
-    mass = np.zeros((6, 6))
-    mass[:3, :3] = package.mass * np.eye(3)
-    mass[3:, 3:] = package.inertia
-    return mass
-
-
-def _direction(displacement: Array, stiffness: Array) -> str:
-    """Return the name of the directions with most elastic energy of a displacement (6,)."""
-    energy = np.abs(displacement * (stiffness @ displacement))
-    return GROUP_NAMES[int(np.argmax([energy[list(group)].sum() for group in GROUPS]))]
 
 
 def _spread(jacobian: Array, covariance: Array) -> Array:
@@ -408,26 +396,10 @@ def _predicted_std(
         cup = Cup(*fit.structure.matrices(at), fit.cup.length)
         return np.array([value for *_, value in _predicted(cup, package, gravity, like)])
 
-    jacobian = _jacobian(values, x, _steps(fit.structure, x))
+    steps = STEP * fit.structure.sizes(*fit.structure.matrices(x))
+    jacobian = np.column_stack([
+        (values(x + step) - values(x - step)) / (2.0 * step.sum()) for step in np.diag(steps)])
     return [float(std) for std in _deviations(_spread(jacobian, fit.covariance))]
-
-
-def _steps(structure: Structure, x: Array) -> Array:
-    """Return steps for the parameters: relative to the diagonal entries that belong to each."""
-    stiffness, damping = structure.matrices(x)
-    sizes = []
-    for matrix in (stiffness, damping):
-        root = np.sqrt(np.abs(np.diag(matrix)))
-        sizes += [float(root[i] * root[j]) for i, j in structure.leads]
-    return STEP * np.array(sizes)
-
-
-def _jacobian(function: Callable[[Array], Array], x: Array, steps: Array) -> Array:
-    """Return derivatives (m, n) of a function of n numbers."""
-    columns = [
-        (function(x + step) - function(x - step)) / (2.0 * step.sum()) for step in np.diag(steps)
-    ]
-    return np.array(columns).T
 
 
 def _shaken_apart(before: Cup, after: Cup, package: Package, gravity: float) -> Array:

@@ -80,7 +80,9 @@ def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
             'Whether cups are the same needs at least two fits of the same structure.'
         )
     x = np.array([parameters_of(fit) for fit in fits])
-    sizes = _sizes(fits[0], x[0])
+    structure = structure_named(fits[0].structure)
+    sizes = structure.sizes(fits[0].stiffness, fits[0].damping)
+    sizes[sizes == 0.0] = 1.0
     relative = x / sizes
     covariances = [fit.covariance / np.outer(sizes, sizes) for fit in fits]
     mean, statistic, degrees = _compared(relative, covariances)
@@ -98,15 +100,6 @@ def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
     return Consistency(
         statistic, probability, degrees, mean * sizes, deviations, parts[0], parts[1], verdict
     )
-
-
-def _sizes(fit: Fit, x: Array) -> Array:
-    """Return typical sizes of the parameters, with which they are made near one."""
-    sizes = []
-    for matrix in (fit.stiffness, fit.damping):
-        root = np.sqrt(np.abs(np.diag(matrix)))
-        sizes += [root[i] * root[j] for i, j in structure_named(fit.structure).leads]
-    return np.where(np.array(sizes) > 0.0, sizes, 1.0)
 
 
 def _compared(x: Array, covariances: Sequence[Array]) -> tuple[Array, float, int]:

@@ -136,8 +136,9 @@ def advice(
         else:
             coupled += [each.label for each in own if not each.identifiable]
     if coupled:
+        shown = ', '.join([*coupled[:PAIRS_SHOWN], *(['...'] if coupled[PAIRS_SHOWN:] else [])])
         yield (
-            f'{len(coupled)} couplings of directions ({_some(coupled)}) are not identifiable from '
+            f'{len(coupled)} couplings of directions ({shown}) are not identifiable from '
             f'{source}; take a simpler fit.structure, or move all axes at once, each with '
             'frequencies of its own.'
         )
@@ -177,12 +178,6 @@ def _direction_warnings(
             f'{abs(each.bias):.0%} too {"small" if each.bias < 0.0 else "large"}. Take '
             f'fit.method: prediction_error, or {advice}.'
         )
-
-
-def _some(labels: list[str]) -> str:
-    """Return the first few labels."""
-    shown = ', '.join(labels[:PAIRS_SHOWN])
-    return shown + (', ...' if len(labels) > PAIRS_SHOWN else '')
 
 
 LOST, STANDS_OUT = 0.03, 5.0
@@ -335,7 +330,10 @@ def excitation_of(
         Identifiability(label, float(value), 1.0 if np.isnan(value) else float(share), float(off))
         for label, value, share, off in zip(structure.labels, x, shares, bias, strict=True)
     )
-    axes, pairs = _axes(parts), tuple(_pairs(found, structure.labels))
+    gram = found.inverse @ found.inverse.T
+    spread = np.where(found.identifiable, np.sqrt(np.diag(gram)), np.inf)
+    pairs = tuple(_correlated(gram / np.outer(spread, spread), structure.labels))
+    axes = _axes(parts)
     source = 'this recording' if len(parts) == 1 else 'these recordings'
     fast = too_fast(axes, [part.passed for part in parts if part.passed]) if filtered else ()
     return Excitation(
@@ -400,13 +398,6 @@ def _bands(parts: Sequence[Information]) -> Array:
 def _rms(moments: Moments) -> Array:
     """Return the root mean squares (6,)."""
     return np.asarray(np.hypot(moments.mean, moments.std))
-
-
-def _pairs(found: Solution, labels: Sequence[str]) -> Iterator[tuple[str, str, float]]:
-    """Yield the pairs of parameters that can hardly be separated, the worst first."""
-    gram = found.inverse @ found.inverse.T
-    spread = np.where(found.identifiable, np.sqrt(np.diag(gram)), np.inf)
-    yield from _correlated(gram / np.outer(spread, spread), labels)
 
 
 def _correlated(

@@ -13,7 +13,7 @@ is extrapolated to no noise at all.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.identification.equations import (
@@ -34,7 +34,7 @@ from bellows_ros.core.recording.noise import FilterNoise
 from bellows_ros.core.residuals import relative_coordinates
 from bellows_ros.core.simulation import simulate, state_row
 from bellows_ros.core.structure import Structure, STRUCTURES
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UndeterminedError, UnstableError
 import numpy as np
 
@@ -208,9 +208,10 @@ def select_structure(
         runs, _cut(recordings, folds), _noisier(recordings, noises, folds), count, cup_length,
         whitening)
     part = effective / count
-    candidates = _relative_to_best(
-        [_candidate(problem, s, *fit, part) for s, fit in zip(structures, fits, strict=True)]
-    )
+    marked = [
+        _candidate(problem, s, *fit, part) for s, fit in zip(structures, fits, strict=True)]
+    aic, bic = min(own.aic for own in marked), min(own.bic for own in marked)
+    candidates = [replace(own, aic=own.aic - aic, bic=own.bic - bic) for own in marked]
     advised, advice = _advice(candidates)
     return StructureSelection(tuple(candidates), count, effective, advised, advice)
 
@@ -401,30 +402,12 @@ def _simulated_run(cup: Cup, run: Samples) -> tuple[Array, Array]:
         start.position[0], rotation_to_quaternion(start.rotation[0]), start.twist[0]
     )
     moved = simulate(cup, run.payload, run.tool, state, run.gravity)
-    valid = run.package.valid
-    predicted = relative_coordinates(run.tool, _poses(moved))[valid]
-    measured = relative_coordinates(run.tool, run.package)[valid]
-    return predicted - measured, measured - measured.mean(axis=0)
-
-
-def _poses(moved: Trajectory) -> Trajectory:
-    """Return a simulated motion, or say that it left what can be compared."""
     if float(np.abs(moved.position).max()) > 1e3:
         raise BellowsError('The simulation went astray.')
-    return moved
-
-
-def _relative_to_best(candidates: list[Candidate]) -> list[Candidate]:
-    """Return candidates with criteria relative to the best."""
-    aic, bic = (
-        min(candidate.aic for candidate in candidates),
-        min(candidate.bic for candidate in candidates),
-    )
-    return [
-        Candidate(r.structure, r.parameters, r.fit, r.refused, r.aic - aic, r.bic - bic,
-                  r.held_out_wrench, r.simulated)
-        for r in candidates
-    ]
+    valid = run.package.valid
+    predicted = relative_coordinates(run.tool, moved)[valid]
+    measured = relative_coordinates(run.tool, run.package)[valid]
+    return predicted - measured, measured - measured.mean(axis=0)
 
 
 def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:

@@ -240,8 +240,7 @@ class Search:
         for diagonal in diagonals:
             for part in (slice(0, 3), slice(3, 6)):  # metres and radians
                 diagonal[part] = np.maximum(diagonal[part], 0.05 * diagonal[part].max())
-        i, j = np.array(structure.leads).T
-        units = np.concatenate([np.sqrt(d[i] * d[j]) for d in diagonals])
+        units = structure.sizes(*map(np.diag, diagonals))
         self.count = len(units)
         self.places: dict[str, Places] = {}
         wanted = [units]

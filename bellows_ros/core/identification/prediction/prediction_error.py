@@ -371,9 +371,7 @@ def _largest_errors(search: Search, theta: Array) -> Array:
     The size of an entry of K or P is the root of the product of its diagonals.
     """
     cup, largest = search.cup(theta), np.empty(len(theta))
-    i, j = np.array(search.structure.leads).T
-    largest[:search.count] = LARGEST_ERROR * np.concatenate([
-        np.sqrt(np.abs(M[i, i] * M[j, j])) for M in (cup.stiffness, cup.damping)])
+    largest[:search.count] = LARGEST_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
     for name, places in search.places.items():
         largest[places] = KINDS[name].known
     return np.asarray(largest / search.units)

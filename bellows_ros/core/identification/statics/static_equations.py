@@ -83,8 +83,7 @@ def static_equations(
     errors = np.array([still.error for still in standstills])
     error = np.repeat(np.maximum(errors, SMALLEST_ERROR), 3, axis=1).ravel()
     A, b, by_length = A / error[:, None], b / error, by_length / error
-    size = np.sqrt(np.abs(np.diag(stiffness)))
-    large = np.array([size[row] * size[column] for row, column in structure.leads])
+    large = structure.sizes(stiffness, stiffness)[:structure.size]
     A[:, np.linalg.norm(A, axis=0) * large < NO_EFFECT] = 0.0
     return A, b, by_length
 
