@@ -37,8 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Write the page, or say what is wrong with the result."""
-    from bellows_ros.files.content import content_of
-    from bellows_ros.files.results import read_result
+    from bellows_ros.files.results import content_of, read_result
 
     content = read_result(arguments.fit)
     _require_settings(arguments.fit, content)

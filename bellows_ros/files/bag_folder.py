@@ -200,15 +200,13 @@ def _without_metadata(folder: Path) -> Listing:
         raise BellowsError(
             f"Folder '{folder}' has no {METADATA}, but files of two storages: "
             f'{", ".join(sorted(names)[:_SHOWN])}. Give the one that is meant.')
-    files = tuple(_inside(folder, name, False) for name in sorted(names, key=_in_order))
+    # A recorder numbers its files: numbers in names count as such.
+    in_order = sorted(names, key=lambda name: [
+        (text, int(number or -1)) for text, number in re.findall(r'(\D*)(\d*)', name)])
+    files = tuple(_inside(folder, name, False) for name in in_order)
     return Listing(files, {}, (
         f"Recording '{folder}' has no {METADATA}: its recorder has crashed, or is still "
         f'recording. Read were {", ".join(file.name for file in files[:_SHOWN])}.',))
-
-
-def _in_order(name: str) -> tuple[tuple[str, int], ...]:
-    """Return a key by which numbers in names count as such: a recorder numbers its files."""
-    return tuple((text, int(number or -1)) for text, number in re.findall(r'(\D*)(\d*)', name))
 
 
 def _damaged(folder: Path, reason: str) -> BellowsError:

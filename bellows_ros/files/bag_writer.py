@@ -87,7 +87,8 @@ class Recorded:
         if self.type_name not in messages.LAYOUTS:
             known = ', '.join(messages.LAYOUTS)
             raise BellowsError(f"Type '{self.type_name}' cannot be recorded; {known} can.")
-        width = _width(messages.LAYOUTS[self.type_name])
+        layout = messages.LAYOUTS[self.type_name]
+        width = sum(part.stop - part.start for part in (layout.pose, layout.twist) if part)
         count = len(self.stamps_ns)
         logged = count if self.log_times_ns is None else len(self.log_times_ns)
         if np.shape(self.values) != (count, width) or logged != count:
@@ -194,12 +195,6 @@ def _errors_of_the_system() -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         raise OSError(f'SQLite says {error}') from None
-
-
-def _width(layout: messages.Layout) -> int:
-    """Return how many numbers a message has without covariances."""
-    parts = [part for part in (layout.pose, layout.twist) if part]
-    return sum(part.stop - part.start for part in parts)
 
 
 def _require_choices(storage: str, compression: str) -> None:

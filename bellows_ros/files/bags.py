@@ -8,10 +8,11 @@ says what to do. What a recorder that crashed has left is read as far as it goes
 from array import array
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 import os
 from pathlib import Path
 import shutil
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from bellows_ros.core.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
@@ -205,7 +206,9 @@ def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Co
     counts: dict[Topic, int] = {}
     notes = list(listed.notes)
     takers: dict[Topic, list[_Collector]] = {}
-    for message in _messages(listed, _chooser(collectors), counts, notes):
+    for message in _messages(
+            listed, lambda topic: any(c.accepts(topic) for c in collectors.values()), counts,
+            notes):
         if message.topic not in takers:
             takers[message.topic] = [c for c in collectors.values() if c.accepts(message.topic)]
         for collector in takers[message.topic]:
@@ -252,6 +255,19 @@ def messages_of(
         yield message.topic.name, message.topic.type_name, message.log_time_ns, bytes(plain)
 
 
+@cache
+def _types() -> Any:
+    """Return what decodes messages."""
+    from rosbags.typesys import get_typestore, Stores  # late: takes long, and is rarely needed
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def decoded(data: bytes, type_name: str) -> Any:
+    """Return a message as an object with its fields, of any type."""
+    return _types().deserialize_cdr(data, type_name)
+
+
 def _absolute(topic: str) -> str:
     """Return a topic's name as a recording has it."""
     return topic if topic.startswith('/') else f'/{topic}'
@@ -261,11 +277,6 @@ def accepted_types(role: str) -> tuple[str, ...]:
     """Return the message types a role can be read from."""
     twists = role.endswith('twist')
     return tuple(name for name, x in messages.LAYOUTS.items() if (x.twist if twists else x.pose))
-
-
-def _chooser(collectors: Mapping[str, '_Collector']) -> Wanted:
-    """Return the function that picks the topics to read."""
-    return lambda topic: any(c.accepts(topic) for c in collectors.values())
 
 
 class _Collector:

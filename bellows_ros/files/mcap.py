@@ -72,15 +72,10 @@ def scan(
         reason = str(error) if named else f'a record is damaged ({error})'
         if source.ends_well():
             raise DamagedError(reason) from None
-        notes.append(_what_is_lost(scanned, source, reason))
-
-
-def _what_is_lost(scanned: '_Scan', source: '_Source', reason: str) -> str:
-    """Return in words how far a file was read that was not ended."""
-    return (
-        f'its recording was not ended, {reason}: {sum(scanned.met.values())} messages were read; '
-        f'the last {source.at - source.whole} of {source.at} bytes are damaged or cut short'
-    )
+        notes.append(
+            f'its recording was not ended, {reason}: {sum(scanned.met.values())} messages were '
+            f'read; the last {source.at - source.whole} of {source.at} bytes are damaged or cut '
+            'short')
 
 
 class _Source:
@@ -163,7 +158,9 @@ class _Scan:
             elif kind == _CHUNK:
                 yield from self.messages(_chunk_records(body))
             elif kind == _SCHEMA:
-                self._add_schema(_Fields(body))
+                fields = _Fields(body)
+                number = fields.number('<H')
+                self._schemas[number] = fields.text()
             elif kind == _CHANNEL:
                 self._add_channel(_Fields(body))
             elif kind == _STATISTICS:
@@ -185,11 +182,6 @@ class _Scan:
                 raise DamagedError(
                     f'it has {self.met[channel]} messages in channel {channel}, but says {count}'
                 )
-
-    def _add_schema(self, fields: '_Fields') -> None:
-        """Remember the name of a message type."""
-        number = fields.number('<H')
-        self._schemas[number] = fields.text()
 
     def _add_channel(self, fields: '_Fields') -> None:
         """Remember a topic; the summary at the end repeats them."""

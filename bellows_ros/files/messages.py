@@ -326,7 +326,8 @@ def pose_stream(name: str, decoded: Decoded) -> PoseStream:
         first that applies.
 
     """
-    norm = _norm(decoded.values[:, 3:])
+    with np.errstate(over='ignore', invalid='ignore'):  # infinite where the square overflows
+        norm = np.linalg.norm(decoded.values[:, 3:], axis=1)
     unusable = {
         'zero_quaternion': norm < ZERO_QUATERNION_BELOW,
         'not_unit': np.abs(norm - 1.0) > NOT_UNIT_ABOVE,
@@ -372,12 +373,6 @@ def twist_stream(name: str, decoded: Decoded, in_child_frame: bool) -> TwistStre
     )
 
 
-def _norm(values: Array) -> Array:
-    """Return the norms of rows; infinite where the square overflows."""
-    with np.errstate(over='ignore', invalid='ignore'):
-        return np.asarray(np.linalg.norm(values, axis=1))
-
-
 def _sift(
     decoded: Decoded, lengths: Array, unusable: Mapping[str, Mask], frame_name: int = 0
 ) -> tuple[Stamps, str, Refused]:
@@ -394,7 +389,8 @@ def _sift(
     refused: Refused = {}
     for reason, bad in tests.items():
         left = _refuse(refused, reason, left, bad[left])
-    frame = _most_common(decoded.frame[left])
+    # The frame that most messages have; of equals, the one met first.
+    frame = int(np.argmax(np.bincount(decoded.frame[left]))) if len(left) else 0
     left = _refuse(refused, 'frame_id', left, decoded.frame[left] != frame)
     arrivals = None if decoded.arrivals_ns is None else decoded.arrivals_ns[left]
     unusable = unusable_stamps(decoded.stamps_ns[left], arrivals)
@@ -411,11 +407,6 @@ def _refuse(
     if bad.any():
         refused[reason] = tuple(int(i) for i in left[bad])
     return left[~bad]
-
-
-def _most_common(frame: Stamps) -> int:
-    """Return the frame most messages have; of equals, the one met first."""
-    return int(np.argmax(np.bincount(frame))) if len(frame) else 0
 
 
 def _rotations(quaternion_xyzw: Array) -> Array:

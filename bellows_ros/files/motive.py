@@ -128,7 +128,7 @@ def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody
     seconds = table[:, place[TIME]]
     if not len(table) or not np.all(np.isfinite(seconds)):
         raise BellowsError(f"'{path}' has no frames, or frames without a time.")
-    stamps = _start_ns(about) + _whole_ns(seconds)
+    stamps = _start_ns(about) + np.rint(seconds * NS_PER_S).astype(np.int64)
     found = []
     for name, of_body in columns.items():
         pose, seen = _pose_and_seen(table, place, of_body)
@@ -140,11 +140,6 @@ def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody
             int(np.count_nonzero(~there)), int(np.count_nonzero(there & ~enough)),
         ))
     return tuple(found)
-
-
-def _whole_ns(seconds: Array) -> Stamps:
-    """Return times in whole ns."""
-    return np.rint(seconds * NS_PER_S).astype(np.int64)
 
 
 def _head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]:
@@ -162,7 +157,10 @@ def _head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]
         if row[:1] == ['Frame'] and 'Format Version' in about:
             width = len(row)
             heads = {label: (cells + [''] * width)[:width] for label, cells in above.items()}
-            _require_heads(path, heads)
+            lacking = [name for name in ('Type', 'Name', 'Quantity') if name not in heads]
+            if lacking:
+                raise BellowsError(
+                    f"'{path}' lacks the header row {lacking[0]}. Export it again.")
             _require_settings(path, about)
             return about, {**heads, 'axis': row}
         if any(row):
@@ -171,13 +169,6 @@ def _head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]
         f"'{path}' is no CSV export of Motive with its header. Export it again, with 'Header "
         "Information' switched on."
     )
-
-
-def _require_heads(path: Path, heads: Heads) -> None:
-    """Refuse a header without what tells the columns apart."""
-    lacking = [name for name in ('Type', 'Name', 'Quantity') if name not in heads]
-    if lacking:
-        raise BellowsError(f"'{path}' lacks the header row {lacking[0]}. Export it again.")
 
 
 def _require_settings(path: Path, about: Mapping[str, str]) -> None:

@@ -150,7 +150,8 @@ def _sections(
     if not every:
         return [((), content)]
     wanted = (node,) if node else NODES
-    chosen = [(keys, part) for keys, part in every if any(_matches(keys, n) for n in wanted)]
+    chosen = [(keys, part) for keys, part in every
+              if '/'.join(keys[:-1]).rpartition('/')[2] in ('**', '*', *wanted)]
     if not chosen:
         there = ', '.join('/'.join(keys[:-1]) for keys, _ in every)
         raise BellowsError(
@@ -172,12 +173,6 @@ def _ros_sections(content: Mapping[str, Any], keys: tuple[str, ...]) -> Iterator
             yield (*keys, key), value
         elif isinstance(value, dict):
             yield from _ros_sections(value, (*keys, str(key)))
-
-
-def _matches(keys: tuple[str, ...], node: str) -> bool:
-    """Return whether a section, by the keys over it, is for a node of this name."""
-    last = '/'.join(keys[:-1]).split('/')[-1]
-    return last in ('**', '*', node)
 
 
 def _flattened(
@@ -275,15 +270,10 @@ def _scalar(value: object) -> str:
         return '[' + ', '.join(_scalar(item) for item in value) + ']'
     if isinstance(value, bool):
         return 'true' if value else 'false'
-    if isinstance(value, float):
-        return _double(value)
+    if isinstance(value, float):  # the shortest decimals that read back, with a decimal point
+        mantissa, exponent, power = repr(value).partition('e')
+        return f'{mantissa}{"" if "." in mantissa else ".0"}{exponent}{power}'
     return _quoted(value) if isinstance(value, str) else str(value)
-
-
-def _double(value: float) -> str:
-    """Return the shortest decimals that read back as this number, with a decimal point."""
-    mantissa, exponent, power = repr(value).partition('e')
-    return f'{mantissa}{"" if "." in mantissa else ".0"}{exponent}{power}'
 
 
 def _quoted(text: str) -> str:

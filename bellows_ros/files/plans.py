@@ -7,8 +7,7 @@ what lies between the points, is not decided here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,7 +19,7 @@ from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.plan_points import require_count
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
-from bellows_ros.files.bags import messages_of
+from bellows_ros.files.bags import decoded, messages_of
 from bellows_ros.files.plan_messages import decode_multi_dof, MULTI_DOF, PATH, PlanMessage
 from bellows_ros.files.transforms import poses_in, read_transforms
 import numpy as np
@@ -29,8 +28,6 @@ NS_PER_S = 1_000_000_000
 JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
-
-PLAN_TYPES = (MULTI_DOF, PATH, JOINTS)
 
 
 class NoArmError(BellowsError):
@@ -61,24 +58,11 @@ def plans_in(
         If the recording cannot be read, or a plan in it is none.
 
     """
-    found = messages_of(path, PLAN_TYPES, topic)
-    return [(name, _plan(kind, data)) for name, kind, _, data in found]
-
-
-def _plan(kind: str, data: bytes) -> PlanMessage | JointPlan:
-    """Return the plan in a message."""
-    if kind == MULTI_DOF:
-        return decode_multi_dof(data)
-    message = _types().deserialize_cdr(data, kind)
-    return path_points(message) if kind == PATH else joint_plan(message)
-
-
-@cache
-def _types() -> Any:
-    """Return what decodes messages."""
-    from rosbags.typesys import get_typestore, Stores
-
-    return get_typestore(Stores.ROS2_JAZZY)
+    makers: dict[str, Callable[[bytes], PlanMessage | JointPlan]] = {
+        MULTI_DOF: decode_multi_dof, PATH: lambda data: path_points(decoded(data, PATH)),
+        JOINTS: lambda data: joint_plan(decoded(data, JOINTS))}
+    found = messages_of(path, makers, topic)
+    return [(name, makers[kind](data)) for name, kind, _, data in found]
 
 
 def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPlan:
@@ -188,7 +172,7 @@ def recorded_joints(path: str | os.PathLike[str], arm: Arm, topic: str = '') -> 
         If there are none, or they lack a joint of the arm.
 
     """
-    messages = [_types().deserialize_cdr(data, kind)
+    messages = [decoded(data, kind)
                 for _, kind, _, data in messages_of(path, (STATES,), topic)]
     useful = [m for m in messages if set(arm.moving) <= set(m.name)
               and len(m.position) == len(m.name)]
@@ -262,7 +246,7 @@ def arm_of(
     if recording:
         for name, kind, _, data in messages_of(recording, (DESCRIPTION,)):
             if name.endswith('robot_description'):
-                return read_arm(_types().deserialize_cdr(data, kind).data, tool_link)
+                return read_arm(decoded(data, kind).data, tool_link)
     raise NoArmError(
         'Joints are given, and the arm is not: there is no /robot_description. Give its URDF: '
         '--urdf FILE.')

@@ -5,7 +5,8 @@ Numbers keep every digit. JSON knows neither NaN nor infinity: a number that is 
 the recording does not determine it, is null.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from importlib import metadata
 import json
 import math
@@ -109,6 +110,32 @@ def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
     return content
 
 
+@contextmanager
+def content_of(*paths: str | os.PathLike[str]) -> Iterator[None]:
+    """
+    Say of results that hold something else than a fit writes which files they are.
+
+    Raises
+    ------
+    BellowsError
+        In place of what a missing key, another type or an impossible number causes.
+
+    """
+    try:
+        yield
+    except BellowsError as error:
+        names = "' and '".join(os.fspath(path) for path in paths)
+        raise type(error)(f"Of '{names}': {error}") from None
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        names = "' or '".join(os.fspath(path) for path in paths)
+        missing = isinstance(error, KeyError)
+        what = f'{str(error)[:60]} is missing' if missing else f'{str(error)[:100]}'
+        raise BellowsError(
+            f"Result '{names}' is damaged, or was changed by hand: {what}. "
+            "Make it again with 'bellows identify --json'."
+        ) from None
+
+
 def _refuse_constant(name: str) -> None:
     """Refuse NaN and infinity, which are not JSON."""
     raise ValueError(f'{name} is not allowed, null stands for a number that is not known')
@@ -191,13 +218,10 @@ def provenance(
 
 def versions() -> dict[str, str | None]:
     """Return the versions of this package, of Python, and of what numbers depend on."""
-    found = {name: _version(name) for name in TOOLS}
-    return {'bellows_ros': __version__, 'python': platform.python_version(), **found}
-
-
-def _version(name: str) -> str | None:
-    """Return the version of an installed distribution, or None."""
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None
+    found: dict[str, str | None] = {
+        'bellows_ros': __version__, 'python': platform.python_version()}
+    for name in TOOLS:
+        found[name] = None
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found

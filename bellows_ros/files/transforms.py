@@ -7,14 +7,14 @@ and the others are interpolated there.
 
 from collections.abc import Mapping
 import os
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.lie import inverse_transform, quaternion_to_rotation, transform
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bags import messages_of
+from bellows_ros.files.bags import decoded, messages_of
 import numpy as np
 
 TF, STATIC_TF = 'tf2_msgs/msg/TFMessage', '/tf_static'
@@ -47,13 +47,10 @@ def read_transforms(path: str | os.PathLike[str]) -> dict[str, Link]:
         If it cannot be read, or a frame has two parents.
 
     """
-    from rosbags.typesys import get_typestore, Stores
-
-    types: Any = get_typestore(Stores.ROS2_JAZZY)
     found: dict[str, dict[int, tuple[float, ...]]] = {}
     parents: dict[str, str] = {}
     for topic, kind, _, data in messages_of(path, (TF,)):
-        for each in types.deserialize_cdr(data, kind).transforms:
+        for each in decoded(data, kind).transforms:
             child, parent = (name.lstrip('/') for name in (
                 each.child_frame_id, each.header.frame_id))
             if parents.setdefault(child, parent) != parent:

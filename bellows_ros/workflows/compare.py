@@ -10,8 +10,7 @@ from bellows_ros.core.model import Cup, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.structure import structure_named
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.content import content_of
-from bellows_ros.files.results import read_result
+from bellows_ros.files.results import content_of, read_result
 import numpy as np
 
 Path = str | os.PathLike[str]
