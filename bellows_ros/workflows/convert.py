@@ -1,7 +1,7 @@
 """Poses of files, joints or transforms to recordings, and from recordings to TUM."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from dataclasses import replace as changed
 from itertools import compress
 import os
@@ -289,12 +289,8 @@ def _notes(items: Sequence[tuple[Converted, Recorded]]) -> tuple[str, ...]:
 
 def _renamed(item: tuple[Converted, Recorded], topic: str) -> tuple[Converted, Recorded]:
     """Return a body under another topic."""
-    converted, recorded = item
     topic = topic if topic.startswith('/') else f'/{topic}'
-    return (
-        Converted(topic, converted.source, converted.poses, converted.left_out),
-        Recorded(topic, POSE, recorded.stamps_ns, recorded.values, recorded.frame_id),
-    )
+    return replace(item[0], topic=topic), replace(item[1], topic=topic)
 
 
 def _read(source: Path, fewest_markers: int) -> list[tuple[Converted, Recorded]]:

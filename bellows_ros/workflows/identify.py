@@ -6,7 +6,7 @@ to. Who reads them, one after the other, processes or a cluster, or whether they
 files before, makes no difference. What needs the recordings themselves gets them here.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 import os
@@ -291,7 +291,7 @@ def _static(values: Mapping[str, Any], tell: Progress) -> 'StaticResult | None':
 
 
 def read_part(
-    bag: str, values: Mapping[str, Any], keep: bool = False, path: str = ''
+    bag: str, values: Mapping[str, Any], path: str = '', keep: Container[str] = ()
 ) -> Any:
     """
     Return a recording that was read and reduced, itself or what it was reduced to.
@@ -302,10 +302,10 @@ def read_part(
         What the user calls it.
     values : mapping
         All parameters.
-    keep : bool
-        Whether the recording itself is wanted.
     path : str
         Where it lies for whoever reads it; the same where left out.
+    keep : container of str
+        The recordings that are wanted themselves.
 
     Raises
     ------
@@ -315,14 +315,7 @@ def read_part(
     """
     recording = load(path or bag, values, name=bag, with_digest=True)
     part = reduced(recording, values)
-    return recording if keep else part
-
-
-def _read_listed(
-    kept: frozenset[str], bag: str, values: Mapping[str, Any], path: str = ''
-) -> Any:
-    """Return a recording that was read and reduced; itself where it is one to be kept."""
-    return read_part(bag, values, bag in kept, path)
+    return recording if bag in keep else part
 
 
 def read_here(values: Mapping[str, Any], keep: bool, tell: Progress) -> list[Any]:
@@ -330,7 +323,9 @@ def read_here(values: Mapping[str, Any], keep: bool, tell: Progress) -> list[Any
     bags, parts = values['bags'], list[Any]()
     for number, (bag, own) in enumerate(zip(bags, values_of_each(values), strict=True)):
         tell(f'reading {os.fspath(bag)}', FIT_BEGINS * number / len(bags))
-        parts.append(read_part(os.fspath(bag), own, keep or number < LOOKED_AT))
+        name = os.fspath(bag)
+        wanted = [name] if keep or number < LOOKED_AT else []
+        parts.append(read_part(name, own, keep=wanted))
         for _, sentence in repeats((part.name, part.digest) for part in parts):
             raise BellowsError(sentence)
     return parts
@@ -347,7 +342,7 @@ def _read_by_others(
     tell(words, 0.0)
     work = [(n, bag, dict(own)) for n, (bag, own) in
             enumerate(zip(bags, values_of_each(values), strict=True))]
-    task = partial(_read_listed, frozenset(bags if keep else bags[:LOOKED_AT]))
+    task = partial(read_part, keep=frozenset(bags if keep else bags[:LOOKED_AT]))
     results: dict[int, Any] = {}
     for number, result in on_dask(work, dask, task) if dask else on_cores(work, jobs, task):
         results[number] = result
@@ -380,8 +375,9 @@ def _identified(
     tell('fitting', FIT_BEGINS)
     uncertain = static.length if static and values['static.length'] else None
     result = fit(
-        parts, effective, _within(tell), static.standstills if static else (),
-        uncertain.length_std if uncertain else 0.0)
+        parts, effective,
+        lambda what, part: tell(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
+        static.standstills if static else (), uncertain.length_std if uncertain else 0.0)
     if read and result.fit.freed and result.fit.converged:
         values, effective = (with_freed(own, result.fit.freed) for own in (values, effective))
         parts, _ = read(effective)
@@ -408,11 +404,6 @@ def _identified(
     found = replace(found, validations=tuple(_validated(found, tell)))
     tell('done', 1.0)
     return found
-
-
-def _within(tell: Progress) -> Progress:
-    """Return what reports the progress of a fit as a part of the whole."""
-    return lambda what, part: tell(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part)
 
 
 def _consistency(

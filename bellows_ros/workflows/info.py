@@ -14,7 +14,7 @@ from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.resampling import timing
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
-from bellows_ros.files.bags import accepted_types, read_contents, topics
+from bellows_ros.files.bags import accepted_types, Contents, read_contents, topics
 from bellows_ros.workflows.recordings import part_of
 from bellows_ros.workflows.roles import (
     Guess,
@@ -169,8 +169,9 @@ def info(
         for kind, types in (('pose', pose_types), ('twist', twist_types))
         if topic.type_name in types
     }
-    streams, problems = _read(path, wanted)
-    streams = {role: own for role, own in part_of(streams, span).items() if len(own)}
+    contents = read_contents(path, wanted) if wanted else Contents({}, {}, ())
+    problems = {wanted[role]: str(error) for role, error in contents.problems.items()}
+    streams = {role: own for role, own in part_of(contents.streams, span).items() if len(own)}
     start_ns = min((int(s.stamps_ns[0]) for s in streams.values()), default=0)
     described = tuple(
         _topic(topic.name, topic.type_name, topic.messages, streams, problems, start_ns)
@@ -181,16 +182,6 @@ def info(
     assigned = _assigned(path, described, poses, twists)
     return replace(
         assigned, notes=(*notes, *assigned.notes), settings={**assigned.settings, **span})
-
-
-def _read(
-    path: str | os.PathLike[str], wanted: Mapping[str, str]
-) -> tuple[dict[str, Stream], dict[str, str]]:
-    """Return the streams that can be read, and why other topics cannot."""
-    if not wanted:
-        return {}, {}
-    contents = read_contents(path, wanted)
-    return contents.streams, {wanted[role]: str(e) for role, e in contents.problems.items()}
 
 
 def _topic(
