@@ -3,8 +3,7 @@
 from bellows_ros.core.model import Cup
 from bellows_ros.core.structure import structure_named
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.results import content_of
-from bellows_ros.files.results import format_json
+from bellows_ros.files.results import content_of, format_json
 from bellows_ros.workflows.compare import compare_files
 import numpy as np
 import pytest
