@@ -117,8 +117,10 @@ def _facts(topic: 'TopicInfo') -> Iterator[str]:
         longest = max(length for _, length in topic.gaps)
         yield f'{many(len(topic.gaps), "gap", "gaps")}, the longest {longest * 1e3:.0f} ms'
     if topic.noise:
-        position, rotation = (1e3 * topic.noise[name] for name in ('position', 'rotation'))
-        yield f'noise of {position:.3f} mm and {rotation:.3f} mrad in each axis'
+        position, rotation = (
+            ' '.join(f'{1e3 * x:.3f}' for x in topic.noise[name])
+            for name in ('position', 'rotation'))
+        yield f'noise of {position} mm, {rotation} mrad (x y z)'
 
 
 def parameter_file(found: 'Info') -> str:

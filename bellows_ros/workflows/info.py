@@ -80,8 +80,9 @@ class TopicInfo:
         Reason to number of messages that would be left out.
     outliers : int
         Poses that look like lost tracking: jumps, steps, repeats.
-    noise : mapping of str to float
-        Standard deviation of 'position' (m) and 'rotation' (rad) in each axis.
+    noise : mapping of str to list of 3 floats
+        Standard deviation of 'position' (m) along the world's axes and of 'rotation' (rad) about
+        the body's.
     motion : Motion or None
         Of poses.
 
@@ -100,7 +101,7 @@ class TopicInfo:
     gaps: tuple[tuple[float, float], ...] = ()
     refused: Mapping[str, int] = field(default_factory=dict)
     outliers: int = 0
-    noise: Mapping[str, float] = field(default_factory=dict)
+    noise: Mapping[str, list[float]] = field(default_factory=dict)
     motion: Motion | None = None
 
 
@@ -215,7 +216,7 @@ def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
         poses = stream.trajectory()
         outliers = find_outliers(poses, time.longest_step_ns)
         quality['outliers'] = int(np.count_nonzero(~outliers.good))
-        quality['noise'] = {name: float(x) for name, x in outliers.noise.items()}
+        quality['noise'] = {name: x.tolist() for name, x in outliers.noise.items()}
         quality['motion'] = _motion(poses.select(outliers.good))
     return quality
 

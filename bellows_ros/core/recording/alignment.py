@@ -233,7 +233,7 @@ def aligned_at_rest(
 
 
 def standstill(
-    poses: Trajectory, start_ns: int, duration_s: float, noise: dict[str, float], body: str
+    poses: Trajectory, start_ns: int, duration_s: float, noise: dict[str, Array], body: str
 ) -> BodyStandstill:
     """
     Return where a body stands still, having checked that it does.
@@ -246,8 +246,8 @@ def standstill(
         When the standstill begins, ns.
     duration_s : float
         How long it lasts, s.
-    noise : dict of str to float
-        Standard deviation per axis of 'position' (m) and 'rotation' (rad).
+    noise : dict of str to array (3,)
+        Standard deviation along each axis (or one for all) of 'position' (m) and 'rotation' (rad).
     body : str
         Name for messages.
 
@@ -355,13 +355,14 @@ def _spread(rest: Trajectory, position: Array, rotation: Array) -> dict[str, Arr
 def _require_rest(
     rest: Trajectory,
     spread: dict[str, Array],
-    noise: dict[str, float],
+    noise: dict[str, Array],
     duration_s: float,
     body: str,
 ) -> None:
     """Refuse a standstill in which the body moves more than noise explains."""
     per_block = len(rest) / len(spread['position'])
-    limit = {q: REST_WITHIN[q] + REST_DEVIATIONS * noise[q] / np.sqrt(per_block) for q in spread}
+    limit = {q: REST_WITHIN[q] + REST_DEVIATIONS * float(np.max(noise[q])) / np.sqrt(per_block)
+             for q in spread}
     if all(np.max(part) <= limit[q] for q, part in spread.items()):
         return
     start = rest.select(rest.stamps_ns < rest.stamps_ns[0] + int(BLOCK_SECONDS * NS_PER_S))

@@ -42,9 +42,9 @@ FEWEST_JUDGED = 30
 # Samples of the running median of the surroundings, and of the one that follows the acceleration.
 SURROUNDINGS = 51
 SMOOTH = 7
-# Median length of the jump in the middle per standard deviation of white noise in each axis, from
-# two samples on each side: that of a normal 3-vector, times the norm of (1, -3, 3, -1) / 2.
-MEDIAN_PER_DEVIATION = 1.5382 * sqrt(5.0)
+# Median size along an axis of the jump in the middle per standard deviation of white noise, from
+# two samples on each side: that of a normal distribution, times the norm of (1, -3, 3, -1) / 2.
+MEDIAN_PER_DEVIATION = 0.6745 * sqrt(5.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Jumps:
 
     jump: Array  # (M, 3)
     threshold: Array  # (M,)
-    usual: float  # median length of the jump in the middle of the interval
+    usual: Array  # (3,) median size along each axis of the jump in the middle of the interval
 
     @property
     def strength(self) -> Array:
@@ -204,9 +204,10 @@ def _jumps(
     )
     jump = start + np.clip(along, 0.0, 1.0)[:, None] * change
     jump[unseen] = 0.0
-    middle = np.linalg.norm(0.5 * (start + end), axis=1) / gain
-    threshold = np.maximum(STANDS_OUT * gain * _surroundings(middle, unseen), smallest)
-    return Jumps(jump, threshold, float(np.median(middle)))
+    middle = 0.5 * (start + end)
+    size = np.linalg.norm(middle, axis=1) / gain
+    threshold = np.maximum(STANDS_OUT * gain * _surroundings(size, unseen), smallest)
+    return Jumps(jump, threshold, np.median(np.abs(middle.T) / gain, axis=1))
 
 
 def _surroundings(values: Array, unseen: Mask) -> Array:

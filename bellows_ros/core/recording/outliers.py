@@ -44,6 +44,11 @@ NOTHING_WITHIN = 0.85
 LINE_SIDE = 5
 LASTS_FROM = 0.5
 ALIKE_FROM = 0.5
+# So many others of at least half its strength, within so many samples, show that tracking flickers
+# there, for instance with a marker that is seen and lost in turn. Such a jump is no step, and no
+# end of a longer excursion.
+FLICKERS_FROM = 3
+FLICKERS_WITHIN = 25
 # How many of the jumps around one are tried for cancelling it.
 TRIED = 50
 # Without a cancelling jump, what lies between a jump and an end of the recording is marked up to
@@ -241,6 +246,7 @@ def _thresholds_over(
 def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Excursion], list[Step]]:
     """Return the excursions between jumps that cancel, and the steps that are left over."""
     edges = sorted(edges, key=lambda edge: edge.before)
+    flickers = _flicker(edges)
     excursions: list[Excursion] = []
     used: set[int] = set()
     single = []
@@ -249,16 +255,16 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Excursion], list[
             continue
         found = (*_ends_ahead(edges, k, used), *_ends_behind(edges, k, used))
         ends = [(a, b) for a, b in found if edges[b].before - edges[a].before <= LINE_SIDE
-                or _last_alike(edges[a], edges[b])]
+                or not (flickers[a] or flickers[b]) and _last_alike(edges[a], edges[b])]
         if not ends:
-            single.append(edge)
+            single.append((edge, flickers[k]))
             continue
         first, last = min(ends, key=lambda end: edges[end[1]].before - edges[end[0]].before)
         used.update(range(first, last + 1))
         excursions.append(_run(poses, edges[first].after, edges[last].before, edge))
     steps = []
-    for edge in single:
-        run = _to_the_end(edge, poses) if _lasts(edge) else _run(
+    for edge, flickering in single:
+        run = _to_the_end(edge, poses) if not flickering and _lasts(edge) else _run(
             poses, edge.before, edge.after, edge)
         if run is None:
             size = _size(edge)
@@ -266,6 +272,17 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Excursion], list[
         else:
             excursions.append(run)
     return sorted(excursions, key=lambda run: run.first), steps
+
+
+def _flicker(edges: list[Edge]) -> Mask:
+    """Return which jumps, in the order of their samples, are among others as strong."""
+    at = np.array([edge.before for edge in edges])
+    strength = np.array([edge.strength for edge in edges])
+    first = np.searchsorted(at, at - FLICKERS_WITHIN)
+    after = np.searchsorted(at, at + FLICKERS_WITHIN, side='right')
+    return np.array([
+        np.count_nonzero(strength[i:j] >= WEAKER * own) > FLICKERS_FROM
+        for i, j, own in zip(first, after, strength, strict=True)], dtype=bool)
 
 
 def _lasts(edge: Edge) -> bool:
@@ -389,9 +406,10 @@ class Outliers:
         Single samples between others marked or missing.
     steps : tuple of Step
         Jumps without a return; only the samples beside one are marked.
-    noise : dict of str to float
-        Standard deviation of the white noise per axis, 'position' in m and 'rotation' in rad; from
-        samples that follow each other, so that fast motion without noise adds to it.
+    noise : dict of str to array (3,)
+        Standard deviation of the white noise along each axis, 'position' in m in the world and
+        'rotation' in rad on the body; from samples that follow each other, so that fast motion
+        without noise adds to it.
 
     """
 
@@ -400,7 +418,7 @@ class Outliers:
     frozen: tuple[Excursion, ...]
     isolated: tuple[Excursion, ...]
     steps: tuple[Step, ...]
-    noise: dict[str, float]
+    noise: dict[str, Array]
 
 
 def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
@@ -424,7 +442,7 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     _mark(moving, frozen)
     kept = np.flatnonzero(moving)
     if len(kept) < 2 * SHORTEST_RUN:
-        return Outliers(moving, (), frozen, (), (), {'position': 0.0, 'rotation': 0.0})
+        return Outliers(moving, (), frozen, (), (), dict.fromkeys(SMALLEST_JUMP, np.zeros(3)))
     found = _find_jumps(poses.select(kept), longest_step_ns)
     good = moving.copy()
     good[kept] = found.good

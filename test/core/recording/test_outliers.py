@@ -1,5 +1,7 @@
 """Tracking faults found in motions whose faults are known, and none found in honest motions."""
 
+from dataclasses import replace
+
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.recording.outliers import find_outliers, repeats_in_motion
 from bellows_ros.core.resampling import timing
@@ -256,6 +258,17 @@ def test_noise_is_estimated(noise):
     assert_allclose(found.noise['rotation'], noise.rotation, rtol=0.05)
 
 
+def test_noise_is_estimated_along_each_axis():
+    rng = np.random.default_rng(31)
+    sound = shaken(rng, Shake(360.0, 20.0, 0.5, 1.0))
+    size = np.array([[0.5, 1.0, 2.0]])
+    shift, turn = (x * size * rng.normal(size=(len(sound), 3)) for x in (1e-4, 5e-4))
+    found = found_in(replace(
+        sound, position=sound.position + shift, rotation=sound.rotation @ exp_so3(turn)))
+    assert_allclose(found.noise['position'], 1e-4 * size[0], rtol=0.05)
+    assert_allclose(found.noise['rotation'], 5e-4 * size[0], rtol=0.05)
+
+
 def test_poses_published_faster_than_measured_are_counted():
     rng = np.random.default_rng(29)
     poses = shaken(rng, Shake(300.0, 10.0))
@@ -326,3 +339,23 @@ def test_uneven_stamps_with_many_gaps_and_bursts_of_noise_are_no_faults(seed, ro
     assert np.count_nonzero(~found.good) - isolated <= most * len(poses)
     assert len(found.steps) <= (1 if rough else 0)
     assert all(run.last - run.first < 5 for run in found.excursions)
+
+
+@pytest.mark.parametrize('seed', [30, 31, 34])
+def test_the_motion_between_flickers_is_left_alone(seed):
+    """Take two times at which a marker is seen and lost in turn for no excursion between them."""
+    rng = np.random.default_rng(seed)
+    poses = uneven(seed, True)
+    seconds = poses.seconds
+    flickers = seconds % 1.3 < 0.25
+    lost = np.zeros(len(poses), dtype=bool)
+    for k in range(1, len(poses)):  # each state lasts two or three samples
+        lost[k] = (lost[k - 1] ^ (rng.random() < 0.4)) if flickers[k] else lost[k - 1]
+    found = found_in(replace(
+        poses, position=poses.position + 6e-4 * lost[:, None] * [1.0, -0.5, 0.3],
+        rotation=poses.rotation @ exp_so3(6e-3 * lost[:, None] * np.array([0.9, 0.3, -0.3]))))
+    between = ~flickers & (seconds % 1.3 > 0.3) & (seconds % 1.3 < 1.25)
+    for run in found.isolated:
+        between[run.first:run.last + 1] = False
+    assert np.mean(~found.good[between]) < 0.01
+    assert len(found.steps) < 5
