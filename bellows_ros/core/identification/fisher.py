@@ -13,8 +13,8 @@ from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import linearise, static_equilibrium
 from bellows_ros.core.identification.innovations import between
 from bellows_ros.core.identification.prediction.equations import Segment
+from bellows_ros.core.identification.prediction.minimum import whitened
 from bellows_ros.core.identification.prediction.segments import Measured, MOST_POSES, PoseNoise
-from bellows_ros.core.identification.prediction.whitening import whitened
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.recording.noise import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
