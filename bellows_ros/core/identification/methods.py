@@ -191,7 +191,7 @@ def first_guess(
         return ()
     from bellows_ros.core.identification.free import BLOCKS, refine
     from bellows_ros.core.identification.objective import ensemble_of, Objective
-    from bellows_ros.core.identification.prediction.free import KINDS
+    from bellows_ros.core.identification.prediction.equations import KINDS
 
     ensemble = ensemble_of(recordings, values['cup.length'], structure_named(
         values['fit.structure']))

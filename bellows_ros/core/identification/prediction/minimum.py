@@ -15,8 +15,13 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Places
-from bellows_ros.core.identification.prediction.equations import Equations, Segment, STEPS
-from bellows_ros.core.identification.prediction.free import Free, KINDS
+from bellows_ros.core.identification.prediction.equations import (
+    Equations,
+    Free,
+    KINDS,
+    Segment,
+    STEPS,
+)
 from bellows_ros.core.identification.prediction.segments import PoseNoise
 from bellows_ros.core.model import Cup
 from bellows_ros.core.recording.noise import MAD_TO_STD

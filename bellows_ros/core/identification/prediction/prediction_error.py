@@ -19,8 +19,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.identification.equations import without
-from bellows_ros.core.identification.prediction.equations import Segment
-from bellows_ros.core.identification.prediction.free import KINDS
+from bellows_ros.core.identification.prediction.equations import KINDS, Segment
 from bellows_ros.core.identification.prediction.minimum import Found, Root, Search, Whitened
 from bellows_ros.core.identification.prediction.segments import Measured, SMALLEST
 from bellows_ros.core.identification.result import (

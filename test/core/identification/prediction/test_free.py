@@ -2,8 +2,7 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.identification.prediction.equations import Segment
-from bellows_ros.core.identification.prediction.free import KINDS
+from bellows_ros.core.identification.prediction.equations import KINDS, Segment
 from bellows_ros.core.identification.prediction.prediction_error import prediction_error
 from bellows_ros.core.lie import apply, exp_so3
 from bellows_ros.core.model import Cup, Package
