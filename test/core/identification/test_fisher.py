@@ -6,8 +6,8 @@ from bellows_ros.core.identification.fisher import (
     Tracking,
 )
 from bellows_ros.core.identification.prediction.equations import Segment
+from bellows_ros.core.identification.prediction.minimum import whitened
 from bellows_ros.core.identification.prediction.segments import in_motion, Measured, PoseNoise
-from bellows_ros.core.identification.prediction.whitening import whitened
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.recording.noise import Noise
