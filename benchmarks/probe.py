@@ -18,7 +18,7 @@ import sys
 import time
 from typing import Any
 
-from bellows_ros.files.plan_messages import encode_multi_dof, PlanMessage
+from bellows_ros.files.plan_messages import decode_multi_dof, encode_multi_dof, PlanMessage
 from bellows_ros.nodes.conversions import stamp_to_ns
 from geometry_msgs.msg import (
     PoseStamped,
@@ -96,9 +96,13 @@ class Probe(Node):
             MultiDOFJointTrajectory, 'package/plan', self._on_plan, 100, raw=kind != 'typed')
 
     def _on_plan(self, message: Any) -> None:
-        """Note the first answer; those that follow are of what is left of the plan."""
-        if self._planned_ns is not None:
-            self.plans.append((self._planned_ns, time.perf_counter_ns()))
+        """Note the answer to a plan; those of what is left of one that is driven are shorter."""
+        now_ns = time.perf_counter_ns()
+        last_ns = stamp_to_ns(message.points[-1].time_from_start) if (
+            isinstance(message, MultiDOFJointTrajectory)) else decode_multi_dof(
+                message).times_ns[-1]
+        if self._planned_ns is not None and last_ns > 0.9e9 * PLAN_LASTS:
+            self.plans.append((self._planned_ns, now_ns))
             self._planned_ns = None
 
     def _on_other(self, message: Any) -> None:

@@ -207,9 +207,10 @@ class Run:
 
     def _make_room(self) -> None:
         """Make the arrays that the kernel fills in."""
-        n = len(self._rows) + 1  # the last one for what comes after the end
+        n = len(self._rows)
         self._out = (np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2)),
                      np.empty((len(PEAKS), 2)), np.empty((6, 3)))
+        self._past = np.empty((len(PEAKS), 4))
 
     def of(self, model: ModelTuple) -> Run:
         """Return the same for a model that differs little."""
@@ -225,27 +226,52 @@ class Run:
 
     def load(self, duration_scale: float, ceiling: float = math.inf) -> float:
         """Return 1 over the smallest safety factor, or a load above a ceiling if one is."""
-        self._follow(duration_scale, ceiling)
+        if self._follow(duration_scale, ceiling):
+            self._swing_out(ceiling)
         return float(self._out[3][:2, 0].max())
 
     def at(self, duration_scale: float) -> Prediction:
         """Return what is predicted with the plan so many times as long."""
-        settled = self._follow(duration_scale, math.inf)
-        states, wrench, loads, peaks, lip = (array.copy() for array in self._out)
-        n = len(self.tool)
-        if not np.isfinite(states[:n]).all():
+        self.states(duration_scale)
+        return self.prediction()
+
+    def states(self, duration_scale: float = 1.0) -> Array:
+        """Predict along the plan alone, which is known first; return its states, (N, 13)."""
+        self._follow(duration_scale, math.inf)
+        states = self._out[0].copy()
+        if not np.isfinite(states).all():
             raise _not_finite()
+        return states
+
+    def prediction(self) -> Prediction:
+        """Return all that is predicted, once `states` are known; it goes on after the end."""
+        settled = self._swing_out(math.inf)
+        states, wrench, loads, peaks, lip = (array.copy() for array in self._out)
         return Prediction(
-            self.tool, states[:n], wrench[:n], loads[:n], peaks, settled, lip[:, :2], lip[:, 2],
+            self.tool, states, wrench, loads, peaks, settled, lip[:, :2], lip[:, 2],
             self._grip is not None, self._tail > 0.0,
         )
 
-    def _follow(self, duration_scale: float, ceiling: float) -> float:
-        """Fill in the arrays; return after what time (s) the package has settled."""
+    def _follow(self, duration_scale: float, ceiling: float) -> bool:
+        """Fill in the arrays along the plan; return whether no load was above the ceiling."""
+        self._past[:] = math.inf  # no sample yet
         try:
-            return float(_follow(
-                self._model, self._grip or UNKNOWN_GRIP, self._start, self._end[1], *self._inputs,
-                duration_scale, self._longest, self._tail, ceiling, *self._out))
+            self._body, self._seconds, below = _follow(
+                self._model, self._grip or UNKNOWN_GRIP, self._start, *self._inputs,
+                duration_scale, self._longest, ceiling, *self._out, self._past)
+        except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+            raise _not_finite() from None
+        return bool(below)
+
+    def _swing_out(self, ceiling: float) -> float:
+        """Go on after the end; return after what time (s) the package has settled."""
+        h = max(self._longest, min(TAIL_STEP, COARSE * self._longest))
+        _, _, _, peaks, lip = self._out
+        try:
+            return float(_swing_out(
+                self._model, self._grip or UNKNOWN_GRIP, self._end[1],
+                row_state(self._inputs[0][-1]), self._body, self._seconds, h,
+                math.ceil(self._tail / h), ceiling, peaks, self._past, lip))
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             raise _not_finite() from None
 
@@ -378,24 +404,23 @@ def look(
 
 @kernel
 def _follow(
-    model: ModelTuple, grip: Grip, start: State, rest_at_end: Quaternion,
-    rows: Any, durations: Any, duration_scale: float, longest: float, tail: float, ceiling: float,
-    states: Array, wrench: Array, loads: Array, peaks: Array, lip: Array,
-) -> float:
+    model: ModelTuple, grip: Grip, start: State, rows: Any, durations: Any,
+    duration_scale: float, longest: float, ceiling: float,
+    states: Array, wrench: Array, loads: Array, peaks: Array, lip: Array, past: Array,
+) -> tuple[State, float, bool]:
     """
-    Advance along the plan and let the package swing out, until a load is above the ceiling.
+    Advance along the plan until a load is above the ceiling.
 
-    Return after what time (s) it is turned from rest by less than `SETTLED`.
+    Return the state at the end, when that is (s), and whether all loads are below.
     """
     arm = (model[1][1][0], model[1][1][1], model[1][1][2] - model[0][1])
-    past = np.full((len(peaks), 4), math.inf)  # no sample yet
     peaks[:] = 0.0
     lip[:, 0], lip[:, 1], lip[:, 2] = math.inf, -math.inf, 0.0
     body, tool, t = start, slowed(row_state(rows[0]), duration_scale), 0.0
     write_row(states[0], body)
     velocity = rigid_velocity(tool, arm)
     if look(model, grip, tool, body, t, wrench[0], loads[0], peaks, past, lip) > ceiling:
-        return 0.0
+        return body, t, False
     for k in range(len(durations)):
         duration = durations[k] * duration_scale
         after = slowed(row_state(rows[k + 1]), duration_scale)
@@ -411,25 +436,27 @@ def _follow(
             load = look(
                 model, grip, tool, body, now, wrench[k + 1], loads[k + 1], peaks, past, lip)
             if load > ceiling:
-                return 0.0
+                return body, now, False
             before, velocity = velocity, rigid_velocity(tool, arm)
             moment = rigid_moment(model, tool, scale(1.0 / h, subtract(velocity, before)))
             if moment > peaks[6, 0]:
                 peaks[6, 0], peaks[6, 1] = moment, now - 0.5 * h
         t += duration
         write_row(states[k + 1], body)
-    h = max(longest, min(TAIL_STEP, COARSE * longest))
-    return _swing_out(
-        model, grip, rest_at_end, tool, body, t, h, math.ceil(tail / h), ceiling,
-        wrench[-1], loads[-1], peaks, past, lip)
+    return body, t, True
 
 
 @kernel
 def _swing_out(
     model: ModelTuple, grip: Grip, rest: Quaternion, tool: State, body: State, t: float, h: float,
-    count: int, ceiling: float, wrench: Array, loads: Array, peaks: Array, past: Array, lip: Array,
+    count: int, ceiling: float, peaks: Array, past: Array, lip: Array,
 ) -> float:
-    """Let the package swing under a tool at rest; return after what time (s) it has settled."""
+    """
+    Let the package swing under a tool at rest, until a load is above the ceiling.
+
+    Return after what time (s) it is turned from rest by less than `SETTLED`.
+    """
+    wrench, loads = np.empty(6), np.empty(2)
     tool = slowed(tool, math.inf)
     settled, turn = 0.0, turn_between(rest, body[1])
     note(peaks, past, 7, t, turn)

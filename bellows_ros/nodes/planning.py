@@ -27,9 +27,9 @@ from ..core.live import LivePredictor, Prediction
 from ..core.live.ahead import Ahead, future
 from ..core.live.health import Level, number, Status
 from ..core.live.samples import ORIGIN, ZERO
-from ..core.plan import COARSE, predict
+from ..core.plan import COARSE, predict, Run
 from ..core.plan import Prediction as Predicted
-from ..core.plan_points import plan_of
+from ..core.plan_points import rows_of
 from ..core.simulation import Rows, state_row
 from ..core.steering import steer
 from ..core.trajectory import NS_PER_S, Trajectory
@@ -133,12 +133,12 @@ class Planning:
 
     def _warm_up(self) -> None:
         """Answer a plan that is none."""
-        still = plan_of(np.arange(9) * 50_000_000, np.zeros((9, 3)),
-                        np.tile([0.0, 0.0, 0.0, 1.0], (9, 1)), np.zeros((9, 6)))
+        still = rows_of(np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
+                        np.zeros((9, 6)))
         at_rest = Ahead(still, 0)
         at_rest.follow(STILL)
         predict(self._live.model, grip_of(self._values), at_rest.rest(STILL), tail=0.1)
-        steer(self._live.model, still, self._values['steer.method'])
+        steer(self._live.model, still.trajectory(), self._values['steer.method'])
         self._is_warm = True
 
     def future(self, now: Prediction, duration: float) -> Rows:
@@ -147,7 +147,7 @@ class Planning:
 
     # --------------------------------------------------------------- messages
 
-    def _read(self, data: bytes) -> tuple[PlanMessage, Trajectory]:
+    def _read(self, data: bytes) -> tuple[PlanMessage, Rows]:
         """Return a plan as it came, and checked."""
         message = decode_multi_dof(data)
         require_frame(message.frame_id, self._values)
@@ -156,9 +156,9 @@ class Planning:
             raise BellowsError(
                 f"The plan is in frame '{message.frame_id}'; expected '{frame}', that of the "
                 "tool's poses. Transform it before.")
-        return message, plan_of(
-            message.times_ns, message.poses[:, :3], message.poses[:, 3:], message.twists,
-            message.accelerations, self._values['tool_twist.frame'])
+        return message, rows_of(
+            message.times_ns, message.poses, message.twists, message.accelerations,
+            self._values['tool_twist.frame'])
 
     def _on_plan(self, data: bytes) -> None:
         """Say what a plan does to the package, and follow it from now on."""
@@ -171,7 +171,7 @@ class Planning:
             rest, body, stamp_ns = self._ahead.plan, None, message.stamp_ns
             if now is not None and not self._ahead.off:
                 rest, body, stamp_ns = self._ahead.rest(now, 0.0), now.body, now.stamp_ns
-            self._answer(predict(
+            self._answer(Run(
                 self._live.model, grip_of(self._values), rest, body, TAIL, self._coarse), stamp_ns)
         except BellowsError as error:
             self._refuse('plan', error)
@@ -203,19 +203,19 @@ class Planning:
     def _predict_rest(self, ahead: Ahead, now: Prediction) -> None:
         """Predict what is left of a plan from a live state."""
         try:
-            self._answer(predict(
+            self._answer(Run(
                 self._live.model, grip_of(self._values), ahead.rest(now), now.body, 0.0,
                 self._coarse), now.stamp_ns)
         except BellowsError as error:
             self._refuse('plan', error)
 
-    def _answer(self, found: Predicted, stamp_ns: int) -> None:
-        """Publish the package along a plan, and keep what there is to say of it."""
-        frame = self._live.frame_id
-        times = found.tool.stamps_ns - found.tool.stamps_ns[0]
+    def _answer(self, run: Run, stamp_ns: int) -> None:
+        """Publish the package along a plan, then see what there is to say of it."""
+        frame, states = self._live.frame_id, run.states()
+        times = run.tool.stamps_ns - run.tool.stamps_ns[0]
         slots = np.floor(times * (self._values['plan.points_rate'] / NS_PER_S) + 1e-6)
         sent = np.append(np.flatnonzero(slots[:-1] != np.append(-1.0, slots[:-2])), len(times) - 1)
-        times, states = times[sent], found.states[sent]
+        times, states = times[sent], states[sent]
         if self._plan_out.wanted:
             twists = in_axes(quaternion_to_rotation(states[:, 3:7]), states[:, 7:],
                              self._values['tool_twist.frame'])
@@ -224,7 +224,7 @@ class Planning:
                 twists)))
         if self._path_out.wanted:
             self._path_out.publish(encode_path(stamp_ns, frame, times, states[:, :7]))
-        self.status = self._summary(found)
+        self.status = self._summary(run.prediction())
 
     def _summary(self, found: Predicted) -> Status:
         """Return the line of the diagnostics."""
@@ -275,7 +275,8 @@ class Planning:
         try:
             message, plan = self._read(data)
             of_package = message.names[:1] == (self._values['frames.package'],)
-            found = steer(self._live.model, plan, self._values['steer.method'], of_package)
+            found = steer(
+                self._live.model, plan.trajectory(), self._values['steer.method'], of_package)
         except BellowsError as error:
             self._refuse('motion to be steered', error)
             return

@@ -108,7 +108,7 @@ class Ahead:
 
     Parameters
     ----------
-    plan : Trajectory
+    plan : Trajectory or Rows
         Of E in the world with body twists.
     stamp_ns : int
         When it starts, ns; 0 for when the tool starts.
@@ -125,7 +125,7 @@ class Ahead:
 
     """
 
-    def __init__(self, plan: Trajectory, stamp_ns: int) -> None:
+    def __init__(self, plan: Trajectory | Rows, stamp_ns: int) -> None:
         """Take the plan."""
         self._stamp_ns = stamp_ns
         self.plan = Rows(plan.stamps_ns, tool_rows(plan))
