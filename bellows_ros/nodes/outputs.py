@@ -32,7 +32,7 @@ from ..core.arrays import Array
 from ..core.kernels import ModelTuple
 from ..core.live import Prediction
 from ..core.live.samples import ORIGIN, ZERO
-from ..core.live.uncertainty import Uncertainty
+from ..core.live.uncertainty import Uncertainty, UNKNOWN_ROOT
 
 QUEUE = 500
 
@@ -203,11 +203,11 @@ class Outputs:
             self._wrench.publish(wrench)
 
     def _publish_odometry(self, prediction: Prediction, frame_id: str) -> None:
-        """Send pose and twist with their covariance."""
+        """Send pose and twist with their covariance, which is not known in flight."""
         message = Odometry()
         write_odometry(
             message, frame_id, self._values['frames.package'], prediction,
-            self._uncertainty.root(prediction),
+            UNKNOWN_ROOT if prediction.flies else self._uncertainty.root(prediction),
         )
         self._odometry.publish(message)
 

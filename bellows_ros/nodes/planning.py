@@ -27,6 +27,7 @@ from ..core.live import LivePredictor, Prediction
 from ..core.live.ahead import Ahead, future
 from ..core.live.health import Level, number, Status
 from ..core.live.samples import ORIGIN, ZERO
+from ..core.live.uncertainty import UNKNOWN_ROOT
 from ..core.plan import COARSE, predict, Run
 from ..core.plan import Prediction as Predicted
 from ..core.plan_points import rows_of
@@ -52,9 +53,6 @@ TAIL = 2.0
 STILL = Prediction(1, *ORIGIN, ZERO, ZERO)
 """Stands for a package of which nothing is known yet."""
 
-UNKNOWN = 1e3
-"""Standard deviation (m, rad, m/s, rad/s) of an answer on package/predicted_at."""
-
 
 class Planning:
     """
@@ -68,10 +66,12 @@ class Planning:
     node : PredictorNode
         Publishes, subscribes and logs.
     now : callable
-        The newest prediction, or None.
+        The newest prediction, of a package that is held or flies, or None.
 
     Attributes
     ----------
+    grip : tuple or None
+        That of the package which is held, as `grip_of` returns it.
     status : Status or None
         The line of the diagnostics on the plan, once there was one.
 
@@ -98,6 +98,12 @@ class Planning:
                 event_callbacks=events, qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
         self.forget()
 
+    @property
+    def held(self) -> Prediction | None:
+        """The newest prediction, where the cup holds the package."""
+        now = self._now()
+        return None if now is None or now.flies else now
+
     def submit(self, work: Callable[..., None], *arguments: Any) -> None:
         """Let something be done beside the live prediction; too much of it is refused."""
         self._jobs = [job for job in self._jobs if not job.done()]
@@ -122,7 +128,7 @@ class Planning:
 
     def set_model(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
         """Go on with other values."""
-        self._live, self._values = live, values
+        self._live, self._values, self.grip = live, values, grip_of(values)
         self._coarse = COARSE * largest_step(live.model)
         self._period_ns = round(0.9e9 / values['plan.rate'])  # ticks are not exact
 
@@ -165,14 +171,15 @@ class Planning:
         try:
             message, tool = self._read(data)
             self._ahead = Ahead(tool, message.stamp_ns)
-            now = self._now()
+            now, grip = self.held, grip_of(self._values)
             if now is not None:
                 self._ahead.follow(now)
+                grip = self.grip
             rest, body, stamp_ns = self._ahead.plan, None, message.stamp_ns
             if now is not None and not self._ahead.off:
                 rest, body, stamp_ns = self._ahead.rest(now, 0.0), now.body, now.stamp_ns
-            self._answer(Run(
-                self._live.model, grip_of(self._values), rest, body, TAIL, self._coarse), stamp_ns)
+            self._answer(
+                Run(self._live.model, grip, rest, body, TAIL, self._coarse), stamp_ns)
         except BellowsError as error:
             self._refuse('plan', error)
             return
@@ -187,7 +194,7 @@ class Planning:
 
     def follow(self) -> None:
         """Predict the rest of the plan from where tool and package are, as often as asked for."""
-        ahead, now = self._ahead, self._now()
+        ahead, now = self._ahead, self.held
         monotonic_ns = time.monotonic_ns()
         if ahead is None or now is None or monotonic_ns - self._predicted_ns < self._period_ns:
             return
@@ -204,8 +211,8 @@ class Planning:
         """Predict what is left of a plan from a live state."""
         try:
             self._answer(Run(
-                self._live.model, grip_of(self._values), ahead.rest(now), now.body, 0.0,
-                self._coarse), now.stamp_ns)
+                self._live.model, self.grip, ahead.rest(now), now.body, 0.0, self._coarse),
+                now.stamp_ns)
         except BellowsError as error:
             self._refuse('plan', error)
 
@@ -245,19 +252,24 @@ class Planning:
 
     def _on_request(self, request: Header) -> None:
         """Say where the package will be at a stamp, the tool going on as planned or steadily."""
-        now = self._now()
-        if now is None:
-            return
-        duration = (stamp_to_ns(request.stamp) - now.stamp_ns) / NS_PER_S
+        live, now = self._live, self._now()
         try:
+            if now is None:
+                raise BellowsError(
+                    'There is no prediction to begin from; expected poses of the tool, and a '
+                    'package that is attached.')
+            duration = (stamp_to_ns(request.stamp) - now.stamp_ns) / NS_PER_S
             if not 0.0 < duration <= LONGEST_REQUEST:
                 raise BellowsError(
                     f'Its stamp is {duration:.6g} s after the newest pose of the tool; expected '
                     f'above 0 and up to {LONGEST_REQUEST:g} s.')
-            if self._ahead is not None:
+            if self._ahead is not None and not now.flies:
                 self._ahead.follow(now)
-            states = predict(
-                self._live.model, None, self.future(now, duration), now.body, 0.0).states
+            body = live.flight.later(live.model, now, duration) if live.flight else None
+            if body is None:
+                states = predict(
+                    live.model, None, self.future(now, duration), now.body, 0.0).states
+                body = state_row(*np.split(states[-1], [3, 7]))
         except BellowsError as error:
             self._node.get_logger().warning(
                 f'A request on package/predict_at was refused. {error}',
@@ -265,9 +277,9 @@ class Planning:
             return
         message = Odometry()
         later = Prediction(
-            stamp_to_ns(request.stamp), *state_row(*np.split(states[-1], [3, 7])), ZERO, ZERO)
+            stamp_to_ns(request.stamp), *body, ZERO, ZERO)
         write_odometry(message, self._live.frame_id, self._values['frames.package'], later,
-                       UNKNOWN * np.eye(12))
+                       UNKNOWN_ROOT)
         self._at.publish(message)
 
     def _on_steer(self, data: bytes) -> None:

@@ -123,9 +123,9 @@ class PredictorNode(ManagedNode):
         self._twist_in = SensorInput(
             self, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
         self._attachment = Attachment(
-            self, values, self._attach, lambda pressure: self._diagnostics.load.hear(pressure))
+            self, values, self._attach, self._on_pressure)
         self.create_service(Trigger, '~/reset', self._on_reset)
-        self._planning = Planning(self, self._held)
+        self._planning = Planning(self, lambda: self._last)
         self._tossing = Tossing(self, self._on_valve, self._planning)
         self._observing = Observing(self, values['measured.type'])
         self._apply(live, values)
@@ -161,6 +161,7 @@ class PredictorNode(ManagedNode):
         self._active, self._last = False, None
         self._live.reset()
         self._planning.forget()
+        self._tossing.forget()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -304,8 +305,18 @@ class PredictorNode(ManagedNode):
         stamp_ns, newest_ns = self.get_clock().now().nanoseconds, self._live.newest_ns
         if abs(stamp_ns - newest_ns) > CLOCKS_APART_NS:  # stamps are of another clock
             stamp_ns = newest_ns
+        if on and self._tossing.flight.state:
+            self._last = None  # of the package before
         self._live.switch_valve(on, stamp_ns)
         self._say_state()
+
+    def _on_pressure(self, pressure: float) -> None:
+        """Hold as firmly as the pressure (Pa) in the cup says; after the valve it only falls."""
+        load, flight = self._diagnostics.load, self._tossing.flight
+        load.hear(pressure)
+        self._planning.grip = load.grip
+        if not flight.state:
+            flight.grip = load.grip
 
     def _attach(self, held: bool, why: str) -> bool:
         """Take up or let go the package; return whether the node is active."""
@@ -332,7 +343,7 @@ class PredictorNode(ManagedNode):
             self._publish(live.flush())
         if idle:
             self._publish(live.coast(self._ticked_ns))
-        held = self._held()
+        held = self._planning.held
         if held is not None and self._ticks % LOAD_TICKS == 0:
             self._diagnostics.load.watch_deflection(live.model, held)
         self._planning.follow()
@@ -340,10 +351,6 @@ class PredictorNode(ManagedNode):
         if held is not None and flight.known and not flight.state:
             self._tossing.publish(live.model, held, live.frame_id, self._outputs.covariance)
         self._say_state()
-
-    def _held(self) -> Prediction | None:
-        """Return the newest prediction of a package that the cup holds."""
-        return None if self._last is None or self._last.flies else self._last
 
     def _is_late(self) -> bool:
         """Return whether this process has paused, so that what waits comes first; not twice."""
@@ -381,6 +388,8 @@ class PredictorNode(ManagedNode):
         self._attachment.set_values(values)
         self._diagnostics.set_values(values)
         self._apply(self._live, values)
+        if self._diagnostics.load.pressure is not None:
+            self._on_pressure(self._diagnostics.load.pressure)
 
     def _apply(self, live: LivePredictor, values: Values) -> None:
         """Hand values to what uses them between two messages."""

@@ -1,12 +1,12 @@
 """Topics of the toss: where the package would land, when to release it, and the valve."""
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 import time
 from typing import Any
 
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped
 import numpy as np
-from rclpy.node import Node
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import Bool, Header
 from visualization_msgs.msg import Marker, MarkerArray
@@ -34,13 +34,12 @@ class Tossing:
 
     Parameters
     ----------
-    node : rclpy.lifecycle.LifecycleNode
+    node : PredictorNode
         Publishes and subscribes.
     on_valve : callable
         Takes whether the valve is on.
     planning : Planning
-        Knows the tool's motion after a prediction, and does beside the live prediction what
-        takes long.
+        Knows the tool's motion after a prediction.
 
     Attributes
     ----------
@@ -50,18 +49,24 @@ class Tossing:
     """
 
     def __init__(
-        self, node: Node, on_valve: Callable[[bool], None], planning: Planning
+        self, node: Any, on_valve: Callable[[bool], None], planning: Planning
     ) -> None:
         """Advertise, and listen to the valve."""
-        self._planning = planning
+        self._planning, self._aim = planning, node.guarded(self._say_when)
+        self._pool = ThreadPoolExecutor(1, 'release')  # no plan waits behind a search
+        self._aiming: Future[None] | None = None
         self._landing = Topic(node, PoseWithCovarianceStamped, 'package/landing')
         self._at = Topic(node, Header, 'release/at')
         self._message = PoseWithCovarianceStamped()
         self._picture = Topic(node, MarkerArray, 'package/landing_markers')
         node.create_subscription(
-            Bool, 'vacuum/valve', lambda m: on_valve(m.data), 10,  # type: ignore[attr-defined]
+            Bool, 'vacuum/valve', lambda m: on_valve(m.data), 10,
             qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
         self._landed_ns = self._aimed_ns = 0
+
+    def forget(self) -> None:
+        """Wait for what is being sought."""
+        wait([self._aiming] if self._aiming else [])
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Go on with other values; compile what a landing needs."""
@@ -86,11 +91,11 @@ class Tossing:
                     path = flight_path(model, found.toss, PATH_POINTS)
                     self._picture.publish(_picture(found, path, prediction.stamp_ns, frame_id))
         if (self._at.wanted and now_ns - self._aimed_ns >= AIM_PERIOD_NS
-                and not self._planning.is_busy):
+                and (self._aiming is None or self._aiming.done())):
             self._aimed_ns = now_ns
-            self._planning.submit(self._aim, model, prediction, frame_id)
+            self._aiming = self._pool.submit(self._aim, model, prediction, frame_id)
 
-    def _aim(self, model: ModelTuple, prediction: Prediction, frame_id: str) -> None:
+    def _say_when(self, model: ModelTuple, prediction: Prediction, frame_id: str) -> None:
         """Say when to switch the valve for the target."""
         after = self.flight.time_to_target(model, prediction)
         if after is not None:

@@ -1,12 +1,16 @@
 """The toss over DDS: where it would land, when to release, and the flight after the valve."""
 
 from collections.abc import Callable
+from threading import Event
 import time
 from typing import Any
 
+from bellows_ros.nodes.conversions import stamp_to_ns
 import numpy as np
+import pytest
 
 from .conftest import PACKAGE, Partner
+from .test_planning import message, Planner
 
 TOSSED = {
     **PACKAGE, 'package.size': [0.3, 0.3, 0.02], 'landing.height': -0.5, 'release.delay': 0.02,
@@ -16,22 +20,28 @@ PERIOD_NS = 4_000_000
 SPEED = 0.4  # m/s
 
 
-def test_lands_where_it_said_it_would(make_partner: Callable[..., Partner]) -> None:
+def test_lands_where_it_said_it_would(
+        make_partner: Callable[..., Partner], capfd: pytest.CaptureFixture[str]) -> None:
     """Say landing and time of release; then fly on after the valve, land, and take up the next."""
     from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+    from nav_msgs.msg import Odometry
     from std_msgs.msg import Bool, Header, String
 
     partner = make_partner(TOSSED)
-    heard: dict[str, list[Any]] = {'landing': [], 'at': [], 'state': [], 'lip': []}
+    heard: dict[str, list[Any]] = {
+        'landing': [], 'at': [], 'state': [], 'lip': [], 'odometry': [], 'later': []}
     ends = [
         partner.node.create_subscription(kind, name, heard[key].append, 10)
         for kind, name, key in (
             (PoseWithCovarianceStamped, 'package/landing', 'landing'),
             (Header, 'release/at', 'at'), (String, 'package/state', 'state'),
-            (PoseStamped, 'cup/deflection', 'lip'))]
+            (PoseStamped, 'cup/deflection', 'lip'), (Odometry, 'package/odometry', 'odometry'),
+            (Odometry, 'package/predicted_at', 'later'))]
     valve = partner.node.create_publisher(Bool, 'vacuum/valve', 10)
+    asking = partner.node.create_publisher(Header, 'package/predict_at', 10)
     assert partner.ros.spin_until(lambda: (
-        valve.get_subscription_count() and all(e.get_publisher_count() for e in ends)
+        valve.get_subscription_count() and asking.get_subscription_count()
+        and all(e.get_publisher_count() for e in ends)
         and partner.predictor._tossing._landing.wanted and partner.predictor._tossing._at.wanted
         and partner.predictor._outputs._deflection.wanted))
     start_ns, sent = time.time_ns(), 0
@@ -51,6 +61,12 @@ def test_lands_where_it_said_it_would(make_partner: Callable[..., Partner]) -> N
 
         return bool(partner.ros.spin_until(check))
 
+    def ask(after_ns: int) -> int:
+        request, stamp_ns = Header(), start_ns + sent * PERIOD_NS + after_ns
+        request.stamp.sec, request.stamp.nanosec = divmod(stamp_ns, 10**9)
+        asking.publish(request)
+        return stamp_ns
+
     def state() -> str:
         return str(heard['state'][-1].data) if heard['state'] else ''
 
@@ -59,10 +75,28 @@ def test_lands_where_it_said_it_would(make_partner: Callable[..., Partner]) -> N
     covariance = np.array(said.pose.covariance).reshape(6, 6)
     assert np.isfinite(covariance).all() and covariance[0, 0] > (0.002 * SPEED * 0.9) ** 2
     assert said.pose.pose.position.z > -0.5
+    assert until(lambda: len(heard['odometry']) > 9)  # the first is of a start in motion
+    assert max(heard['odometry'][-1].pose.covariance) < 1.0
     valve.publish(Bool(data=False))
     assert until(lambda: state() == 'flying')
+    asked_ns = ask(10 * PERIOD_NS)
     assert until(lambda: state() == 'landed')
-    assert partner.predictor._held() is None  # nor does the cup any longer
+    later = heard['later'][0]
+    positions = {
+        stamp_to_ns(each.header.stamp): each.pose.position for each in partner.poses}
+    assert stamp_to_ns(later.header.stamp) == asked_ns
+    assert later.pose.pose.position.z == pytest.approx(positions[asked_ns].z, abs=1e-6)
+    assert min(heard['odometry'][-1].pose.covariance[::7]) == pytest.approx(1e6)  # not known
+    log = ''
+    ask(10 * PERIOD_NS)
+
+    def refused() -> bool:
+        nonlocal log
+        log += capfd.readouterr().err
+        return 'A request on package/predict_at was refused. The package has landed' in log
+
+    assert until(refused) and len(heard['later']) == 1
+    assert partner.predictor._planning.held is None  # nor does the cup any longer
     assert heard['lip'] and max(abs(lip.pose.position.z) for lip in heard['lip']) < 0.02
     assert 'released' in [message.data for message in heard['state']]
     heights = [message.pose.position.z for message in partner.poses]
@@ -74,6 +108,61 @@ def test_lands_where_it_said_it_would(make_partner: Callable[..., Partner]) -> N
     assert until(lambda: state() == 'predicting')
     assert until(lambda: len(partner.poses) > count + 3)
     assert partner.poses[-1].pose.position.z > -0.12
+
+
+def test_no_plan_waits_behind_a_search(make_partner: Callable[..., Partner]) -> None:
+    """Answer a plan while the time of release is sought."""
+    from std_msgs.msg import Header
+
+    planner = Planner(make_partner(TOSSED))
+    partner, tossing = planner.partner, planner.partner.predictor._tossing
+    partner.node.create_subscription(Header, 'release/at', print, 10)
+    planner.wait(lambda: tossing._at.wanted)
+    begun, end = Event(), Event()
+
+    def search(*_: Any) -> None:
+        begun.set()
+        end.wait(30.0)
+
+    tossing.flight.time_to_target = search
+    partner.send_pose(1_000_000_000)
+    partner.send_twist(1_000_000_000)
+    try:
+        planner.wait(begun.is_set)
+        planner.send(message())
+        planner.wait(lambda: planner.plans)
+    finally:
+        end.set()
+
+
+def test_the_vacuum_that_is_heard_counts(make_partner: Callable[..., Partner]) -> None:
+    """For a plan and for a landing, but not once the valve is switched: then the model has it."""
+    from sensor_msgs.msg import FluidPressure
+
+    planner = Planner(make_partner({
+        **TOSSED, 'cup.lip_radius': 0.03, 'vacuum.signal': 'pressure', 'vacuum.holding': 90e3}))
+    partner, flight = planner.partner, planner.partner.predictor._tossing.flight
+    gauge = partner.node.create_publisher(FluidPressure, 'vacuum/pressure', 10)
+    planner.wait(gauge.get_subscription_count)
+    factors = []
+    for vacuum in (60e3, 30e3):
+        gauge.publish(FluidPressure(fluid_pressure=101_325.0 - vacuum))
+        planner.wait(lambda: flight.grip[0] == pytest.approx(
+            vacuum * np.pi * 0.03 ** 2))  # noqa: B023
+        count = len(partner.poses)
+        partner.send_pose(1_000_000_000 + count * PERIOD_NS)
+        partner.send_twist(1_000_000_000 + count * PERIOD_NS)
+        partner.wait_for_poses(count + 1)
+        planner.plans.clear()
+        partner.predictor._planning.status = None
+        planner.send(message())
+        factors.append(float(planner.status().values['smallest_safety_factor']))
+    assert factors[0] == pytest.approx(2.0 * factors[1], rel=1e-2)
+    partner.predictor._live.switch_valve(False, 1_000_000_000)
+    gauge.publish(FluidPressure(fluid_pressure=100_000.0))
+    load = partner.predictor._diagnostics.load
+    planner.wait(lambda: load.pressure == 100_000.0)
+    assert flight.grip[0] == pytest.approx(30e3 * np.pi * 0.03 ** 2)
 
 
 def test_without_a_size_the_valve_is_warned_of(make_partner: Callable[..., Partner]) -> None:

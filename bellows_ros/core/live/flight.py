@@ -87,6 +87,8 @@ class Flight:
         the package is held.
     known : bool
         Whether the size of the package is known; without it there is no landing.
+    grip : tuple or None
+        That which holds until the valve is switched, as `grip_of` returns it.
 
     """
 
@@ -95,7 +97,8 @@ class Flight:
         self._values, self._future = values, future
         self.known = min(values['package.size']) > 0.0
         self._release = release_of(values) if self.known else None
-        self._grip = grip_of(values) or NO_GRIP
+        self.grip = grip_of(values)
+        self._ahead = values['release.delay'] + TAUS * values['release.tau'] + AHEAD
         self._deviations = release_deviations(values)
         self._uncertain = [*range(12), *(12 + np.flatnonzero(self._deviations)).tolist()]
         self._longest: tuple[ModelTuple | None, float] = None, 0.0
@@ -167,6 +170,35 @@ class Flight:
         self._stamp_ns = max(stamp_ns, self._stamp_ns)
         return Prediction(stamp_ns, *self._body, ZERO, ZERO, tool)
 
+    def later(self, model: ModelTuple, now: Prediction, seconds: float) -> State | None:
+        """
+        Return the package some time (s) after a prediction, the tool going on as planned.
+
+        None where the cup still holds it then.
+
+        Raises
+        ------
+        BellowsError
+            If it has landed by then.
+
+        """
+        if self._release is None or not self.state:
+            return None
+        released, body, landed = 0.0, now.body, math.inf
+        if not now.flies:
+            tool = self._future(now, self._ahead)
+            switched = (self._switched_ns - now.stamp_ns) * 1e-9
+            released, body, landed, _ = self._toss(model, self._release, body, tool, switched)
+            if not 0.0 <= released <= seconds:
+                return None
+        elif self._landing_ns is not None:
+            landed = (self._landing_ns - now.stamp_ns) * 1e-9
+        if self.state == 'landed' or 0.0 <= landed < seconds:
+            raise BellowsError(
+                'The package has landed by then, and nothing is known of it; expected a stamp '
+                f'up to {max(0.0, landed):.3f} s after the newest pose of the tool.')
+        return flight(model[1], model[2], body, seconds - released, COARSE_STRIDE)
+
     def _toss(
         self, model: ModelTuple, release: Release, body: State, tool: Rows, switched: float = 0.0,
     ) -> tuple[float, State, float, State]:
@@ -176,8 +208,8 @@ class Flight:
         if float(tool.seconds[-1]) > MOST_SUBSTEPS * self._longest[1]:  # would hold up the poses
             return -1.0, body, -1.0, body
         return toss_along(
-            model, self._grip, release.valve, release.impulse, release.box, release.height, body,
-            tool.rows, tool.seconds, switched, self._longest[1], INSTANT)
+            model, self.grip or NO_GRIP, release.valve, release.impulse, release.box,
+            release.height, body, tool.rows, tool.seconds, switched, self._longest[1], INSTANT)
 
     def landing(
         self, model: ModelTuple, prediction: Prediction,
@@ -202,9 +234,8 @@ class Flight:
         release = self._release
         if release is None or self.state:
             return None
-        ahead = release.valve[0] + TAUS * release.valve[1] + AHEAD
         try:
-            tool = self._future(prediction, ahead)
+            tool = self._future(prediction, self._ahead)
             nominal = Toss(*self._toss(model, release, prediction.body, tool))
             if nominal.landing_time <= nominal.release_time:
                 return None
@@ -257,7 +288,7 @@ class Flight:
         x, y = self._values['landing.target']
         try:
             held = Held(
-                model, grip_of(self._values), self._future(prediction, 2.0 * AIMED_AHEAD),
+                model, self.grip, self._future(prediction, 2.0 * AIMED_AHEAD),
                 prediction.body, 2.0 * AIMED_AHEAD)
             found = aim(held, self._release, (x, y), None, AIMED_AHEAD, AIMED_SCAN, AIMED_CLOSELY)
         except (BellowsError, ArithmeticError, ValueError):

@@ -115,6 +115,8 @@ class Load:
         Below this safety factor somebody should look.
     pressure : float or None
         As heard last.
+    grip : tuple or None
+        By that pressure, or by vacuum.holding; None where too little is known.
 
     """
 
@@ -143,13 +145,13 @@ class Load:
     @property
     def grip_known(self) -> bool:
         """Whether radius of the lip and vacuum are known."""
-        return self._grip is not None
+        return self.grip is not None
 
     def hear(self, pressure: float | None) -> None:
         """Take the absolute pressure (Pa) in the cup, where it is heard."""
         self.pressure = pressure
         below = None if pressure is None else self._values['vacuum.ambient'] - pressure
-        self._grip = grip_of(self._values, below)
+        self.grip = grip_of(self._values, below)
 
     @property
     def envelope_known(self) -> bool:
@@ -159,8 +161,8 @@ class Load:
     def watch_force(self, prediction: Prediction) -> tuple[float, float] | None:
         """Note the safety factors of a prediction; return those of the grip where it is known."""
         factors = None
-        if self._grip is not None:
-            factors = safety_factors(self._grip, prediction.force, prediction.moment)
+        if self.grip is not None:
+            factors = safety_factors(self.grip, prediction.force, prediction.moment)
             for factor, mode in zip(factors, MODES, strict=True):
                 self._note(factor, mode)
         if self._max_force > 0.0:

@@ -1,5 +1,6 @@
 """The live package from the valve to the floor against the toss of the whole plan."""
 
+from bellows_ros.core.holding import grip_of
 from bellows_ros.core.landing import changed, release_deviations
 from bellows_ros.core.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
@@ -8,6 +9,8 @@ from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.model import model_tuple
 from bellows_ros.core.parameters import resolve
 from bellows_ros.core.release import Held, release_of, toss
+from bellows_ros.core.simulation import Rows, tool_rows
+from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest
 
@@ -97,6 +100,43 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
         landings.append(toss(steady.again(start), release, 0.0).landing[0][:2])
     linear = np.sqrt(np.diag(found.covariance)[:2])
     np.testing.assert_allclose(linear, np.std(landings, axis=0), rtol=0.12)  # 3.5 % each, 400
+
+
+@pytest.mark.parametrize('asked', [255, 300])
+def test_says_where_it_will_be_once_the_valve_is_switched(plan, asked):
+    """Before the cup has let go and after, as it comes; not once it has landed."""
+    def as_planned(now, duration):
+        i = (now.stamp_ns - START_NS) // PERIOD_NS
+        part = slice(i, i + round(duration * 1e9 / PERIOD_NS) + 2)
+        return Rows(plan.stamps_ns[part] - plan.stamps_ns[i], tool_rows(plan)[part])
+
+    flight = Flight(VALUES, as_planned)
+    live, found, states = played(plan, flight, asked + 1)
+    now, truth = found[-1], played(plan, Flight(VALUES), 520)[1]
+    assert states[-1] == ('released' if asked == 255 else 'flying')
+    for later in (asked + 30, asked + 120):
+        o, q, v, w = flight.later(live.model, now, (later - asked) * PERIOD_NS * 1e-9)
+        np.testing.assert_allclose(o, truth[later].position, atol=1e-6)
+        np.testing.assert_allclose(q, truth[later].quaternion_xyzw, atol=1e-5)
+        np.testing.assert_allclose([*v, *w], [*truth[later].linear, *truth[later].angular],
+                                   atol=1e-4)
+    held = flight.later(live.model, now, 1e-3)
+    assert (held is None) == (asked == 255)
+    with pytest.raises(BellowsError, match='landed by then'):
+        flight.later(live.model, now, 2.0)
+
+
+def test_the_vacuum_that_is_heard_counts(plan):
+    """A landing with another grip is that of the parameters which describe it."""
+    live, found, _ = played(plan, Flight(VALUES), 250)
+    weaker = {**VALUES, 'vacuum.holding': 0.7 * VALUES['vacuum.holding']}
+    flight, landings = Flight(VALUES), []
+    flight.grip = grip_of(weaker)
+    for each in (flight, Flight(weaker), Flight(VALUES)):
+        landing = each.landing(live.model, found[-1], lambda _: np.zeros((12, 12)))
+        landings.append(landing.toss.landing[0])
+    assert landings[0] == landings[1]
+    assert np.linalg.norm(np.subtract(landings[0], landings[2])) > 5e-3
 
 
 def test_says_when_to_release_for_a_target(plan):
