@@ -196,7 +196,7 @@ def test_structures_validation_and_page_by_parameters_alone(
     done = bellows('identify', '--params', workshop / 'package.yaml', '--params', more)
     assert (done.returncode, done.stderr) == (0, '')
     text = ' '.join(done.stdout.split())
-    for words in ('Take fit.structure: axisymmetric', 'error over motion: x ', 'all within 5 %',
+    for words in ('Use fit.structure: axisymmetric', 'error over motion: x ', 'all within 5 %',
                   f'Wrote {tmp_path / "page.html"}.'):
         assert words in text
     page = (tmp_path / 'page.html').read_text()

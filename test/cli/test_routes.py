@@ -80,4 +80,4 @@ def test_a_search_that_does_not_end_gives_no_cup(call, tmp_path, capsys, monkeyp
     content = json.loads(fit.read_text())
     assert not content['converged'] and not content['usable'] and not cup.exists()
     assert all(content['stiffness_std'][i][i] is None for i in range(6))
-    assert 'has not converged' in ' '.join(capsys.readouterr().err.split())
+    assert 'did not converge' in ' '.join(capsys.readouterr().err.split())

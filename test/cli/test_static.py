@@ -70,7 +70,7 @@ def test_a_list_of_masses(bellows: Run, workshop: Path, weights: Path) -> None:
     ([], 'No recording is given'),
     (['m0', 'm1', '--mass', '1'], '1 masses are given for 2 recordings'),
     (['m0', '--mass', '-1'], 'package.mass'),
-    (['m0', '--mass', '0.6'], 'two different masses'),
+    (['m0', '--mass', '0.6'], 'two or more different masses'),
     (['nothing', '--mass', '0.6'], 'nothing'),
     (['--list', 'none.yaml'], 'none.yaml'),
 ])

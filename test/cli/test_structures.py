@@ -15,7 +15,7 @@ def test_summary_and_json(bellows: Run, workshop: Path, tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (0, '')
     for words in ('Excitation of the lip', 'Identifiability', 'P rz', 'Hz',
                   'Structures', 'axisymmetric', 'diagonal', 'full', 'independent ones',
-                  'Take fit.structure: axisymmetric.', 'Rank 8 of 8',
+                  'Use fit.structure: axisymmetric.', 'Rank 8 of 8',
                   f'Wrote {tmp_path / "structures.json"}'):
         assert words in done.stdout
     assert 'nan' not in done.stdout and '\x1b' not in done.stdout

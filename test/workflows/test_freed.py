@@ -34,7 +34,7 @@ def test_a_wrong_length_and_centre_are_found_and_used(settings):
     ({'fit.free': ['mass'], 'package.files': ['a', 'b']}, 'one package alone'),
     ({'fit.free': ['length'], 'static.length': True, 'static.bags': ['a']}, 'one of the two'),
     ({'fit.free': ['weight']}, 'a list of some of time_offset, com'),
-    ({'fit.free': ['mass', 'inertia']}, 'cannot be found from these recordings'),
+    ({'fit.free': ['mass', 'inertia']}, 'cannot be estimated from these recordings'),
 ])
 def test_what_cannot_be_free_is_refused(settings, change, words):
     with pytest.raises(BellowsError, match=words):

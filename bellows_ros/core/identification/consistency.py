@@ -12,10 +12,10 @@ import numpy as np
 from scipy.special import chdtrc
 
 SIGNIFICANT = 0.01
-"""Probability of such differences by chance below which the cups are said to differ."""
+"""Probability of the differences by chance below which the cups differ."""
 
 ERRORS_OF_CHANCE = 3.0
-"""Standard errors from which a single parameter's difference is taken as no chance."""
+"""Standard errors above which the difference of a single parameter is significant."""
 
 MATTERS = 0.05
 """Relative differences of a parameter from the mean that are worth a word."""
@@ -132,12 +132,12 @@ def _verdict(
 ) -> str:
     """Return the outcome in words."""
     if np.isnan(p):
-        return 'No parameter is identifiable from two of the recordings: nothing can be compared.'
+        return ('No parameter is identifiable from two of the recordings, so the cups cannot be '
+                'compared.')
     if p >= SIGNIFICANT:
         return (
-            f'The fits are of one cup as far as they can tell: K and P are the same for '
-            f'{_listed(names)} (differences as large come by chance with a probability of '
-            f'{p:.2g}).'
+            f'The fits are consistent with one cup: K and P are the same for {_listed(names)} '
+            f'(probability of larger differences by chance: {p:.2g}).'
         )
     row, column = divmod(int(np.argmax(np.abs(deviations))), deviations.shape[1])
     size = float(relative[row, column])
@@ -150,7 +150,8 @@ def _verdict(
     )
     large = np.abs(relative[np.abs(deviations) > ERRORS_OF_CHANCE])
     if not (large > MATTERS).any():
-        return f'{said} What is no chance is below {MATTERS * 100:g} %, which hardly matters.'
+        return (f'{said} The significant differences are below {MATTERS * 100:g} %, which hardly '
+                'matters.')
     return f'{said} The model of stiffness and damping may not hold over this range.'
 
 

@@ -287,10 +287,10 @@ def refined_preparation(
         return Found(None, np.zeros(6), middle, None, taken)
     if not (rough or np.all(std[:6] < WORLD_ERROR)):
         raise BellowsError(
-            'recording.package_world is not identifiable from this recording: the standard errors '
-            f'are {_listed(1e3 * std[:3])} mm and {_listed(1e3 * std[3:6])} mrad. Tilt and turn '
-            'the tool more, best with three standstills tilted to different sides, or give its '
-            'seven numbers.'
+            'recording.package_world is not identifiable from this recording: the standard '
+            f'errors are {_listed(1e3 * std[:3])} mm and {_listed(1e3 * std[3:6])} mrad. Tilt '
+            'and turn the tool more, best with three standstills tilted to different sides, or '
+            'set its seven numbers.'
         )
     alignment = _gripped(recording, theta[6:11]) if 'grip' in names else recording.alignment
     return Found(theta[:6], std[:6], middle, alignment, taken)
@@ -301,8 +301,8 @@ def _offset(value: float, std: float, fallen: bool) -> TimeOffset | None:
     if abs(value) > variations.LARGEST_OFFSET - RASTER / 2.0 and fallen:
         raise BellowsError(
             f'The stamps of tool and package are {1e3 * variations.LARGEST_OFFSET:g} ms or more '
-            'apart, and fit.time_offset looks no further. Shift the stamps of one topic by what '
-            'is known.'
+            'apart, the limit of fit.time_offset. Shift the stamps of one topic by the known '
+            'delay.'
         )
     return TimeOffset(value, std) if std < LARGEST_ERROR else None
 

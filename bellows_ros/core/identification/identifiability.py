@@ -139,18 +139,18 @@ def advice(
         shown = ', '.join([*coupled[:PAIRS_SHOWN], *(['...'] if coupled[PAIRS_SHOWN:] else [])])
         yield (
             f'{len(coupled)} couplings of directions ({shown}) are not identifiable from '
-            f'{source}; take a simpler fit.structure, or move all axes at once, each with '
-            'frequencies of its own.'
+            f'{source}; use a simpler fit.structure, or move all axes at once, each at its own '
+            'frequencies.'
         )
     if rank < len(parameters):
         yield (
             f'Only {rank} of {len(parameters)} combinations of parameters are identifiable. '
-            'Excite all six directions, or take a simpler fit.structure.'
+            'Excite all six directions, or use a simpler fit.structure.'
         )
     for one, other, correlation in pairs[:PAIRS_SHOWN]:
         yield (
-            f'{one} and {other} can hardly be separated (correlation {correlation:+.2f}): their '
-            'directions always move together. Move them one without the other.'
+            f'{one} and {other} are nearly inseparable (correlation {correlation:+.2f}): their '
+            'directions always move together. Move one without the other.'
         )
 
 
@@ -174,9 +174,9 @@ def _direction_warnings(
         share = (f'{each.noise_share:.0%} of the information on its {name} is noise, and'
                  if each.noise_share > SHARE_WEAK else f'noise disturbs its {name}:')
         yield (
-            f'{title} is weakly excited: {share} least squares will find it some '
-            f'{abs(each.bias):.0%} too {"small" if each.bias < 0.0 else "large"}. Take '
-            f'fit.method: prediction_error, or {advice}.'
+            f'{title} is weakly excited: {share} least squares will be some {abs(each.bias):.0%} '
+            f'too {"small" if each.bias < 0.0 else "large"}. Use fit.method: prediction_error, '
+            f'or {advice}.'
         )
 
 
@@ -227,9 +227,8 @@ def _sentence(axis: Axis, passed: PassBand) -> str:
                f'filter.package.half_window: {package})' if fastest > end else '')
     return (
         f'{DIRECTIONS[axis.name][0]} of up to {fastest:.1f} Hz is too fast for the filter, which '
-        f'follows up to {end:.1f} Hz: least squares may find its stiffness and damping wrong by '
-        'more than the standard errors say. Take fit.method: '
-        f'prediction_error{shorter}.'
+        f'follows up to {end:.1f} Hz: least squares may get its stiffness and damping wrong by '
+        f'more than the standard errors. Use fit.method: prediction_error{shorter}.'
     )
 
 
@@ -321,7 +320,7 @@ def excitation_of(
     """
     wrench = joined(part.wrench for part in parts)
     if not wrench.count:
-        raise BellowsError('No valid sample is left: nothing is identifiable.')
+        raise BellowsError('No valid sample is left, so nothing is identifiable.')
     whitening = whitening_of(regular(wrench.covariance(structure)))
     found = solution(_r_factor(parts, 0, whitening), structure)
     x = np.where(found.identifiable, found.x, np.nan)

@@ -71,7 +71,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     if 6 * used <= 2 * structure.size:
         raise UndeterminedError(
             f'{used} valid samples are too few for {2 * structure.size} parameters. Record '
-            'longer, or see in the report why samples were rejected.'
+            'longer, or check in the report why samples were rejected.'
         )
     whitening = whitening_of(regular(joined(part.moments for part in parts).covariance(structure)))
     known = [part.noise for part in parts if part.noise is not None]
@@ -130,8 +130,8 @@ def common_structure(parts: Sequence[Statistics]) -> Structure:
     if len(kinds) != 1:
         found = ', '.join(f'{name} with {length:g} m' for name, length in sorted(kinds))
         raise BellowsError(
-            'Recordings can be fitted together only where fit.structure and cup.length are the '
-            f'same; these have {found or "none"}. Use one parameter file for all of them.'
+            'Recordings can be fitted together only with the same fit.structure and cup.length; '
+            f'these have {found or "none"}. Use one parameter file for all of them.'
         )
     return parts[0].structure
 
@@ -232,7 +232,7 @@ def identifiability_warnings(labels: Sequence[str], identifiable: Mask) -> tuple
     return (
         f'{", ".join(names[:SHOWN])}{more} {"is" if one else "are"} not identifiable from these '
         f'recordings; {"its estimate is" if one else "their estimates are"} meaningless. Excite '
-        'all six directions, or take a simpler fit.structure.',
+        'all six directions, or use a simpler fit.structure.',
     )
 
 
@@ -241,9 +241,9 @@ def _short_warnings(covariance: Array) -> tuple[str, ...]:
     if np.isfinite(np.diag(covariance)).any():
         return ()
     return (
-        'The recordings are too short to say how far off K and P may be: residuals within some '
-        'filter windows are not independent, and too few are left. The standard errors are '
-        'infinite. Record longer.',
+        'The recordings are too short for standard errors of K and P: residuals within a filter '
+        'window are correlated, and too few windows are left. The standard errors are infinite. '
+        'Record longer.',
     )
 
 
@@ -259,9 +259,9 @@ def _doubts(left: Array, by_noise: Array | None, whitening: Array) -> tuple[str,
     worst = int(np.argmax(np.where(doubtful, excess, 0.0)))
     what, unit = WRENCH[worst]
     return (
-        f'The model does not explain the recordings: of the {what} {left[worst]:.2g} {unit} RMS '
-        f'are left where noise explains {by_noise[worst]:.2g} {unit}. Check recording.world and '
-        'the other frames, that the topics are not exchanged, package.mass, package.com and '
-        'cup.length, and that both streams are stamped by one clock; or take a richer '
-        'fit.structure, or a shorter filter window where the motion is jerky.',
+        f'The model does not explain the recordings: the residual {what} is {left[worst]:.2g} '
+        f'{unit} RMS, of which noise explains {by_noise[worst]:.2g} {unit}. Check '
+        'recording.world and the other frames, that the topics are not exchanged, package.mass, '
+        'package.com and cup.length, and that one clock stamps both streams; or use a richer '
+        'fit.structure, or a shorter filter window if the motion is jerky.',
     )

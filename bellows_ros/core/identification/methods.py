@@ -76,9 +76,9 @@ def fit(
         values['fit.method'] == 'least_squares')
     if not any(p.identifiable for p in excitation.parameters if p.label.startswith('P')):
         raise BellowsError(
-            'Nothing moves enough in the recordings: damping is not identifiable from them, nor '
-            'any stiffness that the weight does not bend. Move the tool, in all directions at '
-            "1-3 Hz and along the cup at 4-6 Hz; standstills are for 'bellows static' and "
+            'The recordings contain too little motion: damping is not identifiable from them, '
+            'nor any stiffness that the weight does not load. Move the tool in all directions '
+            "at 1-3 Hz, and along the cup at 4-6 Hz; standstills are for 'bellows static' and "
             'static.bags.'
         )
     found = fitted(recordings, values, progress)
@@ -126,8 +126,8 @@ def _whole(recordings: Sequence[Recording | Reduced]) -> list[Recording]:
     whole = [recording for recording in recordings if isinstance(recording, Recording)]
     if len(whole) < len(recordings):
         raise BellowsError(
-            'fit.method: prediction_error and static.length take the recordings themselves, not '
-            'what they were reduced to. Give the recordings.'
+            'fit.method: prediction_error and static.length need the recordings themselves, not '
+            'their summaries. Give the recordings.'
         )
     return whole
 
@@ -229,10 +229,10 @@ def _require_identifiable(freed: Sequence[Freed]) -> None:
     unknown = [own.name for own in freed if not np.all(np.isfinite(own.std))]
     if unknown:
         raise BellowsError(
-            f'fit.free: {", ".join(unknown)} cannot be found from these recordings, their '
-            'standard errors are too large. Leave out what you know best (mass and inertia '
-            'together never are, nor are com and cup.length along z with poses of the centre of '
-            'mass), or record a richer motion.')
+            f'fit.free: {", ".join(unknown)} cannot be estimated from these recordings; the '
+            'standard errors are too large. Leave out what you know best (mass and inertia are '
+            'never identifiable together, nor com and cup.length along z with poses of the '
+            'centre of mass), or record a richer motion.')
 
 
 def free_of(values: Mapping[str, Any]) -> tuple[str, ...]:

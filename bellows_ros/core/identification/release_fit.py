@@ -161,7 +161,7 @@ def letting_go(
     best = min(fits, key=lambda fit: float(fit.cost))
     chi2 = 2.0 * float(best.cost) / (len(best.fun) - len(best.x))
     if not math.isfinite(chi2):
-        raise UndeterminedError('No letting go explains the poses of this toss. Leave it out.')
+        raise UndeterminedError('No release time explains the poses of this toss. Leave it out.')
     back = np.linalg.pinv(np.asarray(best.jac))
     moved = [back @ (residuals(best.x, Held(model, None, replica, start, end)) - best.fun)
              for replica in replicas]
@@ -209,7 +209,7 @@ def tosses_of(
                      min(int(last), int(np.searchsorted(stamps_ns, end_ns))) + 1)
         poses = recording.measured_package.select(part)
         if not (package.valid[part.start] and poses.valid[0] and tool.valid[part].all()):
-            left_out.append(f'{where}: tool or package was not tracked all the time before it')
+            left_out.append(f'{where}: tool or package was not tracked continuously before it')
             continue
         start = state_row(*(row[0] for row in np.split(
             tool_rows(package.select(slice(part.start, part.start + 1))), [3, 7], axis=1)))
@@ -225,7 +225,7 @@ def tosses_of(
         found.append(one if valves_ns is not None else replace(one, late=math.nan))
     for valve_ns in sorted(set(valves_ns or ()) - used):
         seconds = (valve_ns - recording.start_ns) / NS_PER_S
-        left_out.append(f'the valve at {seconds:.2f} s: no flight follows that was tracked')
+        left_out.append(f'the valve at {seconds:.2f} s: no tracked flight follows')
     return found, left_out
 
 
@@ -290,8 +290,7 @@ def valve_fit(tosses: Sequence[LettingGo], suction: float) -> ValveFit:
     """
     if len(tosses) < FEWEST:
         raise UndeterminedError(
-            f'{len(tosses)} tosses can be used; a valve is found from {FEWEST} or more. Record '
-            'more.')
+            f'{len(tosses)} usable tosses; a valve needs {FEWEST} or more. Record more.')
     impulses = np.array([t.impulse for t in tosses])
     spread = float(np.var(impulses, ddof=1))
     noise = float(np.mean([t.impulse_std**2 for t in tosses]))
@@ -312,9 +311,9 @@ def _line(tosses: Sequence[LettingGo], suction: float) -> tuple[float, float, fl
         x = np.log(suction / np.array([t.load for t in tosses]))
         if np.ptp(x) < 0.05:
             raise UndeterminedError(
-                f'tau is not identifiable: all tosses let go under nearly the same load, ln(V0/L) '
-                f'from {x.min():.3g} to {x.max():.3g}. Release at other times of the swing as '
-                'well.')
+                'tau is not identifiable: the load at release is nearly the same in all tosses, '
+                f'ln(V0/L) from {x.min():.3g} to {x.max():.3g}. Also release at other times of '
+                'the swing.')
         A = np.column_stack([A, x])
     for _ in range(20):  # the scatter weighs the tosses, and comes from what is left over
         weight = 1.0 / (scatter**2 + known**2)

@@ -175,7 +175,7 @@ def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> t
     """Return a sentence for each matrix that is not as a cup's must be, with what to do."""
     simplest = next(iter(STRUCTURES.values()))
     simpler = (
-        f', or take fit.structure: {simplest.name}, which has fewer parameters'
+        f', or use fit.structure: {simplest.name}, which has fewer parameters'
         if structure_named(structure).size > simplest.size else ''
     )
     messages = []
@@ -186,9 +186,9 @@ def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> t
         tolerance = -1e-12 * float(np.abs(matrix).max())
         if smallest < tolerance or (lowest == 'definite' and smallest <= 0.0):
             messages.append(
-                f'The {name} is not positive {lowest} (smallest eigenvalue {smallest:.3g}): the '
-                'recording does not determine all of it, and the predictor will refuse it. Record '
-                f'a motion that is richer in all directions{simpler}; check frames, alignment, '
-                'package.mass, package.com and cup.length.'
+                f'The {name} is not positive {lowest} (smallest eigenvalue {smallest:.3g}): not '
+                'all of it is identifiable from the recording, and the predictor will refuse '
+                f'it. Record a motion that is richer in all directions{simpler}; check frames, '
+                'alignment, package.mass, package.com and cup.length.'
             )
     return tuple(messages)

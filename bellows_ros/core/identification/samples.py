@@ -148,13 +148,13 @@ def _require_below(recording: Recording) -> None:
         upward = float(np.median(
             (package.position - recording.measured_tool.select(some).position)[:, 2]))
         raise BellowsError(
-            f'The lip of the cup is {1e3 * above:.0f} mm above the tool tip in axes of the tool, '
-            'but the cup hangs below it. ' + (
-                f'The package is {1e3 * upward:.0f} mm above the tool in the world, too: '
-                'topics.tool_pose and topics.package_pose are exchanged, or else recording.world '
-                'is wrong.' if upward > 0.0 else
-                'In the world the package is below the tool: z of the tool points the wrong way, '
-                'it must point from the cup back into the arm; or package.com is wrong.')
+            f'The lip of the cup is {1e3 * above:.0f} mm above the tool tip in tool axes, but '
+            'the cup hangs below it. ' + (
+                f'The package is also {1e3 * upward:.0f} mm above the tool in the world: '
+                'topics.tool_pose and topics.package_pose are exchanged, or recording.world is '
+                'wrong.' if upward > 0.0 else
+                'In the world the package is below the tool: z of the tool points the wrong way '
+                '(it must point from the cup back into the arm), or package.com is wrong.')
         )
 
 
@@ -168,7 +168,7 @@ def _millimetres(recording: Recording, away: float) -> str:
     which = (names[0], names[1], f'{names[0]} and {names[1]}')[int(np.argmin(scaled))]
     if min(scaled) > FARTHEST:
         return (f'The lip of the cup is {away:.3g} m from the tool tip: the poses of {names[0]} '
-                f'and {names[1]} are not in one world. Set recording.package_world.')
+                f'and {names[1]} use different worlds. Set recording.package_world.')
     return (f'The lip of the cup is {away:.3g} m from the tool tip: the poses of {which} are in '
             'millimetres. They must be in m: change the driver, or convert the recording.')
 
@@ -281,7 +281,7 @@ def envelope(samples: Samples, cup_length: float, spectra: Spectra | None = None
 
     """
     if not samples.count:
-        raise BellowsError('A recording without valid samples has no validity range.')
+        raise BellowsError('The recording has no valid samples, hence no validity range.')
     strain = (spectra or relative_spectra(samples, cup_length)).strain
     deflection, mass = samples.lip.displacement(cup_length), samples.payload.mass
     return Envelope(

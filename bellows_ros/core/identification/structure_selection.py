@@ -304,7 +304,8 @@ def _noisier(
     if not noises:
         return []
     if len(noises) != len(recordings):
-        raise BellowsError(f'{len(recordings)} recordings need as many noises, not {len(noises)}.')
+        raise BellowsError(f'{len(recordings)} recordings need as many noise estimates, got '
+                           f'{len(noises)}.')
     generators = draws(DRAWS)
     return [
         [
@@ -421,7 +422,7 @@ def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:
     if not able:
         return candidates[0].structure, (
             *sentences,
-            'No structure gives a cup that can be simulated: check frames, alignment, '
+            'No structure gives a cup that can be simulated. Check frames, alignment, '
             'package.mass and package.com, and record a richer motion.',
         )
     best = min(able, key=lambda candidate: candidate.held_out)
@@ -433,8 +434,8 @@ def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:
     }
     if set(preferred.values()) != {advised.structure}:
         sentences.append(
-            f'AIC would take {preferred["aic"]}, BIC {preferred["bic"]}; but they count what '
-            'noise does to the equations as if the cup did it. Held-out parts tell the two apart.'
+            f'AIC prefers {preferred["aic"]}, BIC {preferred["bic"]}, but both fit the noise in '
+            'the equations. The held-out error does not.'
         )
     return advised.structure, tuple(sentences)
 
@@ -453,11 +454,10 @@ def _reason(advised: Candidate, best: Candidate, able: list[Candidate]) -> str:
     """Return the sentence that says why a structure is advised."""
     errors = ', '.join(f'{candidate.structure} {candidate.held_out:.2%}' for candidate in able)
     if advised is best:
-        why = 'It simulates held-out parts of the recordings best'
+        why = 'It has the smallest held-out error'
     else:
-        why = (f'It is the simplest that simulates held-out parts of the recordings as well as '
-               f'{best.structure} does')
-    return f'Take fit.structure: {advised.structure}. {why} (error over motion: {errors}).'
+        why = (f'It is the simplest with a held-out error as small as that of {best.structure}')
+    return f'Use fit.structure: {advised.structure}. {why} (error over motion: {errors}).'
 
 
 def _unable(candidate: Candidate) -> str:
@@ -467,6 +467,5 @@ def _unable(candidate: Candidate) -> str:
     if not candidate.fit.usable:
         return f'{candidate.structure} gives no usable cup: K or P is not definite.'
     return (
-        f'{candidate.structure} gives a cup whose simulation of held-out parts does not stay '
-        'finite.'
+        f'{candidate.structure} gives a cup whose simulation diverges on held-out parts.'
     )

@@ -212,7 +212,8 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
     known = np.flatnonzero(filtered.valid)
     if len(known) < 2:
         raise BellowsError(
-            f'The tool has no {2 * half_window + 1} usable poses in a row: nothing to simulate.'
+            f'The tool has fewer than {2 * half_window + 1} usable poses in a row, so nothing '
+            'can be simulated.'
         )
     wanted = slice(int(known[0]), int(known[-1]) + 1)
     stamps = filtered.stamps_ns[wanted]
@@ -342,7 +343,7 @@ def _shaken(tool: Trajectory, noise: Noise, rng: np.random.Generator) -> Traject
 def _warnings(bridges: Array) -> tuple[str, ...]:
     """Return what the user should know."""
     return tuple(
-        f'The tool is unknown for {duration:.2f} s from {start:.2f} s on; the simulation goes '
-        'through a guess there, and is off for a while after it.'
+        f'The tool is unknown for {duration:.2f} s from {start:.2f} s on. The simulation bridges '
+        'this gap by interpolation, and its error is larger for a while afterwards.'
         for start, duration in bridges.tolist() if duration > LONGEST_BRIDGE_S
     )

@@ -153,7 +153,7 @@ def test_a_full_fit_of_a_poor_motion_is_advised_against():
         simulated.shake(axes=(0, 2)), tool=(1e-4, 5e-4), package=(1e-4, 5e-4))
     _, found = described(recording, FULL)
     couplings = next(w for w in found.warnings if 'couplings' in w)
-    assert 'take a simpler fit.structure' in couplings
+    assert 'use a simpler fit.structure' in couplings
 
 
 def test_without_noises_nothing_is_said_about_noise(rich):

@@ -85,7 +85,7 @@ def test_windows_are_advised_only_where_they_are_shorter():
     axis = Axis('z', 1e-3, 1e-3, 0.1, (1.0, 5.0), 0.0, 0.0)
     slow = PassBand(np.ones(1), np.full(1, 0.5), 0.5, 6.0, (30, 30), np.zeros(1))
     (same,) = too_fast([axis], [slow])
-    assert 'half_window' not in same and same.endswith('Take fit.method: prediction_error.')
+    assert 'half_window' not in same and same.endswith('Use fit.method: prediction_error.')
 
 
 def test_noise_along_one_axis_is_no_motion():

@@ -50,7 +50,7 @@ def off_middle():
 def test_the_structure_of_the_truth_is_advised(cup, name):
     _, selection = selection_of(cup)
     assert selection.advised == name
-    assert selection.advice[0].startswith(f'Take fit.structure: {name}. ')
+    assert selection.advice[0].startswith(f'Use fit.structure: {name}. ')
     assert [candidate.parameters for candidate in selection.candidates] == [8, 10, 12, 42]
     right = next(candidate for candidate in selection.candidates if candidate.structure == name)
     assert right.held_out < 0.03
@@ -145,5 +145,5 @@ def test_mistakes_are_named():
         select_structure([Samples(
             samples.tool.select(slice(0, 1)), samples.package.select(slice(0, 1)), samples.payload,
             samples.gravity, samples.window)], simulated.CUP.length)
-    with pytest.raises(BellowsError, match='as many noises'):
+    with pytest.raises(BellowsError, match='as many noise estimates'):
         select_structure([samples, samples], simulated.CUP.length, [recording.noise])

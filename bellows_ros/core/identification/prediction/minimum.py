@@ -88,8 +88,8 @@ class Root:
         self.factor, info = lapack.dpbtrf(band, lower=1, overwrite_ab=1)
         if info:
             raise BellowsError(
-                'The covariance of the equations of motion is not definite: are poses repeated, '
-                'or is the noise of both bodies zero?')
+                'The covariance of the equations of motion is not definite. Check for repeated '
+                'poses, and that the noise of both bodies is not zero.')
 
     def whitened(self, rows: Array) -> Array:
         """Return rows (N, 6, p) of the equations in units of their noise (6 N, p)."""

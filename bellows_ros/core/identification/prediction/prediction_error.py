@@ -46,8 +46,8 @@ SOFTEST = 0.05
 """Eigenvalues of K and P where the search for definite ones begins, in scaled units."""
 
 NOT_CONVERGED = (
-    'The search for the minimum of the prediction errors has not converged: K and P are not to '
-    'be used, and there are no standard errors. Take a simpler fit.structure, or record a motion '
+    'The search for the minimum of the prediction errors did not converge: K and P must not be '
+    'used, and there are no standard errors. Use a simpler fit.structure, or record a motion '
     'that is richer in all directions.')
 
 
@@ -95,7 +95,7 @@ def prediction_error(
 
     """
     if not any(r.package.valid.any() for r in recordings):
-        raise BellowsError('No valid package pose to compare with. See the report for why.')
+        raise BellowsError('No valid package pose is left for comparison. The report shows why.')
     search = Search([Segment(r) for r in recordings], structure, start, free)
     iterations: list[Iteration] = []
     began = time.perf_counter()
@@ -189,15 +189,15 @@ def _doubts(search: Search, sure: Certainty) -> list[str]:
     kept, period = max(search.kept), search.segments[0].period
     if kept > SHORTEST_COLOUR:
         doubts.append(
-            f'The noise is correlated over {-1e3 * period / np.log(kept):.0f} ms: motion capture '
-            'smoothing? The standard errors allow for it; poses that are not smoothed give '
-            'smaller ones.')
+            f'The noise is correlated over {-1e3 * period / np.log(kept):.0f} ms, perhaps by '
+            'smoothing in the motion capture. The standard errors account for it; unsmoothed '
+            'poses give smaller ones.')
     if sure.robust_chi2 > LARGEST_CHI2:
         doubts.append(
             'The model does not explain the recording: chi^2 per degree of freedom is '
-            f'{sure.robust_chi2:.2f} where 1 is expected. Check package.mass, package.com, the '
-            'frames and whether one clock stamped both streams (else set fit.time_offset), or '
-            'take a richer fit.structure.')
+            f'{sure.robust_chi2:.2f}, expected 1. Check package.mass, package.com, the frames '
+            'and whether one clock stamped both streams (else set fit.time_offset), or use a '
+            'richer fit.structure.')
     return doubts
 
 

@@ -62,8 +62,8 @@ def pose_noise(poses: Trajectory) -> PoseNoise:
     good = valid_windows(poses.valid, HALF_WINDOW)
     if not good.any():
         raise BellowsError(
-            f'No {2 * HALF_WINDOW + 1} valid samples in a row from which to estimate the '
-            'measurement noise.')
+            f'The measurement noise cannot be estimated: no {2 * HALF_WINDOW + 1} valid samples '
+            'in a row. Check the gaps and outliers in the report.')
     ripple = _ripple(poses)[good]
     typical = MAD_TO_STD * np.median(np.abs(ripple), axis=0)
     squares = np.mean(np.minimum(ripple**2, (CUT_AT * typical) ** 2), axis=0)
@@ -195,7 +195,7 @@ def measured_segments(
     if not segments:
         raise BellowsError(
             f'No segment of {SHORTEST_SEGMENT:g} s in which both bodies are tracked. Record '
-            'longer, or look at the gaps and outliers in the report.'
+            'longer, or check the gaps and outliers in the report.'
         )
     return segments
 

@@ -125,9 +125,9 @@ def nominal_length(
     different = _different([still.payload.mass for still in upright], SAME_MASS_WITHIN)
     if different < 2:
         raise UndeterminedError(
-            f'The nominal length needs two different masses or more, held with the tool vertical, '
-            f'but there {"is" if different == 1 else "are"} {different}. Record standstills with '
-            'other known masses, and give each its own --mass.'
+            'The nominal length needs two or more different masses, held with the tool '
+            f'vertical, but there {"is" if different == 1 else "are"} {different}. Record '
+            'standstills with other known masses, and give each its own --mass.'
         )
     degree = max(1, min(POLYNOMIAL, different - 2))
     coefficients, std, chi2, freedom = _polynomial(loads, lengths, errors, degree)
@@ -146,9 +146,9 @@ def _misfit(chi2: float, freedom: int) -> list[str]:
     if not freedom or chdtrc(freedom, chi2) >= MISFIT:
         return []
     return [
-        f'The lengths are off the polynomial by {np.sqrt(chi2 / freedom):.2g} times what their '
-        'noise explains: a mass may be wrong, or the cup bend more than the polynomial does. '
-        'Check each mass, and add more of them.'
+        f'The lengths are off the polynomial by {np.sqrt(chi2 / freedom):.2g} times their noise: '
+        'a mass may be wrong, or the cup too nonlinear for the polynomial. Check each mass, and '
+        'add more masses.'
     ]
 
 
@@ -223,7 +223,7 @@ def check_spring(
         sentence = (
             f'The spring is off in {len(off)} of {len(poses)} poses. If it is off in all of them '
             'alike, check cup.length, package.mass and package.com; if only in some directions, '
-            'the stiffness of those, or alignment.'
+            'check their stiffness, or the alignment.'
         )
     return SpringCheck(poses, not off, sentence)
 
@@ -281,23 +281,24 @@ def _length_warnings(
     found = []
     if not np.isfinite(std):
         found.append(
-            'Two masses leave nothing to test the line through them: the nominal length has no '
-            'standard error, and a wrong mass would not be noticed. Add a third mass.'
+            'With two masses the nominal length has no standard error, and a wrong mass would '
+            'go unnoticed. Add a third mass.'
         )
     elif different < POLYNOMIAL + 2:
         found.append(
-            f'With {different} different masses length against load is fitted by a polynomial of '
-            f'order {len(coefficients) - 1}; {POLYNOMIAL + 2} or more show where the cup stops '
-            'being linear.'
+            f'With {different} different masses, a polynomial of order {len(coefficients) - 1} '
+            f'is fitted to length against load; {POLYNOMIAL + 2} or more show where the cup '
+            'stops being linear.'
         )
     if WANTED_LENGTH_ERROR < std < np.inf:
         found.append(
-            f'The nominal length is only known to {std * 1e3:.2f} mm. Add lighter masses than '
+            f'The nominal length is uncertain by {std * 1e3:.2f} mm. Add masses lighter than '
             f'{loads.min():.3g} N, or hold each for longer.'
         )
     if not coefficients[1] > 0.0:
         found.append(
-            'The cup gets shorter under load: check the masses, and that the poses are of E and S.'
+            'The cup gets shorter under load. Check the masses, and that the poses are those of '
+            'E and S.'
         )
     return found
 

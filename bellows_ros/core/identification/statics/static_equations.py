@@ -170,10 +170,10 @@ def _disagreement(chi2: float) -> tuple[str, ...]:
     if chi2 <= LARGEST_CHI2:
         return ()
     return (
-        f'The static recordings do not agree with the motion within their errors (chi^2 per '
-        f'degree of freedom {chi2:.3g}, expected 1); they count by so much less. Check '
-        'cup.length, the masses in static.files, package.com and the alignment. Least squares '
-        'with noisy recordings may also be at fault: take fit.method: prediction_error.',
+        'The static recordings and the motion disagree beyond their errors (chi^2 per degree of '
+        f'freedom {chi2:.3g}, expected 1), so the static recordings get less weight. Check '
+        'cup.length, the masses in static.files, package.com and the alignment. The noise bias '
+        'of least squares may also be the cause: use fit.method: prediction_error.',
     )
 
 

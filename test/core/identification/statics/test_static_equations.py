@@ -140,7 +140,7 @@ def test_standstills_that_do_not_agree_count_less_and_are_warned_about():
     fit, heavier = moving(7), [replace(still, payload=heavy) for still in resting(8)]
     joined = joined_with_standstills(fit, heavier, exact(), G, simulated.CUP.stiffness)
     assert joined.standstills.chi2 > 100.0
-    assert 'static recordings do not agree' in joined.warnings[-1]
+    assert 'static recordings and the motion disagree' in joined.warnings[-1]
     # the motion knows its own stiffness better than 20 %
     assert abs(joined.stiffness[2, 2] / TRUTH[1] - 1.0) < 0.05
 
