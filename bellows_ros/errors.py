@@ -1,4 +1,4 @@
-"""Errors that this package raises for its user to read; what callers decide on has a class."""
+"""Errors with a message for the user; those that callers handle have a class of their own."""
 
 
 class BellowsError(Exception):

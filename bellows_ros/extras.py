@@ -1,4 +1,4 @@
-"""What the optional parts of this package need, as pip takes it: the extras of setup.py."""
+"""Messages for missing optional dependencies: the extras of setup.py."""
 
 PACKAGES = {
     'ros': "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces",

@@ -1,5 +1,5 @@
 """
-What `import bellows_ros` offers: arrays and paths in, arrays and frozen data out.
+The public API, `import bellows_ros`: arrays and paths in, arrays and frozen data out.
 
 Most of it stands in other rooms; the functions here only spare a user the way there.
 """

@@ -1,5 +1,5 @@
 """
-The command `bellows`: the package's work from a shell, without ROS.
+The command `bellows`: the package from a shell, without ROS.
 
 One module per command, loaded only when it is asked for; see `app`.
 """

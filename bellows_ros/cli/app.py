@@ -1,5 +1,5 @@
 """
-Find the command, run it, and turn what goes wrong into a message and an exit code.
+Find the command, run it, and turn errors into a message and an exit code.
 
 A command is a module of this package with its name, which has
 

@@ -1,4 +1,4 @@
-"""`bellows completion`: a script that lets the shell complete commands, options and parameters."""
+"""`bellows completion`: print a script that completes commands, options and parameters."""
 
 import argparse
 from collections.abc import Iterator

@@ -1,5 +1,5 @@
 """
-What a command says and ends with, texts and tables, and the signals that end it.
+Output, exit codes and signals of the commands.
 
 Results go to one stream, all else to stderr, both plain unless on a terminal: colour is used only
 there, and not where NO_COLOR is set or TERM is dumb. Signals that end a command end it in order,

@@ -1,4 +1,4 @@
-"""`bellows identify`: find a cup's stiffness and damping in recordings."""
+"""`bellows identify`: identify a cup's stiffness and damping from recordings."""
 
 import argparse
 from collections.abc import Mapping, Sequence

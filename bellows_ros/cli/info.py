@@ -1,4 +1,4 @@
-"""`bellows info`: what is in a recording, and how to read it."""
+"""`bellows info`: list the contents of a recording, and how to read it."""
 
 import argparse
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Options that commands share, and the settings that come out of them."""
+"""Options shared by the commands, and the settings they give."""
 
 import argparse
 from collections.abc import Sequence

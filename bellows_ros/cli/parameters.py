@@ -1,4 +1,4 @@
-"""`bellows parameters`: all parameters with unit, default and meaning."""
+"""`bellows parameters`: list all parameters with unit, default and meaning."""
 
 import argparse
 from collections.abc import Iterable, Iterator, Mapping, Sequence

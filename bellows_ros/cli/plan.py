@@ -1,4 +1,4 @@
-"""`bellows plan`: what a planned motion does to the package."""
+"""`bellows plan`: predict what a planned motion does to the package."""
 
 import argparse
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""`bellows play`: the poses and twists of a recording, to ROS."""
+"""`bellows play`: play the poses and twists of a recording to ROS."""
 
 import argparse
 import math

@@ -1,4 +1,4 @@
-"""`bellows plot`: pictures of recordings, fits and replays."""
+"""`bellows plot`: draw pictures of recordings, fits and replays."""
 
 import argparse
 from collections.abc import Callable, Mapping

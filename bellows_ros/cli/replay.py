@@ -1,4 +1,4 @@
-"""`bellows replay`: predict a recording with a cup, and say what the cup is worth."""
+"""`bellows replay`: predict a recording with a cup, and report how well it does."""
 
 import argparse
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""`bellows report`: a page with plots on a fit that was made before."""
+"""`bellows report`: write a page with plots of an existing fit."""
 
 import argparse
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""`bellows simulate`: make a recording of a known cup."""
+"""`bellows simulate`: simulate a recording of a known cup."""
 
 import argparse
 from collections import Counter

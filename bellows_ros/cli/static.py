@@ -1,4 +1,4 @@
-"""`bellows static`: the cup's nominal length, and its spring checked alone."""
+"""`bellows static`: find the cup's nominal length, and check its spring alone."""
 
 import argparse
 import math

@@ -1,4 +1,4 @@
-"""`bellows steer`: a motion of the tool that leaves the package without swing."""
+"""`bellows steer`: change a motion of the tool so that the package does not swing."""
 
 import argparse
 import math

@@ -1,4 +1,4 @@
-"""`bellows view`: a replay in the viewer Rerun."""
+"""`bellows view`: show a replay in the viewer Rerun."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""An arm's kinematics from its URDF: where the tool is, and how it moves, for joint positions."""
+"""Kinematics of an arm from its URDF: pose and Jacobian of the tool for joint positions."""
 
 from __future__ import annotations
 

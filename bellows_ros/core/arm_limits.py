@@ -1,4 +1,4 @@
-"""What an arm may do with a package on the cup: limits, and how much of them a motion takes."""
+"""Limits of an arm with a package on the cup, and the part of each that a motion uses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Names of array types: what a function takes and gives, in its signature."""
+"""Type aliases for arrays in signatures."""
 
 import numpy as np
 from numpy.typing import NDArray

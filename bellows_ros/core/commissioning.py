@@ -1,4 +1,4 @@
-"""What is recorded beside an exciting motion: standstills before it, and one to validate after."""
+"""Recordings beside an exciting motion: standstills before it, and a validation after it."""
 
 from collections.abc import Callable, Iterable, Sequence
 import itertools

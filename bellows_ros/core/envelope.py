@@ -1,5 +1,5 @@
 """
-Ranges of deflection, rates, frequencies and mass in which a fit can be trusted.
+Validity range of a fit: ranges of deflection, rates, frequencies and mass.
 
 A model that was fitted to small bending has not been tried at large bending, and so on: outside
 of the envelope a prediction is an extrapolation. Light enough for the live predictor; what takes

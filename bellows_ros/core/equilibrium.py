@@ -1,5 +1,5 @@
 """
-Where a package hangs at rest, and small motions about a state.
+Static equilibrium of the package, and its small motions about a state.
 
 Derivatives of the package's acceleration, modes, step sizes, and the static equilibrium. The
 scalar code of the last stands step for step in C, too (`bellows_equilibrium` in

@@ -1,5 +1,5 @@
 """
-A motion of the tool that tells K and P best, within the limits of an arm, its grip and the cup.
+Design of the motion with the most information on K and P, within limits of arm, grip and cup.
 
 It is a Fourier series in each axis, ramped in and out, whose coefficients maximise the determinant
 of the Fisher information (D-optimal) of small motions, for the guess of K and for one too soft and

@@ -1,4 +1,4 @@
-"""The shortest time in which a plan can be driven so that the grip stays safe."""
+"""The shortest time in which the tool can drive a plan with a safe grip."""
 
 from __future__ import annotations
 

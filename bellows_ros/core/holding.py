@@ -1,5 +1,5 @@
 """
-How far a vacuum grip is from letting go: peel, tip and slip.
+Safety factors of a vacuum grip against peel and slip.
 
 The vacuum presses the package on the lip with V = pressure below ambient times effective area (N).
 The wrench (f, m) of the cup on the package is that at S in S axes, so f_z > 0 pulls the package

@@ -1,5 +1,5 @@
 """
-The one place that knows numba.
+Numba where it is installed; the only module that imports it.
 
 A kernel is scalar code on tuples of floats. Where numba is installed it is compiled (and the
 machine code kept on disk), where it is not the very same source is interpreted.

@@ -1,5 +1,5 @@
 """
-The cup-package model as scalar kernels: where the spring wrench is.
+The cup-package model as scalar kernels, among them the spring wrench.
 
 Frames: ``A`` world, ``E`` tip of the tool arm, ``S`` centre of the lip on the package, ``B``
 centre of mass, with ``[S] = [B]``. Six-vectors are two 3-tuples, linear first, then angular.

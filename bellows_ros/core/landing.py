@@ -1,5 +1,5 @@
 """
-How sure a landing is: what each uncertain number contributes, and when to release for a target.
+Covariance of a landing, its contributions, and the time of release for a target.
 
 A landing is six figures: position in the plane of the floor (m), with no part along gravity, and
 the rotation vector from a nominal landing, in world axes (rad). Each toss lands at its own

@@ -1,4 +1,4 @@
-"""The cup and the package as frozen data, and the model's quantities for arrays of samples."""
+"""The cup and the package as frozen data, and the model for arrays of samples."""
 
 from __future__ import annotations
 

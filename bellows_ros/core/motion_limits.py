@@ -1,4 +1,4 @@
-"""What a motion asks of an arm, and motions stretched in time until that is within limits."""
+"""Speed, acceleration and jerk of a motion, and its stretching in time to meet limits."""
 
 from __future__ import annotations
 

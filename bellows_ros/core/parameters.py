@@ -1,5 +1,5 @@
 """
-Checks of parameter values against the table, and the matrices that they stand for.
+Validation of parameter values against the table, and conversion to matrices.
 
 A 6x6 matrix is 36 numbers, row-major; an inertia is [ixx, iyy, izz, ixy, ixz, iyz]; units are SI.
 """

@@ -1,5 +1,5 @@
 """
-What is uncertain about cup and package, and models with one of these numbers changed.
+Uncertain quantities of cup and package, and models with one of them changed.
 
 A figure's standard deviation is |J sigma| with J its derivatives by the uncertain numbers, which
 are taken to be independent: by central differences of whole predictions, so that it holds for

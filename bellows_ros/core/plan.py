@@ -1,5 +1,5 @@
 """
-What a planned motion of the tool does to the package: one pass over the plan, one compiled call.
+Prediction of the package along a plan of the tool, in one compiled pass.
 
 A plan is a `Trajectory` of E with body twists; the tool moves between its points along the cubic
 Hermite curve, and stands still after the last one. Loads are 1 / safety factor of the grip.

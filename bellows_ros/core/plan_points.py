@@ -1,4 +1,4 @@
-"""From the points of a plan to a trajectory of the tool that can be predicted, checked once."""
+"""Conversion of the points of a plan to a trajectory of the tool, with checks."""
 
 from dataclasses import replace
 import math

@@ -1,5 +1,5 @@
 """
-How well a prediction meets a measurement: errors per axis, spectra, and whether they are white.
+Errors of a prediction against a measurement: per axis, their spectra and whiteness.
 
 Residuals with samples missing (NaN) are taken as they are: powers, and pairs, of the samples
 there. A motion with samples missing is interpolated first: cut to zero there, it would seem to

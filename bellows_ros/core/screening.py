@@ -1,5 +1,5 @@
 """
-Which stamps and poses can be used, of live poses and of recorded messages.
+Checks of stamps and poses, live and recorded.
 
 Stamps are judged by a state machine over header stamps and times of arrival. A stamp that is wrong
 once is refused; one that goes on in a consistent way is believed after a short run: then a clock

@@ -1,5 +1,5 @@
 """
-Analytic derivatives of the integrator: how the package's next state follows small changes.
+Analytic derivatives of the integrator: of the package's next state by small changes.
 
 They are those of the discrete step itself (`kernels.step`), exact up to rounding, stage by
 stage. Changes of states are as in `jacobians`: shift, turn, linear and angular twist in the axes

@@ -1,4 +1,4 @@
-"""Whole simulations: the package under a tool motion, and the energies in it."""
+"""Simulation of the package under a tool motion, and the energies in it."""
 
 from __future__ import annotations
 

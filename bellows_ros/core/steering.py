@@ -1,5 +1,5 @@
 """
-Motions of the tool that leave the package without swing: the inverse, and input shaping.
+Tool motions that leave the package without swing: the inverse, and input shaping.
 
 The cup carries all six axes, so the package's pose is a flat output: its motion says what wrench
 the cup must give, and the damper, linear in the relative twist, how the tool must move for that.

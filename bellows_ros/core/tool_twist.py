@@ -1,4 +1,4 @@
-"""The tool's body twist where no driver sends it: estimated causally from its last poses."""
+"""Causal estimate of the tool's body twist from its last poses, for drivers without twists."""
 
 from __future__ import annotations
 

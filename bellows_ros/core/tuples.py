@@ -1,5 +1,5 @@
 """
-Scalar vocabulary of the kernels: vectors, matrices and rotations as tuples of floats.
+Vectors, matrices and rotations as tuples of floats, for the kernels.
 
 A vector is ``(x, y, z)``, a 3x3 matrix its nine entries row by row, a rotation a unit quaternion
 ``(x, y, z, w)`` where it is stored and a 3x3 matrix where it is applied.

@@ -1,4 +1,4 @@
-"""Keep ROS on this machine and to itself: for demonstrations and tests."""
+"""Keep ROS on this machine and in its own domain, for demonstrations and tests."""
 
 import os
 import socket

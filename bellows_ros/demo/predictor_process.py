@@ -1,4 +1,4 @@
-"""The node predictor as a process of its own, started and ended in order."""
+"""The node predictor as a process of its own, started and stopped cleanly."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

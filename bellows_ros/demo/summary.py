@@ -1,4 +1,4 @@
-"""What the demonstration says at its end."""
+"""The final message of the demonstration."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

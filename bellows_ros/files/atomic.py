@@ -1,5 +1,5 @@
 """
-Output that is written whole or not at all: beside its place, then renamed into it.
+Atomic output: written beside its target, then renamed.
 
 A process that is killed leaves the old output or the new one, and at most a hidden file or folder
 beside it, which the next process removes that writes there. The names of these hold the process,

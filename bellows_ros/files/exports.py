@@ -1,5 +1,5 @@
 """
-Cups for other programs: MuJoCo (MJCF), Drake, SDF, OpenPLX and C, and what each cannot say.
+Cups for other programs: MuJoCo (MJCF), Drake, SDF, OpenPLX and C, and the limits of each.
 
 The simulators put a spring with the diagonals of K and P between the tool tip and the package, in
 the middle of the cup. None has the energy (3.17) of the thesis, off-diagonal entries, or a damper

@@ -1,5 +1,5 @@
 """
-Reading the messages of an MCAP file, front to back, and writing the checksums of one.
+Reading the messages of an MCAP file from front to back, and writing its checksums.
 
 The file is read as a stream and nothing in it is believed that could cost memory: sizes are
 bounded before they are allocated, chunks are decompressed one at a time up to the size they

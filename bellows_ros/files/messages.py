@@ -1,5 +1,5 @@
 """
-Messages of recordings: decoded, encoded, and as streams of what of them can be used.
+Messages of recordings: decoding, encoding, and conversion to streams.
 
 These messages are a header, one or two strings, and a fixed row of doubles; messages whose first
 bytes and strings agree therefore lie in memory as one array. Everything else about CDR is not

@@ -1,5 +1,5 @@
 """
-Motive's CSV exports (formats 1.2 to 1.25): poses of rigid bodies, without what was not tracked.
+Motive's CSV exports (formats 1.2 to 1.25): tracked poses of rigid bodies.
 
 A pose is left out where its cells are blank, and where fewer markers of its body are seen than a
 rigid body needs. A marker is seen where its quality is at least 0.99 (appendix H); in an export

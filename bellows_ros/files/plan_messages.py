@@ -1,5 +1,5 @@
 """
-The messages of plans as CDR, all points at once: trajectory_msgs/MultiDOFJointTrajectory, Path.
+Plans as CDR messages, all points at once: trajectory_msgs/MultiDOFJointTrajectory, Path.
 
 Points lie in memory with one spacing, as doubles are aligned to 8: NumPy reads and writes a plan
 of 2,000 points in the time in which Python objects of 20 are made.

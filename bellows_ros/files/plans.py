@@ -1,5 +1,5 @@
 """
-Plans and tool motions in files: messages of several types in recordings, or as YAML.
+Plans and tool motions from files: messages of several types in recordings, or YAML.
 
 What comes out are points as `plan_messages.PlanMessage` has them; whether an arm can move so, and
 what lies between the points, is not decided here.

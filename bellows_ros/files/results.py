@@ -1,5 +1,5 @@
 """
-The result of a fit as a JSON file, and what it says of where the result comes from.
+The result of a fit as a JSON file, with its provenance.
 
 Numbers keep every digit. JSON knows neither NaN nor infinity: a number that is not known, because
 the recording does not determine it, is null.

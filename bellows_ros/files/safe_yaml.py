@@ -1,5 +1,5 @@
 """
-YAML read without trust: plain data, no duplicate or merge keys, bounded, errors with their line.
+Safe YAML: plain data, no duplicate or merge keys, bounded, errors with their line.
 
 Aliases are refused where asked: ROS does not know them either, and nested ones grow without bound
 when written out.

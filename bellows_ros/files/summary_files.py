@@ -1,5 +1,5 @@
 """
-Sufficient statistics of recordings as files, so that any scheduler can make them anywhere.
+Sufficient statistics of recordings as files.
 
 A file is a NumPy archive (.npz) without pickled objects: a JSON header with the names of fields,
 and all numbers of a `core.identification.reduction.Reduced` as arrays.

@@ -1,5 +1,5 @@
 """
-Poses out of the transforms of a recording: a tree of frames on /tf and /tf_static.
+Poses from the transforms of a recording: a tree of frames on /tf and /tf_static.
 
 Links of one way may come at different times and rates: those of the link with most messages count,
 and the others are interpolated there.

@@ -1,4 +1,4 @@
-"""What takes up and lets go the package: two services, and a vacuum signal where there is one."""
+"""Attaching and detaching the package: two services, and a vacuum signal if there is one."""
 
 from collections.abc import Callable, Mapping
 import math

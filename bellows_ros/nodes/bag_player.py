@@ -1,4 +1,4 @@
-"""Play the topics of a recording to ROS: for those who have rclpy, and no `ros2 bag`."""
+"""Play the topics of a recording to ROS, with rclpy but without `ros2 bag`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

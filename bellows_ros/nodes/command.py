@@ -1,5 +1,5 @@
 """
-Run one node as a command: help, start, spin, and an orderly end.
+Run one node as a command: help, start, spin, and an orderly exit.
 
 ROS is imported only when a node is really to run, so that `--help` answers at once and where no
 ROS is installed. Ctrl-C and SIGTERM end a node in order, with exit code 0; what the user can put

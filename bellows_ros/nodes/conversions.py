@@ -1,5 +1,5 @@
 """
-Turn ROS messages into the core's tuples, and predictions into ROS messages.
+Convert ROS messages to the core's tuples, and predictions to ROS messages.
 
 Stamps are integer nanoseconds; a round trip through them changes nothing.
 """

@@ -1,4 +1,4 @@
-"""Play a recording's tool-arm messages to a running predictor, and keep what it answers."""
+"""Play a recording's tool-arm messages to a running predictor, and keep its answers."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

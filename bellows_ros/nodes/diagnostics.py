@@ -1,4 +1,4 @@
-"""Publish the health of the predictor on /diagnostics and put it into its log."""
+"""Publish the health of the predictor on /diagnostics, and log it."""
 
 from collections.abc import Mapping
 import time

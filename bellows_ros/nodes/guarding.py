@@ -1,4 +1,4 @@
-"""A node that no exception in a callback ends: it is logged once, counted, and reported."""
+"""A node that survives exceptions in callbacks: logged once, counted, and reported."""
 
 from collections import Counter
 from collections.abc import Callable

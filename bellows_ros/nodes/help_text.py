@@ -1,4 +1,4 @@
-"""The text behind `--help` of a node, made from the table of parameters; needs no ROS."""
+"""The text of `--help` of a node, from the table of parameters; needs no ROS."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

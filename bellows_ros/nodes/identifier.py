@@ -1,4 +1,4 @@
-"""The command `identifier`: the node that finds a cup's stiffness and damping in recordings."""
+"""The command `identifier`: the node that identifies a cup from recordings."""
 
 from collections.abc import Callable, Sequence
 import sys

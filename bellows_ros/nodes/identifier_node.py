@@ -1,4 +1,4 @@
-"""The node that finds a cup's stiffness and damping in recordings, and shows them."""
+"""The node that identifies a cup from recordings, and shows them."""
 
 from collections import deque
 from collections.abc import Callable, Mapping

@@ -1,4 +1,4 @@
-"""A managed node that refuses what it cannot do, where rclpy would end it, and tidies up."""
+"""A managed node that refuses invalid transitions, where rclpy would end it, and cleans up."""
 
 from collections.abc import Callable, Iterable
 from typing import Any

@@ -1,4 +1,4 @@
-"""What RViz shows: the package as a box of its mass and inertia, the cup, and the cup's force."""
+"""Markers for RViz: the package as a box of its mass and inertia, the cup, and its force."""
 
 from collections.abc import Mapping
 from typing import Any

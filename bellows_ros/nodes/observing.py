@@ -1,4 +1,4 @@
-"""Measured poses of the package: heard, handed to the predictor, counted."""
+"""Measured poses of the package: received, passed to the predictor, counted."""
 
 from collections import Counter
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What the predictor publishes; beside the pose each topic only while somebody listens."""
+"""Outputs of the predictor; beside the pose, each topic only while it has subscribers."""
 
 from collections.abc import Callable, Mapping
 import importlib.util

@@ -1,4 +1,4 @@
-"""Declare the parameters of a node from the one table, and change them live, all or nothing."""
+"""Declare the parameters of a node from the table, and change them live, all or nothing."""
 
 from collections.abc import Collection, Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""Topics of plans: what a plan does to the package, before and while it is driven; steering."""
+"""Topics of plans: prediction before and during the motion; steering."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait

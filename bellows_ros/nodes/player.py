@@ -1,4 +1,4 @@
-"""Send messages when they are due, and receive meanwhile: what the players share."""
+"""Send messages when they are due, and receive meanwhile: shared by the players."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""The command `predictor`: the node that publishes where the held package is."""
+"""The command `predictor`: the node that publishes the pose of the held package."""
 
 from collections.abc import Callable, Sequence
 import sys

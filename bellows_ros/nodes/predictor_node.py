@@ -1,4 +1,4 @@
-"""The node that publishes where the held package is: convert, predict, convert back."""
+"""The node that publishes the pose of the held package: convert, predict, convert back."""
 
 from collections.abc import Iterable
 import sys

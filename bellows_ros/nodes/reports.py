@@ -1,4 +1,4 @@
-"""What the predictor says about its input: counts of `LivePredictor` put into words, no ROS."""
+"""Log messages of the predictor about its input, from the counts of `LivePredictor`; no ROS."""
 
 from collections.abc import Iterator
 

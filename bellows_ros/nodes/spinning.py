@@ -1,5 +1,5 @@
 """
-Spin a node to its end: woken by each message, and with the garbage collector between them.
+Spin a node: woken by each message, with garbage collection between messages.
 
 An executor of rclpy that waits builds the list of everything it waits for anew after each
 callback, which takes more time than the callback itself; one that is woken by events does not.

@@ -1,4 +1,4 @@
-"""Subscriptions to sensors: best effort unless overridden, watched for rate, age and QoS."""
+"""Subscriptions to sensors: best effort unless overridden, monitored for rate, age and QoS."""
 
 from collections.abc import Callable, Mapping
 import importlib.util

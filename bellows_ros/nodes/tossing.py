@@ -1,4 +1,4 @@
-"""Topics of the toss: where the package would land, when to release it, and the valve."""
+"""Topics of the toss: predicted landing, time of release, and the valve."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait

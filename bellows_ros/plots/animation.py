@@ -1,4 +1,4 @@
-"""Moving pictures of tool, cup and package: a replay, and a motion as planned and steered."""
+"""Animations of tool, cup and package: a replay, and a motion as planned and steered."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress

@@ -1,4 +1,4 @@
-"""A picture of a designed motion: its axes, their spectra, and the limits it takes up."""
+"""Picture of a designed motion: its axes, their spectra, and the limits it uses."""
 
 from typing import Any
 

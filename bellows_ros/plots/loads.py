@@ -1,4 +1,4 @@
-"""Pictures of what a cup carries: load against deflection, and what a fit leaves over."""
+"""Pictures of the cup's load: load against deflection, and the residuals of a fit."""
 
 from typing import Any
 

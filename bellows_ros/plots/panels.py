@@ -1,4 +1,4 @@
-"""Six panels, one per axis: what most pictures of this package are made of."""
+"""Six panels, one per axis: the layout of most pictures."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""Pictures of what a plan does to the package, and of how firmly a grip holds over time."""
+"""Pictures of a predicted plan, and of the safety factor over time."""
 
 import math
 from typing import Any

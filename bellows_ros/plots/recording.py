@@ -1,4 +1,4 @@
-"""Pictures of what was recorded: motion on all axes, spectra, and the path in space."""
+"""Pictures of a recording: motion on all axes, spectra, and the path in space."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The shape of a bellows, for pictures that move."""
+"""The shape of a bellows, for animations."""
 
 from bellows_ros.core.arrays import Array
 import numpy as np

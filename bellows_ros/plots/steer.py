@@ -1,4 +1,4 @@
-"""A picture of motions with and without swing: how far the package tilts over time."""
+"""Picture of motions with and without swing: tilt of the package over time."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol

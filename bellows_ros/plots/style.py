@@ -1,5 +1,5 @@
 """
-How pictures look: two themes, on paper and in the dark, and files that appear whole.
+Style of the pictures: a light and a dark theme, and atomic output.
 
 What is measured is a wide pale line and what is predicted a thin strong one on top of it, so that
 they differ without colour too; the two colours can be distinguished with all common kinds of

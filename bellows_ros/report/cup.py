@@ -1,4 +1,4 @@
-"""What a fit says: K and P with their intervals, what it has seen, how it was found."""
+"""The section on a fit: K and P with their intervals, validity range, and method."""
 
 from collections.abc import Mapping, Sequence
 import math

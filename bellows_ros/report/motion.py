@@ -1,4 +1,4 @@
-"""What a free simulation of a recording shows: motion, residuals, spectra, whiteness."""
+"""The section on a free simulation: motion, residuals, spectra, whiteness."""
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.holding import MODES

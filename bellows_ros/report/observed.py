@@ -1,4 +1,4 @@
-"""What measured poses of the package add to the live prediction."""
+"""The section on a camera: the gain by measured poses of the package."""
 
 from bellows_ros.core.residuals import AXES, Comparison
 from bellows_ros.workflows.observe import Observed

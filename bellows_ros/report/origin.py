@@ -1,4 +1,4 @@
-"""Where the numbers of a page come from: files, versions and settings."""
+"""The section on provenance: files, versions and settings."""
 
 from collections.abc import Mapping
 from typing import Any

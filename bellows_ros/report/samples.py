@@ -1,4 +1,4 @@
-"""Which samples of a recording were used, and what was wrong with the others."""
+"""The section on samples: used samples, and reasons for rejected ones."""
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.recording.recording import Recording, StreamReport

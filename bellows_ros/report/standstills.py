@@ -1,4 +1,4 @@
-"""What standstills have added to a fit, and how the structures of K and P compare."""
+"""The section on standstills, and on the comparison of structures."""
 
 from collections.abc import Mapping
 import math

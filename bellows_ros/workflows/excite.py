@@ -1,4 +1,4 @@
-"""A motion for an arm that tells a cup best: design it, say what it tells, write it."""
+"""Design the motion that identifies a cup best, report the expected errors, and write it."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

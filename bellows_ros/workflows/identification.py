@@ -1,4 +1,4 @@
-"""An identified cup with all that is known about it: in sentences, for its file, and as JSON."""
+"""An identified cup with everything known about it: as sentences, as a cup file, as JSON."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

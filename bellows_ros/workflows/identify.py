@@ -1,5 +1,5 @@
 """
-Identify a cup: recordings in, K and P with all that is known about them out.
+Identify a cup: recordings in, K and P with their uncertainty out.
 
 Every recording is reduced to what a fit needs of it, and the fit is made of what they are reduced
 to. Who reads them, one after the other, processes or a cluster, or whether they were reduced to

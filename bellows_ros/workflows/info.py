@@ -1,4 +1,4 @@
-"""What is in a recording, how good it is, and how it would be read: topics, rates, gaps, roles."""
+"""Contents and quality of a recording: topics, rates, gaps, and their probable roles."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace

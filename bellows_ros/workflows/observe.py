@@ -1,4 +1,4 @@
-"""What measured poses of the package add to the live prediction of a recording."""
+"""The gain by measured poses of the package in the live prediction of a recording."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What a planned motion does to the package: read a plan, predict it, say how sure that is."""
+"""Predict a planned motion: read the plan, predict the package, and the uncertainty."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

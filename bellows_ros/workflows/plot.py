@@ -1,4 +1,4 @@
-"""What pictures of a recording show: motion, spectra, loads against deflections, predictions."""
+"""Data of pictures of a recording: motion, spectra, loads against deflections, predictions."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace

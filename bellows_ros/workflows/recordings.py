@@ -1,4 +1,4 @@
-"""Reading a recording and preparing it as its parameters say."""
+"""Read a recording and prepare it according to its parameters."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Identify a valve from recordings of tosses: delay, tau, blow-off, and how well they repeat."""
+"""Identify a valve from recordings of tosses: delay, tau, blow-off, and their scatter."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

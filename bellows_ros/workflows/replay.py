@@ -1,4 +1,4 @@
-"""Predict a recording with a cup, and say what the cup is worth."""
+"""Predict a recording with a cup, and rate the cup."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

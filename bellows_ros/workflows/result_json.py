@@ -1,5 +1,5 @@
 """
-Results as plain mappings, for JSON files; what is not known is not finite, and null there.
+Results as plain mappings for JSON files; unknown numbers are not finite, and null there.
 
 Every mapping with numbers that have a unit holds it beside them: in `units` under the number's own
 key, or in `unit` of its only one; and counts, stamps in ns and rates in Hz say so in their keys.

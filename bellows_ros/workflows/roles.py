@@ -1,5 +1,5 @@
 """
-Which topic of a recording is the tool, and which the package: guessed from the poses themselves.
+Guess which topic of a recording is the tool and which the package, from the poses.
 
 The package hangs below the tool, at a distance that hardly changes while both move; that is seen
 in any recording. The names of the topics are asked only where the poses leave a choice.

@@ -1,5 +1,5 @@
 """
-Recordings of a known cup: a motion and its faults go in, a rosbag2 recording comes out.
+Simulate a recording of a known cup: a motion and its faults in, a rosbag2 recording out.
 
 What a motion file may hold, with units, stands in config/motion_example.yaml.
 """

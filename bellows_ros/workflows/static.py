@@ -1,4 +1,4 @@
-"""Static recordings: the cup's nominal length, and whether its spring holds where it hangs."""
+"""Static recordings: the cup's nominal length, and a check of its spring."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""A motion that leaves the package without swing: read a plan, steer it, say what it gains."""
+"""Change a motion so that the package does not swing: read a plan, steer it, report the gain."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

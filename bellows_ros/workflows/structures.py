@@ -1,4 +1,4 @@
-"""What is identifiable from recordings, and which structure of K and P to take."""
+"""Identifiability from recordings, and the recommended structure of K and P."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Where a planned toss ends, how sure that is, and what to fix first."""
+"""Predict the landing of a planned toss, its covariance, and the largest contribution."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How well an identified cup predicts the user's own motion, and what to record to better it."""
+"""Accuracy of an identified cup on the user's own motion, and what to record to improve it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

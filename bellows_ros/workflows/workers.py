@@ -1,4 +1,4 @@
-"""Work on recordings one by one, elsewhere: in processes on this machine, or on a Dask cluster."""
+"""Work on single recordings in parallel: in processes on this machine, or on a Dask cluster."""
 
 import asyncio
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence

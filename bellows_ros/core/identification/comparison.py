@@ -1,5 +1,5 @@
 """
-Two fits of a cup side by side: what differs, whether it can be chance, and whether it matters.
+Comparison of two fits of a cup: differences, their significance, and whether they matter.
 
 A difference is significant where the standard errors of both fits do not explain it; it matters
 where it changes the predicted motion: rest poses, natural frequencies, damping, response to a

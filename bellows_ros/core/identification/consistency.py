@@ -1,4 +1,4 @@
-"""Whether fits of several recordings or packages found the same cup."""
+"""Test whether fits of several recordings or packages are of the same cup."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

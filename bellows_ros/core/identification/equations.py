@@ -1,5 +1,5 @@
 """
-The equations of identification: the wrench of the cup is the one that the motion needs.
+The equations of identification: the cup's wrench equals the wrench of the motion.
 
 At the lip L x = c for every sample, with x the parameters of K and P (4.66-4.68). They are
 weighted by the wrenches' covariance, reduced to R factors, which have the same inner products,

@@ -1,4 +1,4 @@
-"""What is found together with K and P because the user set it free, or did not know it."""
+"""Quantities estimated together with K and P: those in fit.free, and package_world."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

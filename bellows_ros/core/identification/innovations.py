@@ -1,5 +1,5 @@
 """
-One-step prediction errors of the package's pose: the model steered by what was measured.
+One-step prediction errors of the package's pose, from a model corrected by measurements.
 
 A simulation that runs freely from a noisy tool motion drifts away from the package along its
 lightly damped modes, and its error is coloured. The innovations form corrects the state at every

@@ -1,4 +1,4 @@
-"""A cup fitted to recordings, by one of the methods that the parameter `fit.method` names."""
+"""The fit of a cup to recordings, by the method in `fit.method`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,5 +1,5 @@
 """
-A recording reduced to what fits and findings need of it, small enough for a file.
+The sufficient statistics of a recording for fits and findings, small enough for a file.
 
 The weight W of (4.66) comes from the wrenches of all recordings, so it is not known when one is
 reduced; what is kept can be weighted later. For a fit that are sufficient statistics: cluster by

@@ -1,5 +1,5 @@
 """
-The valve, identified from tosses: delay, time constant and blow-off, and how far they scatter.
+Identification of the valve from tosses: delay, time constant, blow-off, and their scatter.
 
 Of each toss the instant of letting go and the impulse are fitted to the package's poses, together
 with its state at the beginning. With the load L of the lip at that instant the suction force V

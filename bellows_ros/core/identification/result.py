@@ -1,4 +1,4 @@
-"""The outcome of a fit, frozen, with its uncertainty and what must be said about it."""
+"""The result of a fit, frozen, with its uncertainty and its warnings."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace

@@ -1,5 +1,5 @@
 """
-The filtered motions of a recording as identification sees them.
+The filtered motions of a recording, as inputs of the identification.
 
 The wrench that a motion needs and how the lip moves, what of the cup the motion has seen (its
 validity range), and whether the filter follows it: of a fast motion it leaves less, and of each

@@ -1,5 +1,5 @@
 """
-Which structure of K and P to take: candidates compared on what was held out.
+Selection of the structure of K and P: candidates compared on held-out data.
 
 More parameters always explain the recordings better. Whether they do so because the cup is like
 that, AIC and BIC guess from the number of independent samples, and held-out parts of the

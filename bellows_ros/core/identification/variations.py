@@ -1,4 +1,4 @@
-"""What was given with a recording, and how each of it may be otherwise; pure functions of it."""
+"""Variations of the given quantities of a recording, as pure functions of it."""
 
 from collections.abc import Callable
 from copy import copy

@@ -1,4 +1,4 @@
-"""The live predictor without ROS, in rooms of its own: screening, pairing, propagation."""
+"""The live predictor without ROS: screening, pairing, propagation."""
 
 from bellows_ros.core.live.predictor import (
     LivePredictor,

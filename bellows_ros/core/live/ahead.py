@@ -1,5 +1,5 @@
 """
-The tool's future while a plan is driven: where on the plan the tool is, and what is left of it.
+Tracking of a plan while the tool drives it: the tool's place on the plan, and the rest of it.
 
 Drivers start late and run scaled, so the plan is anchored to the tool: to the plan's nearest time
 along its path, not to the clock. Pure code, no ROS.

@@ -1,4 +1,4 @@
-"""Whether parameter values can stand together: by computing what they are for."""
+"""Check parameter values together, by computing with them."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """
-What the diagnostics say: observations put into levels (REP-107), words and numbers, no ROS.
+Diagnostics of the predictor: observations as levels (REP-107), messages and numbers; no ROS.
 
 OK: works as meant. WARN: works, but somebody should look at it. ERROR: does not do its work.
 """

@@ -1,4 +1,4 @@
-"""How near the cup is to letting go, and to what its identification has not seen."""
+"""Holding margin and distance from the validity range of a live prediction."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """
-Bring the tool's twists to the stamps of its poses, whichever comes first and at whatever rates.
+Interpolation of the tool's twists to the stamps of its poses, in any order and at any rate.
 
 A twist of the same stamp is taken as it is; between two twists it is interpolated; where neither
 is to be had without waiting long, the pose goes on alone and its twist is estimated elsewhere.

@@ -1,4 +1,4 @@
-"""The state of the held package: started at rest, carried along with the tool, extrapolated."""
+"""The state of the held package: started at rest, propagated with the tool, extrapolated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recorded messages through the live predictor at full speed, and how far it is off."""
+"""Recorded messages through the live predictor at full speed, and the error of its predictions."""
 
 from array import array
 from collections import deque

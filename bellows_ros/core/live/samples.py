@@ -1,4 +1,4 @@
-"""What goes into the live predictor and what comes out; SI units, stamps in nanoseconds."""
+"""Inputs and outputs of the live predictor; SI units, stamps in nanoseconds."""
 
 from __future__ import annotations
 

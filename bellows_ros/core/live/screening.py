@@ -1,5 +1,5 @@
 """
-Which poses of the tool can be used: a state machine over stamps, frames and values.
+Screening of tool poses: a state machine over stamps, frames and values.
 
 Each pose is accepted, refused with a reason, or accepted as a fresh start with a reason. What
 looks wrong once is refused; what goes on in a consistent way is believed after a short run, so

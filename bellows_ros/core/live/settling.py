@@ -1,5 +1,5 @@
 """
-How far a prediction may be off because of how it began.
+Error of a prediction due to its unknown initial state.
 
 A package is started at rest, hanging from its tool. Where the tool moves then, or where its poses
 are thrown about later as no arm moves, the prediction is wrong by an amount that dies away with

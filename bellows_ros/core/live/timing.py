@@ -1,4 +1,4 @@
-"""Rates, jitter, age and computing times of messages, in a fixed amount of memory."""
+"""Rates, jitter, age and computing times of messages, in constant memory."""
 
 from __future__ import annotations
 

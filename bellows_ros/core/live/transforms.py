@@ -1,4 +1,4 @@
-"""The tool's pose by the transforms of a tree of frames, as they come on tf."""
+"""The tool's pose from a tree of transforms, as they arrive on tf."""
 
 from __future__ import annotations
 

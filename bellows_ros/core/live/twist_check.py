@@ -1,4 +1,4 @@
-"""Whether the twists that come fit the poses, and whether they would in other axes."""
+"""Check of measured twists against the poses, in both choices of axes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a vacuum signal says that the package is held."""
+"""Detection of a held package from a vacuum signal."""
 
 from __future__ import annotations
 

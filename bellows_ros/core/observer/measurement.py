@@ -1,4 +1,4 @@
-"""Measured poses of the package: which can be used, and what they say of its centre of mass."""
+"""Measured poses of the package: validity, and conversion to its centre of mass."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """
-The prediction of a held package, corrected by measured poses whenever they come.
+The prediction of a held package, corrected by measured poses in any order.
 
 Measurements come late and out of order. The tool's samples of the last moments are kept, each with
 the estimate after it: a measurement goes to its stamp, and all that followed is worked out again,

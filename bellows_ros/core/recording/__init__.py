@@ -1,1 +1,1 @@
-"""From recorded streams to motions of tool and package that a cup can be identified from."""
+"""Preparation of recorded streams for identification."""

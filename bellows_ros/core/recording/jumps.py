@@ -1,5 +1,5 @@
 """
-How far a pose jumps between two samples, and how much that stands out (appendix H).
+Sizes and significance of jumps between samples of a pose (appendix H).
 
 A body with finite speed cannot jump. How far it does is the least distance, over the time between
 two samples, of two straight continuations: of the samples before, and of the samples after. Honest

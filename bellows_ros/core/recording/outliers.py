@@ -1,5 +1,5 @@
 """
-Finding poses that tracking got wrong: excursions, steps and frozen poses (appendix H).
+Detection of tracking errors: excursions, steps and frozen poses (appendix H).
 
 Jumps of a pose that cancel each other enclose an excursion, of which all samples are marked; in
 axes of the world or of the body. A jump over a gap is one as well, as far as the motion lets it be

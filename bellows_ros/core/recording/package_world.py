@@ -1,5 +1,5 @@
 """
-The transform between two worlds: a robot's driver knows its base, motion capture its own world.
+The transform between the worlds of the tool's and the package's poses.
 
 It brings the package's poses into the frame of the tool's before anything else is done with them.
 """

@@ -1,5 +1,5 @@
 """
-From recorded streams to a recording that a cup can be identified from, or judged by.
+Preparation of recorded streams for identification and validation.
 
 Each stream goes into the world's axes (4.1), loses what tracking got wrong (appendix H), comes to
 a uniform rate, is aligned at rest (4.2-4.13) and filtered (4.15-4.63); then the tool comes to the

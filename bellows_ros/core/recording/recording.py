@@ -1,5 +1,5 @@
 """
-A recording that was read and prepared: what all that follows is made from.
+A recording after reading and preparation: the input of everything that follows.
 
 It is never changed. What is expensive and asked for more than once, such as its noise or the
 statistics of a fit, is computed when it is first asked for and kept with it.

@@ -1,5 +1,5 @@
 """
-Filtering what the cup does instead of what the package does (appendix J).
+Filtering of the package's motion relative to the tool (appendix J).
 
 The Savitzky-Golay filter takes the tool in the world, A_H_E, and the lip in the tool, E_H_S; the
 package's motion in the world follows from both. Which of the two ways is better was measured, see

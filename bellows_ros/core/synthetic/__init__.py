@@ -1,1 +1,1 @@
-"""Recordings that never were: motions, and what sensors make of them."""
+"""Synthetic recordings: motions, and a model of the sensors."""

@@ -1,5 +1,5 @@
 """
-Smooth motions of the tool tip E, known at every time together with their velocity.
+Smooth motions of the tool tip E, with pose and velocity at any time.
 
 A motion begins with a rest and has continuous accelerations (C2). Times are seconds since its
 beginning. Displacements are in world axes; turns are ``R_world_tool = R_start exp(phi)``, with the

@@ -1,4 +1,4 @@
-"""The recipe of a recording: what a motion file says, checked."""
+"""The content of a motion file, checked."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,5 +1,5 @@
 """
-What a tracking system makes of a true motion: marker frames, noise, tracking jumps, gaps, stamps.
+A model of a tracking system: marker frames, noise, outliers, dropouts, stamps.
 
 A recorded pose of a body with the true pose (R, o) in the world is
 

@@ -1,5 +1,5 @@
 """
-Nested settings, as a YAML file gives them, read one by one with errors that name the setting.
+Nested settings from YAML, read one by one, with errors that name the setting.
 
 Every name that is asked for is remembered, so that `Settings.done` can refuse the others.
 """

@@ -1,4 +1,4 @@
-"""Tosses in a recording: packages hang, are let go, fly and land, and others are picked up."""
+"""Tosses in a recording: packages hang, are released, fly and land, and the next is picked up."""
 
 from collections.abc import Sequence
 import math

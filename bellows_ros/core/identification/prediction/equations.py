@@ -1,5 +1,5 @@
 """
-The equations of motion of a recording, and how noise of the measured poses enters them.
+The equations of motion of a recording, and the covariance of their errors due to noise.
 
 At every pose of the package c = dv - f(tool, package; parameters) is zero, with dv the rate of its
 body twist and f that of the model (3.42). Twists and their rates come from the polynomials through

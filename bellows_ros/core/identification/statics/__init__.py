@@ -1,1 +1,1 @@
-"""What standstills tell: the nominal length, and K alone."""
+"""Identification from standstills: the nominal length, and K alone."""

@@ -1,5 +1,5 @@
 """
-What standstills say: the cup's nominal length (4.2), and whether its spring is right.
+The cup's nominal length from standstills (4.2), and a check of its spring.
 
 The spring can be checked pose by pose, and the length of the cup under several loads, seen without
 noise, leads to its length under none.
