@@ -93,8 +93,8 @@ def compare_files(before: Path, after: Path) -> Comparison:
     with content_of(before):
         settings = contents[0].get('settings')
         if not isinstance(settings, dict):
-            raise BellowsError('There are no settings, so the package is not known. Identify the '
-                               'cup again with this version.')
+            raise BellowsError('The result has no settings, so the package is unknown. Identify '
+                               'the cup again with this version.')
         values: dict[str, Any] = dict(resolve(settings, PACKAGE_PARAMETERS))
     with content_of(before, after):
         return Comparison(

@@ -121,17 +121,17 @@ def to_bag(
     found = [item for source in sources for item in _read(Path(source), fewest_markers)]
     if names and len(names) != len(found):
         raise BellowsError(
-            f'{len(names)} topics are named for {len(found)} bodies: '
-            f'{", ".join(converted.source for converted, _ in found)}. Name one for each, in this '
-            'order.'
+            f'{len(names)} topics are given for {len(found)} bodies: '
+            f'{", ".join(converted.source for converted, _ in found)}. Give one for each, in '
+            'this order.'
         )
     named: list[Item] = [
         _renamed(*pair) for pair in zip(found, names, strict=True)] if names else list(found)
     chosen = [converted.topic for converted, _ in named]
     if len(set(chosen)) < len(chosen):
         raise BellowsError(
-            f'Several bodies would be written to one topic, of {", ".join(chosen)}. '
-            'Name a topic for each.'
+            f'Several bodies have the same topic, among {", ".join(chosen)}. Give a topic for '
+            'each.'
         )
     named = _part(named, span)
     _require_poses([converted for converted, _ in named])
@@ -187,7 +187,8 @@ def tool_to_bag(
         others.setdefault((there, kind), []).append((log_ns, data))
     if any(there == name for there, _ in others):
         raise BellowsError(
-            f"Topic '{name}' is in recording '{bag}' already. Give the tool's another: --topic.")
+            f"Topic '{name}' is already in recording '{bag}'. Choose another for the tool with "
+            '--topic.')
     found: list[Item] = [(
         Converted(name, f"{tool_link} in '{read.frame_id}' of {bag}", len(stamps), {}),
         Recorded(name, POSE, stamps, read.poses, read.frame_id))]
@@ -278,12 +279,12 @@ def _require_poses(bodies: Sequence[Converted]) -> None:
 
 def _notes(items: Sequence[tuple[Converted, Recorded]]) -> tuple[str, ...]:
     """Return what is odd about the bodies: never tracked, or without a date."""
-    notes = [f'{converted.source} was tracked in no frame; its topic is empty.'
+    notes = [f'{converted.source} was never tracked; its topic is empty.'
              for converted, _ in items if not converted.poses]
     undated = [c.source for c, r in items if len(r.stamps_ns) and r.stamps_ns[0] < EARLIEST_NS]
     if undated:
         notes.append(
-            f'{", ".join(undated)}: no date is said; the stamps count from about zero.')
+            f'{", ".join(undated)}: the file has no date; the stamps start near zero.')
     return tuple(notes)
 
 

@@ -49,7 +49,7 @@ STANDSTILLS, EXCITATION, VALIDATION = '1_standstills', '2_excitation', '3_valida
 """Names of the recordings of a series, in their order."""
 
 NO_GRIP = (
-    'Nothing is said of the safety factor of the grip, which does not limit this motion: set '
+    'The safety factor of the grip is unknown and does not limit this motion: set '
     'cup.lip_radius and vacuum.holding.')
 
 
@@ -155,7 +155,7 @@ def excite(
     """
     if not SHORTEST <= duration <= LONGEST:
         raise BellowsError(
-            f'A motion of {duration:g} s is wanted; expected {SHORTEST:g} to {LONGEST:g} s.')
+            f'The motion is {duration:g} s long; expected {SHORTEST:g} to {LONGEST:g} s.')
     if seed < 0:
         raise BellowsError(f'The seed is {seed}; expected a whole number from 0 on.')
     tell = progress or (lambda what, part: None)
@@ -202,9 +202,9 @@ def tracking_from(settings: Settings) -> Tracking:
         sensor = sensor_from(settings.block(name))
         if min(sensor.position_noise, sensor.rotation_noise) <= 0.0:
             raise BellowsError(
-                f"Setting '{settings.name(name)}.noise' must have position (m) and rotation (rad) "
-                "above 0: the expected errors depend on them. 'bellows info' says that of a "
-                'recording.')
+                f"Setting '{settings.name(name)}.noise' must have position (m) and rotation "
+                "(rad) above 0: the expected errors depend on them. 'bellows info' reports the "
+                'noise of a recording.')
         found += [1.0 / sensor.rate_hz, Noise(sensor.position_noise, sensor.rotation_noise)]
     settings.done()
     return Tracking(*found)

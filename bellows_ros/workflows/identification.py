@@ -32,7 +32,7 @@ NOT_OF_THE_CUP = (
 )
 """Parameters that belong to one run and not into the file of the cup."""
 
-NO_CUP = 'This is no cup that can hold a package: the warnings say why.'
+NO_CUP = 'This cup cannot hold a package: see the warnings.'
 """Why a fit is refused that no predictor can take."""
 
 MISFIT = 'The model does not explain the recording'
@@ -163,7 +163,7 @@ class Identification:
                   for text in world_sentence(part.name, part.package_world)]
         lines += self._offset_sentences()
         lines += [
-            f'{name} was found together with K and P: '
+            f'{name} was estimated together with K and P: '
             f'{", ".join(f"{x:.6g} ± {s:.2g}" for x, s in zip(value, std, strict=True))} {unit}.'
             for name, value, std, unit in self._freed()]
         lines += _standstill_sentences(self)
@@ -269,7 +269,7 @@ class Identification:
             f'{fit.method}, {fit.structure}; {fit.samples_used} samples used, '
             f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
             *self._offset_sentences(),
-            *(f'REFUSED, and written by force: {reason}' for reason in self.refusals),
+            *(f'REFUSED, but written because of --force: {reason}' for reason in self.refusals),
         ]
 
 
@@ -293,10 +293,10 @@ def _standstill_sentences(result: Identification) -> list[str]:
         else f'{labels[i]} from them alone' for i in order[:SHOWN]
     ]
     more = f' and {len(order) - SHOWN} more' if len(order) > SHOWN else ''
-    narrowed = f'standard errors with over without them: {", ".join(parts)}{more}' if order else (
-        'they change no standard error')
+    narrowed = (f'ratio of standard errors with and without them: {", ".join(parts)}{more}'
+                if order else 'they change no standard error')
     lines = [
-        f'{found.count} standstills count in the fit (chi^2 per degree of freedom '
+        f'{found.count} standstills are part of the fit (chi^2 per degree of freedom '
         f'{found.chi2:.2g}): {narrowed}.'
     ]
     if static.length:

@@ -43,8 +43,8 @@ BY_SUMMARIES = {'fit.method': 'least_squares'}
 """Summaries hold the sums that least squares needs, and no poses."""
 
 ONLY_SUMS = (
-    'Summaries are fitted by least squares, whatever fit.method says: they hold no poses to '
-    'predict. Give the recordings themselves for the prediction error.')
+    'Summaries are fitted by least squares, regardless of fit.method: they contain no poses. '
+    'Give the recordings themselves for the prediction error.')
 
 OF_ALL_SUMMARIES = (
     'bags', 'fit.compare_recordings', 'static.bags', 'static.files', 'validation.bags',
@@ -148,8 +148,8 @@ def identify_summaries(
     for name, value in shared.items():
         if values[name] != value and name not in OF_ALL_SUMMARIES:
             raise BellowsError(
-                f"{name} is {values[name]!r}, but '{paths[0]}' was reduced with {value!r}. "
-                'Leave it out, or reduce them again.'
+                f"{name} is {values[name]!r}, but '{paths[0]}' was reduced with {value!r}. Leave "
+                'it out, or reduce the recordings again.'
             )
     _require_reducible(values)
     static = _static(values, tell)
@@ -180,7 +180,7 @@ def write_summary(
     values = resolved({**settings, **BY_SUMMARIES})
     if len(values['bags']) != 1:
         raise BellowsError(
-            f'A summary is of one recording, not of {len(values["bags"])}. Write one for each.')
+            f'A summary contains one recording, got {len(values["bags"])}. Write one for each.')
     _require_reducible(values)
     part: Reduced = read_part(os.fspath(values['bags'][0]), values_of_each(values)[0])
     kept = {name: value for name, value in values.items() if name not in NOT_OF_THE_CUP}
@@ -200,8 +200,8 @@ def _require_reducible(values: Mapping[str, Any]) -> None:
     """Refuse parameters with which a recording cannot be reduced beforehand."""
     if name := needing_recordings(values):
         raise BellowsError(
-            f'{name} takes the recordings themselves, not what they were reduced to. Leave it '
-            'out, or give all recordings to bellows identify.'
+            f'{name} needs the recordings themselves, not their summaries. Leave it out, or give '
+            'all recordings to bellows identify.'
         )
 
 
@@ -218,25 +218,25 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
         )
     if values['static.length'] and not values['static.bags']:
         raise BellowsError(
-            'static.length is set, but static.bags is empty: the length is found from standstills '
+            'static.length is set, but static.bags is empty: the length comes from standstills '
             'with two or more masses. Name their recordings in static.bags.'
         )
     if values['output.report'] and len(values['bags']) > MOST_ON_A_PAGE:
         raise BellowsError(
-            f'A report shows every recording: of at most {MOST_ON_A_PAGE}, not of '
-            f'{len(values["bags"])}. Leave the report out.'
+            f'A report shows at most {MOST_ON_A_PAGE} recordings, got {len(values["bags"])}. '
+            'Leave the report out.'
         )
     used = {os.path.realpath(bag) for bag in values['bags']}
     seen = [bag for bag in values['validation.bags'] if os.path.realpath(bag) in used]
     if seen:
         raise BellowsError(
-            f"'{seen[0]}' is both in bags and in validation.bags: a cup is validated on what it "
-            'has not seen. Take it out of one.'
+            f"'{seen[0]}' is both in bags and in validation.bags, but validation needs a "
+            'recording that was not used in the fit. Remove it from one.'
         )
     missing = [name for name in PACKAGE_PARAMETERS if name not in values]
     if values['validation.bags'] and missing:
         raise BellowsError(
-            f'Which package validation.bags held is not known: set {", ".join(missing)} beside '
+            f'The package of validation.bags is unknown: set {", ".join(missing)} beside '
             'package.files.'
         )
     return values
@@ -248,13 +248,12 @@ def _with_free(values: dict[str, Any]) -> dict[str, Any]:
     given = sorted(free - {'time_offset', 'package_world'})
     for wrong, remedy in (
         (given and values['fit.method'] != 'prediction_error',
-         'they are found by fit.method: prediction_error, not by least squares. Set that, and '
-         'give the recordings themselves'),
+         'they need fit.method: prediction_error. Set it, and give the recordings themselves'),
         (set(given) - {'length'} and values['package.files'],
          'package.files gives each recording a package of its own. Fit the recordings of one '
          'package alone'),
         ('length' in free and values['static.length'],
-         'static.length finds the length from standstills. Take one of the two'),
+         'static.length estimates the length from standstills. Use one of the two'),
     ):
         if wrong:
             raise BellowsError(f'fit.free: {", ".join(given)}: {remedy}.')
@@ -268,8 +267,8 @@ def assumed(settings: Mapping[str, object]) -> tuple[str, ...]:
     if 'cup.length' in settings or settings.get('static.length'):
         return ()
     return (
-        f'cup.length is not set: the {THESIS_LENGTH:g} m of the thesis are taken, on which K and '
-        'P depend. Measure yours from the tool tip to the lip, under vacuum and without load.',
+        f"cup.length is not set: using the thesis's {THESIS_LENGTH:g} m, on which K and P "
+        'depend. Measure yours from the tool tip to the lip, under vacuum and without load.',
     )
 
 

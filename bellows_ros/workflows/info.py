@@ -264,25 +264,25 @@ def _quality_notes(
     for topic in described:
         if topic.motion and max(topic.motion.position) > LARGE_WAY:
             notes.append(
-                f'{topic.name} moves through {max(topic.motion.position):.0f} m: are its '
-                'positions in millimetres? They must be in metres (REP-103).'
+                f'{topic.name} moves through {max(topic.motion.position):.0f} m. Its positions '
+                'may be in millimetres; they must be in metres (REP-103).'
             )
         if topic.name not in used:
             continue
         if topic.rate_hz < LOW_RATE_HZ:
             notes.append(
-                f'{topic.name} has only {topic.rate_hz:.0f} Hz; axial and bending modes of a cup '
-                f'lie at several Hz: record at {LOW_RATE_HZ:.0f} Hz or more.'
+                f'{topic.name} has only {topic.rate_hz:.0f} Hz, but axial and bending modes of a '
+                f'cup lie at several Hz. Record at {LOW_RATE_HZ:.0f} Hz or more.'
             )
         if topic.jitter_s * topic.rate_hz > JITTER_SAID:
             notes.append(
-                f'The stamps of {topic.name} jitter by {topic.jitter_s * 1e3:.2g} ms; are they '
-                'arrival times? Stamps of the sensor give better accelerations.'
+                f'The stamps of {topic.name} jitter by {topic.jitter_s * 1e3:.2g} ms; they may '
+                'be arrival times. Stamps of the sensor give better accelerations.'
             )
     if len([guess for guess in guesses[:2] if guess]) < 2:
         notes.append(
-            'An identification needs the poses of tool and package; only a simulation or a '
-            'prediction does with the tool alone.'
+            'An identification needs the poses of tool and package; the tool alone is enough '
+            'only for a simulation or a prediction.'
         )
     return notes
 
@@ -300,22 +300,23 @@ def _at_rest(
     tilts = [float(np.arccos(np.clip(R[2, 2], -1.0, 1.0))) for R in (tool, package)]
     turned = float(np.linalg.norm(log_so3(tool.T @ package)))
     notes = [
-        f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool: about '
-        'cup.length if its poses are those of the lip (recording.package_frame: lip), cup.length '
-        'and the depth of package.com together if they are those of the centre of mass (com).'
+        f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool. That is about '
+        'cup.length if its poses are those of the lip (recording.package_frame: lip), or '
+        'cup.length plus the depth of package.com if they are those of the centre of mass '
+        '(com).'
     ]
     if rest_s < SHORTEST_REST:
         notes.append(
-            f'It stands still for only {rest_s:.1f} s at the beginning; begin with 2 s of rest '
-            'to make out turned marker frames.'
+            f'The standstill at the beginning lasts only {rest_s:.1f} s. Start with 2 s of '
+            'standstill, so that rotated marker frames can be detected.'
         )
     aligned = max(*tilts, turned) > TURNED
     if aligned:
         tool_deg, package_deg = np.rad2deg(tilts)
         notes.append(
-            f'At rest the z axis of the tool is {tool_deg:.1f} and that of the package '
-            f'{package_deg:.1f} degrees off the vertical, and the two frames are turned by '
-            f'{np.rad2deg(turned):.1f} degrees: if the tool was upright then, set '
+            f'At rest the z axis of the tool is {tool_deg:.1f} degrees and that of the package '
+            f'{package_deg:.1f} degrees off the vertical, and the two frames are rotated by '
+            f'{np.rad2deg(turned):.1f} degrees. If the tool was upright then, set '
             'recording.align_at_rest.'
         )
     rest = max(0.1, np.floor(10.0 * REST_USED * rest_s) / 10.0)

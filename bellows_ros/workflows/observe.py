@@ -136,7 +136,8 @@ def _held(observer: Observer, poses: Trajectory, at: Trajectory, com: Array) -> 
     inside = newest >= 0
     if inside.sum() < 2:
         raise BellowsError(
-            'The measured poses come after the recorded ones: are the stamps of one clock?')
+            'All measured poses are later than the recorded ones. Check that one clock stamps '
+            'both.')
     found = []
     x, y, z = com.tolist()
     for position, q in zip(

@@ -65,9 +65,9 @@ LARGEST_FACTOR = 1000.0
 """Safety factors are drawn no larger."""
 
 NO_GRIP = (
-    'Nothing is said of the safety factor of the grip: set cup.lip_radius and vacuum.holding.')
+    'The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
 ENDS_IN_MOTION = (
-    'The plan ends in motion: what follows its end is not known, and nothing is said of swing.')
+    'The plan ends in motion, so the swing after its end is unknown.')
 
 
 class Source(NamedTuple):
@@ -164,7 +164,7 @@ class PlanReport:
         if not self.prediction.ends_at_rest:
             found.append(ENDS_IN_MOTION)
         if self.outside:
-            found.append(f'Outside of what the fit has seen: {"; ".join(self.outside)}.')
+            found.append(f'Outside the validity range: {"; ".join(self.outside)}.')
         return tuple(found)
 
     def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
@@ -242,11 +242,11 @@ def plan(
     found = None
     if seek_fastest:
         if grip is None:
-            raise BellowsError(f'The shortest safe time cannot be sought. {NO_GRIP}')
+            raise BellowsError(f'The shortest safe time cannot be found. {NO_GRIP}')
         if not prediction.ends_at_rest:
             raise BellowsError(
-                'The shortest safe time cannot be sought: the plan ends in motion. Give one that '
-                'ends at rest.')
+                'The shortest safe time cannot be found, because the plan ends in motion. Give '
+                'a plan that ends at rest.')
         found = fastest(values, model, grip, source.tool, least)
     return PlanReport(
         os.fspath(path), source, prediction, dict(zip(names, std.tolist(), strict=True)),
@@ -335,8 +335,8 @@ def read_plan(
     chosen = inside([source.tool.stamps_ns, stamps], values)[0]
     if (points := np.count_nonzero(chosen)) < 2:
         raise BellowsError(
-            f'Of the plan, {points} points are from recording.start to recording.end; expected 2 '
-            'or more. Give a longer part.')
+            f'The plan has {points} points from recording.start to recording.end; expected 2 or '
+            'more. Select a longer part.')
     return source._replace(tool=source.tool.select(chosen))
 
 
@@ -357,8 +357,8 @@ def _read_plan(
         return Source(tool, '', gravity), undated
     plans = plans_in(file, topic)
     if plans:
-        notes = [f"'{file}' has {len(plans)} plans, of which this is the first, on "
-                 f'{plans[0][0]}.'] if len(plans) > 1 else []
+        notes = ([f"'{file}' has {len(plans)} plans; using the first, on {plans[0][0]}."]
+                 if len(plans) > 1 else [])
         source = _checked(plans[0][1], values, urdf, file, gravity)
         return source._replace(notes=tuple(notes)), undated
     return _recorded(file, values, urdf, topic)
@@ -397,8 +397,8 @@ def require_frame(frame_id: str, values: Mapping[str, Any]) -> None:
     wanted = values['plan.frame']
     if wanted and frame_id not in ('', wanted):
         raise BellowsError(
-            f"The plan is in frame '{short(frame_id)}'; expected '{wanted}', as plan.frame says. "
-            'Transform it before, or set plan.frame.')
+            f"The plan is in frame '{short(frame_id)}'; expected plan.frame, '{wanted}'. "
+            'Transform the plan, or set plan.frame.')
 
 
 def _dated(stamp_ns: int, times_ns: Stamps) -> Stamps:

@@ -289,8 +289,8 @@ def within(shown: Timed, first: float, last: float) -> Timed:
         valid = shown.motion.valid if isinstance(shown, Replayed) else shown.valid
     if np.count_nonzero(part & valid) < 2:
         raise BellowsError(
-            f'Of {first:g} to {last:g} s there are no two usable samples; the recording covers '
-            f'{seconds[0]:.2f} to {seconds[-1]:.2f} s.'
+            f'There are fewer than two usable samples from {first:g} to {last:g} s; the '
+            f'recording covers {seconds[0]:.2f} to {seconds[-1]:.2f} s.'
         )
     groups: dict[str, Any] = {}
     if isinstance(shown, Replayed):

@@ -31,9 +31,9 @@ from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 
 NO_OFFSET = (
-    'By how much the stamps of the tool are behind those of the package is not identifiable from '
-    'this recording: it was used as it is stamped. Record a motion that is richer in all '
-    'directions, with clocks that differ by less than 100 ms.'
+    'The time offset between tool and package is not identifiable from this recording; its '
+    'stamps were used unchanged. Record a motion that is richer in all directions, with clocks '
+    'that differ by less than 100 ms.'
 )
 """Said where a time offset is wanted and cannot be found."""
 
@@ -90,7 +90,7 @@ def load(
     empty = [own.name for own in streams.values() if not len(own)]
     if empty:
         raise BellowsError(
-            f"Topic '{empty[0]}' has nothing from recording.start to recording.end.")
+            f"Topic '{empty[0]}' has no messages from recording.start to recording.end.")
     recording = _prepared(
         streams['tool_pose'], streams['package_pose'], streams.get('tool_twist'), settings, values)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
@@ -127,8 +127,8 @@ def inside(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask
     chosen = [(stamps >= begins) & (stamps <= ends) for stamps in all_stamps]
     if ends <= begins or not any(mask.any() for mask in chosen):
         raise BellowsError(
-            f'There is nothing from recording.start, {start:g} s, to recording.end, {end:g} s (0: '
-            f'the end): the recording lasts {(last - first) / NS_PER_S:.1f} s.')
+            f'There are no messages from recording.start, {start:g} s, to recording.end, {end:g} '
+            f's (0: the end); the recording lasts {(last - first) / NS_PER_S:.1f} s.')
     return chosen
 
 
@@ -195,7 +195,7 @@ def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:
     where = 'behind' if offset.value >= 0.0 else 'ahead of'
     return [
         f'{bag}: the stamps of the tool were {1e3 * abs(offset.value):.3f} ± '
-        f'{1e3 * offset.std:.3f} ms {where} those of the package, which was taken out.'
+        f'{1e3 * offset.std:.3f} ms {where} those of the package; this was corrected.'
     ]
 
 
@@ -208,9 +208,9 @@ def world_sentence(bag: object, found: PackageWorld | None) -> list[str]:
         for part in (found.pose[:3], found.std[:3], found.std[3:]))
     quaternion = ', '.join(f'{x:.6f}' for x in found.pose[3:])
     return [
-        f'{bag}: recording.package_world was found: position {position} mm, quaternion (x y z w) '
-        f"{quaternion}; standard errors {errors} mm at the middle of the package's way, {turns} "
-        'mrad.'
+        f'{bag}: recording.package_world was estimated: position {position} mm, quaternion (x y '
+        f"z w) {quaternion}; standard errors {errors} mm at the middle of the package's path, "
+        f'{turns} mrad.'
     ]
 
 
@@ -233,7 +233,7 @@ def repeats(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
     for number, (name, digest) in enumerate(recordings):
         if digest in first:
             yield number, (
-                f"'{name}' and '{first[digest]}' are the same recording, which would count twice. "
+                f"'{name}' and '{first[digest]}' are the same recording and would count twice. "
                 'Give it once.'
             )
         first.setdefault(digest, name)

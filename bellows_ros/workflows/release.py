@@ -26,11 +26,11 @@ CHI2_WARNED = 2.0
 """A larger sum of squares over their number says that the model does not explain the poses."""
 
 NO_VALVE = (
-    'No valve was recorded on topics.valve: delay and tau are not identifiable, only the blow-off '
-    'is. Record the std_msgs/Bool that switches it.')
+    'No valve was recorded on topics.valve: only the blow-off is identifiable, not delay and '
+    'tau. Record the std_msgs/Bool that switches the valve.')
 NO_GRIP = (
     'cup.lip_radius or vacuum.holding is not set: tau is not identifiable, and the delay is the '
-    'whole time from the valve to letting go.')
+    'whole time from the valve to the release.')
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +82,8 @@ class ReleaseResult:
             found.append(NO_GRIP)
         if self.chi2 > CHI2_WARNED:
             found.append(
-                f'chi2 per pose is {self.chi2:.2g}, 1 where the model holds: cup, package or '
-                'their frames do not explain the tosses. Check them with bellows replay.')
+                f'chi2 per pose is {self.chi2:.2g}, expected 1: cup, package or their frames do '
+                'not explain the tosses. Check them with bellows replay.')
         return tuple(found)
 
     def parameters(self) -> dict[str, float]:

@@ -166,7 +166,7 @@ class Replay:
                 AXES, found.moves, found.scores.nrmse, strict=True) if moves
         ]
         if not moving:
-            return f'{self.bag}: no axis moves enough to validate on.'
+            return f'{self.bag}: no axis moves enough for a validation.'
         failing, limit = found.failing(), f'{100.0 * LIMIT:g} %'
         verdict = f'above {limit}: {", ".join(failing)}' if failing else f'all within {limit}'
         return f'Validated on {self.bag}, error over motion: {", ".join(moving)}; {verdict}.'
@@ -264,8 +264,8 @@ def _outside(values: Mapping[str, Any], recording: Recording) -> tuple[str, ...]
         return ()
     more = f'; and {len(phrases) - SHOWN} more' if len(phrases) > SHOWN else ''
     return (
-        f'The recording leaves the validity range of the fit: {"; ".join(phrases[:SHOWN])}{more}. '
-        'Errors there say little about the fit elsewhere.',
+        'The recording leaves the validity range of the fit: '
+        f'{"; ".join(phrases[:SHOWN])}{more}. There the errors say little about the fit.',
     )
 
 

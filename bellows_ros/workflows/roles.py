@@ -199,7 +199,7 @@ def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> TwistGu
         return TwistGuess(name, (why,), frame)
     for name, twist in twists.items():
         if compared[name] is None and _share_stamps(tool, twist):
-            why = 'its stamps are those of the tool, which moves too little to find its axes'
+            why = 'it has the stamps of the tool, which moves too little to determine its axes'
             return TwistGuess(name, (why,), 'world')
     return None
 

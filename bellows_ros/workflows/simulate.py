@@ -223,8 +223,8 @@ def _simulated(
     count = motion.duration * (rate + recipe.tool.rate_hz + recipe.package.rate_hz)
     if count > LARGEST_COUNT:
         raise BellowsError(
-            f'The recording needs {count:.2g} simulated samples, and {LARGEST_COUNT:.2g} can be. '
-            'Make it shorter, or lower the rates or the highest frequency.'
+            f'The recording needs {count:.2g} simulated samples; the limit is '
+            f'{LARGEST_COUNT:.2g}. Make it shorter, or lower the rates or the highest frequency.'
         )
     fine = sample_stamps(rate, motion.duration, recipe.start_ns)
     stamps_ns = np.unique(np.concatenate([fine, *(p.sampled_ns for p in plans.values())]))
@@ -373,10 +373,10 @@ def _bending_warning(angle: Array, seconds: Array) -> tuple[str, ...]:
     if not len(beyond):
         return ()
     return (
-        f'The cup bends by up to {math.degrees(angle.max()):.0f} degrees, and passes '
-        f'{math.degrees(BENDING_LIMIT):.0f} for the first time {seconds[beyond[0]]:.3f} s after '
-        'the beginning: from there the modelled restoring moment falls, and the package may flip. '
-        'Real cups bend some 20 degrees; use smaller or slower motions.',
+        f'The cup bends by up to {math.degrees(angle.max()):.0f} degrees, and by more than '
+        f'{math.degrees(BENDING_LIMIT):.0f} from {seconds[beyond[0]]:.3f} s on. Beyond that the '
+        'modelled restoring moment falls and the package may flip. Real cups bend some 20 '
+        'degrees; use smaller or slower motions.',
     )
 
 

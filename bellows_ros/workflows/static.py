@@ -71,17 +71,17 @@ class StaticResult:
         found = list(self.length.warnings) if self.length else []
         if self.length and abs(self.length.length - self.cup_length) > LENGTHS_AGREE_WITHIN:
             found.append(
-                f'cup.length is {self.cup_length * 1e3:.2f} mm, but these recordings say '
-                f'{self.length.length * 1e3:.2f} mm. Write the latter to a parameter file with '
-                '--out.'
+                f'cup.length is {self.cup_length * 1e3:.2f} mm, but these recordings give '
+                f'{self.length.length * 1e3:.2f} mm. Write the new value to a parameter file '
+                'with --out.'
             )
         for recording in self.recordings:
             good, failed = standstills_in(recording)
             if failed:
                 found.append(
                     f'{recording.name}: in {failed} of {failed + len(good)} standstills of the '
-                    'tool the package had not stopped swinging; they are left out. Hold each pose '
-                    'for longer.'
+                    'tool the package was still swinging; they are left out. Hold each pose for '
+                    'longer.'
                 )
         return (*found, *(f'{r.name}: {text}' for r in self.recordings for text in
                           r.report.warnings))

@@ -122,14 +122,16 @@ class SteerReport:
         found = list(self.source.notes)
         if self.steered.smoothed > 0.0:
             found.append(
-                f'The plan is not C^4: it was driven faster and smoothed over '
-                f'{1e3 * self.steered.smoothed:.0f} ms, in the same time. Where it bends the '
-                'package cuts corners.')
+                'The plan is not C^4, so it was driven faster and smoothed over '
+                f'{1e3 * self.steered.smoothed:.0f} ms, in the same time. At bends the package '
+                'cuts corners.')
         if self.time_scale > 1.0:
             found.append(
-                f'Stretched to {self.time_scale:.3f} times its time, for the limit {self.limit}.')
+                f'Slowed down to {self.time_scale:.3f} times the duration, for the limit '
+                f'{self.limit}.')
         if self.method != 'inverse' and not self.steered.modes:
-            found.append('No mode swings by more than 0.5 degrees afterwards: it is as planned.')
+            found.append('No mode swings by more than 0.5 degrees afterwards, so the motion is '
+                         'unchanged.')
         return tuple(found)
 
     @property
@@ -140,17 +142,16 @@ class SteerReport:
         inverse, zvd = self.motions['inverse'], self.motions['zvd']
         if not self.uncertain:
             return (
-                'How sensitive that is cannot be said, as no standard deviation is known: take '
-                'zvd, or set package.mass_std and package.com_std; cup.*_std come from '
-                "'bellows identify'.")
+                'The sensitivity is unknown, as no standard deviation is given. Use zvd, or set '
+                "package.mass_std and package.com_std; 'bellows identify' writes cup.*_std.")
         swings = [math.degrees(motion.expected_swing) for motion in (inverse, zvd)]
         longer = 1e3 * (zvd.added_time - inverse.added_time)
         finding = (
-            f'With what is known of cup and package the inverse is expected to leave '
+            'Given the uncertainty of cup and package, the inverse is expected to leave '
             f'{swings[0]:.2g} degrees and ZVD {swings[1]:.2g}, in {longer:.0f} ms more.')
         if inverse.expected_swing <= max(SETTLED, zvd.expected_swing):
             return f'{finding} Take the inverse.'
-        return f'{finding} Take zvd, or identify cup and package better.'
+        return f'{finding} Use zvd, or identify cup and package better.'
 
     def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for what is not known."""
@@ -255,7 +256,7 @@ def _scale(
     """Return how many times as long the motion takes within limits, and which one needs that."""
     grip = grip_of(values)
     if grip is None and limits.safety_factor > 0.0:
-        raise BellowsError(f'The limit safety_factor cannot be kept to. {NO_GRIP}')
+        raise BellowsError(f'The limit safety_factor cannot be met. {NO_GRIP}')
 
     def motion(scale: float) -> tuple[Trajectory, float]:
         tool = steer(model, timed(plan, scale), method, of_package).tool

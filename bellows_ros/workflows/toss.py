@@ -178,8 +178,8 @@ def toss_plan(
     tool, _, gravity, notes, _ = read_plan(path, values, urdf, topic)
     if target is not None and np.linalg.norm(gravity[:2]) > 1e-6 * np.linalg.norm(gravity):
         raise BellowsError(
-            'A target is x and y of the floor, and gravity.direction is not along -z. Give the '
-            'plan in a world whose z is up.')
+            'A target is x and y on the floor, but gravity.direction is not along -z. Give the '
+            'plan in a world with z up.')
     if switched is None and target is None:
         raise BellowsError('Neither a time nor a target is given. Give --release T or --target.')
     model = model_tuple(cup_of(values), package_of(values), gravity)
@@ -211,10 +211,9 @@ def _warnings(case: Case, held: Held) -> list[str]:
     if lost is not None:
         found.append(
             f'The grip is lost {lost:.3f} s after the beginning, before the valve is switched at '
-            f'{case.switched:.3f} s: the package is gone by then. Move slower, or raise the '
-            'vacuum.')
+            f'{case.switched:.3f} s. Move slower, or raise the vacuum.')
     if held.mode == 'delay':
         found.append(
-            'Without cup.lip_radius and vacuum.holding the cup lets go release.delay after the '
+            'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after the '
             'valve, whatever the load; release.tau has no effect.')
     return found

@@ -59,9 +59,9 @@ class Typical:
         """Accuracy, where it comes from, and what to record again."""
         (mm, most_mm), (mrad, most_mrad) = (
             (1e3 * value for value in each) for each in (self.position, self.rotation))
-        text = (f'Along {self.plan} the package is predicted to {mm:.2g} mm and {mrad:.2g} mrad '
-                f'(root mean square; at most {most_mm:.2g} mm and {most_mrad:.2g} mrad), as far '
-                'as K and P are uncertain.')
+        text = (f'Along {self.plan} the prediction of the package is accurate to {mm:.2g} mm and '
+                f'{mrad:.2g} mrad (root mean square; at most {most_mm:.2g} mm and '
+                f'{most_mrad:.2g} mrad), given the uncertainty of K and P.')
         if self.unknown:
             text += f' Not identifiable, and counted with 100 %: {", ".join(self.unknown)}.'
         named, part = list[str](), 0.0
@@ -72,8 +72,8 @@ class Typical:
             part += share
         axes = dict.fromkeys(axis for label in named for axis in label.split()[1].split('-'))
         again = dict.fromkeys(REMEDIES[axis] for axis in axes)
-        return (f'{text} Most of it comes from {" and ".join(named)}: to better it, record '
-                f"{' and '.join(again)} again; 'bellows excite' designs such a motion.")
+        return (f'{text} The largest contributions are {" and ".join(named)}. To reduce them, '
+                f"record {' and '.join(again)} again; 'bellows excite' designs such a motion.")
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file, m and rad."""

@@ -84,7 +84,7 @@ def test_a_length_that_is_not_given_is_said(
     short = tmp_path / 'short.yaml'
     short.write_text(''.join(line for line in lines if not line.startswith('cup.length')))
     done = bellows('identify', workshop / 'recording', '--params', short)
-    assert 'Warning: cup.length is not set: the 0.0481 m of the thesis' in ' '.join(
+    assert "Warning: cup.length is not set: using the thesis's 0.0481 m" in ' '.join(
         (done.stdout + done.stderr).split())
 
 
@@ -209,7 +209,7 @@ def test_a_page_of_many_recordings_is_refused_at_once(bellows: Run, workshop: Pa
     done = bellows('identify', *bags, '--params', 'package.yaml', '--jobs', '1', '--report',
                    'page.html', cwd=workshop)
     assert (done.returncode, done.stdout) == (2, '')
-    assert 'at most 20, not of 21' in ' '.join(done.stderr.split())
+    assert 'at most 20 recordings, got 21' in ' '.join(done.stderr.split())
 
 
 def test_a_page_of_recordings_read_apart(bellows: Run, workshop: Path, tmp_path: Path) -> None:
@@ -288,11 +288,11 @@ def test_opens_with_the_accuracy_at_a_typical_motion(
     done = bellows(*command, plan, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     said = ' '.join(done.stdout.split())
-    assert said.index('the package is predicted to') < said.index('stiffness K')
+    assert said.index('the prediction of the package is accurate to') < said.index('stiffness K')
     accuracy = json.loads((tmp_path / 'fit.json').read_text())['typical']
     assert 0.0 < accuracy['position_std_rms'] < accuracy['position_std_max'] < 0.01
     page = (tmp_path / 'page.html').read_text()
-    assert page.index('is predicted to') < page.index('The fit can be used.')
+    assert page.index('is accurate to') < page.index('The fit can be used.')
     before = contents(tmp_path)
     done = bellows(*command, tmp_path / 'none.yaml', cwd=tmp_path)
     assert done.returncode == 2 and 'none.yaml' in done.stderr

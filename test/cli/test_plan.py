@@ -60,9 +60,9 @@ def test_a_recording_is_a_plan(bellows: Run, workshop: Path) -> None:
 
 @pytest.mark.parametrize(('options', 'words'), [
     (('no.yaml',), "'no.yaml' does not exist"),
-    (('plan.yaml', '--set', 'plan.frame=base'), "expected 'base'"),
+    (('plan.yaml', '--set', 'plan.frame=base'), "expected plan.frame, 'base'"),
     (('point.yaml',), "Setting 'waypoints.poses'"),
-    (('plan.yaml', '--fastest'), 'cannot be sought'),
+    (('plan.yaml', '--fastest'), 'cannot be found'),
     (('plan.yaml', '--plot', 'plan.txt', *GRIP), 'must end in .png, .svg or .pdf'),
 ])
 def test_bad_input_ends_with_2_and_writes_nothing(

@@ -54,7 +54,7 @@ def test_summaries_must_be_there_and_alone(call, tmp_path, capsys):
     assert 'replace the recordings' in ' '.join(capsys.readouterr().err.split())
     assert call('identify', 'bags/identification', 'bags/validation', '--params',
                 'bags/package.yaml', '--summary-out', tmp_path / 'one.npz') == 2
-    assert 'of one recording, not of 2' in ' '.join(capsys.readouterr().err.split())
+    assert 'one recording, got 2' in ' '.join(capsys.readouterr().err.split())
 
 
 def test_a_page_shows_the_recordings_of_a_batch_too(call, tmp_path):
@@ -68,7 +68,7 @@ def test_a_page_of_very_many_recordings_is_refused(call, tmp_path, capsys):
     bags = [f'bags/identification_{i}' for i in range(21)]
     assert call('identify', *bags, '--params', 'bags/package.yaml', '--jobs', 1,
                 '--report', tmp_path / 'page.html') == 2
-    assert 'of at most 20, not of 21' in ' '.join(capsys.readouterr().err.split())
+    assert 'at most 20 recordings, got 21' in ' '.join(capsys.readouterr().err.split())
 
 
 def test_a_search_that_does_not_end_gives_no_cup(call, tmp_path, capsys, monkeypatch):

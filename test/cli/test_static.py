@@ -106,5 +106,5 @@ def test_recordings_from_the_parameter_file(
     found = json.loads(fit.stdout)
     assert abs(found['cup_length'] - PACKAGE['cup.length']) < 1e-4
     assert found['with_standstills']['standstills'] == 2 * len(MASSES)
-    assert '8 standstills count in the fit' in ' '.join(fit.stderr.split())
+    assert '8 standstills are part of the fit' in ' '.join(fit.stderr.split())
     assert 'The spring holds in all 8 poses.' in fit.stderr

@@ -34,7 +34,7 @@ def test_steers_says_writes_and_draws(
     assert found['path_error'] < 0.05e-3
     assert zvd['expected_swing'] < found['expected_swing']
     said = ' '.join(done.stdout.split())
-    assert 'the inverse is expected to leave' in said and 'ZVD' in said and 'Take ' in said
+    assert 'the inverse is expected to leave' in said and 'ZVD' in said and 'Use zvd' in said
     assert 'smoothed over' in said
     assert (tmp_path / 'steer.png').read_bytes().startswith(b'\x89PNG')
     assert {t.name for t in topics(tmp_path / 'steered')} >= {'/tool_arm/plan', '/package/plan'}
@@ -67,7 +67,7 @@ def test_keeps_to_limits(
             'speed', 'acceleration', 'angular_acceleration', 'safety_factor')
         assert found['speed'] <= 1.0 and found['acceleration'] <= 8.0
         assert found['angular_acceleration'] <= 40.0 and found['smallest_safety_factor'] >= 1.5
-        assert 'Stretched to' in ' '.join(done.stderr.split())
+        assert 'Slowed down to' in ' '.join(done.stderr.split())
 
 
 def test_an_animation_shows_planned_and_steered(

@@ -35,8 +35,8 @@ def test_what_is_odd_about_a_take_is_said(tmp_path: Path) -> None:
     done = to_bag([file], tmp_path / 'bag')
     assert [body.poses for body in done.bodies] == [2, 0]
     assert done.notes == (
-        f'{file} (Plate) was tracked in no frame; its topic is empty.',
-        f'{file} (Tool): no date is said; the stamps count from about zero.',
+        f'{file} (Plate) was never tracked; its topic is empty.',
+        f'{file} (Tool): the file has no date; the stamps start near zero.',
     )
     with pytest.raises(BellowsError, match=r'take.csv \(Plate\): 2 not tracked'):
         to_bag([layout(file, never, V24)], tmp_path / 'other')
@@ -69,7 +69,7 @@ def test_a_part_is_cut_of_all_alike(tmp_path: Path) -> None:
     stamps, values = read_tum(tmp_path / 'part.tum')
     np.testing.assert_array_equal(stamps, STAMPS[8:16])
     np.testing.assert_allclose(values, VALUES[8:16], rtol=1e-8, atol=1e-12)
-    with pytest.raises(BellowsError, match=r'nothing from recording.start, 1 s.* lasts 0.0 s'):
+    with pytest.raises(BellowsError, match=r'no messages from recording.start, 1 s.* lasts 0.0 s'):
         to_tum(tmp_path / 'bag', tmp_path / 'part.tum', '/tool/pose', {'recording.start': 1.0})
 
 
@@ -87,9 +87,9 @@ def test_topics_must_differ_and_be_as_many_as_bodies(tmp_path: Path) -> None:
         (tmp_path / folder).mkdir()
         write_tum(tmp_path / folder / 'x.tum', STAMPS, VALUES)
     sources = [tmp_path / 'a' / 'x.tum', tmp_path / 'b' / 'x.tum']
-    with pytest.raises(BellowsError, match='one topic'):
+    with pytest.raises(BellowsError, match='same topic'):
         to_bag(sources, tmp_path / 'bag')
-    with pytest.raises(BellowsError, match='1 topics are named for 2 bodies'):
+    with pytest.raises(BellowsError, match='1 topics are given for 2 bodies'):
         to_bag(sources, tmp_path / 'bag', ['/one'])
     assert not (tmp_path / 'bag').exists()
 

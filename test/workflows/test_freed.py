@@ -25,12 +25,12 @@ def test_a_wrong_length_and_centre_are_found_and_used(settings):
     assert result.parameters()['cup.length'] == result.cup_length == value
     error = result.fit.stiffness[2, 2] - 9200.0
     assert abs(error) < 4.0 * result.fit.stiffness_std[2, 2] < 0.05 * 9200.0
-    assert any(line.startswith('cup.length was found') for line in result.findings)
+    assert any(line.startswith('cup.length was estimated') for line in result.findings)
     assert result.refusals == () and np.all(result.verdict.simulated[0].rms[:3] < 3e-4)
 
 
 @pytest.mark.parametrize(('change', 'words'), [
-    ({'fit.free': ['com'], 'fit.method': 'least_squares'}, 'by fit.method: prediction_error'),
+    ({'fit.free': ['com'], 'fit.method': 'least_squares'}, 'need fit.method: prediction_error'),
     ({'fit.free': ['mass'], 'package.files': ['a', 'b']}, 'one package alone'),
     ({'fit.free': ['length'], 'static.length': True, 'static.bags': ['a']}, 'one of the two'),
     ({'fit.free': ['weight']}, 'a list of some of time_offset, com'),

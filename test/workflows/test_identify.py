@@ -386,7 +386,7 @@ def test_a_length_that_is_not_given_is_said_to_be_that_of_the_thesis(shipped, ro
     del values['cup.length']
     result = identify(values)
     assert not result.fit.usable
-    assert result.warnings[0].startswith('cup.length is not set: the 0.0481 m of the thesis')
+    assert result.warnings[0].startswith("cup.length is not set: using the thesis's 0.0481 m")
     assert 'package.com and cup.length' in result.warnings[1]
     assert not any('is not set' in warning for warning in shipped[0].warnings)
     found = identify({**values, **at_rest, 'static.length': True})
@@ -539,4 +539,4 @@ def test_a_refused_cup_is_written_by_force_alone_and_says_so(shipped, tmp_path):
         save(result, tmp_path / 'cup.yaml', tmp_path / 'fit.json')
     assert not (tmp_path / 'cup.yaml').exists() and (tmp_path / 'fit.json').exists()
     save(result, tmp_path / 'cup.yaml', None, force=True)
-    assert 'REFUSED, and written by force' in (tmp_path / 'cup.yaml').read_text()
+    assert 'REFUSED, but written because of --force' in (tmp_path / 'cup.yaml').read_text()

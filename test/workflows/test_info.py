@@ -104,7 +104,7 @@ def test_millimetres_are_noticed(tmp_path: Path) -> None:
     """Ask where something moves further than any arm."""
     m = motion()
     write_bag(tmp_path / 'bag', [poses('/tool', m['t'], 1e3 * m['o'], m['R'])])
-    assert any('are its positions in millimetres?' in note for note in info(
+    assert any('positions may be in millimetres' in note for note in info(
         tmp_path / 'bag').notes)
 
 

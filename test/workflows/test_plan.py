@@ -263,7 +263,7 @@ def test_a_part_of_a_plan_is_taken(tmp_path):
         np.testing.assert_array_equal(part.stamps_ns, whole.stamps_ns[inside])
         assert part.stamps_ns[0] == T0 + 10**8 and part.stamps_ns[-1] == T0 + 3 * 10**8
         np.testing.assert_array_equal(part.position, whole.position[inside])
-    with pytest.raises(BellowsError, match='Of the plan, 1 points are from recording.start'):
+    with pytest.raises(BellowsError, match='The plan has 1 points from recording.start'):
         read_plan(plan_bag, {**values, 'recording.start': 0.1, 'recording.end': 0.103})
 
 
@@ -273,7 +273,7 @@ def test_of_several_plans_the_first_is_taken_and_said(tmp_path):
         Encoded('/a', MULTI_DOF, np.array([T0]), [data]),
         Encoded('/b', MULTI_DOF, np.array([T0 + 5]), [encode_multi_dof(message(frame_id='b'))])])
     found = figures(tmp_path / 'bag')
-    assert 'has 2 plans, of which this is the first, on /a' in found['warnings'][0]
+    assert 'has 2 plans; using the first, on /a' in found['warnings'][0]
     assert figures(tmp_path / 'bag', topic='/b')['frame_id'] == 'b'
 
 
@@ -340,7 +340,7 @@ def spoiled(part, where, value):
 
 
 @pytest.mark.parametrize(('content', 'values', 'words'), [
-    (message(), {'plan.frame': 'world'}, "is in frame 'base'; expected 'world'"),
+    (message(), {'plan.frame': 'world'}, "is in frame 'base'; expected plan.frame, 'world'"),
     (message(times_ns=np.zeros(1, dtype=int), poses=samples()[1][:1], twists=None), {},
      'has 1 point; expected 2 to 100000'),
     (spoiled('times_ns', 50, 10), {}, 'expected times that increase'),

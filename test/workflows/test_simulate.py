@@ -292,7 +292,7 @@ def test_bending_beyond_45_degrees_is_warned_about_with_its_time(tmp_path):
     # The file has the package's 120 Hz, between which it turns by up to 0.1 rad more.
     assert 0.0 <= report.largest_bending - np.arccos(cosine.min()) < 0.1
     (warning,) = report.warnings
-    said = float(warning.split('first time ')[1].split(' s')[0])
+    said = float(warning.split(' from ')[1].split(' s')[0])
     assert passed - 1.0 / 120.0 <= said <= passed
     assert 'may flip' in warning
 
