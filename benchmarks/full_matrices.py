@@ -5,8 +5,9 @@ How well the prediction error finds full K and P, whatever the noise.
 
 Every recording is of another cup, simulated: K coupled, with an eigenvalue down to 0.4, P nearly
 singular. In turn there are 0, 0.05, 0.1 and 0.3 mm of noise on tool and package. A line says by
-how much K is off (Frobenius norm), the largest error in standard errors, how many of the 95 %
-intervals hold the truth, chi^2 per degree of freedom and the seconds that the fit took.
+how much K is off (Frobenius norm) and by how much any method must be (the root mean square at the
+Cramer-Rao bound), the largest error in standard errors, how many of the 95 % intervals hold the
+truth, chi^2 per degree of freedom and the seconds that the fit took.
 """
 
 import argparse
@@ -22,7 +23,15 @@ from bellows_ros.core.model import Cup
 from bellows_ros.core.recording.noise import Noise
 from bellows_ros.core.savgol import savgol
 from bellows_ros.core.structure import structure_named
-from benchmarks.identification import GRAVITY, HALF_WINDOW, ORDER, PLATE, RATE_HZ, recorded
+from benchmarks.identification import (
+    cramer_rao,
+    GRAVITY,
+    HALF_WINDOW,
+    ORDER,
+    PLATE,
+    RATE_HZ,
+    recorded,
+)
 import numpy as np
 
 FULL = structure_named('full')
@@ -62,14 +71,18 @@ def line(seed: int, duration: float) -> str:
     start = Cup(quick.stiffness, quick.damping, cup.length)
     fit = prediction_error(measured_segments(*poses, PLATE, GRAVITY), FULL, start)
     seconds = time.perf_counter() - began
-    away = np.linalg.norm(fit.stiffness - cup.stiffness) / np.linalg.norm(cup.stiffness)
+    size = np.linalg.norm(cup.stiffness)
+    away = np.linalg.norm(fit.stiffness - cup.stiffness) / size
+    variances = np.diag(cramer_rao(seed, duration, noise, noise, cup=cup, structure=FULL))
+    bound = np.linalg.norm(FULL.spread(np.sqrt(variances))[0]) / size
     true = FULL.parameters(cup.stiffness, cup.damping)
     known = np.isfinite(np.diag(fit.covariance))
     error = (FULL.parameters(fit.stiffness, fit.damping) - true)[known]
     z = np.abs(error) / np.sqrt(np.diag(fit.covariance)[known])
     worst = np.array(fit.labels)[known][np.argmax(z)] if known.any() else ''
     return (
-        f'| {seed} | {1e3 * noise.position:g} mm | {100.0 * away:.3f} | {z.max(initial=0.0):.1f} '
+        f'| {seed} | {1e3 * noise.position:g} mm | {100.0 * away:.3f} | '
+        f'{100.0 * bound:.3f} | {z.max(initial=0.0):.1f} '
         f'{worst} | {100.0 * np.mean(z < 1.96):.0f} | {int(known.sum())} | {fit.chi2:.3f} | '
         f'{len(fit.iterations)} | {seconds:.1f} | {"yes" if fit.usable else "no"} |')
 
@@ -81,7 +94,7 @@ def main() -> None:
     parser.add_argument('--first', type=int, default=0, help='seed of the first')
     parser.add_argument('--duration', type=float, default=30.0, help='of a recording, s')
     arguments = parser.parse_args()
-    header = 'seed noise K_off_% largest_error covered_% of chi2 steps s usable'.split()
+    header = 'seed noise K_off_% bound_% largest_error covered_% of chi2 steps s usable'.split()
     print(f'| {" | ".join(header)} |\n|{"---|" * len(header)}')
     for seed in range(arguments.first, arguments.first + arguments.runs):
         print(line(seed, arguments.duration), flush=True)

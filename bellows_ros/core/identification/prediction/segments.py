@@ -38,6 +38,11 @@ class PoseNoise(NamedTuple):
     ripple: Array
     kept: float = 0.0
 
+    @classmethod
+    def of(cls, std: Array, kept: float) -> 'PoseNoise':
+        """Return noise with standard deviations (6,), m and rad."""
+        return cls(std / cls(np.ones(6), kept).std, kept)
+
     @property
     def fresh(self) -> Array:
         """Standard deviations (6,) of e."""
