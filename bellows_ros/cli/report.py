@@ -59,6 +59,7 @@ def _report(arguments: argparse.Namespace, content: dict[str, Any], console: Con
     )
     from bellows_ros.workflows.recordings import load
     from bellows_ros.workflows.replay import validated
+    import numpy as np
 
     bags = [str(recording['bag']) for recording in content['recordings']]
     options.require_named_outputs(arguments, bags)
@@ -75,8 +76,11 @@ def _report(arguments: argparse.Namespace, content: dict[str, Any], console: Con
         for number, bag in enumerate(arguments.validation, len(bags)):
             progress(f'simulating {bag}', number / (len(bags) + len(arguments.validation) + 1))
             validations.append(validated(values, load(bag, values)))
-        excitation = excitation_of(
-            parts, structure_named(content['structure']), content['method'] == 'least_squares')
+        structure = structure_named(content['structure'])
+        covariance = content['parameters']['covariance']
+        excitation = excitation_of(parts, structure, content['method'], (
+            structure.parameters(*(np.array(content[name]) for name in ('stiffness', 'damping'))),
+            np.array([[np.inf if x is None else x for x in row] for row in covariance])))
         write_text(arguments.out, identification_report(
             content, recordings, excitation, validations))
     others = changed(content)

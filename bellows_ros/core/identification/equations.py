@@ -247,9 +247,6 @@ IN_NULL_SPACE = 0.05
 NO_EFFECT = 1e-8
 """A parameter whose column is smaller than this part of those of its kind has no effect."""
 
-LEAST_SIGNAL = 0.05
-"""Noise is taken to leave at least this part of the information on a direction."""
-
 
 def covariance_of(information: Array) -> Array:
     """

@@ -8,7 +8,7 @@ the same kind once more.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.equations import (
@@ -19,11 +19,11 @@ from bellows_ros.core.identification.equations import (
     Solution,
     solution,
     whitening_of,
+    without,
 )
 from bellows_ros.core.identification.reduction import Information
-from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import PassBand
-from bellows_ros.core.structure import AXES, Structure, structure_named
+from bellows_ros.core.structure import AXES, Structure
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -83,12 +83,13 @@ class Identifiability:
     label : str
         'K x', 'P rz', ...
     value : float
-        A first estimate, SI; nan where it is not identifiable.
+        An estimate, SI; nan where it is not identifiable.
     noise_share : float
-        Part (0 to 1) of the information on it that is nothing but measurement noise; nan where
-        the noise is not known, 1 where there is no other.
+        Part (0 to 1) of least squares' information on it that is nothing but measurement noise;
+        nan where the noise is not known, or for another method, 1 where there is no other.
     bias : float
-        Expected error of least squares that comes from noise, as a part of the value.
+        Expected error of least squares that comes from noise, as a part of the value; nan where
+        the noise share is.
 
     """
 
@@ -106,12 +107,12 @@ class Identifiability:
 
     @property
     def identifiable(self) -> bool:
-        """Whether there is information on it beside that of noise."""
-        return not (np.isnan(self.value) or self.noise_share > LARGEST_SHARE)
+        """Whether it is known to better than its own size."""
+        return not np.isnan(self.value)
 
     @property
     def weak(self) -> bool:
-        """Whether it is identifiable, but least squares will be noticeably off."""
+        """Whether it is identifiable, but least squares is off without what it knows of noise."""
         return self.identifiable and bool(
             self.noise_share > SHARE_WEAK or abs(self.bias) > SHARE_WEAK
         )
@@ -171,12 +172,12 @@ def _direction_warnings(
             f'{source}; {advice}.'
         )
     for name, each in weak:
-        share = (f'{each.noise_share:.0%} of the information on its {name} is noise, and'
+        share = (f'{each.noise_share:.0%} of the information on its {name} is noise:'
                  if each.noise_share > SHARE_WEAK else f'noise disturbs its {name}:')
         yield (
-            f'{title} is weakly excited: {share} least squares will be some {abs(each.bias):.0%} '
-            f'too {"small" if each.bias < 0.0 else "large"}. Use fit.method: prediction_error, '
-            f'or {advice}.'
+            f'{title} is weakly excited: {share} least squares takes off some '
+            f'{abs(each.bias):.0%}, which is right where the noise is white. Use '
+            f'fit.method: prediction_error, or {advice}.'
         )
 
 
@@ -278,29 +279,15 @@ class Excitation:
         return tuple(own.label for own in self.parameters if not own.identifiable)
 
 
-def found_by(
-    fit: Fit, excitation: Excitation, source: str
-) -> Excitation:
-    """Return what recordings can tell with a fit's own verdicts on what is identifiable."""
-    structure = structure_named(fit.structure)
-    values = structure.parameters(fit.stiffness, fit.damping)
-    known = np.isfinite(np.diag(fit.covariance))
-    parameters = tuple(
-        replace(own, value=float(value), noise_share=min(own.noise_share, LARGEST_SHARE))
-        if seen else replace(own, value=np.nan, noise_share=1.0)
-        for own, value, seen in zip(excitation.parameters, values, known, strict=True))
-    spread = np.where(known, np.sqrt(np.diag(fit.covariance)), 1.0)
-    pairs = tuple(_correlated(fit.covariance / np.outer(spread, spread), fit.labels))
-    return replace(
-        excitation, parameters=parameters, rank=int(np.count_nonzero(known)), pairs=pairs,
-        warnings=tuple(advice(parameters, structure, len(known), pairs, source, False)))
-
-
 def excitation_of(
-    parts: Sequence[Information], structure: Structure, filtered: bool = True
+    parts: Sequence[Information], structure: Structure, method: str = 'least_squares',
+    fit: tuple[Array, Array] | None = None,
 ) -> Excitation:
     """
     Return what of K and P is identifiable, from the information of each recording.
+
+    Where there is a fit its own standard errors say what is. Before, it is what has less
+    information from noise than from motion.
 
     Parameters
     ----------
@@ -308,9 +295,11 @@ def excitation_of(
         Of each recording.
     structure : Structure
         Which entries are to be found.
-    filtered : bool
-        Whether to warn of what biases least squares of filtered motion: noise, and what is too
-        fast for the filter.
+    method : str
+        Of the fit: of what biases least squares of filtered motion, noise and what is too fast
+        for the filter, is said nothing where it is another.
+    fit : (ndarray (2 n,), ndarray (2 n, 2 n)), optional
+        Parameters and their covariance, where they are found already.
 
     Raises
     ------
@@ -323,21 +312,32 @@ def excitation_of(
         raise BellowsError('No valid sample is left, so nothing is identifiable.')
     whitening = whitening_of(regular(wrench.covariance(structure)))
     found = solution(_r_factor(parts, 0, whitening), structure)
-    x = np.where(found.identifiable, found.x, np.nan)
-    shares, bias = _noise_effects(parts, structure, whitening, found)
+    axes, filtered = _axes(parts), method == 'least_squares'
+    shares = bias = np.full(len(found.x), np.nan)
+    if filtered:
+        shares, bias = _noise_effects(parts, structure, whitening, found)
+    if fit is None:
+        values, covariance = found.x, found.inverse @ found.inverse.T
+        known = found.identifiable & ~(shares > LARGEST_SHARE)
+    else:
+        values, covariance = fit
+        known = np.isfinite(np.diag(covariance))
+    spread = np.where(known, np.sqrt(np.diag(covariance)), 1.0)
     parameters = tuple(
-        Identifiability(label, float(value), 1.0 if np.isnan(value) else float(share), float(off))
-        for label, value, share, off in zip(structure.labels, x, shares, bias, strict=True)
+        Identifiability(label, float(value), float(share), float(off))
+        for label, value, share, off in zip(
+            structure.labels, np.where(known, values, np.nan),
+            np.where(found.identifiable, shares, 1.0) if filtered else shares, bias, strict=True)
     )
-    gram = found.inverse @ found.inverse.T
-    spread = np.where(found.identifiable, np.sqrt(np.diag(gram)), np.inf)
-    pairs = tuple(_correlated(gram / np.outer(spread, spread), structure.labels))
-    axes = _axes(parts)
+    pairs = tuple(_correlated(
+        without(covariance, ~known) / np.outer(spread, spread), structure.labels))
     source = 'this recording' if len(parts) == 1 else 'these recordings'
     fast = too_fast(axes, [part.passed for part in parts if part.passed]) if filtered else ()
+    rank = found.rank if fit is None else int(np.count_nonzero(known))
     return Excitation(
-        structure.name, axes, parameters, found.rank, len(x), found.condition_number, pairs,
-        (*advice(parameters, structure, found.rank, pairs, source, filtered), *fast))
+        structure.name, axes, parameters, rank, len(values), found.condition_number, pairs,
+        (*advice(parameters, structure, found.rank if filtered else len(values), pairs, source,
+                 filtered), *fast))
 
 
 def _r_factor(parts: Sequence[Information], draw: int, whitening: Array) -> Array:

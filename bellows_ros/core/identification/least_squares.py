@@ -2,7 +2,8 @@
 Weighted linear least squares on accelerations (4.66-4.81).
 
 Sufficient statistics of the recordings are weighted and joined by QR factorisations: the normal
-equations of the raw data are never formed.
+equations of the raw data are never formed. Noise in the equations adds M to A^T A and m to A^T b
+on average; where it is known both are taken off again (compensated least squares).
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -10,8 +11,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.identification.equations import (
     CLUSTER_WINDOWS,
+    IN_NULL_SPACE,
     joined,
-    LEAST_SIGNAL,
     r_factor,
     regular,
     Rows,
@@ -21,7 +22,12 @@ from bellows_ros.core.identification.equations import (
     WRENCH,
 )
 from bellows_ros.core.identification.reduction import Statistics
-from bellows_ros.core.identification.result import definiteness_warnings, Fit, WRENCH_UNITS
+from bellows_ros.core.identification.result import (
+    definiteness_warnings,
+    Fit,
+    LARGEST_ERROR,
+    WRENCH_UNITS,
+)
 from bellows_ros.core.structure import Structure
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
@@ -37,6 +43,9 @@ ENOUGH_CLUSTERS = 10
 
 SMALLEST_SHARE = 1e-3
 """Least information on a direction in other clusters, as a part, for a residual to count."""
+
+LEAST_SIGNAL = 0.1
+"""In a direction with less signal, as a part of its information, noise cannot be taken off."""
 
 UNEXPLAINED, OF_THE_WRENCH = 1.5, 0.1
 """Residuals so many times those of noise, and by such a part of the wrench, are too large."""
@@ -56,8 +65,8 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     Fit
         K and P with standard errors that allow for the correlation that the filter's window puts
         into the residuals, and are infinite where a parameter is not identifiable. Where the noise
-        is known, they hold the bias that it causes as well. A result that is not positive definite
-        is returned as it is, with a warning that says so.
+        is known, the bias that it causes is taken out. A result that is not positive definite is
+        returned as it is, with a warning that says so.
 
     Raises
     ------
@@ -88,15 +97,18 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
             f'{", ".join(structure.labels[:SHOWN])} and all others are not identifiable from '
             'these recordings: nothing moves. Excite all six directions.'
         )
-    covariance, squares = _uncertainty(rows, whitening, x, inverse)
     bias = noise_rms = None
+    gain = inverse
     if noise is not None:
-        bias = _bias(noise, whitening, x, inverse)
-        covariance = covariance + np.outer(bias, bias)
+        bias, gain, told = _bias(noise, whitening, x, inverse)
+        x, identifiable = x - bias, identifiable & told
         noise_rms = _noise_rms(noise, x, used)
-    covariance = without(covariance, ~identifiable | np.isinf(np.diag(covariance)))
-    residual_rms = np.sqrt(squares / used)
+    covariance, squares = _uncertainty(rows, whitening, x, inverse, gain)
     stiffness, damping = structure.matrices(x)
+    std = np.sqrt(np.diag(covariance))
+    identifiable &= np.isinf(std) | (std <= LARGEST_ERROR * structure.sizes(stiffness, damping))
+    covariance = without(covariance, ~identifiable | np.isinf(std))
+    residual_rms = np.sqrt(squares / used)
     stiffness_std, damping_std = structure.spread(np.sqrt(np.diag(covariance)))
     return Fit(
         method='least_squares',
@@ -137,47 +149,52 @@ def common_structure(parts: Sequence[Statistics]) -> Structure:
 
 
 def _uncertainty(
-    rows: Callable[[], Iterable[Rows]], whitening: Array, x: Array, inverse: Array
+    rows: Callable[[], Iterable[Rows]], whitening: Array, x: Array, inverse: Array, gain: Array
 ) -> tuple[Array, Array]:
     """Return the covariance (p, p) of x, however few clusters, and the squares (6,) left."""
-    covariance, squares, clusters = _cluster_robust(rows(), whitening, x, inverse)
+    covariance, squares, clusters = _cluster_robust(rows(), whitening, x, inverse, gain)
     if clusters < ENOUGH_CLUSTERS:
-        variances = np.maximum(np.diag(covariance), _least_variances(rows(), x, inverse, clusters))
-        covariance = _with_correlations_of(inverse @ inverse.T, variances)
+        variances = np.maximum(
+            np.diag(covariance), _least_variances(rows(), x, inverse, gain, clusters))
+        covariance = _with_correlations_of(gain @ gain.T, variances)
     return covariance, squares
 
 
 def _cluster_robust(
-    rows: Iterable[Rows], whitening: Array, x: Array, inverse: Array
+    rows: Iterable[Rows], whitening: Array, x: Array, inverse: Array, gain: Array
 ) -> tuple[Array, Array, int]:
     """
     Return the covariance (p, p) of x, the squares (6,) of wrench residuals, and the clusters.
 
     The covariance needs no independence of residuals that are less than a cluster apart, and
     no equal noise (the cluster-robust estimator; with Z = A R^-1 it is
-    R^-1 (sum of u u^T) R^-T, u = (I - Z_j^T Z_j)^-1/2 Z_j^T r_j for cluster j, in which the
-    root makes up for residuals that the fit itself has shrunk). Too few clusters cannot tell the
-    correlations of many parameters; these are then those of the equations.
+    G (sum of u u^T) G^T, u = (I - Z_j^T Z_j)^-1/2 Z_j^T r_j for cluster j, in which the
+    root makes up for residuals that the fit itself has shrunk, and G is R^-1, but where noise is
+    compensated; then the u have a mean, which counts for nothing). Too few clusters cannot tell
+    the correlations of many parameters; these are then those of the equations.
     """
-    meat, squares, count = np.zeros((len(x), len(x))), np.zeros(6), 0
+    scores, squares = [], np.zeros(6)
     colour = np.linalg.inv(whitening)
     for A, b, clusters in rows:
         r = b - A @ x
         squares += np.sum((r @ colour.T) ** 2, axis=0)
-        count += len(clusters)
         for part in clusters:
             Z = A[part].reshape(-1, len(x)) @ inverse
             share, V = np.linalg.eigh(np.eye(len(x)) - Z.T @ Z)
             root = V / np.sqrt(np.maximum(share, SMALLEST_SHARE))
-            u = root @ (V.T @ (Z.T @ r[part].ravel()))
-            meat += np.outer(u, u)
-    covariance = inverse @ meat @ inverse.T
-    if count < CLUSTERS_PER_PARAMETER * len(x):
-        covariance = _with_correlations_of(inverse @ inverse.T, np.diag(covariance))
-    return covariance, squares, count
+            scores.append(root @ (V.T @ (Z.T @ r[part].ravel())))
+    u = np.array(scores)
+    if gain is not inverse:
+        u = u - u.mean(axis=0)
+    covariance = gain @ u.T @ u @ gain.T
+    if len(u) < CLUSTERS_PER_PARAMETER * len(x):
+        covariance = _with_correlations_of(gain @ gain.T, np.diag(covariance))
+    return covariance, squares, len(u)
 
 
-def _least_variances(rows: Iterable[Rows], x: Array, inverse: Array, clusters: int) -> Array:
+def _least_variances(
+    rows: Iterable[Rows], x: Array, inverse: Array, gain: Array, clusters: int
+) -> Array:
     """
     Return the variances (p,) of x if residuals in a filter window are one, else independent.
 
@@ -194,20 +211,29 @@ def _least_variances(rows: Iterable[Rows], x: Array, inverse: Array, clusters: i
     if degrees <= 0:
         return np.full(len(x), np.inf)
     meat = np.tensordot(6.0 * squares / degrees, products, axes=1)
-    return np.asarray(np.diag(inverse @ meat @ inverse.T))
+    return np.asarray(np.diag(gain @ meat @ gain.T))
 
 
-def _bias(noise: Array, whitening: Array, x: Array, inverse: Array) -> Array:
+def _bias(
+    noise: Array, whitening: Array, x: Array, inverse: Array
+) -> tuple[Array, Array, Mask]:
     """
-    Return the expected error (p,) of x that noise in the equations causes.
+    Return the expected error (p,) of x by noise in the equations, and the gain without it.
 
     With noise that adds M to A^T A and m to A^T b on average, the truth is near
-    (A^T A - M)^-1 (A^T b - m), and the estimate off it by -(A^T A - M)^-1 (M x - m).
+    (A^T A - M)^-1 (A^T b - m), and the estimate off it by -(A^T A - M)^-1 (M x - m). The gain
+    (p, p) is G = (A^T A - M)^-1 R^T. In directions that are nearly all noise nothing is taken off,
+    and parameters with a part in them are not identifiable (p,).
     """
     added = np.einsum('ij,ipjq->pq', whitening.T @ whitening, noise)
     share, V = np.linalg.eigh(inverse.T @ added[:-1, :-1] @ inverse)
     slope = inverse.T @ (added[:-1] @ np.append(x, -1.0))
-    return np.asarray(-inverse @ V @ (V.T @ slope / np.maximum(1.0 - share, LEAST_SIGNAL)))
+    noisy = share > 1.0 - LEAST_SIGNAL
+    parts = (inverse @ V) ** 2
+    told = parts[:, noisy].sum(axis=1) <= IN_NULL_SPACE * parts.sum(axis=1)
+    compensated = inverse @ (V[:, ~noisy] / (1.0 - share[~noisy])) @ V[:, ~noisy].T
+    gain = compensated + inverse @ V[:, noisy] @ V[:, noisy].T
+    return -compensated @ slope, gain, told
 
 
 def _noise_rms(noise: Array, x: Array, used: int) -> Array:

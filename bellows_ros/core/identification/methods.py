@@ -6,7 +6,7 @@ import math
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.identifiability import Excitation, excitation_of, found_by
+from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import common_structure, least_squares
 from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
 from bellows_ros.core.identification.result import Fit, Freed, Iteration
@@ -70,25 +70,20 @@ def fit(
 
     """
     parts = [_reduced(own, values) for own in recordings]
-    excitation = excitation_of(
-        [part.information for part in parts],
-        common_structure([part.statistics for part in parts]),
-        values['fit.method'] == 'least_squares')
-    if not any(p.identifiable for p in excitation.parameters if p.label.startswith('P')):
+    structure = common_structure([part.statistics for part in parts])
+    found = fitted(recordings, values, progress)
+    excitation = excitation_of([part.information for part in parts], structure, found.method, (
+        structure.parameters(found.stiffness, found.damping), found.covariance))
+    if found.converged and not any(
+            own.identifiable for own in excitation.parameters if own.label.startswith('P')):
         raise BellowsError(
             'The recordings contain too little motion: damping is not identifiable from them, '
             'nor any stiffness that the weight does not load. Move the tool in all directions '
             "at 1-3 Hz, and along the cup at 4-6 Hz; standstills are for 'bellows static' and "
             'static.bags.'
         )
-    found = fitted(recordings, values, progress)
     if found.converged:
         _require_identifiable(found.freed)
-    if found.method == 'least_squares':
-        found = found.without(excitation.not_identifiable)
-    else:
-        excitation = found_by(
-            found, excitation, 'this recording' if len(parts) == 1 else 'these recordings')
     if values['fit.time_offset']:
         found = _with_offsets(found, [part.time_offset for part in parts])
     if standstills:

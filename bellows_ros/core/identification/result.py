@@ -1,11 +1,9 @@
 """The result of a fit, frozen, with its uncertainty and its warnings."""
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.equations import without
 from bellows_ros.core.structure import Structure, structure_named, STRUCTURES
 import numpy as np
 
@@ -21,6 +19,10 @@ def parameter_units(structure: Structure) -> tuple[str, ...]:
     return tuple(
         UNITS[matrix][(row > 2) + (column > 2)]
         for matrix in 'KP' for row, column in structure.leads)
+
+
+LARGEST_ERROR = 0.5
+"""A parameter with a standard error above this part of its size is not identifiable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +88,7 @@ class Fit:
         K (3.17) and P (3.33) in SI units, linear first.
     stiffness_std, damping_std : ndarray (6, 6)
         Standard errors; 0 for entries that the structure fixes at zero, inf for those that are
-        not identifiable. Those of least squares hold the bias.
+        not identifiable.
     covariance : ndarray (2 n, 2 n)
         Of the free parameters, in the order of the labels; what is not identifiable has inf on the
         diagonal and 0 beside it.
@@ -122,8 +124,8 @@ class Fit:
     noise_rms : ndarray (6,) or None
         RMS of the wrench that noise alone would leave, N and N m; None where it is not known.
     bias : ndarray (2 n,) or None
-        Expected error of the parameters that comes from noise in the motions; None where it is
-        not known.
+        Error of the parameters from noise in the motions that least squares has taken out; None
+        where the noise is not known.
 
     """
 
@@ -152,17 +154,6 @@ class Fit:
     standstills: StandstillPart | None = None
     noise_rms: Array | None = None
     bias: Array | None = None
-
-    def without(self, labels: Collection[str]) -> 'Fit':
-        """Return the fit with infinite standard errors of some parameters."""
-        unknown = np.array([label in labels for label in self.labels])
-        if not unknown.any():
-            return self
-        covariance = without(self.covariance, unknown)
-        errors = structure_named(self.structure).spread(np.sqrt(np.diag(covariance)))
-        return replace(
-            self, covariance=covariance, stiffness_std=errors[0], damping_std=errors[1]
-        )
 
     @property
     def usable(self) -> bool:

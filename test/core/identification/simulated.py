@@ -1,7 +1,9 @@
 """Simulated recordings for the tests of identification, prepared as a user's would be."""
 
+from dataclasses import replace
 import functools
 
+from bellows_ros.core.identification import equations
 from bellows_ros.core.identification.equations import Moments
 from bellows_ros.core.identification.identifiability import excitation_of
 from bellows_ros.core.identification.least_squares import least_squares as fit_statistics
@@ -11,6 +13,7 @@ from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.simulation import simulate
+from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.synthetic.motion import Oscillation, Pose, Segment, Waypoints
 from bellows_ros.core.synthetic.sensing import sample_stamps
 from bellows_ros.core.trajectory import PoseStream
@@ -94,12 +97,20 @@ def least_squares(recordings, cup_length, structure, noises=()):
                            for samples, noise in zip(recordings, known, strict=True)])
 
 
-def excitation(recordings, cup_length, structure, noises=(), filtered=True):
+def without(fit, labels):
+    """Return a fit with infinite standard errors of some parameters."""
+    unknown = np.array([label in labels for label in fit.labels])
+    covariance = equations.without(fit.covariance, unknown)
+    errors = STRUCTURES[fit.structure].spread(np.sqrt(np.diag(covariance)))
+    return replace(fit, covariance=covariance, stiffness_std=errors[0], damping_std=errors[1])
+
+
+def excitation(recordings, cup_length, structure, noises=()):
     """Return what samples can tell, with their noises where they are known."""
     known = noises or [None] * len(recordings)
     return excitation_of([information_of(samples, cup_length, structure, noise)
                           for samples, noise in zip(recordings, known, strict=True)],
-                         structure, filtered)
+                         structure)
 
 
 def wrench_covariance(samples, structure):

@@ -27,6 +27,7 @@ from bellows_ros.core.identification.result import (
     Fit,
     Freed,
     Iteration,
+    LARGEST_ERROR,
     POSE_UNITS,
 )
 from bellows_ros.core.model import Cup
@@ -276,9 +277,6 @@ LEAST_EXCESS = 0.25
 
 LARGEST_LEVERAGE = 0.999
 """Part of a second that is left out: something is left where one second tells all."""
-
-LARGEST_ERROR = 0.5
-"""A parameter with a standard error above this part of its size is not identifiable."""
 
 LEAST_SIGNAL = 0.05
 """A direction whose information is signal to a smaller part is taken to have this part."""

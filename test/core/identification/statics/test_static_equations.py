@@ -115,7 +115,7 @@ def test_standstills_narrow_the_errors_and_do_not_shift_the_result():
 
 def test_what_no_motion_tells_standstills_do():
     """Take the axial stiffness out of the fit to a motion: it comes from rest alone."""
-    fit = moving(3).without(['K z', 'P z'])
+    fit = simulated.without(moving(3), ['K z', 'P z'])
     assert np.isinf(fit.stiffness_std[2, 2])
     joined = joined_with_standstills(fit, resting(4), exact(), G, 1.4 * simulated.CUP.stiffness)
     assert np.isfinite(joined.stiffness_std[2, 2]) and np.isinf(joined.damping_std[2, 2])
