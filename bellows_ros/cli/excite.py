@@ -99,7 +99,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _say(found: 'Excitation', console: Console) -> None:
-    """Print what to expect, and what limits it."""
+    """Print the expected errors, and what limits the motion."""
     motion = found.design.motion
     console.say(f'A motion of {motion.duration:g} s', 'bold')
     console.say(f'(up to {motion.highest_frequency:.3g} Hz; {found.structure.name})', 'dim')
@@ -115,11 +115,11 @@ def _say(found: 'Excitation', console: Console) -> None:
     console.say()
     if found.beside:
         console.paragraph(
-            'Expected are standard errors if the guess is right; beside them those of other '
-            'motions, in times of these.')
+            'The expected values are standard errors if the guess is right; the other columns '
+            'are the errors of other motions, as multiples of these.')
         console.say()
     _say_series(found, console)
-    console.table([['limit', 'taken', 'what stops the motion from growing']] + [
+    console.table([['limit', 'taken', 'share in limiting the motion']] + [
         [name, f'{100.0 * ratio:.1f} %', f'{100.0 * found.design.shares.get(name, 0.0):.0f} %']
         for name, ratio in found.design.ratios.items()])
     console.say()
@@ -128,18 +128,18 @@ def _say(found: 'Excitation', console: Console) -> None:
 
 
 def _say_series(found: 'Excitation', console: Console) -> None:
-    """Print what to record in which order, and what each tells."""
+    """Print what to record in which order, and what each recording identifies."""
     if not found.series:
         return
-    tells = (
-        'Standstills upright and tilted. Repeat them with every package you have, two or more of '
-        'different mass: they tell K by its loads, without any derivative, and two masses the '
-        'nominal length.',
-        'The motion above. It tells K and P.',
-        'Moves from pose to pose, as quick as the limits let them be. Keep them out of the fit: '
-        'they say whether the cup predicts what it has not seen.')
+    purposes = (
+        'Standstills, upright and tilted. Repeat them with every package, two or more of '
+        'different mass: their loads identify K without any derivative, and two masses identify '
+        'the nominal length.',
+        'The motion above. It identifies K and P.',
+        'Moves from pose to pose, as quick as the limits allow. Keep them out of the fit, to '
+        'validate the cup with them.')
     console.say('Record, in this order:', 'bold')
-    for (name, (motion, _)), text in zip(found.series.items(), tells, strict=True):
+    for (name, (motion, _)), text in zip(found.series.items(), purposes, strict=True):
         console.paragraph(f'{name}, {motion.duration:.1f} s. {text}')
     console.say()
     rows = [['standard error', *found.series]]
@@ -151,8 +151,8 @@ def _say_series(found: 'Excitation', console: Console) -> None:
                 for _, errors in found.series.values())])
     console.table(rows, right=True)
     console.say()
-    console.paragraph('Each alone, with the length known; -: not identifiable. Then, with PLAN a '
-                      'motion of yours:')
+    console.paragraph('Each recording alone, with the length known; -: not identifiable. Then, '
+                      'with PLAN a motion of yours:')
     console.say('  bellows identify RECORDING_2 --params PARAMS --set static.bags=RECORDING_1 \\')
     console.say('      --set validation.bags=RECORDING_3 --typical PLAN --report page.html')
     console.say()
