@@ -23,6 +23,8 @@ EXAMPLES = (
     ('bellows simulate --params bags/cup.yaml --set package.mass=2.5 \\\n'
      '      --motion config/motion_example.yaml --out heavy --force',
      'with a heavier package, replacing an existing recording'),
+    ('bellows simulate --params bags/cup.yaml --motion bags/identification.yaml \\\n'
+     '      --plan motion --out rehearsal', 'a plan of bellows excite, before the arm runs'),
 )
 
 
@@ -33,6 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--motion', metavar='FILE', required=True, type=Path,
         help='motion file (YAML): the motion of the tool and the tracking; '
              'config/motion_example.yaml explains every setting',
+    )
+    parser.add_argument(
+        '--plan', metavar='PLAN', type=Path,
+        help='move the tool along this plan, as of bellows plan or bellows excite; then only the '
+             'rest of --motion counts',
     )
     parser.add_argument(
         '--out', metavar='BAG', required=True, type=options.Folder,
@@ -52,8 +59,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     motion = load(arguments.motion)
     with console.progress() as progress:
         report = simulate_recording(
-            values, motion, arguments.out, progress, replace=arguments.force
-        )
+            values, motion, arguments.out, progress, arguments.force, arguments.plan or '')
     options.put_json(arguments.json, as_json(report), console)
     options.warn_of_thesis_cup(values, console)
     _say(report, console)

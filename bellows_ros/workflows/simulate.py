@@ -5,7 +5,8 @@ What a motion file may hold, with units, stands in config/motion_example.yaml.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from dataclasses import replace as changed
 import io
 import math
 import os
@@ -22,6 +23,7 @@ from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import levelling
 from bellows_ros.core.release import release_of
 from bellows_ros.core.simulation import lip_wrenches, simulate
+from bellows_ros.core.synthetic.motion import Planned
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
 from bellows_ros.core.synthetic.sensing import (
     measure_poses,
@@ -38,6 +40,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.messages import BOOL, encode_bool
+from bellows_ros.workflows.plan import read_plan
 import numpy as np
 
 Progress = Callable[[str], None]
@@ -126,7 +129,7 @@ class Truth:
     def at(self, stamps_ns: Stamps) -> 'Truth':
         """Return the samples at some of the stamps."""
         index = np.searchsorted(self.tool.stamps_ns, stamps_ns)
-        return replace(
+        return changed(
             self, tool=self.tool.select(index), package=self.package.select(index),
             held=self.held[index], tracked=self.tracked[index])
 
@@ -137,6 +140,7 @@ def simulate_recording(
     out: str | os.PathLike[str],
     progress: Progress | None = None,
     replace: bool = False,
+    plan: str | os.PathLike[str] = '',
 ) -> SimulationReport:
     """
     Simulate a held package and write what a tracking system would record of it.
@@ -155,6 +159,8 @@ def simulate_recording(
         Called with a sentence as the work goes on.
     replace : bool
         Whether a recording that is there may be replaced.
+    plan : path, optional
+        A plan of the tool, as `workflows.plan.plan` takes it, instead of the file's motion.
 
     Returns
     -------
@@ -172,6 +178,11 @@ def simulate_recording(
     cup, package = cup_of(values), package_of(values)
     R_world_level = levelling(values['gravity.direction']).T
     recipe = read_recipe(motion, package.com)
+    if plan:
+        tool = read_plan(plan, values).tool
+        recipe = changed(recipe, motion=Planned(changed(
+            tool, position=tool.position @ R_world_level,
+            rotation=R_world_level.T @ tool.rotation)))
     bag = Path(out)
     truth_file = _output_files(bag, recipe.truth, replace)
     plans = _plans(recipe)
@@ -246,7 +257,7 @@ def _recorded(
     seed = recipe.seed
     tool = truth.at(plans['tool'].sampled_ns).tool
     at = truth.at(plans['package'].sampled_ns)
-    seen = replace(plans['package'], kept=plans['package'].kept & at.tracked)
+    seen = changed(plans['package'], kept=plans['package'].kept & at.tracked)
     poses = {
         'tool': measure_poses(tool, recipe.tool, plans['tool'], world, generator(seed, 'tool')),
         'package': measure_poses(

@@ -25,6 +25,10 @@ DOUBTED = 1.0
 WORTH_A_WORD = 0.8
 """A likely cause leaves at most this part of the residuals."""
 
+AT_NOISE = 1.1
+"""A free simulation that is off by so many times the noise leaves nothing to doubt. Residuals may
+be left all the same: filters take a part of quick motions, not of the prediction error."""
+
 
 class Simulated(NamedTuple):
     """A recording simulated freely with the cup: RMS errors, noise and motion (6,), m and rad."""
@@ -74,6 +78,9 @@ class Verdict(NamedTuple):
         if self.diagnosis.excess < DOUBTED:
             return ()
         if first.left > WORTH_A_WORD:
+            if self.simulated and all(
+                    (own.rms <= AT_NOISE * own.noise).all() for own in self.simulated):
+                return ()
             return ('Noise does not explain what the fit leaves, and no single cause that was '
                     'tried does: check the list in the JSON file, and what was given.',)
         return (f'Likely, but not certain: {finding_sentence(first, self.given)}',)

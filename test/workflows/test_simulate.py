@@ -478,3 +478,23 @@ def test_the_example_names_every_setting(root, monkeypatch):
     monkeypatch.setattr('bellows_ros.core.synthetic.recipe.Settings', Noticing)
     read_recipe(example(root, 'multi_sine'), COM)
     assert missing == ['start.quaternion_xyzw']  # the other way to say what rpy says
+
+
+@pytest.mark.parametrize('down', [[0.0, 0.0, -1.0], [2.0, 0.0, 0.0]])
+def test_a_plan_takes_the_place_of_the_motion(tmp_path, down):
+    """The tool is recorded where the plan has it in the world; the tracking is the file's."""
+    (tmp_path / 'plan.yaml').write_text(yaml.safe_dump(motion()))
+    other = motion(duration=1.0, multi_sine={'position': {'y': {
+        'amplitude': [0.01], 'frequency': [2.0]}}})
+    report = simulate_recording(
+        {**PARAMETERS, 'gravity.direction': down}, other, tmp_path / 'planned',
+        plan=tmp_path / 'plan.yaml')
+    assert report.duration == 2.0
+    planned = read_streams(tmp_path / 'planned', ROLES)
+    tool = read_recipe(motion(), COM).motion.trajectory(planned['tool_pose'].stamps_ns, START_NS)
+    assert_allclose(planned['tool_pose'].position, tool.position, atol=1e-6)
+    assert_allclose(planned['tool_pose'].rotation, tool.rotation, atol=1e-5)
+    if down[2]:
+        direct, _ = recorded(tmp_path, motion())
+        assert_allclose(planned['pose'].position, direct['pose'].position, atol=1e-6)
+        assert_allclose(planned['pose'].rotation, direct['pose'].rotation, atol=1e-5)

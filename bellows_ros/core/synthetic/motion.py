@@ -19,6 +19,7 @@ from bellows_ros.core.lie import (
     quaternion_to_rotation,
     rpy_rotation,
 )
+from bellows_ros.core.resampling import resample
 from bellows_ros.core.synthetic.settings import Settings
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -254,6 +255,52 @@ def _motion_along(here: Pose, segment: Segment, tau: Array) -> tuple[Array, Arra
     turn = log_so3(here.rotation.T @ segment.goal.rotation)
     rotation = here.rotation @ exp_so3(step * turn)
     return here.position + step * way, slope * way, rotation, slope * turn
+
+
+@dataclass(frozen=True, eq=False)
+class Planned(Motion):
+    """
+    The motion of a plan.
+
+    Parameters
+    ----------
+    tool : Trajectory
+        Poses of E in the world with body twists.
+
+    """
+
+    tool: Trajectory
+
+    @property
+    def start(self) -> Pose:  # type: ignore[override]
+        """Where the plan begins."""
+        return Pose(self.tool.position[0], self.tool.rotation[0])
+
+    @property
+    def rest_duration(self) -> float:  # type: ignore[override]
+        """Time until it moves, s."""
+        moving = np.asarray(self.tool.twist).any(axis=1)
+        return float(self.tool.seconds[max(int(np.argmax(moving)) - 1, 0)])
+
+    @property
+    def duration(self) -> float:  # type: ignore[override]
+        """From its first point to its last, s."""
+        return float(self.tool.seconds[-1])
+
+    @property
+    def highest_frequency(self) -> float:
+        """A hundredth of the rate of its points, Hz."""
+        return 0.01 * (len(self.tool) - 1) / self.duration
+
+    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
+        """Return the motion between the points; after the last it stays there."""
+        first, last = self.tool.stamps_ns[[0, -1]]
+        stamps = np.clip(first + np.round(t * NS_PER_S).astype(np.int64), first, last)
+        at, places = np.unique(stamps, return_inverse=True)
+        found = resample(self.tool, at)
+        R, twist = found.rotation, np.asarray(found.twist)
+        return (found.position[places], apply(R, twist[:, :3])[places], R[places],
+                twist[places, 3:])
 
 
 def motion_from(settings: Settings, phases: Generator) -> Motion:
