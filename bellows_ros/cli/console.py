@@ -34,7 +34,7 @@ EXIT_CODES = """exit codes:
   130  interrupted with Ctrl-C, 143 ended by SIGTERM; nothing is left half done
 """
 
-WIDTH = 79
+WIDTH, NARROWEST = 79, 40
 GUTTER, INDENTED = 2, 2  # of tables, characters
 SHOWN = 5  # items of a list
 BAR = 24  # characters
@@ -82,7 +82,7 @@ class Console:
         """Print a sentence or several of the result, wrapped, with its indentation kept."""
         indent = text[:len(text) - len(text.lstrip())]
         lines = textwrap.wrap(
-            text.strip(), WIDTH, initial_indent=indent, subsequent_indent=2 * indent,
+            text.strip(), _width(), initial_indent=indent, subsequent_indent=2 * indent,
             break_long_words=False, break_on_hyphens=False,
         )
         for line in lines:
@@ -102,7 +102,7 @@ class Console:
     def warn(self, text: str) -> None:
         """Print a warning."""
         lines = textwrap.wrap(
-            f'Warning: {text}', WIDTH, subsequent_indent='  ', break_long_words=False,
+            f'Warning: {text}', _width(), subsequent_indent='  ', break_long_words=False,
             break_on_hyphens=False,
         )
         for line in lines:
@@ -222,6 +222,11 @@ def with_error(value: float, error: float) -> str:
         return f'{value:.5g}'
     decimals = max(0, 1 - math.floor(math.log10(error)))
     return f'{value:.{decimals}f} ± {error:.{decimals}f}'
+
+
+def _width() -> int:
+    """Return how wide sentences are: as the terminal, but no wider than is read with ease."""
+    return max(min(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns), NARROWEST)
 
 
 def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:

@@ -315,8 +315,11 @@ def cup_table(fit: Any) -> list[str]:
 
 
 def _matrix(matrix: Any) -> list[str]:
-    """Return a 6x6 matrix, a line per row."""
-    return ['  ' + ' '.join(f'{x:11.4g}' for x in row) for row in matrix]
+    """Return a 6x6 matrix, a line per row, with as many digits as fit 60 columns."""
+    def cell(x: float) -> str:
+        return next(text for digits in (4, 3, 2, 1) if len(text := f'{x:.{digits}g}') < 9)
+
+    return ['  ' + ''.join(f'{cell(x):>9}' for x in row) for row in matrix]
 
 
 def _sample_lines(fit: Any, reports: Sequence[Any]) -> list[str]:

@@ -238,8 +238,11 @@ def test_a_centre_of_stiffness_off_the_middle(
     done = bellows(
         'identify', bag, '--params', workshop / 'package.yaml', '--json', fit,
         '--out', tmp_path / 'found.yaml', '--report', tmp_path / 'page.html',
-        '--set', 'fit.structure=axisymmetric_coupled', '--set', f'fit.method={method}')
+        '--set', 'fit.structure=axisymmetric_coupled', '--set', f'fit.method={method}',
+        COLUMNS='60')
     assert done.returncode == 0, done.stderr
+    tables = [line for line in done.stdout.splitlines() if line.startswith('  ')]
+    assert len(tables) > 18 and max(map(len, tables)) <= 60
     assert 'x, y' in done.stdout and 'K in N/m, N and N m/rad:' in done.stdout
     content = json.loads(fit.read_text())
     found = np.array(content['stiffness'])
