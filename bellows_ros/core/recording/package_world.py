@@ -111,7 +111,7 @@ def _slow(tool: PoseStream, package: PoseStream) -> tuple[Trajectory, Trajectory
             f"Topics '{tool.name}' and '{package.name}' have too little time in common to find "
             'recording.package_world. Record for longer, or give its seven numbers.'
         )
-    stamps = np.linspace(first, last, count).astype(np.int64)
+    stamps = first + np.linspace(0, last - first, count).astype(np.int64)  # exact to the ns
     hand, eye = (resample(body.trajectory(), stamps) for body in (tool, package))
     way = np.linalg.norm(np.gradient(hand.position, axis=0), axis=1)
     turn = np.zeros(count)

@@ -32,7 +32,7 @@ def rigid(marker, aside):
     turn = np.stack([0.3 * np.sin(1.1 * t), 0.2 * np.sin(1.7 * t), 0.5 * np.sin(0.7 * t)], 1)
     R = exp_so3(turn)
     o = np.stack([0.1 * np.sin(t), 0.1 * np.cos(0.8 * t), 0.05 * np.sin(1.3 * t)], 1)
-    stamps = np.round(1e9 * t).astype(np.int64)
+    stamps = 1_700_000_000_000_000_100 + np.round(1e9 * t).astype(np.int64)  # in no float
     T = inverse_transform(T_BASE_MOCAP) @ transform(R, o + apply(R, np.array(aside) - [
         0.0, 0.0, LENGTH]))
     return (PoseStream('tool', 'base', stamps, o, R),
