@@ -51,7 +51,7 @@ from bellows_ros.core.tuples import (
 from bellows_ros.errors import BellowsError, NoLandingError, UnstableError
 import numpy as np
 
-STRIDE, LONGEST_STRIDE = 0.01, 0.01
+STRIDE, LONGEST_STRIDE = 0.01, 0.02
 """A step of the flight turns the package by so much (rad), and lasts no longer than this (s)."""
 COARSE_STRIDE = 0.1
 """As `STRIDE`, where 0.01 mrad are enough."""
@@ -75,15 +75,26 @@ Box = tuple[Vector, Vector]
 
 
 @kernel
-def holds(grip: Grip, valve: Valve, late: float, load: float) -> bool:
-    """Return whether the lip holds a load (N, `peel_load`) so long (s) after the valve."""
+def spare(grip: Grip, valve: Valve, late: float, load: float) -> float:
+    """
+    Return by how much (N) the lip holds a load (N, `peel_load`) so long (s) after the valve.
+
+    It lets go at 0 and below. Where the grip is not known, the time (s) that is left.
+    """
     falling = late - valve[0]
     if grip[1] <= 0.0:
-        return falling < 0.0
+        return -falling
     left = grip[0]
     if falling >= 0.0:
         left = left * math.exp(-falling / valve[1]) if valve[1] > 0.0 else 0.0
-    return load <= 0.0 or left > load
+    return left - load
+
+
+@kernel
+def between(low: float, high: float, above: float, below: float, least: float) -> float:
+    """Return where a value vanishes between two ends, by the secant, and off both by `least`."""
+    s = low + (high - low) * above / (above - below)
+    return min(max(s, low + least), high - least)
 
 
 @kernel
@@ -181,20 +192,24 @@ def land(
 ) -> tuple[float, State]:
     """Return after which time (s) the first corner is at a height, and the state; -1 if never."""
     t, up, h = 0.0, upward(gravity), stride_of(body, stride)
-    low, high = 0.0, math.inf  # of the step in which it lands: halved from then on
+    low, high, landed = 0.0, math.inf, body  # the step in which it lands is narrowed (Illinois)
+    above, below, side = lowest(box, up, body) - height, 0.0, 0
     while t < LONGEST_FLIGHT:
         after = flown(package, gravity, body, h)
-        if lowest(box, up, after) <= height:
-            high = h
+        left = lowest(box, up, after) - height
+        if left <= 0.0:
+            high, below, landed = h, left, after
+            above, side = above * 0.5 if side < 0 else above, -1
         elif high < math.inf:
-            low = h
+            low, above = h, left
+            below, side = below * 0.5 if side > 0 else below, 1
         else:
-            t, body = t + h, after
+            t, body, above = t + h, after, left
             h = stride_of(body, stride)
             continue
         if high - low <= INSTANT:
-            return t + h, after
-        h = 0.5 * (low + high)
+            return t + high, landed
+        h = between(low, high, above, below, 0.5 * INSTANT)
     return -1.0, body
 
 
@@ -241,29 +256,34 @@ def _let_go(
     rows: Any, durations: Any, starts: Any, places: Any, times: Any, states: Any, loads: Any,
 ) -> tuple[float, State]:
     """Return when it is let go, and the state then; -1 if not before the end."""
-    body = row_state(states[first])
+    freed = row_state(states[first])
     for j in range(first, len(times) - 1):
-        low, high = max(times[j], switched), times[j + 1]
-        caught = not holds(grip, valve, high - switched, loads[j + 1])
-        if j > first and not caught:
+        low, high, side = max(times[j], switched), times[j + 1], 0
+        below = spare(grip, valve, high - switched, loads[j + 1])
+        if j > first and below > 0.0:
             continue
         k = places[j]
         segment = tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
-        before, t = row_state(states[j]), low
+        before, freed = row_state(states[j]), row_state(states[j + 1])
         since = (times[j] - starts[k]) / durations[k]
-        while True:
+        above = spare(grip, valve, low - switched, loads[j])
+        t = between(low, high, above, below, 0.5 * INSTANT) if j > first else low
+        while True:  # narrowed by the method of Illinois
             tool, body = _within(
                 model, segment, before, since, since + (t - times[j]) / durations[k])
-            if not holds(grip, valve, t - switched, load_at(model, grip, tool, body)):
-                high, caught = t, True
-            elif caught:
-                low = t
-            else:
+            left = spare(grip, valve, t - switched, load_at(model, grip, tool, body))
+            if left <= 0.0:
+                high, below, freed = t, left, body
+                above, side = above * 0.5 if side < 0 else above, -1
+            elif below > 0.0:
                 break
+            else:
+                low, above = t, left
+                below, side = below * 0.5 if side > 0 else below, 1
             if high - low <= INSTANT:
-                return t, body
-            t = 0.5 * (low + high)
-    return -1.0, body
+                return high, freed
+            t = between(low, high, above, below, 0.5 * INSTANT)
+    return -1.0, freed
 
 
 @kernel
@@ -279,30 +299,41 @@ def toss_along(
     the floor it lands at once. Nothing is kept on the way: for one toss this is the quicker way.
     """
     _, package, gravity = model
+    above, freed = -1.0, body  # by how much it holds, not known before the valve
     for k in range(len(seconds) - 1):
         duration = seconds[k + 1] - seconds[k]
         segment = tool_segment(row_state(rows[k]), row_state(rows[k + 1]), duration)
         n = max(1, math.ceil(duration / longest - 1e-9))
         for i in range(n):
-            start, low, high, caught = i / n, i / n, (i + 1.0) / n, False
-            s = low if k + i == 0 else high
-            while True:
+            start, end, caught, below, side = i / n, (i + 1.0) / n, False, 0.0, 0
+            low, high = max(start, (switched - seconds[k]) / duration), end
+            s = end if above > 0.0 or low >= end else low
+            while True:  # until it lets go: the step in which it does is narrowed (Illinois)
                 tool, after = _within(model, segment, body, start, s)
                 t = seconds[k] + s * duration
-                if t >= switched and not holds(
-                        grip, valve, t - switched, load_at(model, grip, tool, after)):
-                    high, caught = s, True
+                left = math.inf
+                if s >= low:
+                    left = spare(grip, valve, t - switched, load_at(model, grip, tool, after))
+                if left <= 0.0:
+                    high, below, freed, caught = s, left, after, True
+                    above, side = above * 0.5 if side < 0 else above, -1
                 elif caught:
-                    low = s
-                elif s == high:
+                    low, above = s, left
+                    below, side = below * 0.5 if side > 0 else below, 1
+                elif s == end:
+                    above = left if s >= low else -1.0
                     break
-                if caught and (high - low) * duration <= instant:
-                    body = pushed_off(package, after, impulse)
+                else:
+                    above, s = left, end
+                    continue
+                if (high - low) * duration <= instant:
+                    t = seconds[k] + high * duration
+                    body = pushed_off(package, freed, impulse)
                     if lowest(box, upward(gravity), body) <= height:
                         return t, body, t, body
                     later, landed = land(package, gravity, box, height, body, COARSE_STRIDE)
                     return t, body, t + later if later >= 0.0 else -1.0, landed
-                s = 0.5 * (low + high) if caught else high
+                s = between(low, high, above, below, 0.5 * instant / duration)
             body = after
     return -1.0, body, -1.0, body
 
