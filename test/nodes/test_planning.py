@@ -210,7 +210,7 @@ def test_a_motion_is_steered(planner: Planner, of_package: bool) -> None:
 
 
 @pytest.mark.parametrize(('changes', 'words'), [
-    ({'frame_id': 'elsewhere'}, "in frame 'elsewhere'; expected plan.frame, 'world'"),
+    ({'frame_id': 'elsewhere'}, "in frame 'elsewhere'; expected 'world'"),
     ({'poses': np.full((501, 7), np.nan)}, 'holds NaN'),
     ({'times_ns': np.zeros(501, np.int64)}, 'times that increase'),
     ({'poses': np.tile([0.0, 0, 0, 0, 0, 0, 3.0], (501, 1))}, 'not of unit length'),
