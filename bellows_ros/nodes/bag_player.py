@@ -156,8 +156,8 @@ def _type(topic: Topic) -> Any:
         return getattr(importlib.import_module(f'{package}.msg'), name)
     except (ImportError, AttributeError, ValueError):
         raise BellowsError(
-            f"Topic '{topic.name}' cannot be played: its type {topic.type_name} is not installed. "
-            'Name the topics to play with --topic.'
+            f"Topic '{topic.name}' cannot be played, because its type {topic.type_name} is not "
+            'installed. Name the topics to play with --topic.'
         ) from None
 
 

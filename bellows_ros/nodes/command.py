@@ -24,8 +24,8 @@ from ..errors import BellowsError
 from ..extras import install
 
 NO_ROS = (
-    "ROS 2 is not here (this Python has no 'rclpy'). Source an installation, for instance "
-    f'`source /opt/ros/jazzy/setup.bash`, or install the wheels: {install("ros")}'
+    "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, for "
+    f'instance `source /opt/ros/jazzy/setup.bash`, or install the wheels: {install("ros")}'
 )
 ASKED_TO_STOP = (signal.SIGINT, signal.SIGTERM)
 
@@ -111,8 +111,8 @@ def _refuse_arguments(name: str, own: Sequence[str]) -> None:
     """Raise BellowsError if there are arguments that nobody takes."""
     if own:
         raise BellowsError(
-            f"Unknown argument '{short(own[0])}'. Parameters and remappings stand behind "
-            f'--ros-args, for example: {name} --ros-args --params-file FILE. See {name} --help.'
+            f"Unknown argument '{short(own[0])}'. Parameters and remappings follow --ros-args, "
+            f'for example: {name} --ros-args --params-file FILE. See {name} --help.'
         )
 
 
@@ -168,7 +168,7 @@ def _refuse_large(file: str) -> None:
     if size > LARGEST_FILE:
         raise BellowsError(
             f"Parameter file '{short(file)}' is too large: {size} bytes, at most {LARGEST_FILE}. "
-            'Is it a recording or a result?')
+            'It may be a recording or a result.')
 
 
 def _initialise(argv: list[str]) -> None:
@@ -184,6 +184,6 @@ def _initialise(argv: list[str]) -> None:
         what = str(error).partition(', at /')[0].rstrip('.').removeprefix(
             'failed to initialize rcl: ')
         same = 'Sequence should be of same type' in what
-        hint = ' Write all numbers of a list alike: 2.0, not 2.' if same else ''
+        hint = ' Write every number of a list as 2.0, not 2.' if same else ''
         why = f'{short(what, 400)}.{hint}'
         raise BellowsError(f'ROS cannot start with these arguments: {why}') from None

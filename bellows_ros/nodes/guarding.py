@@ -42,8 +42,8 @@ class GuardedNode(Node):
         if self.failures[place] == 1:
             self.get_logger().error(
                 f'A callback failed at {place}: {type(error).__name__}: {short(str(error))}. The '
-                'node goes on; what fails there again is only counted. Please report it, with '
-                'the traceback that --log-level debug shows.')
+                'node continues, and only counts further failures there. Please report it, with '
+                'the traceback from --log-level debug.')
             self.get_logger().debug(''.join(traceback.format_exception(error)))
         self.on_failure()
 
@@ -93,8 +93,8 @@ class GuardedNode(Node):
             self.failures[NEGATIVE_TIME] += 1
             if self.failures[NEGATIVE_TIME] == 1:
                 self.get_logger().warning(
-                    f'A negative time on /clock was left out: {message.clock.sec} s. Further ones '
-                    'are only counted. Check what publishes /clock.')
+                    f'A negative time on /clock was ignored: {message.clock.sec} s. Further ones '
+                    'are only counted. Check the publisher of /clock.')
 
         return call
 

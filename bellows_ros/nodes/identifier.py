@@ -10,10 +10,10 @@ from .help_text import Interface
 INTERFACE = Interface(
     name='identifier',
     purpose=(
-        'Find the stiffness and the damping of a bellows suction cup in recordings of the tool '
-        'arm and of the package it holds. The result is shown as the parameters cup.stiffness '
-        'and cup.damping of this node, written to output.parameters and output.json, and set on '
-        'the node named by predictor.'
+        'Identify the stiffness and damping of a bellows suction cup from recordings of the '
+        'tool arm and the package. The node shows the result as its parameters cup.stiffness '
+        'and cup.damping, writes it to output.parameters and output.json, and sets it on the '
+        'node named by predictor.'
     ),
     topics=(),
     examples=(

@@ -132,12 +132,12 @@ class IdentifierNode(TableNode):
             self._answer = self._client.set_parameters_atomically(cup)
             self._step = self._await_answer
         else:
-            self._give_up_in_time('is no node of this name')
+            self._give_up_in_time('there is no node of this name')
 
     def _await_answer(self) -> None:
         """Say what the predictor made of the cup."""
         if not self._answer.done():
-            self._give_up_in_time('comes no answer')
+            self._give_up_in_time('there was no answer')
             return
         result = self._answer.result().result
         if not result.successful:
@@ -153,8 +153,8 @@ class IdentifierNode(TableNode):
         if time.monotonic() > self._give_up_at:
             raise BellowsError(
                 f"The cup was identified, but could not be set on '{self.values['predictor']}': "
-                f'there {what} ({LONGEST_WAIT:g} s waited). Start the predictor, check its name '
-                'and namespace, or leave the parameter predictor empty.'
+                f'{what} ({LONGEST_WAIT:g} s waited). Start the predictor, check its name and '
+                'namespace, or leave the parameter predictor empty.'
             )
 
     def _end(self) -> None:
@@ -178,6 +178,6 @@ def _require_bags(values: Mapping[str, Value], clean_up: Any) -> None:
     if not values['bags']:
         clean_up()
         raise BellowsError(
-            'No recordings: the parameter bags is empty. Name one or more, for example: '
-            "--ros-args -p bags:='[recording]' or in the parameter file bags: ['recording']."
+            'The parameter bags is empty. Name one or more recordings, for example --ros-args '
+            "-p bags:='[recording]' or in the parameter file bags: ['recording']."
         )

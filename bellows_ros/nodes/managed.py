@@ -98,7 +98,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         name = short(wanted.label) or wanted.id
         self.get_logger().warning(
             f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
-            f' {", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.'
+            f'{", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.'
         )
         response.success = False
         return response

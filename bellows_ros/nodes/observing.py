@@ -84,8 +84,9 @@ class Observing:
         if header.frame_id != live.frame_id and not own_world:
             self._node.get_logger().warning(
                 f"package/measured is in frame '{short(header.frame_id)}', the tool in "
-                f"'{short(live.frame_id)}': its poses are not used. Set recording.package_world "
-                'to the pose of the first frame in the second, as bellows identify finds it.',
+                f"'{short(live.frame_id)}', so its poses are not used. Set "
+                'recording.package_world to the pose of the first frame in the second, as '
+                'estimated by bellows identify.',
                 throttle_duration_sec=10.0)
         self._say_alarms()
         payload = live.observer and live.observer.payload

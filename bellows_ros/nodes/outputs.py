@@ -113,7 +113,7 @@ class Outputs:
     def _tf_topic(self, node: Any) -> Topic | None:
         """Return the topic for tf where its messages are installed."""
         if importlib.util.find_spec('tf2_msgs') is None:
-            node.get_logger().info('No tf2_msgs here: the package is not sent to tf.')
+            node.get_logger().info('tf2_msgs is not installed: the package is not sent to tf.')
             return None
         from tf2_msgs.msg import TFMessage
 

@@ -169,7 +169,7 @@ class TableNode(GuardedNode):
         except (RuntimeError, ParameterException) as error:  # the bases of rcl's and rclpy's
             why = ' '.join(str(error).partition(', at /')[0].split())
             raise BellowsError(
-                f"ROS cannot make the node '{user}': {table.short(why, 400)}.") from None
+                f"ROS cannot create the node '{user}': {table.short(why, 400)}.") from None
 
     def _take_given(self, user: str) -> None:
         """Check what files and the command line say, and fill in the defaults."""
@@ -284,7 +284,7 @@ def _why_unknown(name: str, node: str) -> str:
     except BellowsError as error:
         return str(error)
     if table.NAMED_CUP.fullmatch(name):
-        return f"'{name}' was not there when '{node}' started: give it in a file then."
+        return f"'{name}' was not declared when '{node}' started. Set it in a file."
     return f"The node '{node}' has no parameter '{name}': it belongs to the {users[0]}."
 
 
@@ -316,8 +316,7 @@ def _require_package(given: Mapping[str, object], user: str) -> None:
         for p in missing
     ]
     raise BellowsError(
-        f'Not set, and without a default: {names}. The held package must be '
-        'described, for instance in a file package.yaml:\n\n'
-        '/**:\n  ros__parameters:\n' + '\n'.join(lines) + '\n\n'
+        f'Not set, and without a default: {names}. Describe the held package, for instance in a '
+        'file package.yaml:\n\n/**:\n  ros__parameters:\n' + '\n'.join(lines) + '\n\n'
         'Then start again with: --ros-args --params-file package.yaml'
     )

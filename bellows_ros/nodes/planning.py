@@ -111,7 +111,7 @@ class Planning:
             self._jobs.append(self._pool.submit(self._node.guarded(work), *arguments))
             return
         self._node.get_logger().warning(
-            'Plans come faster than they can be answered, and some are left out. Send fewer.',
+            'Plans arrive faster than they can be answered, and some are skipped. Send fewer.',
             throttle_duration_sec=1.0)
 
     @property
@@ -160,8 +160,8 @@ class Planning:
         frame = self._live.frame_id
         if frame and message.frame_id not in ('', frame):
             raise BellowsError(
-                f"The plan is in frame '{message.frame_id}'; expected '{frame}', that of the "
-                "tool's poses. Transform it before.")
+                f"The plan is in frame '{message.frame_id}'; expected '{frame}', the frame of "
+                "the tool's poses. Transform the plan.")
         return message, rows_of(
             message.times_ns, message.poses, message.twists, message.accelerations,
             self._values['tool_twist.frame'])
@@ -245,7 +245,7 @@ class Planning:
                 *found.smallest_safety, 0.0, self._values['safety.least']))
         outside = found.outside(known_envelope(self._values), self._values['package.mass'])
         if outside:
-            words.append(f'Outside of what the fit has seen: {"; ".join(outside)}.')
+            words.append(f'Outside the validity range: {"; ".join(outside)}.')
         said = ' '.join(word for word in words if word)
         lost = found.grip_known and found.smallest_safety[0] < 1.0
         level = Level.ERROR if lost else Level.WARN if said else Level.OK
@@ -260,8 +260,8 @@ class Planning:
         try:
             if now is None:
                 raise BellowsError(
-                    'There is no prediction to begin from; expected poses of the tool, and a '
-                    'package that is attached.')
+                    'There is no prediction to start from; expected poses of the tool, and an '
+                    'attached package.')
             duration = (stamp_to_ns(request.stamp) - now.stamp_ns) / NS_PER_S
             if not 0.0 < duration <= LONGEST_REQUEST:
                 raise BellowsError(

@@ -136,7 +136,7 @@ class PredictorNode(ManagedNode):
         self._say_model(values)
         for name in self.unmatched_qos_overrides():
             self.get_logger().warning(
-                f"No topic of this node takes the QoS override '{short(name)}'.")
+                f"The QoS override '{short(name)}' matches no topic of this node.")
 
     def _listen(self, values: Values) -> SensorInput:
         """Listen to the tool's poses, of whatever type."""
@@ -205,8 +205,8 @@ class PredictorNode(ManagedNode):
             log(f"Using the cup '{name}'" + (f', with {" and ".join(others)}.' if others else '.'))
         if thesis:
             log(
-                f"Not set, so using the cup of the thesis: {', '.join(thesis)}. "
-                "Identify your own with 'bellows identify'."
+                f"Not set, so using the thesis's values: {', '.join(thesis)}. Identify your own "
+                "with 'bellows identify'."
             )
         origin = short(origin_of('package.mass', sys.argv), 200)
         log(f"Package of {values['package.mass']:g} kg" + (f', from {origin}.' if origin else '.'))
@@ -214,7 +214,8 @@ class PredictorNode(ManagedNode):
             f'{self._outputs.topic}.')
         heard = values['vacuum.signal'] == 'pressure'
         if grip_of(values, 0.0 if heard else None) is None:
-            log('No safety factor of the grip: set cup.lip_radius and vacuum.holding.')
+            log('The safety factor of the grip is unknown: set cup.lip_radius and '
+                'vacuum.holding.')
 
     # --------------------------------------------------------------- messages
 
@@ -302,8 +303,8 @@ class PredictorNode(ManagedNode):
             return
         if not self._tossing.flight.known:
             self.get_logger().warning(
-                'vacuum/valve is heard, and package.size is not set: the package counts as held. '
-                'Set package.size and landing.height.', once=True)
+                'vacuum/valve has a publisher, but package.size is not set, so the package '
+                'counts as held. Set package.size and landing.height.', once=True)
             return
         stamp_ns, newest_ns = self.get_clock().now().nanoseconds, self._live.newest_ns
         if abs(stamp_ns - newest_ns) > CLOCKS_APART_NS:  # stamps are of another clock
@@ -372,7 +373,7 @@ class PredictorNode(ManagedNode):
         idle = [key for key in IN_NAMED_CUP if name and values[key] != self.values[key]]
         if idle:
             raise BellowsError(
-                f"{idle[0]} is not in use while cup.name is '{name}'. Set "
+                f"{idle[0]} has no effect while cup.name is '{name}'. Set "
                 f"cups.{name}.{idle[0].removeprefix('cup.')}, or set cup.name to ''."
             )
         check_live(with_chosen_cup(values))

@@ -13,7 +13,7 @@ _REFUSED_POSES = {
     'duplicate_stamp': 'repeated stamp',
     'backward_stamp': 'backward stamp',
     'future_stamp': 'stamp in the future',
-    'repeated_pose': 'the very same pose although the tool moves (tracking lost?)',
+    'repeated_pose': 'the pose repeats although the tool moves (tracking lost?)',
     'jump': 'too far from the pose before (tracking lost, or two tools on one topic?)',
     'frame_id': "frame_id is not '{frame}'",
 }
@@ -21,18 +21,18 @@ _REFUSED_TWISTS = {
     'twist_nan': 'nan (a number in it is not finite)',
     'twist_too_fast': 'faster than any arm',
     'twist_frame_id': 'frame_id has changed',
-    'twist_misses_pose': 'the tool does not move like that from pose to pose',
+    'twist_misses_pose': 'does not match the motion from pose to pose',
     'twist_unpaired': 'no pose near its stamp',
 }
 _RESTARTS = {
-    'gap': f'no usable pose came for more than {LONGEST_GAP_NS * 1e-9:g} s',
+    'gap': f'no usable pose arrived for more than {LONGEST_GAP_NS * 1e-9:g} s',
     'clock_set_back': 'the stamps went back (a clock was set, or a recording started again)',
-    'clock_set_forward': 'the stamps went ahead of the time that has passed',
+    'clock_set_forward': 'the stamps jumped ahead of the elapsed time',
     'clock_jump': 'the clock of the simulation was set, or switched on or off',
-    'frame_changed': "the tool's poses are in another frame now, '{frame}'",
-    'moved': "the tool's poses are at another place than it could have reached",
-    'failure': 'a callback failed, which is a fault of this node',
-    'diverged': 'the prediction diverged, its lip further away than any cup reaches; check '
+    'frame_changed': "the tool's poses are now in another frame, '{frame}'",
+    'moved': "the tool's poses jumped further than it can move",
+    'failure': 'a callback failed, a fault of this node',
+    'diverged': 'the prediction diverged, with its lip further away than any cup reaches; check '
                 'cup.stiffness, cup.damping and the package',
 }
 NO_EQUILIBRIUM = (

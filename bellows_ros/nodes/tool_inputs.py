@@ -144,7 +144,7 @@ class TransformInput(SensorInput):
         if importlib.util.find_spec('tf2_msgs') is None:
             raise BellowsError(
                 'tool_pose.type is tf, but tf2_msgs is not installed. Install it (apt: '
-                'ros-jazzy-tf2-msgs), or give the pose on tool_arm/pose.')
+                'ros-jazzy-tf2-msgs), or publish the pose on tool_arm/pose.')
         from tf2_msgs.msg import TFMessage
 
         self._take, self._chain = take, Chain(values['frames.world'], values['frames.tool'])

@@ -52,4 +52,4 @@ def test_without_ros_it_says_how_to_get_it(bellows: Run, workshop: Path, tmp_pat
         'import importlib.util as u\nfind = u.find_spec\n'
         "u.find_spec = lambda name, *rest: None if name == 'rclpy' else find(name, *rest)\n")
     done = bellows('play', 'recording', cwd=workshop, PYTHONPATH=str(tmp_path))
-    assert done.returncode == 2 and 'ROS 2 is not here' in done.stderr
+    assert done.returncode == 2 and 'ROS 2 is not installed here' in done.stderr

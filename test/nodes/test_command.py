@@ -94,7 +94,7 @@ def test_missing_ros_is_said_plainly(
 @pytest.mark.parametrize(('arguments', 'words'), [
     (['--ros-args'], 'Not set, and without a default: package.mass'),
     (['--ros-args', *PACKAGE, '-p', 'cup.stifness:=1.0'], "Did you mean 'cup.stiffness'?"),
-    (['--ros-args', *PACKAGE, '-p', 'cup.stiffness:=[1.0, 2]'], 'alike: 2.0, not 2.'),
+    (['--ros-args', *PACKAGE, '-p', 'cup.stiffness:=[1.0, 2]'], 'as 2.0, not 2.'),
     (['--ros-args', *PACKAGE, '-p', 'cup.length:=long'], 'cup.length must be a number'),
     (['--ros-args', '--params-file', 'nowhere.yaml'], "'--params-file nowhere.yaml'"),
     (['--ros-args', *PACKAGE, '-p', 'use_sim_time:=hello'], "expecting type 'bool'"),

@@ -111,7 +111,7 @@ def test_nobody_silent_and_good(make_partner: Callable[..., Any], listener: List
         assert listener.sees('prediction', OK, 'Predicting.')
         assert float(listener.value('prediction', 'compute time p99 (us)')) > 0.0
     assert listener.sees('prediction', ERROR, 'Lost')
-    assert listener.sees('load', OK, 'No limits are known')
+    assert listener.sees('load', OK, 'The limits of the cup are unknown')
     partner.node.destroy_publisher(partner.pose_writer)
     assert listener.sees('tool pose', ERROR, 'Nobody publishes /tool_arm/pose')
 
@@ -143,7 +143,7 @@ def test_another_type_on_the_topic_is_named(
     driver = Node('driver', context=context)
     driver.create_publisher(TransformStamped, 'tool_arm/pose', 10)
     assert listener.sees(
-        'tool pose', ERROR, 'sends geometry_msgs/msg/TransformStamped, which is not what is')
+        'tool pose', ERROR, 'sends geometry_msgs/msg/TransformStamped, but the node')
     driver.destroy_node()
     context.try_shutdown()
 
@@ -246,7 +246,7 @@ def test_safety_factor_is_published_and_follows_the_vacuum(
         assert np.isclose(last.x, 60.0 / weight, rtol=1e-3)
         assert np.isclose(last.y, 60.0 / weight, rtol=1e-3) and last.z == min(last.x, last.y)
         assert heard[-1].header.frame_id == 'cup_lip'
-        assert listener.sees('load', OK, 'Within what is known.')
+        assert listener.sees('load', OK, 'Within all known limits.')
         breathe(25e3)
         assert listener.sees('load', WARN, 'below safety.least, 1.5: move slower')
         breathe(15e3)

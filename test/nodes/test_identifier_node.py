@@ -48,7 +48,7 @@ def make(ros: Any, **given: object) -> Any:
 
 def test_recordings_must_be_named(ros: Any) -> None:
     """End with what to set."""
-    with pytest.raises(BellowsError, match='the parameter bags is empty'):
+    with pytest.raises(BellowsError, match='The parameter bags is empty'):
         make(ros)
 
 

@@ -280,8 +280,8 @@ def test_named_cups(make_predictor: Callable[..., Any]) -> None:
     assert result.successful and node._live.model[0][2][0][0] == 2 * soft[0]
     for name, value, words in (
             ('cup.name', 'hart', "Did you mean 'hard'"),
-            ('cup.stiffness', soft, "not in use while cup.name is 'hard'"),
-            ('cups.new.stiffness', soft, 'give it in a file')):
+            ('cup.stiffness', soft, "has no effect while cup.name is 'hard'"),
+            ('cups.new.stiffness', soft, 'Set it in a file')):
         result = node.set_parameters([Parameter(name, value=value)])[0]
         assert not result.successful and words in result.reason
     with pytest.raises(BellowsError, match='no parameters cups.blue'):

@@ -321,4 +321,4 @@ def test_thesis_cup_is_announced(
         make_predictor: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
     """Say whose cup it is when none is given."""
     make_predictor()
-    assert 'using the cup of the thesis' in capfd.readouterr().err
+    assert "using the thesis's values" in capfd.readouterr().err

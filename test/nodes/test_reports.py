@@ -62,7 +62,7 @@ def test_fresh_start_and_missing_twists_are_explained() -> None:
     live.on_pose(START + 1000 * MS, 'world', STILL, UPRIGHT)
 
     assert report.take(twists_exist=True)[0] == [
-        'Started again from static equilibrium: no usable pose came for more than 0.5 s.',
+        'Started again from static equilibrium: no usable pose arrived for more than 0.5 s.',
         '2 poses had no twist of the same stamp; it was estimated from the poses.',
     ]
 

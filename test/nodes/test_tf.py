@@ -134,4 +134,4 @@ def test_missing_tf_is_said_and_missed_by_nothing_else(
     partner = make_partner(with_twists=False)
     partner.send_pose(START)
     partner.wait_for_poses(1)
-    assert 'No tf2_msgs here' in capfd.readouterr().err
+    assert 'tf2_msgs is not installed' in capfd.readouterr().err

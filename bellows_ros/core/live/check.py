@@ -34,8 +34,8 @@ def check_live(values: Mapping[str, Any]) -> None:
     check_thresholds(values)
     if values['recording.package_world'] == ESTIMATE:
         raise BellowsError(
-            f'recording.package_world: {ESTIMATE} is for recordings. Give the node its seven '
-            'numbers, which the file of bellows identify --out has.'
+            f'recording.package_world: {ESTIMATE} is for recordings only. Give the node its '
+            'seven numbers, from the file of bellows identify --out.'
         )
     model = prepared(cup_of(values), package_of(values), gravity_of(values)).model
     still = Prediction(1, *ORIGIN, ZERO, ZERO)
@@ -48,6 +48,6 @@ def check_live(values: Mapping[str, Any]) -> None:
             equivalent_box(values)
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(
-            f'Nothing can be computed with these parameters ({error}). Check package.*, cup.*, '
+            f'The prediction fails with these parameters ({error}). Check package.*, cup.*, '
             'envelope.* and their units.'
         ) from None

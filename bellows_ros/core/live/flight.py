@@ -195,8 +195,8 @@ class Flight:
             landed = (self._landing_ns - now.stamp_ns) * 1e-9
         if self.state == 'landed' or 0.0 <= landed < seconds:
             raise BellowsError(
-                'The package has landed by then, and nothing is known of it; expected a stamp '
-                f'up to {max(0.0, landed):.3f} s after the newest pose of the tool.')
+                'The package has landed by then, and its later motion is unknown; expected a '
+                f'stamp up to {max(0.0, landed):.3f} s after the newest pose of the tool.')
         return flight(model[1], model[2], body, seconds - released, COARSE_STRIDE)
 
     def _toss(

@@ -20,19 +20,19 @@ STRANGE_AGE = 1.0
 
 TWIST_MESSAGES = {
     'other_axes': 'The twists do not fit the poses in the axes of tool_twist.frame, but they do '
-                  'in the other: change it between world and tool.',
-    'does_not_fit': 'The twists do not fit the poses: check their units, and that they are of the '
-                    'tool tip.',
+                  'in the other choice: switch it between world and tool.',
+    'does_not_fit': 'The twists do not fit the poses. Check their units, and that they are '
+                    'those of the tool tip.',
 }
 PHASE_MESSAGES = {
-    'detached': 'Detached: no package is held, nothing is predicted.',
+    'detached': 'Detached: no package is held, so nothing is predicted.',
     'waiting': 'Waiting for the first pose of the tool.',
     'settling': 'Settling: the prediction started while the tool moved, or after doubtful poses.',
-    'coasting': 'Coasting: no pose of the tool comes, its motion is extrapolated.',
+    'coasting': 'Coasting: no pose of the tool arrives, so its motion is extrapolated.',
     'released': 'Released: the valve is switched off, and the cup still holds the package.',
     'flying': 'Flying: the cup has let the package go.',
     'landed': 'Landed: nothing is published until vacuum/valve is true again.',
-    'lost': 'Lost: no pose of the tool that can be used; nothing is published until one comes.',
+    'lost': 'Lost: no usable pose of the tool arrives, so nothing is published.',
 }
 
 
@@ -119,8 +119,8 @@ def _judge_input(seen: InputSeen, optional: bool) -> tuple[Level, str]:
     if abs(age) > STRANGE_AGE:
         side = 'behind' if age > 0.0 else 'ahead of'
         return Level.WARN, (
-            f'Stamps are {abs(age):.3g} s {side} the clock of this node: synchronise '
-            'the clocks, or set use_sim_time while a recording is played.'
+            f'Stamps are {abs(age):.3g} s {side} the clock of this node. Synchronise the clocks, '
+            'or set use_sim_time while playing a recording.'
         )
     return Level.OK, f'{seen.rhythm.rate_hz:.4g} Hz.'
 
@@ -132,8 +132,8 @@ def twist_status(name: str, seen: InputSeen, poses: int, alone: int) -> Status:
     if status.level > Level.OK or seldom or 2 * alone <= poses:
         return status
     return status._replace(level=Level.WARN, message=(
-        f'{alone} of {poses} poses had no twist of their instant, and it was estimated: are the '
-        'stamps of poses and twists from one clock?'
+        f'{alone} of {poses} poses had no twist of the same stamp; it was estimated. Check that '
+        'one clock stamps poses and twists.'
     ))
 
 
@@ -145,12 +145,12 @@ def _judge_silence(seen: InputSeen, optional: bool, lowest: Level) -> tuple[Leve
         if optional:
             return Level.OK, f'Nobody publishes {seen.topic}: estimated from the poses.'
         return lowest, (
-            f'Nobody publishes {seen.topic}. Start the driver, or remap the topic to its own.'
+            f'Nobody publishes {seen.topic}. Start the driver, or remap the topic.'
         )
     since = f'for {seen.silent:.1f} s' if math.isfinite(seen.silent) else 'so far'
     return lowest, (
-        f'The publisher of {seen.topic} is silent: no message {since}. Is the driver or its '
-        'controller active?'
+        f'The publisher of {seen.topic} is silent: no message {since}. Check that the driver and '
+        'its controller are active.'
     )
 
 
@@ -159,12 +159,12 @@ def _mismatch_message(topic: str, mismatch: Mismatch) -> str:
     of, name = mismatch
     if of == 'frames':
         return (f'No pose of the tool from {topic}: {name}. Check frames.world and frames.tool, '
-                'and what publishes them.')
+                'and their publishers.')
     if of == 'type':
-        return (f'A publisher of {topic} sends {name}, which is not what is listened to: see '
-                'tool_pose.type, or remap the topic.')
-    return (f'QoS does not match: a publisher of {topic} offers another {name} than is asked for. '
-            f'Set qos_overrides.{topic}.subscription.{name} to what it offers.')
+        return (f'A publisher of {topic} sends {name}, but the node subscribes to another type. '
+                'Set tool_pose.type, or remap the topic.')
+    return (f'QoS does not match: a publisher of {topic} offers a {name} other than the '
+            f'requested one. Set qos_overrides.{topic}.subscription.{name} to the offered value.')
 
 
 def vacuum_status(name: str, seen: InputSeen, held: bool, speaks_once: bool) -> Status:
@@ -189,20 +189,20 @@ def _judge_vacuum(seen: InputSeen, held: bool, speaks_once: bool) -> tuple[Level
         return lost, _mismatch_message(seen.topic, seen.mismatch)
     if seen.publishers == 0:
         return lost, (
-            f'Nobody publishes {seen.topic}: {counts}. Start the driver, remap the topic to its '
-            'own, or set vacuum.signal to none.'
+            f'Nobody publishes {seen.topic}: {counts}. Start the driver, remap the topic, or set '
+            'vacuum.signal to none.'
         )
     refused = {reason: count for reason, count in seen.refused.items() if count}
     if refused:
         listed = ', '.join(f'{count} {reason}' for reason, count in refused.items())
         return lost, (
             f'{sum(refused.values())} of {seen.rhythm.messages} messages refused: {listed}; '
-            f'{counts}. The absolute pressure is needed, Pa.'
+            f'{counts}. Publish the absolute pressure, Pa.'
         )
     if not math.isfinite(seen.silent):
         return Level.WARN, f'No word from {seen.topic} so far: {counts}.'
     if not (seen.rhythm.messages or speaks_once):
-        return lost, f'{seen.topic} is silent for {seen.silent:.1f} s: {counts}.'
+        return lost, f'{seen.topic} has been silent for {seen.silent:.1f} s: {counts}.'
     return Level.OK, 'Held.' if held else 'Not held.'
 
 
@@ -256,7 +256,7 @@ def _judge_prediction(seen: PredictionSeen) -> tuple[Level, str]:
         return Level.ERROR, (
             'The package is above the tool: z of the tool points down, but must point from the '
             "cup back into the arm. Turn the driver's tool frame by 180 degrees about x, or set "
-            'gravity.direction where the arm hangs from another side.'
+            'gravity.direction if the arm is not mounted upright.'
         )
     if seen.phase in ('coasting', 'settling'):
         return Level.WARN, PHASE_MESSAGES[seen.phase]
@@ -267,8 +267,9 @@ def _judge_prediction(seen: PredictionSeen) -> tuple[Level, str]:
         return Level.WARN, TWIST_MESSAGES[seen.twist_verdict]
     if not seen.covariance_known:
         return Level.WARN, (
-            'The covariance of package/odometry is not known: the package has no stable rest '
-            'under the tool. Check package.com, and that z of the tool points away from the cup.'
+            'The covariance of package/odometry is unknown, because the package has no stable '
+            'equilibrium under the tool. Check package.com, and that z of the tool points from '
+            'the cup back into the arm.'
         )
     return Level.OK, PHASE_MESSAGES.get(seen.phase, 'Predicting.')
 
@@ -305,14 +306,14 @@ def _judge_load(
         )
     if bending > STRONGEST_BENDING:
         return Level.WARN, (
-            f'The cup bends by {bending:.2g} rad: its restoring moment hardly grows any more.'
+            f'The cup bends by {bending:.2g} rad, where its restoring moment hardly grows.'
         )
     if away is not None and away.outside:
         return Level.WARN, away.text
     if not known:
         return Level.OK, (
-            'No limits are known: see cup.lip_radius with vacuum.holding, cup.max_force, '
-            'cup.max_moment and envelope.*.'
+            'The limits of the cup are unknown. Set cup.lip_radius with vacuum.holding, '
+            'cup.max_force, cup.max_moment and envelope.*.'
         )
     seen = safety is not None or away is not None
-    return Level.OK, 'Within what is known.' if seen else 'No load to be judged.'
+    return Level.OK, 'Within all known limits.' if seen else 'No load: no package is held.'

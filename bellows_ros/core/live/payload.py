@@ -122,7 +122,7 @@ def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
             return Prepared(model, largest_step(model), _reach(model), modes)
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(
-            f'Nothing can be computed with this cup and package ({error}). Check package.mass, '
+            f'The prediction fails with this cup and package ({error}). Check package.mass, '
             'package.inertia, cup.stiffness, cup.damping and their units.'
         ) from None
 

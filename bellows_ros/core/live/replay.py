@@ -100,8 +100,8 @@ def predicted_trajectory(stamps_ns: Stamps, rows: Array) -> Trajectory:
     """Return predictions, rows (N, 13), as a trajectory of B in the world with body twists."""
     if len(rows) < 2:
         raise BellowsError(
-            f'The predictor made {len(rows)} predictions, which is too few to compare. '
-            'Check the recording, and whether the cup can carry the package.'
+            f'The predictor made {len(rows)} predictions, too few to compare. Check the '
+            'recording, and whether the cup can hold the package.'
         )
     rotation = quaternion_to_rotation(rows[:, 3:7])
     return Trajectory(stamps_ns, rows[:, :3], rotation, rows[:, 7:])

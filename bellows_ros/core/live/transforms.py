@@ -127,14 +127,14 @@ class Chain:
         for frame in (*ups[0], *ups[1]):
             if frame in self._both:
                 one, other = self._both[frame]
-                return f"'{frame}' comes with two parents in turn, '{one}' and '{other}'"
+                return f"'{frame}' has two alternating parents, '{one}' and '{other}'"
         if self._found[0] is None:
             for way in ups:
                 if way[-1] in self._parents:
-                    return (f"the transforms go in a circle: '{self._parents[way[-1]]}' is above "
+                    return (f"the transforms form a loop: '{self._parents[way[-1]]}' is above "
                             f"'{way[-1]}', and below it")
-            return (f"no transforms lead from '{self.world}' to '{self.tool}': from there they "
-                    f"lead up to '{ups[0][-1]}' and '{ups[1][-1]}'")
+            return (f"no transforms connect '{self.world}' and '{self.tool}': they lead up to "
+                    f"'{ups[0][-1]}' and '{ups[1][-1]}'")
         if not self._moving:
             return f"'{self.tool}' does not move in '{self.world}': all transforms are static"
         silent = [link for link, samples in self._moving.items() if not samples]

@@ -45,5 +45,5 @@ def check_thresholds(values: Mapping[str, Any]) -> None:
     if low > high:
         raise BellowsError(
             f'vacuum.attach_below is {low:g} Pa, above vacuum.detach_above, {high:g} Pa. The '
-            'pressure falls when a package is sucked on: give the lower one to attach_below.'
+            'pressure falls when a package is picked up, so attach_below must be the lower one.'
         )

@@ -55,14 +55,13 @@ CAUSES = (
     Cause('slip', (13, 14), (3e-3, 3e-3), 0.4, False, True,
           'The grip has slipped by {:.1f} mm: move slower, or raise the vacuum.'),
     Cause('leak', (LENGTHENING,), (5e-3,), 0.15, False, True,
-          'The cup gives way by {:.1f} mm/s, as with a leak: look at its lip and the vacuum.'),
+          'The cup yields by {:.1f} mm/s, as with a leak: check its lip and the vacuum.'),
     Cause('wear', (FORCE, MOMENT), (0.2, 0.2), 0.1, True, False,
-          'The stiffness of the cup is off by {:.0f} %: it is worn, or another one is mounted; '
-          "identify it with 'bellows identify'.", 100.0),
+          'The stiffness of the cup is off by {:.0f} %: it is worn, or another cup is mounted. '
+          "Identify it with 'bellows identify'.", 100.0),
     Cause('payload', (12, 13, 14, 15), (0.2, 0.01, 0.01, 0.01), 0.1, True,
           False,
-          'Mass or centre of mass are not those of package.*: correct them, or set '
-          'payload.estimate.'),
+          'Mass or centre of mass differ from package.*: correct them, or set payload.estimate.'),
     Cause('lost', (GONE,), (0.3,), 0.1, False, True,
           'The package is lost: stop the arm.'),
     Cause('camera', tuple(range(FRAME, FRAME + 6)), (0.01,) * 6, 0.15,

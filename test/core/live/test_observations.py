@@ -105,12 +105,12 @@ def test_box_of_an_inertia_is_the_box():
 @pytest.mark.parametrize(('seen', 'level', 'words'), [
     ({}, Level.OK, '500 Hz.'),
     ({'publishers': 0, 'rhythm': SILENT}, Level.ERROR, 'Nobody publishes /tool'),
-    ({'rhythm': SILENT}, Level.ERROR, 'silent: no message for 3.0 s. Is the driver'),
+    ({'rhythm': SILENT}, Level.ERROR, 'silent: no message for 3.0 s. Check that the driver'),
     ({'rhythm': SILENT, 'silent': math.inf}, Level.ERROR, 'silent: no message so far'),
     ({'rhythm': SILENT, 'mismatch': Mismatch('qos', 'reliability')}, Level.ERROR,
      'Set qos_overrides./tool.subscription.reliability'),
     ({'rhythm': SILENT, 'mismatch': Mismatch('type', 'std_msgs/msg/Bool')}, Level.ERROR,
-     'sends std_msgs/msg/Bool, which is not what is listened to: see tool_pose.type'),
+     'sends std_msgs/msg/Bool, but the node subscribes to another type. Set tool_pose.type'),
     ({'rhythm': SILENT, 'mismatch': Mismatch('frames', 'no way')}, Level.ERROR,
      'No pose of the tool from /tool: no way. Check frames.world and frames.tool'),
     ({'refused': {'nan': 3, 'jump': 0}}, Level.WARN, '3 of 500 messages refused: 3 nan.'),
@@ -170,7 +170,7 @@ def test_words_on_the_vacuum(seen, held, speaks_once, level, words):
     ({'restarts': {'no_equilibrium': 1}}, Level.ERROR, 'cannot hold'),
     ({'twist_verdict': 'other_axes'}, Level.WARN, 'tool_twist.frame'),
     ({'above': True}, Level.ERROR, 'The package is above the tool: z of the tool points down'),
-    ({'covariance_known': False}, Level.WARN, 'package/odometry is not known'),
+    ({'covariance_known': False}, Level.WARN, 'package/odometry is unknown'),
 ])
 def test_words_on_the_prediction(seen, level, words):
     base = PredictionSeen(
@@ -196,7 +196,7 @@ def test_the_safety_factor_follows_the_vacuum_that_is_heard():
 
 
 @pytest.mark.parametrize(('factor', 'bending', 'level', 'words'), [
-    (None, 0.1, Level.OK, 'No limits are known'), (2.0, 0.1, Level.OK, 'Within'),
+    (None, 0.1, Level.OK, 'The limits of the cup are unknown'), (2.0, 0.1, Level.OK, 'Within'),
     (1.234, 0.1, Level.WARN, '1.23 (peel), below safety.least, 1.5'),
     (0.8, 0.1, Level.ERROR, '0.80 (peel), below 1: the cup lets go'),
     (2.0, 0.7, Level.WARN, 'bends by 0.7 rad'),
@@ -208,7 +208,7 @@ def test_words_on_the_load(factor, bending, level, words):
     assert words in status.message
     assert status.values['distance from envelope'] == 'not known'
     detached = health.load_status('x', None, None, 0.0, True, False, 1.5)
-    assert detached.message == 'No load to be judged.'
+    assert detached.message == 'No load: no package is held.'
 
 
 def test_cup_is_chosen_by_name():

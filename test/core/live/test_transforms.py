@@ -70,7 +70,7 @@ def test_a_slower_link_is_interpolated_between_its_stamps():
 
 def test_what_is_missing_is_said():
     chain = Chain('world', 'tool')
-    assert "no transforms lead from 'world' to 'tool'" in chain.missing
+    assert "no transforms connect 'world' and 'tool'" in chain.missing
     chain.add('arm', 'tool', along_x(5 * MS, 0.0))
     assert "lead up to 'world' and 'arm'" in chain.missing
     assert not list(chain.due())
@@ -99,7 +99,7 @@ def test_frames_that_go_in_circles_end_and_are_named():
     for parent, child in (('a', 'tool'), ('b', 'a'), ('tool', 'b')):
         chain.add(parent, child, along_x(MS, 0.0))
     assert not list(chain.due())
-    assert chain.missing == "the transforms go in a circle: 'tool' is above 'b', and below it"
+    assert chain.missing == "the transforms form a loop: 'tool' is above 'b', and below it"
     chain.add('world', 'world', along_x(MS, 0.0))
     assert not list(chain.due()) and "'world' is above 'world'" in chain.missing
 
@@ -114,11 +114,11 @@ def test_two_parents_in_turn_are_not_mixed_and_are_named():
         chain.add('rail', 'tool', along_x((2 * stamp - 1) * MS, 0.0))
         got += chain.due()
     assert not got  # between a rail on the left and one on the right there is none
-    assert chain.missing == "'rail' comes with two parents in turn, 'left' and 'right'"
+    assert chain.missing == "'rail' has two alternating parents, 'left' and 'right'"
     moved = Chain('world', 'tool')
     for stamp, parent in enumerate(('world', 'world', 'stand', 'stand', 'world', 'world')):
         moved.add(parent, 'tool', along_x(stamp * MS, 0.0))
-    assert 'two parents' not in moved.missing  # a frame may be put elsewhere, and back
+    assert 'two alternating parents' not in moved.missing  # a frame may be put elsewhere, and back
 
 
 def test_a_clock_set_back_is_followed_and_a_repetition_left_out():
