@@ -22,7 +22,7 @@ from bellows_ros import __version__
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import write_json
 
-from . import ahead, batch, live, offline, plans, startup, step
+from . import ahead, batch, camera, live, offline, plans, startup, step
 from .tables import markdown, tables
 
 DOCS = Path(__file__).resolve().parents[1] / 'docs'
@@ -34,6 +34,7 @@ SECTIONS: Mapping[str, Callable[[bool], dict[str, Any]]] = {
     'batch': batch.run,
     'plans': plans.run,
     'ahead': ahead.run,
+    'camera': camera.run,
 }
 PACKAGES = ('numpy', 'scipy', 'numba', 'rosbags', 'mujoco', 'drake', 'joblib')
 _MARKED = re.compile(r'(<!-- bench: (\S+) -->\n).*?(<!-- end -->)', re.DOTALL)

@@ -33,6 +33,8 @@ HEARD = 'predictor, twist and wrench heard'
 PLANS = 'bare, events, plans'
 """A bare node that sends plans back, too."""
 TOSSING = 'predictor, release and landing set'
+CAMERA = 'predictor, corrected at 30 Hz'
+"""The sender gives some answers back as measured poses."""
 
 PARAMETERS = (
     '-p', 'package.mass:=2.17',
@@ -52,6 +54,7 @@ NODES: Mapping[str, tuple[str, ...]] = {
     PREDICTOR: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
     HEARD: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
     TOSSING: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS, *TOSSED),
+    CAMERA: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
 }
 
 
@@ -75,6 +78,20 @@ def run(short: bool) -> dict[str, Any]:
             }
             found += _figures(parts, rate, True, LONG)
     return {'runs': found}
+
+
+def with_a_camera(rate: int, short: bool) -> dict[str, Any]:
+    """Return the figures with and without corrections, in turn, and the medians of the ratios."""
+    parts: dict[str, list[dict[str, Any]]] = {PREDICTOR: [], CAMERA: []}
+    with tempfile.TemporaryDirectory() as folder:
+        for _ in range(ROUNDS[short]):
+            for name, heard in ((PREDICTOR, 'pose'), (CAMERA, 'camera')):
+                parts[name].append(
+                    measured(name, rate, SECONDS[short], True, Path(folder), heard))
+    without, both = (np.array([
+        np.percentile(run['latency'], [50.0, 99.0]) for run in runs]) for runs in parts.values())
+    p50, p99 = np.median(both / without, axis=0).tolist()
+    return {'runs': _figures(parts, rate, True, SECONDS[short]), 'p50': p50, 'p99': p99}
 
 
 def measured(

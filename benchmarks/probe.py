@@ -4,9 +4,10 @@ Send tool poses (and twists) at a rate and take the time until each answer is he
 `python -m benchmarks.probe RATE SECONDS SENT HEARD PID` prints JSON: latencies in s,
 and the processor time and memory of the process that answers. SENT is `poses` or `twists` (these
 too), HEARD is `pose`, `all` (the package's twist and the cup's wrench too), `landing` (where it
-would land, too) or `plans,PERIOD,RATE,HOW`: every PERIOD (s) a plan of 2 s of what the tool does
-from now on is sent, with points at RATE, during the first half of each `CYCLE`. HOW is `raw`
-(as bytes) or `typed` (as messages of rclpy, whose making of objects then counts).
+would land, too), `camera` (and some 30 answers a second are given back as measured poses) or
+`plans,PERIOD,RATE,HOW`: every PERIOD (s) a plan of 2 s of what the tool does from now on is sent,
+with points at RATE, during the first half of each `CYCLE`. HOW is `raw` (as bytes) or `typed` (as
+messages of rclpy, whose making of objects then counts).
 """
 
 from collections.abc import Callable
@@ -39,6 +40,8 @@ WARM_SECONDS = 1.0
 """At the beginning, not counted."""
 DISCOVERY, TWISTS_DISCOVERY = 60.0, 1.0
 LAST_ANSWER = 2.0
+SEEN_EVERY_NS = 33_000_000
+COMPILED_AFTER = 5.0
 BUSY = 300e-6
 """So long (s) before a message is due nothing else is done."""
 CYCLE, PLAN_LASTS = 12, 2
@@ -68,6 +71,10 @@ class Probe(Node):
             self._heard['package/landing'] = PoseWithCovarianceStamped, self._on_other
         for name, (kind, callback) in self._heard.items():
             self.create_subscription(kind, name, callback, QUEUE)
+        self._camera = None
+        if heard == 'camera':
+            self._camera = self.create_publisher(PoseStamped, 'package/measured', QUEUE)
+        self._next_seen_ns = 0
         self._period = 1.0 / rate_hz
         self._messages = [_messages(k * self._period) for k in range(round(seconds * rate_hz))]
         self._plans: dict[int, Any] = {}
@@ -79,7 +86,11 @@ class Probe(Node):
         self.executor_.add_node(self)
 
     def _on_answer(self, message: PoseStamped) -> None:
-        self.answered[stamp_to_ns(message.header.stamp)] = time.perf_counter_ns()
+        stamp_ns = stamp_to_ns(message.header.stamp)
+        self.answered[stamp_ns] = time.perf_counter_ns()
+        if self._camera and stamp_ns >= self._next_seen_ns:
+            self._next_seen_ns = stamp_ns + SEEN_EVERY_NS
+            self._camera.publish(message)
 
     def _prepare_plans(self, how: str, seconds: float) -> None:
         """Make the plans, and their topics."""
@@ -115,6 +126,10 @@ class Probe(Node):
             and all(self.count_publishers(name) > 0 for name in self._heard),
             DISCOVERY,
         )
+        camera = self._camera
+        if both and camera:  # the filter is compiled when somebody is there who may send
+            both = self._spin_until(lambda: camera.get_subscription_count() > 0, DISCOVERY)
+            self._spin_until(lambda: False, COMPILED_AFTER)
         twists = self._twist_out
         if both and twists:
             self._spin_until(lambda: twists.get_subscription_count() > 0, TWISTS_DISCOVERY)

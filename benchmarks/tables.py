@@ -178,6 +178,26 @@ def _ahead(section: Mapping[str, Any]) -> Table:
         for row in section['landing']]
 
 
+def _camera(section: Mapping[str, Any]) -> Table:
+    """Return the errors of all ways to know where the package is, and below the camera's noise."""
+    noise = section['noise']
+    rows: Table = [('', 'position', 'rotation', 'below the noise')]
+    return rows + [
+        (name, f'{1e3 * row["position"]:.3g} mm', f'{1e3 * row["rotation"]:.3g} mrad',
+         ', '.join(f'{noise[what] / row[what]:.2g} times' for what in noise))
+        for name, row in section['errors'].items()]
+
+
+def _corrected(section: Mapping[str, Any]) -> Table:
+    """Return what corrections cost, in the predictor and in the node."""
+    rows: Table = [('500 Hz, a camera of 30 Hz', 'median')]
+    rows += [(name, _time(times['median'])) for name, times in section['seconds'].items()]
+    rows += [(f'{run["node"]}: p50, p99', f'{_time(run["p50"])}, {_time(run["p99"])}')
+             for run in section['node']['runs']]
+    return [*rows, ('with corrections by without, median of pairs', ', '.join(
+        f'{section["node"][name]:.2f}' for name in ('p50', 'p99')))]
+
+
 _TABLES: Mapping[str, Callable[[Mapping[str, Any]], Table]] = {
     'step': _step,
     'step.accuracy': _accuracy,
@@ -189,6 +209,8 @@ _TABLES: Mapping[str, Callable[[Mapping[str, Any]], Table]] = {
     'plans': _plans,
     'plans.motions': _motions,
     'ahead': _ahead,
+    'camera': _camera,
+    'camera.cost': _corrected,
 }
 
 

@@ -15,7 +15,8 @@ from benchmarks import batch, live, offline, plans, startup, step, timing
 from benchmarks.tables import markdown, tables
 import pytest
 
-NEEDED = {'node': 'rclpy', 'ahead': 'rclpy', 'startup': 'rclpy', 'batch': 'joblib'}
+NEEDED = {
+    'node': 'rclpy', 'ahead': 'rclpy', 'camera': 'rclpy', 'startup': 'rclpy', 'batch': 'joblib'}
 
 
 @pytest.mark.stress

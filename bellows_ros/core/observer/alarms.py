@@ -93,6 +93,12 @@ So many of them, beside the beginning: all of a time (ns), what is older farther
 that is older than this (ns): all that falls for long has fallen out of any number's range.
 """
 
+OVERSHOOT = 1.8
+"""
+So much lower may the threshold be, as the sum does not reach it but leaps over it, older onsets
+are let go, and a cause must lead: pure chance raises no more alarms than allowed all the same.
+"""
+
 START_WEIGHS = 30.0
 """A fault from the beginning is as likely as one that sets in at any of so many onsets."""
 
@@ -135,7 +141,7 @@ class Alarms:
 
     def __init__(self, false_per_hour: float) -> None:
         """Know of nothing."""
-        self._threshold = math.log(3.6e12 / ONSET_NS / false_per_hour)
+        self._threshold = math.log(3.6e12 / ONSET_NS / false_per_hour) - OVERSHOOT
         self.forget()
 
     def forget(self) -> None:

@@ -1,0 +1,255 @@
+"""What a camera adds: errors beside other filters' on the same recording, and what it costs."""
+
+from collections.abc import Callable
+from pathlib import Path
+import tempfile
+import time
+from typing import Any
+
+from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.kernels import State
+from bellows_ros.core.lie import exp_so3, log_so3, rotation_to_quaternion
+from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.observer import Observer
+from bellows_ros.core.parameters import resolve
+from bellows_ros.core.simulation import state_row
+from bellows_ros.core.trajectory import PoseStream, Trajectory
+from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bags import read_streams
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.workflows.replay import replay
+import numpy as np
+
+from .live import with_a_camera
+from .step_case import CUP, PACKAGE, shaken_tool
+from .timing import figures
+
+BAGS = Path(__file__).resolve().parents[1] / 'bags'
+TOPICS = {'tool': '/tool_arm/pose', 'twist': '/tool_arm/twist', 'package': '/package/pose'}
+SEEN = '/camera/box'
+NOISE = 2e-3, 1e-2
+"""Of the camera, m and rad along each axis."""
+EVERY = 12
+"""The package is recorded at 360 Hz, the camera sees it at 30 Hz."""
+SETTLED = 2.0
+"""Errors count from then on, s."""
+AS_IT_COMES = np.array([
+    0.05, 0.05, 0.06, 0.03, 0.03, 0.06, 0.025, 0.025, 0.04, 0.01, 0.01, 0.02, 0.01, 0.01, 0.015])
+"""Variances of robot_localization's process noise in a second, as it is shipped."""
+LOUDER = 10.0 ** np.arange(0, 9)
+"""The peers may choose by which their noise of what changes fastest is larger; the best counts."""
+BESIDE = {'package.com': (0.01, 0.0, -0.03), 'payload.estimate': True}
+"""The package is gripped 10 mm beside where its data have it."""
+
+
+def run(short: bool) -> dict[str, Any]:
+    """Return RMS errors (m, rad) by way, times of one update and of a pose (s), and latencies."""
+    parameters = read_parameters(BAGS / 'cup.yaml') | read_parameters(BAGS / 'package.yaml')
+    errors: dict[str, dict[str, float]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        poses = filmed(Path(folder) / 'bag')
+        for grip, more in (('', {}), (', gripped 10 mm beside', BESIDE)):
+            found = replay(Path(folder) / 'bag', parameters | more, observe=SEEN).observed
+            assert found is not None
+            known = np.isfinite(found.both.error).all(axis=1)
+            known &= found.both.stamps_ns > found.both.stamps_ns[0] + SETTLED * 1e9
+            errors |= {
+                name + (grip if name != 'camera alone' else ''): _rms(way.error[known])
+                for name, way in found.ways.items()}
+    truth, camera = poses['package'].trajectory(), poses['camera'].trajectory()
+    true = truth.select(np.isin(truth.stamps_ns, found.both.stamps_ns[known]))
+    louder = LOUDER[3:4] if short else LOUDER
+    for name, peer, noises in (
+            ('robot_localization, as shipped', robot_localization, [AS_IT_COMES]),
+            ('robot_localization, noise tuned', robot_localization,
+             [AS_IT_COMES * np.repeat([0.01, factor], [9, 6]) for factor in louder]),
+            ('constant velocity, noise tuned', constant_velocity,
+             [factor * np.array([1e-2, 1.0]) for factor in louder])):
+        rows = [_peer(peer, noise, camera, true) for noise in noises]
+        errors[name] = {what: min(row[what] for row in rows) for what in rows[0]}
+    return {
+        'noise': {'position': NOISE[0] * 3**0.5, 'rotation': NOISE[1] * 3**0.5},
+        'errors': errors, 'seconds': costs(short),
+        'node': with_a_camera(125 if short else 500, short),
+    }
+
+
+def _rms(error: Array) -> dict[str, float]:
+    """Return RMS lengths of errors (N, 6) in position and rotation."""
+    position, rotation = (
+        float(np.sqrt(np.square(part).sum(axis=1).mean())) for part in np.hsplit(error, 2))
+    return {'position': position, 'rotation': rotation}
+
+
+def filmed(folder: Path) -> dict[str, PoseStream]:
+    """Write the shipped validation with a camera, and return poses of package and camera."""
+    streams: dict[str, Any] = dict(read_streams(BAGS / 'validation', TOPICS))
+    package, twist, rng = streams['package'], streams['twist'], np.random.default_rng(1)
+    which = np.arange(EVERY - 1, len(package.stamps_ns), EVERY)
+    shifts, turns = (rng.normal(size=(len(which), 3)) * noise for noise in NOISE)
+    streams['camera'] = PoseStream(
+        SEEN, package.frame_id, package.stamps_ns[which], package.position[which] + shifts,
+        package.rotation[which] @ exp_so3(turns))
+    write_bag(folder, [
+        *(Recorded(topic, 'geometry_msgs/msg/PoseStamped', streams[role].stamps_ns, np.hstack(
+            [streams[role].position, rotation_to_quaternion(streams[role].rotation)]))
+          for role, topic in (*TOPICS.items(), ('camera', SEEN)) if role != 'twist'),
+        Recorded(TOPICS['twist'], 'geometry_msgs/msg/TwistStamped', twist.stamps_ns,
+                 np.hstack([twist.linear, twist.angular]))])
+    return streams
+
+
+# ------------------------------------------------------------------- peers
+
+
+Peer = Callable[[Array, Stamps, Array, Array, Stamps], tuple[Array, Array]]
+
+
+def _peer(peer: Peer, process: Array, camera: Trajectory, true: Trajectory) -> dict[str, float]:
+    """Return the errors of a filter that sees the camera alone."""
+    position, rotation = peer(
+        process, camera.stamps_ns, camera.position, camera.rotation, true.stamps_ns)
+    turn = log_so3(np.swapaxes(true.rotation, 1, 2) @ rotation)
+    return _rms(np.hstack([position - true.position, turn]))
+
+
+def robot_localization(
+    process: Array, stamps_ns: Stamps, position: Array, rotation: Array, at_ns: Stamps
+) -> tuple[Array, Array]:
+    """
+    Return poses as the package robot_localization filters them (Moore and Stouch 2014).
+
+    An extended Kalman filter on position, roll, pitch, yaw, and velocity, rate and acceleration
+    in axes of the body, that go on as they are; `process` are variances (15,) in a second.
+    """
+    x, P = np.zeros(15), np.eye(15) * 1e-2
+    x[:3], x[3:6] = position[0], _euler(rotation[0])
+    R = np.diag(np.repeat(np.square(NOISE), 3))
+    out, newest, k = [], int(stamps_ns[0]), 1
+    for stamp in at_ns.tolist():
+        while k < len(stamps_ns) and stamps_ns[k] < stamp:
+            x, P = _go_on(x, P, (stamps_ns[k] - newest) * 1e-9, process)
+            newest = int(stamps_ns[k])
+            y = np.r_[position[k], _euler(rotation[k])] - x[:6]
+            y[3:] = (y[3:] + np.pi) % (2.0 * np.pi) - np.pi
+            gain = P[:, :6] @ np.linalg.inv(P[:6, :6] + R)
+            A = np.eye(15)
+            A[:, :6] -= gain
+            x, P = x + gain @ y, A @ P @ A.T + gain @ R @ gain.T
+            k += 1
+        out.append(_moved(x, (stamp - newest) * 1e-9)[:6])
+    rows = np.array(out)
+    return rows[:, :3], np.array([_of_euler(row) for row in rows[:, 3:]])
+
+
+def _go_on(x: Array, P: Array, seconds: float, process: Array) -> tuple[Array, Array]:
+    """Return state and covariance a time later."""
+    later, size = _moved(x, seconds), 1e-6
+    F = np.column_stack([
+        (_moved(x + size * unit, seconds) - later) / size for unit in np.eye(15)])
+    return later, F @ P @ F.T + seconds * np.diag(process)
+
+
+def _moved(x: Array, seconds: float) -> Array:
+    """Return a state after a time in which its accelerations stay."""
+    roll, pitch = x[3:5]
+    later, turn = x.copy(), _of_euler(x[3:6])
+    later[:3] += turn @ (seconds * x[6:9] + 0.5 * seconds**2 * x[12:15])
+    s, c, t = np.sin(roll), np.cos(roll), np.tan(pitch)
+    along = 1.0 / np.cos(pitch)
+    rates = np.array([[1.0, s * t, c * t], [0.0, c, -s], [0.0, s * along, c * along]])
+    later[3:6] += seconds * rates @ x[9:12]
+    later[6:9] += seconds * x[12:15]
+    return later
+
+
+def _euler(R: Array) -> Array:
+    """Return roll, pitch and yaw of a rotation."""
+    return np.array([np.arctan2(R[2, 1], R[2, 2]), np.arcsin(-R[2, 0]),
+                     np.arctan2(R[1, 0], R[0, 0])])
+
+
+def _of_euler(rpy: Array) -> Array:
+    """Return the rotation of roll, pitch and yaw."""
+    unit = np.eye(3)
+    return np.asarray(
+        exp_so3(unit[2] * rpy[2]) @ exp_so3(unit[1] * rpy[1]) @ exp_so3(unit[0] * rpy[0]))
+
+
+def constant_velocity(
+    process: Array, stamps_ns: Stamps, position: Array, rotation: Array, at_ns: Stamps
+) -> tuple[Array, Array]:
+    """
+    Return poses by a filter of white accelerations, linear and angular (Bar-Shalom 2001, 6.2).
+
+    At a steady rate its gains are constant, the same for all axes: those of an alpha-beta filter.
+    `process` are the two densities.
+    """
+    h = float(np.median(np.diff(stamps_ns))) * 1e-9
+    gains = [_steady_gain(density, noise, h)
+             for density, noise in zip(process, NOISE, strict=True)]
+    o, R, v, w = position[0], rotation[0], np.zeros(3), np.zeros(3)
+    places, turns, newest, k = [], [], int(stamps_ns[0]), 1
+    for stamp in at_ns.tolist():
+        while k < len(stamps_ns) and stamps_ns[k] < stamp:
+            h = (stamps_ns[k] - newest) * 1e-9
+            newest = int(stamps_ns[k])
+            o, R = o + h * v, R @ exp_so3(h * w)
+            y, turn = position[k] - o, log_so3(R.T @ rotation[k])
+            o, v = o + gains[0][0] * y, v + gains[0][1] * y
+            R, w = R @ exp_so3(gains[1][0] * turn), w + gains[1][1] * turn
+            k += 1
+        h = (stamp - newest) * 1e-9
+        places.append(o + h * v)
+        turns.append(R @ exp_so3(h * w))
+    return np.array(places), np.array(turns)
+
+
+def _steady_gain(density: float, noise: float, h: float) -> Array:
+    """Return the gains of position and velocity after a long time."""
+    F = np.array([[1.0, h], [0.0, 1.0]])
+    Q = density * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
+    P, gain = np.eye(2), np.zeros(2)
+    for _ in range(500):
+        P = F @ P @ F.T + Q
+        gain = P[:, 0] / (P[0, 0] + noise**2)
+        P = P - np.outer(gain, P[0])
+    return gain
+
+
+# ------------------------------------------------------------------- costs
+
+
+def costs(short: bool) -> dict[str, Any]:
+    """Return seconds per pose of the tool at 500 Hz, and per pose of a camera at 30 Hz."""
+    rows = shaken_tool(1000 if short else 10_000, 500.0)
+    stamps = ((np.arange(len(rows)) + 500) * 2_000_000).tolist()
+    states = [state_row(row[:3], row[3:7], row[7:]) for row in rows]
+    found = {'pose without a camera': _follow(stamps, states, None)[0]}
+    for name, alarms in (('', 1.0), (', no alarms', 0.0)):
+        observer = Observer(resolve({'alarm.false_per_hour': alarms}, ()))
+        found['pose with one' + name], found['measured pose' + name] = _follow(
+            stamps, states, observer)
+    return {name: figures(times[len(times) // 4:]) for name, times in found.items()}
+
+
+def _follow(
+    stamps: list[int], states: list[State], observer: Observer | None
+) -> tuple[list[float], list[float]]:
+    """Return how long each pose, and each measured pose, takes; what is seen is as predicted."""
+    live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
+    live.expect_twists = True
+    if observer is not None:
+        live.observe(observer)
+    poses, seen = [], []
+    for k, (stamp_ns, (position, q, linear, angular)) in enumerate(
+            zip(stamps, states, strict=True)):
+        live.on_twist(stamp_ns, linear, angular)
+        start = time.perf_counter()
+        (there,) = live.on_pose(stamp_ns, 'world', position, q)
+        poses.append(time.perf_counter() - start)
+        if observer is not None and k % 17 == 16:
+            start = time.perf_counter()
+            live.on_measured(stamp_ns, 'world', there.position, there.quaternion_xyzw)
+            seen.append(time.perf_counter() - start)
+    return poses, seen
