@@ -128,8 +128,7 @@ def _say_observed(found: 'Observed', console: Console) -> None:
         (f'{name:2} {"mm" if i < 3 else "mrad"}',
          *(short(MILLI * way.scores.rms[i]) for way in found.ways.values()))
         for i, name in enumerate(AXES))], right=True)
-    used = ', '.join(f'{count} {what}' for what, count in found.counts.items())
-    console.paragraph(f'Measured poses: {used}.')
+    console.paragraph(found.sentence)
     for line in found.alarm_lines:
         console.warn(f'Alarm at {line}')
 

@@ -286,6 +286,7 @@ class _Collector:
         """Start with nothing."""
         self.name = name
         self.role = role
+        self.given_by = '--observe' if role == 'measured' else f'topics.{role}'
         self.type_name = ''
         self.types = accepted_types(role)
         self._problem: BellowsError | None = None
@@ -407,14 +408,14 @@ def _require_topic(bag: Path, counts: Mapping[Topic, int], collector: _Collector
     if not here:
         raise BellowsError(
             f"Topic '{collector.name}' is not in recording '{bag}'; "
-            f'{_alternatives(counts, collector)}. Set topics.{collector.role}.'
+            f'{_alternatives(counts, collector)}. Set {collector.given_by}.'
         )
     if not readable:
         got = ', '.join(sorted({f'{t.type_name} in {t.encoding}' for t in here}))
         raise BellowsError(
             f"Topic '{collector.name}' in recording '{bag}' is of type {got}; "
             f'accepted are {accepted}, in cdr. '
-            f'For topics.{collector.role}, {_alternatives(counts, collector)}.'
+            f'For {collector.given_by}, {_alternatives(counts, collector)}.'
         )
     if not any(counts[topic] for topic in readable):
         raise BellowsError(

@@ -12,7 +12,6 @@ KINDS = ('predicted', 'quiet', 'error')
 
 def observed_content(found: Observed) -> list[str]:
     """Return table and figures of the errors of prediction and camera, each alone and both."""
-    used = ', '.join(f'{count} {what}' for what, count in found.counts.items())
     rows = [
         (f'{name} ({_unit(i)})', *(f'{MILLI * w.scores.rms[i]:.3g}' for w in found.ways.values()))
         for i, name in enumerate(AXES)
@@ -27,7 +26,7 @@ def observed_content(found: Observed) -> list[str]:
         paragraph(
             'RMS error of what is known at each instant from what came before it: predicted from '
             'the tool alone, the newest measured pose alone, and predicted and corrected. '
-            f'Measured poses: {used}.'),
+            + found.sentence),
         warnings([f'Alarm at {line}' for line in found.alarm_lines]),
         table(('axis', *found.ways), rows),
         figures([('', line_chart(

@@ -10,7 +10,7 @@ from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
 from bellows_ros.core.model import cup_of, package_of
-from bellows_ros.core.observer import Alarm, Observer
+from bellows_ros.core.observer import Alarm, Observer, Payload
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.package_world import in_tool_world, pose_of
 from bellows_ros.core.recording.recording import Recording
@@ -37,6 +37,8 @@ class Observed:
         Measured poses that were used, and those that were not, by reason.
     alarms : tuple of (float, Alarm)
         What was found to be wrong, and when, s from the first pose of the tool.
+    payload : Payload or None
+        What mass and centre of mass were found to be, where payload.estimate is set.
 
     """
 
@@ -46,6 +48,24 @@ class Observed:
     both: Comparison
     counts: Mapping[str, int]
     alarms: tuple[tuple[float, Alarm], ...]
+    payload: Payload | None = None
+
+    @property
+    def sentence(self) -> str:
+        """What became of the measured poses, and what they say of the payload."""
+        words = {'gate': 'outside the gate', 'not_held': 'with nothing held',
+                 'covariance': 'with a covariance that is none'}
+        counted = ', '.join(
+            f'{count} {words.get(what, what.replace("_", " "))}'
+            for what, count in self.counts.items())
+        said = [f'Measured poses: {counted}.']
+        if found := self.payload:
+            com = ', '.join(f'{1e3 * value:.2f} ± {1e3 * std:.2g}' for value, std in zip(
+                found.com, found.com_std, strict=True))
+            said.append(
+                f'Found: mass {found.mass:.4g} ± {found.mass_std:.2g} kg, centre of mass {com} mm '
+                'from the lip (± is the bound of Cramér and Rao).')
+        return ' '.join(said + ([] if self.alarms else ['No alarm.']))
 
     @property
     def alarm_lines(self) -> list[str]:
@@ -65,6 +85,9 @@ class Observed:
             'alarms': [
                 {'time': seconds, 'cause': alarm.cause, 'words': alarm.words}
                 for seconds, alarm in self.alarms],
+            'payload': self.payload and {
+                'mass': self.payload.mass, 'mass_std': self.payload.mass_std,
+                'com': list(self.payload.com), 'com_std': self.payload.com_std.tolist()},
             **{f'rms {name}': found.scores.rms for name, found in self.ways.items()},
         }
 
@@ -120,7 +143,8 @@ def observed(
     counts = {what: n for what, n in observer.counts.items() if n}
     alarms = tuple(
         ((alarm.stamp_ns - int(messages.stamps_ns[0])) * 1e-9, alarm) for alarm in observer.alarms)
-    return Observed(topic, prediction, compare(held, tool, package), both, counts, alarms)
+    return Observed(
+        topic, prediction, compare(held, tool, package), both, counts, alarms, observer.payload)
 
 
 def _predictor(values: Mapping[str, Any]) -> LivePredictor:

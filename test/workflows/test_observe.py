@@ -57,6 +57,9 @@ def test_both_are_better_than_either(filmed):
     assert size[2] < 0.1 * min(size[:2])
     assert turn[2] < 0.2 * min(turn[:2])
     assert found.counts['used'] > 300
+    assert found.payload.com_std.max() < 1e-3
+    assert abs(np.subtract(found.payload.com, (0.0, 0.0, -0.03))).max() < 1e-3
+    assert f'Found: mass {found.payload.mass:.4g} ±' in found.sentence
     assert found.counts['out_of_reach'] + found.counts.get('gate', 0) >= 15
 
 
@@ -97,5 +100,5 @@ def test_a_page_shows_it(filmed):
 def test_a_topic_that_is_not_there(filmed):
     """Name those that are."""
     bag, values = filmed
-    with pytest.raises(BellowsError, match='camera/box'):
+    with pytest.raises(BellowsError, match=r'camera/box.* Set --observe\.'):
         replay(bag, values, observe='camera/other')
