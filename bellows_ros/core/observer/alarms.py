@@ -196,6 +196,7 @@ class Alarms:
         first = FIRSTS[which] - (N_START if onset else 0)
         part = slice(first, first + len(usual))
         J, d = self._information[onset, part, part], self._evidence[onset, part]
+        J = np.tril(J) + np.tril(J, -1).T
         found = np.linalg.solve(J + np.diag(usual ** -2.0), d)
         return float(np.linalg.norm(found[:3]))
 
@@ -302,25 +303,25 @@ def _sight(H: Array, position: Vector, quaternion_xyzw: Quaternion) -> Array:
 def _pass_on(E: Array, M: Array, state: Array) -> None:
     """Write what becomes of the state's error, and let the faults go on as they do."""
     last = M[12]
-    for c in range(E.shape[1]):
-        for i in range(12):
-            E[i, c] = state[i, c]
-        E[LENGTHENED, c] += last[0] * E[LENGTHENING, c]
-        for i in range(3):
-            E[FALL + i, c] += last[0] * E[SPEED + i, c] + last[4 + i] * E[GONE, c]
-            E[SPEED + i, c] += last[1 + i] * E[GONE, c]
+    for i in range(12):
+        E[i] = state[i]
+    E[LENGTHENED] += last[0] * E[LENGTHENING]
+    for i in range(3):
+        E[FALL + i] += last[0] * E[SPEED + i] + last[4 + i] * E[GONE]
+        E[SPEED + i] += last[1 + i] * E[GONE]
 
 
 @kernel
 def _compare(seen: Array, z: Array, k: int, J: Array, d: Array) -> None:
-    """Add what a measurement says of the sizes of the faults at an onset."""
-    column, first, end = _columns(k)
-    for a in range(end - first):
-        for i in range(6):
-            part = seen[i, column + a]
-            d[a] += part * z[i, 0]
-            for b in range(end - first):
-                J[a, b] += part * seen[i, column + b]
+    """Add what a measurement says of the sizes of the faults at an onset; J below its diagonal."""
+    column, first, _ = _columns(k)
+    for what in range(0 if k == 0 else AT_START, AT_START if k == 0 else len(OF_CAUSE)):
+        for a in range(FIRSTS[what] - first, FIRSTS[what + 1] - first):
+            for i in range(6):
+                part = seen[i, column + a]
+                d[a] += part * z[i, 0]
+                for b in range(FIRSTS[what] - first, a + 1):
+                    J[a, b] += part * seen[i, column + b]
 
 
 @kernel
@@ -330,11 +331,12 @@ def _judged(
     """Return what `_step` does."""
     top, sums = np.full(len(SHARES), -math.inf), np.zeros(len(SHARES))
     onset, which = np.zeros(len(SHARES), np.int64), np.zeros(len(SHARES), np.int64)
+    A, z = np.empty((6, 6)), np.empty(6)
     for k in range(len(counts)):
         usual = 6.0 * counts[k] + 4.0 * math.sqrt(12.0 * counts[k])
         first, end = (0, AT_START) if k == 0 else (AT_START, len(OF_CAUSE))
         for what in range(first, end if counts[k] >= LEAST else first):
-            explained, spread = _explained(information[k], evidence[k], k, what)
+            explained, spread = _explained(information[k], evidence[k], k, what, A, z)
             if distances[k] - explained > usual + UNEXPLAINED * explained:
                 continue
             ratio = 0.5 * explained - spread + (math.log(START_WEIGHS) if k == 0 else 0.0)
@@ -358,35 +360,33 @@ def _judged(
 
 
 @kernel
-def _explained(J: Array, d: Array, k: int, what: int) -> tuple[float, float]:
+def _explained(
+    J: Array, d: Array, k: int, what: int, A: Array, z: Array
+) -> tuple[float, float]:
     """
     Return how much of the squared distances a fault explains, and the price of its freedom.
 
     With J and d information and evidence of its numbers: z^T A^-1 z, and half of log det A, where
     A = I + s J s and z = s d with s the numbers' usual sizes; beside what their mean explains.
+    A (6, 6) and z (6,) are room to work in.
     """
     base, n = FIRSTS[what], FIRSTS[what + 1] - FIRSTS[what]
-    first, by_mean = base - (N_START if k > 0 else 0), 0.0
-    A, z = np.zeros((6, 6)), np.zeros(6)
-    for i in range(n):
-        z[i] = d[first + i]
-        for j in range(n):
-            a = J[first + i, first + j]
-            z[i] -= a * MEAN[base + j]
-            by_mean += 0.5 * MEAN[base + i] * a * MEAN[base + j]
-            A[i, j] = USUAL[base + i] * a * USUAL[base + j] + (1.0 if i == j else 0.0)
-        by_mean += z[i] * MEAN[base + i]
-        z[i] *= USUAL[base + i]
-    explained, determinant = 2.0 * by_mean, 1.0
-    for i in range(n):  # A = L L^T, z becomes L^-1 z
+    first, explained, determinant = base - (N_START if k > 0 else 0), 0.0, 1.0
+    for i in range(n):  # A = L D L^T, z becomes L^-1 z
+        z[i] = USUAL[base + i] * d[first + i]
+        for j in range(i + 1):
+            A[i, j] = USUAL[base + i] * J[first + i, first + j] * USUAL[base + j]
+        if MEAN[base + i] != 0.0:  # it is the only number of its fault
+            a = J[first + i, first + i]
+            explained = 2.0 * d[first + i] - a
+            z[i] -= USUAL[base + i] * a
+        A[i, i] += 1.0
         for j in range(i):
             for m in range(j):
-                A[i, j] -= A[i, m] * A[j, m]
+                A[i, j] -= A[i, m] * A[j, m] * A[m, m]
             A[i, j] /= A[j, j]
-            A[i, i] -= A[i, j] ** 2
+            A[i, i] -= A[i, j] ** 2 * A[j, j]
             z[i] -= A[i, j] * z[j]
-        A[i, i] = math.sqrt(A[i, i])
-        z[i] /= A[i, i]
-        explained += z[i] ** 2
+        explained += z[i] ** 2 / A[i, i]
         determinant *= A[i, i]
-    return explained, math.log(determinant)
+    return explained, 0.5 * math.log(determinant)

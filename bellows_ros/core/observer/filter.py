@@ -71,15 +71,17 @@ NOT_FOLLOWED: Array = np.zeros((0, 0))
 if COMPILED:
     @kernel
     def product(A: Array, B: Array, out: Array) -> Array:
-        """Write A B, and return it; the more zeros there are in A, the sooner."""
+        """Write A B, and return it: two columns of A at once, and none that are zero."""
+        n = A.shape[1]
         for i in range(A.shape[0]):
+            last = A[i, n - 1] if n % 2 else 0.0
             for j in range(B.shape[1]):
-                out[i, j] = 0.0
-            for k in range(A.shape[1]):
-                a = A[i, k]
-                if a != 0.0:
+                out[i, j] = last * B[n - 1, j]
+            for k in range(0, n - 1, 2):
+                a, b = A[i, k], A[i, k + 1]
+                if a != 0.0 or b != 0.0:
                     for j in range(B.shape[1]):
-                        out[i, j] += a * B[k, j]
+                        out[i, j] += a * B[k, j] + b * B[k + 1, j]
         return out
 else:
     def product(A: Array, B: Array, out: Array) -> Array:
