@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
+import gc
 import time
 from typing import Any
 
@@ -63,6 +64,8 @@ class Observing:
         if count and self._live is not None and not self._is_warm:
             self._is_warm = True
             warm_up_observer(self._values, self._live.model)
+            gc.collect()
+            gc.freeze()  # as `spinning` does: what a compiler leaves is never looked at again
 
     def _on_measured(self, message: Any) -> None:
         """Correct the prediction."""
