@@ -10,6 +10,7 @@ from typing import Any
 from bellows_ros import __version__
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import exp_so3, log_so3
+from bellows_ros.core.parameters import ESTIMATE, short
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.resampling import timing
@@ -245,9 +246,18 @@ def _assigned(
         settings['tool_twist.frame'] = twist.frame
     notes = [*_quality_notes(described, tool, package, twist)]
     rest_s = None
+    frames = [short(poses[guess.topic].frame_id) for guess in (tool, package) if guess]
+    apart = all(frames) and len(set(frames)) == 2
+    if apart:
+        settings['recording.package_world'] = ESTIMATE
+        notes.append(
+            f"The tool is in frame '{frames[0]}', the package in '{frames[1]}'. "
+            f'recording.package_world: {ESTIMATE} finds how the second lies in the first, best '
+            'with standstills tilted to several sides at the end; if you know it, give its seven '
+            'numbers.')
     if pair:
-        rest_s, at_rest, more = _at_rest(poses, pair)
-        settings |= {'recording.world': pair.world, **at_rest}
+        rest_s, at_rest, more = _at_rest(poses, pair, apart)
+        settings |= at_rest if apart else {'recording.world': pair.world, **at_rest}
         notes += more
     return Info(
         str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes)
@@ -288,9 +298,13 @@ def _quality_notes(
 
 
 def _at_rest(
-    poses: Mapping[str, PoseStream], pair: Pair
+    poses: Mapping[str, PoseStream], pair: Pair, apart: bool
 ) -> tuple[float, dict[str, Any], list[str]]:
-    """Return how long both stand still, the settings that follow, and what to know."""
+    """
+    Return how long both stand still, the settings that follow, and what to know.
+
+    Where their worlds are apart, distance and turn say nothing of the bodies.
+    """
     bodies = [in_world(poses[guess.topic].trajectory(), world_rotation(pair.world))
               for guess in (pair.tool, pair.package)]
     begin = max(int(body.stamps_ns[0]) for body in bodies)
@@ -304,13 +318,13 @@ def _at_rest(
         'cup.length if its poses are those of the lip (recording.package_frame: lip), or '
         'cup.length plus the depth of package.com if they are those of the centre of mass '
         '(com).'
-    ]
+    ] if not apart else []
     if rest_s < SHORTEST_REST:
         notes.append(
             f'The standstill at the beginning lasts only {rest_s:.1f} s. Start with 2 s of '
             'standstill, so that rotated marker frames can be detected.'
         )
-    aligned = max(*tilts, turned) > TURNED
+    aligned = not apart and max(*tilts, turned) > TURNED
     if aligned:
         tool_deg, package_deg = np.rad2deg(tilts)
         notes.append(

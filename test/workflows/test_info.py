@@ -1,6 +1,7 @@
 """What is said about a recording: roles, axes, rates and flaws, against recordings made for it."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,24 @@ def test_names_say_nothing_but_poses_do(tmp_path: Path) -> None:
     assert found.settings['recording.world'] == 'z_up'
     assert found.settings['recording.align_at_rest'] is False
     assert found.rest_s == pytest.approx(REST, abs=0.2)
+
+
+def test_two_worlds_are_said_and_not_measured(tmp_path: Path) -> None:
+    """Ask for the transform, and tell nothing that compares poses of two worlds."""
+    m = motion()
+    turn = exp_so3(np.array([0.2, -0.1, 2.0]))
+    tool = poses('/tcp_pose_broadcaster/pose', m['t'], m['o'], m['R'])
+    plate = poses('/vrpn_mocap/plate/pose', m['t'], apply(turn, m['o_p']) + 1.0, turn @ m['R_p'])
+    write_bag(tmp_path / 'bag', [replace(tool, frame_id='base'), replace(plate, frame_id='mocap')])
+    found = info(tmp_path / 'bag')
+    assert found.settings['recording.package_world'] == 'estimate'
+    assert 'recording.world' not in found.settings
+    assert not found.settings['recording.align_at_rest']
+    (note,) = [note for note in found.notes if 'frame' in note]
+    assert "in frame 'base', the package in 'mocap'" in note
+    assert not any(' mm from the tool' in note or 'off the vertical' in note
+                   for note in found.notes)
+    assert found.tool.topic == tool.topic and found.package.topic == plate.topic
 
 
 @pytest.mark.parametrize('frame', ['world', 'tool'])
