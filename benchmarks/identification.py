@@ -176,18 +176,20 @@ def rows(
     lines = []
     for name in methods:
         x, std = (np.array(part) for part in zip(*results[name], strict=True))
-        z = np.where(np.isfinite(std), (x - 1.0) / std, np.nan)
+        known = np.isfinite(std)
+        z = np.ma.array((x - 1.0) / std, mask=~known)
         table = {'bias %': 100.0 * (x.mean(axis=0) - 1.0)}
         if runs > 1:
             table['spread %'] = 100.0 * x.std(axis=0, ddof=1)
-            table['errors/std: mean'] = np.nanmean(z, axis=0)
-            table['errors/std: spread'] = np.nanstd(z, axis=0, ddof=1)
+            table['errors/std: mean'] = z.mean(axis=0)
+            table['errors/std: spread'] = z.std(axis=0, ddof=1)
         if bounds:
             table['spread / bound'] = np.std((x - 1.0) / bounds, axis=0, ddof=1)
-        table['identifiable %'] = 100.0 * np.isfinite(std).mean(axis=0)
-        table['covered %'] = 100.0 * np.nanmean(np.abs(z) < 1.96, axis=0)
+        table['identifiable %'] = 100.0 * known.mean(axis=0)
+        table['covered %'] = 100.0 * (abs(z) < 1.96).mean(axis=0)
         for label, numbers in table.items():
-            lines.append(_line([what, name, label, *(f'{n:.2f}' for n in numbers)]))
+            lines.append(_line([what, name, label, *(
+                '-' if n is np.ma.masked else f'{n:.2f}' for n in numbers)]))
             what = name = ''
     return lines
 
