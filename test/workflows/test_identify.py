@@ -500,6 +500,9 @@ def test_prediction_error_names_what_is_not_identifiable(shipped, sideways):
     assert np.isfinite(result.fit.damping_std[0, 0])
     assert any('Torsion is hardly excited' in warning for warning in result.warnings)
     assert not any('least squares' in warning for warning in result.warnings)
+    # what least squares thinks of noise is not said of it
+    assert all(np.isnan(own.noise_share) for own in result.excitation.parameters)
+    assert not any(own.weak for own in result.excitation.parameters)
 
 
 @pytest.mark.parametrize('method', ['least_squares', 'prediction_error'])
