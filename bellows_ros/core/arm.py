@@ -143,9 +143,9 @@ class Arm:
             position = position + np.clip(step[:, :, 0], -LONGEST_STEP, LONGEST_STEP)
         far = int(np.argmax(np.abs(error).max(axis=1)))
         raise BellowsError(
-            f'The arm does not reach {np.round(T[far, :3, 3], 3).tolist()} m from the joint '
-            'positions of the start. Make the workspace smaller, or start away from singularities '
-            'and ends of the joints.')
+            f'The arm cannot reach {np.round(T[far, :3, 3], 3).tolist()} m from the joint '
+            'positions of the start. Make the workspace smaller, or start away from '
+            'singularities and joint limits.')
 
 
 def read_arm(urdf: str, tool_link: str) -> Arm:
@@ -195,9 +195,10 @@ def _robot(urdf: str) -> ElementTree.Element:
     try:
         robot = ElementTree.fromstring(urdf)
     except ElementTree.ParseError as error:
-        raise BellowsError(f'The URDF is no XML: {error}. Run xacro on it first?') from None
+        raise BellowsError(f'The URDF is not XML: {error}. If it is a xacro file, run xacro '
+                           'first.') from None
     if robot.tag != 'robot':
-        raise BellowsError(f'A URDF begins with <robot>, this one with <{robot.tag}>.')
+        raise BellowsError(f'A URDF starts with <robot>, this one with <{robot.tag}>.')
     return robot
 
 

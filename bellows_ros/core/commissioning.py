@@ -93,5 +93,5 @@ def _within(
         by *= EASIER
     worst = max(ratios, key=lambda name: ratios[name])
     raise BellowsError(
-        f'No standstills or moves are within the limits: {worst} is {ratios[worst]:.3g} times its '
-        'limit, even slowly. Ease it, or start in another pose.')
+        f'No standstills or moves meet the limits: {worst} is {ratios[worst]:.3g} times its '
+        'limit, even slowly. Raise the limit, or start in another pose.')

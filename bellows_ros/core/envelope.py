@@ -148,7 +148,7 @@ class Distance:
         """Return a sentence on it."""
         if not self.outside:
             return 'Inside of what the fit has seen.'
-        return f'Outside of what the fit has seen: {"; ".join(self.outside)}.'
+        return f'Outside the validity range: {"; ".join(self.outside)}.'
 
 
 def distance(

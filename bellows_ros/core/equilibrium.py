@@ -232,6 +232,6 @@ def _moved(body: State, axis: int, by: float) -> State:
 def _no_equilibrium(model: ModelTuple) -> UnstableError:
     """Return the error that says so."""
     return UnstableError(
-        f'No static equilibrium: the cup cannot carry {model[1][0]:g} kg in this tool pose '
-        'without falling over. Check package.mass, package.com, cup.stiffness and their units.'
+        f'No static equilibrium: the cup cannot hold {model[1][0]:g} kg in this tool pose '
+        'without tipping over. Check package.mass, package.com, cup.stiffness and their units.'
     )

@@ -324,7 +324,7 @@ def design(
     period = duration - REST
     if period < 3.0 * RAMP:
         raise BellowsError(
-            f'There is no time to move: {duration:g} s with {REST:g} s of rest and ramps of '
+            f'The time is too short: {duration:g} s with {REST:g} s of rest and ramps of '
             f'{RAMP:g} s. Give at least {REST + 3.0 * RAMP:g} s.')
     cups = cups_near(cup)
     models = [model_tuple(each, package, gravity) for each in cups]
@@ -426,5 +426,5 @@ def _within(
             return motion, ratios
         motion = motion.scaled((1.0 - MARGIN) / min(ratios[worst], 4.0))
     raise BellowsError(
-        f'No motion is within the limits: at rest already, {worst} is {ratios[worst]:.3g} times '
-        'its limit. Ease it, or start in another pose.')
+        f'No motion meets the limits: even at rest, {worst} is {ratios[worst]:.3g} times its '
+        'limit. Raise the limit, or start in another pose.')

@@ -129,6 +129,6 @@ class _TolerantCache:
     def _warn(self, error: Exception) -> None:
         """Say that the folder should be looked at."""
         warnings.warn(
-            f'Compiled code in {self._cache.cache_path} cannot be used '
-            f'({type(error).__name__}): compiling again. If this is said at every start, remove '
-            'that folder.', RuntimeWarning, stacklevel=2)
+            f'Compiled code in {self._cache.cache_path} cannot be used ({type(error).__name__}): '
+            'compiling again. If this message appears at every start, remove that folder.',
+            RuntimeWarning, stacklevel=2)

@@ -220,7 +220,8 @@ def quaternion_to_rotation(quaternion_xyzw: ArrayLike) -> Array:
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not np.all(np.isfinite(norm) & (norm > 0.0)):
         raise BellowsError(
-            'A quaternion is zero or not finite and is no rotation; leave such samples out first.'
+            'A quaternion is zero or not finite, hence not a rotation. Leave such samples out '
+            'first.'
         )
     q = q / norm
     v, w = q[..., :3], q[..., 3]
@@ -579,7 +580,7 @@ def _vectors(v: ArrayLike, size: int) -> Array:
     """Return v as a float array whose last axis has the given size, or say what is wrong."""
     array: Array = np.asarray(v, dtype=np.float64)
     if array.ndim < 1 or array.shape[-1] != size:
-        raise BellowsError(f'An array of shape (..., {size}) is needed here, not {array.shape}.')
+        raise BellowsError(f'Expected an array of shape (..., {size}), got {array.shape}.')
     return array
 
 
@@ -588,6 +589,6 @@ def _matrices(M: ArrayLike, size: int) -> Array:
     array: Array = np.asarray(M, dtype=np.float64)
     if array.ndim < 2 or array.shape[-2:] != (size, size):
         raise BellowsError(
-            f'An array of shape (..., {size}, {size}) is needed here, not {array.shape}.'
+            f'Expected an array of shape (..., {size}, {size}), got {array.shape}.'
         )
     return array

@@ -96,5 +96,5 @@ def stretched(
             return scale, reason
         scale, reason = scale * max(factor, LEAST_STEP), name
     raise BellowsError(
-        f'The motion does not keep to the limit {reason} in {SLOWEST:g} times its time either. '
-        'Check the limits, and that the plan begins and ends within them.')
+        f'The motion exceeds the limit {reason} even at {SLOWEST:g} times its duration. Check '
+        'the limits, and that the plan begins and ends within them.')

@@ -162,14 +162,14 @@ def require_stiffness(stiffness: Array, name: str = 'cup.stiffness') -> None:
     smallest, rounding = _smallest_eigenvalue(name, stiffness)
     if rounding < smallest < SOFTEST:
         raise BellowsError(
-            f'{name} is too soft to hold anything: its smallest eigenvalue is {smallest:.6g}, it '
-            f'must be at least {SOFTEST:g}. Check its units: N/m, N and N m/rad.'
+            f'{name} is too soft to hold a package: its smallest eigenvalue is {smallest:.6g}, '
+            f'expected at least {SOFTEST:g}. Check its units: N/m, N and N m/rad.'
         )
     if smallest <= rounding:
         raise BellowsError(
-            f'{name} is not positive definite: its smallest eigenvalue is '
-            f'{smallest:.6g}, it must be above zero or the cup would not hold the package. '
-            'Check signs and rows, or identify it again.'
+            f'{name} is not positive definite: its smallest eigenvalue is {smallest:.6g}, but '
+            'must be above zero for the cup to hold the package. Check signs and rows, or '
+            'identify it again.'
         )
 
 
@@ -186,9 +186,9 @@ def require_damping(damping: Array, name: str = 'cup.damping') -> None:
     smallest, rounding = _smallest_eigenvalue(name, damping)
     if smallest < -rounding:
         raise BellowsError(
-            f'{name} is not positive semidefinite: its smallest eigenvalue is '
-            f'{smallest:.6g}, it must not be below zero or the cup would create energy. '
-            'Check signs and rows, or identify it again.'
+            f'{name} is not positive semidefinite: its smallest eigenvalue is {smallest:.6g}, '
+            'but a negative one would let the cup create energy. Check signs and rows, or '
+            'identify it again.'
         )
 
 

@@ -279,8 +279,8 @@ class Run:
 def _not_finite() -> UnstableError:
     """Return the error that says so."""
     return UnstableError(
-        'The prediction along the plan does not stay finite. Check the plan for jumps, and '
-        'cup.stiffness, cup.damping, package.mass and their units.'
+        'The prediction along the plan diverges. Check the plan for jumps, and cup.stiffness, '
+        'cup.damping, package.mass and their units.'
     )
 
 

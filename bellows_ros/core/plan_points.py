@@ -322,7 +322,8 @@ def _require_times(stamps_ns: Stamps, name: str) -> None:
     seconds = float(stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
     if seconds > LONGEST:
         raise BellowsError(
-            f'{name} takes {seconds:g} s; expected at most {LONGEST:g}. Are its times in seconds?')
+            f'{name} takes {seconds:g} s; expected at most {LONGEST:g}. Check that its times are '
+            'in seconds.')
 
 
 @kernel

@@ -440,8 +440,8 @@ class Held:
             self.states[-1] = math.nan
         if not np.isfinite(self.states[-1]).all():
             raise UnstableError(
-                'The prediction along the plan does not stay finite. Check the plan for jumps, '
-                'and cup.stiffness, cup.damping, package.mass and their units.')
+                'The prediction along the plan diverges. Check the plan for jumps, and '
+                'cup.stiffness, cup.damping, package.mass and their units.')
         out: list[Any] = [self.states, self.loads]
         self._inputs = [*fixed, *(out if COMPILED else [a.tolist() for a in out])]
 
@@ -491,8 +491,8 @@ def toss(held: Held, release: Release, switched: float, stride: float = STRIDE) 
     """
     if not 0.0 <= switched <= held.duration:
         raise NoLandingError(
-            f'The valve is switched at {switched:g} s, which is not during the plan; expected 0 '
-            f'to {held.duration:g} s. Release earlier, or make the plan longer.')
+            f'The valve is switched at {switched:g} s, outside the plan; expected 0 to '
+            f'{held.duration:g} s. Release earlier, or make the plan longer.')
     released, body = held.let_go(release.valve, switched)
     if released < 0.0:
         raise NoLandingError(
@@ -500,14 +500,14 @@ def toss(held: Held, release: Release, switched: float, stride: float = STRIDE) 
             f'switched at {switched:g} s. ' + (
                 'Check release.delay, release.tau and whether the package hangs from the cup.'
                 if held.ends_at_rest else
-                'The plan ends before, in motion: make it longer, or release earlier.'))
+                'The plan ends earlier, in motion. Make it longer, or release earlier.'))
     _, package, gravity = held.model
     body = pushed_off(package, body, release.impulse)
     height = lowest(release.box, upward(gravity), body)
     if height <= release.height:
         raise NoLandingError(
-            f'The lowest corner of the package is at {height:.4g} m when it is let go at '
-            f'{released:.4g} s, and landing.height is {release.height:g} m: the floor is above '
+            f'The lowest corner of the package is at {height:.4g} m at its release at '
+            f'{released:.4g} s, but landing.height is {release.height:g} m: the floor is above '
             'it. Check landing.height, package.size, package.size_center and the frame of the '
             'plan.')
     after, landed = land(package, gravity, release.box, release.height, body, stride)
@@ -531,9 +531,9 @@ def release_of(values: Mapping[str, Any]) -> Release:
     size = values['package.size']
     if not min(size) > 0.0:
         raise BellowsError(
-            f'package.size is {list(size)}; expected three sides above 0 m, as where the package '
-            'lands depends on its corners. Set it in the parameter file, or --set package.size='
-            '0.3,0.2,0.15.')
+            f'package.size is {list(size)}; expected three sides above 0 m, since the landing '
+            'depends on the corners. Set it in the parameter file, or --set '
+            'package.size=0.3,0.2,0.15.')
     x, y, z = (0.5 * float(side) for side in size)
     a, b, c = (float(value) for value in values['package.size_center'])
     return Release(

@@ -134,8 +134,8 @@ def _require_inside(wanted: Stamps, available: Stamps) -> None:
     if len(available) and wanted[0] >= available[0] and wanted[-1] <= available[-1]:
         return
     raise BellowsError(
-        f'The wanted stamps cover {_span(wanted)}, the trajectory only {_span(available)}. '
-        'Poses are never extrapolated; ask for stamps inside the trajectory.'
+        f'The requested stamps cover {_span(wanted)}, the trajectory only {_span(available)}. '
+        'Poses are never extrapolated; request stamps inside the trajectory.'
     )
 
 
@@ -238,8 +238,8 @@ def timing(stamps_ns: Stamps) -> Timing:
     """
     if len(stamps_ns) < 3:
         raise BellowsError(
-            f'A rate needs at least 3 samples, but there are {len(stamps_ns)}. '
-            'Record for longer, or choose the topic that holds the poses.'
+            f'A rate needs at least 3 samples, got {len(stamps_ns)}. Record longer, or choose '
+            'the topic with the poses.'
         )
     steps = np.diff(stamps_ns)
     period = _period(steps)

@@ -94,7 +94,7 @@ def score(measured: Array, predicted: Array) -> Scores:
     """Return the errors of predicted against measured coordinates, both (N, 6), NaN where lost."""
     both = np.isfinite(measured + predicted).all(axis=1)
     if not both.any():
-        raise BellowsError('There is no sample at which prediction and measurement both exist.')
+        raise BellowsError('No sample has both a prediction and a measurement.')
     measured, error = measured[both], (predicted - measured)[both]
     return Scores(
         rms=np.sqrt(np.mean(error**2, axis=0)),

@@ -236,6 +236,5 @@ def _require_length(trajectory: Trajectory, half_window: int) -> None:
     if len(trajectory) < 2 * half_window + 1:
         raise BellowsError(
             f'A filter with half window {half_window} needs at least {2 * half_window + 1} '
-            f'samples, but there are {len(trajectory)}. '
-            'Take a smaller half window or a longer recording.'
+            f'samples, got {len(trajectory)}. Use a smaller half window or a longer recording.'
         )

@@ -145,8 +145,8 @@ def simulate(
         out = np.full(1, np.nan)
     if not np.all(np.isfinite(out)):
         raise UnstableError(
-            'The simulation did not stay finite. The cup is too stiff for the sampling time, or '
-            'its damping is negative; check cup.stiffness, cup.damping and their units.'
+            'The simulation diverged. The cup is too stiff for the sampling time, or its '
+            'damping is negative. Check cup.stiffness, cup.damping and their units.'
         )
     return Trajectory(
         stamps_ns=tool.stamps_ns,

@@ -262,7 +262,7 @@ def relaxation_rates(model: ModelTuple) -> Array:
         raise BellowsError(
             'The cup cannot be inverted: its damping is too small for its stiffness, or not '
             f'positive definite; the rates of P^-1 K are {rates[0]:.3g} to {rates[-1]:.3g} 1/s, '
-            f'expected above 0 and below {FASTEST:g}. Take --method zvd.')
+            f'expected above 0 and below {FASTEST:g}. Use --method zvd.')
     return rates
 
 
@@ -349,8 +349,8 @@ def _led(
 def _too_far() -> BellowsError:
     """Return the error for a motion that no cup can give."""
     return BellowsError(
-        'The cup would have to bend by more than 45 degrees for the package to move so. Give the '
-        'motion more time, or take --method zvd.')
+        'This motion of the package would bend the cup by more than 45 degrees. Give the motion '
+        'more time, or use --method zvd.')
 
 
 def _tool_above(model: ModelTuple, body: Array, rates: Array) -> State:

@@ -289,9 +289,9 @@ def uniform_rate_hz(stamps_ns: Stamps) -> float:
     worst = int(np.argmax(np.abs(steps - mean)))
     if abs(steps[worst] - mean) > UNIFORM_WITHIN * mean:
         raise BellowsError(
-            f'A uniform rate is needed, but sample {worst + 1} comes {steps[worst]} ns after '
-            f'its predecessor, where the mean step is {mean:.1f} ns. '
-            'Resample the poses to a uniform rate first.'
+            f'A uniform rate is needed, but sample {worst + 1} comes {steps[worst]} ns after the '
+            f'one before, and the mean step is {mean:.1f} ns. Resample the poses to a uniform '
+            'rate first.'
         )
     return NS_PER_S / mean
 

@@ -110,8 +110,8 @@ def _require_all(bags: Path) -> None:
     for name in (KNOWN, IDENTIFICATION, VALIDATION):
         if not (bags / name).exists():
             raise BellowsError(
-                f"'{bags / name}' is not there. Start where the folder bags is, or give it with "
-                "--bags; 'make bags' makes the recordings again."
+                f"'{bags / name}' does not exist. Start in the folder that contains bags, or "
+                "give it with --bags; 'make bags' makes the recordings again."
             )
 
 
@@ -193,7 +193,7 @@ def predict_live(recorded: Recording, out: Path, progress: Progress) -> 'Exchang
 def _compare(recorded: Recording, exchange: 'Exchange') -> Comparison:
     """Return the node's predictions beside the measured coordinates, at the measured stamps."""
     if not len(exchange.stamps_ns):
-        raise BellowsError('The predictor has not answered. See its log, predictor.log.')
+        raise BellowsError('The predictor did not answer. See its log, predictor.log.')
     stamps, first = np.unique(exchange.stamps_ns, return_index=True)
     live = Trajectory(stamps, exchange.position[first], exchange.rotation[first])
     return compare_recorded(live, recorded.measured_tool, recorded.measured_package)

@@ -41,8 +41,8 @@ def predictor(parameter_files: Sequence[Path], log: Path) -> Iterator[Callable[[
     def require_alive() -> None:
         if process.poll() is not None:
             raise BellowsError(
-                f'The predictor has ended by itself, with exit code {process.returncode}. '
-                f'The end of its log, {log}:\n{_tail(log)}'
+                f'The predictor exited with code {process.returncode}. The end of its log, '
+                f'{log}:\n{_tail(log)}'
             )
 
     try:

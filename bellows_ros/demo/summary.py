@@ -85,8 +85,8 @@ def latency_lines(outcome: Outcome) -> Iterator[str]:
     if outcome.received:
         median, high = np.percentile(outcome.latency, (50, 99)) * MICRO
         yield (
-            'Latency, from sending a pose until its prediction is here: '
-            f'p50 {median:.0f} us, p99 {high:.0f} us'
+            f'Latency, from sending a pose to receiving its prediction: p50 {median:.0f} us, p99 '
+            f'{high:.0f} us'
         )
     lost = f'{outcome.lost} lost' if outcome.lost else 'none lost'
     yield (

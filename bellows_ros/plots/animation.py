@@ -28,7 +28,7 @@ Progress = Callable[[str, float], None]
 
 FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
 NO_FFMPEG = (
-    'An .mp4 needs ffmpeg, which is not here. Install it (apt install ffmpeg, or '
+    'An .mp4 needs ffmpeg, which is not installed. Install it (apt install ffmpeg, or '
     f'{install("video")}), or write a .gif.'
 )
 SIZE, DPI = (8.0, 4.5), 80
@@ -285,5 +285,5 @@ def _mp4(pictures: Iterator[Any], rate_hz: float, ffmpeg: str) -> bytes:
                 process.stdin.write(picture.tobytes())  # type: ignore[union-attr]
         if process.returncode != 0:
             raise BellowsError(
-                'ffmpeg could not make the animation; it says why above. Write a .gif instead.')
+                'ffmpeg failed, with the reason above. Write a .gif instead.')
         return target.read_bytes()

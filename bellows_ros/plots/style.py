@@ -19,7 +19,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
 from bellows_ros.files.atomic import write_bytes
 
-NO_MATPLOTLIB = f'Pictures need matplotlib, which is not here. Install it: {install("plot")}'
+NO_MATPLOTLIB = f'matplotlib is not installed, but pictures need it: {install("plot")}'
 DPI = 150
 
 

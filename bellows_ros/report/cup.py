@@ -34,8 +34,8 @@ def cup_content(content: Mapping[str, Any]) -> list[str]:
             [_shown(label, value, error, unit) for label, value, error, _, unit in rows], (0, 4)),
         figures([(NAMES[m][1], _intervals(m, rows)) for m in 'KP']),
         paragraph(
-            '95 % intervals, in percent of the entry; off the diagonal in percent of the root of '
-            'the two diagonal entries. Dashed where the recordings say nothing.', 'quiet'),
+            '95 % intervals, in percent of the entry; off the diagonal in percent of the root '
+            'of the product of the two diagonal entries. Dashed if not identifiable.', 'quiet'),
         bullets(_facts(content)),
     ]
     for matrix, (key, title) in NAMES.items():
@@ -98,7 +98,7 @@ def _facts(content: Mapping[str, Any]) -> list[str]:
     if content.get('chi2') is not None:
         found.append(f'Chi² per degree of freedom of the fit {content["chi2"]:.4f}.')
     if not content.get('usable', True):
-        found.append('K or P is not as a cup can be: the predictor refuses it.')
+        found.append('K or P is not valid for a cup: the predictor refuses it.')
     return found
 
 
@@ -114,7 +114,7 @@ def envelope_content(content: Mapping[str, Any]) -> list[str]:
     mass = ' to '.join(f'{m:.4g}' for m in sorted(set(seen['mass'])))
     return [
         paragraph(
-            'Ranges of the lip in the tool. A prediction outside of them is an extrapolation.',
+            'Ranges of the lip in the tool. A prediction outside them is an extrapolation.',
             'quiet'),
         table(('lip in the tool', 'seen', 'fastest'), rows),
         bullets([f'95 % of the power of the shift lies in {bands[0]}, of the rotation in '

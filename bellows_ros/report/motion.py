@@ -32,20 +32,20 @@ def motion_content(replayed: Replay) -> list[str]:
         *([figures([('', _margins(replayed.margins))])] if replayed.margin else []),
         warnings(replayed.warnings),
         paragraph(
-            f'The model ran freely from {start} to the end: it saw the motion of the tool, and '
-            f'nothing of the package. {found.scores.samples} samples are compared. Coordinates '
-            'are those of the centre of mass B in the axes of the tool E: position, and rotation '
-            'vector. NRMSE is the RMS error over the RMS motion, noise included; the model error '
-            'is what is left of it without the noise.'
+            f'The model ran freely from {start} to the end, with only the motion of the tool as '
+            f'input. {found.scores.samples} samples are compared. Coordinates are those of the '
+            'centre of mass B in the axes of the tool E: position, and rotation vector. NRMSE '
+            'is the RMS error over the RMS motion, noise included; the model error is NRMSE '
+            'without the noise.'
         ),
         _score_table(found),
         heading('Measured and simulated, and the difference'),
         figures(_motion_figures(found, replayed.recording.since_start(found.stamps_ns))),
         heading('Spectra'),
         paragraph(
-            'Amplitude spectral densities of the motion, of the error of the free simulation, and '
-            'of the one-step prediction errors: the model is corrected at every sample there, and '
-            'what is left is flat if nothing but noise is. Lost samples of motion and error are '
+            'Amplitude spectral densities of the motion, of the error of the free simulation, '
+            'and of the one-step prediction errors, for which every sample corrects the model: '
+            'their spectrum is flat if only noise remains. Lost samples of motion and error are '
             'interpolated.', 'quiet'),
         figures([(AXES[i], _spectrum(found, i)) for i in range(6)]),
         heading('Whiteness'),
@@ -163,17 +163,17 @@ def _whiteness(found: Validation) -> list[str]:
         paragraph(
             f'Portmanteau test of Ljung and Box over {found.whiteness.lags} lags. White: a '
             f'probability of {CONFIDENT:g} or more; nearly white: less, but no autocorrelation '
-            f'of {SMALL:g} or more; else coloured. Errors of a free run may be coloured with a '
-            "perfect cup too, by what the tool's noise does to the cup's modes; one-step "
-            'prediction errors are white where the model explains all but noise.', 'quiet'),
+            f'of {SMALL:g} or more; else coloured. The errors of a free simulation may be '
+            "coloured even for a perfect cup, because the tool's noise excites the cup's modes. "
+            'One-step prediction errors are white if the model explains all but noise.', 'quiet'),
         table(
             ('errors', 'axis', 'Q', 'probability', 'largest autocorrelation', 'verdict'),
             [row for name, test in tests for row in _test_rows(name, test)], (0, 1, 5)),
     ]
     if found.one_step:
         content.append(paragraph(
-            f'Chi² per degree of freedom of the one-step errors: {found.one_step.chi2:.4f}; 1 '
-            'where the model and the noise explain all.'))
+            f'Chi² per degree of freedom of the one-step errors: {found.one_step.chi2:.4f} (1 if '
+            'model and noise explain everything).'))
     shown = found.one_step.whiteness if found.one_step else found.whiteness
     content.append(figures([(AXES[i], _correlation(shown, i)) for i in range(6)]))
     return content

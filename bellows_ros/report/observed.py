@@ -24,8 +24,8 @@ def observed_content(found: Observed) -> list[str]:
 
     return [
         paragraph(
-            'RMS error of what is known at each instant from what came before it: predicted from '
-            'the tool alone, the newest measured pose alone, and predicted and corrected. '
+            'RMS error at each instant of three causal estimates: the prediction from the tool '
+            'alone, the newest measured pose alone, and the corrected prediction. '
             + found.sentence),
         warnings([f'Alarm at {line}' for line in found.alarm_lines]),
         table(('axis', *found.ways), rows),

@@ -21,8 +21,8 @@ def samples_content(recording: Recording) -> list[str]:
     strips = [(name, kind, spans(mask, seconds, step)) for name, kind, mask in rows]
     return [
         figure(
-            f'{report.valid} of {report.samples} samples are used; where a pose is lost, all '
-            'samples whose filter window touches it are left out',
+            f'{report.valid} of {report.samples} samples are used; a lost pose rejects all '
+            'samples whose filter window contains it',
             strip_chart(
                 strips, (0.0, float(seconds[-1]) + step), 'time (s)', 'Used and lost samples')),
         table(

@@ -22,7 +22,7 @@ def standstill_content(content: Mapping[str, Any]) -> list[str]:
     ]
     if added:
         facts.append(
-            f'{added["standstills"]} standstills count in the fit; chi² per degree of freedom '
+            f'{added["standstills"]} standstills are part of the fit; chi² per degree of freedom '
             f'{added["chi2"]:.3g}.')
         facts += [
             f'{label}: standard error {100.0 * part:.0f} % of that without them.'

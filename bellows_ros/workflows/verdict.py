@@ -48,7 +48,7 @@ class Simulated(NamedTuple):
                                zip(AXES[kind], self.rms[kind], strict=True))
             noise = ', '.join(f'{1e3 * x:.2g}' for x in self.noise[kind])
             parts.append(f'{errors} {unit} (noise {noise})')
-        return f'{self.bag}, simulated freely with this cup, is off by {"; ".join(parts)} RMS.'
+        return f'Free simulation of {self.bag} with this cup: RMS error {"; ".join(parts)}.'
 
     def as_json(self) -> dict[str, Any]:
         """Return it for a JSON file."""
@@ -81,8 +81,8 @@ class Verdict(NamedTuple):
             if self.simulated and all(
                     (own.rms <= AT_NOISE * own.noise).all() for own in self.simulated):
                 return ()
-            return ('Noise does not explain what the fit leaves, and no single cause that was '
-                    'tried does: check the list in the JSON file, and what was given.',)
+            return ('Noise does not explain the residuals, and no tested cause explains most of '
+                    'them: check the list in the JSON file, and the given values.',)
         return (f'Likely, but not certain: {finding_sentence(first, self.given)}',)
 
     @property
@@ -102,8 +102,7 @@ class Verdict(NamedTuple):
         first = self.diagnosis.findings[:1]
         if first and first[0].material:
             found.append(
-                f'What was given is wrong: {setting_of(first[0])}. See the first line, and fit '
-                'again.')
+                f'{setting_of(first[0])} is wrong. See the first line, and fit again.')
         return tuple(found)
 
     def as_json(self) -> dict[str, Any]:
@@ -206,21 +205,20 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
         moved = np.where(np.abs(theta) > 3.0 * std, theta, 0.0)
         new = ', '.join(f'{x:.4f}' for x in np.add(given['package.com'], moved))
         other = ' (or cup.length is off by as much)' if found.instead else ''
-        return (f'The centre of mass is not where package.com says, but {shifts} from there'
-                f'{other}', f'Check package.com{" and cup.length" * bool(other)}: it would be '
-                f'[{new}].')
+        return (f'The centre of mass is not at package.com, but {shifts} from there{other}',
+                f'Check package.com{" and cup.length" * bool(other)}: it would be [{new}].')
     if name == 'length':
         side = 'short' if theta[0] > 0.0 else 'long'
         other = ', or package.com is off along z by as much' if found.instead else ''
         return (f'cup.length is {_size(theta[0], std[0])} mm too {side}{other}',
-                f'Measure it under vacuum, or find it with bellows static: it would be '
+                'Measure it under vacuum, or with bellows static: it would be '
                 f'{given["cup.length"] + theta[0]:.5f}.')
     if name == 'package_world':
         way, turn = (', '.join(f'{1e3 * x:.2f} ± {1e3 * s:.2g}' for x, s in
                                zip(theta[part], std[part], strict=True))
                      for part in (slice(0, 3), slice(3, 6)))
-        return (f"The worlds of the tool's and the package's poses are apart by {way} mm and "
-                f'{turn} mrad', 'Set recording.package_world: estimate.')
+        return (f"The worlds of the tool's and the package's poses differ by {way} mm and {turn} "
+                'mrad', 'Set recording.package_world: estimate.')
     return _setting_words(found)
 
 
@@ -229,35 +227,35 @@ def _setting_words(found: Finding) -> tuple[str, str]:
     name, value = found.name, found.value
     if name == 'inertia' and not value:
         factor = float(np.exp(-found.theta[0]))
-        return (f'package.inertia is {factor:.3g} ± {factor * found.std[0]:.2g} times what suits '
-                'package.mass', 'One of the two is wrong: weigh the package, and compute its '
-                'inertia in kg m^2.')
+        return (f'package.inertia is {factor:.3g} ± {factor * found.std[0]:.2g} times the value '
+                'consistent with package.mass', 'One of the two is wrong: weigh the package, and '
+                'compute its inertia in kg m^2.')
     if name in ('inertia', 'mass'):
         unit = 'kg m^2' if name == 'inertia' else 'kg'
         return (f'package.{name} is in {value}, not in {unit}', f'Give it in {unit}.')
     if name == 'recording.world':
         if value.startswith('gravity'):
-            return ('Things fall elsewhere than along -z of the world',
+            return ('Gravity is not along -z of the world',
                     f'Set gravity.direction: {value.removeprefix("gravity ")}.')
         return (f'The world of the recording is {value}', f'Set recording.world: {value}.')
     if name == 'tool_twist.frame':
-        return (f"The tool's twists are in axes of the {value}: so they suit its poses",
+        return (f"The tool's twists match its poses only in axes of the {value}",
                 f'Set {name}: {value}.')
     if name == 'recording.package_frame':
         return (f'The package poses are those of the {value}', f'Set {name}: {value}.')
     if name == 'yaw':
         body, degrees = value.split()
         return (f"The {body}'s frame is turned by {degrees} degrees about z",
-                'Turn it back in its driver, or set recording.align_at_rest: true where the '
+                'Correct it in its driver, or set recording.align_at_rest: true if the '
                 'recording begins at rest.')
     if name == 'structure':
-        return (f'The cup is not of the structure that was taken, but {value}',
+        return (f'The structure of the cup is not the given one, but {value}',
                 f'Set fit.structure: {value}.')
     if name == 'drift':
-        return ('The stiffness of the cup drifts in time: it warms up, or leaks',
+        return ('The stiffness of the cup drifts in time: the cup warms up, or leaks',
                 'Fit shorter recordings of a cup that has warmed up.')
     return ('The cup is not linear: its stiffness changes with the deflection',
-            'The fit is its mean over this motion: record as large motions as it is used with.')
+            'The fit is the mean over this motion: record motions as large as those in use.')
 
 
 def _size(value: float, std: float) -> str:

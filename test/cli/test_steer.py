@@ -91,7 +91,7 @@ def test_an_animation_shows_planned_and_steered(
     (('plan.yaml', '--method', 'zv', '--limits', 'no.yaml'), "'no.yaml' does not exist"),
     (('plan.yaml', '--method', 'zv', '--limits', 'bad.yaml'), "Did you mean 'limits.linear'"),
     (('plan.yaml', '--method', 'zv', '--limits', 'safe.yaml'), 'set cup.lip_radius'),
-    (('fast.yaml', '--method', 'inverse'), 'bend by more than 45 degrees'),
+    (('fast.yaml', '--method', 'inverse'), 'bend the cup by more than 45 degrees'),
 ])
 def test_bad_input_ends_with_2_and_writes_nothing(
     bellows: Run, workshop: Path, transport: Path, tmp_path: Path, options: tuple[str, ...],

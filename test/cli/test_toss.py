@@ -52,7 +52,7 @@ def test_finds_the_time_for_a_target(bellows: Run) -> None:
 
 
 @pytest.mark.parametrize('changes, words', [
-    (('--release', 30.0), 'not during the plan'),
+    (('--release', 30.0), 'outside the plan'),
     (('--release', 3.0, '--set', 'landing.height=5.0'), 'the floor is above'),
     (('--release', 3.0, '--set', 'package.size=0,0,0'), 'package.size is'),
     (('--release', 3.0, '--set', 'release.tau=-0.01'), 'release.tau must be a number, at least 0'),

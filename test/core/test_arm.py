@@ -88,8 +88,8 @@ def test_a_plan_of_joints_goes_through_its_points():
 @pytest.mark.parametrize(('urdf', 'link', 'words'), [
     (URDF, 'tol', "tool_link 'tol' is not in the URDF. Did you mean 'tool'"),
     (URDF, 'camera', "Joint 'eye' on the way to the tool is floating"),
-    ('<robot', 'tool', 'The URDF is no XML'),
-    ('<sdf/>', 'tool', 'begins with <robot>, this one with <sdf>'),
+    ('<robot', 'tool', 'The URDF is not XML'),
+    ('<sdf/>', 'tool', 'starts with <robot>, this one with <sdf>'),
     ('<!DOCTYPE a [<!ENTITY b "c">]><robot/>', 'tool', 'defines entities'),
     (URDF.replace('0 0 2', '0 0 0'), 'tool', "'turn' of the URDF has an axis of zero length"),
     (URDF.replace('0 0 2', '0 0 x'), 'tool', "axis must be three numbers, got '0 0 x'"),
@@ -123,5 +123,5 @@ def test_joint_positions_are_found_again():
     assert_allclose(J @ rate, ARM.tool(q, np.tile(rate, (7, 1)))[1], atol=1e-12)
     far = ARM.tool(q[:1])[0] + np.eye(4)[3] * 0.0
     far[0, :3, 3] += 2.0
-    with pytest.raises(BellowsError, match='does not reach'):
+    with pytest.raises(BellowsError, match='cannot reach'):
         ARM.positions(far, near)

@@ -141,8 +141,8 @@ def test_in_a_tilted_world_the_same_package_lands_on_the_same_floor(held):
 
 
 @pytest.mark.parametrize('switched, change, words', [
-    (1.2, {}, 'not during the plan'),
-    (-0.1, {}, 'not during the plan'),
+    (1.2, {}, 'outside the plan'),
+    (-0.1, {}, 'outside the plan'),
     (0.5, {'height': 2.0}, 'floor is above'),
     (0.5, {'valve': (0.0, 1e9)}, 'does not let go'),
 ])
@@ -155,7 +155,7 @@ def test_refuses_what_is_no_toss(held, switched, change, words):
 def test_refuses_a_plan_that_ends_in_motion_before_it_lets_go():
     """Nothing is known of the tool after the end."""
     plan = tosses.plan()
-    with pytest.raises(BellowsError, match='ends before, in motion'):
+    with pytest.raises(BellowsError, match='ends earlier, in motion'):
         toss(Held(MODEL, tosses.GRIP, plan.select(slice(500))), RELEASE, 0.49)
 
 

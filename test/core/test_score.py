@@ -25,7 +25,7 @@ def test_an_axis_that_does_not_move_has_no_nrmse():
 
 
 def test_nothing_to_compare_is_an_error():
-    with pytest.raises(BellowsError, match='no sample'):
+    with pytest.raises(BellowsError, match='No sample'):
         score(np.zeros((0, 6)), np.zeros((0, 6)))
 
 

@@ -225,7 +225,7 @@ def test_what_cannot_be_steered_is_refused():
     undamped = model_tuple(Cup(CUP.stiffness, 0.0 * CUP.damping, CUP.length), PACKAGE, 9.81)
     with pytest.raises(BellowsError, match='cannot be inverted: its damping is too small'):
         inverse(undamped, hanging(undamped, plan))
-    with pytest.raises(BellowsError, match='bend by more than 45 degrees'):
+    with pytest.raises(BellowsError, match='bend the cup by more than 45 degrees'):
         steer(MODEL, Smooth([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.3).plan(), 'inverse')
 
 

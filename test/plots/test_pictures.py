@@ -185,7 +185,7 @@ def test_a_film_has_every_frame(replayed: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ('script', 'words'),
-    [(None, 'pip install imageio-ffmpeg'), ('exit 3', 'could not make the animation')])
+    [(None, 'pip install imageio-ffmpeg'), ('exit 3', 'ffmpeg failed')])
 def test_without_a_working_ffmpeg_nothing_is_written(
     script: str | None, words: str, replayed: Any, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

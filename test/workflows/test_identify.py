@@ -64,7 +64,7 @@ def test_clean_recording_of_the_rig(rig):
 
 def test_twists_in_other_axes_are_named(rig):
     result = identify({**CLEAN, 'bags': [str(rig / 'clean')], 'tool_twist.frame': 'tool'})
-    assert "The tool's twists are in axes of the world" in result.findings[0]
+    assert "The tool's twists match its poses only in axes of the world" in result.findings[0]
     assert 'tool_twist.frame' in result.refusals[0]
 
 
@@ -396,7 +396,7 @@ def test_a_length_that_is_not_given_is_said_to_be_that_of_the_thesis(shipped, ro
 def test_a_wrong_centre_of_mass_is_suspected(shipped):
     result = identify({**shipped[0].values, 'package.com': (0.0, 0.0, -0.026)})
     assert result.findings[0].startswith(
-        'The centre of mass is not where package.com says, but z -4.00 ± 0.00')
+        'The centre of mass is not at package.com, but z -4.00 ± 0.00')
     assert '-0.0300].' in result.findings[0] and result.refusals
     first = json.loads(format_json(result.as_json()))['verdict']['hypotheses'][0]
     assert (first['name'], first['setting']) == ('com', 'package.com')

@@ -15,4 +15,4 @@ def test_what_filters_take_is_not_doubted(off: float, said: int) -> None:
     finding = Finding('length', '', none, none, 0.93, 0.0, True, False, '')
     verdict = Verdict(
         (Simulated('recording', rms, noise, 100.0 * noise, ()),), Diagnosis(2.7, (finding,)), {})
-    assert sum('no single cause' in sentence for sentence in verdict.sentences) == said
+    assert sum('no tested cause' in sentence for sentence in verdict.sentences) == said

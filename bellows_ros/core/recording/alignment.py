@@ -216,9 +216,9 @@ def aligned_at_rest(
     E_o_S = package.position + origin - tool.position
     if float(np.linalg.norm(E_o_S[:2])) >= -E_o_S[2]:
         raise BellowsError(
-            'At rest the lip should hang below the tool tip, but seen from the tip it is at '
-            f'({_mm(E_o_S)}) mm in world axes, z up: more aside than below. '
-            'Check recording.world, recording.package_frame, package.com, and that the tool and '
+            'At rest the lip should hang below the tool tip, but relative to the tip it is at '
+            f'({_mm(E_o_S)}) mm in world axes, z up: more aside than below. Check '
+            'recording.world, recording.package_frame, package.com, and that the tool and '
             'package topics are not exchanged.'
         )
     # (4.4) and (4.5) with A_R_E = A_R_S = I at rest (4.2), (4.3).
@@ -266,10 +266,10 @@ def standstill(
     rest = poses.select(inside & poses.valid)
     if len(rest) < max(FEWEST_AT_REST, SMALLEST_PART_AT_REST * np.count_nonzero(inside)):
         raise BellowsError(
-            f'Alignment needs the {body} at rest in the first {duration_s:g} s, but of the '
-            f'{np.count_nonzero(inside)} poses there only {len(rest)} are usable; at least '
-            f'{FEWEST_AT_REST} and half of them are needed. Set recording.rest_duration to what '
-            'the recording has, or recording.align_at_rest to false.'
+            f'Alignment needs the {body} at rest in the first {duration_s:g} s, but only '
+            f'{len(rest)} of the {np.count_nonzero(inside)} poses there are usable; expected at '
+            f'least {FEWEST_AT_REST} and half of them. Set recording.rest_duration to the actual '
+            'standstill, or recording.align_at_rest to false.'
         )
     position, rotation = _robust_mean(rest)
     spread = _spread(rest, position, rotation)
@@ -371,11 +371,11 @@ def _require_rest(
     still_s = BLOCK_SECONDS * float(np.argmax(moves))
     position, rotation = (1e3 * float(np.max(part)) for part in spread.values())
     raise BellowsError(
-        f'Alignment needs the {body} at rest in the first {duration_s:g} s, but there it is up to '
-        f'{position:.2g} mm and {rotation:.2g} mrad from its mean, where at most '
-        f"{limit['position'] * 1e3:.2g} mm and {limit['rotation'] * 1e3:.2g} mrad are expected. "
-        f'It stays where it starts for some {still_s:.1f} s: set recording.rest_duration to less '
-        'than that, record a longer standstill, or set recording.align_at_rest to false.'
+        f'Alignment needs the {body} at rest in the first {duration_s:g} s, but there it is up '
+        f'to {position:.2g} mm and {rotation:.2g} mrad from its mean; expected at most '
+        f"{limit['position'] * 1e3:.2g} mm and {limit['rotation'] * 1e3:.2g} mrad. It stands "
+        f'still for the first {still_s:.1f} s or so: set recording.rest_duration below that, '
+        'record a longer standstill, or set recording.align_at_rest to false.'
     )
 
 

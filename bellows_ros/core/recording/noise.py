@@ -71,7 +71,7 @@ def noise_of(poses: Trajectory) -> Noise:
         rotation += W[j] * log_so3(R_centre @ poses.rotation[part])
     if not windows.any():
         raise UndeterminedError(
-            f'No {2 * n + 1} valid samples in a row from which to estimate the measurement noise.'
+            f'The measurement noise cannot be estimated: no {2 * n + 1} valid samples in a row.'
         )
     scale = MAD_TO_STD / np.sqrt(1.0 - W[n])  # the centre is part of its own fit
     return Noise(

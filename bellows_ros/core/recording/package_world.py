@@ -108,8 +108,8 @@ def _slow(tool: PoseStream, package: PoseStream) -> tuple[Trajectory, Trajectory
     count = int((last - first) / NS_PER_S * LOOKED_AT_HZ)
     if count < 20:
         raise BellowsError(
-            f"Topics '{tool.name}' and '{package.name}' have too little time in common to find "
-            'recording.package_world. Record for longer, or give its seven numbers.'
+            f"Topics '{tool.name}' and '{package.name}' overlap too little to estimate "
+            'recording.package_world. Record longer, or give its seven numbers.'
         )
     stamps = first + np.linspace(0, last - first, count).astype(np.int64)  # exact to the ns
     hand, eye = (resample(body.trajectory(), stamps) for body in (tool, package))
@@ -130,8 +130,9 @@ def _turn(R_tool: Array, R_package: Array) -> Array:
             for R in (R_tool, R_package))
     if np.quantile(np.linalg.norm(a, axis=1), 0.9) < LEAST_TURN:
         raise BellowsError(
-            'recording.package_world cannot be found: the tool hardly turns in this recording. '
-            'Tilt and turn it, best with standstills in between, or give the seven numbers.'
+            'recording.package_world cannot be estimated: the tool hardly turns in this '
+            'recording. Tilt and turn it, best with standstills in between, or give the seven '
+            'numbers.'
         )
     U, _, Vt = np.linalg.svd(a.T @ b)
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)

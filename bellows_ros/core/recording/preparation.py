@@ -194,8 +194,8 @@ def _clean(recorded: PoseStream, R_world_recorded: Array) -> _Stream:
     """Return a topic's poses in the world at a uniform rate, with what is wrong in them marked."""
     if len(recorded) < 3:
         raise BellowsError(
-            f"Topic '{recorded.name}' has {len(recorded)} usable poses, which is too few. "
-            'Record for longer, or choose another topic.'
+            f"Topic '{recorded.name}' has {len(recorded)} usable poses, too few. Record longer, "
+            'or choose another topic.'
         )
     poses = in_world(recorded.trajectory(), R_world_recorded)
     found_timing = timing(poses.stamps_ns)
@@ -233,8 +233,8 @@ def _filtered(poses: Trajectory, half_window: int, order: int, name: str) -> Fil
     if len(poses) < 2 * half_window + 1:
         raise BellowsError(
             f"Topic '{name}' has {len(poses)} samples, but a filter with half window "
-            f'{half_window} needs at least {2 * half_window + 1}. '
-            'Take a smaller half window or a longer recording.'
+            f'{half_window} needs at least {2 * half_window + 1}. Use a smaller half window or a '
+            'longer recording.'
         )
     return savgol(poses, half_window, order)
 
@@ -248,8 +248,8 @@ def _common(
     common: Stamps = stamps[(stamps >= tool.stamps_ns[0]) & (stamps <= tool.stamps_ns[-1])]
     if not len(common):
         raise BellowsError(
-            f"Topics '{recorded[0].name}' and '{recorded[1].name}' overlap by "
-            'less than the windows of the filters. Take smaller half windows or record longer.'
+            f"Topics '{recorded[0].name}' and '{recorded[1].name}' overlap by less than the "
+            'filter windows. Use smaller half windows or record longer.'
         )
     return common
 
@@ -270,8 +270,8 @@ def _with_twist(
         )
     if len(recorded) < 3:
         raise BellowsError(
-            f"Topic '{recorded.name}' has {len(recorded)} usable twists, which is too few. "
-            "Set topics.tool_twist to '' to do without."
+            f"Topic '{recorded.name}' has {len(recorded)} usable twists, too few. Set "
+            "topics.tool_twist to '' to estimate the twist from the poses."
         )
     parts = []
     for recorded_part in (recorded.linear, recorded.angular):
@@ -355,8 +355,8 @@ def _require_some(valid: Mask, reports: list[StreamReport]) -> None:
         for r in reports
     )
     raise BellowsError(
-        f'Of {len(valid)} common samples none is left: {found}. '
-        'Take smaller half windows, or a recording with fewer gaps and outliers.'
+        f'None of the {len(valid)} common samples is left: {found}. Use smaller half windows, or '
+        'a recording with fewer gaps and outliers.'
     )
 
 
@@ -368,15 +368,15 @@ def _warnings(
     aside = float(np.linalg.norm(alignment.lateral_offset))
     if aside > LATERAL_WARNED:
         found.append(
-            f'The package was picked up {aside * 1e3:.1f} mm beside its middle. Alignment takes '
-            'this out; check package.com and package.inertia, which it does not change.'
+            f'The package was picked up {aside * 1e3:.1f} mm beside its middle. The alignment '
+            'corrects this, but not package.com and package.inertia: check them.'
         )
     lateral_com = float(np.hypot(*settings.payload.com[:2]))
     if settings.align_at_rest and lateral_com > LATERAL_COM_WARNED:
         found.append(
             f'The centre of mass lies {lateral_com * 1e3:.1f} mm beside the axis of the cup, so '
-            'the cup is bent at rest, but alignment takes the pose at rest for unbent. Set '
-            'recording.align_at_rest to false if the poses are those of E and S already.'
+            'the cup is bent at rest, but the alignment takes this pose as unbent. Set '
+            'recording.align_at_rest to false if the poses are already those of E and S.'
         )
     return found
 
@@ -385,22 +385,23 @@ def _stream_warnings(stream: _Stream) -> list[str]:
     """Return what the user should know about one topic."""
     name, start = stream.recorded.name, int(stream.recorded.stamps_ns[0])
     found = [
-        f"Topic '{name}' jumps by {step.position * 1e3:.1f} mm and {step.rotation * 1e3:.1f} mrad "
-        f'{(step.stamp_ns - start) / NS_PER_S:.3f} s after its start and does not return: all '
-        'poses after it are off those before it. Use the recording up to there, or from there on.'
+        f"Topic '{name}' jumps by {step.position * 1e3:.1f} mm and {step.rotation * 1e3:.1f} "
+        f'mrad {(step.stamp_ns - start) / NS_PER_S:.3f} s after its start and does not return, '
+        'so all later poses are offset from the earlier ones. Use the recording up to there, or '
+        'from there on.'
         for step in stream.outliers.steps if not _is_of_jitter(stream, step)
     ]
     repeats = repeats_in_motion(stream.recorded)
     if repeats > REPEATS_WARNED * len(stream.recorded):
         found.append(
             f"Topic '{name}' repeats its pose {repeats} times in motion: it is published faster "
-            'than it is measured, so its rate is not the real one.'
+            'than it is measured, so its actual rate is lower.'
         )
     if stream.timing.jitter_s * stream.timing.rate_hz > JITTER_WARNED:
         found.append(
             f"The stamps of topic '{name}' jitter by {stream.timing.jitter_s * 1e3:.2g} ms at "
-            f'{stream.timing.rate_hz:.5g} Hz. Poses were interpolated as if stamps were right; '
-            'if they are times of arrival, stamp the poses when they are measured.'
+            f'{stream.timing.rate_hz:.5g} Hz. The stamps were used as they are; if they are '
+            'arrival times, stamp the poses when they are measured.'
         )
     return found
 

@@ -334,8 +334,7 @@ def require_one_frame(tool: PoseStream, package: PoseStream) -> None:
     if tool.frame_id and package.frame_id and tool.frame_id != package.frame_id:
         raise BellowsError(
             f"The poses of '{tool.name}' are in frame '{short(tool.frame_id)}', those of "
-            f"'{package.name}' in '{short(package.frame_id)}': they cannot be compared without "
-            f'the transform between the two. Set recording.package_world: {ESTIMATE} to have it '
-            'found, or to its seven numbers (x y z qx qy qz qw); '
-            "'0 0 0 0 0 0 1' where both names mean one frame."
+            f"'{package.name}' in '{short(package.frame_id)}', and the transform between the two "
+            f'is unknown. Set recording.package_world: {ESTIMATE} to estimate it, or give its '
+            "seven numbers (x y z qx qy qz qw); '0 0 0 0 0 0 1' if both names mean one frame."
         )

@@ -96,7 +96,7 @@ def standstills_of(
     found = _still(bodies, noise, spans, shortest)
     if not found:
         raise BellowsError(
-            f'No standstill of {shortest:g} s or more is in the recording: the tool and the '
+            f'The recording contains no standstill of {shortest:g} s or more: the tool and the '
             'package must both come to rest. Hold each pose until the package has stopped '
             'swinging, some 3 s.'
         )
@@ -138,7 +138,7 @@ def _blocks(tool: Trajectory, package: Trajectory) -> list[Stamps]:
     """Return the indices of valid samples, block by block of time."""
     valid = np.flatnonzero(tool.valid & package.valid)
     if not len(valid):
-        raise BellowsError('No valid sample is left in which to look for standstills.')
+        raise BellowsError('No valid sample is left to find standstills in.')
     number = (tool.stamps_ns[valid] - tool.stamps_ns[0]) // int(BLOCK_SECONDS * NS_PER_S)
     parts = np.split(valid, np.flatnonzero(np.diff(number)) + 1)
     return [part for part in parts if len(part) >= FEWEST_IN_BLOCK] or [valid]

@@ -91,8 +91,9 @@ def tossed(
             found = toss(hanging, drawn, switched)
             if found.landing_time > t[-1] and last < count:
                 raise BellowsError(
-                    f'It lands {found.landing_time - switched:.3g} s after the valve is switched, '
-                    f'and the next package is picked up after {pickup:g} s. Raise release.pickup.')
+                    f'The package lands {found.landing_time - switched:.3g} s after the valve is '
+                    f'switched, but the next one is picked up after {pickup:g} s. Raise '
+                    'release.pickup.')
         except BellowsError as error:
             raise BellowsError(f'Package {k + 1}, held from {start:.3g} s on: {error}') from None
         held[part] = t <= found.release_time
@@ -117,5 +118,5 @@ def _require_rest(tool: Trajectory) -> None:
     speed, rate = (float(np.linalg.norm(part)) for part in np.split(tool.twist[0], 2))
     if speed > STILL[0] or rate > STILL[1]:
         raise BellowsError(
-            f'the tool moves at {speed:.3g} m/s and {rate:.3g} rad/s there, and a package is '
-            'picked up at rest. Change release.pickup, or let the tool wait.')
+            f'the tool moves at {speed:.3g} m/s and {rate:.3g} rad/s there, but picks up '
+            'packages only at rest. Change release.pickup, or let the tool wait.')

@@ -74,7 +74,7 @@ def test_noise_of_a_mean_is_what_means_scatter_by():
 def test_a_motion_without_rest_has_no_standstill():
     motion = simulated.shake(duration=6.0)
     recording = simulated.record(motion)
-    with pytest.raises(BellowsError, match='No standstill of 0.6 s'):
+    with pytest.raises(BellowsError, match='no standstill of 0.6 s'):
         standstills_of(recording, shortest=0.6)
 
 
