@@ -189,6 +189,7 @@ def _reduce(arguments: argparse.Namespace, settings: dict[str, Any], console: Co
     console.say(
         f'Wrote {arguments.summary_out}: {found.used} samples used, {found.rejected} '
         f'rejected, {found.structure.name}.')
+    console.wrote(str(arguments.json))
     return OK
 
 

@@ -26,9 +26,13 @@ def test_summaries_are_fitted(call, tmp_path, capsys):
         said = capsys.readouterr()
         assert f'Wrote {files[-1]}: ' in said.err
         assert json.loads(said.out)['samples_used'] > 1000
+    assert call('identify', 'bags/validation', '--params', 'bags/package.yaml', '--summary-out',
+                tmp_path / 'again.npz', '--json', tmp_path / 'again.json') == 0
+    assert f'\nWrote {tmp_path / "again.json"}.\n' in capsys.readouterr().out
     cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
     assert call('identify', '--summaries', *files, '--out', cup, '--json', fit) == 0
     out = capsys.readouterr().out
+    assert f'Wrote {fit}.' in out
     assert 'Cup identified from bags/identification and bags/validation' in out
     assert json.loads(fit.read_text())['usable']
     assert call('replay', 'bags/validation', '--params', cup) == 0
