@@ -1,6 +1,6 @@
 """The fit of a cup to recordings, by the method in `fit.method`."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from typing import Any, TYPE_CHECKING
@@ -12,6 +12,7 @@ from bellows_ros.core.identification.reduction import Reduced, reduced, Statisti
 from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import Cup, cup_of
+from bellows_ros.core.recording.noise import Noise
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.structure import structure_named
 from bellows_ros.errors import BellowsError
@@ -24,6 +25,9 @@ Progress = Callable[[str, float], None]
 
 TYPICAL_STEPS = 7
 """Steps that a prediction-error fit takes."""
+
+LEAST_NOISE = Noise(1e-5, 5e-5)
+"""Noise (m, rad) whose bias does not matter, whatever its colour."""
 
 LENGTH_STEP = 1e-5
 """Change of cup.length (m) for derivatives."""
@@ -84,6 +88,8 @@ def fit(
         )
     if found.converged:
         _require_identifiable(found.freed)
+    if found.method == 'least_squares':
+        found = replace(found, warnings=(*found.warnings, *_of_colour(recordings)))
     if values['fit.time_offset']:
         found = _with_offsets(found, [part.time_offset for part in parts])
     if standstills:
@@ -99,6 +105,19 @@ def fit(
         found = joined_with_standstills(
             found, standstills, length, values['gravity.magnitude'], cup_of(values).stiffness)
     return Result(found, excitation)
+
+
+def _of_colour(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
+    """Yield a sentence where least squares has taken out less than the bias of the noise."""
+    coloured = [
+        own.name for own in recordings if isinstance(own, Recording) and any(
+            colour.correlation > 0.0 and colour.size > least
+            for body in own.colours for colour, least in zip(body, LEAST_NOISE, strict=True))]
+    if coloured:
+        yield (
+            f'The noise of {", ".join(coloured)} is correlated in time: motion capture smoothing? '
+            'Least squares removes the bias of white noise only, so K and P may be too small by '
+            'more than the standard errors say. Use fit.method: prediction_error.')
 
 
 def fitted(

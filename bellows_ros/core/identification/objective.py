@@ -9,7 +9,6 @@ by adding noise of the same kind once more, and is taken off: with noise alone n
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-import functools
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Stamps
@@ -19,7 +18,7 @@ from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.variations import Given, time_offset
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.parameter_table import THESIS_DAMPING, THESIS_STIFFNESS
-from bellows_ros.core.recording.noise import Colour, colours_of
+from bellows_ros.core.recording.noise import Colour
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.savgol import savgol
@@ -118,10 +117,8 @@ def _noisier(recording: Recording, draw: np.random.Generator) -> Recording:
     """Return a recording with as much noise once more, through the same filters."""
     settings = recording.settings
     tool, package = (
-        _shaken(poses, recording.once(('colours', body), functools.partial(
-            colours_of, poses, getattr(recording.noise, body))), draw)
-        for body, poses in (('tool', recording.aligned_tool),
-                            ('package', recording.aligned_package)))
+        _shaken(poses, colours, draw) for poses, colours in zip(
+            (recording.aligned_tool, recording.aligned_package), recording.colours, strict=True))
     filtered_tool, filtered = (
         savgol(body, weights.shape[1] // 2, order) for body, weights, order in (
             (tool, recording.tool_weights, settings.tool_order),

@@ -15,7 +15,14 @@ from bellows_ros.core.model import Package, STANDARD_GRAVITY
 from bellows_ros.core.parameter_table import short
 from bellows_ros.core.parameters import ESTIMATE
 from bellows_ros.core.recording.alignment import Alignment, BodyStandstill, world_rotation
-from bellows_ros.core.recording.noise import FilterNoise, Noise, noise_of, resampled_weights
+from bellows_ros.core.recording.noise import (
+    Colour,
+    colours_of,
+    FilterNoise,
+    Noise,
+    noise_of,
+    resampled_weights,
+)
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.resampling import Timing
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
@@ -280,6 +287,12 @@ class Recording:
             self.package_weights,
             self.tool_weights.shape[1] // 2,
         )
+
+    @cached_property
+    def colours(self) -> tuple[tuple[Colour, Colour], tuple[Colour, Colour]]:
+        """Noise of tool and package as it is correlated in time, of positions and rotations."""
+        return (colours_of(self.aligned_tool, self.noise.tool),
+                colours_of(self.aligned_package, self.noise.package))
 
     @cached_property
     def measured_noise(self) -> tuple[Noise, Noise]:

@@ -18,6 +18,7 @@ from bellows_ros.core.synthetic.motion import Oscillation, Pose, Segment, Waypoi
 from bellows_ros.core.synthetic.sensing import sample_stamps
 from bellows_ros.core.trajectory import PoseStream
 import numpy as np
+from scipy.signal import lfilter
 
 GRAVITY = 9.81
 CUP = Cup.thesis()
@@ -73,16 +74,24 @@ class Pair:
 
 def record(
     motion, cup=CUP, payload=HELD, tool=NO_NOISE, package=NO_NOISE, rate_hz=120.0, seed=1,
-    half_window=0, later=0.0,
+    half_window=0, later=0.0, kept=0.0,
 ):
-    """Return the prepared recording of a motion, with white noise (m, rad per axis), tool late."""
+    """
+    Return the prepared recording of a motion, with noise (m, rad per axis), tool late.
+
+    The noise is white, or keeps a part of itself from pose to pose.
+    """
     truth, moved = truth_of(motion, Pair.of(cup, payload), rate_hz)
     draw = np.random.default_rng((seed, 2))
+
+    def drawn():
+        white = draw.standard_normal((len(truth), 3))
+        return np.sqrt(1.0 - kept**2) * lfilter([1.0], [1.0, -kept], white, axis=0)
+
     streams = [
         PoseStream(
             name, 'world', body.stamps_ns + round(1e9 * behind),
-            body.position + noise[0] * draw.standard_normal((len(body), 3)),
-            body.rotation @ exp_so3(noise[1] * draw.standard_normal((len(body), 3))))
+            body.position + noise[0] * drawn(), body.rotation @ exp_so3(noise[1] * drawn()))
         for name, body, noise, behind in (
             ('tool', truth, tool, later), ('package', moved, package, 0.0))]
     return prepare(*streams, PrepareSettings(

@@ -1,11 +1,13 @@
 """What the methods of fitting make of prepared recordings."""
 
-from bellows_ros.core.identification.methods import start_cup
+from bellows_ros.core.identification.methods import fit, start_cup
 from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
+from bellows_ros.core.parameters import resolve
 from bellows_ros.core.structure import STRUCTURES
 import numpy as np
 from numpy.testing import assert_allclose
+import pytest
 
 from . import simulated
 
@@ -22,3 +24,15 @@ def test_the_prediction_error_starts_from_a_known_damping_where_least_squares_fi
     assert np.any(found < 0.0)
     assert_allclose(
         np.diag(start.damping), np.where(found < 0.0, np.diag(simulated.CUP.damping), found))
+
+
+@pytest.mark.parametrize('kept', [0.0, 0.9])
+def test_least_squares_says_where_the_noise_is_not_white(kept):
+    noise = (1e-4, 5e-4)
+    recording = simulated.record(
+        simulated.shake(seed=3), tool=noise, package=noise, rate_hz=360.0, kept=kept)
+    values = resolve({
+        'fit.method': 'least_squares', 'cup.length': simulated.CUP.length,
+        'package.mass': simulated.HELD.mass})
+    said = [text for text in fit([recording], values).fit.warnings if 'correlated' in text]
+    assert len(said) == (kept > 0.0)
