@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Mapping, Sequence
+import math
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -21,6 +22,7 @@ from .console import (
 if TYPE_CHECKING:
     from bellows_ros.workflows.identification import Identification
     from bellows_ros.workflows.release import ReleaseResult
+    from bellows_ros.workflows.verdict import Simulated
 
 DESCRIPTION = (
     'Identify the stiffness K and damping P of a cup from recordings of the tool arm and the '
@@ -270,8 +272,8 @@ def _say(result: 'Identification', console: Console) -> None:
     """Print the cup and what it rests on."""
     fit = result.fit
     bags = listed(result.bags)
-    first = result.verdict.sentences if result.verdict else ()
-    for line in first:
+    verdict = result.verdict
+    for line in verdict.cause if verdict else ():
         console.paragraph(line)
     console.say(f'Cup identified from {bags}', 'bold')
     console.say(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
@@ -279,18 +281,35 @@ def _say(result: 'Identification', console: Console) -> None:
     if result.typical:
         console.paragraph(result.typical.sentence)
         console.say()
+    for simulated in verdict.simulated if verdict else ():
+        if not all(map(math.isfinite, simulated.rms)):
+            console.paragraph(simulated.sentence)
+            continue
+        console.paragraph(f'Free simulation of {simulated.bag} with this cup (RMS):')
+        console.table(_simulated_rows(simulated), right=True)
+        console.say()
     for line in cup_table(fit):
         console.say(f'  {line}'.rstrip())
     console.say()
     for line in _sample_lines(fit, [part.report for part in result.parts]):
         console.paragraph(line)
     console.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
-    for line in result.findings[len(first):]:
+    for line in result.findings[len(verdict.sentences) if verdict else 0:]:
         console.paragraph(line)
     for reason in result.refusals:
         console.paragraph(reason, 'red')
     for warning in result.warnings:
         console.warn(warning)
+
+
+def _simulated_rows(simulated: 'Simulated') -> list[tuple[str, ...]]:
+    """Return the errors of a free simulation above the noise, a column per axis."""
+    from bellows_ros.core.structure import AXES
+
+    units = (*3 * ('mm',), *3 * ('mrad',))
+    return [('', *(f'{axis} {unit}' for axis, unit in zip(AXES, units, strict=True))),
+            *((name, *(f'{1e3 * x:.3g}' for x in values))
+              for name, values in (('error', simulated.rms), ('noise', simulated.noise)))]
 
 
 def cup_table(fit: Any) -> list[str]:

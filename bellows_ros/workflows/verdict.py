@@ -42,6 +42,8 @@ class Simulated(NamedTuple):
     @property
     def sentence(self) -> str:
         """What the cup is worth."""
+        if not np.isfinite(self.rms).all():
+            return f'{self.bag} cannot be simulated freely with this cup.'
         parts = []
         for kind, unit in ((slice(0, 3), 'mm'), (slice(3, 6), 'mrad')):
             errors = ', '.join(f'{name} {1e3 * x:.2g}' for name, x in
@@ -66,10 +68,11 @@ class Verdict(NamedTuple):
     @property
     def sentences(self) -> tuple[str, ...]:
         """The likeliest cause, where there is one, and what the cup is worth."""
-        return (*self._cause(), *(own.sentence for own in self.simulated))
+        return (*self.cause, *(own.sentence for own in self.simulated))
 
-    def _cause(self) -> tuple[str, ...]:
-        """Return a sentence about what explains most, or none."""
+    @property
+    def cause(self) -> tuple[str, ...]:
+        """A sentence about what explains most, or none."""
         if not self.diagnosis.findings:
             return ()
         first = self.diagnosis.findings[0]
