@@ -34,8 +34,8 @@ from .shapes import bellows_rings, RINGS, SIDES
 from .style import THEMES
 
 NO_RERUN = (
-    f'The view needs Rerun, which is not here. Install it: {install("view")}. For a picture that '
-    "moves, there is also 'bellows plot animation'."
+    f'The viewer Rerun is not installed. Install it: {install("view")}. Or use '
+    "'bellows plot animation'."
 )
 ENDING = '.rrd'
 TIMELINE = 'time'
@@ -98,9 +98,8 @@ def open_view(replayed: Replayed, note: str) -> None:
         done = subprocess.run([sys.executable, '-m', 'rerun', '--hide-welcome-screen', str(path)])
     if done.returncode != 0:
         raise BellowsError(
-            f'The viewer Rerun ended with {done.returncode}; it says why above. Where no window '
-            "can be opened, write a file with --out view.rrd, and open it elsewhere: 'rerun "
-            "view.rrd'."
+            f'The viewer Rerun exited with {done.returncode}, with the reason above. Without a '
+            "display, write a file with --out view.rrd, and open it elsewhere: 'rerun view.rrd'."
         )
 
 
