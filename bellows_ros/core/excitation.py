@@ -352,7 +352,7 @@ def design(
             best, motion, shares = reached, moved, now
         search.allowed = np.minimum(search.allowed / np.maximum(worst, 0.1) ** STRONGER, 1.0)
     motion, ratios = _within(motion, limits, models, grip)
-    progress('computing what it tells', 1.0)
+    progress('computing the expected errors', 1.0)
     tool = motion.at_rate(1.0 / tracking.package_period)
     return Design(motion, ratios, shares, motion_information(
         cup, package, gravity, tool, tracking, structure))

@@ -381,7 +381,7 @@ def _identified(
         values, effective = (with_freed(own, result.fit.freed) for own in (values, effective))
         parts, _ = read(effective)
     whole = tuple(part for part in parts if isinstance(part, Recording))
-    tell('trying what may be wrong', FIT_ENDS)
+    tell('testing possible causes', FIT_ENDS)
     length = result.fit.standstills.length if result.fit.standstills else effective['cup.length']
     unknown = result.excitation.not_identifiable
     verdict = verdict_of(
