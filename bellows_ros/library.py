@@ -14,7 +14,7 @@ from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor, Prediction
 from bellows_ros.core.model import Cup, cup_of, model_tuple, Package, package_of, STANDARD_GRAVITY
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.savgol import savgol
+from bellows_ros.core.resampling import savgol
 from bellows_ros.core.simulation import simulate, state_row
 from bellows_ros.core.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError

@@ -25,12 +25,12 @@ from bellows_ros.core.arrays import Array
 from bellows_ros.core.commissioning import everyday
 from bellows_ros.core.excitation import all_ratios, cups_near, design, Search
 from bellows_ros.core.identification.fisher import motion_information, standard_errors, Tracking
-from bellows_ros.core.identification.prediction.prediction_error import prediction_error
-from bellows_ros.core.identification.prediction.segments import measured_segments
+from bellows_ros.core.identification.prediction_error import prediction_error
+from bellows_ros.core.identification.segments import measured_segments
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, cup_of, model_tuple, Package, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.simulation import simulate
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.synthetic.motion import Motion

@@ -16,21 +16,21 @@ from dataclasses import replace
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.least_squares import least_squares
-from bellows_ros.core.identification.prediction.equations import Segment
-from bellows_ros.core.identification.prediction.minimum import Search
-from bellows_ros.core.identification.prediction.prediction_error import prediction_error
-from bellows_ros.core.identification.prediction.segments import (
+from bellows_ros.core.identification.minimum import Search
+from bellows_ros.core.identification.motion_equations import Segment
+from bellows_ros.core.identification.prediction_error import prediction_error
+from bellows_ros.core.identification.reduction import statistics
+from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.identification.samples import Samples
+from bellows_ros.core.identification.segments import (
     measured_segments,
     PoseNoise,
     SMALLEST,
 )
-from bellows_ros.core.identification.reduction import statistics
-from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.recording.noise import FilterNoise, Noise, noise_of
-from bellows_ros.core.savgol import savgol, weights
+from bellows_ros.core.recording.recording import FilterNoise, Noise, noise_of
+from bellows_ros.core.resampling import savgol, weights
 from bellows_ros.core.simulation import simulate
 from bellows_ros.core.structure import Structure, structure_named
 from bellows_ros.core.synthetic.motion import motion_from

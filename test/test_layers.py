@@ -32,8 +32,10 @@ LONGEST_START = 0.3  # s of the processor, of `bellows --help`
 CORE = (
     '', 'recording', 'synthetic', 'arm_limits', 'observer', 'live',
     'identification.equations', 'identification.samples', 'identification.result',
-    'identification.reduction', 'identification.least_squares', 'identification.prediction',
-    'identification.innovations', 'identification.fisher', 'identification.statics',
+    'identification.reduction', 'identification.least_squares', 'identification.segments',
+    'identification.motion_equations', 'identification.minimum',
+    'identification.prediction_error', 'identification.innovations', 'identification.fisher',
+    'identification.statics',
     'identification.identifiability', 'identification.structure_selection',
     'identification.validation', 'identification.comparison', 'identification.consistency',
     'identification.variations', 'identification.objective', 'identification.free',
@@ -217,12 +219,12 @@ def test_help_of_bellows_comes_at_once(
 
 def test_a_plain_identification_loads_few_modules(
         root: Path, user_environment: dict[str, str]) -> None:
-    """Load no more of the package than least squares of one recording needs."""
+    """Load no more of the package than the fit of one recording needs."""
     bags = root / 'bags'
     code = f"""
 import sys
 from bellows_ros.cli import main
-code = main(['identify', {str(bags / 'identification')!r}, '--set', 'fit.method=least_squares',
+code = main(['identify', {str(bags / 'identification')!r},
              '--params', {str(bags / 'package.yaml')!r}])
 loaded = [name for name in sys.modules if name.startswith('bellows_ros')]
 print('ended', code, len(loaded), *sorted(loaded))

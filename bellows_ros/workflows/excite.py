@@ -20,7 +20,7 @@ from bellows_ros.core.identification.fisher import (
 from bellows_ros.core.lie import log_so3, rotation_to_quaternion
 from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.structure import Structure, structure_named
 from bellows_ros.core.synthetic.motion import Motion

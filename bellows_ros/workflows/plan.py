@@ -22,8 +22,7 @@ from bellows_ros.core.plan import Prediction, Run
 from bellows_ros.core.plan_points import plan_of, plan_of_joints
 from bellows_ros.core.recording.alignment import world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
-from bellows_ros.core.resampling import on_grid, timing
-from bellows_ros.core.savgol import savgol
+from bellows_ros.core.resampling import on_grid, savgol, timing
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError

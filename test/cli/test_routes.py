@@ -3,7 +3,7 @@
 import json
 
 from bellows_ros.cli import main
-from bellows_ros.core.identification.prediction import minimum
+from bellows_ros.core.identification import minimum
 import pytest
 
 

@@ -14,7 +14,7 @@ from bellows_ros.core.identification.samples import envelope, Samples
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Package
 from bellows_ros.core.parameters import resolve
-from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill, with_standstills
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError

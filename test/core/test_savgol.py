@@ -4,8 +4,8 @@ from fractions import Fraction
 from math import factorial, pi
 
 from bellows_ros.core import lie
-from bellows_ros.core import savgol as module
-from bellows_ros.core.savgol import savgol, weights
+from bellows_ros.core import resampling as module
+from bellows_ros.core.resampling import savgol, weights
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np

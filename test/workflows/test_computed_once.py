@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 EXPENSIVE = {
-    'savgol': 'core.savgol',
-    'noise_of': 'core.recording.noise',
+    'savgol': 'core.resampling',
+    'noise_of': 'core.recording.recording',
     'regressor': 'core.model',
     'with_noise': 'core.identification.reduction',
     'envelope': 'core.identification.samples',

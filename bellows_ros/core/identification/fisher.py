@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import linearise, static_equilibrium
 from bellows_ros.core.identification.innovations import between
-from bellows_ros.core.identification.prediction.equations import Segment
-from bellows_ros.core.identification.prediction.minimum import whitened
-from bellows_ros.core.identification.prediction.segments import Measured, MOST_POSES, PoseNoise
+from bellows_ros.core.identification.minimum import whitened
+from bellows_ros.core.identification.motion_equations import Segment
+from bellows_ros.core.identification.segments import Measured, MOST_POSES, PoseNoise
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.recording.noise import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
-from bellows_ros.core.savgol import weights
+from bellows_ros.core.recording.recording import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
+from bellows_ros.core.resampling import weights
 from bellows_ros.core.simulation import simulate
 from bellows_ros.core.structure import Structure
 from bellows_ros.core.trajectory import Trajectory

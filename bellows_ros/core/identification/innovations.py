@@ -13,18 +13,18 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.equilibrium import displaced, largest_step, static_equilibrium, substeps_for
-from bellows_ros.core.identification.prediction.segments import in_motion
+from bellows_ros.core.identification.segments import in_motion
 from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import advance, ModelTuple, State
 from bellows_ros.core.lie import rotation_to_quaternion
-from bellows_ros.core.recording.noise import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
+from bellows_ros.core.recording.recording import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
+from bellows_ros.core.resampling import weights
 from bellows_ros.core.residuals import (
     portmanteau,
     Spectrum,
     spectrum,
     Whiteness,
 )
-from bellows_ros.core.savgol import weights
 from bellows_ros.core.sensitivities import advance_jacobians
 from bellows_ros.core.simulation import row_state, state_row, tool_rows
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz

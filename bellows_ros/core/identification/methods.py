@@ -12,8 +12,7 @@ from bellows_ros.core.identification.reduction import Reduced, reduced, Statisti
 from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import Cup, cup_of
-from bellows_ros.core.recording.noise import Noise
-from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
+from bellows_ros.core.recording.recording import Noise, PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.structure import structure_named
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -171,8 +170,8 @@ def _by_prediction_error(
     recordings: Sequence[Recording], values: Mapping[str, Any], progress: Progress | None
 ) -> Fit:
     """Return the fit to poses."""
-    from bellows_ros.core.identification.prediction.prediction_error import prediction_error
-    from bellows_ros.core.identification.prediction.segments import Measured, measured_segments
+    from bellows_ros.core.identification.prediction_error import prediction_error
+    from bellows_ros.core.identification.segments import Measured, measured_segments
     from bellows_ros.core.identification.variations import LARGEST_OFFSET
 
     structure = structure_named(values['fit.structure'])
@@ -204,8 +203,8 @@ def first_guess(
     if not names:
         return ()
     from bellows_ros.core.identification.free import BLOCKS, refine
+    from bellows_ros.core.identification.motion_equations import KINDS
     from bellows_ros.core.identification.objective import ensemble_of, Objective
-    from bellows_ros.core.identification.prediction.equations import KINDS
 
     ensemble = ensemble_of(recordings, values['cup.length'], structure_named(
         values['fit.structure']))

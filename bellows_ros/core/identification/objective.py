@@ -18,10 +18,8 @@ from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.variations import Given, time_offset
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.parameter_table import THESIS_DAMPING, THESIS_STIFFNESS
-from bellows_ros.core.recording.noise import Colour
-from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.resampling import resample
-from bellows_ros.core.savgol import savgol
+from bellows_ros.core.recording.recording import Colour, Recording
+from bellows_ros.core.resampling import resample, savgol
 from bellows_ros.core.structure import Structure
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np

@@ -29,8 +29,14 @@ from bellows_ros.core.identification.samples import (
 )
 from bellows_ros.core.lie import apply, exp_so3
 from bellows_ros.core.model import Package
-from bellows_ros.core.recording.noise import ENOUGH, FilterNoise, Noise
-from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOffset
+from bellows_ros.core.recording.recording import (
+    ENOUGH,
+    FilterNoise,
+    Noise,
+    PackageWorld,
+    Recording,
+    TimeOffset,
+)
 from bellows_ros.core.structure import Structure, structure_named
 from bellows_ros.core.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError

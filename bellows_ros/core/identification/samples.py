@@ -17,8 +17,7 @@ from bellows_ros.core.envelope import Envelope
 from bellows_ros.core.identification.equations import BLOCK, LipMotion
 from bellows_ros.core.lie import apply, exp_so3
 from bellows_ros.core.model import Package
-from bellows_ros.core.recording.noise import FilterNoise
-from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.recording.recording import FilterNoise, Recording
 from bellows_ros.core.residuals import interpolated, relative_coordinates, Spectrum, spectrum
 from bellows_ros.core.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError

@@ -30,7 +30,7 @@ from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.model import Cup
-from bellows_ros.core.recording.noise import FilterNoise
+from bellows_ros.core.recording.recording import FilterNoise
 from bellows_ros.core.residuals import relative_coordinates
 from bellows_ros.core.simulation import simulate, state_row
 from bellows_ros.core.structure import Structure, STRUCTURES

@@ -15,9 +15,8 @@ from bellows_ros.core.equilibrium import static_equilibrium
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package
-from bellows_ros.core.recording.noise import Noise
-from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.resampling import resample
+from bellows_ros.core.recording.recording import Noise, Recording
+from bellows_ros.core.resampling import resample, savgol, weights
 from bellows_ros.core.residuals import (
     AXES,
     compare,
@@ -29,7 +28,6 @@ from bellows_ros.core.residuals import (
     spectrum,
     Whiteness,
 )
-from bellows_ros.core.savgol import savgol, weights
 from bellows_ros.core.simulation import lip_wrenches, simulate, state_row, tool_rows
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError

@@ -27,8 +27,7 @@ from bellows_ros.core.recording.recording import (
     StreamReport,
     TimeOffset,
 )
-from bellows_ros.core.resampling import on_grid, resample, Timing, timing
-from bellows_ros.core.savgol import savgol
+from bellows_ros.core.resampling import on_grid, resample, savgol, Timing, timing
 from bellows_ros.core.trajectory import (
     Filtered,
     frozen,

@@ -9,7 +9,7 @@ package's motion in the world follows from both. Which of the two ways is better
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import adjoint, apply, inverse_transform, transform, twist_cross
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.savgol import savgol
+from bellows_ros.core.resampling import savgol
 from bellows_ros.core.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np

@@ -13,8 +13,7 @@ from bellows_ros.core.envelope import Envelope
 from bellows_ros.core.lie import exp_so3, log_so3
 from bellows_ros.core.model import Package
 from bellows_ros.core.recording.alignment import BLOCK_SECONDS
-from bellows_ros.core.recording.noise import Noise
-from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.recording.recording import Noise, Recording
 from bellows_ros.core.residuals import relative_coordinates
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError

@@ -1,6 +1,6 @@
 """Simulated recordings for the tests of identification, with the truth they hold."""
 
-from bellows_ros.core.identification.prediction.segments import measured_segments
+from bellows_ros.core.identification.segments import measured_segments
 from bellows_ros.core.lie import dexp, exp_so3
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.simulation import simulate

@@ -5,12 +5,12 @@ from bellows_ros.core.identification.fisher import (
     standard_errors,
     Tracking,
 )
-from bellows_ros.core.identification.prediction.equations import Segment
-from bellows_ros.core.identification.prediction.minimum import whitened
-from bellows_ros.core.identification.prediction.segments import in_motion, Measured, PoseNoise
+from bellows_ros.core.identification.minimum import whitened
+from bellows_ros.core.identification.motion_equations import Segment
+from bellows_ros.core.identification.segments import in_motion, Measured, PoseNoise
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, model_tuple, Package
-from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.simulation import simulate
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.synthetic.motion import Oscillation, Pose

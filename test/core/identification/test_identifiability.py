@@ -4,8 +4,8 @@ from bellows_ros.core.identification.equations import whitening_of
 from bellows_ros.core.identification.reduction import with_noise
 from bellows_ros.core.identification.samples import relative_spectra, Samples, samples_of
 from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.recording.noise import FilterNoise, Noise
-from bellows_ros.core.savgol import savgol
+from bellows_ros.core.recording.recording import FilterNoise, Noise
+from bellows_ros.core.resampling import savgol
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError

@@ -2,13 +2,13 @@
 
 from bellows_ros.core.equilibrium import static_equilibrium, system_matrix
 from bellows_ros.core.identification import innovations as module
+from bellows_ros.core.identification import segments as segments_module
 from bellows_ros.core.identification.innovations import innovations, observer
-from bellows_ros.core.identification.prediction import segments as segments_module
-from bellows_ros.core.identification.prediction.segments import measured_segments
+from bellows_ros.core.identification.segments import measured_segments
 from bellows_ros.core.jit import COMPILED
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple
-from bellows_ros.core.recording.noise import Noise, noise_of
+from bellows_ros.core.recording.recording import Noise, noise_of
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.simulation import state_row, tool_rows
 from bellows_ros.core.trajectory import Trajectory

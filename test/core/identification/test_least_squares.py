@@ -5,7 +5,7 @@ from bellows_ros.core.identification.samples import lip_relative, needed_wrench,
 from bellows_ros.core.kernels import lip_relative_to_tool, lip_wrench
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package, regressor
-from bellows_ros.core.savgol import savgol
+from bellows_ros.core.resampling import savgol
 from bellows_ros.core.simulation import simulate, state_row
 from bellows_ros.core.structure import structure_named, STRUCTURES
 from bellows_ros.core.trajectory import Trajectory

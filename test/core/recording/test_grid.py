@@ -1,8 +1,7 @@
 """Rates, gaps and jitter of stamps, and poses brought to a uniform rate."""
 
 from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.resampling import on_grid, timing
-from bellows_ros.core.savgol import savgol
+from bellows_ros.core.resampling import on_grid, savgol, timing
 from bellows_ros.core.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np

@@ -6,7 +6,7 @@ from bellows_ros.core.lie import apply, exp_so3, log_so3
 from bellows_ros.core.model import Package
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
-from bellows_ros.core.savgol import savgol
+from bellows_ros.core.resampling import savgol
 from bellows_ros.core.trajectory import PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams

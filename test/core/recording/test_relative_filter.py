@@ -9,7 +9,7 @@ from bellows_ros.core.recording.relative_filter import (
     filtered_with_lip,
     lip_poses,
 )
-from bellows_ros.core.savgol import savgol
+from bellows_ros.core.resampling import savgol
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError

@@ -12,7 +12,7 @@ from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import static_equilibrium
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple
-from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.simulation import state_row
 from bellows_ros.core.trajectory import Trajectory

@@ -2,7 +2,7 @@
 
 from bellows_ros.core.identification.statics.static import check_spring, nominal_length
 from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError

@@ -10,7 +10,7 @@ from bellows_ros.core.identification.statics.static_equations import (
     static_equations,
 )
 from bellows_ros.core.model import Cup
-from bellows_ros.core.recording.noise import Noise
+from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import standstills_of
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.errors import BellowsError

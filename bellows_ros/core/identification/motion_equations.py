@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.prediction.segments import Measured
+from bellows_ros.core.identification.segments import Measured
 from bellows_ros.core.jacobians import (
     body_jacobians,
     COM,
@@ -33,8 +33,7 @@ from bellows_ros.core.jit import kernel
 from bellows_ros.core.kernels import body_acceleration, ModelTuple, State
 from bellows_ros.core.lie import apply, exp_so3, hat, rotation_to_quaternion, twist_cross
 from bellows_ros.core.model import Cup, model_tuple, Package
-from bellows_ros.core.resampling import resample
-from bellows_ros.core.savgol import savgol, weights
+from bellows_ros.core.resampling import resample, savgol, weights
 from bellows_ros.core.sensitivities import columns
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np

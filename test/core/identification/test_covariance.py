@@ -1,8 +1,8 @@
 """Standard errors of the prediction error: against the bound, and against the scatter of fits."""
 
 from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.identification.prediction.prediction_error import prediction_error
-from bellows_ros.core.identification.prediction.segments import measured_segments
+from bellows_ros.core.identification.prediction_error import prediction_error
+from bellows_ros.core.identification.segments import measured_segments
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, model_tuple
 from bellows_ros.core.sensitivities import sensitivities
@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ..recordings import GRAVITY, PLATE, segments, Shake
-from ...cases import random_cup
+from .recordings import GRAVITY, PLATE, segments, Shake
+from ..cases import random_cup
 
 TRUTH = Cup.thesis()
 AXISYMMETRIC = STRUCTURES['axisymmetric']
@@ -139,11 +139,11 @@ def test_full_matrices_from_a_diagonal_start(seed):
 
 
 def test_a_search_that_does_not_end_has_no_standard_errors(monkeypatch):
-    from bellows_ros.core.identification.prediction import minimum
+    from bellows_ros.core.identification import minimum
 
     monkeypatch.setattr(minimum, 'MOST_STEPS', 2)
     fit = prediction_error(segments(3, 4.0, rate_hz=100.0), AXISYMMETRIC,
                            Cup(2.0 * TRUTH.stiffness, TRUTH.damping, TRUTH.length))
     assert not fit.converged and not fit.usable
     assert np.all(np.isinf(np.diag(fit.covariance)))
-    assert any('not converged' in warning for warning in fit.warnings)
+    assert any('did not converge' in warning for warning in fit.warnings)

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 from bellows_ros.core.identification.consistency import same_cup
-from bellows_ros.core.identification.prediction.prediction_error import prediction_error
+from bellows_ros.core.identification.prediction_error import prediction_error
 from bellows_ros.core.model import Cup
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.trajectory import Trajectory
@@ -16,8 +16,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..recordings import HEAVY, PLATE, segments
-from ...cases import random_cup
+from .recordings import HEAVY, PLATE, segments
+from ..cases import random_cup
 
 TRUTH = Cup.thesis()
 AXISYMMETRIC = STRUCTURES['axisymmetric']
@@ -207,7 +207,7 @@ def test_nothing_to_compare_is_an_error():
 
 
 FULL_FIT = """
-from bellows_ros.core.identification.prediction.prediction_error import prediction_error
+from bellows_ros.core.identification.prediction_error import prediction_error
 from bellows_ros.core.model import Cup
 from bellows_ros.core.structure import STRUCTURES
 import numpy as np

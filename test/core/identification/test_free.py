@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.identification.prediction.equations import KINDS, Segment
-from bellows_ros.core.identification.prediction.prediction_error import prediction_error
+from bellows_ros.core.identification.motion_equations import KINDS, Segment
+from bellows_ros.core.identification.prediction_error import prediction_error
 from bellows_ros.core.lie import apply, exp_so3
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.structure import STRUCTURES
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..recordings import PLATE, segments
+from .recordings import PLATE, segments
 
 TRUTH, AXISYMMETRIC = Cup.thesis(), STRUCTURES['axisymmetric']
 NOISE = {'tool_noise': (2e-5, 1e-4), 'package_noise': (5e-5, 2e-4)}

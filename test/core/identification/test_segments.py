@@ -1,6 +1,6 @@
 """What the prediction error is given of a recording with gaps."""
 
-from bellows_ros.core.identification.prediction.segments import in_motion, measured_segments
+from bellows_ros.core.identification.segments import in_motion, measured_segments
 from bellows_ros.core.model import Cup
 from bellows_ros.core.simulation import simulate
 from bellows_ros.core.trajectory import Trajectory
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..recordings import GRAVITY, PLATE, Shake
+from .recordings import GRAVITY, PLATE, Shake
 
 RATE_HZ = 200.0
 MOTION = Shake(31).trajectory(6.0, RATE_HZ)

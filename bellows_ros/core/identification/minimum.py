@@ -15,16 +15,16 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Places
-from bellows_ros.core.identification.prediction.equations import (
+from bellows_ros.core.identification.motion_equations import (
     Equations,
     Free,
     KINDS,
     Segment,
     STEPS,
 )
-from bellows_ros.core.identification.prediction.segments import PoseNoise
+from bellows_ros.core.identification.segments import PoseNoise
 from bellows_ros.core.model import Cup
-from bellows_ros.core.recording.noise import MAD_TO_STD
+from bellows_ros.core.recording.recording import MAD_TO_STD
 from bellows_ros.core.structure import Structure
 from bellows_ros.errors import BellowsError
 import numpy as np

@@ -19,9 +19,8 @@ from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.identification.equations import without
-from bellows_ros.core.identification.prediction.equations import KINDS, Segment
-from bellows_ros.core.identification.prediction.minimum import Found, Root, Search, Whitened
-from bellows_ros.core.identification.prediction.segments import Measured, SMALLEST
+from bellows_ros.core.identification.minimum import Found, Root, Search, Whitened
+from bellows_ros.core.identification.motion_equations import KINDS, Segment
 from bellows_ros.core.identification.result import (
     definiteness_warnings,
     Fit,
@@ -30,6 +29,7 @@ from bellows_ros.core.identification.result import (
     LARGEST_ERROR,
     POSE_UNITS,
 )
+from bellows_ros.core.identification.segments import Measured, SMALLEST
 from bellows_ros.core.model import Cup
 from bellows_ros.core.structure import Structure
 from bellows_ros.errors import BellowsError

@@ -1,1 +1,0 @@
-"""The prediction-error method: fits on poses."""
