@@ -93,10 +93,10 @@ So many of them, beside the beginning: all of a time (ns), what is older farther
 that is older than this (ns): all that falls for long has fallen out of any number's range.
 """
 
-OVERSHOOT = 1.8
+OVERSHOOT = 1.2
 """
-So much lower may the threshold be, as the sum does not reach it but leaps over it, older onsets
-are let go, and a cause must lead: pure chance raises no more alarms than allowed all the same.
+So much lower the threshold is, as the sum does not reach it but leaps over it, older onsets are
+let go, and a cause must lead: chance alone raises no more alarms than allowed all the same.
 """
 
 START_WEIGHS = 30.0
