@@ -35,6 +35,11 @@ NOT_OF_THE_CUP = (
 NO_CUP = 'This cup cannot hold a package: see the warnings.'
 """Why a fit is refused that no predictor can take."""
 
+NO_VERDICT = (
+    'Summaries hold no poses: what the cup is worth in mm and mrad, and whether what was given is '
+    'right, is not known. Give two or three of the recordings themselves to bellows identify.')
+"""Why nothing is said of what a verdict says."""
+
 MISFIT = 'The model does not explain the recording'
 """Begins what either method says of residuals that are larger than noise."""
 
@@ -158,7 +163,7 @@ class Identification:
     @property
     def findings(self) -> tuple[str, ...]:
         """What was found beside the cup, in sentences."""
-        lines = list(self.verdict.sentences if self.verdict else ())
+        lines = list(self.verdict.sentences if self.verdict else (NO_VERDICT,))
         lines += [text for part in self.parts
                   for text in world_sentence(part.name, part.package_world)]
         lines += self._offset_sentences()

@@ -183,7 +183,7 @@ def setting_of(found: Finding) -> str:
     """Return the parameter to change, '' where it is the cup."""
     if found.value.startswith('gravity'):
         return 'gravity.direction'
-    if found.instead:
+    if found.instead in SETTINGS:
         return f'{SETTINGS[found.name]} or {SETTINGS[found.instead]}'
     return SETTINGS.get(found.name, found.name if found.datum else '')
 
@@ -191,7 +191,7 @@ def setting_of(found: Finding) -> str:
 def finding_sentence(found: Finding, given: Mapping[str, Any]) -> str:
     """Return what was found, its size, by how much residuals fall, and what to change."""
     what, remedy = _words(found, given)
-    return f'{what}; with that, the residuals fall to {100.0 * found.left:.2g} %. {remedy}'
+    return f'{what}. With that, the residuals fall to {100.0 * found.left:.2g} %. {remedy}'
 
 
 def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
@@ -207,13 +207,15 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
             zip('xyz', theta, std, strict=True) if abs(x) > 3.0 * s)
         moved = np.where(np.abs(theta) > 3.0 * std, theta, 0.0)
         new = ', '.join(f'{x:.4f}' for x in np.add(given['package.com'], moved))
-        other = ' (or cup.length is off by as much)' if found.instead else ''
-        return (f'The centre of mass is not at package.com, but {shifts} from there{other}',
-                f'Check package.com{" and cup.length" * bool(other)}: it would be [{new}].')
+        if found.instead:
+            return _length_or_com(1e3 * theta[2])
+        return (f'The centre of mass is not at package.com, but {shifts} from there',
+                f'Check package.com: it would be [{new}].')
     if name == 'length':
         side = 'short' if theta[0] > 0.0 else 'long'
-        other = ', or package.com is off along z by as much' if found.instead else ''
-        return (f'cup.length is {_size(theta[0], std[0])} mm too {side}{other}',
+        if found.instead:
+            return _length_or_com(1e3 * theta[0])
+        return (f'cup.length is {_size(theta[0], std[0])} mm too {side}',
                 'Measure it under vacuum, or with bellows static: it would be '
                 f'{given["cup.length"] + theta[0]:.5f}.')
     if name == 'package_world':
@@ -225,8 +227,15 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     return _setting_words(found)
 
 
+def _length_or_com(way: float) -> tuple[str, str]:
+    """Return the same where length and centre of mass explain as much, by so many mm."""
+    return (f'cup.length or the z of package.com is wrong by about {abs(way):.1f} mm: these '
+            'recordings cannot tell which',
+            'Measure cup.length under vacuum, or with bellows static, and check package.com.')
+
+
 def _setting_words(found: Finding) -> tuple[str, str]:
-    """Return the same where a setting is changed, or the cup is otherwise."""
+    """Return the same where a setting is changed."""
     name, value = found.name, found.value
     if name == 'inertia' and not value:
         factor = float(np.exp(-found.theta[0]))
@@ -247,17 +256,32 @@ def _setting_words(found: Finding) -> tuple[str, str]:
     if name == 'recording.package_frame':
         return (f'The package poses are those of the {value}', f'Set {name}: {value}.')
     if name == 'yaw':
-        body, degrees = value.split()
-        return (f"The {body}'s frame is turned by {degrees} degrees about z",
+        turns = [f"the {body}'s frame is turned by {degrees} degrees about z"
+                 for body, degrees in (text.split() for text in (value, found.instead) if text)]
+        words = ', or '.join(turns)
+        return (words[0].upper() + words[1:] + (
+                ': these recordings cannot tell which' if found.instead else ''),
                 'Correct it in its driver, or set recording.align_at_rest: true if the '
                 'recording begins at rest.')
+    return _cup_words(found)
+
+
+def _cup_words(found: Finding) -> tuple[str, str]:
+    """Return the same where the cup is otherwise."""
+    name, value = found.name, found.value
     if name == 'structure':
         return (f'The structure of the cup is not the given one, but {value}',
                 f'Set fit.structure: {value}.')
+    part = f'{100.0 * abs(found.theta[0]):.2g} ± {100.0 * found.std[0]:.1g} %'
     if name == 'drift':
-        return ('The stiffness of the cup drifts in time: the cup warms up, or leaks',
-                'Fit shorter recordings of a cup that has warmed up.')
-    return ('The cup is not linear: its stiffness changes with the deflection',
+        side = 'falls' if found.theta[0] < 0.0 else 'rises'
+        return (f'The stiffness of the cup drifts: {value} {side} by {part} from beginning to end',
+                'It warms up, or leaks: record a cup that has warmed up, and check the vacuum.')
+    if name == 'friction':
+        return (f'The cup has hysteresis: friction takes {part} of the largest force of {value}',
+                'P is its mean over this motion: record motions as large and fast as in use.')
+    side = 'less' if found.theta[0] < 0.0 else 'more'
+    return (f'The cup is not linear: {value} is {part} {side} at the largest deflection',
             'The fit is the mean over this motion: record motions as large as those in use.')
 
 

@@ -18,7 +18,7 @@ from bellows_ros.files.results import format_json
 from bellows_ros.files.summary_files import FORMAT, read_summary
 from bellows_ros.workflows import workers
 from bellows_ros.workflows.compare import compare_files
-from bellows_ros.workflows.identification import save, UNKNOWN_STD
+from bellows_ros.workflows.identification import NO_VERDICT, save, UNKNOWN_STD
 from bellows_ros.workflows.identify import (
     identify,
     identify_summaries,
@@ -93,8 +93,8 @@ def content_of(result):
 def without_verdict(result):
     """Return the content but for what the recordings themselves are needed for."""
     content = content_of(result)
-    content['findings'] = content['findings'][len(result.verdict.sentences)
-                                              if result.verdict else 0:]
+    content['findings'] = content['findings'][len(result.verdict.sentences
+                                                  if result.verdict else (NO_VERDICT,)):]
     del content['verdict']
     return content
 
@@ -126,7 +126,7 @@ def test_every_route_gives_the_same_keys_and_the_same_numbers(settings, structur
     for route in (identify(asked, jobs=1), identify(asked, jobs=2)):
         assert list(differences(content_of(route), wanted)) == []
     merged = through_files(asked, tmp_path)
-    assert merged.verdict is None
+    assert merged.verdict is None and merged.findings[0] == NO_VERDICT
     assert list(differences(without_verdict(merged), without_verdict(identify(asked)))) == []
 
 

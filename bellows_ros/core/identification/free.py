@@ -125,9 +125,9 @@ def refine(
                 break
             step = 0.5 * step
         else:
-            return Refined(theta, _covariance(here, D), here)
+            return Refined(theta, covariance_of(here, D), here)
         theta, here = theta + step, further
-        covariance = _covariance(here, D)
+        covariance = covariance_of(here, D)
         if np.all(np.abs(step) <= CONVERGED * np.sqrt(np.diag(covariance))):
             break
     return Refined(theta, covariance, here)
@@ -180,7 +180,7 @@ def _inverse(information: Array) -> tuple[Array, Mask]:
     return inverse / np.outer(scale, scale), unknown
 
 
-def _covariance(here: Solved, D: Array) -> Array:
+def covariance_of(here: Solved, D: Array) -> Array:
     """Return the covariance that allows for residuals that hang together in clusters."""
     inverse, unknown = _inverse(D.T @ D)
     left = here.rows.A @ here.x - here.rows.b

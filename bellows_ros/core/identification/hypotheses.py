@@ -6,12 +6,19 @@ again. Which of them explains most is said first; it is certain only where nothi
 nearly as much, and where the change is many times its standard error.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, TYPE_CHECKING
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification import variations
-from bellows_ros.core.identification.objective import Ensemble, ensemble_of, Objective, Solved
+from bellows_ros.core.identification.objective import (
+    Ensemble,
+    ensemble_of,
+    extra_entries,
+    Objective,
+    SLIPS,
+    Solved,
+)
 from bellows_ros.core.identification.variations import Given, Variation
 from bellows_ros.core.lie import apply
 from bellows_ros.core.model import Package
@@ -26,6 +33,9 @@ if TYPE_CHECKING:
 TRIED = 0.08
 """Residuals beyond noise, in their weights, below which nothing is looked for."""
 
+SURE = 0.3
+"""Standard errors that are smaller than this part of a change tell its sign."""
+
 CHANCE = 2.0
 """The same in standard deviations of what chance leaves of so many residuals."""
 
@@ -38,20 +48,26 @@ EXPLAINS, BETTER = 0.2, 0.5
 OF_THE_CUP = 0.25
 """The same as the latter for what the cup may be, beside what may be wrong in what was given."""
 
+GAINED, SMALL = 20.0, 1.0
+"""Chi2 that what the cup is gains over others, and residuals up to which that is enough."""
+
+SOLID = 0.01
+"""Radius of gyration (m) that no package is below."""
+
 MISSES = 1e-3
 """Mean square by which twists miss those of the poses, in theirs, below which they suit."""
 
-ERRORS = 6.0
-"""Standard errors that a certain change is away from nothing."""
+ERRORS, OF_STIFFNESS = 6.0, 4.0
+"""Standard errors that a certain change is away from nothing, and that of a stiffness."""
 
 PENALTY = 0.1
 """By how much residuals must fall for each number that is freed."""
 
 LEAST = {
     'time_offset': 5e-4, 'com': 5e-4, 'length': 2e-4, 'inertia': 0.03, 'mass': 0.03,
-    'package_world': 5e-4,
+    'package_world': 5e-4, 'drift': 0.02, 'cubic': 0.02, 'friction': 0.02,
 }
-"""Changes that are smaller (s, m, ln 1, m and rad) are not worth a word."""
+"""Changes that are smaller (s, m, ln 1, m and rad, parts of K) are not worth a word."""
 
 ALIKE = 1.5
 """Residuals of two hypotheses that cannot be distinguished differ by less."""
@@ -125,7 +141,7 @@ class Finding(NamedTuple):
     datum, certain : bool
         Whether it is of what was given, and whether nothing else explains the recordings so well.
     instead : str
-        Name of another datum that explains the recordings as well, with the same cup; '' for none.
+        Name or value of another datum that these recordings cannot tell from it; '' for none.
 
     """
 
@@ -159,7 +175,10 @@ def hypotheses(given: Given, world: str) -> Iterator[Hypothesis]:
         block = BLOCKS[name]._replace(each=False)
         yield Hypothesis(name, block.vary, len(block.steps), block=block)
     yield Hypothesis('inertia', SCALE.vary, 1, block=SCALE)
+    gyration = radius_of_gyration(given.samples.payload)
     for unit, factor in UNITS:
+        if gyration < SOLID * np.sqrt(factor):
+            continue
         yield Hypothesis(
             'inertia', variations.scaled(variations.inertia, 1.0 / factor), value=unit)
     for value, R in _worlds(world):
@@ -175,8 +194,12 @@ def hypotheses(given: Given, world: str) -> Iterator[Hypothesis]:
         if other.size > own.size and set(own.labels) <= set(other.labels):
             yield Hypothesis('structure', variations.structure(other), 2 * (other.size - own.size),
                              other.name, datum=False)
-    for name in ('drift', 'cubic'):
-        yield Hypothesis(name, variations.extra(name), 6, datum=False)
+    yield from _OTHERWISE
+
+
+_OTHERWISE = tuple(Hypothesis(name, variations.extra(name), 6, datum=False)
+                   for name in ('drift', 'cubic', 'friction'))
+"""What the cup may be, whatever was given."""
 
 
 def _worlds(world: str) -> Iterator[tuple[str, Array]]:
@@ -215,32 +238,38 @@ def diagnose(
 
     """
     for own in recordings:
-        if found := _absurd(own.payload) or _in_other_axes(own):
-            return Diagnosis(np.inf, (found,))
+        if wrong := _absurd(own.payload) or _in_other_axes(own):
+            return Diagnosis(np.inf, (wrong,))
     ensemble = ensemble_of(recordings, length, structure)
     objective = Objective.of(ensemble)
     before = objective.solved(ensemble)
+    labels = known or structure.labels
     if before.excess < max(TRIED, CHANCE * np.sqrt(2.0 / before.residuals)):
-        return Diagnosis(before.excess, ())
+        tried = _in_order(_tried(h, objective, ensemble) for h in _OTHERWISE)
+        found = [_finding(trial, tried, before, structure, labels) for trial in tried[:1]]
+        return Diagnosis(before.excess, tuple(own for own in found if own.certain))
     quiet = Ensemble(ensemble.given, ())
     level = objective.solved(quiet).excess - before.excess
-    tried = sorted((_tried(h, objective, quiet, rounds=ROUGHLY, level=level)
-                    for h in hypotheses(ensemble.given[0], recordings[0].settings.world)),
-                   key=_mark)
+    tried = _in_order(_tried(h, objective, quiet, rounds=ROUGHLY, level=level)
+                      for h in hypotheses(ensemble.given[0], recordings[0].settings.world))
     # With weights as they are where the best of them is true.
     objective = Objective.of(ensemble.varied(tried[0].vary), sound=True)
     before = objective.solved(ensemble)
-    tried = sorted((_tried(trial.hypothesis, objective, ensemble, trial.theta)
-                    for number, trial in enumerate(tried[:AGAIN])
-                    if number < SHOWN or _mark(trial) < NEAR * _mark(tried[0])), key=_mark)
-    labels = known or structure.labels
+    tried = _in_order(_tried(trial.hypothesis, objective, ensemble, trial.theta)
+                      for number, trial in enumerate(tried[:AGAIN])
+                      if number < SHOWN or _mark(trial) < NEAR * _mark(tried[0]))
     return Diagnosis(before.excess, tuple(
         _finding(trial, tried, before, structure, labels) for trial in tried[:SHOWN]))
 
 
+def radius_of_gyration(held: Package) -> float:
+    """Return the root of the sum of a package's moments of inertia over its mass, m."""
+    return float(np.sqrt(np.trace(held.inertia) / held.mass))
+
+
 def _absurd(held: Package) -> Finding | None:
     """Return the unit of a mass or an inertia that no package has, None where it may have it."""
-    none, gyration = np.empty(0), float(np.sqrt(np.trace(held.inertia) / held.mass))
+    none, gyration = np.empty(0), radius_of_gyration(held)
     if held.mass > HEAVIEST:
         return Finding('mass', 'g', none, none, 0.0, 1.0, True, True, '')
     if gyration < WIDEST:
@@ -305,7 +334,29 @@ def _tried(
     solved = objective.solved(ensemble.varied(
         lambda given: [hypothesis.vary(own, np.empty(0)) for own in given]))
     solved = solved._replace(excess=solved.excess - level)
-    return _Trial(hypothesis, np.empty(0), np.empty(0), solved)
+    if hypothesis not in _OTHERWISE:
+        return _Trial(hypothesis, np.empty(0), np.empty(0), solved)
+    from bellows_ros.core.identification.free import covariance_of
+
+    # Parts by which K changes, or friction as a part of the largest force, and standard errors.
+    own = ensemble.given[0].structure
+    entries, n = extra_entries(own, hypothesis.name), 2 * own.size
+    each = SLIPS if hypothesis.name == 'friction' else (1.0,)
+    T = np.kron(each, np.eye(len(entries))) / solved.x[entries, None]
+    covariance = T @ covariance_of(solved, solved.rows.A)[n:, n:] @ T.T
+    return _Trial(hypothesis, T @ solved.x[n:], np.sqrt(np.diag(covariance)), solved)
+
+
+def _in_order(trials: Iterable[_Trial]) -> list[_Trial]:
+    """Return trials, the best first, without cups that cannot be."""
+    def can_be(trial: _Trial) -> bool:
+        """Return whether a cup's stiffness keeps its sign, and its friction takes energy."""
+        if trial.hypothesis not in _OTHERWISE:
+            return True
+        if trial.hypothesis.name == 'friction':
+            return bool(trial.theta[np.argmax(np.abs(trial.theta) / trial.std)] > 0.0)
+        return bool(np.all((np.abs(trial.theta) < 1.0) | (SURE * np.abs(trial.theta) < trial.std)))
+    return sorted(filter(can_be, trials), key=_mark)
 
 
 def _left(trial: _Trial) -> float:
@@ -323,10 +374,10 @@ def _finding(
     labels: Sequence[str],
 ) -> Finding:
     """Return what is said of a hypothesis."""
-    own = trial.hypothesis
-    instead = [t for t in tried if {t.hypothesis.name, own.name} == {'length', 'com'}
-               and _left(t) < ALIKE * _left(trial)
-               and np.allclose(t.solved.x[0], trial.solved.x[0], rtol=K_MOVES)]
+    own, value, theta, std = trial.hypothesis, trial.hypothesis.value, trial.theta, trial.std
+    instead = [t for t in tried if _left(t) < ALIKE * _left(trial) and (
+        {t.hypothesis.name, own.name} == {'length', 'com'} or (
+            t.hypothesis.name == own.name == 'yaw' and t is not trial))]
     others = [t for t in tried if t.hypothesis.name != own.name
               and t.hypothesis.freed <= own.freed and not any(t is i for i in instead)]
     first = max(before.excess, 0.0) + NOTHING
@@ -334,14 +385,23 @@ def _finding(
         BETTER * first, EXPLAINS * first + NOTHING,
         *((BETTER if own.datum or not t.hypothesis.datum else OF_THE_CUP) * _left(t)
           for t in others)))
-    if own.block is not None:
-        far = np.abs(trial.theta) > np.maximum(ERRORS * trial.std, LEAST[own.name])
+    if trial is tried[0] and own in _OTHERWISE and before.excess < SMALL:
+        most = min([before.excess, *(t.solved.excess for t in tried[1:])])
+        certain = GAINED < before.residuals * (most - trial.solved.excess)
+    if own.block is not None or own in _OTHERWISE:
+        many = ERRORS if own.datum else OF_STIFFNESS
+        far = np.abs(theta) > np.maximum(many * std, LEAST[own.name])
         certain = certain and bool(far.any())
     n = structure.size
     diagonal = [i for i, (row, column) in enumerate(structure.leads)
                 if row == column and structure.labels[i] in labels]
     moved = np.abs(trial.solved.x[diagonal] / before.x[diagonal] - 1.0) if (
         len(trial.solved.x) >= n and own.name != 'structure') else np.zeros(1)
+    if own in _OTHERWISE:  # the entry of K that shows it best is enough
+        entries = extra_entries(structure, own.name)
+        best = int(np.argmax(np.isin(entries, diagonal) * np.abs(theta) / std))
+        value, theta, std = structure.labels[entries[best]], theta[[best]], std[[best]]
     return Finding(
-        own.name, own.value, trial.theta, trial.std, float(np.sqrt(_left(trial) / first)),
-        float(moved.max()), own.datum, certain, instead[0].hypothesis.name if instead else '')
+        own.name, value, theta, std, float(np.sqrt(_left(trial) / first)),
+        float(moved.max(initial=0.0)), own.datum, certain,
+        instead[0].hypothesis.value or instead[0].hypothesis.name if instead else '')

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.identification.equations import Moments, regular
+from bellows_ros.core.identification.equations import LipMotion, Moments, regular
 from bellows_ros.core.identification.reduction import draws
-from bellows_ros.core.identification.samples import samples_of
+from bellows_ros.core.identification.samples import lip_relative, samples_of
 from bellows_ros.core.identification.variations import Given, time_offset
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.parameter_table import THESIS_DAMPING, THESIS_STIFFNESS
@@ -23,6 +23,7 @@ from bellows_ros.core.resampling import resample, savgol
 from bellows_ros.core.structure import Structure
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np
+from scipy.signal import savgol_filter
 
 RATE_HZ = 60.0
 """Samples per second that are looked at, or a few more."""
@@ -44,6 +45,12 @@ CLUSTER = 8
 
 LARGEST_CUP = 3.0
 """Times the thesis' cup: K and P count up to that in first weights."""
+
+SMOOTHING = 6
+"""Order of the filter of accelerations, as it is if left alone."""
+
+SLIPS = (0.06, 0.4)
+"""Parts of the largest displacement after which sliders slip: between them lies any friction."""
 
 LEAST_SIGNAL = 0.05
 """Noise is taken to leave at least this part of the information on a direction."""
@@ -163,21 +170,60 @@ def equations(given: Given) -> Array:
     return np.asarray(np.add.reduceat(rows, starts, axis=0)[full] / counts[full, None, None])
 
 
+def extra_entries(structure: Structure, name: str) -> list[int]:
+    """Return the entries of K that have a column more each."""
+    return [i for i, (row, column) in enumerate(structure.leads)
+            if row == column or name == 'drift']
+
+
 def _extra(given: Given, L: Array) -> list[Array]:
-    """Return columns of a cup that drifts or is not linear."""
-    n, lip = given.structure.size, given.samples.lip
+    """Return columns of a cup that drifts, is not linear, or has friction."""
+    lip, own = given.samples.lip, extra_entries(given.structure, given.extra)
     if given.extra == 'drift':
         since = (lip.stamps_ns - lip.stamps_ns[0]) / NS_PER_S
-        return [(since / since[-1] - 0.5)[:, None, None] * L[:, :, :n]]
+        return [(since / since[-1] - 0.5)[:, None, None] * L[:, :, own]]
     if given.extra == 'cubic':
-        strain = lip.displacement(given.length)
-        radial = np.hypot(strain[:, 0], strain[:, 1]), np.hypot(strain[:, 3], strain[:, 4])
-        size = np.array([radial[0], radial[0], strain[:, 2], radial[1], radial[1], strain[:, 5]])
-        leads = [row for row, column in given.structure.leads if row == column]
-        own = [i for i, (row, column) in enumerate(given.structure.leads) if row == column]
-        square = (size[leads] / np.abs(size[leads]).max(axis=1, keepdims=True)) ** 2
-        return [square.T[:, None, :] * L[:, :, own]]
+        size = _sizes(lip.displacement(given.length))
+        leads = [given.structure.leads[i][0] for i in own]
+        square = (size[:, leads] / np.abs(size[:, leads]).max(axis=0)) ** 2
+        return [square[:, None, :] * L[:, :, own]]
+    if given.extra == 'friction':
+        columns = []
+        for z in _dragged(given):
+            there = replace(lip, position=z[lip.index, :3] - [0.0, 0.0, given.length],
+                            rotation=exp_so3(z[lip.index, 3:]))
+            parts = there.equations(given.length, given.structure, keep=False)
+            columns.append(np.concatenate([part.A[:, :, own] for part in parts]))
+        return columns
     return []
+
+
+def _sizes(displacement: Array) -> Array:
+    """Return sizes of displacements (N, 6): x and y together, as they are of a round cup."""
+    x, y, z, rx, ry, rz = displacement.T
+    radial, bent = np.hypot(x, y), np.hypot(rx, ry)
+    return np.column_stack([radial, radial, z, bent, bent, rz])
+
+
+def _dragged(given: Given) -> Array:
+    """Return the displacements (2, N, 6) of two sliders that the lip drags along (Dahl, 1968)."""
+    own = given.samples
+    way = LipMotion(
+        np.arange(len(own.tool)), own.tool.stamps_ns, own.window,
+        *lip_relative(own.tool, own.package, own.payload.com), np.empty((0, 6)),
+    ).displacement(given.length)
+    steps = np.nan_to_num(np.diff(way, axis=0, prepend=way[:1]))
+    most = np.abs(_sizes(way[own.valid] - way[own.valid].mean(axis=0))).max(axis=0)
+    keeps = 1.0 / (1.0 + np.abs(_sizes(steps)) / np.multiply.outer(
+        SLIPS, np.maximum(most, 1e-12))[:, None])
+    z, dragged = np.zeros((len(SLIPS), 6)), np.empty_like(keeps)
+    for k, step in enumerate(steps):
+        z = dragged[:, k] = (z + step) * keeps[:, k]
+    # Seen through a filter, as accelerations are.
+    rate_hz = NS_PER_S / float(np.median(np.diff(own.tool.stamps_ns)))
+    half_window = round(0.5 * own.window * rate_hz)
+    return np.asarray(savgol_filter(
+        dragged, 2 * half_window + 1, min(SMOOTHING, 2 * half_window), axis=1, mode='nearest'))
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ class Given(NamedTuple):
     aligned : bool
         Whether alignment at rest has put the lip below the tool tip, whatever the centre of mass.
     extra : str
-        'drift' or 'cubic' for columns beside those of K and P; '' for none.
+        'drift', 'cubic' or 'friction' for columns beside those of K and P; '' for none.
 
     """
 
@@ -155,7 +155,7 @@ def structure(other: Structure) -> Variation:
 
 
 def extra(name: str) -> Variation:
-    """Return columns of a cup that is not the same all the time, or not linear."""
+    """Return columns of a cup that drifts, is not linear, or has friction."""
     return lambda given, theta: given._replace(extra=name)
 
 

@@ -2,7 +2,7 @@
 
 from bellows_ros.core.equilibrium import static_equilibrium
 from bellows_ros.core.kernels import advance
-from bellows_ros.core.lie import apply, exp_so3, quaternion_to_rotation
+from bellows_ros.core.lie import apply, exp_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
@@ -18,29 +18,57 @@ Y_UP = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 NOISES = ((2e-5, 5e-5), (1e-4, 3e-4), (1e-4, 5e-4), (3e-4, 1e-3))
 COLOUR = 0.026  # s
 LARGEST = np.array([6e-3, 6e-3, 6e-3, 0.25, 0.25, 0.25])  # deflection, m and rad
+SLIP = 0.05 * LARGEST
 
 
-def moved(cup, package, tool, stiffness):
-    """Return the package's motion with a stiffness (6,) of time (0 to 1) and deflection (6,)."""
+def radial(way):
+    """Return sizes (6,) of a deflection, of x and y together."""
+    size = np.abs(way)
+    for pair in ([0, 1], [3, 4]):
+        size[pair] = np.hypot(*way[pair])
+    return size
+
+
+def moved(cup, package, tool, stiffness, friction):
+    """
+    Return the package's motion with a stiffness (6,) of time (0 to 1) and deflection (6,).
+
+    Friction is so many times a spring of that stiffness, at a slider that slips from `SLIP` on.
+    """
     model = model_tuple(cup, package, GRAVITY)
     rows, seconds = tool_rows(tool), tool.seconds
     body = static_equilibrium(model, row_state(rows[0]))
     out = np.empty((len(rows), 13))
     write_row(out[0], body)
     half, length, _, P = model[0]
+    before = z = np.zeros(6)
     for k, step in enumerate(np.diff(seconds).tolist()):
         R = quaternion_to_rotation(out[k, 3:7])
         R_E_A = tool.rotation[k].T
         o = R_E_A @ (out[k, :3] - R @ package.com - tool.position[k]) + [0.0, 0.0, length]
         turn = R_E_A @ R
         phi = 0.5 * (turn - turn.T)[[2, 0, 1], [1, 2, 0]]
-        K = stiffness(seconds[k] / seconds[-1], np.concatenate([o, phi])).tolist()
+        deflection = np.concatenate([o, phi])
+        K = stiffness(seconds[k] / seconds[-1], deflection).tolist()
         stiff = ((K[0], 0.0, 0.0, 0.0, K[1], 0.0, 0.0, 0.0, K[2]), (0.0,) * 9,
                  (K[3], 0.0, 0.0, 0.0, K[4], 0.0, 0.0, 0.0, K[5]))
         now = (half, length, stiff, P), model[1], model[2]
-        body = advance(now, body, row_state(rows[k]), row_state(rows[k + 1]), step, 1)
+        arm = rows[k], rows[k + 1]
+        if friction:
+            way, before = deflection - (before if k else deflection), deflection
+            z = (z + way) / (1.0 + radial(way) / SLIP)
+            lip = o - [0.0, 0.0, length], turn
+            arm = [dragged(own, *lip, friction * z) for own in arm]
+        body = advance(now, body, *map(row_state, arm), step, 1)
         write_row(out[k + 1], body)
     return Trajectory(tool.stamps_ns, out[:, :3], quaternion_to_rotation(out[:, 3:7]))
+
+
+def dragged(row, o, turn, way):
+    """Return a row of the tool moved so that the lip, at o and turn in it, is displaced."""
+    R, back = quaternion_to_rotation(row[3:7]), turn.T @ exp_so3(-way[3:])
+    p = row[:3] + R @ (o - turn @ back @ (o + way[:3]))
+    return np.concatenate([p, rotation_to_quaternion(R @ turn @ back), row[7:]])
 
 
 class Laboratory:
@@ -61,17 +89,14 @@ class Laboratory:
         self.coloured, self.frame = coloured, str(rng.choice(['com', 'lip']))
         self.said_frame, self.said_world, self.world = self.frame, 'z_up', np.eye(3)
         self.late, self.turn, self.scale, self.swapped = 0.0, {}, {}, False
-        self.apart = np.zeros(6)
+        self.apart, self.friction = np.zeros(6), 0.0
         self.motion = shake(duration=20.0, seed=int(rng.integers(1 << 30)))
         self.soften(soft)
 
     def soften(self, part):
         """Take a spring whose stiffness falls by a part up to the largest deflection."""
         def law(when, deflection):
-            size = np.abs(deflection)
-            for pair in ([0, 1], [3, 4]):
-                size[pair] = np.hypot(*deflection[pair])
-            return self.K * (1.0 - part * np.minimum(size / LARGEST, 1.5) ** 2)
+            return self.K * np.maximum(1.0 - part * (radial(deflection) / LARGEST) ** 2, 0.4)
         self.law = law
 
     def say(self, mass=1.0, inertia=1.0, com=0.0):
@@ -83,7 +108,7 @@ class Laboratory:
         """Return the recording, prepared by what is said."""
         tool = self.motion.trajectory(sample_stamps(RATE_HZ, self.motion.duration, 0), 0)
         cup = Cup(np.diag(self.K), self.P, self.length)
-        body = moved(cup, self.package, tool, self.law)
+        body = moved(cup, self.package, tool, self.law, self.friction)
         streams = [self._seen('package', body, self.noise[0]),
                    self._seen('tool', tool, self.noise[1])]
         return prepare(*streams[::1 if self.swapped else -1], PrepareSettings(
@@ -159,6 +184,10 @@ def _drift(own):
     own.law = lambda when, deflection: own.K * (1.0 + part * (when - 0.5))
 
 
+def _friction(own):
+    own.friction = own.rng.uniform(0.4, 1.0)
+
+
 def _oval(own):
     ratio = own.rng.uniform(1.25, 1.5)
     own.K = own.K * [1.0, ratio, 1.0, ratio, 1.0, 1.0]
@@ -183,6 +212,7 @@ FAULTS = {
     'two worlds': (_worlds, 'package_world'),
     'drift': (_drift, 'drift'),
     'soft spring': (lambda own: own.soften(own.rng.uniform(0.3, 0.5)), 'cubic'),
+    'friction': (_friction, 'friction'),
     'structure': (_oval, 'structure'),
     'exchanged topics': (lambda own: setattr(own, 'swapped', True), 'are exchanged'),
     'millimetres': (_millimetres, 'in millimetres'),
