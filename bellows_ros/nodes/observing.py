@@ -102,7 +102,7 @@ class Observing:
         """Log what was found to be wrong since the last call."""
         alarms = self._live.observer.alarms if self._live and self._live.observer else []
         for alarm in alarms[self._said:]:
-            self._node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.words}')
+            self._node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.message}')
         self._said = len(alarms)
 
     @property
@@ -132,7 +132,7 @@ class Observing:
         more |= Counter(f'alarm: {alarm.cause}' for alarm in self._live.observer.alarms)
         status = status._replace(values={
             **status.values, **{key: str(value) for key, value in more.items()}})
-        return status._replace(level=Level.ERROR, message=self.alarm.words) if (
+        return status._replace(level=Level.ERROR, message=self.alarm.message) if (
             self.alarm) else status
 
 

@@ -70,7 +70,7 @@ class Observed:
     @property
     def alarm_lines(self) -> list[str]:
         """When something was found to be wrong, and what."""
-        return [f'{seconds:.2f} s, {a.cause}: {a.words}' for seconds, a in self.alarms]
+        return [f'{seconds:.2f} s, {a.cause}: {a.message}' for seconds, a in self.alarms]
 
     @property
     def ways(self) -> dict[str, Comparison]:
@@ -83,7 +83,7 @@ class Observed:
         return {
             'topic': self.topic, 'counts': dict(self.counts),
             'alarms': [
-                {'time': seconds, 'cause': alarm.cause, 'words': alarm.words}
+                {'time': seconds, 'cause': alarm.cause, 'message': alarm.message}
                 for seconds, alarm in self.alarms],
             'payload': self.payload and {
                 'mass': self.payload.mass, 'mass_std': self.payload.mass_std,

@@ -46,7 +46,7 @@ class Cause(NamedTuple):
     at_start: bool
     sets_in: bool
     """Whether it may be there from the beginning, and whether it may set in."""
-    words: str
+    message: str
     """Finding, and what to do."""
     unit: float = 1e3
 
@@ -125,7 +125,7 @@ class Alarm(NamedTuple):
     cause: str
     size: float
     """m, m/s or 1."""
-    words: str
+    message: str
 
 
 class Alarms:
@@ -183,12 +183,12 @@ class Alarms:
             return None
         cause, size = LOOKED_FOR[which], self._size(onset, which)
         self.forget()
-        return Alarm(stamp_ns, cause.name, size, cause.words.format(cause.unit * size))
+        return Alarm(stamp_ns, cause.name, size, cause.message.format(cause.unit * size))
 
     def lost(self, stamp_ns: int) -> Alarm:
         """Return that the package is lost."""
         self.forget()
-        return Alarm(stamp_ns, 'lost', 1.0, next(c.words for c in CAUSES if c.name == 'lost'))
+        return Alarm(stamp_ns, 'lost', 1.0, next(c.message for c in CAUSES if c.name == 'lost'))
 
     def _size(self, onset: int, which: int) -> float:
         """Return the most likely size of a fault: of a vector its length, of the first three."""
