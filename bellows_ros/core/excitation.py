@@ -45,6 +45,9 @@ PRIOR = 1.0
 STAGES = ((8, 500), (16, 500), (32, 500), *((64, 400),) * 5)
 """Powers of the norm that stands for the largest ratio, and most steps with each."""
 
+STARTS = 3
+"""Random shapes from which is searched: there are several maxima."""
+
 POINTS_PER_PERIOD, MEMORY, ENOUGH = 8, 20, 1e-6
 STRONGER = 1.4
 """Power of what a load is too large by: a part of it does not shrink with what is bounded."""
@@ -337,11 +340,14 @@ def design(
             tracking) for each in cups]
 
     search = Search(limits, period, models, grip, responses_at, 1.0 / tracking.package_period)
-    shape = np.random.default_rng(seed).standard_normal(2 * search.size.size)
-    best, shares = -math.inf, dict[str, float]()
+    rng = np.random.default_rng(seed)
+    best, shares, shape = -math.inf, dict[str, float](), np.empty(0)
     motion = FourierMotion(limits.start, period, np.zeros((1, 6)))
-    for number, (power, most) in enumerate(STAGES):
-        progress('designing the motion', number / len(STAGES))
+    for number, (power, most) in enumerate(STARTS * STAGES):
+        progress('designing the motion', number / (STARTS * len(STAGES)))
+        if number % len(STAGES) == 0:
+            shape = rng.standard_normal(2 * search.size.size)
+            search.allowed = np.ones_like(search.allowed)
         shape = minimise(search, shape, (power,), 'L-BFGS-B', True, options={
             'maxiter': most, 'maxfun': 2 * most, 'maxcor': MEMORY, 'ftol': ENOUGH}).x
         coefficients, now = search.within(shape, power)
