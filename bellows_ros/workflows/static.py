@@ -15,7 +15,7 @@ from bellows_ros.core.identification.statics.static import (
     SpringCheck,
 )
 from bellows_ros.core.model import Cup, cup_of
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve, validate
+from bellows_ros.core.parameters import ESTIMATE, PACKAGE_PARAMETERS, resolve, validate
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.synthetic.settings import Settings
@@ -244,6 +244,11 @@ def _read(
     recordings = []
     for number, (bag, own) in enumerate(each):
         tell(f'reading {os.fspath(bag)}', number / len(each))
+        if own['recording.package_world'] == ESTIMATE:
+            raise BellowsError(
+                f"'{os.fspath(bag)}' has only standstills, which do not give "
+                'recording.package_world. Set its seven numbers: they are in the cup file of an '
+                'identification with a motion.')
         recordings.append(
             load(bag, {**own, 'topics.tool_twist': '', 'fit.time_offset': False}))
     stills = [still for recording in recordings for still in standstills_in(recording)[0]]

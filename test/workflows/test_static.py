@@ -121,6 +121,8 @@ def test_mistakes_are_named(weights, truth, root):
     with pytest.raises(BellowsError, match='package.mass'):
         static_check([(weights[0][0], {})], {
             name: value for name, value in known(truth).items() if name != 'package.mass'})
+    with pytest.raises(BellowsError, match='only standstills, which do not give recording.pack'):
+        static_check(weights[:1], {**known(truth), 'recording.package_world': 'estimate'})
     with pytest.raises(BellowsError, match=r'give its cup.stiffness'):
         static_check(weights[:1], known(truth))
     moving = static_check([(str(root / 'bags/static'), {})], truth)
