@@ -87,6 +87,8 @@ K_MOVES = 0.05
 HEAVIEST = 50.0
 """No suction cup of this kind holds more, kg: beyond it the mass has the wrong unit."""
 
+LARGEST_FACTOR = float(np.log(10.0))
+"""ln of the factor by which no inertia is off but by its unit."""
 
 WIDEST, TYPICAL = 1.0, 0.3
 """Radius of gyration (m) that no package has, and that any of these has at most."""
@@ -348,9 +350,11 @@ def _tried(
 
 
 def _in_order(trials: Iterable[_Trial]) -> list[_Trial]:
-    """Return trials, the best first, without cups that cannot be."""
+    """Return trials, the best first, without cups and packages that cannot be."""
     def can_be(trial: _Trial) -> bool:
-        """Return whether a cup's stiffness keeps its sign, and its friction takes energy."""
+        """Return whether K keeps its sign, friction takes energy, and a package is one."""
+        if trial.hypothesis.name == 'inertia' and len(trial.theta):
+            return bool(np.abs(trial.theta[0]) < LARGEST_FACTOR)
         if trial.hypothesis not in _OTHERWISE:
             return True
         if trial.hypothesis.name == 'friction':
@@ -389,7 +393,7 @@ def _finding(
         most = min([before.excess, *(t.solved.excess for t in tried[1:])])
         certain = GAINED < before.residuals * (most - trial.solved.excess)
     if own.block is not None or own in _OTHERWISE:
-        many = ERRORS if own.datum else OF_STIFFNESS
+        many = OF_STIFFNESS if own.name in ('drift', 'cubic') else ERRORS
         far = np.abs(theta) > np.maximum(many * std, LEAST[own.name])
         certain = certain and bool(far.any())
     n = structure.size

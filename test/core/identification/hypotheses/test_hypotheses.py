@@ -70,7 +70,7 @@ def test_both_bodies_are_named_where_either_may_be_turned():
 
 
 @pytest.mark.parametrize(('seed', 'soft', 'coloured'), [
-    (4, 0.1, False), (3, 0.0, True), (8022, 0.0, True)])
+    (4, 0.1, False), (3, 0.0, True), (8022, 0.0, True), (51058, 0.0, True)])
 def test_a_sound_recording_is_not_refused(seed, soft, coloured):
     assert named(Laboratory(seed, soft, coloured), 'cubic') in ('silent', 'not certain', 'right')
 
