@@ -4,13 +4,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification import variations
-from bellows_ros.core.identification.equations import IN_NULL_SPACE
 from bellows_ros.core.identification.objective import (
+    covariance_of,
     DRAWS,
     Ensemble,
     ensemble_of,
+    inverse_of,
     Objective,
     Solved,
 )
@@ -26,9 +27,6 @@ ROUNDS, HALVINGS = 12, 5
 
 CONVERGED = 0.05
 """A round that goes less far than this part of the standard error is the last."""
-
-SINGULAR = 1e-10
-"""Eigenvalues of scaled information below this are no information."""
 
 
 class Block(NamedTuple):
@@ -117,7 +115,7 @@ def refine(
     here = at(theta)
     for _ in range(rounds):
         gradient, D = _derivatives(at, theta, here, steps)
-        step = -_inverse(D.T @ D)[0] @ gradient
+        step = -inverse_of(D.T @ D)[0] @ gradient
         step *= min(1.0, float(np.min(far / np.maximum(np.abs(step), 1e-300))))
         for _ in range(HALVINGS):
             further = at(theta + step)
@@ -167,28 +165,6 @@ def _derivatives(
             / (2.0 * step))
     D = np.column_stack(columns)
     return gradient, D - here.basis @ (here.basis.T @ D)  # what the cup explains as well
-
-
-def _inverse(information: Array) -> tuple[Array, Mask]:
-    """Return the inverse of an information matrix as far as it goes, and what is unknown."""
-    diagonal = np.diag(information)
-    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    known = values > SINGULAR * max(float(values[-1]), SINGULAR)
-    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
-    unknown: Mask = np.any(np.abs(vectors[:, ~known]) > IN_NULL_SPACE, axis=1)
-    return inverse / np.outer(scale, scale), unknown
-
-
-def covariance_of(here: Solved, D: Array) -> Array:
-    """Return the covariance that allows for residuals that hang together in clusters."""
-    inverse, unknown = _inverse(D.T @ D)
-    left = here.rows.A @ here.x - here.rows.b
-    scores = np.array([D[part].T @ left[part] for part in here.rows.clusters])
-    covariance: Array = inverse @ scores.T @ scores @ inverse
-    covariance[np.ix_(unknown, unknown)] = 0.0
-    covariance[unknown, unknown] = np.inf
-    return covariance
 
 
 RASTER = 0.01

@@ -12,6 +12,7 @@ from typing import NamedTuple, TYPE_CHECKING
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification import variations
 from bellows_ros.core.identification.objective import (
+    covariance_of,
     Ensemble,
     ensemble_of,
     extra_entries,
@@ -338,8 +339,6 @@ def _tried(
     solved = solved._replace(excess=solved.excess - level)
     if hypothesis not in _OTHERWISE:
         return _Trial(hypothesis, np.empty(0), np.empty(0), solved)
-    from bellows_ros.core.identification.free import covariance_of
-
     # Parts by which K changes, or friction as a part of the largest force, and standard errors.
     own = ensemble.given[0].structure
     entries, n = extra_entries(own, hypothesis.name), 2 * own.size

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.identification.equations import LipMotion, Moments, regular
+from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.identification.equations import IN_NULL_SPACE, LipMotion, Moments, regular
 from bellows_ros.core.identification.reduction import draws
 from bellows_ros.core.identification.samples import lip_relative, samples_of
 from bellows_ros.core.identification.variations import Given, time_offset
@@ -309,3 +309,29 @@ class Solved(NamedTuple):
     excess: float
     residuals: int
     basis: Array
+
+
+SINGULAR = 1e-10
+"""Eigenvalues of scaled information below this are no information."""
+
+
+def inverse_of(information: Array) -> tuple[Array, Mask]:
+    """Return the inverse of an information matrix as far as it goes, and what is unknown."""
+    diagonal = np.diag(information)
+    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    known = values > SINGULAR * max(float(values[-1]), SINGULAR)
+    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
+    unknown: Mask = np.any(np.abs(vectors[:, ~known]) > IN_NULL_SPACE, axis=1)
+    return inverse / np.outer(scale, scale), unknown
+
+
+def covariance_of(here: Solved, D: Array) -> Array:
+    """Return the covariance that allows for residuals that hang together in clusters."""
+    inverse, unknown = inverse_of(D.T @ D)
+    left = here.rows.A @ here.x - here.rows.b
+    scores = np.array([D[part].T @ left[part] for part in here.rows.clusters])
+    covariance: Array = inverse @ scores.T @ scores @ inverse
+    covariance[np.ix_(unknown, unknown)] = 0.0
+    covariance[unknown, unknown] = np.inf
+    return covariance
