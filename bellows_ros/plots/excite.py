@@ -37,7 +37,7 @@ def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
     three = (colours.predicted, colours.error, colours.measured)
     with drawing(colours) as figures:
         figure = figures.Figure(figsize=SIZE)
-        head(figure, 'A motion that tells stiffness and damping', note, colours)
+        head(figure, 'Motion for identifying stiffness and damping', note, colours)
         grid = figure.add_gridspec(
             3, 2, left=LEFT, right=0.985, top=0.87, bottom=0.075, hspace=0.42, wspace=0.2)
         for row, (part, factor, unit) in enumerate(PARTS):
