@@ -40,7 +40,6 @@ NO_VERDICT = (
     'right, is not known. Give two or three of the recordings themselves to bellows identify.')
 """Why nothing is said of what a verdict says."""
 
-MISFIT = 'The model does not explain the recording'
 """Begins what either method says of residuals that are larger than noise."""
 
 UNKNOWN_STD = 1e9
@@ -196,6 +195,11 @@ class Identification:
         for bag, offset in zip(self.bags, offsets, strict=False):
             yield from offset_sentence(bag, offset)
 
+    def _misfit(self) -> tuple[str, ...]:
+        """Return that the model explains too little, unless the cause is named instead."""
+        named = self.verdict is not None and self.verdict.is_certain
+        return () if named or not self.fit.misfit else (self.fit.misfit,)
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the user must know: of what was given, the fit, the recordings, validations."""
@@ -203,8 +207,8 @@ class Identification:
         return (
             *(f"Recording '{f.bag}' was left out: {f.reason}" for f in self.failed),
             *self.assumed,
-            *(text for text in self.fit.warnings if not (  # the cause is named instead
-                self.verdict and self.verdict.is_certain and text.startswith(MISFIT))),
+            *self.fit.warnings,
+            *self._misfit(),
             *self.excitation.warnings,
             *((one_cup.verdict,) if one_cup and one_cup.differs else ()),
             *(static.warnings if static else ()),
@@ -263,7 +267,7 @@ class Identification:
         """Raise BellowsError if the cup is refused; with force, if no predictor can take it."""
         if self.refusals and not (force and self.fit.usable):
             causes = self.verdict.sentences[:1] if self.verdict else ()
-            more = () if self.fit.usable else (*self.assumed, *self.fit.warnings)
+            more = () if self.fit.usable else (*self.assumed, *self.fit.warnings, *self._misfit())
             raise BellowsError(' '.join([*causes, *self.refusals, *more]))
 
     def header(self) -> list[str]:

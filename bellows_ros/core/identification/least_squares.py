@@ -100,8 +100,8 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     bias = noise_rms = None
     gain = inverse
     if noise is not None:
-        bias, gain, told = _bias(noise, whitening, x, inverse)
-        x, identifiable = x - bias, identifiable & told
+        bias, gain, separable = _bias(noise, whitening, x, inverse)
+        x, identifiable = x - bias, identifiable & separable
         noise_rms = _noise_rms(noise, x, used)
     covariance, squares = _uncertainty(rows, whitening, x, inverse, gain)
     stiffness, damping = structure.matrices(x)
@@ -131,8 +131,8 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
             *definiteness_warnings(stiffness, damping, structure.name),
             *identifiability_warnings(structure.labels, identifiable),
             *_short_warnings(covariance),
-            *_doubts(residual_rms, noise_rms, whitening),
         ),
+        misfit=_misfit(residual_rms, noise_rms, whitening),
     )
 
 
@@ -230,10 +230,10 @@ def _bias(
     slope = inverse.T @ (added[:-1] @ np.append(x, -1.0))
     noisy = share > 1.0 - LEAST_SIGNAL
     parts = (inverse @ V) ** 2
-    told = parts[:, noisy].sum(axis=1) <= IN_NULL_SPACE * parts.sum(axis=1)
+    separable = parts[:, noisy].sum(axis=1) <= IN_NULL_SPACE * parts.sum(axis=1)
     compensated = inverse @ (V[:, ~noisy] / (1.0 - share[~noisy])) @ V[:, ~noisy].T
     gain = compensated + inverse @ V[:, noisy] @ V[:, noisy].T
-    return -compensated @ slope, gain, told
+    return -compensated @ slope, gain, separable
 
 
 def _noise_rms(noise: Array, x: Array, used: int) -> Array:
@@ -273,15 +273,15 @@ def _short_warnings(covariance: Array) -> tuple[str, ...]:
     )
 
 
-def _doubts(left: Array, by_noise: Array | None, whitening: Array) -> tuple[str, ...]:
-    """Return a sentence where a fit leaves more of the wrench (6,) than noise explains."""
+def _misfit(left: Array, by_noise: Array | None, whitening: Array) -> str:
+    """Return a sentence if a fit leaves more of the wrench (6,) than noise explains."""
     if by_noise is None:
-        return ()
+        return ''
     spread = np.linalg.norm(np.linalg.inv(whitening), axis=1)
     excess = np.sqrt(np.maximum(left**2 - by_noise**2, 0.0)) / spread
     doubtful = (left > UNEXPLAINED * by_noise) & (excess > OF_THE_WRENCH)
     if not doubtful.any():
-        return ()
+        return ''
     worst = int(np.argmax(np.where(doubtful, excess, 0.0)))
     what, unit = WRENCH[worst]
     return (
@@ -289,5 +289,5 @@ def _doubts(left: Array, by_noise: Array | None, whitening: Array) -> tuple[str,
         f'{unit} RMS, of which noise explains {by_noise[worst]:.2g} {unit}. Check '
         'recording.world and the other frames, that the topics are not exchanged, package.mass, '
         'package.com and cup.length, and that one clock stamps both streams; or use a richer '
-        'fit.structure, or a shorter filter window if the motion is jerky.',
+        'fit.structure, or a shorter filter window if the motion is jerky.'
     )

@@ -171,7 +171,8 @@ def _fit(
         residual_units=POSE_UNITS,
         warnings=(
             *definiteness_warnings(cup.stiffness, cup.damping, structure.name),
-            *_doubts(search, sure), *(() if found.converged else (NOT_CONVERGED,))),
+            *_colour(search), *(() if found.converged else (NOT_CONVERGED,))),
+        misfit=_misfit(sure.robust_chi2),
         chi2=sure.chi2,
         robust_chi2=sure.robust_chi2,
         converged=found.converged,
@@ -184,22 +185,25 @@ def _fit(
     )
 
 
-def _doubts(search: Search, sure: Certainty) -> list[str]:
-    """Return what must be said of the noise, and of a chi^2 per degree of freedom."""
-    doubts = []
+def _colour(search: Search) -> tuple[str, ...]:
+    """Return a sentence where the noise is correlated in time."""
     kept, period = max(search.kept), search.segments[0].period
-    if kept > SHORTEST_COLOUR:
-        doubts.append(
-            f'The noise is correlated over {-1e3 * period / np.log(kept):.0f} ms, perhaps by '
-            'smoothing in the motion capture. The standard errors account for it; unsmoothed '
-            'poses give smaller ones.')
-    if sure.robust_chi2 > LARGEST_CHI2:
-        doubts.append(
-            'The model does not explain the recording: chi^2 per degree of freedom is '
-            f'{sure.robust_chi2:.2f}, expected 1. Check package.mass, package.com, the frames '
-            'and whether one clock stamped both streams (else set fit.time_offset), or use a '
-            'richer fit.structure.')
-    return doubts
+    if kept <= SHORTEST_COLOUR:
+        return ()
+    return (
+        f'The noise is correlated over {-1e3 * period / np.log(kept):.0f} ms, perhaps by '
+        'smoothing in the motion capture. The standard errors account for it; unsmoothed '
+        'poses give smaller ones.',)
+
+
+def _misfit(chi2: float) -> str:
+    """Return a sentence on a chi^2 per degree of freedom that is too large, or nothing."""
+    if chi2 <= LARGEST_CHI2:
+        return ''
+    return (
+        f'The model does not explain the recording: chi^2 per degree of freedom is {chi2:.2f}, '
+        'expected 1. Check package.mass, package.com, the frames and whether one clock stamped '
+        'both streams (else set fit.time_offset), or use a richer fit.structure.')
 
 
 def _condition(information: Array) -> float:

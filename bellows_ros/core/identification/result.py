@@ -106,6 +106,8 @@ class Fit:
         Of the residuals.
     warnings : tuple of str
         What a user must know, in sentences.
+    misfit : str
+        That model and noise do not explain the recordings; '' where they do.
     converged : bool
         Whether the minimum was found; if not, all standard errors are infinite.
     chi2, robust_chi2 : float or None
@@ -144,6 +146,7 @@ class Fit:
     residual_rms: Array
     residual_units: tuple[str, ...]
     warnings: tuple[str, ...] = ()
+    misfit: str = ''
     converged: bool = True
     chi2: float | None = None
     robust_chi2: float | None = None
