@@ -210,18 +210,18 @@ def _write(stream: TextIO, text: str) -> None:
     print(text, file=stream)
 
 
-def with_error(value: float, error: float) -> str:
+def with_error(value: float, error: float, unit: str = '') -> str:
     """
-    Return a value to the decimal place of its standard error's second figure, and the error.
+    Return a value to the decimal place of its standard error's second figure, the error, the unit.
 
-    An infinite error is said: the value is meaningless.
+    With an infinite error the value is meaningless, and not shown.
     """
     if math.isinf(error):
-        return f'{value:.3g} (not identifiable)'
+        return 'not identifiable'
     if not (math.isfinite(error) and error > 0.0 and math.isfinite(value)):
-        return f'{value:.5g}'
+        return f'{value:.5g} {unit}'.rstrip()
     decimals = max(0, 1 - math.floor(math.log10(error)))
-    return f'{value:.{decimals}f} ± {error:.{decimals}f}'
+    return f'{value:.{decimals}f} ± {error:.{decimals}f} {unit}'.rstrip()
 
 
 def _width() -> int:

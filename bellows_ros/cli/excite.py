@@ -109,7 +109,7 @@ def _say(found: 'Excitation', console: Console) -> None:
             found.structure.labels, found.units, found.guess.tolist(), found.errors.tolist(),
             strict=True)):
         part = f'{100.0 * error / abs(value):.2g} %' if value else ''
-        rows.append([label, f'{with_error(value, error)} {unit}', part, *(
+        rows.append([label, with_error(value, error, unit), part, *(
             f'{errors[i] / error:.3g} times' for errors in found.beside.values())])
     console.table(rows)
     console.say()

@@ -323,23 +323,26 @@ def cup_table(fit: Any) -> list[str]:
         i = axes[0]
         rows.append(
             (', '.join(AXES[axis] for axis in axes), *(
-                f'{with_error(matrix[i, i], std[i, i])} {UNITS[name][2 * (i > 2)]}'
+                with_error(matrix[i, i], std[i, i], UNITS[name][2 * (i > 2)])
                 for name, matrix, std in (('K', fit.stiffness, fit.stiffness_std),
                                           ('P', fit.damping, fit.damping_std))))
         )
     lines = aligned(rows)
     if structure.couples:
-        lines += ['', 'K in N/m, N and N m/rad:', *_matrix(fit.stiffness)]
-        lines += ['', 'P in N s/m, N s and N m s/rad:', *_matrix(fit.damping)]
+        lines += ['', 'K in N/m, N and N m/rad:', *_matrix(fit.stiffness, fit.stiffness_std)]
+        lines += ['', 'P in N s/m, N s and N m s/rad:', *_matrix(fit.damping, fit.damping_std)]
     return lines
 
 
-def _matrix(matrix: Any) -> list[str]:
-    """Return a 6x6 matrix, a line per row, with as many digits as fit 60 columns."""
-    def cell(x: float) -> str:
+def _matrix(matrix: Any, std: Any) -> list[str]:
+    """Return a 6x6 matrix, a line per row of 60 columns, with - for what is not identifiable."""
+    def cell(x: float, error: float) -> str:
+        if math.isinf(error):
+            return '-'
         return next(text for digits in (4, 3, 2, 1) if len(text := f'{x:.{digits}g}') < 9)
 
-    return ['  ' + ''.join(f'{cell(x):>9}' for x in row) for row in matrix]
+    return ['  ' + ''.join(f'{cell(*entry):>9}' for entry in zip(*rows, strict=True))
+            for rows in zip(matrix, std, strict=True)]
 
 
 def _sample_lines(fit: Any, reports: Sequence[Any]) -> list[str]:

@@ -80,7 +80,7 @@ def figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
     figures, std = report.prediction.figures(), report.std
 
     def value(name: str, factor: float, unit: str) -> str:
-        return f'{with_error(factor * figures[name], factor * std[name])} {unit}'.strip()
+        return with_error(factor * figures[name], factor * std[name], unit)
 
     degrees = 180.0 / math.pi
     _, mode, time = report.prediction.smallest_safety
@@ -102,7 +102,7 @@ def figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
         found = report.fastest
         rows.append((
             'shortest safe time', 'none' if found is None else
-            f'{with_error(found.scale * report.duration, found.scale_std * report.duration)} s',
+            with_error(found.scale * report.duration, found.scale_std * report.duration, 's'),
             '' if found is None else f"{found.scale:.3f} of the plan's"))
     return rows
 

@@ -65,7 +65,7 @@ def entry_rows(content: Mapping[str, Any]) -> list[tuple[str, float, float, floa
 def _shown(label: str, value: float, error: float, unit: str) -> tuple[str, ...]:
     """Return a row of the table."""
     if not math.isfinite(error):
-        return label, f'{value:.5g}', 'not identifiable', '', unit
+        return label, '-', 'not identifiable', '', unit
     low, high = value - NORMAL_95 * error, value + NORMAL_95 * error
     digits = max(0, 1 - math.floor(math.log10(error))) if error > 0.0 else 6
     numbers = [f'{number:.{digits}f}' for number in (value, error, low, high)]

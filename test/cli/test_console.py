@@ -1,8 +1,9 @@
-"""Tables as the commands print them."""
+"""Tables and numbers as the commands print them."""
 
+import math
 import os
 
-from bellows_ros.cli.console import aligned
+from bellows_ros.cli.console import aligned, with_error
 import pytest
 
 ROWS = [['axis', *(f'column {k}' for k in range(8))]] + [
@@ -24,3 +25,13 @@ def test_a_table_for_no_terminal_is_whole(monkeypatch):
     monkeypatch.delenv('COLUMNS', raising=False)
     monkeypatch.setattr('shutil.get_terminal_size', os.terminal_size)
     assert len(aligned(ROWS)) == len(ROWS)
+
+
+@pytest.mark.parametrize('value, error, shown', [
+    (5405.62, 7.04, '5405.6 ± 7.0 N/m'),
+    (5405.62, 0.0, '5405.6 N/m'),
+    (5405.62, math.nan, '5405.6 N/m'),
+    (5405.62, math.inf, 'not identifiable'),
+])
+def test_a_value_is_shown_as_far_as_it_is_known(value, error, shown):
+    assert with_error(value, error, 'N/m') == shown
