@@ -98,7 +98,7 @@ def test_the_numbers_of_a_picture_are_given(
         (['animation', 'recording', '--out', 'a.png'], 'must end in .gif or .mp4'),
         (['motion', 'none', '--out', 'a.png'], 'does not exist'),
         (['animation', 'recording', '--out', 'a.gif', '--from', '90'], 'recording covers'),
-        (['motion', 'recording', '--out', 'a.png', '--from', '3', '--to', '2'], 'Of 3 to 2 s'),
+        (['motion', 'recording', '--out', 'a.png', '--from', '3', '--to', '2'], 'from 3 to 2 s'),
         (['spectra', 'recording', '--out', 'a.png', '--to', '3'], 'Leave out --from and --to'),
         (['portrait', 'recording', '--out', 'a.png'], 'invalid choice'),
     ],

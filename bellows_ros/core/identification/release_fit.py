@@ -290,7 +290,7 @@ def valve_fit(tosses: Sequence[LettingGo], suction: float) -> ValveFit:
     """
     if len(tosses) < FEWEST:
         raise UndeterminedError(
-            f'{len(tosses)} usable tosses; a valve needs {FEWEST} or more. Record more.')
+            f'A valve needs {FEWEST} or more usable tosses, got {len(tosses)}. Record more.')
     impulses = np.array([t.impulse for t in tosses])
     spread = float(np.var(impulses, ddof=1))
     noise = float(np.mean([t.impulse_std**2 for t in tosses]))
