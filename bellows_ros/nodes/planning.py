@@ -124,13 +124,13 @@ class Planning:
         wait(self._jobs)
         self._ahead: Ahead | None = None
         self.status: Status | None = None
-        self._due_ns = 0
+        self._predicted_ns = 0
 
     def set_model(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
         """Go on with other values."""
         self._live, self._values, self.grip = live, values, grip_of(values)
         self._coarse = COARSE * largest_step(live.model)
-        self._period_ns = round(1e9 / values['plan.rate'])
+        self._period_ns = round(0.9e9 / values['plan.rate'])  # ticks are not exact
 
     def _on_publishers(self, matched: Any) -> None:
         """Compile what is needed when somebody is there who may send a plan."""
@@ -193,18 +193,14 @@ class Planning:
         self._node.get_logger().warning(f'A {what} was refused. {error}')
 
     def follow(self) -> None:
-        """
-        Predict the rest of the plan from where tool and package are, as often as asked for.
-
-        To be called once a prediction is sent: until the next pose comes there is time for it.
-        """
-        ahead, now_ns = self._ahead, time.monotonic_ns()
-        if ahead is None or now_ns < self._due_ns or self.is_busy:
+        """Predict the rest of the plan from where tool and package are, as often as asked for."""
+        ahead, now = self._ahead, self.held
+        monotonic_ns = time.monotonic_ns()
+        if ahead is None or now is None or monotonic_ns - self._predicted_ns < self._period_ns:
             return
-        now = self.held
-        if now is None:
+        if self.is_busy:
             return
-        self._due_ns = max(self._due_ns, now_ns - self._period_ns // 2) + self._period_ns
+        self._predicted_ns = monotonic_ns
         ahead.follow(now)
         if ahead.done:
             self._ahead = None

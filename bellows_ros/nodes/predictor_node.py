@@ -252,14 +252,11 @@ class PredictorNode(ManagedNode):
         self._diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
 
     def _publish(self, predictions: Iterable[Prediction]) -> None:
-        """Send predictions, watch what the cup carries, and then look ahead."""
+        """Send predictions, and watch what the cup carries."""
         for prediction in predictions:
             factors = self._diagnostics.load.watch_force(prediction)
             self._outputs.publish(prediction, self._live.frame_id, factors)
             self._last = prediction
-            self._tossing.publish(
-                self._live.model, prediction, self._live.frame_id, self._outputs.covariance)
-            self._planning.follow()
 
     # ----------------------------------------------------------------- events
 
@@ -350,6 +347,10 @@ class PredictorNode(ManagedNode):
         held = self._planning.held
         if held is not None and self._ticks % LOAD_TICKS == 0:
             self._diagnostics.load.watch_deflection(live.model, held)
+        self._planning.follow()
+        flight = self._tossing.flight
+        if held is not None and flight.known and not flight.state:
+            self._tossing.publish(live.model, held, live.frame_id, self._outputs.covariance)
         self._say_state()
 
     def _is_late(self) -> bool:

@@ -62,7 +62,7 @@ class Tossing:
         node.create_subscription(
             Bool, 'vacuum/valve', lambda m: on_valve(m.data), 10,
             qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
-        self._due_ns = self._aimed_ns = 0
+        self._landed_ns = self._aimed_ns = 0
 
     def forget(self) -> None:
         """Wait for what is being sought."""
@@ -71,24 +71,18 @@ class Tossing:
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Go on with other values; compile what a landing needs."""
         self.flight = Flight(values, self._planning.future)
-        self._period_ns = round(1e9 / values['landing.rate'])
+        self._period_ns = round(0.9e9 / values['landing.rate'])  # ticks are not exact
         self.flight.warm_up(model)
 
     def publish(
         self, model: ModelTuple, prediction: Prediction, frame_id: str,
         covariance: Callable[[Prediction], Array],
     ) -> None:
-        """
-        Say where the package would land, and when to release it, as often as is wanted.
-
-        To be called once the prediction itself is sent: what it needs is at hand then.
-        """
-        if not self.flight.known or self.flight.state:
-            return
+        """Say where the package would land, and when to release it, as often as is wanted."""
         now_ns = time.monotonic_ns()
         wanted = self._landing.wanted or self._picture.wanted
-        if wanted and now_ns >= self._due_ns:
-            self._due_ns = max(self._due_ns, now_ns - self._period_ns // 2) + self._period_ns
+        if wanted and now_ns - self._landed_ns >= self._period_ns:
+            self._landed_ns = now_ns
             found = self.flight.landing(model, prediction, covariance)
             if found is not None:
                 _write(self._message, found, prediction.stamp_ns, frame_id)
