@@ -46,63 +46,28 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _report(arguments: argparse.Namespace, content: dict[str, Any], console: Console) -> int:
-    """Read, simulate, write."""
-    from bellows_ros.core.identification.identifiability import excitation_of
-    from bellows_ros.core.identification.reduction import reduced
-    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-    from bellows_ros.core.structure import structure_named
+    """Read again, write, say."""
     from bellows_ros.files.atomic import write_text
-    from bellows_ros.report.build import (
-        cup_values,
-        identification_report,
-        values_of_recordings,
-    )
-    from bellows_ros.workflows.recordings import load
-    from bellows_ros.workflows.replay import validated
-    import numpy as np
+    from bellows_ros.report.build import identification_report
+    from bellows_ros.workflows.report import changed_recordings, read_again
 
     bags = [str(recording['bag']) for recording in content['recordings']]
     options.require_named_outputs(arguments, bags)
     with console.progress() as progress:
-        recordings, parts = [], []
-        for number, (bag, own) in enumerate(zip(bags, values_of_recordings(content), strict=True)):
-            progress(f'reading {bag}', number / (len(bags) + len(arguments.validation) + 1))
-            each = resolve(own)
-            recordings.append(load(bag, each))
-            parts.append(reduced(recordings[-1], each).information)
-        required = PACKAGE_PARAMETERS if arguments.validation else ()
-        values = resolve(cup_values(content), required)
-        validations = []
-        for number, bag in enumerate(arguments.validation, len(bags)):
-            progress(f'simulating {bag}', number / (len(bags) + len(arguments.validation) + 1))
-            validations.append(validated(values, load(bag, values)))
-        structure = structure_named(content['structure'])
-        covariance = content['parameters']['covariance']
-        excitation = excitation_of(parts, structure, content['method'], (
-            structure.parameters(*(np.array(content[name]) for name in ('stiffness', 'damping'))),
-            np.array([[np.inf if x is None else x for x in row] for row in covariance])))
-        write_text(arguments.out, identification_report(
-            content, recordings, excitation, validations))
-    others = changed(content)
+        found = read_again(content, arguments.validation, progress)
+        write_text(arguments.out, identification_report(content, *found))
+    others = changed_recordings(content)
     options.put_json(arguments.json, {
         'file': arguments.out, 'changed_recordings': others,
-        'validations': [validation.as_json() for validation in validations],
+        'validations': [validation.as_json() for validation in found.validations],
     }, console)
     for bag in others:
         console.warn(f'{bag} has changed since the cup was identified from it.')
-    for validation in validations:
+    for validation in found.validations:
         for warning in validation.warnings:
             console.warn(f'{validation.bag}: {warning}')
     console.say(f'Wrote {arguments.out}.')
     return OK
-
-
-def changed(content: Mapping[str, Any]) -> list[str]:
-    """Return the recordings whose content is not that of the time of the fit."""
-    from bellows_ros.files.bag_folder import digests
-
-    known = (content.get('provenance') or {}).get('recordings', ())
-    return [entry['path'] for entry in known if digests(entry['path']) != entry['files']]
 
 
 def _require_settings(path: Path, content: Mapping[str, Any]) -> None:

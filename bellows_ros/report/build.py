@@ -5,7 +5,6 @@ import json
 import os
 from typing import Any
 
-from bellows_ros.core.envelope import Envelope, FIELDS
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.reduction import spectra_of
 from bellows_ros.core.recording.recording import Recording
@@ -13,8 +12,9 @@ from bellows_ros.errors import UnstableError
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import format_json, provenance
 from bellows_ros.workflows.identification import Identification
-from bellows_ros.workflows.recordings import offset_sentence, values_of_each
+from bellows_ros.workflows.recordings import offset_sentence
 from bellows_ros.workflows.replay import Replay, validated
+from bellows_ros.workflows.report import values_of_recordings
 
 from .cup import cup_content, envelope_content, excitation_content, iteration_content
 from .motion import motion_content
@@ -23,9 +23,6 @@ from .origin import origin_content
 from .page import bullets, page, paragraph, section, warnings
 from .samples import samples_content
 from .standstills import selection_content, standstill_content
-
-INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Entries of the parameter package.inertia in the tensor."""
 
 
 def identification_report(
@@ -119,29 +116,6 @@ def _origin(
     known = content['provenance']
     more = provenance([found.bag for found in validations])
     return {**known, 'recordings': [*known['recordings'], *more['recordings']]}
-
-
-def cup_values(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a result with its cup and its validity range in them."""
-    flat = {f'cup.{key}': tuple(x for row in content[key] for x in row)
-            for key in ('stiffness', 'damping')}
-    known = Envelope(**{name: content['envelope'][name] for name in FIELDS}).parameters()
-    return {**content['settings'], **flat, **known, 'cup.length': content['cup_length']}
-
-
-def values_of_recordings(content: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the settings of a result for each of its recordings: its cup, and what was held."""
-    values, each = cup_values(content), []
-    own = dict(zip(map(str, values['bags']), values_of_each(values), strict=True))
-    for recording in content['recordings']:
-        payload = recording['package']
-        each.append({
-            **own[str(recording['bag'])],
-            'package.mass': payload['mass'],
-            'package.inertia': tuple(payload['inertia'][i][j] for i, j in INERTIA),
-            'package.com': tuple(payload['com']),
-        })
-    return each
 
 
 def write_page(result: Identification, path: str | os.PathLike[str]) -> None:

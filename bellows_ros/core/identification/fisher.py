@@ -2,7 +2,7 @@
 The Fisher information of a motion on K and P, before or after it is recorded.
 
 It is that of the prediction-error method, by its own code: of the equations of motion in units of
-what noise of both bodies makes of them along the motion (see `prediction.minimum`). For small
+what noise of both bodies makes of them along the motion (see `identification.minimum`). For small
 motions it follows from the linear response, which is what a search can afford.
 """
 
