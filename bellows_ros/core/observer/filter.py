@@ -20,7 +20,13 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import linearise, substeps_for
-from bellows_ros.core.jacobians import acceleration_at, body_jacobians, parameter_jacobian, Square
+from bellows_ros.core.jacobians import (
+    acceleration_at,
+    body_jacobians,
+    parameter_jacobian,
+    Square,
+    write_column,
+)
 from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import (
     advance,
@@ -244,7 +250,7 @@ def slopes(
     parameter_jacobian(model, tool, body, 42, 62, columns, 0)
     f, m = lip_wrench(model, tool, body)
     dv, dw = acceleration_at(package, com, add(f, push[0]), add(m, push[1]))
-    write_column(B, 0, scale(-1.0 / grown, dv), scale(-1.0 / grown, dw))
+    write_column(B[6:], 0, scale(-1.0 / grown, dv), scale(-1.0 / grown, dw))
     x, y, z = push[0]
     # by the centre of mass (m), the push has another arm: -e x push
     ex = apply(package[3], (0.0, z, -y))
@@ -260,17 +266,10 @@ def slopes(
         B[9 + i, 3] += ez[i]
     still = lip_wrench(model, (tool[0], tool[1], ZERO, ZERO), (body[0], body[1], ZERO, ZERO))
     dv, dw = acceleration_at(package, com, still[0], ZERO)
-    write_column(B, 11, dv, dw)
+    write_column(B[6:], 11, dv, dw)
     dv, dw = acceleration_at(package, com, ZERO, still[1])
-    write_column(B, 12, dv, dw)
+    write_column(B[6:], 12, dv, dw)
     return apply(rotation_matrix(body[1]), f)
-
-
-@kernel
-def write_column(out: Array, column: int, a: Vector, b: Vector) -> None:
-    """Write accelerations into a column of slopes."""
-    out[6, column], out[7, column], out[8, column] = a
-    out[9, column], out[10, column], out[11, column] = b
 
 
 @kernel
