@@ -21,8 +21,9 @@ from bellows_ros.workflows.plot import Replayed
 from bellows_ros.workflows.steer import SteerReport
 import numpy as np
 
-from .shapes import bellows_rings, SIDES
-from .style import drawing, Theme, THEMES
+from .panels import picture
+from .shapes import bellows_rings, box_corners, BOX_EDGES, BOX_FACES, SIDES
+from .style import Theme
 
 Progress = Callable[[str, float], None]
 
@@ -36,8 +37,6 @@ ARM = 0.10  # m, of the tool that is drawn above its tip
 AFTER = 0.5  # s, that a steered motion is shown after its end
 NEAR_ZOOM, FAR_ZOOM, WAY_ZOOM = 1.6, 1.3, 2.0  # the box stays inside, wherever it swings
 VIEW = {'elev': 14.0, 'azim': -60.0}
-EDGES = ((0, 1), (1, 3), (3, 2), (2, 0), (4, 5), (5, 7), (7, 6), (6, 4), (0, 4), (1, 5), (2, 6),
-         (3, 7))
 
 
 def write_animation(
@@ -144,8 +143,7 @@ def _write(
     first, last = (limit(view.scene.seconds[end] for view in views)
                    for limit, end in ((min, 0), (max, -1)))
     times = np.arange(first, last, speed / rate_hz)
-    pictures = _drawn(
-        views, times, title, note, THEMES[theme], progress or (lambda what, part: None))
+    pictures = _drawn(views, times, title, note, theme, progress or (lambda what, part: None))
     write_bytes(path, encode(pictures, rate_hz))
 
 
@@ -163,16 +161,13 @@ def _ffmpeg() -> str:
 
 
 def _drawn(
-    views: Sequence[View], times: Array, title: str, note: str, colours: Theme, progress: Progress
+    views: Sequence[View], times: Array, title: str, note: str, theme: str, progress: Progress
 ) -> Iterator[Any]:
     """Yield each picture as an array (H, W, 3) of bytes."""
-    with drawing(colours) as figures:
+    with picture(title, note, theme, SIZE, DPI) as (figure, colours):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-        figure = figures.Figure(figsize=SIZE, dpi=DPI)
         canvas = FigureCanvasAgg(figure)
-        figure.text(0.03, 0.935, title, fontsize=12, fontweight='bold')
-        figure.text(0.03, 0.885, note, color=colours.quiet)
         spaces = [_space(figure, left, view, colours)
                   for left, view in zip((-0.02, 0.48), views, strict=False)]
         for number, t in enumerate(times):
@@ -217,44 +212,23 @@ def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
     body_o, body_R = scene.package.position[i] - shift, scene.package.rotation[i]
     tool_o = tool_o - shift
     lip_o = body_o - body_R @ scene.com
-    faces = [_face(body_o, body_R, scene.box, k) for k in range(6)]
-    package = Poly3DCollection(faces, facecolor=colours.predicted, alpha=0.55,
-                               edgecolor=colours.text, linewidth=0.8)
-    cup = Poly3DCollection(_cup(tool_o, tool_R, lip_o, body_R), facecolor=colours.measured,
-                           edgecolor=colours.quiet, linewidth=0.3)
+    package = Poly3DCollection(
+        list(box_corners(body_o, body_R, scene.box)[BOX_FACES]), facecolor=colours.predicted,
+        alpha=0.55, edgecolor=colours.text, linewidth=0.8)
+    rings = bellows_rings(tool_o, tool_R, lip_o, body_R)
+    cup = Poly3DCollection(
+        [np.array([a[k], a[k + 1], b[k + 1], b[k]])
+         for a, b in zip(rings, rings[1:], strict=False) for k in range(SIDES - 1)],
+        facecolor=colours.measured, edgecolor=colours.quiet, linewidth=0.3)
     arm = np.array([tool_o, tool_o + tool_R @ np.array([0.0, 0.0, ARM])])
-    corners = _corners(scene.outline.position[i] - shift, scene.outline.rotation[i], scene.box)
-    outline = Line3DCollection([corners[list(edge)] for edge in EDGES], colors=colours.error,
-                               linewidths=1.3)
+    corners = box_corners(scene.outline.position[i] - shift, scene.outline.rotation[i], scene.box)
+    outline = Line3DCollection(list(corners[BOX_EDGES]), colors=colours.error, linewidths=1.3)
     for order, thing in enumerate((package, cup, outline), 1):
         thing.set_zorder(order)
         space.add_collection3d(thing)
     drawn = space.plot(*arm.T, color=colours.quiet, linewidth=7.0, solid_capstyle='butt',
                        zorder=2)
     return [package, cup, outline, *drawn]
-
-
-def _corners(o: Array, R: Array, box: Array) -> Array:
-    """Return the corners (8, 3) of a box."""
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    corners: Array = o + (0.5 * signs * box) @ R.T
-    return corners
-
-
-def _face(o: Array, R: Array, box: Array, number: int) -> Array:
-    """Return the corners (4, 3) of one face of a box."""
-    axis, side = number // 2, number % 2
-    corners = _corners(o, R, box).reshape(2, 2, 2, 3)
-    square = np.take(corners, side, axis=axis).reshape(4, 3)
-    face: Array = square[[0, 1, 3, 2]]
-    return face
-
-
-def _cup(top_o: Array, top_R: Array, lip_o: Array, lip_R: Array) -> list[Array]:
-    """Return the faces of a bellows."""
-    rings = bellows_rings(top_o, top_R, lip_o, lip_R)
-    return [np.array([a[k], a[k + 1], b[k + 1], b[k]])
-            for a, b in zip(rings, rings[1:], strict=False) for k in range(SIDES - 1)]
 
 
 def _gif(pictures: Iterator[Any], rate_hz: float) -> bytes:
@@ -281,8 +255,8 @@ def _mp4(pictures: Iterator[Any], rate_hz: float, ffmpeg: str) -> bytes:
                    '-movflags', '+faststart', str(target)]
         with subprocess.Popen(command, stdin=subprocess.PIPE) as process, \
                 suppress(BrokenPipeError):  # it has ended early: its code tells
-            for picture in chain((first,), pictures):
-                process.stdin.write(picture.tobytes())  # type: ignore[union-attr]
+            for frame in chain((first,), pictures):
+                process.stdin.write(frame.tobytes())  # type: ignore[union-attr]
         if process.returncode != 0:
             raise BellowsError(
                 'ffmpeg failed, with the reason above. Write a .gif instead.')

@@ -7,17 +7,16 @@ import numpy as np
 
 from .panels import (
     arrange_pair,
+    BELOW_HEAD,
     broken,
     draw_strip,
-    head,
-    LEFT,
     legend,
     MILLI,
     pairs,
+    picture,
     six,
-    SIZE,
+    UNITS,
 )
-from .style import drawing, THEMES
 
 MOST_POINTS = 4000
 
@@ -40,22 +39,19 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    colours = THEMES[theme]
     usable = np.flatnonzero(loads.valid)
     shown = usable[:: max(1, len(usable) // MOST_POINTS)]
-    with drawing(colours) as figures:
-        figure, panels = six(
-            figures, 'Load on the cup against its deflection', note, colours, ('N', 'N m'))
+    with picture('Load on the cup against its deflection', note, theme) as (figure, colours):
         legend(figure, (('needed by the motion', colours.measured, 4.0),
                         ('stiffness of the cup', colours.predicted, 1.4)))
-        for axis, panel in enumerate(panels):
+        for axis, panel in enumerate(six(figure, ('N', 'N m'))):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
             panel.plot(MILLI * x, y, '.', color=colours.measured, markersize=2.8, alpha=0.8,
                        markeredgewidth=0.0)
             ends = np.array([x.min(), x.max()])
             panel.plot(MILLI * ends, loads.stiffness[axis] * ends, color=colours.predicted,
                        linewidth=1.3)
-            panel.set_xlabel(f'deflection ({"mm" if axis < 3 else "mrad"})', labelpad=1.0)
+            panel.set_xlabel(f'deflection ({UNITS[axis]})', labelpad=1.0)
     return figure
 
 
@@ -77,15 +73,11 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    colours = THEMES[theme]
     load, residual = (broken(x, loads.valid) for x in (loads.load, loads.residual))
-    with drawing(colours) as figures:
-        figure = figures.Figure(figsize=SIZE)
-        head(figure, 'Load on the cup, and the unexplained part', note, colours)
+    with picture('Load on the cup, and the unexplained part', note, theme) as (figure, colours):
         legend(figure, (('needed by the motion', colours.measured, 2.4),
                         ('unexplained', colours.error, 1.0)))
-        panels = pairs(
-            figure, left=LEFT, right=0.985, top=0.87, bottom=0.075, hspace=0.24, wspace=0.26)
+        panels = pairs(figure, **BELOW_HEAD, hspace=0.24, wspace=0.26)
         for axis, (upper, lower) in enumerate(panels):
             upper.plot(loads.seconds, load[:, axis], color=colours.measured, linewidth=1.8)
             draw_strip(lower, loads.seconds, residual[:, axis], colours)

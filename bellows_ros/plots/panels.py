@@ -1,51 +1,63 @@
 """Six panels, one per axis: the layout of most pictures."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Any
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.residuals import AXES
 import numpy as np
 
-from .style import Theme
+from .style import drawing, Theme, THEMES
 
 SIZE = (9.4, 6.9)  # inches
 LEFT = 0.095  # of the panels, in parts of the width
+BELOW_HEAD: Mapping[str, float] = MappingProxyType(
+    {'left': LEFT, 'right': 0.985, 'top': 0.87, 'bottom': 0.075})
+"""Edges of the panels of a figure of `SIZE`."""
+
+TITLE, NOTE = 0.31, 0.52  # inches from the top
 MILLI = 1e3
+UNITS = ('mm',) * 3 + ('mrad',) * 3
 
 
-def six(figures: Any, title: str, note: str, theme: Theme, units: Sequence[str]) -> Any:
+@contextmanager
+def picture(
+    title: str, note: str, theme: str, size: tuple[float, float] = SIZE, dpi: float | None = None
+) -> Iterator[tuple[Any, Theme]]:
     """
-    Return a figure with a head, and six panels (3, 2): x, y, z on the left, rx, ry, rz beside.
+    Provide a figure with title and conditions above the panels, and the colours of its theme.
 
-    Parameters
-    ----------
-    figures : module
-        matplotlib.figure.
-    title, note : str
-        What is shown, and under which conditions.
-    theme : Theme
-        Its colours.
-    units : sequence of str
-        Of x, y, z and of rx, ry, rz.
+    Raises
+    ------
+    BellowsError
+        Without matplotlib.
 
     """
-    figure = figures.Figure(figsize=SIZE)
-    head(figure, title, note, theme)
-    panels = figure.subplots(
-        3, 2, gridspec_kw={'left': LEFT, 'right': 0.985, 'top': 0.87, 'bottom': 0.075,
-                           'hspace': 0.28, 'wspace': 0.26})
-    for axis, panel in enumerate(panels.T.ravel()):
+    colours = THEMES[theme]
+    with drawing(colours) as figures:
+        figure = figures.Figure(figsize=size, dpi=dpi)
+        figure.text(LEFT, 1.0 - TITLE / size[1], title, fontsize=13.5, fontweight='bold')
+        figure.text(LEFT, 1.0 - NOTE / size[1], note, color=colours.quiet)
+        yield figure, colours
+
+
+def six(figure: Any, units: Sequence[str]) -> list[Any]:
+    """Return six panels: x, y, z on the left, rx, ry, rz beside, with the units of both."""
+    panels = list(figure.subplots(
+        3, 2, gridspec_kw={**BELOW_HEAD, 'hspace': 0.28, 'wspace': 0.26}).T.ravel())
+    for axis, panel in enumerate(panels):
         panel.set_ylabel(f'{AXES[axis]}  ({units[axis // 3]})')
         panel.yaxis.set_label_coords(-0.145, 0.5)
         panel.tick_params(length=2.5, width=0.6)
-    return figure, list(panels.T.ravel())
+    return panels
 
 
-def head(figure: Any, title: str, note: str, theme: Theme) -> None:
-    """Write title and conditions above the panels."""
-    figure.text(LEFT, 0.955, title, fontsize=13.5, fontweight='bold')
-    figure.text(LEFT, 0.925, note, color=theme.quiet)
+def name_panel(panel: Any, title: str) -> None:
+    """Write what a panel shows above it."""
+    panel.set_title(title, loc='left', fontsize=9.5, pad=4.0)
+    panel.tick_params(length=2.5, width=0.6)
 
 
 def legend(figure: Any, entries: Sequence[tuple[str, str, float]]) -> None:
@@ -66,13 +78,6 @@ def label_abscissa(panel: Any, axis: int, label: str) -> None:
         panel.set_xlabel(label)
     else:
         panel.tick_params(labelbottom=False)
-
-
-def time_axes(panels: Sequence[Any], seconds: Array) -> None:
-    """Label the time axes at the bottom of six panels, and show all of the time."""
-    for axis, panel in enumerate(panels):
-        panel.set_xlim(seconds[0], seconds[-1])
-        label_abscissa(panel, axis, 'time (s)')
 
 
 def pairs(figure: Any, **place: float) -> list[tuple[Any, Any]]:

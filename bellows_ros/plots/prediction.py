@@ -11,18 +11,15 @@ from bellows_ros.core.arrays import Array
 from bellows_ros.core.residuals import Comparison
 import numpy as np
 
-from .panels import arrange_pair, draw_strip, pairs
-from .style import drawing, Theme, THEMES
+from .panels import arrange_pair, draw_strip, LEFT, legend, MILLI, pairs, picture, UNITS
+from .style import Theme
 
 SIZE = (11.0, 8.4)  # inches
-LEFT, RIGHT, BETWEEN = 0.085, 0.985, 0.19  # parts of the width; of a column between two
-MIDDLE = LEFT + (RIGHT - LEFT) * (1.0 + BETWEEN) / (2.0 + BETWEEN)
-MILLI = 1e3
-UNITS = ('mm',) * 3 + ('mrad',) * 3
 GAP_PERIODS = 3.0
 """A line is interrupted where so many sampling periods have no sample."""
 
-LEAST_SPAN = 2.0  # mm or mrad; an axis that hardly moves is not blown up beyond this
+LEAST_SPAN = 2.0
+"""mm or mrad that an axis shows at least, so that noise at rest does not look like motion."""
 
 
 def prediction_figure(
@@ -47,42 +44,18 @@ def prediction_figure(
     matplotlib.figure.Figure
 
     """
-    colours = THEMES[theme]
-    with drawing(colours) as figures:
-        figure = figures.Figure(figsize=SIZE)
-        _write_head(figure, title, note, colours)
+    with picture(title, note, theme, SIZE) as (figure, colours):
+        legend(figure, (('measured', colours.measured, 4.0), ('predicted', colours.predicted, 1.0),
+                        ('predicted minus measured', colours.error, 1.0)))
         columns = pairs(
-            figure, left=LEFT, right=RIGHT, top=0.855, bottom=0.065, hspace=0.2, wspace=BETWEEN)
-        for axis, panels in enumerate(columns):
+            figure, left=LEFT, right=0.985, top=0.855, bottom=0.065, hspace=0.2, wspace=0.19)
+        for (top, _), what in zip(columns[::3], ('Position', 'Rotation'), strict=True):
+            figure.text(top.get_position().x0, 0.885, f'{what} of B in tool axes', fontsize=10.5,
+                        fontweight='bold')
+        for axis, (panels, unit) in enumerate(zip(columns, UNITS, strict=True)):
             _draw_axis(panels, seconds, comparison, axis, colours)
-            unit = UNITS[axis]
             arrange_pair(panels, axis, seconds, unit, f'error\n({unit})', colours)
     return figure
-
-
-def _write_head(figure: Any, title: str, note: str, colours: Theme) -> None:
-    """Write title, conditions and legend over all panels."""
-    figure.text(LEFT, 0.955, title, fontsize=13.5, fontweight='bold')
-    figure.text(LEFT, 0.93, note, color=colours.quiet)
-    columns = ((LEFT, 'Position of B in tool axes'), (MIDDLE, 'Rotation of B in tool axes'))
-    for x, words in columns:
-        figure.text(x, 0.885, words, fontsize=10.5, fontweight='bold')
-    lines = [
-        _line(colours.measured, 4.0, 'measured'),
-        _line(colours.predicted, 1.0, 'predicted'),
-        _line(colours.error, 1.0, 'predicted minus measured'),
-    ]
-    figure.legend(
-        handles=lines, loc='upper right', bbox_to_anchor=(0.992, 0.982), ncols=3, fontsize=9.5,
-        handlelength=1.8, columnspacing=1.6,
-    )
-
-
-def _line(colour: str, width: float, label: str) -> Any:
-    """Return an entry of the legend."""
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], color=colour, linewidth=width, label=label)
 
 
 def _draw_axis(
@@ -97,7 +70,9 @@ def _draw_axis(
     )
     upper.plot(times, measured, color=colours.measured, linewidth=3.6)
     upper.plot(times, predicted, color=colours.predicted, linewidth=0.9)
-    _widen(upper)
+    low, high = upper.get_ylim()
+    lack = 0.5 * max(0.0, LEAST_SPAN - (high - low))
+    upper.set_ylim(low - lack, high + lack)
     draw_strip(lower, times, predicted - measured, colours)
     scores, unit = comparison.scores, UNITS[axis]
     upper.set_title(
@@ -116,13 +91,6 @@ def figures(value: float) -> str:
 def percent(ratio: float) -> str:
     """Return a ratio in percent with two figures, or a dash where nothing moved."""
     return f'{figures(100.0 * ratio)} %' if np.isfinite(ratio) else '-'
-
-
-def _widen(panel: Any) -> None:
-    """Show at least `LEAST_SPAN`, so that noise on an axis at rest does not look like motion."""
-    low, high = panel.get_ylim()
-    lack = 0.5 * max(0.0, LEAST_SPAN - (high - low))
-    panel.set_ylim(low - lack, high + lack)
 
 
 def with_gaps(seconds: Array, values: Array) -> Array:

@@ -2,12 +2,13 @@
 
 from typing import Any
 
-from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.lie import log_so3
 from bellows_ros.workflows.plot import Motion, Spectra
 import numpy as np
 
-from .panels import broken, head, label_abscissa, legend, MILLI, six, time_axes
-from .style import drawing, Theme, THEMES
+from .panels import broken, label_abscissa, legend, MILLI, picture, six
+from .style import Theme
 
 
 def motion_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
@@ -28,13 +29,9 @@ def motion_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    from bellows_ros.core.lie import log_so3
-
-    colours = THEMES[theme]
     start = int(np.argmax(motion.valid))
-    with drawing(colours) as figures:
-        figure, panels = six(
-            figures, 'Motion in the world, from the start', note, colours, ('mm', 'mrad'))
+    with picture('Motion in the world, from the start', note, theme) as (figure, colours):
+        panels = six(figure, ('mm', 'mrad'))
         legend(figure, (('tool', colours.measured, 3.0), ('package', colours.predicted, 1.0)))
         for position, rotation, colour, width in (
             (motion.tool_position, motion.tool_rotation, colours.measured, 3.0),
@@ -44,17 +41,13 @@ def motion_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
             values = MILLI * broken(np.hstack([position - position[start], turned]), motion.valid)
             for axis, panel in enumerate(panels):
                 panel.plot(motion.seconds, values[:, axis], color=colour, linewidth=width)
-        _mark_invalid(panels, motion, colours)
-        time_axes(panels, motion.seconds)
+        unusable = motion.seconds[~motion.valid]  # marked at the foot of each panel
+        for axis, panel in enumerate(panels):
+            panel.plot(unusable, np.zeros_like(unusable), '|', color=colours.error,
+                       markersize=7.0, transform=panel.get_xaxis_transform(), clip_on=False)
+            panel.set_xlim(motion.seconds[0], motion.seconds[-1])
+            label_abscissa(panel, axis, 'time (s)')
     return figure
-
-
-def _mark_invalid(panels: list[Any], motion: Motion, colours: Theme) -> None:
-    """Mark the times without usable poses at the foot of each panel."""
-    wrong = motion.seconds[~motion.valid]
-    for panel in panels:
-        panel.plot(wrong, np.zeros_like(wrong), '|', color=colours.error, markersize=7.0,
-                   transform=panel.get_xaxis_transform(), clip_on=False)
 
 
 def spectra_figure(spectra: Spectra, note: str, theme: str = 'light') -> Any:
@@ -75,23 +68,17 @@ def spectra_figure(spectra: Spectra, note: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    colours = THEMES[theme]
     keep = spectra.frequency_hz > 0.0
-    with drawing(colours) as figures:
-        figure, panels = six(
-            figures, 'Spectra of the package relative to the tool', note, colours,
-            ('mm/√Hz', 'mrad/√Hz'))
-        entries = [('measured', colours.measured, 3.0)]
+    hertz = spectra.frequency_hz[keep]
+    with picture('Spectra of the package relative to the tool', note, theme) as (figure, colours):
+        shown = [('measured', spectra.measured, colours.measured, 3.0, 2.2)]
         if spectra.error is not None:
-            entries.append(('predicted minus measured', colours.error, 1.2))
-        legend(figure, entries)
-        for axis, panel in enumerate(panels):
-            panel.loglog(spectra.frequency_hz[keep], MILLI * spectra.measured[keep, axis],
-                         color=colours.measured, linewidth=2.2)
-            if spectra.error is not None:
-                panel.loglog(spectra.frequency_hz[keep], MILLI * spectra.error[keep, axis],
-                             color=colours.error, linewidth=1.1)
-            panel.set_xlim(spectra.frequency_hz[keep][0], spectra.frequency_hz[-1])
+            shown.append(('predicted minus measured', spectra.error, colours.error, 1.2, 1.1))
+        legend(figure, [(name, colour, width) for name, _, colour, width, _ in shown])
+        for axis, panel in enumerate(six(figure, ('mm/√Hz', 'mrad/√Hz'))):
+            for _, density, colour, _, width in shown:
+                panel.loglog(hertz, MILLI * density[keep, axis], color=colour, linewidth=width)
+            panel.set_xlim(hertz[0], hertz[-1])
             label_abscissa(panel, axis, 'frequency (Hz)')
     return figure
 
@@ -114,10 +101,8 @@ def path_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    colours = THEMES[theme]
-    with drawing(colours) as figures:
-        figure = figures.Figure(figsize=(8.4, 8.0))
-        head(figure, 'Paths of tool tip and package', note, colours)
+    usable = np.flatnonzero(motion.valid)
+    with picture('Paths of tool tip and package', note, theme, (8.4, 8.0)) as (figure, colours):
         legend(figure, (('tool tip E', colours.measured, 3.0),
                         ('package B', colours.predicted, 1.2)))
         space = figure.add_axes((0.02, 0.04, 0.92, 0.86), projection='3d')
@@ -126,20 +111,14 @@ def path_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
         package = broken(motion.package_position, motion.valid)
         space.plot(*tool.T, color=colours.measured, linewidth=2.4)
         space.plot(*package.T, color=colours.predicted, linewidth=1.0)
-        for i in _now_and_then(motion):
+        for i in usable[:: max(1, len(usable) // 40)]:  # some forty
             space.plot(*np.array([tool[i], package[i]]).T, color=colours.quiet, linewidth=0.6)
-        space.plot(*tool[int(np.argmax(motion.valid))][:, None], 'o', color=colours.text,
+        space.plot(*tool[usable[0]][:, None], 'o', color=colours.text,
                    markersize=4.0)
         set_equal(space, np.vstack([tool, package]))
         for name in 'xyz':
             getattr(space, f'set_{name}label')(f'{name} (m)')
     return figure
-
-
-def _now_and_then(motion: Motion) -> Stamps:
-    """Return some forty valid samples."""
-    usable = np.flatnonzero(motion.valid)
-    return usable[:: max(1, len(usable) // 40)]
 
 
 def _paint_space(space: Any, colours: Theme) -> None:

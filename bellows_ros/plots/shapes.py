@@ -1,4 +1,4 @@
-"""The shape of a bellows, for animations."""
+"""Shapes of cup and package, for animations and pictures in space."""
 
 from bellows_ros.core.arrays import Array
 import numpy as np
@@ -6,6 +6,18 @@ import numpy as np
 RINGS, SIDES = 25, 13  # of the drawn cup; the last point of a ring is its first one again
 CONVOLUTIONS = 2.5
 RADIUS = 0.020  # m
+
+BOX_EDGES = [[0, 1], [0, 2], [0, 4], [1, 3], [1, 5], [2, 3], [2, 6], [3, 7], [4, 5], [4, 6],
+             [5, 7], [6, 7]]
+BOX_FACES = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
+"""Of the corners of `box_corners`."""
+
+
+def box_corners(centre: Array, R: Array, size: Array) -> Array:
+    """Return the corners (8, 3) of a box in the world, m, counted in binary: x, y, z."""
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners: Array = centre + (0.5 * signs * size) @ R.T
+    return corners
 
 
 def bellows_rings(top_o: Array, top_R: Array, lip_o: Array, lip_R: Array) -> Array:

@@ -2,18 +2,15 @@
 
 from typing import Any
 
-from bellows_ros.core.arrays import Array
 from bellows_ros.core.landing import ellipse
 from bellows_ros.core.lie import quaternion_to_rotation
 import numpy as np
 
-from .style import drawing, THEMES
+from .panels import BELOW_HEAD, picture
+from .shapes import box_corners, BOX_EDGES
 
 SIZE = (11.0, 7.2)
 GHOSTS = 6
-EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7),
-         (6, 7))
-"""Of a box whose corners count in binary."""
 
 
 def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
@@ -34,20 +31,20 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    colours = THEMES[theme]
-    path, box = result.path(), result.case.release.box
-    tool = result.case.tool
-    held = result.held.states[result.held.times <= result.toss.release_time]
+    found, tool = result.toss, result.case.tool
+    path, (half, middle) = result.path(), map(np.array, result.case.release.box)
+    held = result.held.states[result.held.times <= found.release_time]
     spread = 1e3 * np.sqrt(np.diag(result.covariance))
-    with drawing(colours) as figures:
-        figure = figures.Figure(figsize=SIZE)
-        figure.text(0.07, 0.955, title, fontsize=13.5, fontweight='bold')
-        figure.text(0.07, 0.928, _note(result, spread), color=colours.quiet)
+    x, y, _ = found.landing[0]
+    note = (f'valve {result.case.switched:.3f} s, lets go {found.release_time:.3f} s, lands '
+            f'{found.landing_time:.3f} s at x {x:.3f} m, y {y:.3f} m ± {spread[0]:.1f}, '
+            f'{spread[1]:.1f} mm')
+    with picture(title, note, theme, SIZE) as (figure, colours):
         reach = np.vstack([tool.position, path[:, :3]])
         spans = np.ptp(reach, axis=0) + 0.3
         grid = figure.add_gridspec(
-            2, 2, width_ratios=(3.0, 1.0), height_ratios=(spans[2], spans[1]), left=0.07,
-            right=0.985, top=0.89, bottom=0.075, hspace=0.12, wspace=0.14)
+            2, 2, **BELOW_HEAD, width_ratios=(3.0, 1.0), height_ratios=(spans[2], spans[1]),
+            hspace=0.12, wspace=0.14)
         side = figure.add_subplot(grid[0, 0])
         above = figure.add_subplot(grid[1, 0], sharex=side)
         close = figure.add_subplot(grid[1, 1])
@@ -60,7 +57,9 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
                        label='package, flying')
             for k in np.linspace(0, len(path) - 1, GHOSTS).astype(int):
                 last = k == len(path) - 1
-                for line in _edges(path[k], box):
+                R = quaternion_to_rotation(path[k, 3:7])
+                corners = box_corners(path[k, :3] + R @ middle, R, 2.0 * half)
+                for line in corners[BOX_EDGES]:
                     panel.plot(line[:, i], line[:, j], color=colours.predicted,
                                linewidth=0.9 if last else 0.6, alpha=1.0 if last else 0.35)
             panel.set_aspect('equal', adjustable='box')
@@ -72,23 +71,6 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
         handles, labels = above.get_legend_handles_labels()
         figure.legend(handles, labels, loc='upper right', bbox_to_anchor=(0.99, 0.985), ncols=3)
     return figure
-
-
-def _note(result: Any, spread: Array) -> str:
-    """Return time and place in words."""
-    found = result.toss
-    return (
-        f'valve {result.case.switched:.3f} s, lets go {found.release_time:.3f} s, lands '
-        f'{found.landing_time:.3f} s at x {found.landing[0][0]:.3f} m, y '
-        f'{found.landing[0][1]:.3f} m ± {spread[0]:.1f}, {spread[1]:.1f} mm')
-
-
-def _edges(row: Array, box: Any) -> Array:
-    """Return the edges (12, 2, 3) of the box of a state."""
-    half, centre = np.array(box[0]), np.array(box[1])
-    signs = np.array([[(k >> axis & 1) * 2 - 1 for axis in range(3)] for k in range(8)])
-    corners = row[:3] + (centre + signs * half) @ quaternion_to_rotation(row[3:7]).T
-    return np.asarray(corners[np.array(EDGES)])
 
 
 def _draw_landing(above: Any, close: Any, result: Any, colours: Any) -> None:

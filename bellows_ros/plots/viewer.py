@@ -10,8 +10,6 @@ Rerun has a timeline for it to be played, and every quantity under a path:
 The deflection is that of the predicted lip from where it is without load.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 import os
 from pathlib import Path
 import subprocess
@@ -28,8 +26,7 @@ from bellows_ros.files.atomic import scratch_folder, write_bytes
 from bellows_ros.workflows.plot import Replayed
 import numpy as np
 
-from .panels import MILLI
-from .prediction import UNITS
+from .panels import MILLI, UNITS
 from .shapes import bellows_rings, RINGS, SIDES
 from .style import THEMES
 
@@ -68,10 +65,15 @@ def write_view(path: str | os.PathLike[str], replayed: Replayed, note: str) -> N
     if Path(path).suffix.lower() != ENDING:
         raise BellowsError(f"View '{path}' must end in {ENDING}.")
     rr = _rerun()
-    with _recording(rr, note) as recording:
+    # A recording with a name of its own, without settings of the whole process.
+    recording = rr.RecordingStream('bellows_ros', send_properties=True)
+    recording.send_recording_name(note)
+    try:
         stream = recording.binary_stream()
         _fill(rr, recording, replayed)
         data = stream.read(flush=True)
+    finally:
+        recording.disconnect()
     write_bytes(path, data)
 
 
@@ -116,17 +118,6 @@ def _rerun() -> Any:
     except ImportError:
         raise BellowsError(NO_RERUN) from None
     return rerun
-
-
-@contextmanager
-def _recording(rr: Any, note: str) -> Iterator[Any]:
-    """Provide a recording with a name of its own, without settings of the whole process."""
-    recording = rr.RecordingStream('bellows_ros', send_properties=True)
-    recording.send_recording_name(note)
-    try:
-        yield recording
-    finally:
-        recording.disconnect()
 
 
 def _fill(rr: Any, recording: Any, replayed: Replayed) -> None:
