@@ -1,8 +1,7 @@
 """Poses of files, joints or transforms to recordings, and from recordings to TUM."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from dataclasses import replace as changed
+from dataclasses import dataclass, replace
 from itertools import compress
 import os
 from pathlib import Path
@@ -10,6 +9,7 @@ import re
 from typing import Any
 
 from bellows_ros import __version__
+from bellows_ros.core.arrays import Mask
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
@@ -30,27 +30,47 @@ TEXT_ENDINGS = ('.tum', '.txt')
 EARLIEST_NS = 86_400 * 10**9  # a stamp in the first day of 1970 is no date
 
 
-@dataclass(frozen=True)
-class Converted:
+@dataclass(frozen=True, eq=False)
+class Body:
     """
-    What came of one body's poses.
+    The messages of a body.
 
     Parameters
     ----------
-    topic : str
+    messages : Recorded or Encoded
+        To write on a topic: poses, or what is copied.
     source : str
         File, and body where it has several.
-    poses : int
-        Written.
     left_out : mapping of str to int
-        Reason to number of frames that were not.
+        Reason to number of frames that are not among them.
 
     """
 
-    topic: str
+    messages: Recorded | Encoded
     source: str
-    poses: int
     left_out: Mapping[str, int]
+
+    @property
+    def topic(self) -> str:
+        """Where they are written."""
+        return self.messages.topic
+
+    @property
+    def poses(self) -> int:
+        """How many they are."""
+        return len(self.messages.stamps_ns)
+
+    def on(self, topic: str) -> 'Body':
+        """Return the same under another topic."""
+        return replace(self, messages=replace(self.messages, topic=f'/{topic.lstrip("/")}'))
+
+    def at(self, chosen: Mask) -> 'Body':
+        """Return some of the messages."""
+        own = self.messages
+        content: Any = {'data': tuple(compress(own.data, chosen))} if isinstance(
+            own, Encoded) else {'values': own.values[chosen]}
+        return replace(
+            self, messages=replace(own, stamps_ns=own.stamps_ns[chosen], **content))
 
 
 @dataclass(frozen=True)
@@ -61,7 +81,7 @@ class Conversion:
     Parameters
     ----------
     out : str
-    bodies : tuple of Converted
+    bodies : tuple of Body
     world : str
         Value of recording.world for what was written.
     notes : tuple of str
@@ -70,17 +90,15 @@ class Conversion:
     """
 
     out: str
-    bodies: tuple[Converted, ...]
-    world: str
+    bodies: tuple[Body, ...]
+    world: str = 'z_up'
     notes: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        return asdict(self) | {'version': __version__}
-
-
-Item = tuple[Converted, Recorded | Encoded]
-"""A body, and its messages."""
+        bodies = [{'topic': body.topic, 'source': body.source, 'poses': body.poses,
+                   'left_out': body.left_out} for body in self.bodies]
+        return {**vars(self), 'bodies': bodies, 'version': __version__}
 
 
 def to_bag(
@@ -118,29 +136,27 @@ def to_bag(
         If a source cannot be read, or two bodies would have one topic.
 
     """
-    found = [item for source in sources for item in _read(Path(source), fewest_markers)]
+    found = [body for source in sources for body in _read(Path(source), fewest_markers)]
     if names and len(names) != len(found):
         raise BellowsError(
             f'{len(names)} topics are given for {len(found)} bodies: '
-            f'{", ".join(converted.source for converted, _ in found)}. Give one for each, in '
-            'this order.'
-        )
-    named: list[Item] = [
-        _renamed(*pair) for pair in zip(found, names, strict=True)] if names else list(found)
-    chosen = [converted.topic for converted, _ in named]
+            f'{", ".join(body.source for body in found)}. Give one for each, in this order.')
+    if names:
+        found = [body.on(name) for body, name in zip(found, names, strict=True)]
+    chosen = [body.topic for body in found]
     if len(set(chosen)) < len(chosen):
         raise BellowsError(
             f'Several bodies have the same topic, among {", ".join(chosen)}. Give a topic for '
-            'each.'
-        )
-    named = _part(named, span)
-    _require_poses([converted for converted, _ in named])
-    write_bag(out, [recorded for _, recorded in named], storage, replace=replace)
-    motive = any(recorded.frame_id == MOTIVE_FRAME for _, recorded in found)
-    return Conversion(
-        os.fspath(out), tuple(converted for converted, _ in named),
-        'motive_y_up' if motive else 'z_up', _notes(found),
-    )
+            'each.')
+    notes = [f'{body.source} was never tracked; its topic is empty.'
+             for body in found if not body.poses]
+    undated = [body.source for body in found
+               if body.poses and body.messages.stamps_ns[0] < EARLIEST_NS]
+    if undated:
+        notes.append(f'{", ".join(undated)}: the file has no date; the stamps start near zero.')
+    motive = any(getattr(body.messages, 'frame_id', '') == MOTIVE_FRAME for body in found)
+    return Conversion(os.fspath(out), _written(out, found, storage, replace, span),
+                      'motive_y_up' if motive else 'z_up', tuple(notes))
 
 
 def tool_to_bag(
@@ -189,16 +205,13 @@ def tool_to_bag(
         raise BellowsError(
             f"Topic '{name}' is already in recording '{bag}'. Choose another for the tool with "
             '--topic.')
-    found: list[Item] = [(
-        Converted(name, f"{tool_link} in '{read.frame_id}' of {bag}", len(stamps), {}),
-        Recorded(name, POSE, stamps, read.poses, read.frame_id))]
+    found = [Body(Recorded(name, POSE, stamps, read.poses, read.frame_id),
+                  f"{tool_link} in '{read.frame_id}' of {bag}", {})]
     for (there, kind), messages in others.items():
-        times, data_of = zip(*messages, strict=True)
-        found.append((Converted(there, os.fspath(bag), len(times), {}),
-                      Encoded(there, kind, np.array(times, dtype=np.int64), data_of)))
-    bodies, recorded = zip(*_part(found, span), strict=True)
-    write_bag(out, recorded, storage, replace=replace)
-    return Conversion(os.fspath(out), bodies, 'z_up')
+        times, contents = zip(*messages, strict=True)
+        found.append(Body(
+            Encoded(there, kind, np.array(times, dtype=np.int64), contents), os.fspath(bag), {}))
+    return Conversion(os.fspath(out), _written(out, found, storage, replace, span))
 
 
 def transforms_to_bag(
@@ -234,7 +247,7 @@ def transforms_to_bag(
         If the transforms do not lead from both to the world.
 
     """
-    links, found = read_transforms(bag), list[Item]()
+    links, found = read_transforms(bag), list[Body]()
     names = names or (TOOL_POSE, PACKAGE_POSE)
     if len(set(names)) != 2:
         raise BellowsError('Name two topics with --topic, of the tool and of the package.')
@@ -244,57 +257,31 @@ def transforms_to_bag(
     for frame, topic in zip((tool_frame, package_frame), names, strict=True):
         stamps, T, world_frame, bad = poses_in(links, frame, world_frame, f"'{bag}'")
         rows = np.hstack([T[:, :3, 3], rotation_to_quaternion(T[:, :3, :3])])
-        item = Converted(f'/{topic.lstrip("/")}', f"{frame} in '{world_frame}' of {bag}",
-                         len(stamps), {'transforms that are no poses': bad} if bad else {})
-        found.append((item, Recorded(item.topic, POSE, stamps, rows, world_frame)))
-    bodies, recorded = zip(*_part(found, span), strict=True)
-    write_bag(out, recorded, storage, replace=replace)
-    return Conversion(os.fspath(out), bodies, 'z_up')
+        found.append(Body(
+            Recorded(f'/{topic.lstrip("/")}', POSE, stamps, rows, world_frame),
+            f"{frame} in '{world_frame}' of {bag}",
+            {'transforms that are no poses': bad} if bad else {}))
+    return Conversion(os.fspath(out), _written(out, found, storage, replace, span))
 
 
-def _part(items: Sequence[Item], span: Mapping[str, Any]) -> list[Item]:
-    """Return bodies and their messages from recording.start to recording.end."""
-    found = list[Item]()
-    for (body, recorded), here in zip(
-            items, inside([recorded.stamps_ns for _, recorded in items], span), strict=True):
-        content: dict[str, Any] = {
-            'data': tuple(compress(recorded.data, here))
-        } if isinstance(recorded, Encoded) else {'values': recorded.values[here]}
-        found.append((changed(body, poses=int(here.sum())),
-                      changed(recorded, stamps_ns=recorded.stamps_ns[here], **content)))
-    return found
+def _written(
+    out: str | os.PathLike[str], bodies: Sequence[Body], storage: str, replace: bool,
+    span: Mapping[str, Any],
+) -> tuple[Body, ...]:
+    """Write what lies between recording.start and recording.end as a recording; return that."""
+    stamps = [body.messages.stamps_ns for body in bodies]
+    kept = tuple(body.at(here) for body, here in zip(bodies, inside(stamps, span), strict=True))
+    if not any(body.poses for body in kept):
+        lost = '; '.join(
+            f'{body.source}: {", ".join(f"{n} {reason}" for reason, n in body.left_out.items())}'
+            for body in kept)
+        raise BellowsError(
+            f'No pose can be used: {lost}. Fewer markers are enough with --markers N.')
+    write_bag(out, [body.messages for body in kept], storage, replace=replace)
+    return kept
 
 
-def _require_poses(bodies: Sequence[Converted]) -> None:
-    """Refuse to make a recording without a pose."""
-    if any(body.poses for body in bodies):
-        return
-    lost = {body.source: ', '.join(f'{n} {reason}' for reason, n in body.left_out.items())
-            for body in bodies}
-    raise BellowsError(
-        'No pose can be used: ' + '; '.join(f'{name}: {why}' for name, why in lost.items())
-        + '. Fewer markers are enough with --markers N.'
-    )
-
-
-def _notes(items: Sequence[tuple[Converted, Recorded]]) -> tuple[str, ...]:
-    """Return what is odd about the bodies: never tracked, or without a date."""
-    notes = [f'{converted.source} was never tracked; its topic is empty.'
-             for converted, _ in items if not converted.poses]
-    undated = [c.source for c, r in items if len(r.stamps_ns) and r.stamps_ns[0] < EARLIEST_NS]
-    if undated:
-        notes.append(
-            f'{", ".join(undated)}: the file has no date; the stamps start near zero.')
-    return tuple(notes)
-
-
-def _renamed(item: tuple[Converted, Recorded], topic: str) -> tuple[Converted, Recorded]:
-    """Return a body under another topic."""
-    topic = topic if topic.startswith('/') else f'/{topic}'
-    return replace(item[0], topic=topic), replace(item[1], topic=topic)
-
-
-def _read(source: Path, fewest_markers: int) -> list[tuple[Converted, Recorded]]:
+def _read(source: Path, fewest_markers: int) -> list[Body]:
     """Return the bodies in a file, with what was left out."""
     if not os.path.isfile(source):
         raise BellowsError(
@@ -302,23 +289,22 @@ def _read(source: Path, fewest_markers: int) -> list[tuple[Converted, Recorded]]
         )
     if source.suffix.lower() == '.csv' and is_motive(source):
         return [
-            _item(body.name, f'{source} ({body.name})', body.stamps_ns, body.values, MOTIVE_FRAME,
+            _body(body.name, f'{source} ({body.name})', body.stamps_ns, body.values, MOTIVE_FRAME,
                   {'not tracked': body.missing, 'too few markers': body.unseen})
             for body in read_motive(source, fewest_markers)
         ]
     stamps, values = read_trajectory(source)
-    return [_item(source.stem, str(source), stamps, values, WORLD_FRAME, {})]
+    return [_body(source.stem, str(source), stamps, values, WORLD_FRAME, {})]
 
 
-def _item(
+def _body(
     name: str, source: str, stamps: Any, values: Any, frame: str, left_out: Mapping[str, int]
-) -> tuple[Converted, Recorded]:
-    """Return a body and its messages."""
+) -> Body:
+    """Return a body under a topic of its name."""
     word = re.sub(r'[^A-Za-z0-9_]+', '_', name).strip('_').lower() or 'body'
     topic = f'/{word}/pose' if not word[0].isdigit() else f'/body_{word}/pose'
     some = {reason: count for reason, count in left_out.items() if count}
-    recorded = Recorded(topic, POSE, stamps, values, frame)
-    return Converted(topic, source, len(stamps), some), recorded
+    return Body(Recorded(topic, POSE, stamps, values, frame), source, some)
 
 
 def to_tum(
@@ -360,5 +346,5 @@ def to_tum(
     values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
     write_tum(out, stream.stamps_ns, values)
     left_out = {reason: len(where) for reason, where in stream.refused.items() if where}
-    converted = Converted(stream.name, os.fspath(bag), len(stream), left_out)
-    return Conversion(os.fspath(out), (converted,), 'z_up')
+    read = Recorded(stream.name, POSE, stream.stamps_ns, values, stream.frame_id)
+    return Conversion(os.fspath(out), (Body(read, os.fspath(bag), left_out),))
