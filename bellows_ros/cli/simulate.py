@@ -2,13 +2,12 @@
 
 import argparse
 from collections import Counter
-from collections.abc import Iterable
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import options
-from .console import Console, OK
+from .console import Console, many, OK
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.simulate import SimulationReport
@@ -60,28 +59,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress() as progress:
         report = simulate_recording(
             values, motion, arguments.out, progress, arguments.force, arguments.plan or '')
-    options.put_json(arguments.json, as_json(report), console)
+    options.put_json(arguments.json, report.as_json(), console)
     options.warn_of_thesis_cup(values, console)
     _say(report, console)
     return OK
-
-
-def as_json(report: 'SimulationReport') -> dict[str, object]:
-    """Return what was recorded, for JSON."""
-    return {
-        'bag': str(report.bag),
-        'truth': str(report.truth) if report.truth else None,
-        'duration_s': report.duration,
-        'messages': dict(report.messages),
-        'events': [
-            {'topic': e.topic, 'kind': e.kind, 'start_s': e.start} for e in report.events
-        ],
-        'largest_bending_rad': report.largest_bending,
-        'largest_bending_time_s': report.largest_bending_time,
-        'margin': report.margin and report.margin._asdict(),
-        'tosses': [toss._asdict() for toss in report.tosses],
-        'warnings': list(report.warnings),
-    }
 
 
 def _say(report: 'SimulationReport', console: Console) -> None:
@@ -89,7 +70,8 @@ def _say(report: 'SimulationReport', console: Console) -> None:
     console.say(f'Recorded {report.duration:g} s to {report.bag}', 'bold')
     width = max(map(len, report.messages))
     for topic, count in report.messages.items():
-        put_in = _many(event.kind for event in report.events if event.topic == topic)
+        kinds = Counter(event.kind for event in report.events if event.topic == topic)
+        put_in = [many(count, kind, f'{kind}s') for kind, count in kinds.items()]
         console.say(f'  {topic:{width}}  {count:6} messages'
                     + (f', with {" and ".join(put_in)}' if put_in else ''))
     console.say(f'The cup bends by up to {math.degrees(report.largest_bending):.1f} degrees, '
@@ -104,8 +86,3 @@ def _say(report: 'SimulationReport', console: Console) -> None:
         console.say(f'The true motion: {report.truth}')
     for warning in report.warnings:
         console.warn(warning)
-
-
-def _many(kinds: Iterable[str]) -> list[str]:
-    """Return the kinds of events with their counts."""
-    return [f'{n} {kind}{"" if n == 1 else "s"}' for kind, n in Counter(kinds).items()]

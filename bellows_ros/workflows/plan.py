@@ -276,14 +276,19 @@ def _curves(
 
     def compute(changed: ModelTuple) -> Array:
         found = run.of(changed).at(1.0)
-        z = quaternion_to_rotation(found.states[:, 3:7])[:, :, 2]
-        sine = np.linalg.norm(np.cross(longer.rotation[:, :, 2], z), axis=1)
-        bending = np.arctan2(sine, np.sum(longer.rotation[:, :, 2] * z, axis=1))
+        angle = bending(longer.rotation, quaternion_to_rotation(found.states[:, 3:7]))
         factors = 1.0 / np.maximum(found.loads, 1.0 / LARGEST_FACTOR)
-        return np.hstack([found.states[:, :3], bending[:, None], factors, found.wrench])
+        return np.hstack([found.states[:, :3], angle[:, None], factors, found.wrench])
 
     return Curves(
         longer.seconds, longer.position, compute(model), _deviations(values, model, compute))
+
+
+def bending(R_world_tool: Array, R_world_lip: Array) -> Array:
+    """Return the angles (N,) in rad between the z axes of tool and lip."""
+    z_tool, z_lip = R_world_tool[:, :, 2], R_world_lip[:, :, 2]
+    sine = np.linalg.norm(np.cross(z_tool, z_lip), axis=1)
+    return np.asarray(np.arctan2(sine, np.sum(z_tool * z_lip, axis=1)))
 
 
 def factors_along(

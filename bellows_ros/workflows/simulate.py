@@ -11,7 +11,7 @@ import io
 import math
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.equilibrium import largest_step
@@ -28,7 +28,6 @@ from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
 from bellows_ros.core.synthetic.sensing import (
     measure_poses,
     measure_twists,
-    Measured,
     sample_stamps,
     Schedule,
     schedule,
@@ -40,7 +39,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.messages import BOOL, encode_bool
-from bellows_ros.workflows.plan import read_plan
+from bellows_ros.workflows.plan import bending, read_plan
 import numpy as np
 
 Progress = Callable[[str], None]
@@ -61,8 +60,7 @@ LARGEST_COUNT = 5_000_000
 """So many samples are simulated at most."""
 
 
-@dataclass(frozen=True)
-class Event:
+class Event(NamedTuple):
     """An outlier or a dropout that was put in: topic, kind, and when it began, s."""
 
     topic: str
@@ -110,6 +108,22 @@ class SimulationReport:
     warnings: tuple[str, ...]
     margin: Margin | None
     tosses: tuple[Thrown, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of the JSON file."""
+        return {
+            'bag': str(self.bag),
+            'truth': str(self.truth) if self.truth else None,
+            'duration_s': self.duration,
+            'messages': self.messages,
+            'events': [{'topic': e.topic, 'kind': e.kind, 'start_s': e.start}
+                       for e in self.events],
+            'largest_bending_rad': self.largest_bending,
+            'largest_bending_time_s': self.largest_bending_time,
+            'margin': self.margin and self.margin._asdict(),
+            'tosses': [toss._asdict() for toss in self.tosses],
+            'warnings': self.warnings,
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +199,11 @@ def simulate_recording(
             rotation=R_world_level.T @ tool.rotation)))
     bag = Path(out)
     truth_file = _output_files(bag, recipe.truth, replace)
-    plans = _plans(recipe)
+    plans = {
+        name: schedule(
+            sensor, recipe.motion.duration, recipe.motion.rest_duration, recipe.start_ns,
+            generator(recipe.seed, f'{name} plan'))
+        for name, sensor in (('tool', recipe.tool), ('package', recipe.package))}
     say(f'simulating {recipe.motion.duration:g} s')
     truth = _simulated(values, recipe, plans)
     recorded = _recorded(recipe, plans, truth, WORLDS[recipe.world] @ R_world_level)
@@ -203,21 +221,6 @@ def _output_files(bag: Path, truth: bool, replace: bool) -> Path | None:
     if not os.path.lexists(bag):
         atomic.require_file_target(bag)  # the folder around it is there
     return atomic.require_file_target(bag.with_name(f'{bag.name}_truth.npz')) if truth else None
-
-
-def _plans(recipe: Recipe) -> dict[str, Schedule]:
-    """Return when 'tool' and 'package' are sampled."""
-    motion = recipe.motion
-    return {
-        name: schedule(
-            sensor,
-            motion.duration,
-            motion.rest_duration,
-            recipe.start_ns,
-            generator(recipe.seed, f'{name} plan'),
-        )
-        for name, sensor in (('tool', recipe.tool), ('package', recipe.package))
-    }
 
 
 def _simulated(
@@ -255,26 +258,24 @@ def _recorded(
 ) -> list[Recorded | Encoded]:
     """Return the messages of all topics in recorded axes, by the rotation (3, 3) to them."""
     seed = recipe.seed
-    tool = truth.at(plans['tool'].sampled_ns).tool
-    at = truth.at(plans['package'].sampled_ns)
-    seen = changed(plans['package'], kept=plans['package'].kept & at.tracked)
-    poses = {
-        'tool': measure_poses(tool, recipe.tool, plans['tool'], world, generator(seed, 'tool')),
-        'package': measure_poses(
-            at.package, recipe.package, seen, world, generator(seed, 'package')),
-    }
-    recorded: list[Recorded | Encoded] = [
-        _messages(recipe, 'tool_pose', poses['tool'].stamps_ns, _pose_values(poses['tool']))
-    ]
-    if recipe.tool_twist:
-        draw = generator(seed, 'tool twist')
-        twists = measure_twists(
-            tool, recipe.tool_twist, recipe.tool.marker, plans['tool'], world, draw
-        )
-        values = np.hstack([twists.linear, twists.angular])
-        recorded.append(_messages(recipe, 'tool_twist', twists.stamps_ns, values))
-    values = _pose_values(poses['package'])
-    recorded.append(_messages(recipe, 'package_pose', poses['package'].stamps_ns, values))
+    tool, at = truth.at(plans['tool'].sampled_ns).tool, truth.at(plans['package'].sampled_ns)
+    tracked = changed(plans['package'], kept=plans['package'].kept & at.tracked)
+    recorded = list[Recorded | Encoded]()
+    for name, body, sensor, plan in (('tool', tool, recipe.tool, plans['tool']),
+                                     ('package', at.package, recipe.package, tracked)):
+        late_ns = round(sensor.latency * NS_PER_S)  # messages are received so much later
+        poses = measure_poses(body, sensor, plan, world, generator(seed, name))
+        recorded.append(Recorded(
+            recipe.topics[f'{name}_pose'], POSE, poses.stamps_ns,
+            np.hstack([poses.position, rotation_to_quaternion(poses.rotation)]), recipe.frame_id,
+            log_times_ns=poses.stamps_ns + late_ns))
+        if name == 'tool' and recipe.tool_twist:
+            twists = measure_twists(tool, recipe.tool_twist, sensor.marker, plan, world,
+                                    generator(seed, 'tool twist'))
+            recorded.append(Recorded(
+                recipe.topics['tool_twist'], TWIST, twists.stamps_ns,
+                np.hstack([twists.linear, twists.angular]), recipe.frame_id,
+                log_times_ns=twists.stamps_ns + late_ns))
     if recipe.releases:
         recorded.append(_valve(recipe))
     return recorded
@@ -288,24 +289,6 @@ def _valve(recipe: Recipe) -> Encoded:
     stamps_ns = recipe.start_ns + np.round(times * NS_PER_S).astype(np.int64)
     data = [encode_bool(k % 2 == 0) for k in range(len(times))]
     return Encoded(recipe.topics['valve'], BOOL, stamps_ns, data)
-
-
-def _pose_values(poses: Measured) -> Array:
-    """Return poses as messages have them (N, 7)."""
-    return np.hstack([poses.position, rotation_to_quaternion(poses.rotation)])
-
-
-def _messages(recipe: Recipe, role: str, stamps_ns: Stamps, values: Array) -> Recorded:
-    """Return the messages of one topic, received a latency after their stamps."""
-    sensor = recipe.package if role == 'package_pose' else recipe.tool
-    return Recorded(
-        recipe.topics[role],
-        TWIST if role == 'tool_twist' else POSE,
-        stamps_ns,
-        values,
-        recipe.frame_id,
-        log_times_ns=stamps_ns + round(sensor.latency * NS_PER_S),
-    )
 
 
 def _truth_bytes(
@@ -333,16 +316,6 @@ def _truth_bytes(
     return file.getvalue()
 
 
-def _margin(values: Mapping[str, Any], truth: Truth) -> Margin | None:
-    """Return the smallest safety factor of the grip while the package is held."""
-    grip = grip_of(values)
-    if grip is None:
-        return None
-    model = model_tuple(cup_of(values), package_of(values), values['gravity.magnitude'])
-    wrench = lip_wrenches(model, truth.tool, truth.package)
-    return margin(grip, wrench[truth.held], truth.tool.seconds[truth.held])
-
-
 def _report(
     values: Mapping[str, Any],
     bag: Path,
@@ -353,50 +326,28 @@ def _report(
     truth: Truth,
 ) -> SimulationReport:
     """Return what was recorded."""
-    seconds = truth.tool.seconds
-    angle = np.where(truth.held, bending(truth.tool, truth.package), 0.0)
+    seconds, held = truth.tool.seconds, truth.held
+    angle = np.where(held, bending(truth.tool.rotation, truth.package.rotation), 0.0)
     worst = int(np.argmax(angle))
+    events = [
+        Event(recipe.topics[f'{name}_pose'], kind, (int(ns) - recipe.start_ns) / NS_PER_S)
+        for name, plan in plans.items()
+        for kind, starts in (('outlier', plan.jumps), ('dropout', plan.dropouts))
+        for ns in plan.sampled_ns[list(starts)]]
+    warnings: tuple[str, ...] = ()
+    if angle[worst] > BENDING_LIMIT:
+        warnings = (
+            f'The cup bends by up to {math.degrees(angle[worst]):.0f} degrees, and by more than '
+            f'{math.degrees(BENDING_LIMIT):.0f} from {seconds[angle > BENDING_LIMIT][0]:.3f} s '
+            'on. Beyond that the modelled restoring moment falls and the package may flip. Real '
+            'cups bend some 20 degrees; use smaller or slower motions.',)
+    grip, smallest = grip_of(values), None
+    if grip is not None:
+        model = model_tuple(cup_of(values), package_of(values), values['gravity.magnitude'])
+        wrench = lip_wrenches(model, truth.tool, truth.package)
+        smallest = margin(grip, wrench[held], seconds[held])
     return SimulationReport(
-        bag=bag,
-        truth=truth_file,
-        duration=recipe.motion.duration,
-        messages={r.topic: len(r.stamps_ns) for r in recorded},
-        events=_events(recipe, plans),
-        largest_bending=float(angle[worst]),
-        largest_bending_time=float(seconds[worst]),
-        warnings=_bending_warning(angle, seconds),
-        margin=_margin(values, truth),
-        tosses=truth.tosses,
-    )
-
-
-def bending(tool: Trajectory, package: Trajectory) -> Array:
-    """Return the angles (N,) in rad between the z axes of tool and lip."""
-    z_tool, z_lip = tool.rotation[:, :, 2], package.rotation[:, :, 2]
-    sine = np.linalg.norm(np.cross(z_tool, z_lip), axis=1)
-    angle: Array = np.arctan2(sine, np.sum(z_tool * z_lip, axis=1))
-    return angle
-
-
-def _bending_warning(angle: Array, seconds: Array) -> tuple[str, ...]:
-    """Return the warning about bending that no cup survives, or nothing."""
-    beyond = np.flatnonzero(angle > BENDING_LIMIT)
-    if not len(beyond):
-        return ()
-    return (
-        f'The cup bends by up to {math.degrees(angle.max()):.0f} degrees, and by more than '
-        f'{math.degrees(BENDING_LIMIT):.0f} from {seconds[beyond[0]]:.3f} s on. Beyond that the '
-        'modelled restoring moment falls and the package may flip. Real cups bend some 20 '
-        'degrees; use smaller or slower motions.',
-    )
-
-
-def _events(recipe: Recipe, plans: Mapping[str, Schedule]) -> tuple[Event, ...]:
-    """Return the outliers and dropouts of both bodies."""
-    events = []
-    for name, plan in plans.items():
-        topic = recipe.topics[f'{name}_pose']
-        for kind, starts in (('outlier', plan.jumps), ('dropout', plan.dropouts)):
-            times = (plan.sampled_ns[list(starts)] - recipe.start_ns) / NS_PER_S
-            events += [Event(topic, kind, float(time)) for time in times]
-    return tuple(sorted(events, key=lambda event: (event.topic, event.start)))
+        bag, truth_file, recipe.motion.duration,
+        {own.topic: len(own.stamps_ns) for own in recorded},
+        tuple(sorted(events, key=lambda event: (event.topic, event.start))),
+        float(angle[worst]), float(seconds[worst]), warnings, smallest, truth.tosses)
