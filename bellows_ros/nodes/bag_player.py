@@ -1,32 +1,43 @@
-"""Play the topics of a recording to ROS, with rclpy but without `ros2 bag`."""
+"""Play recorded messages to ROS when they are due, with rclpy but without `ros2 bag`."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+import gc
 import importlib
 import struct
 import time
 from typing import Any
 
 from bellows_ros.core.trajectory import NS_PER_S
-from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import Message, Topic
+import rclpy
+from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from .player import ros, Send, send_all
-
 QUEUE = 1000
 """Messages kept on the way, for subscriptions that are slow for a moment."""
 
 LISTENER_TIMEOUT = 5.0
-"""How long (s) somebody is waited for who listens."""
+"""How long (s) to wait for a subscriber."""
 
 LOOK_EVERY = 0.05
-STAMP_AT = 4
-"""Bytes of CDR before the stamp of a message that begins with its header."""
+
+LAST_MOMENT = 200e-6
+"""So long (s) before a message is due nothing else is done."""
+
+LEAD_TIME = 0.2
+"""Time (s) from the start to the first message."""
+
+STAMP = slice(4, 12)
+"""Where the stamp is in a CDR message that begins with its header."""
+
+Say = Callable[[str, float], None]
+"""Takes what is being done, and the part (0 to 1) that is done."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +55,7 @@ class Played:
     latest : float
         Largest lateness of a message, s.
     heard : bool
-        Whether somebody listened when it began.
+        Whether there was a subscriber at the start.
 
     """
 
@@ -61,7 +72,7 @@ def play(
     rate: float = 1.0,
     stamps_now: bool = False,
     loop: bool = False,
-    say: Callable[[str, float], None] = lambda stage, fraction: None,
+    say: Say = lambda stage, fraction: None,
 ) -> Played:
     """
     Send recorded messages, byte by byte as they were recorded, in their time.
@@ -69,7 +80,7 @@ def play(
     Parameters
     ----------
     messages : sequence of Message
-        In the order they were recorded in; at least one.
+        Poses and twists in the order they were recorded in; at least one.
     names : mapping of str to str
         The names under which topics are played, by those under which they were recorded.
     rate : float
@@ -81,103 +92,124 @@ def play(
     say : callable
         Called with what is being done and the part (0 to 1) that is done.
 
-    Raises
-    ------
-    BellowsError
-        If a message type is not installed.
-
     """
-    types = {topic: _type(topic) for topic in dict.fromkeys(m.topic for m in messages)}
     first_ns = messages[0].log_time_ns
     latest, rounds = 0.0, 0
-    with ros() as (context, executor):
-        node = Node('bellows_player', context=context)
-        executor.add_node(node)
+    with playing('bellows_player') as (node, executor):
         qos = QoSProfile(depth=QUEUE)
-        out = {topic: node.create_publisher(kind, names[topic.name], qos)
-               for topic, kind in types.items()}
-        say('waiting for somebody who listens', 0.0)
-        heard = _await_listener(executor, list(out.values()))
-        restamped = {topic for topic, kind in types.items() if stamps_now and _has_header(kind)}
+        out = {topic: publisher(node, topic, names[topic.name], qos)
+               for topic in dict.fromkeys(m.topic for m in messages)}
+        say('waiting for a subscriber', 0.0)
+        heard = spin_until(
+            executor, lambda: any(p.get_subscription_count() for p in out.values()),
+            LISTENER_TIMEOUT)
         while loop or not rounds:
-            clock = _Clock(first_ns, rate)
-            plan: list[Send] = [
-                (clock.due(message), partial(
-                    _send, out[message.topic].publish, message.data,
-                    clock if message.topic in restamped else None))
-                for message in messages
-            ]
-            latest = max(latest, *send_all(executor, plan, say))
+            begin_ns = time.time_ns() + round(LEAD_TIME * NS_PER_S)
+
+            def send(message: Message, begin_ns: int = begin_ns) -> None:
+                """Send a message, stamped anew where that is wanted."""
+                data = message.data
+                if stamps_now:
+                    data = stamped(data, lambda ns: begin_ns + round((ns - first_ns) / rate))
+                out[message.topic].publish(data)
+
+            latest = max(latest, send_all(executor, messages, send, say, rate))
             rounds += 1
-        _await_acknowledged(list(out.values()))
+        for each in out.values():  # let what is on its way arrive before the topics vanish
+            each.wait_for_all_acked(Duration(seconds=LISTENER_TIMEOUT))
+    counts = Counter(names[message.topic.name] for message in messages)
+    return Played(
+        {name: count * rounds for name, count in counts.items()},
+        (messages[-1].log_time_ns - first_ns) / NS_PER_S / rate, rounds, latest, heard)
+
+
+def send_all(
+    executor: SingleThreadedExecutor, messages: Sequence[Message],
+    send: Callable[[Message], None], say: Say, rate: float = 1.0,
+) -> float:
+    """
+    Send messages when they are due, with no garbage collected between them.
+
+    Parameters
+    ----------
+    executor : SingleThreadedExecutor
+        Spun while nothing is due.
+    messages : sequence of Message
+        In the order of their times.
+    send : callable
+        Takes each.
+    say : callable
+        Called once a second with what is being done and the part (0 to 1) that is done.
+    rate : float
+        Seconds of the recording per second.
+
+    Returns
+    -------
+    float
+        By how much a message was sent later than due, at most, s.
+
+    """
+    latest = shown = 0.0
+    first_ns = messages[0].log_time_ns
+    duration = (messages[-1].log_time_ns - first_ns) / NS_PER_S / rate
+    start = time.monotonic() + LEAD_TIME
+    gc.collect()
+    gc.disable()
+    try:
+        for message in messages:
+            due = (message.log_time_ns - first_ns) / NS_PER_S / rate
+            if due > shown:
+                say('playing the recording', due / duration)
+                shown += 1.0
+            while (left := start + due - time.monotonic()) > LAST_MOMENT:
+                executor.spin_once(timeout_sec=left - LAST_MOMENT)
+            while (late := time.monotonic() - start - due) < 0.0:
+                pass
+            latest = max(latest, late)
+            send(message)
+    finally:
+        gc.enable()
+    return latest
+
+
+@contextmanager
+def playing(name: str) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
+    """Provide a node in a ROS context of its own, and the executor that spins it."""
+    context = Context()
+    rclpy.init(args=[], context=context)
+    executor = SingleThreadedExecutor(context=context)
+    node = Node(name, context=context)
+    executor.add_node(node)
+    try:
+        yield node, executor
+    finally:
+        executor.shutdown()
         node.destroy_node()
-    counts: dict[str, int] = {}
-    for message in messages:
-        name = names[message.topic.name]
-        counts[name] = counts.get(name, 0) + rounds
-    return Played(counts, plan[-1][0], rounds, latest, heard)
+        context.try_shutdown()
 
 
-class _Clock:
-    """The time at which what was recorded happens once more."""
-
-    def __init__(self, first_ns: int, rate: float) -> None:
-        """Begin with the first message that is stamped."""
-        self._first_ns, self._rate = first_ns, rate
-        self._begin_ns = 0
-
-    def due(self, message: Message) -> float:
-        """Return when a message is due, s after the first."""
-        return (message.log_time_ns - self._first_ns) / NS_PER_S / self._rate
-
-    def now_ns(self, stamp_ns: int) -> int:
-        """Return the stamp of what was stamped so when it was recorded."""
-        self._begin_ns = self._begin_ns or time.time_ns()
-        return self._begin_ns + round((stamp_ns - self._first_ns) / self._rate)
+def spin_until(
+    executor: SingleThreadedExecutor, done: Callable[[], bool], timeout: float,
+    meanwhile: Callable[[], None] = lambda: None,
+) -> bool:
+    """Receive until something is done, for so long (s) at most; return whether it is."""
+    deadline = time.monotonic() + timeout
+    while not (is_done := done()) and time.monotonic() < deadline:
+        meanwhile()
+        executor.spin_once(timeout_sec=LOOK_EVERY)
+    return is_done
 
 
-def _send(publish: Callable[[bytes], None], data: bytes, clock: _Clock | None) -> None:
-    """Send a message, stamped anew where there is a clock."""
-    publish(stamped(data, clock.now_ns) if clock else data)
+def publisher(node: Node, topic: Topic, name: str, qos: QoSProfile) -> Any:
+    """Return a publisher of a recorded topic's messages under some name; it takes their bytes."""
+    package, _, kind = topic.type_name.partition('/msg/')
+    return node.create_publisher(
+        getattr(importlib.import_module(f'{package}.msg'), kind), name, qos)
 
 
 def stamped(data: bytes, new_ns: Callable[[int], int]) -> bytes:
     """Return a CDR message that begins with its header, with the stamp that a function makes."""
     layout = '<iI' if data[1] & 1 else '>iI'
-    seconds, nanoseconds = struct.unpack_from(layout, data, STAMP_AT)
+    seconds, nanoseconds = struct.unpack(layout, data[STAMP])
     new = divmod(new_ns(seconds * 10**9 + nanoseconds), 10**9)
-    return data[:STAMP_AT] + struct.pack(layout, *new) + data[STAMP_AT + 8:]
-
-
-def _type(topic: Topic) -> Any:
-    """Return the class of a topic's messages."""
-    package, _, name = topic.type_name.partition('/msg/')
-    try:
-        return getattr(importlib.import_module(f'{package}.msg'), name)
-    except (ImportError, AttributeError, ValueError):
-        raise BellowsError(
-            f"Topic '{topic.name}' cannot be played, because its type {topic.type_name} is not "
-            'installed. Name the topics to play with --topic.'
-        ) from None
-
-
-def _has_header(kind: Any) -> bool:
-    """Return whether messages of a type begin with a header, and so with a stamp."""
-    first = next(iter(kind.get_fields_and_field_types().values()), '')
-    return bool(first == 'std_msgs/Header')
-
-
-def _await_listener(executor: SingleThreadedExecutor, publishers: Sequence[Any]) -> bool:
-    """Wait a while for somebody to listen to one of the topics; return whether anybody does."""
-    deadline = time.monotonic() + LISTENER_TIMEOUT
-    while not (heard := any(p.get_subscription_count() for p in publishers)):
-        if time.monotonic() > deadline:
-            break
-        executor.spin_once(timeout_sec=LOOK_EVERY)
-    return heard
-
-
-def _await_acknowledged(publishers: Sequence[Any]) -> None:
-    """Let what is on its way arrive before the topics vanish."""
-    for publisher in publishers:
-        publisher.wait_for_all_acked(Duration(seconds=LISTENER_TIMEOUT))
+    return data[:STAMP.start] + struct.pack(layout, *new) + data[STAMP.stop:]
