@@ -10,11 +10,9 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.cli.console import Console, INTERRUPTED, NOT_USABLE, OK
-from bellows_ros.core.arrays import Array
 from bellows_ros.core.live.replay import compare_recorded
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.residuals import Comparison
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
@@ -49,20 +47,6 @@ Progress = Callable[[str, float], None]
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the demonstration and return the exit code; 0 only if all went well."""
-    arguments = _parser().parse_args(args)
-    console = Console(sys.stdout, sys.stderr)
-    try:
-        return run(arguments.bags, arguments.out, console)
-    except BellowsError as error:
-        console.error(str(error))
-        return error.exit_code
-    except KeyboardInterrupt:
-        console.note('Interrupted.')
-        return INTERRUPTED
-
-
-def _parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(
         prog='python -m bellows_ros.demo',
         description='Identify a cup from one recording, predict another one live over DDS with '
@@ -76,14 +60,28 @@ def _parser() -> argparse.ArgumentParser:
         '--out', metavar='FOLDER', type=Path, default=Path('demo_output'),
         help='gets the pictures, the cup, the fit and the log (default: %(default)s)',
     )
-    return parser
+    arguments = parser.parse_args(args)
+    console = Console(sys.stdout, sys.stderr)
+    try:
+        return run(arguments.bags, arguments.out, console)
+    except BellowsError as error:
+        console.error(str(error))
+        return error.exit_code
+    except KeyboardInterrupt:
+        console.note('Interrupted.')
+        return INTERRUPTED
 
 
 def run(bags: Path, out: Path, console: Console) -> int:
     """Identify, predict live, compare, and show the outcome."""
     start = time.monotonic()
     _require_all(bags)
-    _make(out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BellowsError(
+            f"Output folder '{out}' cannot be made: {error.strerror}. Give another with --out."
+        ) from None
     known = read_parameters(bags / KNOWN)
     found = _identify(bags / IDENTIFICATION, known, out, console)
     if not found.fit.usable:
@@ -115,16 +113,6 @@ def _require_all(bags: Path) -> None:
             )
 
 
-def _make(folder: Path) -> None:
-    """Make a folder where it is not there."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BellowsError(
-            f"Output folder '{folder}' cannot be made: {error.strerror}. Give another with --out."
-        ) from None
-
-
 def _identify(bag: Path, known: Settings, out: Path, console: Console) -> Identification:
     """Identify the cup, and write it where it can be used."""
     console.say(f'1. Identify the cup from {bag}', 'bold')
@@ -144,72 +132,34 @@ def _predict_and_compare(
     console.say(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
     recorded = load_recording(bag, settings)
     with console.progress() as progress:
-        exchange = predict_live(recorded, out, progress)
+        exchange = _predict_live(recorded, out, progress)
     console.say('3. Compare its poses with the measured ones', 'bold')
-    comparison = _compare(recorded, exchange)
-    _draw(recorded.since_start(comparison.stamps_ns), comparison, out)
-    return Outcome(
-        fit=found.fit,
-        scores=comparison.scores,
-        sent_poses=exchange.sent_poses,
-        sent_twists=exchange.sent_twists,
-        received=len(np.unique(exchange.stamps_ns)),
-        latency=exchange.latency,
-        duration=float(np.ptp(recorded.tool_pose.stamps_ns)) / NS_PER_S,
-        noise=_noise(bags / MOTION),
-    )
+    if not len(exchange.stamps_ns):
+        raise BellowsError('The predictor did not answer. See its log, predictor.log.')
+    stamps, first = np.unique(exchange.stamps_ns, return_index=True)
+    live = Trajectory(stamps, exchange.position[first], exchange.rotation[first])
+    comparison = compare_recorded(live, recorded.measured_tool, recorded.measured_package)
+    seconds = recorded.since_start(comparison.stamps_ns)
+    title = 'Package: predicted live, and measured'
+    note = 'relative to the tool; the cup was identified from another recording'
+    for theme, name in PICTURES.items():
+        write_figure(out / name, prediction_figure(seconds, comparison, title, note, theme))
+    duration = float(np.ptp(recorded.tool_pose.stamps_ns)) / NS_PER_S
+    motion = bags / MOTION
+    noise = safe_yaml.load(motion).get('package', {}).get('noise', {}) if motion.exists() else {}
+    return Outcome(found.fit, comparison.scores, exchange, duration, noise)
 
 
-def predict_live(recorded: Recording, out: Path, progress: Progress) -> 'Exchange':
+def _predict_live(recorded: Recording, out: Path, progress: Progress) -> 'Exchange':
     """
     Play a recording's tool-arm messages to the node predictor at recorded speed.
 
     From here on this process has a ROS domain of its own, reached from this machine only.
-
-    Parameters
-    ----------
-    recorded : Recording
-        The recording.
-    out : Path
-        Folder with cup.yaml, the node's parameters; gets its log.
-    progress : callable
-        Called with what is being done and how far it is.
-
-    Returns
-    -------
-    Exchange
-        What was sent and what came back.
-
     """
     with tempfile.TemporaryDirectory(prefix='bellows_log_') as logs:
         isolate(logs)
         from bellows_ros.nodes.demo_player import Player
 
-        with predictor([out / 'cup.yaml'], out / 'predictor.log') as require_alive:
+        with predictor(out / 'cup.yaml', out / 'predictor.log') as require_alive:
             player = Player(recorded.tool_pose, recorded.tool_twist, require_alive)
             return player.play(progress)
-
-
-def _compare(recorded: Recording, exchange: 'Exchange') -> Comparison:
-    """Return the node's predictions beside the measured coordinates, at the measured stamps."""
-    if not len(exchange.stamps_ns):
-        raise BellowsError('The predictor did not answer. See its log, predictor.log.')
-    stamps, first = np.unique(exchange.stamps_ns, return_index=True)
-    live = Trajectory(stamps, exchange.position[first], exchange.rotation[first])
-    return compare_recorded(live, recorded.measured_tool, recorded.measured_package)
-
-
-def _noise(motion: Path) -> tuple[float, float] | None:
-    """Return the noise (m, rad) that a recording was made with, where its motion file is there."""
-    if not motion.exists():
-        return None
-    noise = safe_yaml.load(motion).get('package', {}).get('noise', {})
-    return noise.get('position', 0.0), noise.get('rotation', 0.0)
-
-
-def _draw(seconds: Array, comparison: Comparison, out: Path) -> None:
-    """Write the pictures."""
-    title = 'Package: predicted live, and measured'
-    note = 'relative to the tool; the cup was identified from another recording'
-    for theme, name in PICTURES.items():
-        write_figure(out / name, prediction_figure(seconds, comparison, title, note, theme))

@@ -1,6 +1,6 @@
 """The node predictor as a process of its own, started and stopped cleanly."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 import signal
@@ -14,13 +14,13 @@ LAST_LINES = 15
 
 
 @contextmanager
-def predictor(parameter_files: Sequence[Path], log: Path) -> Iterator[Callable[[], None]]:
+def predictor(parameters: Path, log: Path) -> Iterator[Callable[[], None]]:
     """
     Run the node while the context lasts.
 
     Parameters
     ----------
-    parameter_files : sequence of Path
+    parameters : Path
         For --params-file.
     log : Path
         Gets all that the node says.
@@ -31,8 +31,8 @@ def predictor(parameter_files: Sequence[Path], log: Path) -> Iterator[Callable[[
         Raises BellowsError, with the end of the log, when the node has ended by itself.
 
     """
-    files = [word for file in parameter_files for word in ('--params-file', str(file))]
-    command = [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *files]
+    command = [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args',
+               '--params-file', str(parameters)]
     with log.open('wb') as output:
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
@@ -40,30 +40,20 @@ def predictor(parameter_files: Sequence[Path], log: Path) -> Iterator[Callable[[
 
     def require_alive() -> None:
         if process.poll() is not None:
+            lines = log.read_text(errors='replace').splitlines()[-LAST_LINES:]
+            end = '\n'.join(f'  {line}' for line in lines) or '  (it is empty)'
             raise BellowsError(
                 f'The predictor exited with code {process.returncode}. The end of its log, '
-                f'{log}:\n{_tail(log)}'
-            )
+                f'{log}:\n{end}')
 
     try:
         yield require_alive
         require_alive()
     finally:
-        _end(process)
-
-
-def _end(process: 'subprocess.Popen[bytes]') -> None:
-    """Ask the node to end as Ctrl-C does; insist when it does not."""
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-    try:
-        process.wait(END_TIMEOUT)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
-def _tail(log: Path) -> str:
-    """Return the last lines of a log."""
-    lines = log.read_text(errors='replace').splitlines()
-    return '\n'.join(f'  {line}' for line in lines[-LAST_LINES:]) or '  (it is empty)'
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)  # as Ctrl-C does
+        try:
+            process.wait(END_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
