@@ -286,9 +286,16 @@ def open_plain(path: Path) -> Iterator[tuple[BinaryIO, bool]]:
             yield cast(BinaryIO, plain), True
 
 
-def unzstd(data: bytes, limit: int, cut: bool = False) -> bytes:
+# What decompresses frames of a form, and what that raises where they are damaged.
+FRAMES: dict[str, tuple[Any, type[Exception]]] = {
+    'zstd': (zstd.ZstdDecompressor, zstd.ZstdError),
+    'lz4': (lz4.frame.LZ4FrameDecompressor, RuntimeError),
+}
+
+
+def decompressed(form: str, data: bytes, limit: int, cut: bool = False) -> bytes:
     """
-    Decompress zstd frames that hold no more than a number of bytes together.
+    Decompress frames of a form that hold no more than a number of bytes together.
 
     Of data that is cut short, what there is.
 
@@ -298,35 +305,15 @@ def unzstd(data: bytes, limit: int, cut: bool = False) -> bytes:
         If the data is damaged, incomplete, or longer than the limit once decompressed.
 
     """
-    try:
-        return _decompress(zstd.ZstdDecompressor, data, limit, cut)
-    except zstd.ZstdError as error:
-        raise DamagedError(f'zstd data is damaged: {error}') from None
-
-
-def unlz4(data: bytes, limit: int, cut: bool = False) -> bytes:
-    """
-    Decompress lz4 frames that hold no more than a number of bytes together; see `unzstd`.
-
-    Raises
-    ------
-    DamagedError
-        If the data is damaged, incomplete, or longer than the limit once decompressed.
-
-    """
-    try:
-        return _decompress(lz4.frame.LZ4FrameDecompressor, data, limit, cut)
-    except RuntimeError as error:  # what lz4 raises for damaged frames
-        raise DamagedError(f'lz4 data is damaged: {error}') from None
-
-
-def _decompress(new_decompressor: Any, data: bytes, limit: int, cut: bool) -> bytes:
-    """Decompress frame after frame."""
+    new_decompressor, damage = FRAMES[form]
     pieces = []
     left = limit
     while data:
         frame = new_decompressor()
-        piece = frame.decompress(data, max_length=left + 1)
+        try:
+            piece = frame.decompress(data, max_length=left + 1)
+        except damage as error:
+            raise DamagedError(f'{form} data is damaged: {error}') from None
         left -= len(piece)
         if left < 0:
             raise DamagedError(f'decompressed data is longer than the {limit} bytes expected')

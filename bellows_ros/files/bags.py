@@ -19,13 +19,12 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import mcap, messages
 from bellows_ros.files.bag_folder import (
     DamagedError,
+    decompressed,
     differing_counts,
-    Listing,
     listing,
     Message,
     open_plain,
     Topic,
-    unzstd,
     Wanted,
     ZSTD_MAGIC,
     ZstdError,
@@ -84,6 +83,53 @@ class Contents(NamedTuple):
         return self.streams
 
 
+class _Bag:
+    """
+    A recording while it is read.
+
+    Attributes
+    ----------
+    counts : dict
+        Every topic, with its number of messages; filled while reading.
+    notes : list of str
+        What is missing in it, or differs from what it says of itself; whole once it is read.
+
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Look for its files; raise BellowsError where there are none."""
+        self.path = Path(path)
+        self._listed = listing(path)
+        self.counts: dict[Topic, int] = {}
+        self.notes = list(self._listed.notes)
+
+    def messages(self, wanted: Wanted) -> Iterator[Message]:
+        """Yield the messages of the wanted topics, file by file."""
+        for file in self._listed.files:
+            lost: list[str] = []
+            try:
+                yield from _file_messages(file, wanted, self.counts, lost)
+            except DamagedError as error:
+                raise BellowsError(
+                    f"File '{file}' cannot be read as a recording: {error}. "
+                    'Give a sound copy, or record again.') from None
+            except (ZstdError, EOFError) as error:
+                raise BellowsError(
+                    f"File '{file}' is damaged or truncated: {error}. "
+                    'Give a sound copy, or record again.') from None
+            except OSError as error:
+                raise BellowsError(f"File '{file}' cannot be read: {error}.") from None
+            self.notes += [f"File '{file}' is not whole: {what}." for what in lost]
+        self.notes += differing_counts(self._listed, self.counts)
+
+    def require_messages(self) -> None:
+        """Refuse a recording without messages."""
+        if not any(self.counts.values()):
+            raise BellowsError(' '.join([
+                f"Recording '{self.path}' is empty: it has {len(self.counts)} topics and no "
+                'message.', *self.notes, 'Record while the topics are published.']))
+
+
 def topics(path: str | os.PathLike[str], notes: list[str] | None = None) -> list[TopicCount]:
     """
     Return the topics of a recording, by name.
@@ -101,14 +147,12 @@ def topics(path: str | os.PathLike[str], notes: list[str] | None = None) -> list
         If there is no such recording, or it is damaged.
 
     """
-    counts: dict[Topic, int] = {}
-    listed = listing(path)
-    found = list(listed.notes)
-    for _ in _messages(listed, lambda topic: False, counts, found):
+    bag = _Bag(path)
+    for _ in bag.messages(lambda topic: False):
         pass
     if notes is not None:
-        notes += [*found, *differing_counts(listed, counts)]
-    return sorted(TopicCount(t.name, t.type_name, n) for t, n in counts.items())
+        notes += bag.notes
+    return sorted(TopicCount(t.name, t.type_name, n) for t, n in bag.counts.items())
 
 
 def read_messages(
@@ -137,33 +181,29 @@ def read_messages(
         be read.
 
     """
-    bag, wanted = Path(path), {_absolute(name) for name in names}
+    bag, wanted = _Bag(path), {_absolute(name) for name in names}
 
     def chosen(topic: Topic) -> bool:
         readable = topic.type_name in messages.LAYOUTS and topic.encoding == 'cdr'
         return readable and (not wanted or topic.name in wanted)
 
-    counts: dict[Topic, int] = {}
     found: list[Message] = []
-    listed = listing(bag)
-    notes = list(listed.notes)
-    for message in _messages(listed, chosen, counts, notes):
+    for message in bag.messages(chosen):
         if len(found) == LARGEST_COUNT:
-            raise BellowsError(f"Recording '{bag}' has more than {LARGEST_COUNT} messages on "
+            raise BellowsError(f"Recording '{path}' has more than {LARGEST_COUNT} messages on "
                                'these topics. Name fewer of them.')
         found.append(message._replace(data=_plain(message.data)))
-    _require_messages(bag, counts, notes)
-    here = {topic.name for topic in counts if chosen(topic)}
+    bag.require_messages()
+    here = {topic.name for topic in bag.counts if chosen(topic)}
     if wanted - here or not here:
-        there = ', '.join(sorted(f'{t.name} ({t.type_name})' for t in counts))
+        there = ', '.join(sorted(f'{t.name} ({t.type_name})' for t in bag.counts))
         raise BellowsError(
-            f"Recording '{bag}' has no poses or twists on "
+            f"Recording '{path}' has no poses or twists on "
             f'{", ".join(sorted(wanted - here)) or "any topic"}; there are: {there}.')
     whole = [message for message in found if len(message.data) >= SHORTEST]
     if len(whole) < len(found):
-        notes.append(f'{len(found) - len(whole)} damaged messages are left out.')
-    notes += differing_counts(listed, counts)
-    return sorted(whole, key=lambda message: message.log_time_ns), notes
+        bag.notes.append(f'{len(found) - len(whole)} damaged messages are left out.')
+    return sorted(whole, key=lambda message: message.log_time_ns), bag.notes
 
 
 def read_streams(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> dict[str, Stream]:
@@ -199,28 +239,25 @@ def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Co
         If there is no such recording, it is damaged, or has no messages.
 
     """
-    bag = Path(path)
-    listed = listing(bag)
-    names = {role: _absolute(topic) for role, topic in wanted.items() if topic}
-    collectors = {role: _Collector(name, role) for role, name in names.items()}
-    counts: dict[Topic, int] = {}
-    notes = list(listed.notes)
+    bag = _Bag(path)
+    collectors = [_Collector(_absolute(topic), role) for role, topic in wanted.items() if topic]
     takers: dict[Topic, list[_Collector]] = {}
-    for message in _messages(
-            listed, lambda topic: any(c.accepts(topic) for c in collectors.values()), counts,
-            notes):
-        if message.topic not in takers:
-            takers[message.topic] = [c for c in collectors.values() if c.accepts(message.topic)]
+
+    def is_wanted(topic: Topic) -> bool:
+        """Note who takes a topic's messages, and return whether anybody does."""
+        takers[topic] = [each for each in collectors if each.accepts(topic)]
+        return bool(takers[topic])
+
+    for message in bag.messages(is_wanted):
         for collector in takers[message.topic]:
             collector.add(message)
-    _require_messages(bag, counts, notes)
-    notes += differing_counts(listed, counts)
-    contents = Contents({}, {}, tuple(notes))
-    for role, collector in collectors.items():
+    bag.require_messages()
+    contents = Contents({}, {}, tuple(bag.notes))
+    for collector in collectors:
         try:
-            contents.streams[role] = _stream(bag, counts, collector)
+            contents.streams[collector.role] = collector.stream(bag)
         except BellowsError as problem:
-            contents.problems[role] = problem
+            contents.problems[collector.role] = problem
     return contents
 
 
@@ -246,13 +283,17 @@ def messages_of(
 
     """
     name = _absolute(topic) if topic else ''
-    for message in _messages(
-        listing(path),
-        lambda t: t.type_name in types and t.encoding == 'cdr' and name in ('', t.name), {}, [],
+    for message in _Bag(path).messages(
+        lambda t: t.type_name in types and t.encoding == 'cdr' and name in ('', t.name)
     ):
         data = message.data
-        plain = unzstd(data, LARGEST_PLAN) if data.startswith(ZSTD_MAGIC) else data
-        yield message.topic.name, message.topic.type_name, message.log_time_ns, bytes(plain)
+        plain = decompressed('zstd', data, LARGEST_PLAN) if data.startswith(ZSTD_MAGIC) else data
+        yield message.topic.name, message.topic.type_name, message.log_time_ns, plain
+
+
+def decoded(data: bytes, type_name: str) -> Any:
+    """Return a message as an object with its fields, of any type."""
+    return _types().deserialize_cdr(data, type_name)
 
 
 @cache
@@ -261,11 +302,6 @@ def _types() -> Any:
     from rosbags.typesys import get_typestore, Stores  # late: takes long, and is rarely needed
 
     return get_typestore(Stores.ROS2_JAZZY)
-
-
-def decoded(data: bytes, type_name: str) -> Any:
-    """Return a message as an object with its fields, of any type."""
-    return _types().deserialize_cdr(data, type_name)
 
 
 def _absolute(topic: str) -> str:
@@ -280,74 +316,104 @@ def accepted_types(role: str) -> tuple[str, ...]:
 
 
 class _Collector:
-    """The messages of one topic, decoded in batches as they come."""
+    """The messages of one topic for one role, decoded in batches as they come."""
 
     def __init__(self, name: str, role: str) -> None:
         """Start with nothing."""
-        self.name = name
         self.role = role
-        self.given_by = '--observe' if role == 'measured' else f'topics.{role}'
-        self.type_name = ''
-        self.types = accepted_types(role)
-        self._problem: BellowsError | None = None
+        self._name = name
+        self._twists = role.endswith('twist')
+        self._types = accepted_types(role)
+        self._type_name = ''
+        self._problem = ''
         self._log_times = array('q')
         self._batch: list[bytes] = []
+        self._frames: dict[tuple[str, ...], int] = {}
         self._decoded: list[messages.Decoded] = []
 
     def accepts(self, topic: Topic) -> bool:
         """Return whether a topic is this one, in a type and an encoding that can be read."""
         return (
-            topic.name == self.name and topic.type_name in self.types and topic.encoding == 'cdr'
+            topic.name == self._name and topic.type_name in self._types and topic.encoding == 'cdr'
         )
 
     def add(self, message: Message) -> None:
-        """Take one message, unless one before could not be taken."""
-        if self._problem is None:
-            self._problem = self._why_not(message)
-        if self._problem is not None:
+        """Take one message, unless it, or one before, cannot be taken."""
+        if self._type_name not in ('', message.topic.type_name):
+            self._problem = (
+                f"Topic '{self._name}' has messages of two types, {self._type_name} and "
+                f'{message.topic.type_name}. Record them under two names.')
+        elif len(self._log_times) == LARGEST_COUNT:
+            self._problem = (
+                f"Topic '{self._name}' has more than {LARGEST_COUNT} messages. "
+                'Give a part of the recording.')
+        if self._problem:
             return
-        self.type_name = message.topic.type_name
+        self._type_name = message.topic.type_name
         self._log_times.append(max(0, min(message.log_time_ns, _LARGEST_INT64)))
         self._batch.append(_plain(message.data))
         if len(self._batch) == _BATCH:
             self._flush()
 
-    def _why_not(self, message: Message) -> BellowsError | None:
-        """Return why a message cannot be taken, or None."""
-        if self.type_name not in ('', message.topic.type_name):
-            return BellowsError(
-                f"Topic '{self.name}' has messages of two types, {self.type_name} and "
-                f'{message.topic.type_name}. Record them under two names.'
-            )
-        if len(self._log_times) == LARGEST_COUNT:
-            return BellowsError(
-                f"Topic '{self.name}' has more than {LARGEST_COUNT} messages. "
-                'Give a part of the recording.'
-            )
-        return None
-
-    def decoded(self) -> messages.Decoded:
-        """Return all messages, in the order they were recorded in; raise what stopped it."""
-        if self._problem is not None:
-            raise self._problem
-        self._flush()
-        frames, frame = _joined_frames(self._decoded)
-        stamps_ns = np.concatenate([d.stamps_ns for d in self._decoded])
-        values = np.concatenate([d.values for d in self._decoded])
-        self._decoded.clear()
-        order = np.argsort(self._log_times, kind='stable')
-        arrivals_ns = np.array(self._log_times)[order]
-        if np.array_equal(order, np.arange(len(order))):
-            return messages.Decoded(stamps_ns, values, frame, frames, arrivals_ns)
-        return messages.Decoded(stamps_ns[order], values[order], frame[order], frames, arrivals_ns)
-
     def _flush(self) -> None:
         """Decode what has come."""
-        layout = messages.LAYOUTS[self.type_name]
-        part = layout.twist if self.role.endswith('twist') else layout.pose
+        layout = messages.LAYOUTS[self._type_name]
+        part = layout.twist if self._twists else layout.pose
         if self._batch and part:
-            self._decoded.append(messages.decode(self._batch, layout, part))
+            self._decoded.append(messages.decode(self._batch, layout, part, self._frames))
             self._batch = []
+
+    def stream(self, bag: _Bag) -> Stream:
+        """Return the usable messages, in the order they were recorded in, or say what is wrong."""
+        self._require_topic(bag)
+        if self._problem:
+            raise BellowsError(self._problem)
+        self._flush()
+        log_times = np.array(self._log_times)
+        order: Any = np.argsort(log_times, kind='stable')
+        if np.array_equal(order, np.arange(len(order))):
+            order = slice(None)  # which copies nothing
+        stamps_ns, values, frame = (
+            np.concatenate([getattr(part, name) for part in self._decoded])[order]
+            for name in ('stamps_ns', 'values', 'frame'))
+        self._decoded.clear()
+        decoded = messages.Decoded(
+            stamps_ns, values, frame, list(self._frames), log_times[order])
+        stream: Stream
+        if self._twists:
+            in_child = messages.LAYOUTS[self._type_name].strings > 1
+            stream = messages.twist_stream(self._name, decoded, in_child)
+        else:
+            stream = messages.pose_stream(self._name, decoded)
+        if not len(stream):
+            raise BellowsError(
+                f"Topic '{self._name}' in recording '{bag.path}' has no usable message. "
+                f'Of {len(stamps_ns)}: {messages.describe(stream.refused)}. '
+                'Check what publishes it, and record again.')
+        return stream
+
+    def _require_topic(self, bag: _Bag) -> None:
+        """Refuse a topic that is not there, is of another type, or has no messages."""
+        here = [topic for topic in bag.counts if topic.name == self._name]
+        readable = [topic for topic in here if self.accepts(topic)]
+        if any(bag.counts[topic] for topic in readable):
+            return
+        where = f"'{self._name}' in recording '{bag.path}'"
+        if readable:
+            raise BellowsError(
+                f'Topic {where} has no messages. Record while it is published.')
+        given_by = '--observe' if self.role == 'measured' else f'topics.{self.role}'
+        fitting = sorted({t.name for t in bag.counts if t.type_name in self._types})
+        others = sorted(f'{t.name} ({t.type_name})' for t in bag.counts)
+        meant = f'topics of a fitting type there: {", ".join(fitting)}' if fitting else (
+            f'no topic there is of a fitting type; there are: {", ".join(others) or "none"}')
+        if not here:
+            raise BellowsError(
+                f"Topic '{self._name}' is not in recording '{bag.path}'; {meant}. Set {given_by}.")
+        got = ', '.join(sorted({f'{t.type_name} in {t.encoding}' for t in here}))
+        raise BellowsError(
+            f'Topic {where} is of type {got}; accepted are {", ".join(self._types)}, in cdr. '
+            f'For {given_by}, {meant}.')
 
 
 def _plain(data: bytes) -> bytes:
@@ -355,105 +421,9 @@ def _plain(data: bytes) -> bytes:
     if not data.startswith(ZSTD_MAGIC):
         return data if len(data) <= messages.LARGEST_MESSAGE else b''
     try:
-        return unzstd(data, messages.LARGEST_MESSAGE)
+        return decompressed('zstd', data, messages.LARGEST_MESSAGE)
     except DamagedError:
         return b''
-
-
-def _joined_frames(
-    parts: list[messages.Decoded],
-) -> tuple[list[tuple[str, ...]], messages.Indices]:
-    """Return the frames of all parts, numbered through, and each message's number."""
-    numbers: dict[tuple[str, ...], int] = {}
-    joined = []
-    for part in parts:
-        of_part = [numbers.setdefault(names, len(numbers)) for names in part.frames]
-        joined.append(np.array([*of_part, -1])[part.frame])
-    return list(numbers), np.concatenate(joined)
-
-
-def _stream(bag: Path, counts: Mapping[Topic, int], collector: _Collector) -> Stream:
-    """Return the stream of a topic, which must have usable messages."""
-    _require_topic(bag, counts, collector)
-    decoded = collector.decoded()
-    stream: Stream
-    if collector.role.endswith('twist'):
-        in_child = messages.LAYOUTS[collector.type_name].strings > 1
-        stream = messages.twist_stream(collector.name, decoded, in_child)
-    else:
-        stream = messages.pose_stream(collector.name, decoded)
-    if not len(stream):
-        raise BellowsError(
-            f"Topic '{collector.name}' in recording '{bag}' has no usable message. "
-            f'Of {len(decoded.stamps_ns)}: {messages.describe(stream.refused)}. '
-            'Check what publishes it, and record again.'
-        )
-    return stream
-
-
-def _require_messages(bag: Path, counts: Mapping[Topic, int], notes: list[str]) -> None:
-    """Refuse a recording without messages."""
-    if not any(counts.values()):
-        raise BellowsError(' '.join([
-            f"Recording '{bag}' is empty: it has {len(counts)} topics and no message.", *notes,
-            'Record while the topics are published.',
-        ]))
-
-
-def _require_topic(bag: Path, counts: Mapping[Topic, int], collector: _Collector) -> None:
-    """Refuse a topic that is not there, is of another type, or has no messages."""
-    accepted = ', '.join(collector.types)
-    here = [topic for topic in counts if topic.name == collector.name]
-    readable = [topic for topic in here if collector.accepts(topic)]
-    if not here:
-        raise BellowsError(
-            f"Topic '{collector.name}' is not in recording '{bag}'; "
-            f'{_alternatives(counts, collector)}. Set {collector.given_by}.'
-        )
-    if not readable:
-        got = ', '.join(sorted({f'{t.type_name} in {t.encoding}' for t in here}))
-        raise BellowsError(
-            f"Topic '{collector.name}' in recording '{bag}' is of type {got}; "
-            f'accepted are {accepted}, in cdr. '
-            f'For {collector.given_by}, {_alternatives(counts, collector)}.'
-        )
-    if not any(counts[topic] for topic in readable):
-        raise BellowsError(
-            f"Topic '{collector.name}' in recording '{bag}' has no messages. "
-            'Record while it is published.'
-        )
-
-
-def _alternatives(counts: Mapping[Topic, int], collector: _Collector) -> str:
-    """Return which topics of a recording could be meant."""
-    fitting = sorted({t.name for t in counts if t.type_name in collector.types})
-    if fitting:
-        return 'topics of a fitting type there: ' + ', '.join(fitting)
-    others = sorted(f'{t.name} ({t.type_name})' for t in counts)
-    return 'no topic there is of a fitting type; there are: ' + (', '.join(others) or 'none')
-
-
-def _messages(
-    listed: Listing, wanted: Wanted, counts: dict[Topic, int], notes: list[str]
-) -> Iterator[Message]:
-    """Yield the wanted messages of all files of a recording, file by file."""
-    for path in listed.files:
-        lost: list[str] = []
-        try:
-            yield from _file_messages(path, wanted, counts, lost)
-            notes += [f"File '{path}' is not whole: {what}." for what in lost]
-        except DamagedError as error:
-            raise BellowsError(
-                f"File '{path}' cannot be read as a recording: {error}. "
-                'Give a sound copy, or record again.'
-            ) from None
-        except (ZstdError, EOFError) as error:
-            raise BellowsError(
-                f"File '{path}' is damaged or truncated: {error}. "
-                'Give a sound copy, or record again.'
-            ) from None
-        except OSError as error:
-            raise BellowsError(f"File '{path}' cannot be read: {error}.") from None
 
 
 def _file_messages(
@@ -478,27 +448,20 @@ def _file_messages(
 
 @contextmanager
 def _on_disk(path: Path, file: BinaryIO, compressed: bool) -> Iterator[Path]:
-    """Provide the path of a file's plain content, decompressed where it must be."""
+    """Provide the path of a plain copy that takes up at most half of the free space."""
     if not compressed:
         yield path
         return
     from bellows_ros.files.atomic import scratch_folder  # late: rare
 
     with scratch_folder() as folder:
-        plain = folder / path.stem
-        _copy(file, plain)
-        yield plain
-
-
-def _copy(file: BinaryIO, plain: Path) -> None:
-    """Write a file's content, as far as half of the free space allows."""
-    left = min(LARGEST_TEMPORARY, shutil.disk_usage(plain.parent).free // 2)
-    with plain.open('wb') as out:
-        while piece := file.read(_COPY_STEP):
-            left -= len(piece)
-            if left < 0:
-                raise DamagedError(
-                    f'decompressed it is too large for {plain.parent.parent}. '
-                    "Decompress it with 'zstd -d' where there is space, and give that file"
-                )
-            out.write(piece)
+        left = min(LARGEST_TEMPORARY, shutil.disk_usage(folder).free // 2)
+        with (folder / path.stem).open('wb') as out:
+            while piece := file.read(_COPY_STEP):
+                left -= len(piece)
+                if left < 0:
+                    raise DamagedError(
+                        f'decompressed it is too large for {folder.parent}. '
+                        "Decompress it with 'zstd -d' where there is space, and give that file")
+                out.write(piece)
+        yield folder / path.stem

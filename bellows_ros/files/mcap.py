@@ -16,11 +16,11 @@ import zlib
 
 from bellows_ros.files.bag_folder import (
     DamagedError,
+    decompressed,
+    FRAMES,
     LARGEST_RECORD,
     Message,
     Topic,
-    unlz4,
-    unzstd,
     Wanted,
 )
 
@@ -143,7 +143,7 @@ class _Scan:
         self._counts = counts
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, Topic] = {}
-        self._wanted_channels: dict[int, Topic] = {}
+        self._wanted_channels: set[int] = set()
         self.met: Counter[int] = Counter()
 
     def messages(self, records: Iterator[Record]) -> Iterator[Message]:
@@ -151,9 +151,13 @@ class _Scan:
         for kind, body in records:
             if kind == _MESSAGE:
                 channel, _, log_time_ns, _ = _MESSAGE_HEAD.unpack_from(body)
-                self._count(channel)
+                if channel not in self._channels:
+                    raise DamagedError(
+                        f'a message belongs to channel {channel}, which is not defined')
+                topic = self._channels[channel]
+                self._counts[topic] += 1
+                self.met[channel] += 1
                 if channel in self._wanted_channels:
-                    topic = self._wanted_channels[channel]
                     yield Message(topic, log_time_ns, bytes(body[_MESSAGE_HEAD.size:]))
             elif kind == _CHUNK:
                 yield from self.messages(_chunk_records(body))
@@ -165,13 +169,6 @@ class _Scan:
                 self._add_channel(_Fields(body))
             elif kind == _STATISTICS:
                 self._compare(_Fields(body))
-
-    def _count(self, channel: int) -> None:
-        """Count a message."""
-        if channel not in self._channels:
-            raise DamagedError(f'a message belongs to channel {channel}, which is not defined')
-        self._counts[self._channels[channel]] += 1
-        self.met[channel] += 1
 
     def _compare(self, fields: '_Fields') -> None:
         """Refuse a file in which not all messages were met that its statistics count."""
@@ -192,7 +189,7 @@ class _Scan:
             raise DamagedError(f'channel {number} is defined twice and differently')
         self._counts.setdefault(topic, 0)
         if self._wanted(topic):
-            self._wanted_channels[number] = topic
+            self._wanted_channels.add(number)
 
 
 class _Fields:
@@ -296,29 +293,19 @@ def _chunk_data(fields: _Fields) -> bytes:
     cut = len(stored) != stored_size
     if size > LARGEST_RECORD:
         raise DamagedError(f'a chunk says it is {size} bytes long')
-    data = _decompress(compression, stored, size, cut)
+    if compression not in ('', *FRAMES):
+        raise DamagedError(
+            f"its compression '{compression[:20]}' is not supported; zstd, lz4 and none are")
+    try:
+        data = decompressed(compression, stored, size, cut) if compression else stored
+    except DamagedError as error:
+        raise DamagedError(f'a chunk cannot be decompressed: {error}') from None
     if cut:
         return data
     if len(data) != size:
         raise DamagedError(f'a chunk has {len(data)} bytes, but says {size}')
     _require_checksum(checksum, zlib.crc32(data), 'a chunk')
     return data
-
-
-def _decompress(compression: str, stored: bytes, size: int, cut: bool) -> bytes:
-    """Return the bytes of a chunk."""
-    try:
-        if compression == '':
-            return stored
-        if compression == 'zstd':
-            return unzstd(stored, size, cut)
-        if compression == 'lz4':
-            return unlz4(stored, size, cut)
-    except DamagedError as error:
-        raise DamagedError(f'a chunk cannot be decompressed: {error}') from None
-    raise DamagedError(
-        f"its compression '{compression[:20]}' is not supported; zstd, lz4 and none are"
-    )
 
 
 def seal(path: Path) -> None:

@@ -59,20 +59,15 @@ class Layout:
 _POSE, _TWIST, _COVARIANCE = 7, 6, 36
 _SECOND = _POSE + _COVARIANCE
 
-LAYOUTS: Mapping[str, Layout] = MappingProxyType(
-    {
-        'geometry_msgs/msg/PoseStamped': Layout(1, _POSE, pose=slice(0, 7)),
-        'geometry_msgs/msg/PoseWithCovarianceStamped': Layout(1, _SECOND, pose=slice(0, 7)),
-        'geometry_msgs/msg/TransformStamped': Layout(2, _POSE, pose=slice(0, 7)),
-        'geometry_msgs/msg/TwistStamped': Layout(1, _TWIST, twist=slice(0, 6)),
-        'nav_msgs/msg/Odometry': Layout(
-            2,
-            _SECOND + _TWIST + _COVARIANCE,
-            pose=slice(0, 7),
-            twist=slice(_SECOND, _SECOND + _TWIST),
-        ),
-    }
-)
+LAYOUTS: Mapping[str, Layout] = MappingProxyType({
+    'geometry_msgs/msg/PoseStamped': Layout(1, _POSE, pose=slice(0, 7)),
+    'geometry_msgs/msg/PoseWithCovarianceStamped': Layout(1, _SECOND, pose=slice(0, 7)),
+    'geometry_msgs/msg/TransformStamped': Layout(2, _POSE, pose=slice(0, 7)),
+    'geometry_msgs/msg/TwistStamped': Layout(1, _TWIST, twist=slice(0, 6)),
+    'nav_msgs/msg/Odometry': Layout(
+        2, _SECOND + _TWIST + _COVARIANCE, pose=slice(0, 7),
+        twist=slice(_SECOND, _SECOND + _TWIST)),
+})
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +97,10 @@ class Decoded:
     arrivals_ns: Stamps | None = None
 
 
-def decode(messages: Sequence[bytes], layout: Layout, part: slice) -> Decoded:
+def decode(
+    messages: Sequence[bytes], layout: Layout, part: slice,
+    numbers: dict[tuple[str, ...], int] | None = None,
+) -> Decoded:
     """
     Decode messages of one type.
 
@@ -114,6 +112,8 @@ def decode(messages: Sequence[bytes], layout: Layout, part: slice) -> Decoded:
         Of their type.
     part : slice
         Which of the doubles to return.
+    numbers : dict, optional
+        The frames met before, with their indices; gets the new ones.
 
     Returns
     -------
@@ -124,10 +124,10 @@ def decode(messages: Sequence[bytes], layout: Layout, part: slice) -> Decoded:
     stamps_ns = np.zeros(count, dtype=np.int64)
     values = np.zeros((count, part.stop - part.start))
     frame = np.full(count, -1, dtype=np.int64)
-    numbers: dict[tuple[str, ...], int] = {}
-    for (head, size), members in _alike(messages, layout.strings).items():
-        names, dtype = _names(head, layout.strings), _dtype(head, size, layout)
-        if names is None or dtype is None:
+    numbers = {} if numbers is None else numbers
+    for (head, size), (names, members) in _alike(messages, layout.strings).items():
+        dtype = _dtype(head, size, layout)
+        if dtype is None:
             continue
         rows = np.frombuffer(b''.join(messages[i] for i in members), dtype=dtype)
         index = np.array(members)
@@ -138,51 +138,49 @@ def decode(messages: Sequence[bytes], layout: Layout, part: slice) -> Decoded:
     return Decoded(stamps_ns, values, frame, list(numbers))
 
 
-def _alike(messages: Sequence[bytes], strings: int) -> dict[tuple[bytes, int], list[int]]:
-    """Return the indices of messages that agree in size and, but for the stamp, in their head."""
-    groups: dict[tuple[bytes, int], list[int]] = {}
+def _alike(
+    messages: Sequence[bytes], strings: int
+) -> dict[tuple[bytes, int], tuple[tuple[str, ...], list[int]]]:
+    """
+    Return the strings and the indices of messages that lie alike in memory.
+
+    These agree in size and, but for the stamp, in their head.
+    """
+    groups: dict[tuple[bytes, int], tuple[tuple[str, ...], list[int]]] = {}
     end = 0  # of the strings of the message before, which the next one mostly repeats
     for i, message in enumerate(messages):
         key = (message[:_STAMP_AT] + message[_STRINGS_AT:end], len(message))
-        if not (end and key in groups):
-            end = _end_of_strings(message, strings)
+        if key not in groups:
+            found = _strings(message, strings)
+            if found is None:
+                continue
+            names, end = found
             key = (message[:_STAMP_AT] + message[_STRINGS_AT:end], len(message))
-        if end:
-            groups.setdefault(key, []).append(i)
+            groups.setdefault(key, (names, []))
+        groups[key][1].append(i)
     return groups
 
 
-def _end_of_strings(message: bytes, strings: int) -> int:
-    """Return where the strings end, or 0 if they do not end in the message."""
+def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int] | None:
+    """Return the strings behind a stamp, and where they end; None where they are damaged."""
     if len(message) > LARGEST_MESSAGE:
-        return 0
+        return None
     form = '<I' if message[1:2] == b'\1' else '>I'
-    at = _STRINGS_AT
-    for _ in range(strings):
-        at += -at % 4
-        if at + 4 > len(message):
-            return 0
-        at += 4 + struct.unpack_from(form, message, at)[0]
-    return at if at <= len(message) else 0
-
-
-def _names(head: bytes, strings: int) -> tuple[str, ...] | None:
-    """Return the strings of a head without its stamp, or None if they are damaged."""
-    form = '<I' if head[1] else '>I'
-    names = []
-    at = _STAMP_AT
-    for _ in range(strings):
-        at += -at % 4
-        (size,) = struct.unpack_from(form, head, at)
-        text = head[at + 4:at + 4 + size]
-        if text[-1:] != b'\0':
+    names, at = [], _STRINGS_AT
+    for _ in range(count):
+        at += -at % 4 + 4
+        if at > len(message):
+            return None
+        (size,) = struct.unpack_from(form, message, at - 4)
+        text = message[at:at + size]
+        at += size
+        if len(text) != size or text[-1:] != b'\0':
             return None
         try:
             names.append(text[:-1].decode())
         except UnicodeDecodeError:
             return None
-        at += 4 + size
-    return tuple(names)
+    return tuple(names), at
 
 
 def _dtype(head: bytes, size: int, layout: Layout) -> np.dtype[np.void] | None:
@@ -231,11 +229,12 @@ def encode(
     list of bytes
 
     """
-    head = _head(names)
-    doubles_at = _doubles_at(head)
-    size = doubles_at + 8 * layout.doubles
-    dtype = _dtype(head, size, layout)
-    rows = np.zeros(len(stamps_ns), dtype=dtype)
+    head = b'\0\1\0\0'
+    for name in names:
+        text = name.encode() + b'\0'
+        head += bytes(-len(head) % 4) + struct.pack('<I', len(text)) + text
+    size = _doubles_at(head) + 8 * layout.doubles
+    rows = np.zeros(len(stamps_ns), _dtype(head, size, layout))
     rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, _NS_PER_S)
     column = 0
     for part in filter(None, (layout.pose, layout.twist)):
@@ -245,18 +244,8 @@ def encode(
     raw = rows.view(np.uint8).reshape(len(rows), size)
     raw[:, :_STAMP_AT] = np.frombuffer(head[:_STAMP_AT], np.uint8)
     raw[:, _STRINGS_AT:_STRINGS_AT + len(head) - _STAMP_AT] = np.frombuffer(
-        head[_STAMP_AT:], np.uint8
-    )
+        head[_STAMP_AT:], np.uint8)
     return [row.tobytes() for row in raw]
-
-
-def _head(names: Sequence[str]) -> bytes:
-    """Return the head of a message without its stamp."""
-    head = b'\0\1\0\0'
-    for name in names:
-        text = name.encode() + b'\0'
-        head += bytes(-len(head) % 4) + struct.pack('<I', len(text)) + text
-    return head
 
 
 def encode_bool(value: bool) -> bytes:
@@ -300,12 +289,9 @@ _ROTATIONS_AT_ONCE = 65536
 
 def describe(refused: Mapping[str, tuple[int, ...]]) -> str:
     """Return the refusals in words: how many of each reason, and where the first is."""
-    parts = [
+    return ', '.join(
         f'{len(indices)} {REASONS.get(reason, reason)} (first: message {indices[0]})'
-        for reason, indices in refused.items()
-        if indices
-    ]
-    return ', '.join(parts) or 'none'
+        for reason, indices in refused.items() if indices) or 'none'
 
 
 def pose_stream(name: str, decoded: Decoded) -> PoseStream:
@@ -334,13 +320,8 @@ def pose_stream(name: str, decoded: Decoded) -> PoseStream:
     }
     used, frame_id, refused = _sift(decoded, decoded.values[:, :3], unusable)
     return PoseStream(
-        name=name,
-        frame_id=frame_id,
-        stamps_ns=decoded.stamps_ns[used],
-        position=decoded.values[used, :3],
-        rotation=_rotations(decoded.values[used, 3:]),
-        refused=refused,
-    )
+        name, frame_id, decoded.stamps_ns[used], decoded.values[used, :3],
+        _rotations(decoded.values[used, 3:]), refused)
 
 
 def twist_stream(name: str, decoded: Decoded, in_child_frame: bool) -> TwistStream:
@@ -364,13 +345,8 @@ def twist_stream(name: str, decoded: Decoded, in_child_frame: bool) -> TwistStre
     """
     used, frame_id, refused = _sift(decoded, decoded.values, {}, -1 if in_child_frame else 0)
     return TwistStream(
-        name=name,
-        frame_id=frame_id,
-        stamps_ns=decoded.stamps_ns[used],
-        linear=decoded.values[used, :3],
-        angular=decoded.values[used, 3:],
-        refused=refused,
-    )
+        name, frame_id, decoded.stamps_ns[used], decoded.values[used, :3],
+        decoded.values[used, 3:], refused)
 
 
 def _sift(
@@ -400,9 +376,7 @@ def _sift(
     return left, decoded.frames[frame][frame_name] if len(left) else '', refused
 
 
-def _refuse(
-    refused: Refused, reason: str, left: Stamps, bad: Mask
-) -> Stamps:
+def _refuse(refused: Refused, reason: str, left: Stamps, bad: Mask) -> Stamps:
     """Note the bad ones of the messages left, and return the others."""
     if bad.any():
         refused[reason] = tuple(int(i) for i in left[bad])

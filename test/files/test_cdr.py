@@ -90,9 +90,8 @@ def test_messages_that_differ_in_all_but_their_type_are_decoded_together():
 
 def test_strings_are_walked_through_where_they_change(monkeypatch):
     walked = []
-    walk = cdr._end_of_strings
-    monkeypatch.setattr(
-        cdr, '_end_of_strings', lambda *of: walked.append(of) or walk(*of))
+    walk = cdr._strings
+    monkeypatch.setattr(cdr, '_strings', lambda *of: walked.append(of) or walk(*of))
     values = made.pose_values(30)
     frames = 10 * ['world'] + [''] + 9 * ['a'] + 10 * ['world']
     data = [made.encoded(made.POSE, t, pose=v, frame_id=f)

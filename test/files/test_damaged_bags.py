@@ -16,7 +16,7 @@ import zlib
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import mcap
-from bellows_ros.files.bag_folder import LARGEST_RECORD, unlz4, unzstd
+from bellows_ros.files.bag_folder import decompressed, LARGEST_RECORD
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.bags import read_contents, read_streams, topics
 import lz4.frame
@@ -428,18 +428,18 @@ def test_records_inside_an_inflating_file_are_bounded(tmp_path):
     assert peak_memory(lambda: outcome(tmp_path / 'a.mcap')) < 2**25
 
 
-@pytest.mark.parametrize('unpack, pack', [(unzstd, zstd.compress), (unlz4, lz4.frame.compress)])
-def test_decompression_stops_at_its_limit(unpack, pack):
+@pytest.mark.parametrize('form, pack', [('zstd', zstd.compress), ('lz4', lz4.frame.compress)])
+def test_decompression_stops_at_its_limit(form, pack):
     data = bytes(range(256)) * 40
-    assert unpack(pack(data), len(data)) == data
-    assert unpack(pack(data) + pack(b'more'), len(data) + 4) == data + b'more'
-    assert unpack(b'', 0) == b''
+    assert decompressed(form, pack(data), len(data)) == data
+    assert decompressed(form, pack(data) + pack(b'more'), len(data) + 4) == data + b'more'
+    assert decompressed(form, b'', 0) == b''
     for packed, limit in (
         (pack(data), len(data) - 1), (pack(data) + pack(b'more'), len(data)), (b'nonsense', 9),
         (pack(data)[:-5], len(data)), (pack(data) + b'x', len(data)),
     ):
         with pytest.raises(BellowsError):
-            unpack(packed, limit)
+            decompressed(form, packed, limit)
 
 
 def test_any_bytes_after_the_magic_are_noted():
