@@ -139,8 +139,9 @@ def _run(arguments: list[str], console: Console) -> int:
     module = importlib.import_module(f'{__package__}.{name}')
     parsed = _command_parser(name, module).parse_args(rest)
     options.require_named_outputs(parsed)
-    to_stdout = getattr(parsed, 'json', '') == options.STDOUT
-    with console.results_to_stderr(to_stdout):  # which is left to the JSON
+    to_stdout = any(isinstance(value, options.Output) and value == options.STDOUT
+                    for value in vars(parsed).values())
+    with console.results_to_stderr(to_stdout):  # which is left to the file's content
         code: int = module.run(parsed, console)
     console.flush()
     return code

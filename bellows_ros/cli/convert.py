@@ -107,7 +107,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             _require_text(arguments)
             done = to_bag(arguments.sources, arguments.out, arguments.topic, arguments.storage,
                           arguments.markers, arguments.force, span)
-    options.put_json(arguments.json, done.as_json(), console)
+    options.put_json(arguments.json, done.as_json())
     _say(done, console)
     if not done.out.lower().endswith(TEXT_ENDINGS):
         console.say('Next, check the recording:')

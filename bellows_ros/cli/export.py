@@ -53,10 +53,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     gravity = tuple(gravity_of(settings).tolist())
     write_text(arguments.out, target.write(Exported(cup, package, gravity, grip_of(settings))))
     content = {'format': arguments.to, 'file': arguments.out, 'not_expressed': lost}
-    options.put_json(arguments.json, content, console)
+    options.put_json(arguments.json, content)
     options.warn_of_thesis_cup(values, console)
-    console.say(f'Wrote {arguments.out} for {target.name}.')
-    console.say('What it cannot express:')
+    console.wrote(arguments.out)
+    console.say(f'What {target.name} cannot express:')
     for sentence in lost:
         console.paragraph(f'  - {sentence}')
     return OK

@@ -89,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
              'tcp://host:8786; the workers must see the recordings under the same paths',
     )
     parser.add_argument(
-        '--summary-out', metavar='FILE', default='', type=options.Output,
+        '--summary-out', metavar='FILE', default='', type=options.Binary,
         help='only reduce the recording to its sufficient statistics, written here (.npz)',
     )
     parser.add_argument(
@@ -113,20 +113,22 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         return _release(arguments, settings, console)
     if arguments.summary_out:
         return _reduce(arguments, settings, console)
+    from bellows_ros.workflows.identification import save
+
     with console.progress() as progress:
         result = _with_typical(arguments, settings, progress)
     usable = not result.refusals
     written = usable or (arguments.force and result.fit.usable)
-    _write(result, cup_file if written else '', json_file, arguments.force, console)
+    with uninterrupted():  # all of it, even when Ctrl-C comes in between
+        save(result, cup_file if written else '', json_file, arguments.force)
     if page:
         from bellows_ros.report.build import write_page
 
         write_page(result, page)
-    with console.results_to_stderr(json_file == options.STDOUT):
+    with console.results_to_stderr(options.STDOUT in (cup_file, json_file, page)):
         _say(result, console)
         _say_files(usable, written, cup_file, json_file, console)
-        if page:
-            console.say(f'Wrote {page}.')
+        console.wrote(page)
     return OK if usable else NOT_USABLE
 
 
@@ -146,7 +148,7 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
     with uninterrupted():
         if arguments.out:
             write_parameters(arguments.out, result.parameters())
-        options.put_json(str(arguments.json), result.as_json(), console)
+        options.put_json(str(arguments.json), result.as_json())
     options.warn_of_thesis_cup(settings, console)
     _say_release(result, console)
     console.wrote(arguments.out, arguments.json)
@@ -187,7 +189,7 @@ def _reduce(arguments: argparse.Namespace, settings: dict[str, Any], console: Co
     options.put_json(str(arguments.json), {
         'file': str(arguments.summary_out), 'structure': found.structure.name,
         'samples_used': found.used, 'samples_rejected': found.rejected,
-        'recording': part.report}, console)
+        'recording': part.report})
     console.say(
         f'Wrote {arguments.summary_out}: {found.used} samples used, {found.rejected} '
         f'rejected, {found.structure.name}.')
@@ -254,18 +256,6 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
 
     checked = resolve(settings, () if values.get('package.files') else RECORDING_PARAMETERS)
     return {**settings, **{name: checked[name] for name in named}}
-
-
-def _write(
-    result: 'Identification', cup_file: str, json_file: str, force: bool, console: Console
-) -> None:
-    """Write what is wanted, all of it even when Ctrl-C comes in between."""
-    from bellows_ros.workflows.identification import save
-
-    with uninterrupted():
-        save(result, cup_file, '' if json_file == options.STDOUT else json_file, force)
-    if json_file == options.STDOUT:
-        options.put_json(json_file, result.as_json(), console)
 
 
 def _say(result: 'Identification', console: Console) -> None:
@@ -384,13 +374,14 @@ def _say_files(
     """Print what was written and what comes next."""
     console.say()
     console.wrote(json_file)
+    name = 'the cup' if cup_file == options.STDOUT else cup_file
     if not usable:
-        kept = f'{cup_file} was not written' if cup_file else 'do not use it'
+        kept = f'{name} was not written' if cup_file else 'do not use it'
         if written and cup_file:
-            kept = f'{cup_file} was written because of --force'
+            kept = f'{name} was written because of --force'
         console.paragraph(f'This cup is refused: {kept}.', 'red')
-    elif cup_file:
+    elif cup_file not in ('', options.STDOUT):
         console.say(f'Wrote {cup_file}. Next, check how well it predicts another recording:')
         console.say(f'  bellows replay BAG --params {cup_file}')
-    else:
+    elif not cup_file:
         console.say('The cup was not written to a file; give --out cup.yaml to keep it.')

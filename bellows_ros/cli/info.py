@@ -55,12 +55,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         found = info(arguments.bag, options.given_span(arguments))
-    options.put_json(arguments.json, found.as_json(), console)
+    options.put_json(arguments.json, found.as_json())
     if arguments.write_params:
         write_text(arguments.write_params, parameter_file(found))
     _say(found, console)
     console.wrote(arguments.json)
-    if arguments.write_params:
+    if arguments.write_params not in ('', options.STDOUT):
         console.say(f'Wrote {arguments.write_params}. Fill in the package there, then:')
         console.say(f'  bellows identify --params {arguments.write_params} --out cup.yaml')
     return OK

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from .console import Console
 
 STDOUT = '-'
+"""As `files.atomic` takes it."""
+
 INPUTS = ('bags', 'validation.bags', 'static.bags', 'static.files', 'package.files')
 """Parameters that name inputs."""
 
@@ -27,10 +29,14 @@ THESIS_CUP = 'cup.stiffness is not set: using the cup of the thesis, (4.78, 4.79
 
 
 class Output(str):
-    """The name of a file to write; inputs are a Path."""
+    """The name of a text file to write, '-' for stdout; inputs are a Path."""
 
 
-class Folder(Output):
+class Binary(Output):
+    """The name of a file to write that is no text."""
+
+
+class Folder(Binary):
     """The name of a folder to write."""
 
 
@@ -76,7 +82,7 @@ def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
     """Add --json."""
     parser.add_argument(
         '--json', metavar='FILE', default='', type=Output,
-        help=f"write {what} as JSON; '-' for stdout (the summary then goes to stderr)",
+        help=f"write {what} as JSON; '-' for stdout (all else then goes to stderr)",
     )
 
 
@@ -95,7 +101,7 @@ def add_report_option(parser: argparse.ArgumentParser) -> None:
 def add_plot_option(parser: argparse.ArgumentParser, what: str) -> None:
     """Add --plot."""
     parser.add_argument(
-        '--plot', metavar='FILE', default='', type=Output, help=f'picture to write: {what}')
+        '--plot', metavar='FILE', default='', type=Binary, help=f'picture to write: {what}')
 
 
 def add_arm_options(parser: argparse.ArgumentParser) -> None:
@@ -123,13 +129,11 @@ def warn_of_thesis_cup(values: 'Mapping[str, Any]', console: 'Console') -> None:
         console.warn(THESIS_CUP)
 
 
-def put_json(target: str, content: 'Mapping[str, Any]', console: 'Console') -> None:
-    """Write a result to the target of --json: a file, stdout, or nowhere."""
-    from bellows_ros.files.results import format_json, write_json
+def put_json(target: str, content: 'Mapping[str, Any]') -> None:
+    """Write a result to the target of --json, if there is one."""
+    if target:
+        from bellows_ros.files.results import write_json
 
-    if target == STDOUT:
-        console.raw(format_json(content))
-    elif target:
         write_json(target, content)
 
 
@@ -241,16 +245,25 @@ def _number(text: str) -> int | float | str:
 
 def require_outputs(outputs: 'Iterable[str]', inputs: 'Iterable[str | Path]') -> None:
     """
-    Refuse output that cannot be written or is an input, before any work; '' and '-' are none.
+    Refuse output that cannot be written or is an input, before any work; '' is none.
 
     Raises
     ------
     BellowsError
-        If a folder is missing, something else is in a file's place, two are the same, or one is
-        read or lies in what is read.
+        If a folder is missing, something else is in a file's place, two are the same, one is read
+        or lies in what is read, or what is no text is for stdout.
 
     """
-    files = [output for output in outputs if output not in ('', STDOUT)]
+    files = [output for output in outputs if output and output != STDOUT]
+    to_stdout = [output for output in outputs if output == STDOUT]
+    if any(isinstance(output, Binary) for output in to_stdout):
+        raise BellowsError(
+            f"'{STDOUT}' is stdout, which is for text, and this output is a recording or a binary "
+            'file. Give it a name.')
+    if len(to_stdout) > 1:
+        raise BellowsError(
+            f"{len(to_stdout)} outputs are '{STDOUT}', stdout, which has room for one. Give the "
+            'others names.')
     if not files:
         return
     from bellows_ros.files.atomic import require_file_target, require_folder_target

@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         return OK
     if arguments.json:
         content = {p.name: {**asdict(p), 'constraint': p.constraint} for p in chosen}
-        options.put_json(arguments.json, content, console)
+        options.put_json(arguments.json, content)
         console.wrote(arguments.json)
         return OK
     for parameter in chosen:

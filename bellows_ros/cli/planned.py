@@ -79,7 +79,7 @@ def carry_out(
         result = work(given, progress)
         if arguments.plot:
             draw(result)
-    options.put_json(arguments.json, result.as_json(arguments.params), console)
+    options.put_json(arguments.json, result.as_json(arguments.params))
     if write is not None and arguments.out:
         write(result)
     options.warn_of_thesis_cup(values, console)

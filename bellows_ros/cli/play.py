@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             console.warn(note)
         played = play(messages, names, arguments.rate, arguments.stamps == 'now', arguments.loop,
                       progress)
-    options.put_json(arguments.json, {'bag': str(arguments.bag), **vars(played)}, console)
+    options.put_json(arguments.json, {'bag': str(arguments.bag), **vars(played)})
     _say(played, console)
     return OK
 

@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_bag_argument(parser)
     options.add_parameter_options(parser)
     parser.add_argument(
-        '--out', metavar='FILE', required=True, type=options.Output,
+        '--out', metavar='FILE', required=True, type=options.Binary,
         help='picture to write: .png, .svg or .pdf; of an animation .gif or .mp4',
     )
     options.add_json_option(parser, 'the numbers that are drawn, in SI units,')
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         else:
             _draw(arguments, shown, note)
     about = {'what': arguments.what, 'bag': str(arguments.bag), 'file': arguments.out}
-    options.put_json(arguments.json, {**about, **data_json(shown)}, console)
+    options.put_json(arguments.json, {**about, **data_json(shown)})
     if arguments.what not in OF_THE_RECORDING:
         options.warn_of_thesis_cup(values, console)
     console.say(f'Wrote {arguments.out}.')

@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress() as progress:
         result = replay(arguments.bag, settings, progress, arguments.observe)
     limit = LIMIT if arguments.limit is None else arguments.limit / PERCENT
-    options.put_json(arguments.json, result.as_json(limit, arguments.params), console)
+    options.put_json(arguments.json, result.as_json(limit, arguments.params))
     if arguments.report:
         from bellows_ros.files.atomic import write_text
         from bellows_ros.report.build import replay_report

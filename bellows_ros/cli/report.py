@@ -60,13 +60,13 @@ def _report(arguments: argparse.Namespace, content: dict[str, Any], console: Con
     options.put_json(arguments.json, {
         'file': arguments.out, 'changed_recordings': others,
         'validations': [validation.as_json() for validation in found.validations],
-    }, console)
+    })
     for bag in others:
         console.warn(f'{bag} has changed since the cup was identified from it.')
     for validation in found.validations:
         for warning in validation.warnings:
             console.warn(f'{validation.bag}: {warning}')
-    console.say(f'Wrote {arguments.out}.')
+    console.wrote(arguments.out)
     return OK
 
 

@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress() as progress:
         report = simulate_recording(
             values, motion, arguments.out, progress, arguments.force, arguments.plan or '')
-    options.put_json(arguments.json, report.as_json(), console)
+    options.put_json(arguments.json, report.as_json())
     options.warn_of_thesis_cup(values, console)
     _say(report, console)
     return OK

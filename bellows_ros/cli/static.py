@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.out:
         save_length(result, arguments.out, settings)
     content = {**result.as_json(), 'settings': settings, 'version': __version__}
-    options.put_json(arguments.json, content, console)
+    options.put_json(arguments.json, content)
     _say(result, console)
     console.wrote(arguments.out, arguments.json)
     return OK

@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     with console.progress() as progress:
         result = structures(settings, progress)
-    options.put_json(arguments.json, result.as_json(), console)
+    options.put_json(arguments.json, result.as_json())
     _say(result, console)
     console.wrote(arguments.json)
     return OK

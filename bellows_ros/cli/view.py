@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_parameter_options(parser)
     options.add_span_options(parser)
     parser.add_argument(
-        '--out', metavar='FILE', default='', type=options.Output,
+        '--out', metavar='FILE', default='', type=options.Binary,
         help='write an .rrd file instead of opening the viewer'
     )
     options.add_json_option(parser, 'the scores')
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         if arguments.out:
             progress('writing')
             write_view(arguments.out, shown, str(arguments.bag))
-    options.put_json(arguments.json, shown.live.as_json(), console)
+    options.put_json(arguments.json, shown.live.as_json())
     options.warn_of_thesis_cup(values, console)
     if arguments.out:
         console.say(f'Wrote {arguments.out}. Open it with:')

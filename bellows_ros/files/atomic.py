@@ -16,6 +16,7 @@ import re
 import secrets
 import shutil
 import stat
+import sys
 import tempfile
 import zlib
 
@@ -26,8 +27,11 @@ _HERE, _EXCHANGE = -100, 2
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file in UTF-8, whole or not at all; see `write_bytes`."""
-    write_bytes(path, text.encode())
+    """Write a text file in UTF-8, whole or not at all, to '-' on stdout; see `write_bytes`."""
+    if path == '-':
+        sys.stdout.write(text)
+    else:
+        write_bytes(path, text.encode())
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:

@@ -249,7 +249,7 @@ def write_motion(
         write_euroc(csv, times, rows)
     if urscript:
         slow = motion.at_rate(UR_RATE)
-        write_urscript(Path(urscript), slow.seconds, slow.position, log_so3(slow.rotation), frame)
+        write_urscript(urscript, slow.seconds, slow.position, log_so3(slow.rotation), frame)
 
 
 def _require_series(folder: Path) -> None:

@@ -13,14 +13,14 @@ from bellows_ros.core.envelope import known_envelope
 from bellows_ros.core.fastest import Fastest, fastest
 from bellows_ros.core.holding import grip_of
 from bellows_ros.core.kernels import ModelTuple, State
-from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.lie import apply, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.core.parameter_table import short
 from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.perturbed import contributions
 from bellows_ros.core.plan import Prediction, Run
 from bellows_ros.core.plan_points import plan_of, plan_of_joints
-from bellows_ros.core.recording.alignment import world_rotation
+from bellows_ros.core.recording.alignment import levelling, world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
 from bellows_ros.core.resampling import on_grid, savgol, timing
 from bellows_ros.core.synthetic.recipe import read_recipe
@@ -414,13 +414,15 @@ def _motion(content: Mapping[str, Any], values: Mapping[str, Any], gravity: Arra
     """Return the tool's motion in a motion file."""
     recipe = read_recipe(content, np.array(values['package.com']))
     require_frame(recipe.frame_id, values)
+    R_world_level = levelling(values['gravity.direction']).T  # z of a motion file is up
     motion = recipe.motion
     count = max(2, math.ceil(motion.duration * MOTION_RATE))
     stamps = recipe.start_ns + np.round(
         np.linspace(0.0, motion.duration, count + 1) * NS_PER_S).astype(np.int64)
     tool = motion.trajectory(stamps, recipe.start_ns)
     checked = plan_of(
-        stamps, tool.position, rotation_to_quaternion(tool.rotation), np.asarray(tool.twist),
+        stamps, apply(R_world_level, tool.position),
+        rotation_to_quaternion(R_world_level @ tool.rotation), np.asarray(tool.twist),
         twist_frame='tool', name='The motion')
     return Source(checked, recipe.frame_id, gravity)
 

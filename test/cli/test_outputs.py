@@ -77,6 +77,40 @@ def test_output_that_is_read_is_refused(
     assert contents(cell) == before
 
 
+@pytest.mark.parametrize(('line', 'option', 'name'), [
+    (('export', 'cup.yaml', '--to', 'c'), '--out', 'x.h'),
+    (('identify', 'recording', *PARAMS), '--out', 'x.yaml'),
+    (('info', 'recording'), '--write-params', 'x.yaml'),
+    (('simulate', *CUP, '--motion', 'motion.yaml', '--out', 'x', '--force'), '--json', 'x.json'),
+])
+def test_text_goes_to_stdout_where_its_name_is_a_dash(
+    bellows: Run, cell: Path, tmp_path: Path, line: tuple[str, ...], option: str, name: str
+) -> None:
+    """Write the very text of the file and nothing else there, and no file of this name."""
+    here = {'x': tmp_path / 'x', **{path.name: path for path in cell.iterdir()}}
+    line = tuple(str(here.get(word, word)) for word in line)
+    assert bellows(*line, option, name, cwd=tmp_path).returncode == 0
+    done = bellows(*line, option, '-', cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (0, (tmp_path / name).read_text())
+    assert 'Wrote -' not in done.stderr and not (tmp_path / '-').exists()
+
+
+@pytest.mark.parametrize(('line', 'words'), [
+    (('simulate', *CUP, '--motion', 'motion.yaml', '--out', '-'), 'is for text'),
+    (('identify', 'recording', *PARAMS, '--summary-out', '-'), 'is for text'),
+    (('plot', 'motion', 'recording', *PARAMS, '--out', '-'), 'is for text'),
+    (('export', 'cup.yaml', '--to', 'c', '--out', '-', '--json', '-'), 'has room for one'),
+])
+def test_what_stdout_cannot_take_is_refused(
+    bellows: Run, cell: Path, line: tuple[str, ...], words: str
+) -> None:
+    """Say so before any work."""
+    before = contents(cell)
+    done = bellows(*line, cwd=cell)
+    assert (done.returncode, done.stdout) == (2, '') and words in done.stderr, done.stderr
+    assert contents(cell) == before
+
+
 def test_every_output_is_known_as_one() -> None:
     """Have all options that name what is written checked: those with FILE, and BAG and NAME."""
     outputs = {}
