@@ -14,8 +14,10 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
 import lz4.frame
 
-CHUNK = 2**20
-
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 # No record, chunk or message of a sound recording is larger; a damaged or hostile file may say it
 # is.
@@ -175,8 +177,15 @@ def _listed_files(folder: Path) -> Listing:
     """Return the files a folder's metadata lists."""
     if not (folder / METADATA).is_file():
         return _without_metadata(folder)
-    information = _information(folder)
-    _require_known_compression(folder, information)
+    content = safe_yaml.load(folder / METADATA, aliases=True)
+    information = content.get('rosbag2_bagfile_information') if isinstance(content, dict) else None
+    if not isinstance(information, dict):
+        raise _damaged(folder, "it has no 'rosbag2_bagfile_information'")
+    form = information.get('compression_format')
+    if form not in (None, '', 'none', 'zstd'):
+        raise BellowsError(
+            f"Recording '{folder}' is compressed with '{str(form)[:40]}'; zstd is supported. "
+            "Decompress it with 'ros2 bag convert'.")
     names = information.get('relative_file_paths')
     if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
         raise _damaged(folder, 'relative_file_paths must be a list of file names')
@@ -217,26 +226,6 @@ def _damaged(folder: Path, reason: str) -> BellowsError:
     )
 
 
-def _information(folder: Path) -> dict[str, Any]:
-    """Return the information in a folder's metadata."""
-    content = safe_yaml.load(folder / METADATA, aliases=True)
-    information = content.get('rosbag2_bagfile_information') if isinstance(content, dict) else None
-    if not isinstance(information, dict):
-        raise _damaged(folder, "it has no 'rosbag2_bagfile_information'")
-    return information
-
-
-def _require_known_compression(folder: Path, information: dict[str, Any]) -> None:
-    """Refuse compression other than zstd."""
-    known = (None, '', 'none', 'zstd')
-    form = information.get('compression_format')
-    if form not in known:
-        raise BellowsError(
-            f"Recording '{folder}' is compressed with '{str(form)[:40]}'; zstd is supported. "
-            "Decompress it with 'ros2 bag convert'."
-        )
-
-
 def _inside(folder: Path, name: str, old: bool) -> Path:
     """Return the path of a listed file, which must be in the folder."""
     listed = PurePosixPath(name)
@@ -255,11 +244,6 @@ def _inside(folder: Path, name: str, old: bool) -> Path:
         )
     return path
 
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 ZstdError = zstd.ZstdError
@@ -335,11 +319,15 @@ def digests(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
 
     """
     top = Path(path)
+    found = []
     try:
-        files = sorted(p for p in top.iterdir() if p.is_file()) if top.is_dir() else [top]
-        return [_digest(file) for file in files]
+        for file in sorted(p for p in top.iterdir() if p.is_file()) if top.is_dir() else [top]:
+            with file.open('rb') as stream:
+                total = hashlib.file_digest(stream, 'sha256').hexdigest()
+                found.append({'name': file.name, 'bytes': stream.tell(), 'sha256': total})
     except OSError as error:
         raise BellowsError(f"'{path}' cannot be read for its digest: {error.strerror}.") from None
+    return found
 
 
 def recording_digest(
@@ -359,13 +347,3 @@ def recording_digest(
     known = {file['name']: file['sha256'] for file in files or digests(path)}
     parts = [known[file.name] for file in listing(path).files]
     return hashlib.sha256(' '.join(parts).encode()).hexdigest()
-
-
-def _digest(file: Path) -> dict[str, Any]:
-    """Return name, size and SHA-256 of a file."""
-    total, size = hashlib.sha256(), 0
-    with file.open('rb') as stream:
-        while chunk := stream.read(CHUNK):
-            total.update(chunk)
-            size += len(chunk)
-    return {'name': file.name, 'bytes': size, 'sha256': total.hexdigest()}

@@ -5,7 +5,6 @@ The same content, name and rosbags version give the same bytes.
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 import heapq
 import os
@@ -16,7 +15,7 @@ from typing import Any, Literal
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, mcap, messages
-from bellows_ros.files.bag_folder import METADATA
+from bellows_ros.files.bag_folder import METADATA, STORED
 import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -178,23 +177,23 @@ def write_bag(
         raise BellowsError(f"Recording '{path}' would be empty. Give messages to record.")
     if replace:
         require_replaceable(Path(path))
-    with atomic.new_folder(path, replace) as folder, _errors_of_the_system():
+    types: Any = get_typestore(Stores.ROS2_JAZZY)
+    with atomic.new_folder(path, replace) as folder:
         writer = _Writer(folder, version=_VERSION, storage_plugin=STORAGES[storage])
         writer.set_compression(COMPRESSIONS[compression], CompressionFormat.ZSTD)
-        with writer:
-            connections = _connections(writer, recorded)
-            streams = [r.messages(number) for number, r in enumerate(recorded)]
-            for log_time_ns, number, data in heapq.merge(*streams, key=lambda m: m[:2]):
-                writer.write(connections[number], log_time_ns, data)
-
-
-@contextmanager
-def _errors_of_the_system() -> Iterator[None]:
-    """Turn what SQLite says of a full disk into what the system says of other files."""
-    try:
-        yield
-    except sqlite3.Error as error:
-        raise OSError(f'SQLite says {error}') from None
+        made: dict[tuple[str, str], Connection] = {}
+        try:
+            with writer:
+                for r in recorded:
+                    if (r.topic, r.type_name) not in made:
+                        made[r.topic, r.type_name] = writer.add_connection(
+                            r.topic, r.type_name, typestore=types)
+                connections = [made[r.topic, r.type_name] for r in recorded]
+                streams = [r.messages(number) for number, r in enumerate(recorded)]
+                for log_time_ns, number, data in heapq.merge(*streams, key=lambda m: m[:2]):
+                    writer.write(connections[number], log_time_ns, data)
+        except sqlite3.Error as error:  # of a full disk, which others say as the system does
+            raise OSError(f'SQLite says {error}') from None
 
 
 def _require_choices(storage: str, compression: str) -> None:
@@ -213,21 +212,10 @@ def require_replaceable(folder: Path) -> None:
     if not folder.is_dir():
         return
     names = [p.name for p in folder.iterdir()]
-    strange = [n for n in names if n != METADATA and not n.endswith(('.mcap', '.db3', '.zstd'))]
+    strange = [n for n in names if n != METADATA and not n.endswith(STORED)]
     if strange or METADATA not in names:
         held = f"it holds '{strange[0]}'" if strange else f'it has no {METADATA}'
         raise BellowsError(
             f"Folder '{folder}' is not replaced because it is not just a recording: {held}. "
             'Give another name, or remove it first.'
         )
-
-
-def _connections(writer: Writer, recorded: Sequence[Recorded | Encoded]) -> list[Connection]:
-    """Add the topics to a recording, each once."""
-    types: Any = get_typestore(Stores.ROS2_JAZZY)
-    made: dict[tuple[str, str], Connection] = {}
-    for r in recorded:
-        key = (r.topic, r.type_name)
-        if key not in made:
-            made[key] = writer.add_connection(r.topic, r.type_name, typestore=types)
-    return [made[r.topic, r.type_name] for r in recorded]

@@ -15,7 +15,6 @@ import struct
 
 from bellows_ros.files.bag_folder import DamagedError, LARGEST_RECORD, Message, Topic, Wanted
 
-MAGIC = b'SQLite format 3\0'
 _HEADER = 100
 
 # Steps of SQLite's machine: a sound file of N bytes is read in far fewer than these.
@@ -48,7 +47,9 @@ def scan(path: Path, wanted: Wanted, counts: dict[Topic, int]) -> Iterator[Messa
     try:
         with closing(_connect(path)) as database:
             _require_plain(database)
-            _require_sound(database)
+            (verdict,) = database.execute('PRAGMA quick_check(1)').fetchone()
+            if verdict != 'ok':  # its pages do not fit together: messages could be missing
+                raise DamagedError(f'SQLite finds it damaged: {verdict!s:.200}')
             numbers = _topics(database, counts)
             for topic_id, topic in numbers.items():
                 if wanted(topic):
@@ -101,13 +102,6 @@ def _require_plain(database: sqlite3.Connection) -> None:
     if computed:
         raise DamagedError(
             f"its table '{computed[0]:.40}' is computed, not stored, which no recorder does")
-
-
-def _require_sound(database: sqlite3.Connection) -> None:
-    """Refuse a database whose pages do not fit together, in which messages could be missing."""
-    (verdict,) = database.execute('PRAGMA quick_check(1)').fetchone()
-    if verdict != 'ok':
-        raise DamagedError(f'SQLite finds it damaged: {verdict!s:.200}')
 
 
 def _connect(path: Path) -> sqlite3.Connection:
