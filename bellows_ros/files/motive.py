@@ -42,6 +42,8 @@ TIME = 1  # column
 NS_PER_S = 1e9
 
 Heads = Mapping[str, Sequence[str]]
+Columns = tuple[list[int], list[int], list[int]]
+"""Where the poses of a body are, the qualities of its markers, and their measured positions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,15 +70,6 @@ class MotiveBody:
     values: Array
     missing: int
     unseen: int
-
-
-@dataclass(frozen=True)
-class _Columns:
-    """Where the poses of a body are, and what tells how many of its markers were seen."""
-
-    pose: list[int]
-    qualities: list[int]
-    positions: list[int]
 
 
 def read_motive(
@@ -120,20 +113,22 @@ def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody
     """Return the bodies in an open file."""
     rows = csv.reader(stream)
     about, heads = _head(path, rows)
-    scale = _scale(path, about)
+    scale = UNITS[about['Length Units'].lower()]
     columns = _body_columns(path, heads)
-    needed = sorted({TIME}.union(*(c.pose + c.qualities + c.positions for c in columns.values())))
-    table = _numbers(path, rows, needed)
-    place = {column: number for number, column in enumerate(needed)}
-    seconds = table[:, place[TIME]]
-    if not len(table) or not np.all(np.isfinite(seconds)):
+    needed = sorted({TIME}.union(*(c for of_body in columns.values() for c in of_body)))
+    table = dict(zip(needed, _numbers(path, rows, needed).T, strict=True))
+    seconds = table[TIME]
+    if not len(seconds) or not np.all(np.isfinite(seconds)):
         raise BellowsError(f"'{path}' has no frames, or frames without a time.")
     stamps = _start_ns(about) + np.rint(seconds * NS_PER_S).astype(np.int64)
     found = []
-    for name, of_body in columns.items():
-        pose, seen = _pose_and_seen(table, place, of_body)
-        there = np.isfinite(pose).all(axis=1)
-        enough = seen >= fewest_markers
+    for name, (pose_columns, qualities, positions) in columns.items():
+        pose = np.column_stack([table[c] for c in pose_columns])
+        there, enough = np.isfinite(pose).all(axis=1), np.ones(len(pose), dtype=bool)
+        if qualities:
+            enough = np.sum([table[c] >= SEEN_QUALITY for c in qualities], 0) >= fewest_markers
+        elif len(positions) >= FEWEST_MARKERS:
+            enough = np.sum([np.isfinite(table[c]) for c in positions], 0) >= fewest_markers
         kept = there & enough
         found.append(MotiveBody(
             name, stamps[kept], np.hstack([scale * pose[kept, 4:], pose[kept, :4]]),
@@ -179,15 +174,10 @@ def _require_settings(path: Path, about: Mapping[str, str]) -> None:
                 f"'{path}' has {name} {about[name]}; {wanted} is needed. Export it again with "
                 f'{name} set to {wanted}.'
             )
-
-
-def _scale(path: Path, about: Mapping[str, str]) -> float:
-    """Return the file's unit of length, m."""
     unit = about.get('Length Units', 'an unknown unit')
     if unit.lower() not in UNITS:
         raise BellowsError(
             f"'{path}' has lengths in {unit}; expected are {', '.join(UNITS)}. Export it again.")
-    return UNITS[unit.lower()]
 
 
 def _start_ns(about: Mapping[str, str]) -> int:
@@ -205,7 +195,7 @@ def _start_ns(about: Mapping[str, str]) -> int:
     return int(start.timestamp()) * 10**9 + int((match[7] or '0').ljust(9, '0'))
 
 
-def _body_columns(path: Path, heads: Heads) -> dict[str, _Columns]:
+def _body_columns(path: Path, heads: Heads) -> dict[str, Columns]:
     """Return the columns of each rigid body."""
     pairs = zip(heads['Type'], heads['Name'], strict=True)
     names = list(dict.fromkeys(name for kind, name in pairs if kind == 'Rigid Body'))
@@ -214,30 +204,28 @@ def _body_columns(path: Path, heads: Heads) -> dict[str, _Columns]:
             f"'{path}' has no rigid bodies. Export the take again with rigid bodies switched on."
         )
     poses: dict[str, dict[str, int]] = {name: {} for name in names}
-    found = {name: _Columns([], [], []) for name in names}
+    qualities: dict[str, list[int]] = {name: [] for name in names}
+    positions: dict[str, list[int]] = {name: [] for name in names}
     for number, (kind, owner, quantity, axis) in enumerate(zip(
             heads['Type'], heads['Name'], heads['Quantity'], heads['axis'], strict=True)):
-        body = owner if kind == 'Rigid Body' else _body_of(owner, names)
         if kind == 'Rigid Body':
-            poses[body].setdefault(f'{quantity} {axis}'.strip(), number)
-        elif body and kind == 'Rigid Body Marker' and quantity == 'Marker Quality':
-            found[body].qualities.append(number)
+            poses[owner].setdefault(f'{quantity} {axis}'.strip(), number)
+            continue
+        # A marker's name (BODY:Marker1, BODY_1) begins with that of its body.
+        fitting = [name for name in names if owner.startswith((f'{name}:', f'{name}_'))]
+        body = max(fitting, key=len, default='')
+        if body and kind == 'Rigid Body Marker' and quantity == 'Marker Quality':
+            qualities[body].append(number)
         elif body and kind == 'Marker' and (quantity, axis) == ('Position', 'X'):
-            found[body].positions.append(number)
-    for name, of_body in found.items():
-        lacking = [column for column in POSE if column not in poses[name]]
+            positions[body].append(number)
+    for name, pose in poses.items():
+        lacking = [column for column in POSE if column not in pose]
         if lacking:
             raise BellowsError(
                 f"'{path}': rigid body '{name}' lacks the column {lacking[0]}. Export it again."
             )
-        of_body.pose.extend(poses[name][column] for column in POSE)
-    return found
-
-
-def _body_of(marker: str, names: Sequence[str]) -> str:
-    """Return the body that a marker's name (BODY:Marker1, BODY_1) begins with; '' if none."""
-    fitting = [name for name in names if marker.startswith((f'{name}:', f'{name}_'))]
-    return max(fitting, key=len, default='')
+    return {name: ([poses[name][column] for column in POSE], qualities[name], positions[name])
+            for name in names}
 
 
 def _numbers(path: Path, rows: Iterator[list[str]], columns: Sequence[int]) -> Array:
@@ -252,17 +240,3 @@ def _numbers(path: Path, rows: Iterator[list[str]], columns: Sequence[int]) -> A
         except ValueError as error:
             raise BellowsError(f"'{path}', row {number} of the table: {error}.") from None
     return np.array(values).reshape(-1, len(columns))
-
-
-def _pose_and_seen(
-    table: Array, place: Mapping[int, int], columns: _Columns
-) -> tuple[Array, Array]:
-    """Return a body's poses (N, 7), and how many of its markers are seen (infinite if unsaid)."""
-    pose = table[:, [place[c] for c in columns.pose]]
-    if columns.qualities:
-        seen = table[:, [place[c] for c in columns.qualities]] >= SEEN_QUALITY
-    elif len(columns.positions) >= FEWEST_MARKERS:
-        seen = np.isfinite(table[:, [place[c] for c in columns.positions]])
-    else:
-        return pose, np.full(len(table), np.inf)
-    return pose, np.count_nonzero(seen, axis=1).astype(np.float64)
