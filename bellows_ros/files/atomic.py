@@ -54,7 +54,12 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
     target = require_file_target(path)
     beside = _beside(target)
     try:
-        _write_synced(beside, data, _permissions(target))
+        with beside.open('xb') as file:
+            if target.exists():
+                os.fchmod(file.fileno(), stat.S_IMODE(target.stat().st_mode))
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(beside, target)
         _sync(target.parent)
     except OSError as error:
@@ -111,13 +116,17 @@ def new_folder(path: str | os.PathLike[str], replace: bool = False) -> Iterator[
         If something is there and may not be replaced, or the folder cannot be written.
 
     """
-    target = _folder_target(path, replace)
+    target = require_folder_target(path)
+    if os.path.lexists(target) and not (replace and target.is_dir() and not target.is_symlink()):
+        raise BellowsError(f"Output '{path}' exists. Give another name, or remove it first.")
     try:
         work = _beside(target)
         work.mkdir()
+        finished = work / target.name
         try:
-            yield work / target.name
-            _sync_all(work / target.name)
+            yield finished
+            for made in [*finished.rglob('*'), finished]:
+                _sync(made)
             _move_into_place(work, target, replace)
         finally:
             shutil.rmtree(work, ignore_errors=True)
@@ -144,14 +153,6 @@ def require_folder_target(path: str | os.PathLike[str]) -> Path:
         raise _failed(path, error) from None
     if no_folder:
         raise _no_folder(path, target)
-    return target
-
-
-def _folder_target(path: str | os.PathLike[str], replace: bool) -> Path:
-    """Return where a folder goes that is not there, or that may be replaced."""
-    target = require_folder_target(path)
-    if os.path.lexists(target) and not (replace and target.is_dir() and not target.is_symlink()):
-        raise BellowsError(f"Output '{path}' exists. Give another name, or remove it first.")
     return target
 
 
@@ -194,21 +195,6 @@ def _beside(target: Path) -> Path:
     return target.with_name(hidden_name())
 
 
-def _permissions(target: Path) -> int | None:
-    """Return the permissions of a file that is there; None where there is none."""
-    return stat.S_IMODE(target.stat().st_mode) if target.exists() else None
-
-
-def _write_synced(path: Path, data: bytes, permissions: int | None) -> None:
-    """Write a new file down to the disk; without permissions it gets those of any new file."""
-    with path.open('xb') as file:
-        if permissions is not None:
-            os.fchmod(file.fileno(), permissions)
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-
-
 def _sync(path: Path) -> None:
     """Bring a file or a folder's names to the disk, where the file system can."""
     with suppress(OSError):
@@ -217,12 +203,6 @@ def _sync(path: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
-
-
-def _sync_all(folder: Path) -> None:
-    """Bring a folder and its files to the disk."""
-    for path in [*folder.rglob('*'), folder]:
-        _sync(path)
 
 
 def _failed(path: str | os.PathLike[str], error: Exception) -> BellowsError:

@@ -88,7 +88,10 @@ def read_parameters(path: str | os.PathLike[str], node: str | None = None) -> di
         for name, value, line in _flattened(section, keys, lines):
             if any(fnmatchcase(name, form) for form in _OF_ROS):
                 continue
-            checked = _checked(file, name, value, line)
+            try:
+                checked = validate(name, value)
+            except BellowsError as error:
+                raise BellowsError(f'{file}, line {line}: {error}') from None
             if node is None and values.get(name, checked) != checked:
                 raise BellowsError(
                     f"{file}, line {line}: '{name}' is given before with another value. Keep one."
@@ -136,7 +139,9 @@ def write_parameters(
 def format_parameters(values: Mapping[str, object], header: Sequence[str] = ()) -> str:
     """Return the text of a parameter file; see `write_parameters`."""
     checked = {lookup(name).name: validate(name, value) for name, value in values.items()}
-    lines = [_comment(line) for line in header]
+    # A line break in a comment must not end it.
+    plain = (''.join(c if c.isprintable() else ' ' for c in line) for line in header)
+    lines = [f'# {line}'.rstrip() for line in plain]
     lines += ['/**:', f'{_INDENT}{_SECTION}:']
     body = list(_body(checked))
     return '\n'.join([*lines, *(body or [f'{_INDENT * 2}{{}}'])]) + '\n'
@@ -188,18 +193,21 @@ def _flattened(
             yield name, value, lines.get(where, 0)
 
 
-def _checked(file: Path, name: str, value: object, line: int) -> Value:
-    """Return a checked value; the error names the line."""
-    try:
-        return validate(name, value)
-    except BellowsError as error:
-        raise BellowsError(f'{file}, line {line}: {error}') from None
-
-
 def _body(values: Mapping[str, Value]) -> Iterator[str]:
-    """Yield the lines of the values, nested by the parts of their names."""
+    """
+    Yield the lines of the values, nested by the parts of their names.
+
+    They come in the order of the table, and behind them those of named cups, by cup.
+    """
+    order = {name: k for k, name in enumerate(PARAMETERS)}
+    cups = cup_names(values)
+
+    def place(name: str) -> tuple[int, int]:
+        named = NAMED_CUP.fullmatch(name)
+        return (1 + cups.index(named[1]), order[f'cup.{named[2]}']) if named else (0, order[name])
+
     groups: Group = {}
-    for name in _in_order(values):
+    for name in sorted(values, key=place):
         if values[name] != ():  # ROS has no empty lists
             *path, leaf = name.split('.')
             group = groups
@@ -207,20 +215,6 @@ def _body(values: Mapping[str, Value]) -> Iterator[str]:
                 group = group.setdefault(part, {})
             group[leaf] = lookup(name)
     yield from _lines_of(groups, values, _INDENT * 2)
-
-
-def _in_order(names: Iterable[str]) -> list[str]:
-    """Return names in the order of the table, and behind them those of named cups, by cup."""
-    order = {name: k for k, name in enumerate(PARAMETERS)}
-    cups = {cup: len(order) + k for k, cup in enumerate(cup_names(names))}
-
-    def place(name: str) -> tuple[int, int]:
-        named = NAMED_CUP.fullmatch(name)
-        if named is None:
-            return order[name], 0
-        return cups[named[1]], order[f'cup.{named[2]}']
-
-    return sorted(names, key=place)
 
 
 def _lines_of(group: Group, values: Mapping[str, Value], indent: str) -> Iterator[str]:
@@ -249,19 +243,15 @@ def _rows(parameter: Parameter, value: tuple[Any, ...], indent: str) -> Iterator
     """Yield the lines of a long list, six items a line."""
     texts = [_scalar(x) for x in value]
     width = max(len(text) for text in texts)
+    of_rows = _ROW_UNITS.get(NAMED_CUP.sub(r'cup.\2', parameter.name))
+    unit = f'  # {parameter.unit}' if parameter.unit else ''
     for row, start in enumerate(range(0, len(value), _ROW)):
         cells = ', '.join(text.rjust(width) for text in texts[start:start + _ROW])
         opening = '[' if start == 0 else ' '
         closing = ']' if start + _ROW >= len(value) else ','
-        yield f'{indent}{opening}{cells}{closing}{_row_unit(parameter, row)}'
-
-
-def _row_unit(parameter: Parameter, row: int) -> str:
-    """Return the comment with the units of a row."""
-    units = _ROW_UNITS.get(NAMED_CUP.sub(r'cup.\2', parameter.name))
-    if units:
-        return f'  # {_AXES[row]}: {units[row // 3]}'
-    return f'  # {parameter.unit}' if parameter.unit else ''
+        if of_rows:
+            unit = f'  # {_AXES[row]}: {of_rows[row // 3]}'
+        yield f'{indent}{opening}{cells}{closing}{unit}'
 
 
 def _scalar(value: object) -> str:
@@ -283,11 +273,6 @@ def _quoted(text: str) -> str:
         return f'"{"".join(escaped)}"'
     doubled = text.replace("'", "''")
     return f"'{doubled}'"
-
-
-def _comment(line: str) -> str:
-    """Return a comment, in which a line break cannot end it."""
-    return ('# ' + ''.join(c if c.isprintable() else ' ' for c in line)).rstrip()
 
 
 def cup_names(names: Iterable[str]) -> list[str]:
@@ -314,24 +299,19 @@ def with_chosen_cup(values: Mapping[str, Any]) -> dict[str, Any]:
         return dict(values)
     prefix = f'cups.{name}.'
     known = cup_names(values)
-    if f'{prefix}stiffness' not in values:
-        raise BellowsError(_why_unknown(name, known))
+    if name in known and f'{prefix}stiffness' not in values:
+        raise BellowsError(
+            f"cup.name is '{name}', but cups.{name}.stiffness is not set. Give the cup's "
+            'stiffness, damping and length there.')
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+        hint = f"Did you mean '{near[0]}'?" if near else (
+            f'Cups there: {", ".join(known) or "none"}.')
+        raise BellowsError(
+            f"cup.name is '{name}', but there are no parameters cups.{name}.*. {hint}")
     chosen = {
         f'cup.{key.removeprefix(prefix)}': value
         for key, value in values.items() if key.startswith(prefix)
     }
     kept = {key: value for key, value in values.items() if not key.startswith('envelope.')}
     return {**kept, **chosen}
-
-
-def _why_unknown(name: str, known: list[str]) -> str:
-    """Return what to say about the name of a cup that is not described."""
-    if name in known:
-        return (
-            f"cup.name is '{name}', but cups.{name}.stiffness is not set. Give the cup's "
-            'stiffness, damping and length there.'
-        )
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    hint = f"Did you mean '{near[0]}'?" if near else (
-        f'Cups there: {", ".join(known) or "none"}.')
-    return f"cup.name is '{name}', but there are no parameters cups.{name}.*. {hint}"

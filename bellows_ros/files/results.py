@@ -57,9 +57,8 @@ def write_result(path: str | os.PathLike[str], result: Mapping[str, Any]) -> Non
         cannot be written.
 
     """
-    content = _plain(result)
-    _require_complete('The result', content)
-    atomic.write_text(path, format_json(content))
+    _require_complete('The result', _plain(result))
+    write_json(path, result)
 
 
 def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:

@@ -82,12 +82,6 @@ for _name, _form in _NUMBERS.items():
         f'tag:yaml.org,2002:{_name}', re.compile(_form), list('-+.0123456789'))
 
 
-class _LoaderWithAliases(_Loader):
-    """The same for files that other programs write, with aliases."""
-
-    aliases_allowed = True
-
-
 def load(path: Path, aliases: bool = False) -> Any:
     """
     Return the content of a YAML file: dicts, lists, strings, numbers, truth values and None.
@@ -121,7 +115,8 @@ def load_with_lines(path: Path, aliases: bool = False) -> tuple[Any, Lines]:
     """
     text = _read(path)
     try:
-        loader = (_LoaderWithAliases if aliases else _Loader)(text)
+        loader = _Loader(text)
+        loader.aliases_allowed = aliases  # in files that other programs write
         node = loader.get_single_node()
         if node is None:
             return None, {}
