@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.arm import Arm, Joint
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import log_so3, transform
+from bellows_ros.core.motion_limits import largest_rates, read_rates
 from bellows_ros.core.synthetic.motion import Motion, Pose, pose_from
 from bellows_ros.core.synthetic.settings import Settings
 from bellows_ros.errors import BellowsError
@@ -17,7 +18,6 @@ from scipy.interpolate import CubicSpline
 CHECK_RATE, JOINT_RATE = 1000.0, 250.0
 """Rates (Hz) at which limits are checked, and at which joint positions are found for that."""
 
-RATES = ('speed', 'acceleration', 'jerk')
 BENDING, TORSION, HIGHEST_FREQUENCY = math.radians(20.0), math.radians(30.0), 12.0
 """Of real cups (rad; from 45 degrees on the model's moment falls), and what arms follow (Hz)."""
 
@@ -49,8 +49,8 @@ class ArmLimits:
         Corners of the workspace in the world, m.
     turn : array (3,)
         Largest components of the rotation vector from the start, rad.
-    linear, angular : array (3,)
-        Largest speed, acceleration and jerk: m/s, m/s^2, m/s^3; rad/s, rad/s^2, rad/s^3.
+    rates : mapping of str to float
+        Largest speed, acceleration and jerk, and the angular ones, as in `motion_limits.RATES`.
     bending, torsion : float
         Of the cup, rad.
     safety : float
@@ -68,8 +68,7 @@ class ArmLimits:
     lower: Array
     upper: Array
     turn: Array
-    linear: Array
-    angular: Array
+    rates: Mapping[str, float]
     bending: float
     torsion: float
     safety: float
@@ -91,9 +90,9 @@ class ArmLimits:
             [np.minimum(self.upper - start, start - self.lower), self.turn]).tolist()
         found = [Bound('workspace' if i < 3 else 'rotation', 0, eye[i:i + 1], room[i])
                  for i in range(6)]
-        for n, name in enumerate(RATES):
-            found += [Bound(name, n + 1, eye[:3], float(self.linear[n])),
-                      Bound(f'angular {name}', n + 1, eye[3:], float(self.angular[n]))]
+        for i, (name, limit) in enumerate(self.rates.items()):
+            part = slice(3) if i < 3 else slice(3, 6)
+            found.append(Bound(name.replace('_', ' '), 1 + i % 3, eye[part], limit))
         if self.arm is not None:
             rows = np.linalg.pinv(self.arm.jacobian(self.joints[None])[0], rcond=1e-3) @ self.axes
             for joint, row, at in zip(_moving(self.arm), rows, self.joints, strict=True):
@@ -105,24 +104,20 @@ class ArmLimits:
 
     def ratios(self, motion: Motion) -> dict[str, float]:
         """Return the largest part of each limit that a motion takes, at `CHECK_RATE`."""
-        t = np.arange(math.ceil(motion.duration * CHECK_RATE) + 1) / CHECK_RATE
-        o, velocity, R, rate = motion.state(t)
+        tool = motion.at_rate(CHECK_RATE)
+        o, R = tool.position, tool.rotation
         shift, turn = o - self.start.position, log_so3(self.start.rotation.T @ R)
         room = np.where(shift > 0.0, self.upper - self.start.position,
                         self.start.position - self.lower)
         found = {'workspace': np.abs(shift / room).max(),
                  'rotation': np.abs(turn / self.turn).max()}
-        for names, limits, moved in (
-            ('{}', self.linear, velocity), ('angular {}', self.angular, rate),
-        ):
-            for name, limit in zip(RATES, limits, strict=True):
-                found[names.format(name)] = np.linalg.norm(moved, axis=1).max() / limit
-                moved = np.diff(moved, axis=0) * CHECK_RATE
+        for name, most in largest_rates(R, np.asarray(tool.twist), 1.0 / CHECK_RATE).items():
+            found[name.replace('_', ' ')] = most / self.rates[name]
         if self.arm is not None:
             few = slice(None, None, round(CHECK_RATE / JOINT_RATE))
             spline = CubicSpline(
-                t[few], self.arm.positions(transform(R[few], o[few]), self.joints))
-            q, speed = spline(t), spline(t, 1)
+                tool.seconds[few], self.arm.positions(transform(R[few], o[few]), self.joints))
+            q, speed = spline(tool.seconds), spline(tool.seconds, 1)
             for i, joint in enumerate(_moving(self.arm)):
                 off = q[:, i] - self.joints[i]
                 ends = np.where(off > 0.0, joint.upper, -joint.lower)
@@ -181,14 +176,8 @@ def limits_from(
             f"The start {start.position.tolist()} m is not inside of 'workspace' "
             f"({lower.tolist()} to {upper.tolist()} m), or 'workspace.rotation' is not above 0. "
             'Move the start or widen the workspace.')
-    rates = []
-    for name, unit in (('linear', 'm'), ('angular', 'rad')):
-        block = settings.block(name)
-        rates.append(np.array([block.number(rate, unit=f'{unit}/s{power}', above=0.0)
-                               for rate, power in zip(RATES, ('', '^2', '^3'), strict=True)]))
-        block.done()
     found = ArmLimits(
-        start, lower, upper, turn, rates[0], rates[1],
+        start, lower, upper, turn, read_rates(settings),
         settings.number('bending', BENDING, 'rad', above=0.0, most=0.5 * math.pi),
         settings.number('torsion', TORSION, 'rad', above=0.0, most=0.5 * math.pi),
         settings.number('safety_factor', safety, least=0.0),

@@ -7,7 +7,7 @@ from bellows_ros.core.arm_limits import ArmLimits
 from bellows_ros.core.excitation import all_ratios
 from bellows_ros.core.holding import Grip
 from bellows_ros.core.kernels import ModelTuple
-from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.lie import exp_so3, log_so3
 from bellows_ros.core.synthetic.motion import Pose, Segment, Waypoints
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -67,13 +67,13 @@ def _through(
     """Return moves from the start through poses, slower than the arm can by a factor."""
     segments, here = [], limits.start
     for pose, hold in zip(poses, holds, strict=False):
-        turn = np.trace(here.rotation.T @ pose.rotation)
-        angle = float(np.arccos(np.clip(0.5 * (turn - 1.0), -1.0, 1.0)))
         way = float(np.linalg.norm(pose.position - here.position))
+        angle = float(np.linalg.norm(log_so3(here.rotation.T @ pose.rotation)))
         shortest = max(
-            (steep * size / most) ** (1.0 / power)
-            for size, limit in ((way, limits.linear), (angle, limits.angular))
-            for power, (steep, most) in enumerate(zip(STEEPEST, limit.tolist(), strict=True), 1))
+            (steep * size / most) ** (1.0 / order)
+            for order, steep, size, most in zip(
+                2 * (1, 2, 3), 2 * STEEPEST, [way] * 3 + [angle] * 3, limits.rates.values(),
+                strict=True))
         segments.append(Segment(pose, max(0.05, 1.001 * by * shortest), hold))
         here = pose
     return Waypoints(limits.start, REST, tuple(segments))

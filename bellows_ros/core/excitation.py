@@ -160,13 +160,11 @@ class Search:
         changes = np.array([r.changes for r in found]) @ limits.axes
         self._changes = changes.transpose(2, 0, 1, 3, 4).reshape(wide, -1, 6)
         self._constant = self._poses * np.array([r.constant for r in found])
-        rows = [load for r, model in zip(found, models, strict=True)
-                for load in load_rows(r, model, limits, grip, omega)]
-        self._loads = np.concatenate(rows, axis=1) @ limits.axes
-        self._of_load = np.repeat(np.arange(len(rows)), [load.shape[1] for load in rows])
-        self._bounds, self.allowed = limits.bounds(), np.ones(len(rows))
-        self._names = [b.name for b in self._bounds] + [*LOADS] * self._models
-        self._pulls = [i % len(LOADS) > 1 for i in range(len(rows))]
+        rows = [load_rows(r, model, limits, grip, omega)
+                for r, model in zip(found, models, strict=True)]
+        self._loads = np.concatenate(rows) @ limits.axes
+        self._bounds, self.allowed = limits.bounds(), np.ones(len(self._loads))
+        self._names = [b.name for b in self._bounds] + [*LOADS[:len(rows[0])]] * self._models
         room = np.array([b.limit for b in self._bounds[:6]])
         self.size = 0.3 * room[:, None] / (1.0 + (omega[:self.count] / 6.0) ** 2)
 
@@ -200,44 +198,35 @@ class Search:
     def criterion(self, coefficients: Any) -> float:
         """Return the criterion of coefficients (K, 6) as they are."""
         waves = self._swell[0, 0] * self._signals(coefficients.T)
-        lines = self._lines(waves, len(self._loads)).T * (2.0 / self.points)
+        lines = self._lines(waves, self._loads.shape[1]).T * (2.0 / self.points)
         return self._information(lines)[0]
 
     def _value(self, c: Any, power: int) -> tuple[float, Any, tuple[float, dict[str, float]]]:
         """Return value, slope by the coefficients, and largest ratio with the shares in it."""
         rates = self._signals(self._powers * c)
         u = np.array([sum(self._swell[n, m] * rates[m] for m in range(n + 1)) for n in range(4)])
-        wide = len(self._loads)
+        first, wide = len(self._bounds), self._loads.shape[1]
         lines = self._lines(u[0], wide).T * (2.0 / self.points)
-        loads = self._loads / self.allowed[self._of_load][:, None]
-        signals = [b.rows @ u[b.order] / b.limit for b in self._bounds]
-        loaded = self._signals((loads @ lines[:, :, None])[:, :, 0].T)
-        signals += [loaded[self._of_load == i] for i in range(len(self.allowed))]
-        # A vector's length is bounded, or for peel and slip that plus the last number.
-        vectors = [s[:-1] if pulls else s for s, pulls in zip(
-            signals, [False] * len(self._bounds) + self._pulls, strict=True)]
-        lengths = np.sqrt([np.einsum('ij,ij->j', v, v) for v in vectors])
-        ratios = lengths.copy()
-        for i, (s, v) in enumerate(zip(signals, vectors, strict=True)):
-            if len(s) > len(v):
-                ratios[i] = np.maximum(ratios[i] + s[-1], 0.0)
+        loads = self._loads / self.allowed[:, None, None, None]
+        # The length of three numbers plus a fourth is bounded.
+        signals = np.zeros((first + len(loads), 4, self.points))
+        for signal, b in zip(signals, self._bounds, strict=False):
+            signal[:len(b.rows)] = b.rows @ u[b.order] / b.limit
+        signals[first:] = self._signals(np.swapaxes((loads @ lines[:, :, None])[..., 0], 1, 2))
+        lengths = np.sqrt(np.einsum('ijk,ijk->ik', signals[:, :3], signals[:, :3]))
+        ratios = np.maximum(lengths + signals[:, 3], 0.0)
         top = float(ratios.max())
         parts = (ratios / top) ** power
         total = float(np.sum(parts))
         norm = top * (total / self.points) ** (1.0 / power)
         pulls = parts / np.maximum(ratios, 1e-6 * top) / total
-        by_u, by_load = np.zeros_like(u), np.zeros_like(loaded)
-        for i, (v, pull) in enumerate(zip(vectors, pulls, strict=True)):
-            along = v * (pull / np.maximum(lengths[i], 1e-6 * top))
-            if i < len(self._bounds):
-                b = self._bounds[i]
-                by_u[b.order] += (b.rows / b.limit).T @ along
-            else:
-                place = np.flatnonzero(self._of_load == i - len(self._bounds))
-                by_load[place[:len(v)]] = along
-                by_load[place[len(v):]] = pull
-        by_lines = (np.swapaxes(loads, 1, 2).conj() @ self._lines(
-            by_load, wide).T[:, :, None])[:, :, 0]
+        by_signals = signals * (pulls / np.maximum(lengths, 1e-6 * top))[:, None]
+        by_signals[:, 3] = pulls
+        by_u = np.zeros_like(u)
+        for by_signal, b in zip(by_signals, self._bounds, strict=False):
+            by_u[b.order] += b.rows.T @ by_signal[:len(b.rows)] / b.limit
+        by_loads = np.swapaxes(self._lines(by_signals[first:], wide), 1, 2)[..., None]
+        by_lines = np.sum(np.swapaxes(loads, 2, 3).conj() @ by_loads, axis=0)[:, :, 0]
         value, gained = self._information(lines / norm)
         inner = float(np.real(np.sum(gained.conj() * lines))) / norm
         by_u *= -inner
@@ -336,8 +325,8 @@ def design(
     def responses_at(omega: Array) -> list[Response]:
         return [response(
             lambda x: model_tuple(Cup(*structure.matrices(x), cup.length), package, gravity),
-            structure.parameters(each.stiffness, each.damping), _scale(structure, each), at, omega,
-            tracking) for each in cups]
+            structure.parameters(each.stiffness, each.damping),
+            structure.sizes(each.stiffness, each.damping), at, omega, tracking) for each in cups]
 
     search = Search(limits, period, models, grip, responses_at, 1.0 / tracking.package_period)
     rng = np.random.default_rng(seed)
@@ -370,37 +359,33 @@ def cups_near(cup: Cup) -> list[Cup]:
             for factor in (1.0, 1.0 / GUESS_OFF, GUESS_OFF)]
 
 
-def _scale(structure: Structure, cup: Cup) -> Array:
-    """Return the units of the parameters (2 n,): the roots of the diagonal entries' products."""
-    return np.array([math.sqrt(matrix[i, i] * matrix[j, j])
-                     for matrix in (cup.stiffness, cup.damping) for i, j in structure.leads])
-
-
 def all_ratios(
     motion: Motion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
 ) -> dict[str, float]:
     """Return the largest part of every limit that a motion takes, whatever model is right."""
     worst = loads(motion, limits, models, grip).max(axis=0).tolist()
-    known = LOADS if grip else LOADS[:2]
-    return limits.ratios(motion) | dict(zip(known, worst, strict=False))
+    return limits.ratios(motion) | dict(zip(LOADS, worst, strict=False))
 
 
 def loads(
     motion: Motion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
 ) -> Array:
-    """Return the largest parts (M, 4) of the limits of `LOADS`, with each of M models."""
+    """Return the largest parts (M, 4) of the limits of `LOADS`, with M models; (M, 2) gripless."""
     tool = motion.at_rate(CHECK_RATE)
     found = [Run(model, grip, tool).at(1.0) for model in models]
-    peel_slip = limits.safety if grip else 0.0
     return np.array([
         [each.peaks[2, 0] / limits.bending, np.abs(each.deflection[5]).max() / limits.torsion,
-         *(peel_slip * each.peaks[:2, 0])] for each in found])
+         *(limits.safety * each.peaks[:2, 0] if grip else ())] for each in found])
 
 
 def load_rows(
     found: Response, model: ModelTuple, limits: ArmLimits, grip: Grip | None, omega: Array
-) -> list[Array]:
-    """Return what makes bending, peel and slip, in parts of their limits, of lines of the tool."""
+) -> Array:
+    """
+    Return what makes the `LOADS`, in parts of their limits, of lines of the tool: (4, F, 4, 6).
+
+    Three numbers whose length counts, and one that adds to it. Without a grip two loads are known.
+    """
     mass, com, inertia, _ = model[1]
     c, g = hat(com), hat(limits.start.rotation.T @ model[2])
     inert = np.block([
@@ -409,16 +394,16 @@ def load_rows(
     wrench = -omega[:, None, None]**2 * (inert @ found.package)  # at S, beyond that at rest
     wrench += turned @ found.package[:, 3:]
     turn = (found.package - np.eye(6))[:, 3:]
-    of_cup = [turn[:, :2] / limits.bending, turn[:, 2:] / limits.torsion]
+    rows = np.zeros((4 if grip else 2, len(omega), 4, 6), dtype=complex)
+    rows[0, :, :2], rows[1, :, 0] = turn[:, :2] / limits.bending, turn[:, 2] / limits.torsion
     if grip is None:
-        none = np.zeros((len(omega), 1, 6))
-        return [*of_cup, none, none]
+        return rows
     suction, radius, friction = grip
     pressed = max(suction / limits.safety - mass * float(np.linalg.norm(model[2])), 0.1 * suction)
     f, m = wrench[:, :3] / pressed, wrench[:, 3:] / pressed
-    pull = f[:, 2:]
-    return [*of_cup, np.concatenate([m[:, :2] * 2.0 / radius, pull], axis=1),
-            np.concatenate([f[:, :2] / friction, m[:, 2:] / (radius * friction), pull], axis=1)]
+    rows[2, :, :2], rows[3, :, :2] = 2.0 / radius * m[:, :2], f[:, :2] / friction
+    rows[3, :, 2], rows[2:, :, 3] = m[:, 2] / (radius * friction), f[:, 2]
+    return rows
 
 
 def _within(

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import apply
 from bellows_ros.core.resampling import resample
+from bellows_ros.core.synthetic.settings import Settings
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -31,6 +32,18 @@ NONE = 1e12
 """A limit that is none."""
 
 
+def read_rates(settings: Settings, default: float | None = None) -> dict[str, float]:
+    """Return the limits by the names of `RATES`, of the blocks `linear` and `angular`."""
+    found = {}
+    for kind, names in (('linear', tuple(RATES)[:3]), ('angular', tuple(RATES)[3:])):
+        block = settings.block(kind)
+        for name in names:
+            found[name] = block.number(
+                name.removeprefix('angular_'), default, RATES[name], above=0.0)
+        block.done()
+    return found
+
+
 class Limits(NamedTuple):
     """What a motion must keep to; `NONE`, or 0 for the safety factor, where nothing is asked."""
 
@@ -42,20 +55,30 @@ class Limits(NamedTuple):
     safety_factor: float
 
 
+def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float]:
+    """
+    Return the largest speed, acceleration and jerk, and the angular ones, SI, as in `RATES`.
+
+    Of rotations (N, 3, 3) to the world and body twists (N, 6) a step (s) apart, by differences.
+    """
+    found = []
+    for part in (twist[:, :3], twist[:, 3:]):
+        rate = apply(rotation, part)
+        for order in range(3):
+            sizes = np.linalg.norm(np.diff(rate, order, axis=0), axis=1) / step ** order
+            found.append(float(sizes.max()))
+    return dict(zip(RATES, found, strict=True))
+
+
 def demands(tool: Trajectory) -> dict[str, float]:
-    """Return the largest speed, acceleration and jerk of a motion, and the angular ones, SI."""
+    """Return the `largest_rates` of a motion from rest to rest, at points `SPACING_NS` apart."""
     count = max(3, round(float(tool.stamps_ns[-1] - tool.stamps_ns[0]) / SPACING_NS))
     at = np.linspace(0, int(tool.stamps_ns[-1] - tool.stamps_ns[0]), count + 1).astype(np.int64)
     points = resample(tool, tool.stamps_ns[0] + at)
-    twist = np.asarray(points.twist)
-    h = float(at[1]) / NS_PER_S
-    found = []
-    for part in (twist[:, :3], twist[:, 3:]):
-        rate = np.pad(apply(points.rotation, part), ((2, 2), (0, 0)))
-        for order in range(3):
-            sizes = np.linalg.norm(np.diff(rate, order, axis=0), axis=1) / h ** order
-            found.append(float(sizes.max()))
-    return dict(zip(RATES, found, strict=True))
+    ends = ((2, 2), (0, 0))
+    return largest_rates(
+        np.pad(points.rotation, (*ends, (0, 0)), 'edge'), np.pad(np.asarray(points.twist), ends),
+        float(at[1]) / NS_PER_S)
 
 
 def too_much(limits: Limits, tool: Trajectory, safety_factor: float) -> tuple[float, str]:

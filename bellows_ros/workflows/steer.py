@@ -13,7 +13,7 @@ from bellows_ros.core.holding import grip_of
 from bellows_ros.core.kernels import ModelTuple
 from bellows_ros.core.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model import cup_of, model_tuple, package_of
-from bellows_ros.core.motion_limits import demands, Limits, NONE, RATES, stretched
+from bellows_ros.core.motion_limits import demands, Limits, NONE, read_rates, stretched
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.perturbed import mean_square, perturbed
 from bellows_ros.core.plan import Prediction, Run, SETTLED
@@ -229,13 +229,7 @@ def read_limits(content: object) -> Limits:
 
     """
     settings = Settings(content, 'limits')
-    rates = {}
-    for kind in ('linear', 'angular'):
-        block = settings.block(kind)
-        rates.update({name: block.number(name.removeprefix('angular_'), NONE, unit, above=0.0)
-                      for name, unit in RATES.items()
-                      if name.startswith('angular') == (kind == 'angular')})
-        block.done()
+    rates = read_rates(settings, NONE)
     safety = settings.number('safety_factor', 0.0, least=0.0)
     box = settings.block('workspace')
     lower, upper = (box.vector(name, 3, (size,) * 3, 'm')

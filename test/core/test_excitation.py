@@ -59,7 +59,9 @@ def require_within(found, limits, guess, grip=None):
     turned = np.einsum('nji,njk->nik', R[:-1], R[1:])
     rate = 1e3 * 0.5 * np.stack([turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2]
                                  - turned[:, 2, 0], turned[:, 1, 0] - turned[:, 0, 1]], axis=1)
-    for moved, most in ((1e3 * np.diff(o, axis=0), limits.linear), (rate, limits.angular)):
+    allowed = list(limits.rates.values())
+    for moved, most in ((1e3 * np.diff(o, axis=0), allowed[:3]),
+                        (np.einsum('nij,nj->ni', R[1:], rate), allowed[3:])):
         for limit in most:
             assert np.linalg.norm(moved, axis=1).max() <= limit * (1.0 + 1e-6)
             moved = 1e3 * np.diff(moved, axis=0)
@@ -145,7 +147,9 @@ def test_short_motions_of_a_tilted_tool_hold_the_grip(monkeypatch, seeds):
         start = Pose(LIMITS.start.position, rpy_rotation(np.array([0.2, -0.1, 1.0])))
         limits = ArmLimits(
             start, LIMITS.lower, LIMITS.upper, LIMITS.turn,
-            LIMITS.linear * rng.uniform(0.2, 1.0, 3), LIMITS.angular,
+            LIMITS.rates | {
+                name: most * rng.uniform(0.2, 1.0)
+                for name, most in LIMITS.rates.items() if 'angular' not in name},
             LIMITS.bending, LIMITS.torsion, 1.5, 6.0, None, np.zeros(0))
         short = designed(limits=limits, duration=6.0, grip=GRIP, seed=seed)
         require_within(short, limits, TRUTH, GRIP)
@@ -181,7 +185,7 @@ def test_small_loads_are_linear():
                      LIMITS, None, omega)
     wave = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400))
     expected = [np.linalg.norm((np.outer(wave, row[0] @ c[27])).real, axis=1).max()
-                for row in rows[:2]]
+                for row in rows]
     found = loads(motion, LIMITS, [model_of(TRUTH)], None)[0, :2]
     assert_allclose(found, expected, rtol=0.1)  # the ramps add a little
 

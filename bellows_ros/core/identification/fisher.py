@@ -2,8 +2,9 @@
 The Fisher information of a motion on K and P, before or after it is recorded.
 
 It is that of the prediction-error method, by its own code: of the equations of motion in units of
-what noise of both bodies makes of them along the motion (see `identification.minimum`). For small
-motions it follows from the linear response, which is what a search can afford.
+what noise of both bodies makes of them along the motion (see `identification.minimum`). The method
+weights them with derivatives along a smoothed motion; information across these is lost on it. For
+small motions it follows from the linear response, which is what a search can afford.
 """
 
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import linearise, static_equilibrium
 from bellows_ros.core.identification.innovations import between
-from bellows_ros.core.identification.minimum import whitened
+from bellows_ros.core.identification.minimum import Root
 from bellows_ros.core.identification.motion_equations import Segment
 from bellows_ros.core.identification.segments import Measured, MOST_POSES, PoseNoise
 from bellows_ros.core.kernels import ModelTuple, State
@@ -66,10 +67,12 @@ def motion_information(
     total: Array = np.zeros((basis.shape[1], basis.shape[1]))
     for part in np.array_split(np.arange(len(body)), len(body) // MOST_POSES + 1):
         none = np.zeros((len(part), 12))
-        segment = Segment(Measured(tool, body.select(part), package, gravity, *noise[::-1]), False)
-        equations = segment.equations(cup, none, {})
-        J = whitened(
-            equations._replace(jacobian=equations.jacobian @ basis), noise, none + 1.0).jacobian
+        measured = Measured(tool, body.select(part), package, gravity, *noise[::-1])
+        smoothed, true = (
+            Segment(measured, noisy).equations(cup, none, {}) for noisy in (True, False))
+        root = Root(smoothed, noise, none + 1.0)
+        weights_of_fit, _ = np.linalg.qr(root.whitened(smoothed.jacobian @ basis))
+        J = weights_of_fit.T @ root.whitened(true.jacobian @ basis)
         total += J.T @ J
     return total
 
