@@ -8,7 +8,7 @@ from typing import Any
 from bellows_ros.core.parameters import gravity_of
 from bellows_ros.files.parameter_files import with_chosen_cup
 from geometry_msgs.msg import TwistStamped
-from rclpy.clock import Clock, JumpThreshold, TimeJump
+from rclpy.clock import Clock, JumpThreshold
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -54,12 +54,12 @@ CLOCKS_APART_NS = 500_000_000
 
 BACKWARD = Duration(nanoseconds=-1)
 
-FROM_THESIS = {
+OF_A_CUP = {
     'cup.stiffness': 'cup.stiffness K of (4.78)',
     'cup.damping': 'cup.damping P of (4.79)',
     'cup.length': 'cup.length l0 = 0.0481 m',
 }
-IN_NAMED_CUP = ('cup.stiffness', 'cup.damping', 'cup.length')
+"""What describes a cup, and the value of the thesis where it is not set."""
 
 
 class PredictorNode(ManagedNode):
@@ -94,19 +94,15 @@ class PredictorNode(ManagedNode):
         self._diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=BACKWARD, on_clock_change=True),
-            post_callback=self.guarded(self._on_clock_jump),
+            post_callback=self.guarded(lambda jump: self._start_afresh('clock_jump')),
         )
-        self._start_timers()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # which nobody sets
+        self.create_timer(TICK, self._tick, clock=steady)
+        self.create_timer(REPORT_PERIOD, self._say_report, clock=steady)
         if self.values['autostart']:
             self.start()
         else:
             self.get_logger().info('Unconfigured: waits for its lifecycle manager (autostart).')
-
-    def _start_timers(self) -> None:
-        """Look after lost twists and the reports, on the clock that nobody sets."""
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(TICK, self._tick, clock=steady)
-        self.create_timer(REPORT_PERIOD, self._say_report, clock=steady)
 
     # -------------------------------------------------------------- lifecycle
 
@@ -119,11 +115,14 @@ class PredictorNode(ManagedNode):
         live = LivePredictor(*model)
         warm_up_uncertainty()
         self._outputs = Outputs(self, values)
-        self._pose_in = self._listen(values)
+        if values['tool_pose.type'] == 'tf':
+            self._pose_in: SensorInput = TransformInput(self, values, self._take_pose)
+        else:
+            kind, self._pose_of = TOOL_POSES[values['tool_pose.type']]
+            self._pose_in = SensorInput(self, kind, 'tool_arm/pose', self._on_pose)
         self._twist_in = SensorInput(
             self, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
-        self._attachment = Attachment(
-            self, values, self._attach, self._on_pressure)
+        self._attachment = Attachment(self, values, self._attach, self._on_pressure)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._planning = Planning(self, lambda: self._last)
         self._tossing = Tossing(self, self._on_valve, self._planning)
@@ -137,13 +136,6 @@ class PredictorNode(ManagedNode):
         for name in self.unmatched_qos_overrides():
             self.get_logger().warning(
                 f"The QoS override '{short(name)}' matches no topic of this node.")
-
-    def _listen(self, values: Values) -> SensorInput:
-        """Listen to the tool's poses, of whatever type."""
-        if values['tool_pose.type'] == 'tf':
-            return TransformInput(self, values, self._take_pose)
-        kind, self._pose_of = TOOL_POSES[values['tool_pose.type']]
-        return SensorInput(self, kind, 'tool_arm/pose', self._on_pose)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start from rest at the next tool pose."""
@@ -198,10 +190,10 @@ class PredictorNode(ManagedNode):
         """Log the cup and the package that are used."""
         log = self.get_logger().info
         name = values['cup.name']
-        own = {key for key in IN_NAMED_CUP if key.replace('cup', f'cups.{name}') in self.given}
-        thesis = [text for key, text in FROM_THESIS.items() if key not in self.given | own]
+        own = {key for key in OF_A_CUP if key.replace('cup', f'cups.{name}') in self.given}
+        thesis = [text for key, text in OF_A_CUP.items() if key not in self.given | own]
         if name:
-            others = [key for key in IN_NAMED_CUP if key not in own]
+            others = [key for key in OF_A_CUP if key not in own]
             log(f"Using the cup '{name}'" + (f', with {" and ".join(others)}.' if others else '.'))
         if thesis:
             log(
@@ -271,14 +263,12 @@ class PredictorNode(ManagedNode):
 
     def on_failure(self) -> None:
         """Start afresh where a callback stopped half-way."""
-        if self._live is not None:
-            self._live.start_afresh('failure')
-            self._last = None
+        self._start_afresh('failure')
 
-    def _on_clock_jump(self, jump: TimeJump) -> None:
-        """Start afresh where simulated time was set back, or was switched on or off."""
+    def _start_afresh(self, reason: str) -> None:
+        """Start again from rest, as after a failure, or where simulated time was set."""
         if self._active:
-            self._live.start_afresh('clock_jump')
+            self._live.start_afresh(reason)
             self._last = None
 
     def _on_reset(
@@ -333,7 +323,10 @@ class PredictorNode(ManagedNode):
 
     def _tick(self) -> None:
         """Predict for poses that wait when nothing comes any more, and bridge a pause."""
-        if not self._active or self._is_late():
+        before_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
+        # After a pause of this process what waits comes first; not twice.
+        self._was_late = not self._was_late and self._ticked_ns - before_ns > LATE_TICK_NS
+        if not self._active or self._was_late:
             return
         self._ticks += 1
         live = self._live
@@ -353,13 +346,6 @@ class PredictorNode(ManagedNode):
             self._tossing.publish(live.model, held, live.frame_id, self._outputs.covariance)
         self._say_state()
 
-    def _is_late(self) -> bool:
-        """Return whether this process has paused, so that what waits comes first; not twice."""
-        now_ns, before_ns = time.monotonic_ns(), self._ticked_ns
-        self._ticked_ns = now_ns
-        self._was_late = not self._was_late and now_ns - before_ns > LATE_TICK_NS
-        return self._was_late
-
     def _say_state(self) -> None:
         """Say what is going on when it has changed."""
         alarm = self._observing.alarm
@@ -371,7 +357,7 @@ class PredictorNode(ManagedNode):
     def check_values(self, values: Values) -> None:
         """Refuse what no cup or package can be, and what would have no effect."""
         name = values['cup.name']
-        idle = [key for key in IN_NAMED_CUP if name and values[key] != self.values[key]]
+        idle = [key for key in OF_A_CUP if name and values[key] != self.values[key]]
         if idle:
             raise BellowsError(
                 f"{idle[0]} has no effect while cup.name is '{name}'. Set "
@@ -406,8 +392,7 @@ class PredictorNode(ManagedNode):
 
     def _say_report(self) -> None:
         """Say how the node is, to the log where something is wrong."""
-        self._diagnostics.log(self._twists_exist)
-        self._diagnostics.publish(self.lifecycle_state, self._last)
+        self._diagnostics.report(self.lifecycle_state, self._last, self._twists_exist)
 
     def close(self) -> None:
         """Say what came and went, and end."""

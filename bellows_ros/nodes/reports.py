@@ -1,6 +1,6 @@
 """Log messages of the predictor about its input, from the counts of `LivePredictor`; no ROS."""
 
-from collections.abc import Iterator
+from collections import Counter
 
 from ..core.live import LivePredictor, LONGEST_GAP_NS
 from ..core.parameter_table import short
@@ -43,65 +43,64 @@ NO_EQUILIBRIUM = (
 
 
 class InputReport:
-    """Say at each call what `LivePredictor` has refused, missed and restarted since the last."""
+    """
+    Say at each call what `LivePredictor` has refused, missed and restarted since the last.
+
+    Attributes
+    ----------
+    restarts : Counter
+        Why and how often the package was taken to be at rest, between the last two calls.
+    poses, alone : int
+        Poses that came between these, and those of them without a twist.
+
+    """
 
     def __init__(self, live: LivePredictor) -> None:
         """Start to count from now."""
         self._live = live
         self._no_equilibrium_said = False
-        self._remember()
-
-    def _remember(self) -> None:
-        """Keep the counts as they are now."""
-        live = self._live
-        self._refused, self._restarts = dict(live.refused), dict(live.restarts)
-        self._predictions, self._estimated = live.predictions, live.twists_estimated
-
-    def warnings(self, twists_exist: bool) -> list[str]:
-        """Return one sentence for each thing that went wrong since the last call."""
-        sentences = [*self._refusals(), *self._fresh_starts()]
-        estimated = self._live.twists_estimated - self._estimated
-        if twists_exist and estimated:
-            sentences.append(
-                f'{_many(estimated, "pose")} had no twist of the same stamp; it was estimated '
-                'from the poses.'
-            )
-        return sentences
-
-    def errors(self) -> list[str]:
-        """Return what keeps the predictor from its work, once until it works again."""
-        new = self._live.restarts['no_equilibrium'] > self._restarts['no_equilibrium']
-        works = self._live.predictions > self._predictions
-        said, self._no_equilibrium_said = self._no_equilibrium_said, new or (
-            self._no_equilibrium_said and not works
-        )
-        return [NO_EQUILIBRIUM] if new and not said else []
+        self._before = _counts(live)
 
     def take(self, twists_exist: bool) -> tuple[list[str], list[str]]:
-        """Return the warnings and the errors since the last call."""
-        sentences = self.warnings(twists_exist), self.errors()
-        self._remember()
-        return sentences
+        """
+        Return a sentence for each thing that went wrong since the last call, and errors.
 
-    def _refusals(self) -> Iterator[str]:
-        """Yield how many poses and twists were refused, and why."""
-        refused = self._live.refused
-        alone = self._live.twists_estimated > self._estimated
+        An error keeps the predictor from its work; it is said once until that works again.
+        """
+        now = _counts(self._live)
+        refused, self.restarts, done = (
+            new - old for new, old in zip(now, self._before, strict=True))
+        self._before = now
+        self.poses, self.alone = done['poses'], done['estimated']
+        frame = short(self._live.frame_id)
+        warnings = []
         for thing, table in (('pose', _REFUSED_POSES), ('twist', _REFUSED_TWISTS)):
             for reason, words in table.items():
-                count = refused[reason] - self._refused[reason]
-                if count and (alone or reason != 'twist_unpaired'):  # else it was not needed
-                    why = words.format(frame=short(self._live.frame_id))
-                    yield f'{_many(count, thing)} refused: {why}.'
-
-    def _fresh_starts(self) -> Iterator[str]:
-        """Yield why the package was taken to be at rest again."""
+                count = refused[reason]
+                if count and (self.alone or reason != 'twist_unpaired'):  # else it was not needed
+                    why = words.format(frame=frame)
+                    warnings.append(f'{_many(count, thing)} refused: {why}.')
         for reason, words in _RESTARTS.items():
-            count = self._live.restarts[reason] - self._restarts[reason]
-            if count:
+            if count := self.restarts[reason]:
                 times = '' if count == 1 else f' {count} times'
-                why = words.format(frame=short(self._live.frame_id))
-                yield f'Started again from static equilibrium{times}: {why}.'
+                why = words.format(frame=frame)
+                warnings.append(f'Started again from static equilibrium{times}: {why}.')
+        if twists_exist and self.alone:
+            warnings.append(
+                f'{_many(self.alone, "pose")} had no twist of the same stamp; it was estimated '
+                'from the poses.')
+        stuck = self.restarts['no_equilibrium'] > 0
+        errors = [NO_EQUILIBRIUM] if stuck and not self._no_equilibrium_said else []
+        self._no_equilibrium_said = stuck or (
+            self._no_equilibrium_said and not done['predictions'])
+        return warnings, errors
+
+
+def _counts(live: LivePredictor) -> tuple[Counter[str], Counter[str], Counter[str]]:
+    """Return what was refused, fresh starts, and what came and went, all since the start."""
+    done = Counter(
+        poses=live.poses_in, estimated=live.twists_estimated, predictions=live.predictions)
+    return Counter(live.refused), Counter(live.restarts), done
 
 
 def summary(live: LivePredictor) -> str:
