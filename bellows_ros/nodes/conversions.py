@@ -8,23 +8,18 @@ from operator import attrgetter
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import (
     InertiaStamped,
     PoseStamped,
     PoseWithCovarianceStamped,
     TransformStamped,
     TwistStamped,
-    Vector3Stamped,
     WrenchStamped,
 )
 from nav_msgs.msg import Odometry
 import numpy as np
 
-from ..core.kernels import ModelTuple
 from ..core.live import Prediction
-from ..core.live.health import Status
-from ..core.live.load import deflection, deflection_rotation
 from ..core.live.uncertainty import in_world_axes
 from ..core.observer import Payload
 from ..core.tuples import Quaternion, Vector
@@ -38,9 +33,6 @@ TOOL_POSES = {
     'odometry': (Odometry, attrgetter('pose.pose.position', 'pose.pose.orientation')),
 }
 """By the name of the parameter tool_pose.type: the message, and what is in it."""
-
-LARGEST_FACTOR = 1000.0
-"""Safety factors are sent no larger than this, as infinity is none in many plots."""
 
 NANOSECONDS = 1_000_000_000
 NO_STAMP = 0
@@ -82,38 +74,31 @@ def write_quaternion(message: Any, xyzw: Quaternion) -> None:
     message.x, message.y, message.z, message.w = xyzw
 
 
+def write_header(message: Any, stamp_ns: int, frame_id: str) -> None:
+    """Write stamp and frame of a message with a header."""
+    write_stamp(message.header.stamp, stamp_ns)
+    message.header.frame_id = frame_id
+
+
 def write_pose(message: PoseStamped, frame_id: str, prediction: Prediction) -> None:
     """Write the package's pose in the frame of the tool's poses."""
-    write_stamp(message.header.stamp, prediction.stamp_ns)
-    message.header.frame_id = frame_id
+    write_header(message, prediction.stamp_ns, frame_id)
     write_vector(message.pose.position, prediction.position)
     write_quaternion(message.pose.orientation, prediction.quaternion_xyzw)
 
 
 def write_twist(message: TwistStamped, frame_id: str, prediction: Prediction) -> None:
     """Write the package's body twist, in the axes of its frame."""
-    write_stamp(message.header.stamp, prediction.stamp_ns)
-    message.header.frame_id = frame_id
+    write_header(message, prediction.stamp_ns, frame_id)
     write_vector(message.twist.linear, prediction.linear)
     write_vector(message.twist.angular, prediction.angular)
 
 
 def write_wrench(message: WrenchStamped, frame_id: str, prediction: Prediction) -> None:
     """Write the wrench of the cup on the package about the lip's centre, in lip axes."""
-    write_stamp(message.header.stamp, prediction.stamp_ns)
-    message.header.frame_id = frame_id
+    write_header(message, prediction.stamp_ns, frame_id)
     write_vector(message.wrench.force, prediction.force)
     write_vector(message.wrench.torque, prediction.moment)
-
-
-def write_safety(
-    message: Vector3Stamped, frame_id: str, stamp_ns: int, factors: tuple[float, float]
-) -> None:
-    """Write the safety factors against peel (x) and slip (y), and the smaller one (z)."""
-    write_stamp(message.header.stamp, stamp_ns)
-    message.header.frame_id = frame_id
-    peel, slip = (min(factor, LARGEST_FACTOR) for factor in factors)
-    write_vector(message.vector, (peel, slip, min(peel, slip)))
 
 
 def write_odometry(
@@ -126,57 +111,21 @@ def write_odometry(
     The root (12, n) of the covariance is in body axes; that of the pose is turned into the
     world's, that of the twist stays in those of the child frame.
     """
-    write_pose_in(message, frame_id, prediction)
+    write_header(message, prediction.stamp_ns, frame_id)
     message.child_frame_id = child_frame_id
+    write_vector(message.pose.pose.position, prediction.position)
+    write_quaternion(message.pose.pose.orientation, prediction.quaternion_xyzw)
     write_vector(message.twist.twist.linear, prediction.linear)
     write_vector(message.twist.twist.angular, prediction.angular)
     message.pose.covariance = in_world_axes(root[:6], prediction.quaternion_xyzw).ravel()
     message.twist.covariance = (root[6:] @ root[6:].T).ravel()
 
 
-def write_pose_in(message: Odometry, frame_id: str, prediction: Prediction) -> None:
-    """Write stamp, frame and pose of an Odometry."""
-    write_stamp(message.header.stamp, prediction.stamp_ns)
-    message.header.frame_id = frame_id
-    write_vector(message.pose.pose.position, prediction.position)
-    write_quaternion(message.pose.pose.orientation, prediction.quaternion_xyzw)
-
-
 def write_payload(message: InertiaStamped, frame_id: str, payload: Payload) -> None:
     """Write a payload as it is estimated, in the frame of the lip."""
-    write_stamp(message.header.stamp, payload.stamp_ns)
-    message.header.frame_id = frame_id
+    write_header(message, payload.stamp_ns, frame_id)
     inertia, entries = message.inertia, payload.inertia
     inertia.m = payload.mass
     write_vector(inertia.com, payload.com)
     inertia.ixx, inertia.ixy, inertia.ixz = entries[0], entries[1], entries[2]
     inertia.iyy, inertia.iyz, inertia.izz = entries[4], entries[5], entries[8]
-
-
-def write_deflection(
-    message: PoseStamped, frame_id: str, model: ModelTuple, prediction: Prediction
-) -> None:
-    """Write the pose of the lip relative to where it is without load."""
-    write_stamp(message.header.stamp, prediction.stamp_ns)
-    message.header.frame_id = frame_id
-    write_vector(message.pose.position, deflection(model, prediction).shift)
-    write_quaternion(message.pose.orientation, deflection_rotation(prediction))
-
-
-def write_transform(
-    message: TransformStamped, frame_id: str, child_frame_id: str, prediction: Prediction
-) -> None:
-    """Write the package's pose as a transform."""
-    write_stamp(message.header.stamp, prediction.stamp_ns)
-    message.header.frame_id, message.child_frame_id = frame_id, child_frame_id
-    write_vector(message.transform.translation, prediction.position)
-    write_quaternion(message.transform.rotation, prediction.quaternion_xyzw)
-
-
-def diagnostic(status: Status, hardware_id: str) -> DiagnosticStatus:
-    """Return a line of the diagnostics as a message."""
-    return DiagnosticStatus(
-        level=bytes([status.level]), name=status.name, message=status.message,
-        hardware_id=hardware_id,
-        values=[KeyValue(key=key, value=value) for key, value in status.values.items()],
-    )

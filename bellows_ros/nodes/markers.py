@@ -6,7 +6,7 @@ from typing import Any
 from geometry_msgs.msg import Point
 from visualization_msgs.msg import Marker, MarkerArray
 
-from .conversions import write_quaternion, write_stamp, write_vector
+from .conversions import write_header, write_quaternion, write_vector
 from ..core.kernels import ModelTuple
 from ..core.live import Prediction
 from ..core.live.load import equivalent_box, lip_position
@@ -52,8 +52,7 @@ class Picture:
         self._cup.points = [_point(prediction.tool[0]), _point(end)]
         self._force.points = [_point(lip), _point(tip)]
         for marker, colour in ((self._box, CARDBOARD), (self._cup, RUBBER), (self._force, FORCE)):
-            write_stamp(marker.header.stamp, prediction.stamp_ns)
-            marker.header.frame_id = frame_id
+            write_header(marker, prediction.stamp_ns, frame_id)
             rgba = COASTING if prediction.coasting else colour
             marker.color.r, marker.color.g, marker.color.b, marker.color.a = rgba
         return self._array

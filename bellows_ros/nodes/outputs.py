@@ -19,18 +19,19 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from .conversions import (
-    write_deflection,
+    write_header,
     write_odometry,
     write_pose,
-    write_safety,
-    write_transform,
+    write_quaternion,
     write_twist,
+    write_vector,
     write_wrench,
 )
 from .markers import gone, Picture
 from ..core.arrays import Array
 from ..core.kernels import ModelTuple
 from ..core.live import Prediction
+from ..core.live.load import deflection, deflection_rotation
 from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import Uncertainty, UNKNOWN_ROOT
 
@@ -38,6 +39,9 @@ QUEUE = 500
 
 LATE_WITHIN_NS = 1_000_000_000
 """Stamps behind an extrapolated one by no more (ns) are late; by more, of another clock."""
+
+LARGEST_FACTOR = 1000.0
+"""Safety factors are sent no larger than this, as infinity is none in many plots."""
 
 NOMINAL = '_nominal'
 """Added to the name of the lip's frame: where the lip is without load."""
@@ -104,34 +108,33 @@ class Outputs:
         self._markers = Topic(node, MarkerArray, 'package/markers')
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state = Topic(node, String, 'package/state', latched)
-        self._tf = self._tf_topic(node) if values['frames.tf'] else None
+        self._tf: Topic | None = None
+        if values['frames.tf']:
+            self._advertise_tf(node)
         self._messages = PoseStamped(), TwistStamped(), WrenchStamped()
         self._factors = Vector3Stamped()
         self._said = ''
         self._extrapolated_ns = -1
 
-    def _tf_topic(self, node: Any) -> Topic | None:
-        """Return the topic for tf where its messages are installed."""
+    def _advertise_tf(self, node: Any) -> None:
+        """Advertise tf where its messages are installed."""
         if importlib.util.find_spec('tf2_msgs') is None:
             node.get_logger().info('tf2_msgs is not installed: the package is not sent to tf.')
-            return None
+            return
         from tf2_msgs.msg import TFMessage
 
         self._tf_message = TFMessage(transforms=[TransformStamped()])
-        return Topic(node, TFMessage, '/tf')
+        self._tf = Topic(node, TFMessage, '/tf')
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
-        """Go on with another cup or package."""
+        """Go on with another cup or package; compile all that is shown of a prediction."""
         self.model, self._values = model, values
         self._uncertainty = Uncertainty(model, values)
         self._picture = Picture(values)
-        self._warm_up()
-
-    def _warm_up(self) -> None:
-        """Compile what is shown of a prediction, so that nothing compiles when one comes."""
         still = Prediction(1, *ORIGIN, ZERO, ZERO)
-        write_deflection(PoseStamped(), '', self.model, still)
-        Picture(self._values).of('', self.model, still)
+        deflection(model, still)
+        deflection_rotation(still)
+        Picture(values).of('', model, still)
 
     @property
     def topic(self) -> str:
@@ -156,60 +159,51 @@ class Outputs:
         One for each pose goes where no other goes. Elsewhere stamps never go back behind one that
         was extrapolated.
         """
-        late = self._is_late(prediction)
-        if not (late if self._values['coast.poses'] else prediction.coasting):
-            self._publish_plain(prediction, frame_id)
+        stamp_ns, values = prediction.stamp_ns, self._values
+        late = 0 <= self._extrapolated_ns - stamp_ns < LATE_WITHIN_NS
+        if not late:
+            self._extrapolated_ns = stamp_ns if prediction.coasting else -1
+        if not (late if values['coast.poses'] else prediction.coasting):
+            pose, twist, wrench = self._messages
+            write_pose(pose, frame_id, prediction)
+            self._pose.publish(pose)
+            if self._twist.wanted:
+                write_twist(twist, values['frames.package'], prediction)
+                self._twist.publish(twist)
+            if self._wrench.wanted:
+                write_wrench(wrench, values['frames.lip'], prediction)
+                self._wrench.publish(wrench)
             if factors and self._safety.wanted:
-                write_safety(
-                    self._factors, self._values['frames.lip'], prediction.stamp_ns, factors)
+                peel, slip = (min(factor, LARGEST_FACTOR) for factor in factors)
+                write_header(self._factors, stamp_ns, values['frames.lip'])
+                write_vector(self._factors.vector, (peel, slip, min(peel, slip)))
                 self._safety.publish(self._factors)
         if not late:
             self._publish_more(prediction, frame_id)
 
-    def _is_late(self, prediction: Prediction) -> bool:
-        """Return whether a later one has been sent, of the extrapolated tool."""
-        if 0 <= self._extrapolated_ns - prediction.stamp_ns < LATE_WITHIN_NS:
-            return True
-        self._extrapolated_ns = prediction.stamp_ns if prediction.coasting else -1
-        return False
-
     def _publish_more(self, prediction: Prediction, frame_id: str) -> None:
         """Send what goes on while the tool is extrapolated."""
+        stamp_ns, values = prediction.stamp_ns, self._values
         if self._odometry.wanted:
-            self._publish_odometry(prediction, frame_id)
+            odometry = Odometry()
+            root = UNKNOWN_ROOT if prediction.flies else self._uncertainty.root(prediction)
+            write_odometry(odometry, frame_id, values['frames.package'], prediction, root)
+            self._odometry.publish(odometry)
         if self._deflection.wanted and not prediction.flies:
-            message = PoseStamped()
-            write_deflection(
-                message, self._values['frames.lip'] + NOMINAL, self.model, prediction)
-            self._deflection.publish(message)
-        if self._markers.wanted and self._picture.is_due(prediction.stamp_ns):
+            lip = PoseStamped()
+            write_header(lip, stamp_ns, values['frames.lip'] + NOMINAL)
+            write_vector(lip.pose.position, deflection(self.model, prediction).shift)
+            write_quaternion(lip.pose.orientation, deflection_rotation(prediction))
+            self._deflection.publish(lip)
+        if self._markers.wanted and self._picture.is_due(stamp_ns):
             self._markers.publish(self._picture.of(frame_id, self.model, prediction))
         if self._tf and self._tf.wanted:
-            write_transform(
-                self._tf_message.transforms[0], frame_id, self._values['frames.package'],
-                prediction)
+            (package,) = self._tf_message.transforms
+            write_header(package, stamp_ns, frame_id)
+            package.child_frame_id = values['frames.package']
+            write_vector(package.transform.translation, prediction.position)
+            write_quaternion(package.transform.rotation, prediction.quaternion_xyzw)
             self._tf.publish(self._tf_message)
-
-    def _publish_plain(self, prediction: Prediction, frame_id: str) -> None:
-        """Send what cannot show how sure it is."""
-        pose, twist, wrench = self._messages
-        write_pose(pose, frame_id, prediction)
-        self._pose.publish(pose)
-        if self._twist.wanted:
-            write_twist(twist, self._values['frames.package'], prediction)
-            self._twist.publish(twist)
-        if self._wrench.wanted:
-            write_wrench(wrench, self._values['frames.lip'], prediction)
-            self._wrench.publish(wrench)
-
-    def _publish_odometry(self, prediction: Prediction, frame_id: str) -> None:
-        """Send pose and twist with their covariance, which is not known in flight."""
-        message = Odometry()
-        write_odometry(
-            message, frame_id, self._values['frames.package'], prediction,
-            UNKNOWN_ROOT if prediction.flies else self._uncertainty.root(prediction),
-        )
-        self._odometry.publish(message)
 
     def say_state(self, state: str) -> None:
         """Send what is going on when it has changed; a late listener gets it too."""
