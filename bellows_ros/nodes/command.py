@@ -9,10 +9,10 @@ right is said without a traceback and ends with 2.
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 import importlib.util
+from itertools import pairwise
 from pathlib import Path
 import signal
 import sys
-from types import FrameType
 from typing import Any
 
 from bellows_ros.core import keep_linear_algebra_single
@@ -28,27 +28,6 @@ NO_ROS = (
     f'instance `source /opt/ros/jazzy/setup.bash`, or install the wheels: {install("ros")}'
 )
 ASKED_TO_STOP = (signal.SIGINT, signal.SIGTERM)
-
-
-class _Stop:
-    """
-    Notes that the process is asked to end, so that it ends where it can do so in order.
-
-    An exception raised by a signal would come up anywhere, in the middle of a callback from C too.
-    """
-
-    def __init__(self) -> None:
-        """Take the signals."""
-        self.asked = False
-        self._before = {number: signal.signal(number, self._note) for number in ASKED_TO_STOP}
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
-
-    def restore(self) -> None:
-        """Give the signals back."""
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
 
 
 def run(
@@ -82,15 +61,23 @@ def run(
     if '--version' in own:
         print(f'{interface.name} {__version__}')
         return 0
-    stop = _Stop()
+    # Only noted: an exception would come up anywhere, in the middle of a callback from C too.
+    asked: list[int] = []
+    before = {number: signal.signal(number, lambda number, frame: asked.append(number))
+              for number in ASKED_TO_STOP}
     try:
-        _refuse_arguments(interface.name, own)
-        _run_node(load_node, [interface.name, *arguments], stop)
+        if own:
+            raise BellowsError(
+                f"Unknown argument '{short(own[0])}'. Parameters and remappings follow "
+                f'--ros-args, for example: {interface.name} --ros-args --params-file FILE. See '
+                f'{interface.name} --help.')
+        _run_node(load_node, [interface.name, *arguments], lambda: bool(asked))
     except BellowsError as error:
         print(f'{interface.name}: {error}', file=sys.stderr)
         return error.exit_code
     finally:
-        stop.restore()
+        for number, handler in before.items():
+            signal.signal(number, handler)
     return 0
 
 
@@ -107,22 +94,16 @@ def _own_arguments(arguments: Sequence[str]) -> list[str]:
     return own
 
 
-def _refuse_arguments(name: str, own: Sequence[str]) -> None:
-    """Raise BellowsError if there are arguments that nobody takes."""
-    if own:
-        raise BellowsError(
-            f"Unknown argument '{short(own[0])}'. Parameters and remappings follow --ros-args, "
-            f'for example: {name} --ros-args --params-file FILE. See {name} --help.'
-        )
-
-
 def require_ros() -> None:
     """Raise BellowsError where ROS is missing, before any work."""
     if importlib.util.find_spec('rclpy') is None:
         raise BellowsError(NO_ROS)
 
 
-def _run_node(load_node: Callable[[], Callable[[], Any]], argv: list[str], stop: _Stop) -> None:
+def _run_node(
+    load_node: Callable[[], Callable[[], Any]], argv: list[str],
+    is_asked_to_stop: Callable[[], bool],
+) -> None:
     """Make the node and spin it until it has finished or the process is asked to end."""
     require_ros()
     make_node = load_node()
@@ -132,17 +113,9 @@ def _run_node(load_node: Callable[[], Callable[[], Any]], argv: list[str], stop:
 
     try:
         _initialise(argv)
-        spin(make_node(), lambda: stop.asked)
+        spin(make_node(), is_asked_to_stop)
     finally:
         try_shutdown()
-
-
-def parameter_files(arguments: Sequence[str]) -> list[str]:
-    """Return the parameter files that arguments name, in their order."""
-    return [
-        after for before, after in zip(arguments, arguments[1:], strict=False)
-        if before == '--params-file'
-    ]
 
 
 def origin_of(name: str, arguments: Sequence[str]) -> str:
@@ -150,7 +123,7 @@ def origin_of(name: str, arguments: Sequence[str]) -> str:
     from ..files.parameter_files import read_parameters
 
     found = ''
-    for before, after in zip(arguments, arguments[1:], strict=False):
+    for before, after in pairwise(arguments):
         if before in ('-p', '--param') and after.partition(':=')[0] == name:
             found = after
         elif before == '--params-file':
@@ -159,25 +132,20 @@ def origin_of(name: str, arguments: Sequence[str]) -> str:
     return found
 
 
-def _refuse_large(file: str) -> None:
-    """Refuse a file that ROS would read for minutes, deaf to Ctrl-C; others ROS refuses itself."""
-    from ..files.safe_yaml import LARGEST_FILE
-
-    path = Path(file)
-    size = path.stat().st_size if path.is_file() else 0
-    if size > LARGEST_FILE:
-        raise BellowsError(
-            f"Parameter file '{short(file)}' is too large: {size} bytes, at most {LARGEST_FILE}. "
-            'It may be a recording or a result.')
-
-
 def _initialise(argv: list[str]) -> None:
     """Start ROS, and say in words what is wrong with its arguments."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    for file in parameter_files(argv):
-        _refuse_large(file)
+    from ..files.safe_yaml import LARGEST_FILE
+
+    for before, file in pairwise(argv):
+        path = Path(file)
+        size = path.stat().st_size if before == '--params-file' and path.is_file() else 0
+        if size > LARGEST_FILE:  # ROS would read it for minutes, deaf to Ctrl-C
+            raise BellowsError(
+                f"Parameter file '{short(file)}' is too large: {size} bytes, at most "
+                f'{LARGEST_FILE}. It may be a recording or a result.')
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of all errors of rcl

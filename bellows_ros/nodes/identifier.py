@@ -23,29 +23,14 @@ INTERFACE = Interface(
 )
 
 
-def _load_node() -> Callable[[], Any]:
-    """Import ROS and return the node."""
-    from .identifier_node import IdentifierNode
-
-    return IdentifierNode
-
-
 def main(args: Sequence[str] | None = None) -> int:
-    """
-    Run the identifier.
+    """Run the identifier with a command line, or that of the process; return the exit code."""
+    def load_node() -> Callable[[], Any]:
+        from .identifier_node import IdentifierNode  # late: imports ROS
 
-    Parameters
-    ----------
-    args : sequence of str, optional
-        Command line behind the command's name; that of the process if left out.
+        return IdentifierNode
 
-    Returns
-    -------
-    int
-        The exit code.
-
-    """
-    return run(INTERFACE, _load_node, args)
+    return run(INTERFACE, load_node, args)
 
 
 if __name__ == '__main__':

@@ -99,29 +99,14 @@ INTERFACE = Interface(
 )
 
 
-def _load_node() -> Callable[[], Any]:
-    """Import ROS and return the node."""
-    from .predictor_node import PredictorNode
-
-    return PredictorNode
-
-
 def main(args: Sequence[str] | None = None) -> int:
-    """
-    Run the predictor.
+    """Run the predictor with a command line, or that of the process; return the exit code."""
+    def load_node() -> Callable[[], Any]:
+        from .predictor_node import PredictorNode  # late: imports ROS
 
-    Parameters
-    ----------
-    args : sequence of str, optional
-        Command line behind the command's name; that of the process if left out.
+        return PredictorNode
 
-    Returns
-    -------
-    int
-        The exit code.
-
-    """
-    return run(INTERFACE, _load_node, args)
+    return run(INTERFACE, load_node, args)
 
 
 if __name__ == '__main__':
