@@ -1,6 +1,7 @@
 """Attaching and detaching the package: two services, and a vacuum signal if there is one."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 import math
 import time
 from typing import Any
@@ -51,8 +52,11 @@ class Attachment:
         self.set_values(values)
         self._kind = signal = values['vacuum.signal']
         self.held = values['package.attached'] and signal == 'none'
-        node.create_service(Trigger, 'package/attach', self._on_attach)
-        node.create_service(Trigger, 'package/detach', self._on_detach)
+        for service, held, words in (
+                ('attach', True, 'Attached: starts from rest at the next tool pose.'),
+                ('detach', False, 'Detached: nothing is predicted.')):
+            node.create_service(
+                Trigger, f'package/{service}', partial(self._answer, held, words))
         self._said: bool | None = None  # by the vacuum signal, the last time
         self._refused = {'nan': 0, 'negative': 0}
         self.signal: SensorInput | None = None
@@ -66,15 +70,9 @@ class Attachment:
         """Take other thresholds."""
         self._switch = PressureSwitch(values['vacuum.attach_below'], values['vacuum.detach_above'])
 
-    def _on_attach(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Take up the package."""
-        return self._answer(response, True, 'Attached: starts from rest at the next tool pose.')
-
-    def _on_detach(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Let the package go."""
-        return self._answer(response, False, 'Detached: nothing is predicted.')
-
-    def _answer(self, response: Trigger.Response, held: bool, words: str) -> Trigger.Response:
+    def _answer(
+        self, held: bool, words: str, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         """Do what a service was asked for."""
         response.success = self._change(held, 'service')
         response.message = words if response.success else 'The node is not active.'

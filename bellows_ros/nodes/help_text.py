@@ -57,15 +57,12 @@ def _parameter(parameter: table.Parameter) -> str:
     elif isinstance(parameter.default, tuple):
         default = f"default: {'thesis cup' if parameter.default else 'none'}"
     else:
-        default = f'default: {_yaml(parameter.default)}'
+        as_yaml = str(parameter.default).lower() if isinstance(parameter.default, bool) else repr(
+            parameter.default)
+        default = f'default: {as_yaml}'
     fixed = '; cannot change while the node runs' if parameter.read_only else ''
     return _entry(f'{parameter.name}  [{parameter.constraint}; {default}{fixed}]',
                   parameter.description)
-
-
-def _yaml(value: object) -> str:
-    """Return a default as it stands in YAML."""
-    return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 def _entry(head: str, text: str) -> str:

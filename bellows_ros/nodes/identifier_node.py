@@ -13,7 +13,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 
 from .parameters import ros_parameter, TableNode
-from ..core.parameters import parameters_of, validate, Value
+from ..core.parameters import parameters_of, validate
 from ..errors import BellowsError
 from ..report.build import write_page
 from ..workflows.identification import save
@@ -56,7 +56,11 @@ class IdentifierNode(TableNode):
         self._stages: deque[str] = deque()
         self._said = ''
         self._work: Work[Any] = Work()
-        _require_bags(self.values, self.destroy_node)
+        if not self.values['bags']:
+            self.destroy_node()
+            raise BellowsError(
+                'The parameter bags is empty. Name one or more recordings, for example '
+                "--ros-args -p bags:='[recording]' or in the parameter file bags: ['recording'].")
         given = {name: value for name, value in self.values.items() if name in self.given}
         Thread(target=self._do_work, args=(given,), daemon=True).start()
         self._step: Callable[[], None] = self._await_work
@@ -67,7 +71,7 @@ class IdentifierNode(TableNode):
     def _do_work(self, settings: Mapping[str, Any]) -> None:
         """Identify and write the files, in a thread that touches nothing of ROS."""
         try:
-            result = identify(settings, self._note_progress)
+            result = identify(settings, lambda stage, fraction: self._stages.append(stage))
             wanted = result.values
             save(result, wanted['output.parameters'], wanted['output.json'])
             if wanted['output.report']:
@@ -75,10 +79,6 @@ class IdentifierNode(TableNode):
             self._work.set_result(result)
         except Exception as error:  # noqa: BLE001 (it is raised again where the node ends)
             self._work.set_exception(error)
-
-    def _note_progress(self, stage: str, fraction: float) -> None:
-        """Remember what is being done, step by step."""
-        self._stages.append(stage)
 
     # ------------------------------------------------------------- in the executor
 
@@ -171,13 +171,3 @@ class IdentifierNode(TableNode):
     def close(self) -> None:
         """End; work that still goes on is left behind, as it writes its files only when done."""
         self.destroy_node()
-
-
-def _require_bags(values: Mapping[str, Value], clean_up: Any) -> None:
-    """Refuse to start without recordings."""
-    if not values['bags']:
-        clean_up()
-        raise BellowsError(
-            'The parameter bags is empty. Name one or more recordings, for example --ros-args '
-            "-p bags:='[recording]' or in the parameter file bags: ['recording']."
-        )

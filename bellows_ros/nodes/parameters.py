@@ -53,20 +53,17 @@ def descriptor(parameter: table.Parameter, read_only: bool) -> ParameterDescript
         additional_constraints=parameter.constraint,
         read_only=read_only or parameter.read_only,
     )
-    low = parameter.above if parameter.minimum is None else parameter.minimum
-    if low is not None and parameter.maximum is not None:
-        _set_range(described, parameter.kind, low, parameter.maximum)
+    low, high = parameter.above, parameter.maximum
+    if parameter.minimum is not None:
+        low = parameter.minimum
+    if low is not None and high is not None:  # of a single number; ROS knows none for arrays
+        if parameter.kind == 'double':
+            described.floating_point_range = [
+                FloatingPointRange(from_value=float(low), to_value=float(high))]
+        elif parameter.kind == 'integer':
+            described.integer_range = [
+                IntegerRange(from_value=int(low), to_value=int(high), step=1)]
     return described
-
-
-def _set_range(described: ParameterDescriptor, kind: str, low: float, high: float) -> None:
-    """Put the range of a single number into its descriptor; ROS knows none for arrays."""
-    if kind == 'double':
-        described.floating_point_range = [
-            FloatingPointRange(from_value=float(low), to_value=float(high))
-        ]
-    elif kind == 'integer':
-        described.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
 
 
 class TableNode(GuardedNode):
@@ -107,7 +104,12 @@ class TableNode(GuardedNode):
         **options: Any,
     ) -> None:
         """Declare all parameters, with what files and the command line say about them."""
-        self._join(user, options)
+        try:
+            super().__init__(user, start_parameter_services=False, **options)
+        except (RuntimeError, ParameterException) as error:  # the bases of rcl's and rclpy's
+            why = ' '.join(str(error).partition(', at /')[0].split())
+            raise BellowsError(
+                f"ROS cannot create the node '{user}': {table.short(why, 400)}.") from None
         self._read_only = read_only
         try:
             self._take_given(user)
@@ -121,7 +123,8 @@ class TableNode(GuardedNode):
             self.destroy_node()
             raise
         self._parameter_service = TogetherParameterService(self)
-        self.add_pre_set_parameters_callback(_whole_numbers_as_doubles)
+        self.add_pre_set_parameters_callback(
+            lambda parameters: [_as_double(parameter) for parameter in parameters])
         self.add_on_set_parameters_callback(self._check)
         self.add_post_set_parameters_callback(self._keep)
 
@@ -162,15 +165,6 @@ class TableNode(GuardedNode):
         described = descriptor(parameter, self._read_only)
         self.declare_parameter(name, initial, described, ignore_override=True)
 
-    def _join(self, user: str, options: dict[str, Any]) -> None:
-        """Take part in ROS, or say in words why that cannot be."""
-        try:
-            super().__init__(user, start_parameter_services=False, **options)
-        except (RuntimeError, ParameterException) as error:  # the bases of rcl's and rclpy's
-            why = ' '.join(str(error).partition(', at /')[0].split())
-            raise BellowsError(
-                f"ROS cannot create the node '{user}': {table.short(why, 400)}.") from None
-
     def _take_given(self, user: str) -> None:
         """Check what files and the command line say, and fill in the defaults."""
         given = {
@@ -190,7 +184,12 @@ class TableNode(GuardedNode):
             return SetParametersResult(successful=True)
         try:
             for parameter in changing:  # before rclpy, which says less
-                _require_sound(parameter)
+                if not parameter.name:
+                    raise BellowsError(
+                        'A parameter without a name cannot be set. '
+                        "'ros2 param list' shows the names.")
+                if _is_ours(parameter):
+                    table.validate(parameter.name, _as_double(parameter).value)
             return self.set_parameters_atomically(changing)
         except BellowsError as error:
             return _refused(str(error))
@@ -263,15 +262,6 @@ def _refused(reason: str) -> SetParametersResult:
     return SetParametersResult(successful=False, reason=reason)
 
 
-def _require_sound(parameter: Parameter) -> None:
-    """Raise BellowsError for a parameter without a name, and for a value that is not allowed."""
-    if not parameter.name:
-        raise BellowsError(
-            "A parameter without a name cannot be set. 'ros2 param list' shows the names.")
-    if _is_ours(parameter):
-        table.validate(parameter.name, _as_double(parameter).value)
-
-
 def _is_ours(parameter: Parameter) -> bool:
     """Return whether a parameter stands in the table; others belong to ROS."""
     return parameter.name in table.PARAMETERS or bool(table.NAMED_CUP.fullmatch(parameter.name))
@@ -286,11 +276,6 @@ def _why_unknown(name: str, node: str) -> str:
     if table.NAMED_CUP.fullmatch(name):
         return f"'{name}' was not declared when '{node}' started. Set it in a file."
     return f"The node '{node}' has no parameter '{name}': it belongs to the {users[0]}."
-
-
-def _whole_numbers_as_doubles(parameters: list[Parameter]) -> list[Parameter]:
-    """Return parameters with 2 made 2.0 where the table asks for a number with a fraction."""
-    return [_as_double(p) for p in parameters]
 
 
 def _as_double(parameter: Parameter) -> Parameter:

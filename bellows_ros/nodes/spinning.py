@@ -80,21 +80,16 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
         node.close()
 
 
-def _spin_once(executor: Any, node: Any) -> None:
-    """Do the next thing; what fails in rclpy's own callbacks does not end the node either."""
-    try:
-        executor.spin_once(timeout_sec=LONGEST_WAIT)
-    except Exception as error:  # noqa: BLE001 (whatever it is, the node goes on)
-        if not node.context.ok():
-            raise
-        node.note_failure(error)
-
-
 def _spin(executor: Any, node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
     """Do one thing after the other, and collect garbage now and then."""
     due = time.monotonic() + COLLECT_EVERY
     while not (is_asked_to_stop() or node.finished.done()):
-        _spin_once(executor, node)
+        try:
+            executor.spin_once(timeout_sec=LONGEST_WAIT)
+        except Exception as error:  # noqa: BLE001 (of rclpy's own callbacks: the node goes on)
+            if not node.context.ok():
+                raise
+            node.note_failure(error)
         if time.monotonic() > due:
             gc.collect()
             due = time.monotonic() + COLLECT_EVERY
