@@ -1,7 +1,7 @@
 """The node that identifies a cup from recordings, and shows them."""
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future as Work
 from threading import Thread
 import time
@@ -13,10 +13,10 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 
 from .parameters import ros_parameter, TableNode
-from ..core.parameters import parameters_of, validate
+from ..core.parameters import parameters_of, validate, Value
 from ..errors import BellowsError
 from ..report.build import write_page
-from ..workflows.identification import save
+from ..workflows.identification import Identification, save
 from ..workflows.identify import identify
 
 TICK = 0.1
@@ -54,7 +54,6 @@ class IdentifierNode(TableNode):
         super().__init__('identifier', read_only=True, results=SHOWN, **options)
         self.finished: Future = Future()
         self._stages: deque[str] = deque()
-        self._said = ''
         self._work: Work[Any] = Work()
         if not self.values['bags']:
             self.destroy_node()
@@ -63,7 +62,7 @@ class IdentifierNode(TableNode):
                 "--ros-args -p bags:='[recording]' or in the parameter file bags: ['recording'].")
         given = {name: value for name, value in self.values.items() if name in self.given}
         Thread(target=self._do_work, args=(given,), daemon=True).start()
-        self._step: Callable[[], None] = self._await_work
+        self._steps = self._step_by_step()
         self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     # --------------------------------------------------------- beside the executor
@@ -83,33 +82,40 @@ class IdentifierNode(TableNode):
     # ------------------------------------------------------------- in the executor
 
     def _tick(self) -> None:
-        """Do what comes next; what goes wrong ends the node."""
+        """Do what comes next; what goes wrong ends the node, and after the end nothing is done."""
         try:
-            self._step()
+            next(self._steps, None)
         except Exception as error:  # noqa: BLE001 (raised again by whoever waits for the end)
-            self._step = self._rest
             self.finished.set_exception(error)
 
-    def _await_work(self) -> None:
-        """Say what is being done, and show the result as soon as it is there."""
-        while self._stages:
-            stage = self._stages.popleft()
-            if stage != self._said:
-                self._said = stage
-                self.get_logger().info(stage)
-        if self._work.done():
-            self._show(self._work.result())
+    def _step_by_step(self) -> Iterator[None]:
+        """Say what is being done, show the result, and set it on the predictor, tick by tick."""
+        said = ''
+        while not self._work.done() or self._stages:
+            while self._stages:
+                stage = self._stages.popleft()
+                if stage != said:
+                    said = stage
+                    self.get_logger().info(stage)
+            yield
+        cup = self._show(self._work.result())
+        if self.values['predictor']:
+            yield from self._set_on_predictor(cup)
+        if self.values['exit_when_done']:
+            self.finished.set_result(None)
+        else:
+            self.get_logger().info('Done; the result stays here as parameters until Ctrl-C.')
 
-    def _show(self, result: Any) -> None:
-        """Make the result parameters of this node and go on to the predictor."""
+    def _show(self, result: Identification) -> dict[str, Value]:
+        """Make the result parameters of this node; return all that describes the cup."""
         for line in result.findings:
             self.get_logger().info(line)
         for warning in result.warnings:
             self.get_logger().warning(warning)
         result.require_usable()
         found = {k: v for k, v in result.parameters().items() if k.startswith(OF_THE_CUP)}
-        self._cup = {name: validate(name, value) for name, value in found.items()}
-        self.values = {**self.values, **{name: self._cup[name] for name in SHOWN}}
+        cup = {name: validate(name, value) for name, value in found.items()}
+        self.values = {**self.values, **{name: cup[name] for name in SHOWN}}
         for name in SHOWN:
             self.declare_from_table(name, self.values[name])
         for name in ('cup.stiffness', 'cup.damping'):
@@ -118,55 +124,32 @@ class IdentifierNode(TableNode):
         for name in ('output.parameters', 'output.json', 'output.report'):
             if self.values[name]:
                 self.get_logger().info(f'Wrote {self.values[name]}.')
-        if self.values['predictor']:
-            self._client = AsyncParameterClient(self, str(self.values['predictor']))
-            self._give_up_at = time.monotonic() + LONGEST_WAIT
-            self._step = self._send
-        else:
-            self._end()
+        return cup
 
-    def _send(self) -> None:
-        """Set the cup on the predictor as soon as it is there."""
-        if self._client.services_are_ready():
-            cup = [ros_parameter(name, value) for name, value in self._cup.items()]
-            self._answer = self._client.set_parameters_atomically(cup)
-            self._step = self._await_answer
-        else:
-            self._give_up_in_time('there is no node of this name')
+    def _set_on_predictor(self, cup: Mapping[str, Value]) -> Iterator[None]:
+        """Set the cup on the predictor as soon as it is there; say what that made of it."""
+        name = self.values['predictor']
+        client = AsyncParameterClient(self, str(name))
+        give_up_at = time.monotonic() + LONGEST_WAIT
 
-    def _await_answer(self) -> None:
-        """Say what the predictor made of the cup."""
-        if not self._answer.done():
-            self._give_up_in_time('there was no answer')
-            return
-        result = self._answer.result().result
+        def wait_for(done: Callable[[], bool], lacking: str) -> Iterator[None]:
+            while not done():
+                if time.monotonic() > give_up_at:
+                    raise BellowsError(
+                        f"The cup was identified, but could not be set on '{name}': {lacking} "
+                        f'({LONGEST_WAIT:g} s waited). Start the predictor, check its name and '
+                        'namespace, or leave the parameter predictor empty.')
+                yield
+
+        yield from wait_for(client.services_are_ready, 'there is no node of this name')
+        answer = client.set_parameters_atomically(
+            [ros_parameter(key, value) for key, value in cup.items()])
+        yield from wait_for(answer.done, 'there was no answer')
+        result = answer.result().result
         if not result.successful:
             raise BellowsError(
-                f"The node '{self.values['predictor']}' refused the identified cup: "
-                f'{result.reason}'
-            )
-        self.get_logger().info(f"Set the cup on '{self.values['predictor']}'.")
-        self._end()
-
-    def _give_up_in_time(self, what: str) -> None:
-        """Raise BellowsError when the predictor has been waited for long enough."""
-        if time.monotonic() > self._give_up_at:
-            raise BellowsError(
-                f"The cup was identified, but could not be set on '{self.values['predictor']}': "
-                f'{what} ({LONGEST_WAIT:g} s waited). Start the predictor, check its name and '
-                'namespace, or leave the parameter predictor empty.'
-            )
-
-    def _end(self) -> None:
-        """End, or stay to show the result."""
-        self._step = self._rest
-        if self.values['exit_when_done']:
-            self.finished.set_result(None)
-        else:
-            self.get_logger().info('Done; the result stays here as parameters until Ctrl-C.')
-
-    def _rest(self) -> None:
-        """Do nothing; the timer goes on, so that Ctrl-C is noticed."""
+                f"The node '{name}' refused the identified cup: {result.reason}")
+        self.get_logger().info(f"Set the cup on '{name}'.")
 
     def close(self) -> None:
         """End; work that still goes on is left behind, as it writes its files only when done."""
