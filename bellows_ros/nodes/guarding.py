@@ -36,8 +36,11 @@ class GuardedNode(Node):
         """Put the state right after a callback has failed; it may have stopped half-way."""
 
     def note_failure(self, error: Exception) -> None:
-        """Count an exception, log it where it is new, and let the state start afresh."""
-        place = _place(error)
+        """Count an exception by its place, log it where it is new, and start afresh."""
+        frames = traceback.extract_tb(error.__traceback__)
+        ours = [frame for frame in frames if PACKAGE in Path(frame.filename).parents]
+        innermost = (ours[1:] or frames)[-1]  # the first of ours is the guard itself
+        place = f'{Path(innermost.filename).name}:{innermost.lineno}'
         self.failures[place] += 1
         if self.failures[place] == 1:
             self.get_logger().error(
@@ -97,11 +100,3 @@ class GuardedNode(Node):
                     'are only counted. Check the publisher of /clock.')
 
         return call
-
-
-def _place(error: Exception) -> str:
-    """Return the innermost file of this package, and the line, where an exception came up."""
-    frames = traceback.extract_tb(error.__traceback__)
-    ours = [frame for frame in frames if PACKAGE in Path(frame.filename).parents]
-    frame = (ours[1:] or frames)[-1]  # the first of ours is the guard itself
-    return f'{Path(frame.filename).name}:{frame.lineno}'

@@ -1,17 +1,13 @@
 """Subscriptions to sensors: best effort unless overridden, monitored for rate, age and QoS."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 import importlib.util
 import time
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import (
-    DurabilityPolicy,
-    QoSPolicyKind,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from .conversions import quaternion_xyzw, stamp_to_ns, vector
@@ -149,18 +145,15 @@ class TransformInput(SensorInput):
 
         self._take, self._chain = take, Chain(values['frames.world'], values['frames.tool'])
         super().__init__(node, TFMessage, '/tf', self._on_moving)
-        self._static = SensorInput(node, TFMessage, '/tf_static', self._on_static, qos=QoSProfile(
-            depth=QUEUE, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        self._static = SensorInput(
+            node, TFMessage, '/tf_static', partial(self._add, static=True),
+            qos=QoSProfile(depth=QUEUE, durability=DurabilityPolicy.TRANSIENT_LOCAL))
 
     def _on_moving(self, message: Any) -> None:
         """Give the poses that a message makes known."""
         self._add(message, static=False)
         for pose in self._chain.due():
             self._take(pose.stamp_ns, self._chain.world, *pose[1:])
-
-    def _on_static(self, message: Any) -> None:
-        """Remember what does not move."""
-        self._add(message, static=True)
 
     def _add(self, message: Any, static: bool) -> None:
         """Put the transforms of a message into the tree."""
