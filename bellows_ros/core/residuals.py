@@ -19,6 +19,9 @@ from scipy.special import chdtrc
 AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 """The tool-relative coordinates: position of B (m), then its rotation vector (rad), in E axes."""
 
+MILLI_UNITS = ('mm',) * 3 + ('mrad',) * 3
+"""Units in which they are read."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scores:

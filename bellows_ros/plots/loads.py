@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from bellows_ros.core.residuals import MILLI_UNITS
 from bellows_ros.workflows.plot import Loads
 import numpy as np
 
@@ -15,10 +16,10 @@ from .panels import (
     pairs,
     picture,
     six,
-    UNITS,
 )
 
 MOST_POINTS = 4000
+UNITS = ('N',) * 3 + ('N m',) * 3
 
 
 def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
@@ -44,14 +45,14 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     with picture('Load on the cup against its deflection', note, theme) as (figure, colours):
         legend(figure, (('needed by the motion', colours.measured, 4.0),
                         ('stiffness of the cup', colours.predicted, 1.4)))
-        for axis, panel in enumerate(six(figure, ('N', 'N m'))):
+        for axis, panel in enumerate(six(figure, UNITS)):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
             panel.plot(MILLI * x, y, '.', color=colours.measured, markersize=2.8, alpha=0.8,
                        markeredgewidth=0.0)
             ends = np.array([x.min(), x.max()])
             panel.plot(MILLI * ends, loads.stiffness[axis] * ends, color=colours.predicted,
                        linewidth=1.3)
-            panel.set_xlabel(f'deflection ({UNITS[axis]})', labelpad=1.0)
+            panel.set_xlabel(f'deflection ({MILLI_UNITS[axis]})', labelpad=1.0)
     return figure
 
 
@@ -83,7 +84,7 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
             draw_strip(lower, loads.seconds, residual[:, axis], colours)
             rms = float(np.sqrt(np.nanmean(residual[:, axis] ** 2)))
             part = rms / max(float(np.nanstd(load[:, axis])), 1e-12)
-            unit = 'N' if axis < 3 else 'N m'
+            unit = UNITS[axis]
             upper.set_title(f'unexplained RMS {rms:.2g} {unit}, {100 * part:.2g} % of the load',
                             loc='right', fontsize=8.5, color=colours.quiet, pad=4.0)
             arrange_pair((upper, lower), axis, loads.seconds, unit, unit, colours)

@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Any
 
 from bellows_ros.core.arrays import Array, Mask
-from bellows_ros.core.residuals import AXES
+from bellows_ros.core.residuals import AXES, MILLI_UNITS
 import numpy as np
 
 from .style import drawing, Theme, THEMES
@@ -19,7 +19,6 @@ BELOW_HEAD: Mapping[str, float] = MappingProxyType(
 
 TITLE, NOTE = 0.31, 0.52  # inches from the top
 MILLI = 1e3
-UNITS = ('mm',) * 3 + ('mrad',) * 3
 
 
 @contextmanager
@@ -43,12 +42,12 @@ def picture(
         yield figure, colours
 
 
-def six(figure: Any, units: Sequence[str]) -> list[Any]:
-    """Return six panels: x, y, z on the left, rx, ry, rz beside, with the units of both."""
+def six(figure: Any, units: Sequence[str] = MILLI_UNITS) -> list[Any]:
+    """Return six panels: x, y, z on the left, rx, ry, rz beside, each with its unit."""
     panels = list(figure.subplots(
         3, 2, gridspec_kw={**BELOW_HEAD, 'hspace': 0.28, 'wspace': 0.26}).T.ravel())
     for axis, panel in enumerate(panels):
-        panel.set_ylabel(f'{AXES[axis]}  ({units[axis // 3]})')
+        panel.set_ylabel(f'{AXES[axis]}  ({units[axis]})')
         panel.yaxis.set_label_coords(-0.145, 0.5)
         panel.tick_params(length=2.5, width=0.6)
     return panels

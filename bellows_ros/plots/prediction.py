@@ -8,10 +8,10 @@ axis, to its own scale.
 from typing import Any
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.residuals import Comparison
+from bellows_ros.core.residuals import Comparison, MILLI_UNITS
 import numpy as np
 
-from .panels import arrange_pair, draw_strip, LEFT, legend, MILLI, pairs, picture, UNITS
+from .panels import arrange_pair, draw_strip, LEFT, legend, MILLI, pairs, picture
 from .style import Theme
 
 SIZE = (11.0, 8.4)  # inches
@@ -52,7 +52,7 @@ def prediction_figure(
         for (top, _), what in zip(columns[::3], ('Position', 'Rotation'), strict=True):
             figure.text(top.get_position().x0, 0.885, f'{what} of B in tool axes', fontsize=10.5,
                         fontweight='bold')
-        for axis, (panels, unit) in enumerate(zip(columns, UNITS, strict=True)):
+        for axis, (panels, unit) in enumerate(zip(columns, MILLI_UNITS, strict=True)):
             _draw_axis(panels, seconds, comparison, axis, colours)
             arrange_pair(panels, axis, seconds, unit, f'error\n({unit})', colours)
     return figure
@@ -74,7 +74,7 @@ def _draw_axis(
     lack = 0.5 * max(0.0, LEAST_SPAN - (high - low))
     upper.set_ylim(low - lack, high + lack)
     draw_strip(lower, times, predicted - measured, colours)
-    scores, unit = comparison.scores, UNITS[axis]
+    scores, unit = comparison.scores, MILLI_UNITS[axis]
     upper.set_title(
         f'error RMS {figures(scores.rms[axis] * MILLI)} {unit}, largest '
         f'{figures(scores.largest[axis] * MILLI)} {unit}, '

@@ -4,6 +4,7 @@ from typing import Any
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import log_so3
+from bellows_ros.core.residuals import MILLI_UNITS
 from bellows_ros.workflows.plot import Motion, Spectra
 import numpy as np
 
@@ -31,7 +32,7 @@ def motion_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
     """
     start = int(np.argmax(motion.valid))
     with picture('Motion in the world, from the start', note, theme) as (figure, colours):
-        panels = six(figure, ('mm', 'mrad'))
+        panels = six(figure)
         legend(figure, (('tool', colours.measured, 3.0), ('package', colours.predicted, 1.0)))
         for position, rotation, colour, width in (
             (motion.tool_position, motion.tool_rotation, colours.measured, 3.0),
@@ -75,7 +76,7 @@ def spectra_figure(spectra: Spectra, note: str, theme: str = 'light') -> Any:
         if spectra.error is not None:
             shown.append(('predicted minus measured', spectra.error, colours.error, 1.2, 1.1))
         legend(figure, [(name, colour, width) for name, _, colour, width, _ in shown])
-        for axis, panel in enumerate(six(figure, ('mm/√Hz', 'mrad/√Hz'))):
+        for axis, panel in enumerate(six(figure, [f'{unit}/√Hz' for unit in MILLI_UNITS])):
             for _, density, colour, _, width in shown:
                 panel.loglog(hertz, MILLI * density[keep, axis], color=colour, linewidth=width)
             panel.set_xlim(hertz[0], hertz[-1])

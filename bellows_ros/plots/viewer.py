@@ -19,14 +19,14 @@ from typing import Any
 
 from bellows_ros.core.arrays import Stamps
 from bellows_ros.core.lie import rotation_to_quaternion
-from bellows_ros.core.residuals import AXES
+from bellows_ros.core.residuals import AXES, MILLI_UNITS
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
 from bellows_ros.files.atomic import scratch_folder, write_bytes
 from bellows_ros.workflows.plot import Replayed
 import numpy as np
 
-from .panels import MILLI, UNITS
+from .panels import MILLI
 from .shapes import bellows_rings, RINGS, SIDES
 from .style import THEMES
 
@@ -199,7 +199,8 @@ def _send_series(rr: Any, recording: Any, replayed: Replayed, times: list[Any]) 
             (f'deflection/{name}', name, XYZ_COLOURS[axis % 3], 1.2, replayed.deflection),
         ):
             recording.log(path, rr.SeriesLines(
-                names=[f'{label} ({UNITS[axis]})'], widths=[width], colors=[colour]), static=True)
+                names=[f'{label} ({MILLI_UNITS[axis]})'], widths=[width], colors=[colour]),
+                static=True)
             recording.send_columns(
                 path, times, rr.Scalars.columns(scalars=MILLI * values[:, axis]))
 

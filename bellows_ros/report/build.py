@@ -54,9 +54,15 @@ def identification_report(
     settings = content['settings']
     bags = [recording.name for recording in recordings]
     spectra = [spectra_of(recording, content['cup_length']) for recording in recordings]
+    typical, refusals = content.get('typical'), ' '.join(content.get('refusals', ()))
     method = str(content['method']).replace('_', ' ')
+    origin = dict(content['provenance'])  # and of what the fit has not seen
+    origin['recordings'] = [*origin['recordings'],
+                            *provenance([v.bag for v in validations])['recordings']]
     sections = [
-        section('Cup', *_typical(content), paragraph(_verdict(content)),
+        section('Cup', *([paragraph(typical['sentence'])] if typical else []),
+                paragraph('The fit can be used.' if content['usable'] else
+                          f'The fit cannot be used: {refusals or "the warnings say why."}'),
                 *(paragraph(v.sentence) for v in validations),
                 warnings(content['warnings']), bullets(content.get('findings', ())),
                 *cup_content(content)),
@@ -74,22 +80,10 @@ def identification_report(
         *([section('Standstills', *standstill_content(content))] if content.get('static') else []),
         *([section('Structures', *selection_content(content['structures']))]
           if content.get('structures') else []),
-        section('Where this comes from', *origin_content(_origin(content, validations), settings)),
+        section('Where this comes from', *origin_content(origin, settings)),
     ]
     title = f'Cup identified from {", ".join(bags)}'
     return page(title, f'{method}, {content["structure"]}', sections)
-
-
-def _typical(content: Mapping[str, Any]) -> list[str]:
-    """Return the accuracy along the user's own motion, where one was given."""
-    typical = content.get('typical')
-    return [paragraph(typical['sentence'])] if typical else []
-
-
-def _verdict(content: Mapping[str, Any]) -> str:
-    """Return whether a fit can be used."""
-    return 'The fit can be used.' if content['usable'] else (
-        f"The fit cannot be used: {' '.join(content['refusals']) or 'the warnings say why.'}")
 
 
 def replay_report(
@@ -107,15 +101,6 @@ def replay_report(
             provenance([found.bag], parameter_files), found.values)),
     ]
     return page(f'Replay of {found.bag}', 'free simulation from start to end', sections)
-
-
-def _origin(
-    content: Mapping[str, Any], validations: Sequence[Replay]
-) -> Mapping[str, Any]:
-    """Return the provenance of a result with that of the recordings it was validated on."""
-    known = content['provenance']
-    more = provenance([found.bag for found in validations])
-    return {**known, 'recordings': [*known['recordings'], *more['recordings']]}
 
 
 def write_page(result: Identification, path: str | os.PathLike[str]) -> None:

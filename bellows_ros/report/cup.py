@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 import math
 from typing import Any
 
-from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.result import UNITS
 from bellows_ros.core.identification.samples import Spectra
@@ -90,11 +89,10 @@ def _intervals(
 
 def _facts(content: Mapping[str, Any]) -> list[str]:
     """Return what else is known about a fit."""
+    condition = content['condition_number']
     found = [
         f'{content["samples_used"]} samples used, {content["samples_rejected"]} left out.',
-        f'Condition number {content["condition_number"]:.3g}.'
-        if content['condition_number'] is not None else 'Condition number not finite.',
-    ]
+        f'Condition number {"not finite" if condition is None else f"{condition:.3g}"}.']
     if content.get('chi2') is not None:
         found.append(f'Chi² per degree of freedom of the fit {content["chi2"]:.4f}.')
     if not content.get('usable', True):
@@ -153,12 +151,9 @@ def excitation_content(found: Excitation, spectra: Mapping[str, Spectra]) -> lis
 def _rates(spectrum: Spectrum, first: int, unit: str) -> str:
     """Return the spectra of three rates."""
     shown = spectrum.frequency >= LOWEST_HZ
-    kinds = ('predicted', 'error', 'other')
     curves = [
-        Curve(spectrum.frequency[shown], spectrum.density[shown, first + i], kind,
-              AXES[first + i])
-        for i, kind in enumerate(kinds)
-    ]
+        Curve(spectrum.frequency[shown], spectrum.density[shown, i], kind, AXES[i])
+        for i, kind in enumerate(('predicted', 'error', 'other'), first)]
     return line_chart(curves, 'frequency (Hz)', unit, log=(True, True),
                       description='Spectra of the excitation')
 
@@ -176,15 +171,9 @@ def iteration_content(iterations: Sequence[Mapping[str, Any]]) -> list[str]:
         last = np.where(diagonals[-1] != 0.0, diagonals[-1], 1.0)
         kinds = ('predicted', 'error', 'other', 'measured', 'quiet', 'other dashed')
         curves = [
-            Curve(number, diagonals[:, i] / last[i], kind, AXES[i])
-            for i, kind in enumerate(kinds) if not _tied(diagonals, i)
-        ]
+            Curve(number, diagonals[:, i] / last[i], kind, AXES[i]) for i, kind in enumerate(kinds)
+            if i not in (1, 4) or (diagonals[:, i] != diagonals[:, i - 1]).any()]  # else tied
         charts.append((f'{key.capitalize()}, diagonal over its final value', line_chart(
             curves, 'step', 'ratio', description=f'{key} over the steps')))
     stages = [int(step.get('stage', 0)) for step in iterations]
     return [paragraph(f'{len(iterations)} steps in {len(set(stages))} stages.'), figures(charts)]
-
-
-def _tied(diagonals: Array, axis: int) -> bool:
-    """Return whether a direction has the numbers of the one before it, step for step."""
-    return axis in (1, 4) and bool(np.all(diagonals[:, axis] == diagonals[:, axis - 1]))

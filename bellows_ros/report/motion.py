@@ -3,7 +3,7 @@
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.holding import MODES
 from bellows_ros.core.identification.validation import LIMIT, Validation
-from bellows_ros.core.residuals import AXES, CONFIDENT, SMALL, Spectrum, Whiteness
+from bellows_ros.core.residuals import AXES, CONFIDENT, MILLI_UNITS, SMALL, Whiteness
 from bellows_ros.workflows.replay import Margins, Replay
 import numpy as np
 
@@ -11,7 +11,6 @@ from .page import figures, heading, paragraph, table, warnings
 from .svg import Curve, line_chart
 
 MILLI = 1e3
-UNITS = ('mm',) * 3 + ('mrad',) * 3
 LEAST_SPAN = 2.0
 """mm or mrad; an axis that hardly moves is not blown up beyond this."""
 
@@ -28,8 +27,8 @@ def motion_content(replayed: Replay) -> list[str]:
     start = 'static equilibrium' if found.start == 'equilibrium' else 'the measured state'
     return [
         paragraph(_verdict(found)),
-        *([paragraph(replayed.margin.sentence)] if replayed.margin else []),
-        *([figures([('', _margins(replayed.margins))])] if replayed.margin else []),
+        *([paragraph(replayed.margin.sentence), figures([('', _margins(replayed.margins))])]
+          if replayed.margin else []),
         warnings(replayed.warnings),
         paragraph(
             f'The model ran freely from {start} to the end, with only the motion of the tool as '
@@ -75,26 +74,15 @@ def _score_table(found: Validation) -> str:
     head = ('axis', 'RMS error', 'of noise alone', 'largest', 'motion', 'NRMSE',
             'model error', 'judged')
     rows = []
-    for i, name in enumerate(AXES):
+    for i, (name, unit) in enumerate(zip(AXES, MILLI_UNITS, strict=True)):
         numbers = (found.scores.rms[i], found.noise[i], found.scores.largest[i],
                    found.scores.motion[i])
-        rows.append(
-            (
-                name,
-                *(f'{MILLI * value:.3g} {UNITS[i]}' for value in numbers),
-                _percent(found.scores.nrmse[i]),
-                _percent(found.model_error[i]),
-                _judged(found, i),
-            )
-        )
+        word = 'good' if found.scores.nrmse[i] <= LIMIT else f'above {100 * LIMIT:g} %'
+        rows.append((
+            name, *(f'{MILLI * value:.3g} {unit}' for value in numbers),
+            _percent(found.scores.nrmse[i]), _percent(found.model_error[i]),
+            word if found.moves[i] else 'moves too little'))
     return table(head, rows, (0, 7))
-
-
-def _judged(found: Validation, axis: int) -> str:
-    """Return a word on an axis."""
-    if not found.moves[axis]:
-        return 'moves too little'
-    return 'good' if found.scores.nrmse[axis] <= LIMIT else f'above {100 * LIMIT:g} %'
 
 
 def _percent(ratio: float) -> str:
@@ -115,43 +103,34 @@ def _verdict(found: Validation) -> str:
 def _motion_figures(found: Validation, seconds: Array) -> list[tuple[str, str]]:
     """Return two charts per axis, both of an axis below each other."""
     items = []
-    for first in range(3):
-        for i in (first, first + 3):
-            measured, predicted = (MILLI * part[:, i] for part in (found.measured,
-                                                                   found.predicted))
-            motion = line_chart(
-                [Curve(seconds, measured, 'measured', 'measured'),
-                 Curve(seconds, predicted, 'predicted', 'simulated')],
-                '', f'{AXES[i]} ({UNITS[i]})', least_span=LEAST_SPAN,
-                description=f'Measured and simulated {AXES[i]} over time',
-            )
-            error = line_chart(
-                [Curve(seconds, predicted - measured, 'error', 'simulated minus measured')],
-                'time (s)', f'error ({UNITS[i]})', ERROR_SIZE,
-                description=f'Error of {AXES[i]} over time',
-            )
-            items.append(('', motion + error))
+    for i in (0, 3, 1, 4, 2, 5):
+        measured, predicted = (MILLI * part[:, i] for part in (found.measured, found.predicted))
+        motion = line_chart(
+            [Curve(seconds, measured, 'measured', 'measured'),
+             Curve(seconds, predicted, 'predicted', 'simulated')],
+            '', f'{AXES[i]} ({MILLI_UNITS[i]})', least_span=LEAST_SPAN,
+            description=f'Measured and simulated {AXES[i]} over time')
+        error = line_chart(
+            [Curve(seconds, predicted - measured, 'error', 'simulated minus measured')],
+            'time (s)', f'error ({MILLI_UNITS[i]})', ERROR_SIZE,
+            description=f'Error of {AXES[i]} over time')
+        items.append(('', motion + error))
     return items
 
 
 def _spectrum(found: Validation, axis: int) -> str:
     """Return the spectra of an axis."""
-    curves = [
-        _density(found.motion, axis, 'measured', 'motion'),
-        _density(found.spectrum, axis, 'error', 'error'),
-    ]
+    spectra = [('measured', 'motion', found.motion), ('error', 'error', found.spectrum)]
     if found.one_step:
-        curves.append(_density(found.one_step.spectrum, axis, 'predicted', 'one-step error'))
+        spectra.append(('predicted', 'one-step error', found.one_step.spectrum))
+    curves = []
+    for kind, label, own in spectra:
+        shown = own.frequency >= LOWEST_HZ
+        density = MILLI * np.sqrt(own.density[shown, axis])
+        curves.append(Curve(own.frequency[shown], density, kind, label))
     return line_chart(
-        curves, 'frequency (Hz)', f'{UNITS[axis]}/√Hz', log=(True, True),
-        description=f'Spectra of {AXES[axis]}',
-    )
-
-
-def _density(found: Spectrum, axis: int, kind: str, label: str) -> Curve:
-    """Return a spectrum in mm or mrad as a curve."""
-    shown = found.frequency >= LOWEST_HZ
-    return Curve(found.frequency[shown], MILLI * np.sqrt(found.density[shown, axis]), kind, label)
+        curves, 'frequency (Hz)', f'{MILLI_UNITS[axis]}/√Hz', log=(True, True),
+        description=f'Spectra of {AXES[axis]}')
 
 
 def _whiteness(found: Validation) -> list[str]:
@@ -168,7 +147,10 @@ def _whiteness(found: Validation) -> list[str]:
             'One-step prediction errors are white if the model explains all but noise.', 'quiet'),
         table(
             ('errors', 'axis', 'Q', 'probability', 'largest autocorrelation', 'verdict'),
-            [row for name, test in tests for row in _test_rows(name, test)], (0, 1, 5)),
+            [(name, AXES[i], f'{test.statistic[i]:.1f}',
+              f'{test.p_value[i]:.3f}' if test.p_value[i] >= 1e-3 else 'below 0.001',
+              f'{test.largest[i]:.3f}', test.verdicts[i])
+             for name, test in tests for i in range(6)], (0, 1, 5)),
     ]
     if found.one_step:
         content.append(paragraph(
@@ -177,20 +159,6 @@ def _whiteness(found: Validation) -> list[str]:
     shown = found.one_step.whiteness if found.one_step else found.whiteness
     content.append(figures([(AXES[i], _correlation(shown, i)) for i in range(6)]))
     return content
-
-
-def _test_rows(name: str, test: Whiteness) -> list[tuple[str, ...]]:
-    """Return a row of the table per axis."""
-    return [
-        (name, AXES[i], f'{test.statistic[i]:.1f}', _probability(float(test.p_value[i])),
-         f'{test.largest[i]:.3f}', test.verdicts[i])
-        for i in range(6)
-    ]
-
-
-def _probability(p: float) -> str:
-    """Return a probability."""
-    return f'{p:.3f}' if p >= 1e-3 else 'below 0.001'
 
 
 def _correlation(test: Whiteness, axis: int) -> str:

@@ -1,6 +1,6 @@
 """The section on a camera: the gain by measured poses of the package."""
 
-from bellows_ros.core.residuals import AXES, Comparison
+from bellows_ros.core.residuals import AXES, Comparison, MILLI_UNITS
 from bellows_ros.workflows.observe import Observed
 
 from .page import figures, paragraph, table, warnings
@@ -13,8 +13,8 @@ KINDS = ('predicted', 'quiet', 'error')
 def observed_content(found: Observed) -> list[str]:
     """Return table and figures of the errors of prediction and camera, each alone and both."""
     rows = [
-        (f'{name} ({_unit(i)})', *(f'{MILLI * w.scores.rms[i]:.3g}' for w in found.ways.values()))
-        for i, name in enumerate(AXES)
+        (f'{name} ({unit})', *(f'{MILLI * w.scores.rms[i]:.3g}' for w in found.ways.values()))
+        for i, (name, unit) in enumerate(zip(AXES, MILLI_UNITS, strict=True))
     ]
     start_ns = found.camera.stamps_ns[0]
 
@@ -32,12 +32,7 @@ def observed_content(found: Observed) -> list[str]:
         figures([('', line_chart(
             [curve(name, way, kind, i) for (name, way), kind in zip(
                 found.ways.items(), KINDS, strict=True)],
-            'time (s)', f'error of {AXES[i]} ({_unit(i)})',
+            'time (s)', f'error of {AXES[i]} ({MILLI_UNITS[i]})',
             description=f'Error of {AXES[i]} over time: {", ".join(found.ways)}',
         )) for i in range(6)]),
     ]
-
-
-def _unit(axis: int) -> str:
-    """Return the unit of an axis."""
-    return 'mm' if axis < 3 else 'mrad'

@@ -38,16 +38,10 @@ NARROWED = 0.95
 def selection_content(selection: Mapping[str, Any]) -> list[str]:
     """Return how the structures compare, and the advice."""
     rows = [
-        (
-            candidate['structure'],
-            str(candidate['parameters']),
-            f'+{candidate["aic"]:.1f}',
-            f'+{candidate["bic"]:.1f}',
-            '-' if candidate['held_out'] is None else f'{100.0 * candidate["held_out"]:.2f} %',
-            'yes' if candidate['usable'] else 'no',
-        )
-        for candidate in selection['candidates']
-    ]
+        (own['structure'], str(own['parameters']), f'+{own["aic"]:.1f}', f'+{own["bic"]:.1f}',
+         '-' if own['held_out'] is None else f'{100.0 * own["held_out"]:.2f} %',
+         'yes' if own['usable'] else 'no')
+        for own in selection['candidates']]
     return [
         table(('structure', 'parameters', 'AIC', 'BIC', 'held-out error', 'usable'), rows),
         bullets(selection['advice']),

@@ -53,13 +53,11 @@ class Scale:
 
     def place(self, values: Array) -> Array:
         """Return pixels; NaN where a logarithm does not exist."""
+        ends = np.array([self.low, self.high])
         if self.log:
-            with np.errstate(divide='ignore', invalid='ignore'):
-                values = np.log10(np.where(values > 0.0, values, np.nan))
-            low, high = math.log10(self.low), math.log10(self.high)
-        else:
-            low, high = self.low, self.high
-        return np.asarray(self.start + (values - low) / (high - low) * (self.end - self.start))
+            values, ends = np.log10(np.where(values > 0.0, values, np.nan)), np.log10(ends)
+        part = (values - ends[0]) / (ends[1] - ends[0])
+        return np.asarray(self.start + part * (self.end - self.start))
 
     def ticks(self, most: int) -> list[float]:
         """Return round numbers on the axis."""
@@ -139,20 +137,22 @@ def interval_chart(
         For readers who cannot see it.
 
     """
-    left = 20.0 + LETTER * max(len(label) for label, *_ in rows)
+    width = 540.0
     right = 20.0 + LETTER * max(len(text) for *_, text in rows)
-    width, height = 540.0, TOP + ROW * len(rows) + BOTTOM
     known = [(c, h) for _, c, h, _ in rows if math.isfinite(c) and math.isfinite(h)]
-    reach = max((abs(c) + h for c, h in known), default=1.0) or 1.0
-    x = Scale(-1.05 * reach, 1.05 * reach, left, width - right)
-    bottom = height - BOTTOM
-    parts = [*_x_ticks(x, TOP, bottom), _x_label(x, x_label, height)]
-    for number, (label, centre, half, text) in enumerate(rows):
+    reach = 1.05 * (max((abs(c) + h for c, h in known), default=1.0) or 1.0)
+    x, parts = _row_axis([label for label, *_ in rows], (-reach, reach), width - right, x_label)
+    for number, (_, centre, half, text) in enumerate(rows):
         at = TOP + ROW * (number + 0.5)
-        parts.append(_text(left - 8.0, at + 4.0, label, 'end'))
         parts.append(_text(width - right + 8.0, at + 4.0, text, 'start'))
-        parts += _interval(x, at, centre, half)
-    return _svg((width, height), parts, description)
+        if (centre, half) in known:
+            low, middle, high = x.place(np.array([centre - half, centre, centre + half])).tolist()
+            ends = ''.join(f'M{_px(end)} {_px(at - MARK)}V{_px(at + MARK)}' for end in (low, high))
+            parts += [f'<path class="interval" d="M{_px(low)} {_px(at)}H{_px(high)}{ends}"/>',
+                      f'<circle class="dot" cx="{_px(middle)}" cy="{_px(at)}" r="2.6"/>']
+        else:
+            parts.append(f'<path class="endless" d="M{_px(x.start)} {_px(at)}H{_px(x.end)}"/>')
+    return _svg((width, TOP + ROW * len(rows) + BOTTOM), parts, description)
 
 
 def strip_chart(
@@ -176,20 +176,26 @@ def strip_chart(
         For readers who cannot see it.
 
     """
-    left = 20.0 + LETTER * max(len(label) for label, *_ in rows)
-    width, height = 1100.0, TOP + ROW * len(rows) + BOTTOM
-    x = Scale(*span, left, width - RIGHT)
-    parts = [*_x_ticks(x, TOP, height - BOTTOM, 12), _x_label(x, x_label, height)]
-    for number, (label, kind, spans) in enumerate(rows):
-        at = TOP + ROW * number
-        parts.append(_text(left - 8.0, at + 0.5 * ROW + 4.0, label, 'end'))
+    width = 1100.0
+    x, parts = _row_axis([label for label, *_ in rows], span, width - RIGHT, x_label, 12)
+    for number, (_, kind, spans) in enumerate(rows):
         edges = x.place(np.array(spans, dtype=float).reshape(-1, 2))
         parts += [
-            f'<rect class="{kind}" x="{_px(a)}" y="{_px(at + 3.0)}" '
+            f'<rect class="{kind}" x="{_px(a)}" y="{_px(TOP + ROW * number + 3.0)}" '
             f'width="{_px(max(b - a, 1.0))}" height="{_px(ROW - 6.0)}"/>'
-            for a, b in edges.tolist()
-        ]
-    return _svg((width, height), parts, description)
+            for a, b in edges.tolist()]
+    return _svg((width, TOP + ROW * len(rows) + BOTTOM), parts, description)
+
+
+def _row_axis(
+    labels: Sequence[str], span: tuple[float, float], end: float, x_label: str, most: int = 8
+) -> tuple[Scale, list[str]]:
+    """Return the axis of a chart with a row for each label, and what is drawn of it."""
+    left, bottom = 20.0 + LETTER * max(map(len, labels)), TOP + ROW * len(labels)
+    x = Scale(*span, left, end)
+    return x, [*_x_ticks(x, TOP, bottom, most), _x_label(x, x_label, bottom + BOTTOM), *(
+        _text(left - 8.0, TOP + ROW * (number + 0.5) + 4.0, label, 'end')
+        for number, label in enumerate(labels))]
 
 
 def thinned(x: Array, y: Array) -> list[tuple[float, float]]:
@@ -233,17 +239,13 @@ def _range(
 ) -> tuple[float, float]:
     """Return the range of an axis that shows all finite values."""
     joined = np.concatenate([np.ravel(part) for part in values] or [np.zeros(0)])
-    joined = joined[np.isfinite(joined)]
+    joined = joined[np.isfinite(joined) & ((joined > 0.0) | (not log))]
+    if not len(joined):
+        return (0.1, 10.0) if log else (0.0, 1.0)
+    low, high = float(joined.min()), float(joined.max())
     if log:
-        joined = joined[joined > 0.0]
-        if not len(joined):
-            return 0.1, 10.0
-        low, high = float(joined.min()), float(joined.max())
         low = max(low, high * 1e-12)
         return (low, high) if high > 1.5 * low else (low / 2.0, high * 2.0)
-    if not len(joined):
-        return 0.0, 1.0
-    low, high = float(joined.min()), float(joined.max())
     lack = 0.5 * max(0.0, least_span - (high - low))
     low, high = low - lack, high + lack
     if high - low <= 1e-12 * max(abs(low), abs(high), 1e-300):
@@ -299,20 +301,6 @@ def _legend(curves: Sequence[Curve], width: float) -> list[str]:
         parts.append(f'<path class="line {curve.kind}" d="M{_px(at - 18.0)} 8H{_px(at)}"/>')
         at -= 34.0
     return parts
-
-
-def _interval(x: Scale, at: float, centre: float, half: float) -> list[str]:
-    """Return one interval: a line with ends and a dot, or a dashed line where it has no end."""
-    if not (math.isfinite(centre) and math.isfinite(half)):
-        return [f'<path class="endless" d="M{_px(x.start)} {_px(at)}H{_px(x.end)}"/>']
-    low, middle, high = x.place(np.array([centre - half, centre, centre + half])).tolist()
-    ends = ''.join(
-        f'M{_px(end)} {_px(at - MARK)}V{_px(at + MARK)}' for end in (low, high)
-    )
-    return [
-        f'<path class="interval" d="M{_px(low)} {_px(at)}H{_px(high)}{ends}"/>',
-        f'<circle class="dot" cx="{_px(middle)}" cy="{_px(at)}" r="2.6"/>',
-    ]
 
 
 def tick_text(value: float, log: bool = False) -> str:
