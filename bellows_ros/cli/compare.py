@@ -27,12 +27,10 @@ SHOWN = 60  # characters of a setting
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        'before', metavar='FIT_A', type=Path, help='result file, written by bellows identify '
-                                                   '--json'
-    )
-    parser.add_argument('after', metavar='FIT_B', type=Path, help='the result file to compare '
-                                                                  'it with')
+    parser.add_argument('before', metavar='FIT_A', type=Path,
+                        help='result file, written by bellows identify --json')
+    parser.add_argument('after', metavar='FIT_B', type=Path,
+                        help='the result file to compare it with')
     options.add_json_option(parser, 'the comparison')
 
 
@@ -74,17 +72,13 @@ def _change_rows(changes: 'tuple[Change, ...]') -> list[tuple[str, ...]]:
     for change in changes:
         is_pose = change.unit in ('m', 'rad')
         scale, unit = (1e3, f'm{change.unit}') if is_pose else (1.0, change.unit)
-        rows.append(
-            (
-                change.name,
-                with_error(scale * change.before, scale * change.before_std),
-                with_error(scale * change.after, scale * change.after_std),
-                unit,
-                f'{change.percent:+.2f} %' if math.isfinite(change.percent) else '-',
-                f'{change.standard_errors:+.1f}' + ('*' if change.significant else ' ')
-                if math.isfinite(change.standard_errors) else '- ',
-            )
-        )
+        rows.append((
+            change.name,
+            with_error(scale * change.before, scale * change.before_std),
+            with_error(scale * change.after, scale * change.after_std), unit,
+            f'{change.percent:+.2f} %' if math.isfinite(change.percent) else '-',
+            f'{change.standard_errors:+.1f}' + ('*' if change.significant else ' ')
+            if math.isfinite(change.standard_errors) else '- '))
     return rows
 
 

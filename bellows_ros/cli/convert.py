@@ -53,9 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='leave out poses of Motive with fewer visible markers than this (default: 3)',
     )
     parser.add_argument(
-        '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='storage of the '
-                                                                       'recording'
-    )
+        '--storage', choices=('mcap', 'sqlite3'), default='mcap',
+        help='storage of the recording')
     options.add_force_option(parser)
     options.add_span_options(parser)
     options.add_arm_options(parser)
@@ -80,57 +79,53 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     )
 
     span = options.given_span(arguments)
+    text = arguments.out.lower().endswith(TEXT_ENDINGS)
+    frames = bool(arguments.tool_frame or arguments.package_frame) and not text
+    _require_possible(arguments, text, frames)
+    source, out, force = arguments.sources[0], arguments.out, arguments.force
+    topic = arguments.topic[0] if arguments.topic else ''
     with console.progress() as progress:
         progress('converting')
-        if arguments.out.lower().endswith(TEXT_ENDINGS):
-            _require_one(arguments)
-            topic = arguments.topic[0] if arguments.topic else ''
-            done = to_tum(arguments.sources[0], arguments.out, topic, span)
-        elif arguments.tool_frame or arguments.package_frame:
-            if not (arguments.tool_frame and arguments.package_frame):
-                raise BellowsError(
-                    '--tool-frame and --package-frame go together. Give both; for the tool '
-                    'alone, use --tool-link.')
-            if len(arguments.sources) > 1:
-                raise BellowsError('Only one recording can be converted. Give one.')
+        if text:
+            done = to_tum(source, out, topic, span)
+        elif frames:
             done = transforms_to_bag(
-                arguments.sources[0], arguments.out, arguments.tool_frame,
-                arguments.package_frame, arguments.world_frame, arguments.topic,
-                arguments.storage, arguments.force, span)
+                source, out, arguments.tool_frame, arguments.package_frame, arguments.world_frame,
+                arguments.topic, arguments.storage, force, span)
         elif arguments.tool_link:
-            _require_one(arguments)
-            topic = arguments.topic[0] if arguments.topic else ''
-            done = tool_to_bag(
-                arguments.sources[0], arguments.out, arguments.tool_link,
-                str(arguments.urdf or ''), topic, arguments.storage, arguments.force, span)
+            done = tool_to_bag(source, out, arguments.tool_link, str(arguments.urdf or ''), topic,
+                               arguments.storage, force, span)
         else:
-            _require_text(arguments)
-            done = to_bag(arguments.sources, arguments.out, arguments.topic, arguments.storage,
-                          arguments.markers, arguments.force, span)
+            done = to_bag(arguments.sources, out, arguments.topic, arguments.storage,
+                          arguments.markers, force, span)
     options.put_json(arguments.json, done.as_json())
     _say(done, console)
-    if not done.out.lower().endswith(TEXT_ENDINGS):
+    if not text:
         console.say('Next, check the recording:')
         console.say(f'  bellows info {done.out} --write-params my_cell.yaml')
     return OK
 
 
-def _require_one(arguments: argparse.Namespace) -> None:
-    """Refuse to write one file from several recordings."""
-    if len(arguments.sources) > 1 or len(arguments.topic) > 1:
-        raise BellowsError('Only one trajectory can be written. Give one recording and one '
-                           '--topic.')
-
-
-def _require_text(arguments: argparse.Namespace) -> None:
-    """Say how a recording can be converted, where a recording is to be made of one."""
-    for source in arguments.sources:
-        if os.path.isdir(source) or source.suffix in ('.mcap', '.db3'):
+def _require_possible(arguments: argparse.Namespace, text: bool, frames: bool) -> None:
+    """Refuse what cannot be made of the sources: a text, poses of two frames, or a recording."""
+    if frames:
+        if not (arguments.tool_frame and arguments.package_frame):
             raise BellowsError(
-                f"'{source}' is already a recording. To write its poses as text, give --out a "
-                'name that ends in .tum. To make tool poses from its joints or transforms, name '
-                'the link of the tool: --tool-link LINK.'
-            )
+                '--tool-frame and --package-frame go together. Give both; for the tool alone, '
+                'use --tool-link.')
+        if len(arguments.sources) > 1:
+            raise BellowsError('Only one recording can be converted. Give one.')
+    elif text or arguments.tool_link:
+        if len(arguments.sources) > 1 or len(arguments.topic) > 1:
+            raise BellowsError('Only one trajectory can be written. Give one recording and one '
+                               '--topic.')
+    else:
+        for source in arguments.sources:
+            if os.path.isdir(source) or source.suffix in ('.mcap', '.db3'):
+                raise BellowsError(
+                    f"'{source}' is already a recording. To write its poses as text, give --out "
+                    'a name that ends in .tum. To make tool poses from its joints or transforms, '
+                    'name the link of the tool: --tool-link LINK.')
 
 
 def _say(done: 'Conversion', console: Console) -> None:

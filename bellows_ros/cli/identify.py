@@ -1,7 +1,6 @@
 """`bellows identify`: identify a cup's stiffness and damping from recordings."""
 
 import argparse
-from collections.abc import Mapping, Sequence
 import math
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -22,7 +21,6 @@ from .console import (
 if TYPE_CHECKING:
     from bellows_ros.workflows.identification import Identification
     from bellows_ros.workflows.release import ReleaseResult
-    from bellows_ros.workflows.verdict import Simulated
 
 DESCRIPTION = (
     'Identify the stiffness K and damping P of a cup from recordings of the tool arm and the '
@@ -116,7 +114,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.workflows.identification import save
 
     with console.progress() as progress:
-        result = _with_typical(arguments, settings, progress)
+        result = _identified(arguments, settings, progress)
     usable = not result.refusals
     written = usable or (arguments.force and result.fit.usable)
     with uninterrupted():  # all of it, even when Ctrl-C comes in between
@@ -200,33 +198,26 @@ def _reduce(arguments: argparse.Namespace, settings: dict[str, Any], console: Co
 def _identified(
     arguments: argparse.Namespace, settings: dict[str, Any], progress: Progress
 ) -> 'Identification':
-    """Return the result, of recordings or of summaries."""
+    """Return the result, with the accuracy along a typical motion where one is given."""
     from bellows_ros.workflows.identify import identify, identify_summaries
 
-    if arguments.summaries:
-        return identify_summaries(arguments.summaries, settings, progress)
-    return identify(settings, progress, arguments.params, arguments.jobs, arguments.dask)
+    plan = None
+    if arguments.typical:
+        from bellows_ros.core.parameters import resolve
+        from bellows_ros.workflows.plan import read_plan
+        from bellows_ros.workflows.recordings import WHOLE
 
-
-def _with_typical(
-    arguments: argparse.Namespace, settings: dict[str, Any], progress: Progress
-) -> 'Identification':
-    """Return the result, with the accuracy along a typical motion where one is given."""
-    if not arguments.typical:
-        return _identified(arguments, settings, progress)
+        filled: dict[str, Any] = resolve({'package.com': (0.0, 0.0, 0.0), **settings})
+        plan = read_plan(arguments.typical, {**filled, **WHOLE})  # before a long fit
+    result = identify_summaries(arguments.summaries, settings, progress) if arguments.summaries \
+        else identify(settings, progress, arguments.params, arguments.jobs, arguments.dask)
+    if plan is None or not result.fit.usable:
+        return result
     from dataclasses import replace
 
-    from bellows_ros.core.parameters import resolve
-    from bellows_ros.workflows.plan import read_plan
-    from bellows_ros.workflows.recordings import WHOLE
     from bellows_ros.workflows.typical import typical
 
-    filled: dict[str, Any] = resolve({'package.com': (0.0, 0.0, 0.0), **settings})
-    source = read_plan(arguments.typical, {**filled, **WHOLE})  # before a long fit
-    result = _identified(arguments, settings, progress)
-    if not result.fit.usable:
-        return result
-    return replace(result, typical=typical(arguments.typical, source, result))
+    return replace(result, typical=typical(arguments.typical, plan, result))
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -260,6 +251,8 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _say(result: 'Identification', console: Console) -> None:
     """Print the cup and what it rests on."""
+    from bellows_ros.core.residuals import AXES, MILLI_UNITS
+
     fit = result.fit
     bags = listed(result.bags)
     verdict = result.verdict
@@ -276,13 +269,16 @@ def _say(result: 'Identification', console: Console) -> None:
             console.paragraph(simulated.sentence)
             continue
         console.paragraph(f'Free simulation of {simulated.bag} with this cup (RMS):')
-        console.table(_simulated_rows(simulated), right=True)
+        heads = (f'{axis} {unit}' for axis, unit in zip(AXES, MILLI_UNITS, strict=True))
+        console.table([('', *heads), *(
+            (name, *(f'{1e3 * x:.3g}' for x in values))
+            for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
+            right=True)
         console.say()
     for line in cup_table(fit):
         console.say(f'  {line}'.rstrip())
     console.say()
-    for line in _sample_lines(fit, [part.report for part in result.parts]):
-        console.paragraph(line)
+    _say_samples(result, console)
     console.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
     for line in result.findings[len(verdict.sentences) if verdict else 0:]:
         console.paragraph(line)
@@ -290,16 +286,6 @@ def _say(result: 'Identification', console: Console) -> None:
         console.paragraph(reason, 'red')
     for warning in result.warnings:
         console.warn(warning)
-
-
-def _simulated_rows(simulated: 'Simulated') -> list[tuple[str, ...]]:
-    """Return the errors of a free simulation above the noise, a column per axis."""
-    from bellows_ros.core.structure import AXES
-
-    units = (*3 * ('mm',), *3 * ('mrad',))
-    return [('', *(f'{axis} {unit}' for axis, unit in zip(AXES, units, strict=True))),
-            *((name, *(f'{1e3 * x:.3g}' for x in values))
-              for name, values in (('error', simulated.rms), ('noise', simulated.noise)))]
 
 
 def cup_table(fit: Any) -> list[str]:
@@ -311,12 +297,10 @@ def cup_table(fit: Any) -> list[str]:
     rows: list[tuple[str, ...]] = [('axis', 'stiffness K', 'damping P')]
     for axes in structure.tied_axes:
         i = axes[0]
-        rows.append(
-            (', '.join(AXES[axis] for axis in axes), *(
-                with_error(matrix[i, i], std[i, i], UNITS[name][2 * (i > 2)])
-                for name, matrix, std in (('K', fit.stiffness, fit.stiffness_std),
-                                          ('P', fit.damping, fit.damping_std))))
-        )
+        rows.append((', '.join(AXES[axis] for axis in axes), *(
+            with_error(matrix[i, i], std[i, i], UNITS[name][2 * (i > 2)])
+            for name, matrix, std in (('K', fit.stiffness, fit.stiffness_std),
+                                      ('P', fit.damping, fit.damping_std)))))
     lines = aligned(rows)
     if structure.couples:
         lines += ['', 'K in N/m, N and N m/rad:', *_matrix(fit.stiffness, fit.stiffness_std)]
@@ -335,37 +319,23 @@ def _matrix(matrix: Any, std: Any) -> list[str]:
             for rows in zip(matrix, std, strict=True)]
 
 
-def _sample_lines(fit: Any, reports: Sequence[Any]) -> list[str]:
-    """
-    Return how many samples were used, and what was wrong with the others.
-
-    Parameters
-    ----------
-    fit : bellows_ros.core.identification.result.Fit
-        The fit.
-    reports : sequence of mapping
-        What became of each recording, as in the JSON file.
-
-    """
-    lines = [f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.']
-    streams = [report[name] for report in reports for name in ('tool_pose', 'package_pose')]
-    return lines + [f'  {stream["topic"]}: {line}' for stream in streams
-                    if (line := _stream_line(stream))]
-
-
-def _stream_line(stream: Mapping[str, Any]) -> str:
-    """Return what was wrong with the poses of a topic, or nothing."""
-    gaps, outliers, touched = (
-        stream[name] for name in ('gaps', 'outliers', 'filtered_samples_left_out'))
-    lost = sum(gap['duration_s'] for gap in gaps)
-    found = [
-        *(many(len(indices), f'message {reason.replace("_", " ")}', f'messages {reason}')
-          for reason, indices in stream['refused'].items() if indices),
-        *([many(outliers, 'outlier', 'outliers')] if outliers else []),
-        *([f'{many(len(gaps), "gap", "gaps")} of {lost:.2g} s together'] if gaps else []),
-    ]
-    left_out = f'; {touched} filtered samples touch these' if touched else ''
-    return ', '.join(found) + left_out if found else ''
+def _say_samples(result: 'Identification', console: Console) -> None:
+    """Print how many samples were used, and what was wrong with the poses of each topic."""
+    fit = result.fit
+    console.paragraph(f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.')
+    for stream in (part.report[name] for part in result.parts
+                   for name in ('tool_pose', 'package_pose')):
+        gaps, outliers, touched = (
+            stream[name] for name in ('gaps', 'outliers', 'filtered_samples_left_out'))
+        lost = sum(gap['duration_s'] for gap in gaps)
+        found = [
+            *(many(len(indices), f'message {reason.replace("_", " ")}', f'messages {reason}')
+              for reason, indices in stream['refused'].items() if indices),
+            *([many(outliers, 'outlier', 'outliers')] if outliers else []),
+            *([f'{many(len(gaps), "gap", "gaps")} of {lost:.2g} s together'] if gaps else [])]
+        left_out = f'; {touched} filtered samples touch these' if touched else ''
+        if found:
+            console.paragraph(f'  {stream["topic"]}: {", ".join(found)}{left_out}')
 
 
 def _say_files(

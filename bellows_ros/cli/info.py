@@ -88,22 +88,17 @@ def _say(found: 'Info', console: Console) -> None:
 
 def _topic_rows(found: 'Info') -> list[tuple[str, ...]]:
     """Return a row per topic."""
-    starts = [topic.start_ns for topic in found.topics if topic.kind]
+    first_ns = min((topic.start_ns for topic in found.topics if topic.kind), default=0)
     rows: list[tuple[str, ...]] = [
         ('topic', 'type', 'messages', 'rate', 'jitter', 'from', 'to', 'gaps')]
     for topic in found.topics:
-        row = [topic.name, topic.type_name.replace('/msg/', '/'), str(topic.messages)]
-        rows.append((*row, *(_timing(topic, min(starts)) if topic.kind else [''] * 5)))
+        begin = (topic.start_ns - first_ns) * 1e-9
+        timing = (
+            f'{topic.rate_hz:.1f} Hz', f'{topic.jitter_s * 1e3:.2f} ms', f'{begin:.2f} s',
+            f'{begin + topic.duration_s:.2f} s', str(len(topic.gaps))) if topic.kind else [''] * 5
+        rows.append((
+            topic.name, topic.type_name.replace('/msg/', '/'), str(topic.messages), *timing))
     return rows
-
-
-def _timing(topic: 'TopicInfo', start_ns: int) -> list[str]:
-    """Return rate, jitter, from, to and gaps of a topic."""
-    begin = (topic.start_ns - start_ns) * 1e-9
-    return [
-        f'{topic.rate_hz:.1f} Hz', f'{topic.jitter_s * 1e3:.2f} ms', f'{begin:.2f} s',
-        f'{begin + topic.duration_s:.2f} s', str(len(topic.gaps)),
-    ]
 
 
 def _facts(topic: 'TopicInfo') -> Iterator[str]:

@@ -120,13 +120,13 @@ def _say(
 
 def _say_observed(found: 'Observed', console: Console) -> None:
     """Print what measured poses add, and what was found to be wrong."""
-    from bellows_ros.core.residuals import AXES
+    from bellows_ros.core.residuals import AXES, MILLI_UNITS
 
     console.say()
     console.say(f'With {found.topic}, RMS error', 'bold')
+    errors = [way.scores.rms for way in found.ways.values()]
     console.table([('axis', *found.ways), *(
-        (f'{name:2} {"mm" if i < 3 else "mrad"}',
-         *(short(MILLI * way.scores.rms[i]) for way in found.ways.values()))
+        (f'{name:2} {MILLI_UNITS[i]}', *(short(MILLI * rms[i]) for rms in errors))
         for i, name in enumerate(AXES))], right=True)
     console.paragraph(found.sentence)
     for line in found.alarm_lines:
@@ -135,7 +135,7 @@ def _say_observed(found: 'Observed', console: Console) -> None:
 
 def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
     """Return errors, what noise makes of them, and whether they are white, a row per axis."""
-    from bellows_ros.core.residuals import AXES
+    from bellows_ros.core.residuals import AXES, MILLI_UNITS
 
     found, live = result.validation, result.live
     white = found.one_step.whiteness.verdicts if found.one_step else ('-',) * 6
@@ -144,7 +144,7 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
         errors = (found.scores.rms, live.scores.rms if live else None, found.noise,
                   found.scores.largest)
         rows.append((
-            f'{name:2} {"mm" if i < 3 else "mrad"}',
+            f'{name:2} {MILLI_UNITS[i]}',
             *('-' if error is None else short(MILLI * error[i]) for error in errors),
             percent(found.scores.nrmse[i], 1) + (' ' if found.moves[i] else '*'),
             white[i].removesuffix(' white'),

@@ -82,7 +82,8 @@ def _axis_rows(result: 'StructureAdvice') -> list[tuple[str, ...]]:
         rows.append((
             axis.name, _milli(axis.strain, unit), _milli(axis.motion, unit),
             _milli(axis.strain_noise, unit), _milli(axis.twist, rate),
-            _milli(axis.twist_noise, rate), _band(*axis.band_hz),
+            _milli(axis.twist_noise, rate),
+            '{:.1f}-{:.1f} Hz'.format(*axis.band_hz) if math.isfinite(axis.band_hz[0]) else '-',
         ))
     return rows
 
@@ -107,24 +108,12 @@ def _candidate_rows(result: 'StructureAdvice') -> list[tuple[str, ...]]:
     """Return a row for every structure."""
     rows: list[tuple[str, ...]] = [
         ('structure', 'parameters', 'AIC', 'BIC', 'held-out error', 'usable')]
-    for candidate in result.selection.candidates:
-        error = candidate.held_out
-        rows.append(
-            (
-                candidate.structure,
-                str(candidate.parameters),
-                f'+{candidate.aic:.1f}',
-                f'+{candidate.bic:.1f}',
-                f'{error:.2%}' if math.isfinite(error) else '-',
-                'yes' if candidate.usable else 'no',
-            )
-        )
+    for own in result.selection.candidates:
+        rows.append((
+            own.structure, str(own.parameters), f'+{own.aic:.1f}', f'+{own.bic:.1f}',
+            f'{own.held_out:.2%}' if math.isfinite(own.held_out) else '-',
+            'yes' if own.usable else 'no'))
     return rows
-
-
-def _band(low: float, high: float) -> str:
-    """Return a band of frequencies, or a dash where nothing moves."""
-    return f'{low:.1f}-{high:.1f} Hz' if math.isfinite(low) else '-'
 
 
 def _milli(value: float, unit: str) -> str:

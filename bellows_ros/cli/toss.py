@@ -108,7 +108,10 @@ def _say(result: 'TossResult', console: Console) -> None:
     console.say(f'  1 sigma   x {MILLI * std[0]:.1f} mm, y {MILLI * std[1]:.1f} mm, turned '
                 f'{math.degrees(float(np.linalg.norm(std[3:]))):.2f} deg')
     if result.aim is not None:
-        _say_aim(result, console)
+        before = result.distance_as_asked
+        gain = '' if before is None else f', instead of {MILLI * before:.1f} mm with --release'
+        turned = f', {math.degrees(result.aim.angle):.1f} deg' if result.aim.angle else ''
+        console.say(f'  target    {MILLI * result.aim.distance:.2f} mm{turned} away{gain}')
     if result.drawn is not None:
         counted = MILLI * np.sqrt(np.diag(result.drawn.covariance))
         from bellows_ros.core.landing import part_inside
@@ -124,15 +127,6 @@ def _say(result: 'TossResult', console: Console) -> None:
         console.warn(warning)
 
 
-def _say_aim(result: 'TossResult', console: Console) -> None:
-    """Print the distance from the target, and the gain over --release."""
-    assert result.aim is not None
-    before = result.distance_as_asked
-    gain = '' if before is None else f', instead of {MILLI * before:.1f} mm with --release'
-    turned = f', {math.degrees(result.aim.angle):.1f} deg' if result.aim.angle else ''
-    console.say(f'  target    {MILLI * result.aim.distance:.2f} mm{turned} away{gain}')
-
-
 def _say_budget(result: 'TossResult', console: Console) -> None:
     """Print the contributions to the uncertainty, and which to reduce first."""
     groups = result.groups()
@@ -142,21 +136,19 @@ def _say_budget(result: 'TossResult', console: Console) -> None:
             "release.delay_std, release.tau_std, package.mass_std and package.com_std; 'bellows "
             "identify' writes cup.*_std.")
         return
+
+    def amount(share: 'Share') -> str:
+        factor, unit = UNITS.get(share.name, (1.0, ''))
+        known = math.isfinite(share.std)
+        return f'{share.std * factor:.3g} {unit}'.strip() if known else 'its _std'
+
     rows = [('uncertain quantity', 'by', 'at landing', 'turned')]
     rows += [
-        (g.name, _amount(g), f'{MILLI * g.metres:.2f} mm', f'{math.degrees(g.radians):.2f} deg')
+        (g.name, amount(g), f'{MILLI * g.metres:.2f} mm', f'{math.degrees(g.radians):.2f} deg')
         for g in groups]
     console.table(rows, right=True)
     console.say()
     console.paragraph(what_to_fix(result))
-
-
-def _amount(share: 'Share') -> str:
-    """Return a standard deviation in a unit that reads well."""
-    if not math.isfinite(share.std):
-        return 'its _std'
-    factor, unit = UNITS.get(share.name, (1.0, ''))
-    return f'{share.std * factor:.3g} {unit}'.strip()
 
 
 def what_to_fix(result: 'TossResult') -> str:
