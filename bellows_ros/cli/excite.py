@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from . import options
 from .console import Console, short, with_error
@@ -86,12 +86,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             given.values, load(arguments.limits), arguments.time, given.urdf, arguments.beside,
             arguments.seed, progress, arguments.series)
 
-    def draw(found: 'Excitation') -> None:
+    def draw(found: 'Excitation') -> Any:
         from bellows_ros.plots.excite import excite_figure
-        from bellows_ros.plots.style import write_figure
 
-        write_figure(arguments.plot, excite_figure(
-            found.design, f'{arguments.time:g} s, for {arguments.limits}'))
+        return excite_figure(found.design, f'{arguments.time:g} s, for {arguments.limits}')
 
     return carry_out(
         arguments, console, work, draw, _say, lambda found: write_motion(

@@ -46,11 +46,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         progress(f'predicting {given.path}')
         return plan(*given, arguments.fastest, bool(arguments.plot))
 
-    def draw(report: 'PlanReport') -> None:
+    def draw(report: 'PlanReport') -> Any:
         from bellows_ros.plots.plan import plan_figure
-        from bellows_ros.plots.style import write_figure
 
-        write_figure(arguments.plot, plan_figure(report, f'{arguments.plan}'))
+        return plan_figure(report, f'{arguments.plan}')
 
     return carry_out(
         arguments, console, work, draw, _say,

@@ -20,8 +20,8 @@ def add_plan_options(
              'motion for bellows simulate; or a TUM or EuRoC file',
     )
     parser.add_argument(
-        '--topic', metavar='TOPIC', default='', help='topic of the plan, if the recording has '
-                                                     'several plans')
+        '--topic', metavar='TOPIC', default='',
+        help='topic of the plan, if the recording has several plans')
     options.add_span_options(parser, '0')  # a file may hold the part of another recording
     options.add_arm_options(parser)
     options.add_parameter_options(parser)
@@ -46,7 +46,7 @@ class Given(NamedTuple):
 def carry_out(
     arguments: argparse.Namespace, console: Console,
     work: Callable[[Given, Callable[..., None]], Any],
-    draw: Callable[[Any], None], say: Callable[[Any, Console], None],
+    draw: Callable[[Any], Any], say: Callable[[Any, Console], None],
     write: Callable[[Any], None] | None = None, films: tuple[str, ...] = (),
 ) -> int:
     """
@@ -58,8 +58,10 @@ def carry_out(
         Of the command.
     work : callable
         From what is given and a progress to a result, which has `as_json(parameter_files)`.
-    draw, write : callable
-        Write the result as the picture `plot` and the recording `out`.
+    draw : callable
+        Returns the figure of a result to write as `plot`, or writes a film and returns None.
+    write : callable
+        Writes a result as the recording `out`.
     say : callable
         Print the result.
     films : tuple of str
@@ -70,15 +72,15 @@ def carry_out(
     if write is not None:
         options.require_free(arguments.out, arguments.force)
     if arguments.plot:
-        from bellows_ros.plots.style import require_picture
+        from bellows_ros.plots.style import require_picture, write_figure
 
         require_picture(arguments.plot, films)
     path, topic = getattr(arguments, 'plan', Path()), getattr(arguments, 'topic', '')
     given = Given(path, values, str(arguments.urdf or ''), topic)
     with console.progress() as progress:
         result = work(given, progress)
-        if arguments.plot:
-            draw(result)
+        if arguments.plot and (figure := draw(result)):
+            write_figure(arguments.plot, figure)
     options.put_json(arguments.json, result.as_json(arguments.params))
     if write is not None and arguments.out:
         write(result)

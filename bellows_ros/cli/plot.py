@@ -7,7 +7,7 @@ from typing import Any
 from bellows_ros.errors import BellowsError
 
 from . import options
-from .console import Console, OK
+from .console import Console, OK, Progress
 
 DESCRIPTION = (
     'Draw a picture of a recording (motion, spectra, path), of the fit of a cup (deflection, '
@@ -42,8 +42,6 @@ OF_THE_RECORDING = ('motion', 'spectra', 'path')  # pictures that need no cup
 FASTEST = 100.0
 WHOLE = (float('-inf'), float('inf'))  # s
 
-Settings = Mapping[str, Any]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
@@ -59,9 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_json_option(parser, 'the numbers that are drawn, in SI units,')
     parser.add_argument(
-        '--theme', choices=('light', 'dark'), default='light', help='colours on a light or dark '
-                                                                    'background'
-    )
+        '--theme', choices=('light', 'dark'), default='light',
+        help='colours on a light or dark background')
     parser.add_argument(
         '--speed', metavar='S', type=float, default=0.25,
         help='speed of an animation: seconds of the recording per second (default: %(default)g)',
@@ -83,25 +80,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     values = options.given_parameters(arguments)
     given = 'cup.stiffness' in values
-    recorded = arguments.what in OF_THE_RECORDING and not (arguments.what == 'spectra' and given)
-    settings = resolve(values, () if recorded else PACKAGE_PARAMETERS)
+    tracked = arguments.what in OF_THE_RECORDING
+    settings = resolve(values, () if tracked and not (arguments.what == 'spectra' and given)
+                       else PACKAGE_PARAMETERS)
     _require_possible(arguments)
+    note = f'{arguments.bag}{"" if given or tracked else "; cup of the thesis"}'
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
-        shown = _shown(arguments, settings, given, progress)
-        note = f'{arguments.bag}' + ('' if given or arguments.what in OF_THE_RECORDING
-                                     else '; cup of the thesis')
-        if arguments.what == 'animation':
-            from bellows_ros.plots.animation import write_animation
-
-            note = f'{note}; {arguments.speed:g} times real time'
-            write_animation(
-                arguments.out, shown, note, arguments.theme, progress, arguments.speed)
-        else:
-            _draw(arguments, shown, note)
+        shown = _drawn(arguments, settings, given, note, progress)
     about = {'what': arguments.what, 'bag': str(arguments.bag), 'file': arguments.out}
     options.put_json(arguments.json, {**about, **data_json(shown)})
-    if arguments.what not in OF_THE_RECORDING:
+    if not tracked:
         options.warn_of_thesis_cup(values, console)
     console.say(f'Wrote {arguments.out}.')
     return OK
@@ -121,49 +110,40 @@ def _require_possible(arguments: argparse.Namespace) -> None:
             f'--speed must be above 0 and at most {FASTEST:g}, got {arguments.speed:g}.')
 
 
-def _shown(
-    arguments: argparse.Namespace, settings: Settings, given: bool, progress: Any
+def _drawn(
+    arguments: argparse.Namespace, settings: Mapping[str, Any], given: bool, note: str,
+    progress: Progress,
 ) -> Any:
-    """Return what a picture shows."""
-    from bellows_ros.workflows.plot import loads, margins, motion, replayed, spectra, within
-
-    what, bag = arguments.what, arguments.bag
-    if what == 'spectra':
-        return spectra(bag, settings, given)
-    if what in ('motion', 'path'):
-        found: Any = motion(bag, settings)
-    elif what in ('deflection', 'residuals'):
-        found = loads(bag, settings)
-    elif what == 'margin':
-        found = margins(bag, settings)
-    else:
-        found = replayed(bag, settings, progress)
-    return within(found, arguments.first, arguments.last)
-
-
-def _draw(arguments: argparse.Namespace, shown: Any, note: str) -> None:
-    """Draw a picture and write it."""
+    """Read, draw and write; return what the picture shows."""
+    from bellows_ros.plots.animation import write_animation
     from bellows_ros.plots.loads import deflection_figure, residual_figure
     from bellows_ros.plots.plan import margin_figure
+    from bellows_ros.plots.prediction import prediction_figure
     from bellows_ros.plots.recording import motion_figure, path_figure, spectra_figure
     from bellows_ros.plots.style import write_figure
+    from bellows_ros.workflows.plot import loads, margins, motion, replayed, spectra, within
 
-    figures: Mapping[str, Callable[..., Any]] = {
-        'motion': motion_figure,
-        'spectra': spectra_figure,
-        'path': path_figure,
-        'deflection': deflection_figure,
-        'margin': margin_figure,
-        'residuals': residual_figure,
-        'prediction': _prediction,
-    }
-    write_figure(arguments.out, figures[arguments.what](shown, note, arguments.theme))
-
-
-def _prediction(shown: Any, note: str, theme: str) -> Any:
-    """Return the picture of a replay."""
-    from bellows_ros.plots.prediction import prediction_figure
-
-    title = 'Package: predicted, and measured'
-    note = f'relative to the tool; {note}'
-    return prediction_figure(shown.seconds, shown.live, title, note, theme)
+    what, out, theme = arguments.what, arguments.out, arguments.theme
+    if what == 'spectra':
+        shown: Any = spectra(arguments.bag, settings, given)
+        write_figure(out, spectra_figure(shown, note, theme))
+        return shown
+    data: dict[str, Callable[..., Any]] = {
+        'motion': motion, 'path': motion, 'deflection': loads, 'residuals': loads,
+        'margin': margins}
+    shown = within(
+        data[what](arguments.bag, settings) if what in data
+        else replayed(arguments.bag, settings, progress), arguments.first, arguments.last)
+    if what == 'animation':
+        write_animation(out, shown, f'{note}; {arguments.speed:g} times real time', theme,
+                        progress, arguments.speed)
+    elif what == 'prediction':
+        write_figure(out, prediction_figure(
+            shown.seconds, shown.live, 'Package: predicted, and measured',
+            f'relative to the tool; {note}', theme))
+    else:
+        figures: dict[str, Callable[..., Any]] = {
+            'motion': motion_figure, 'path': path_figure, 'deflection': deflection_figure,
+            'margin': margin_figure, 'residuals': residual_figure}
+        write_figure(out, figures[what](shown, note, theme))
+    return shown

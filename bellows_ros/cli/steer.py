@@ -58,16 +58,15 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             given.path, given.values, arguments.method, arguments.limits or '', given.urdf,
             given.topic)
 
-    def draw(report: 'SteerReport') -> None:
-        if arguments.plot.lower().endswith(FILMS):
-            from bellows_ros.plots.animation import write_steering
-
-            write_steering(arguments.plot, report, f'{arguments.plan}', speed=1.0 / SLOWER)
-        else:
+    def draw(report: 'SteerReport') -> Any:
+        if not arguments.plot.lower().endswith(FILMS):
             from bellows_ros.plots.steer import steer_figure
-            from bellows_ros.plots.style import write_figure
 
-            write_figure(arguments.plot, steer_figure(report.motions, f'{arguments.plan}'))
+            return steer_figure(report.motions, f'{arguments.plan}')
+        from bellows_ros.plots.animation import write_steering
+
+        write_steering(arguments.plot, report, f'{arguments.plan}', speed=1.0 / SLOWER)
+        return None
 
     return carry_out(
         arguments, console, work, draw, _say,

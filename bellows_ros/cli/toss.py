@@ -65,11 +65,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             given.path, given.values, arguments.release, target, arguments.target_rotation,
             arguments.monte_carlo, progress, given.urdf, given.topic)
 
-    def draw(result: 'TossResult') -> None:
-        from bellows_ros.plots.style import write_figure
+    def draw(result: 'TossResult') -> Any:
         from bellows_ros.plots.toss import toss_figure
 
-        write_figure(arguments.plot, toss_figure(result, f'Toss of {arguments.plan.name}'))
+        return toss_figure(result, f'Toss of {arguments.plan.name}')
 
     return carry_out(arguments, console, work, draw, _say)
 
