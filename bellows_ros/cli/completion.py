@@ -89,8 +89,8 @@ SHELLS = {'bash': (BASH, BASH_OPTIONS, BASH_CHOICES), 'zsh': (ZSH, ZSH_OPTIONS, 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        'shell', nargs='?', choices=SHELLS, help='which shell (default: that of $SHELL, or bash)'
-    )
+        'shell', nargs='?', choices=SHELLS,
+        help='which shell (default: that of $SHELL, or bash)')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:

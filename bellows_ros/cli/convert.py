@@ -41,8 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--out', metavar='NAME', required=True, type=options.Folder,
-        help='recording to write; from a recording also a file that ends in .tum or .txt',
-    )
+        help='recording to write; from a recording also a file that ends in .tum or .txt')
     parser.add_argument(
         '--topic', metavar='TOPIC', action='append', default=[],
         help='topic for each source, in the same order (default: /NAME/pose); for a recording, '

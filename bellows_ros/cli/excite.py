@@ -43,20 +43,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='total duration, s: 2 s of standstill, then the motion with ramps of 1 s at both '
              'ends',
     )
-    parser.add_argument(
-        '--out', metavar='BAG', required=True, type=options.Folder,
-        help='recording to write, with the plan on /tool_arm/plan'
-    )
-    parser.add_argument(
-        '--csv', metavar='FILE', default='', type=options.Output,
-        help='also write the motion as text: EuRoC columns with velocities, 1000 lines per '
-             'second',
-    )
-    parser.add_argument(
-        '--urscript', metavar='FILE', default='', type=options.Output,
-        help='also write it as a program for a Universal Robots arm',
-    )
-    options.add_plot_option(parser, '.png, .svg or .pdf')
+    options.add_output(
+        parser, '--out', kind=options.Folder, required=True,
+        what='recording to write, with the plan on /tool_arm/plan')
+    options.add_output(
+        parser, '--csv',
+        what='also write the motion as text: EuRoC columns with velocities, 1000 lines per second')
+    options.add_output(
+        parser, '--urscript', 'also write it as a program for a Universal Robots arm')
+    options.add_output(parser, '--plot', 'picture to write: .png, .svg or .pdf', options.Binary)
     parser.add_argument(
         '--beside', metavar='PLAN', action='append', default=[], type=Path,
         help='compare with another motion, a plan as for bellows plan; may be repeated. --from '
@@ -69,8 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
              'motion, and one for validation; report what each identifies',
     )
     parser.add_argument(
-        '--seed', metavar='N', type=int, default=0, help='seed of the random start; another '
-                                                         'seed gives another motion')
+        '--seed', metavar='N', type=int, default=0,
+        help='seed of the random start; another seed gives another motion')
     options.add_force_option(parser)
     options.add_arm_options(parser)
     options.add_json_option(parser, 'what to expect')

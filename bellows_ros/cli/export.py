@@ -21,8 +21,8 @@ FORMATS = ('mjcf', 'drake', 'sdf', 'openplx', 'c')
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        'params', metavar='CUP', type=Path, nargs=1, help='parameter file with cup and package'
-    )
+        'params', metavar='CUP', type=Path, nargs=1,
+        help='parameter file with cup and package')
     parser.add_argument(
         '--set', metavar='NAME=VALUE', action='append', default=[], dest='overrides',
         help='set one parameter, overriding the file; may be repeated',
@@ -32,8 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='mjcf: MuJoCo; drake: SDF with a Drake bushing; sdf: joints in series; openplx: '
              'SixDofSuctionCup; c: a header in C11',
     )
-    parser.add_argument(
-        '--out', metavar='FILE', required=True, type=options.Output, help='model to write')
+    options.add_output(parser, '--out', 'model to write', required=True)
     options.add_json_option(parser, 'what the format cannot express')
 
 

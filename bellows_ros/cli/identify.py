@@ -61,12 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_bags_argument(parser)
     options.add_parameter_options(parser)
     options.add_span_options(parser)
-    parser.add_argument(
-        '--out', metavar='FILE', default='', type=options.Output,
-        help='write the cup as a parameter file, for the predictor and bellows replay',
-    )
+    options.add_output(
+        parser, '--out', 'write the cup as a parameter file, for the predictor and bellows replay')
     options.add_json_option(parser, 'the result with its uncertainties')
-    options.add_report_option(parser)
+    options.add_output(parser, '--report', 'write a page with plots (HTML)')
     parser.add_argument(
         '--typical', metavar='PLAN', default=None, type=Path,
         help='report first how well the cup predicts this motion of yours, a plan as for '
@@ -86,10 +84,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='read them on the workers of a Dask scheduler instead (extra dask), for example '
              'tcp://host:8786; the workers must see the recordings under the same paths',
     )
-    parser.add_argument(
-        '--summary-out', metavar='FILE', default='', type=options.Binary,
-        help='only reduce the recording to its sufficient statistics, written here (.npz)',
-    )
+    options.add_output(
+        parser, '--summary-out', kind=options.Binary,
+        what='only reduce the recording to its sufficient statistics, written here (.npz)')
     parser.add_argument(
         '--summaries', metavar='FILE', nargs='+', default=[], type=Path,
         help='fit a cup to files written by --summary-out, instead of BAG',

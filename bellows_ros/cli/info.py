@@ -35,10 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     options.add_bag_argument(parser)
     options.add_span_options(parser)
-    parser.add_argument(
-        '--write-params', metavar='FILE', default='', type=options.Output,
-        help='write a parameter file for this recording, for bellows identify and the nodes',
-    )
+    options.add_output(
+        parser, '--write-params',
+        what='write a parameter file for this recording, for bellows identify and the nodes')
     options.add_force_option(parser, 'a parameter file')
     options.add_json_option(parser, 'what was found')
 

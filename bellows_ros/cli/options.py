@@ -78,30 +78,27 @@ def add_span_options(parser: argparse.ArgumentParser, default: str = '') -> None
         )
 
 
+def add_output(
+    parser: argparse.ArgumentParser, name: str, what: str, kind: type[Output] = Output,
+    required: bool = False,
+) -> None:
+    """Add an option that names what is written."""
+    parser.add_argument(
+        name, metavar='BAG' if kind is Folder else 'FILE', default='', required=required,
+        type=kind, help=what)
+
+
 def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
     """Add --json."""
-    parser.add_argument(
-        '--json', metavar='FILE', default='', type=Output,
-        help=f"write {what} as JSON; '-' for stdout (all else then goes to stderr)",
-    )
+    add_output(
+        parser, '--json',
+        f"write {what} as JSON; '-' for stdout (all else then goes to stderr)")
 
 
 def add_force_option(parser: argparse.ArgumentParser, what: str = 'a recording') -> None:
     """Add --force, which replaces what is there."""
     parser.add_argument(
         '--force', action='store_true', help=f'replace {what} that already exists')
-
-
-def add_report_option(parser: argparse.ArgumentParser) -> None:
-    """Add --report."""
-    parser.add_argument(
-        '--report', metavar='FILE', default='', type=Output, help='write a page with plots (HTML)')
-
-
-def add_plot_option(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add --plot."""
-    parser.add_argument(
-        '--plot', metavar='FILE', default='', type=Binary, help=f'picture to write: {what}')
 
 
 def add_arm_options(parser: argparse.ArgumentParser) -> None:

@@ -26,11 +26,9 @@ def add_plan_options(
     options.add_arm_options(parser)
     options.add_parameter_options(parser)
     options.add_json_option(parser, numbers)
-    options.add_plot_option(parser, picture)
+    options.add_output(parser, '--plot', f'picture to write: {picture}', options.Binary)
     if recording:
-        parser.add_argument(
-            '--out', metavar='BAG', default='', type=options.Folder,
-            help=f'recording to write: {recording}')
+        options.add_output(parser, '--out', f'recording to write: {recording}', options.Folder)
         options.add_force_option(parser)
 
 

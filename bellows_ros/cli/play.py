@@ -36,8 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
              'poses or twists)',
     )
     parser.add_argument(
-        '--rate', metavar='R', type=float, default=1.0, help='times the recorded speed'
-    )
+        '--rate', metavar='R', type=float, default=1.0, help='times the recorded speed')
     parser.add_argument(
         '--stamps', choices=('recorded', 'now'), default='recorded',
         help='stamps of the headers: as recorded, or the current time',

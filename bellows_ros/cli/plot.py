@@ -51,10 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_bag_argument(parser)
     options.add_parameter_options(parser)
-    parser.add_argument(
-        '--out', metavar='FILE', required=True, type=options.Binary,
-        help='picture to write: .png, .svg or .pdf; of an animation .gif or .mp4',
-    )
+    options.add_output(
+        parser, '--out', kind=options.Binary, required=True,
+        what='picture to write: .png, .svg or .pdf; of an animation .gif or .mp4')
     options.add_json_option(parser, 'the numbers that are drawn, in SI units,')
     parser.add_argument(
         '--theme', choices=('light', 'dark'), default='light',

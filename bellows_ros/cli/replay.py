@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_parameter_options(parser)
     options.add_span_options(parser)
     options.add_json_option(parser, 'all figures')
-    options.add_report_option(parser)
+    options.add_output(parser, '--report', 'write a page with plots (HTML)')
     parser.add_argument(
         '--observe', metavar='TOPIC', default='',
         help='poses of the package from a camera, which correct a second live prediction; see '

@@ -23,11 +23,9 @@ EXAMPLES = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        'fit', metavar='FIT', type=Path, help='result file, written by bellows identify --json'
-    )
-    parser.add_argument(
-        '--out', metavar='FILE', required=True, type=options.Output, help='the page to write'
-    )
+        'fit', metavar='FIT', type=Path,
+        help='result file, written by bellows identify --json')
+    options.add_output(parser, '--out', 'the page to write', required=True)
     parser.add_argument(
         '--validation', metavar='BAG', action='append', default=[], type=Path,
         help='recording of the same cup and package, not used in the fit; may be repeated',

@@ -40,10 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='move the tool along this plan, as of bellows plan or bellows excite; then only the '
              'rest of --motion counts',
     )
-    parser.add_argument(
-        '--out', metavar='BAG', required=True, type=options.Folder,
-        help='recording to write, a folder'
-    )
+    options.add_output(
+        parser, '--out', 'recording to write, a folder', options.Folder, True)
     options.add_force_option(parser)
     options.add_json_option(parser, 'what was recorded')
 

@@ -45,10 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_parameter_options(parser)
     options.add_span_options(parser)
-    parser.add_argument(
-        '--out', metavar='FILE', default='', type=options.Output,
-        help='write the parameters of --params and --set with the new nominal length',
-    )
+    options.add_output(
+        parser, '--out', 'write the parameters of --params and --set with the new nominal length')
     options.add_json_option(parser, 'all results')
 
 

@@ -24,10 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_bag_argument(parser)
     options.add_parameter_options(parser)
     options.add_span_options(parser)
-    parser.add_argument(
-        '--out', metavar='FILE', default='', type=options.Binary,
-        help='write an .rrd file instead of opening the viewer'
-    )
+    options.add_output(
+        parser, '--out', 'write an .rrd file instead of opening the viewer', options.Binary)
     options.add_json_option(parser, 'the scores')
 
 
