@@ -50,7 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, steer, write, report."""
-    from bellows_ros.workflows.steer import steer_plan, write_steered
+    from bellows_ros.workflows.plan import write_motion
+    from bellows_ros.workflows.steer import steer_plan
 
     def work(given: Given, progress: Any) -> 'SteerReport':
         progress(f'steering {given.path}')
@@ -68,9 +69,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         write_steering(arguments.plot, report, f'{arguments.plan}', speed=1.0 / SLOWER)
         return None
 
-    return carry_out(
-        arguments, console, work, draw, _say,
-        lambda report: write_steered(arguments.out, report, arguments.force), FILMS)
+    def write(report: 'SteerReport') -> None:
+        motion = report.motions[report.method]
+        write_motion(arguments.out, report.source, motion.tool, motion.prediction.states,
+                     report.values, arguments.force)
+
+    return carry_out(arguments, console, work, draw, _say, write, FILMS)
 
 
 def _say(report: 'SteerReport', console: Console) -> None:

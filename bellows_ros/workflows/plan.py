@@ -436,25 +436,24 @@ def _recorded(
     contents = read_contents(path, wanted)
     turn = world_rotation(values['recording.world'], values['gravity.direction'])
     gravity = turn.T @ [0.0, 0.0, -values['gravity.magnitude']]
-    notes = contents.notes
     poses, twists = (contents.streams.get(role) for role in ('tool_pose', 'tool_twist'))
     rates = None
     if not isinstance(poses, PoseStream):
         if not values['tool_link']:
             raise contents.problems['tool_pose']
         read = joints_or_tf(path, urdf, values['tool_link'])
-        rates = read.twists
+        rates, twists = read.twists, None
         poses = PoseStream(
             'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.poses[:, :3],
             quaternion_to_rotation(read.poses[:, 3:]))
-        twists = None
     require_frame(poses.frame_id, values)
-    tool = _measured(
-        poses, twists if isinstance(twists, TwistStream) else None, values
-    ) if rates is None else plan_of(
-        poses.stamps_ns, poses.position, rotation_to_quaternion(poses.rotation), rates,
-        twist_frame='tool', name='The motion')
-    return Source(tool, poses.frame_id, gravity, notes), poses.stamps_ns
+    if rates is None:
+        tool = _measured(poses, twists if isinstance(twists, TwistStream) else None, values)
+    else:
+        tool = plan_of(
+            poses.stamps_ns, poses.position, rotation_to_quaternion(poses.rotation), rates,
+            twist_frame='tool', name='The motion')
+    return Source(tool, poses.frame_id, gravity, contents.notes), poses.stamps_ns
 
 
 def _measured(
@@ -483,14 +482,30 @@ def _measured(
 # -------------------------------------------------------------------------------------- writing
 
 
-def write_prediction(
-    path: str | os.PathLike[str], report: PlanReport, replace_bag: bool = False
+def write_motion(
+    path: str | os.PathLike[str], source: Source, tool: Trajectory, states: Array,
+    values: Mapping[str, Any], replace_bag: bool = False,
 ) -> None:
     """
-    Write tool and package along the plan as a recording.
+    Write a motion of the tool, and the package along it, as a recording.
 
     Its topics: tool_arm/plan and package/plan (MultiDOFJointTrajectory), package/plan_path
     (Path), tool_arm/pose, tool_arm/twist and package/pose, stamped from the plan's start.
+
+    Parameters
+    ----------
+    path : path
+        Folder to make.
+    source : Source
+        The plan, whose frame is that of the motion.
+    tool : Trajectory
+        Of E, with body twists.
+    states : array (N, 13)
+        Of B in the same frame: position, quaternion, body twist.
+    values : mapping
+        All parameters.
+    replace_bag : bool
+        Whether a recording that is there may be replaced.
 
     Raises
     ------
@@ -498,23 +513,13 @@ def write_prediction(
         If something is in the way, or it cannot be written.
 
     """
-    tool, states = report.source.tool, report.prediction.states
-    frame = report.source.frame_id or 'world'
-    write_bag(path, recorded_motion(
-        tool, frame, str(report.values['frames.package']), states,
-        report.values['tool_twist.frame']), replace=replace_bag)
-
-
-def recorded_motion(
-    tool: Trajectory, frame: str, child: str, states: Array, twist_frame: str
-) -> list[Recorded | Encoded]:
-    """Return the messages of a plan and of the package along it, for `write_bag`."""
-    stamps = tool.stamps_ns
+    frame, axes = source.frame_id or 'world', values['tool_twist.frame']
+    stamps, child = tool.stamps_ns, str(values['frames.package'])
     times, start = stamps - stamps[0], stamps[:1]
     rows = np.hstack([tool.position, rotation_to_quaternion(tool.rotation)])
-    twist = in_axes(tool.rotation, np.asarray(tool.twist), twist_frame)
-    body = in_axes(quaternion_to_rotation(states[:, 3:7]), states[:, 7:], twist_frame)
-    return [
+    twist = in_axes(tool.rotation, np.asarray(tool.twist), axes)
+    body = in_axes(quaternion_to_rotation(states[:, 3:7]), states[:, 7:], axes)
+    write_bag(path, [
         Encoded('/tool_arm/plan', MULTI_DOF, start, [encode_multi_dof(
             PlanMessage(0, frame, ('tool',), times, rows, twist))]),
         Encoded('/package/plan', MULTI_DOF, start, [encode_multi_dof(
@@ -524,7 +529,7 @@ def recorded_motion(
         Recorded('/tool_arm/pose', POSE, stamps, rows, frame),
         Recorded('/tool_arm/twist', TWIST, stamps, twist, frame),
         Recorded('/package/pose', POSE, stamps, states[:, :7], frame),
-    ]
+    ], replace=replace_bag)
 
 
 def in_axes(rotation: Array, twist: Array, axes: str) -> Array:

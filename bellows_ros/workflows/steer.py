@@ -23,10 +23,9 @@ from bellows_ros.core.synthetic.settings import Settings
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import safe_yaml
-from bellows_ros.files.bag_writer import write_bag
 from bellows_ros.files.parameter_files import with_chosen_cup
 from bellows_ros.files.results import provenance
-from bellows_ros.workflows.plan import NO_GRIP, read_plan, recorded_motion, Source, standing
+from bellows_ros.workflows.plan import NO_GRIP, read_plan, Source, standing
 import numpy as np
 
 TAIL = 2.0
@@ -274,21 +273,3 @@ def _motion(
     return Motion(
         tool, run.at(1.0), added_time, longer, Run(model, None, longer, tail=0.0).at(1.0).states,
         standing(wanted, TAIL), math.sqrt(square))
-
-
-def write_steered(
-    path: str | os.PathLike[str], report: SteerReport, replace_bag: bool = False
-) -> None:
-    """
-    Write the steered motion, and the package along it, as a recording; see `write_prediction`.
-
-    Raises
-    ------
-    BellowsError
-        If something is in the way, or it cannot be written.
-
-    """
-    motion = report.motions[report.method]
-    write_bag(path, recorded_motion(
-        motion.tool, report.source.frame_id or 'world', str(report.values['frames.package']),
-        motion.prediction.states, report.values['tool_twist.frame']), replace=replace_bag)
