@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
-from bellows_ros.core.identification.comparison import Change, compare_fits, FitComparison, Fitted
+from bellows_ros.core.identification.comparison import compare_fits, FitComparison, Fitted
 from bellows_ros.core.model import Cup, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.structure import structure_named
@@ -20,8 +20,7 @@ NOT_COMPARED = ('output.', 'predictor', 'exit_when_done', 'envelope.', 'cup.stif
 """Settings that say nothing about how the fit was made."""
 
 
-@dataclass(frozen=True)
-class Difference:
+class Difference(NamedTuple):
     """A setting or a version that differs; None where a fit does not have it."""
 
     name: str
@@ -61,10 +60,11 @@ class Comparison:
             'matters': fits.matters,
             'significant': fits.significant,
             'p_value': fits.p_value,
-            'parameters': [_change_json(change) for change in fits.parameters],
-            'effects': [_change_json(change) for change in fits.effects],
+            **{name: [{**vars(change), **{derived: getattr(change, derived) for derived in (
+                'percent', 'standard_errors', 'p_value', 'significant')}} for change in changes]
+               for name, changes in (('parameters', fits.parameters), ('effects', fits.effects))},
             'shake_rms': fits.shake_rms,
-            'settings': [vars(difference) for difference in self.settings],
+            'settings': [difference._asdict() for difference in self.settings],
             'shared_recordings': self.shared,
         }
 
@@ -159,15 +159,4 @@ def _contents(content: Mapping[str, Any]) -> dict[str, Any]:
     return {
         recording['path']: tuple(sorted(file['sha256'] for file in recording['files']))
         for recording in origin
-    }
-
-
-def _change_json(change: Change) -> dict[str, Any]:
-    """Return a change with what follows from it."""
-    return {
-        **vars(change),
-        'percent': change.percent,
-        'standard_errors': change.standard_errors,
-        'p_value': change.p_value,
-        'significant': change.significant,
     }

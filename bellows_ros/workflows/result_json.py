@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.identifiability import Axis, Excitation
-from bellows_ros.core.identification.result import Fit, parameter_units, UNITS
+from bellows_ros.core.identification.identifiability import Excitation
+from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS, UNITS
 from bellows_ros.core.structure import structure_named
 
 NORMAL_95 = 1.959963984540054
@@ -27,22 +27,23 @@ def fit_json(fit: Fit) -> dict[str, Any]:
     units, found = parameter_units(structure_named(fit.structure)), fit.standstills
     residual = list(fit.residual_units)
     return {
-        **_of(fit, 'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std'),
+        **attributes(
+            fit, 'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std',
+            'samples_used', 'samples_rejected', 'condition_number', 'usable', 'weight',
+            'residual_rms', 'noise_rms', 'chi2', 'robust_chi2', 'converged'),
         'intervals_95': {
             **{name: _interval(getattr(fit, name), getattr(fit, f'{name}_std'))
                for name in MATRIX_UNITS},
             'units': MATRIX_UNITS,
         },
-        **_of(fit, 'samples_used', 'samples_rejected', 'condition_number', 'usable'),
         'parameters': {
             'labels': fit.labels, 'covariance': fit.covariance, 'noise_bias': fit.bias,
             'units': {'covariance': _products(units), 'noise_bias': units},
         },
-        **_of(fit, 'weight', 'residual_rms', 'noise_rms', 'chi2', 'robust_chi2', 'converged'),
         'time_offsets': fit.delays,
         'time_offsets_std': fit.delays_std,
         'iterations': [
-            {**_of(i, 'stage', 'chi2', 'stiffness', 'damping'),
+            {**attributes(i, 'stage', 'chi2', 'stiffness', 'damping'),
              'units': {'chi2': '1', **MATRIX_UNITS}} for i in fit.iterations
         ],
         'with_standstills': found and {
@@ -68,7 +69,7 @@ def fit_json(fit: Fit) -> dict[str, Any]:
     }
 
 
-def _of(found: object, *names: str) -> dict[str, Any]:
+def attributes(found: object, *names: str) -> dict[str, Any]:
     """Return some attributes by name."""
     return {name: getattr(found, name) for name in names}
 
@@ -90,30 +91,26 @@ def excitation_json(excitation: Excitation) -> dict[str, Any]:
         parameter_units(structure_named(excitation.structure)), strict=True))
     return {
         'structure': excitation.structure,
-        'axes': {axis.name: _axis_json(axis) for axis in excitation.axes},
+        'axes': {axis.name: {
+            **attributes(
+                axis, 'strain', 'motion', 'twist', 'band_hz', 'strain_noise', 'twist_noise'),
+            'units': {
+                **dict.fromkeys(('strain', 'motion', 'strain_noise'), unit),
+                **dict.fromkeys(('twist', 'twist_noise'), f'{unit}/s')},
+        } for axis, unit in zip(excitation.axes, POSE_UNITS, strict=True)},
         'parameters': {
             own.label: {
-                **_of(own, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable'),
+                **attributes(
+                    own, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable'),
                 'units': {'value': units[own.label], 'noise_share': '1', 'signal_to_noise': '1',
                           'bias': '1'},
             }
             for own in excitation.parameters
         },
-        **_of(excitation, 'rank', 'size', 'condition_number'),
+        **attributes(excitation, 'rank', 'size', 'condition_number'),
         'pairs': [list(pair) for pair in excitation.pairs],
         'warnings': excitation.warnings,
         'units': {'condition_number': '1', 'pairs': '1'},
-    }
-
-
-def _axis_json(axis: Axis) -> dict[str, Any]:
-    """Return one direction's excitation."""
-    unit = 'rad' if axis.name.startswith('r') else 'm'
-    return {
-        **_of(axis, 'strain', 'motion', 'twist', 'band_hz', 'strain_noise', 'twist_noise'),
-        'units': {
-            'strain': unit, 'motion': unit, 'twist': f'{unit}/s', 'strain_noise': unit,
-            'twist_noise': f'{unit}/s'},
     }
 
 
@@ -124,12 +121,12 @@ def selection_json(selection: Any) -> dict[str, Any]:
     return {
         'candidates': [
             {
-                **_of(candidate, 'structure', 'parameters', 'usable', 'refused', *marks),
+                **attributes(candidate, 'structure', 'parameters', 'usable', 'refused', *marks),
                 'units': marks,
             }
             for candidate in selection.candidates
         ],
-        **_of(selection, 'samples', 'effective_samples', 'advised', 'advice'),
+        **attributes(selection, 'samples', 'effective_samples', 'advised', 'advice'),
         'units': {'effective_samples': '1'},
     }
 

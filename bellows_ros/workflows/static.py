@@ -23,6 +23,7 @@ from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.workflows.recordings import load, NO_INERTIA, values_of_static
+from bellows_ros.workflows.result_json import attributes
 import numpy as np
 
 Progress = Callable[[str, float], None]
@@ -90,18 +91,11 @@ class StaticResult:
         """Return the content of a JSON file, in SI units."""
         return {
             'nominal_length': self.length and {
-                'length': self.length.length,
-                'length_std': self.length.length_std,
-                'text': self.length.text,
-                'chi2': self.length.chi2,
+                **attributes(
+                    self.length, 'length', 'length_std', 'text', 'chi2', 'linear_length',
+                    'linear_length_std', 'stiffness', 'linear_load', 'loads', 'lengths',
+                    'coefficients'),
                 'degrees_of_freedom': self.length.freedom,
-                'linear_length': self.length.linear_length,
-                'linear_length_std': self.length.linear_length_std,
-                'stiffness': self.length.stiffness,
-                'linear_load': self.length.linear_load,
-                'loads': self.length.loads,
-                'lengths': self.length.lengths,
-                'coefficients': self.length.coefficients,
                 'units': {
                     **dict.fromkeys(('length', 'length_std', 'linear_length', 'linear_length_std',
                                      'lengths'), 'm'),
@@ -115,14 +109,19 @@ class StaticResult:
                 'passed': self.spring.passed,
                 'verdict': self.spring.sentence,
                 'poses': [
-                    {'tilt': pose.standstill.tilt, 'measured': pose.measured,
-                     'predicted': pose.predicted, 'verdict': pose.verdict,
-                     'sentence': pose.sentence, 'units': {
-                         'tilt': 'rad', 'measured': POSE_UNITS, 'predicted': POSE_UNITS}}
+                    {'tilt': pose.standstill.tilt,
+                     **attributes(pose, 'measured', 'predicted', 'verdict', 'sentence'),
+                     'units': {'tilt': 'rad', 'measured': POSE_UNITS, 'predicted': POSE_UNITS}}
                     for pose in self.spring.poses
                 ],
             },
-            'recordings': [_recording_json(recording) for recording in self.recordings],
+            'recordings': [
+                {**recording.as_json(), 'unsettled': failed, 'standstills': [
+                    {**attributes(still, 'start_ns', 'duration', 'tilt', 'samples', 'lip'),
+                     'units': {'duration': 's', 'tilt': 'rad', 'lip': POSE_UNITS}}
+                    for still in found]}
+                for recording in self.recordings
+                for found, failed in [standstills_in(recording)]],
             'warnings': self.warnings,
         }
 
@@ -133,21 +132,6 @@ def standstills_in(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
         return recording.once('standstills', lambda: standstills_of(recording))
     except BellowsError as error:
         raise BellowsError(f'{recording.name}: {error}') from None
-
-
-def _recording_json(recording: Recording) -> dict[str, Any]:
-    """Return a recording with its standstills for the JSON file."""
-    found, failed = standstills_in(recording)
-    return {
-        **recording.as_json(),
-        'unsettled': failed,
-        'standstills': [
-            {'start_ns': still.start_ns, 'duration': still.duration, 'tilt': still.tilt,
-             'samples': still.samples, 'lip': still.lip,
-             'units': {'duration': 's', 'tilt': 'rad', 'lip': POSE_UNITS}}
-            for still in found
-        ],
-    }
 
 
 def read_standstills(values: Mapping[str, Any], tell: Progress) -> StaticResult:
