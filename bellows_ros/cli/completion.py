@@ -1,7 +1,6 @@
 """`bellows completion`: print a script that completes commands, options and parameters."""
 
 import argparse
-from collections.abc import Iterator
 import importlib
 import os
 from pathlib import Path
@@ -105,46 +104,27 @@ def script(shell: str) -> str:
     from bellows_ros import __version__
     from bellows_ros.core.parameters import PARAMETERS
 
-    whole, options, choices = SHELLS[shell]
-    actions = {name: _actions(name) for name in COMMANDS}
+    whole, of_command, of_choice = SHELLS[shell]
+    options, choices = [], []
+    for name in COMMANDS:
+        parser = argparse.ArgumentParser()
+        importlib.import_module(f'{__package__}.{name}').add_arguments(parser)
+        found = [(option, action.help or '') for action in parser._actions
+                 for option in action.option_strings if option.startswith('--')]
+        options.append(of_command.format(
+            name=name, options=' '.join(option for option, _ in found),
+            described=' '.join(_described(*each) for each in found)))
+        for action in parser._actions:
+            words = ' '.join(map(str, action.choices or ()))
+            for before in (action.option_strings or [name]) if words else ():
+                choices.append(of_choice.format(name=name, before=before, words=words))
     return whole.format(
-        version=__version__,
-        commands=' '.join(COMMANDS),
+        version=__version__, commands=' '.join(COMMANDS), parameters=' '.join(PARAMETERS),
         described=' '.join(_described(name, text) for name, text in COMMANDS.items()),
-        parameters=' '.join(PARAMETERS),
-        options=''.join(
-            options.format(
-                name=name, options=' '.join(o for action in found for o in _long(action)),
-                described=' '.join(
-                    _described(o, action.help or '') for action in found for o in _long(action)))
-            for name, found in actions.items()),
-        choices=''.join(
-            choices.format(name=name, before=before, words=words)
-            for name, found in actions.items() for before, words in _choices(name, found)),
-    )
-
-
-def _actions(name: str) -> list[argparse.Action]:
-    """Return the options and arguments of a command."""
-    parser = argparse.ArgumentParser()
-    importlib.import_module(f'{__package__}.{name}').add_arguments(parser)
-    return parser._actions
-
-
-def _long(action: argparse.Action) -> list[str]:
-    """Return the names of an option, without its short ones; of an argument none."""
-    return [option for option in action.option_strings if option.startswith('--')]
+        options=''.join(options), choices=''.join(choices))
 
 
 def _described(name: str, text: str) -> str:
     """Return a word and what it does as one of zsh's, quoted."""
     quoted = f'{name}:{text}'.replace('%%', '%').replace("'", "'\\''")
     return f"'{quoted}'"
-
-
-def _choices(name: str, actions: list[argparse.Action]) -> Iterator[tuple[str, str]]:
-    """Yield each option or first argument that knows all its values, with these."""
-    for action in actions:
-        words = ' '.join(map(str, action.choices or ()))
-        for before in (action.option_strings or [name]) if words else ():
-            yield before, words

@@ -50,8 +50,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         return OK
     for parameter in chosen:
         console.say(parameter.name, 'bold')
-        for line in _entry(parameter):
-            console.say(line)
+        facts = f'{parameter.constraint}; {_default(parameter)}; {" and ".join(parameter.used_by)}'
+        for text in (facts, parameter.description):
+            for line in textwrap.wrap(
+                    text, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT):
+                console.say(line)
     return OK
 
 
@@ -66,17 +69,6 @@ def _chosen(prefixes: list[str]) -> 'list[Parameter]':
         if not any(p.name.startswith(prefix) for p in found):
             lookup(prefix)  # raises, and names the nearest
     return found
-
-
-def _entry(parameter: 'Parameter') -> list[str]:
-    """Return the lines below a parameter's name."""
-    facts = f'{parameter.constraint}; {_default(parameter)}; {" and ".join(parameter.used_by)}'
-    return [
-        *textwrap.wrap(facts, WIDTH, initial_indent='    ', subsequent_indent='    '),
-        *textwrap.wrap(
-            parameter.description, WIDTH, initial_indent='    ', subsequent_indent='    '
-        ),
-    ]
 
 
 def _default(parameter: 'Parameter') -> str:
@@ -129,12 +121,6 @@ def _to_fill_in(parameters: 'list[Parameter]') -> 'Iterator[str]':
         ):
             yield f'{line}\n'
         unit = f'  # {parameter.unit}' if parameter.unit else ''
-        yield f'{INDENT}#{parameter.name}: {_example(parameter)}{unit}\n'
-
-
-def _example(parameter: 'Parameter') -> str:
-    """Return what could stand as the value of a parameter."""
-    if parameter.example or not parameter.default:
-        return parameter.example or EXAMPLE_LIST
-    quote = "'" if isinstance(parameter.default, str) else ''
-    return f'{quote}{parameter.default}{quote}'
+        quote = "'" if isinstance(parameter.default, str) else ''
+        given = f'{quote}{parameter.default}{quote}' if parameter.default else EXAMPLE_LIST
+        yield f'{INDENT}#{parameter.name}: {parameter.example or given}{unit}\n'

@@ -82,19 +82,18 @@ def _bags(
             f'{len(masses)} masses are given for {len(arguments.bags)} recordings. Give --mass '
             'once for each BAG, in the same order, or not at all.'
         )
-    listed = read_list(arguments.listed) if arguments.listed else []
-    named: list[StaticBag] = [
-        (str(bag), {} if mass is None else {'package.mass': mass})
-        for bag, mass in zip(arguments.bags, masses or [None] * len(arguments.bags), strict=True)
-    ]
-    if not (named or listed) and settings.get('static.bags'):
-        return static_bags(resolve(settings))
-    if not (named or listed):
+    each = [{'package.mass': mass} for mass in masses] or [{}] * len(arguments.bags)
+    bags: list[StaticBag] = [
+        (str(bag), own) for bag, own in zip(arguments.bags, each, strict=True)]
+    if arguments.listed:
+        bags += read_list(arguments.listed)
+    if not bags and settings.get('static.bags'):
+        bags = static_bags(resolve(settings))
+    if not bags:
         raise BellowsError(
             'No recording is given. Name one or more (bellows static BAG ... --params FILE), '
-            'give a --list, or set static.bags.'
-        )
-    return named + listed
+            'give a --list, or set static.bags.')
+    return bags
 
 
 def _say(result: 'StaticResult', console: Console) -> None:

@@ -64,7 +64,7 @@ def write_view(path: str | os.PathLike[str], replayed: Replayed, note: str) -> N
     """
     if Path(path).suffix.lower() != ENDING:
         raise BellowsError(f"View '{path}' must end in {ENDING}.")
-    rr = _rerun()
+    rr = require_viewer()
     # A recording with a name of its own, without settings of the whole process.
     recording = rr.RecordingStream('bellows_ros', send_properties=True)
     recording.send_recording_name(note)
@@ -105,13 +105,8 @@ def open_view(replayed: Replayed, note: str) -> None:
         )
 
 
-def require_viewer() -> None:
-    """Raise BellowsError where Rerun is missing, before any work."""
-    _rerun()
-
-
-def _rerun() -> Any:
-    """Return Rerun's module, with its blueprints."""
+def require_viewer() -> Any:
+    """Return Rerun's module, with its blueprints; raise BellowsError where it is missing."""
     try:
         import rerun
         import rerun.blueprint

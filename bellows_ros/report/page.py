@@ -64,11 +64,6 @@ def figures(items: Sequence[tuple[str, str]]) -> str:
     return f'<div class="figures">\n{inside}</div>'
 
 
-def figure(caption: str, svg: str) -> str:
-    """Return one figure over the whole width."""
-    return f'<figure><figcaption>{escape(caption)}</figcaption>{svg}</figure>'
-
-
 def folded(title: str, content: str) -> str:
     """Return content that is shown when asked for."""
     return f'<details><summary>{escape(title)}</summary>\n{content}\n</details>'

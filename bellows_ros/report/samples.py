@@ -4,7 +4,7 @@ from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.recording.recording import Recording, StreamReport
 import numpy as np
 
-from .page import bullets, figure, table
+from .page import bullets, figures, table
 from .svg import strip_chart
 
 
@@ -20,11 +20,11 @@ def samples_content(recording: Recording) -> list[str]:
     ]
     strips = [(name, kind, spans(mask, seconds, step)) for name, kind, mask in rows]
     return [
-        figure(
+        figures([(
             f'{report.valid} of {report.samples} samples are used; a lost pose rejects all '
             'samples whose filter window contains it',
             strip_chart(
-                strips, (0.0, float(seconds[-1]) + step), 'time (s)', 'Used and lost samples')),
+                strips, (0.0, float(seconds[-1]) + step), 'time (s)', 'Used and lost samples'))]),
         table(
             ('topic', 'poses', 'rate', 'refused', 'outliers', 'gaps', 'left out by the filter'),
             [_stream_row(stream) for stream in (report.tool, report.package)]),

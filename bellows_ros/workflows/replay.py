@@ -249,24 +249,16 @@ def replay(
 
 def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
     """Return what a prepared recording says of the cup that the parameters describe."""
-    found = validate(cup_of(values), recording)
-    warnings = recording.report.warnings + found.warnings + _outside(values, recording)
-    return Replay(recording.name, dict(values), recording, found, warnings)
-
-
-def _outside(values: Mapping[str, Any], recording: Recording) -> tuple[str, ...]:
-    """Return a warning where a recording leaves the validity range of the fit, where known."""
+    found, outside = validate(cup_of(values), recording), tuple[str, ...]()
     known = known_envelope(values)
-    if known is None:
-        return ()
-    phrases = beyond(known, envelope_of(recording, values['cup.length']))
-    if not phrases:
-        return ()
-    more = f'; and {len(phrases) - SHOWN} more' if len(phrases) > SHOWN else ''
-    return (
-        'The recording leaves the validity range of the fit: '
-        f'{"; ".join(phrases[:SHOWN])}{more}. There the errors say little about the fit.',
-    )
+    phrases = beyond(known, envelope_of(recording, values['cup.length'])) if known else []
+    if phrases:
+        more = f'; and {len(phrases) - SHOWN} more' if len(phrases) > SHOWN else ''
+        outside = (
+            'The recording leaves the validity range of the fit: '
+            f'{"; ".join(phrases[:SHOWN])}{more}. There the errors say little about the fit.',)
+    warnings = recording.report.warnings + found.warnings + outside
+    return Replay(recording.name, dict(values), recording, found, warnings)
 
 
 def predicted_live(
@@ -294,7 +286,7 @@ def predicted_live(
     compared = compare_recorded(predicted, recording.measured_tool, recording.measured_package)
     recorded = float(np.ptp(messages.stamps_ns)) / NS_PER_S
     return Live(
-        **vars(compared), counts=_counts(live, _left_out(recording)),
+        **vars(compared), counts=_counts(live, recording),
         real_time_factor=recorded / took, took=took)
 
 
@@ -329,26 +321,18 @@ def _turn(values: Mapping[str, Any]) -> Array:
     return world_rotation(values['recording.world'], values['gravity.direction'])
 
 
-def _left_out(recording: Recording) -> dict[str, int]:
-    """Return the tool poses that the predictor does not get, by reason."""
-    return {
+def _counts(live: LivePredictor, recording: Recording) -> dict[str, int]:
+    """Return messages in, predictions out, and what was left out on the way, where any was."""
+    on_the_way = {
         'tool poses left out as outliers': recording.report.tool.marked,
         **{f'tool poses refused: {r}': len(w) for r, w in recording.tool_pose.refused.items()},
-    }
-
-
-def _counts(live: LivePredictor, left_out: Mapping[str, int]) -> dict[str, int]:
-    """Return messages in, predictions out, and what was left out on the way, where any was."""
-    counts = {
-        'poses': live.poses_in, 'twists': live.twists_in, 'predictions': live.predictions,
-        'twists estimated': live.twists_estimated,
-    }
-    on_the_way = {
-        **left_out,
         **{f'predictor refused: {reason}': n for reason, n in live.refused.items()},
         **{f'predictor restarted: {reason}': n for reason, n in live.restarts.items()},
     }
-    return counts | {name: count for name, count in on_the_way.items() if count}
+    return {
+        'poses': live.poses_in, 'twists': live.twists_in, 'predictions': live.predictions,
+        'twists estimated': live.twists_estimated,
+        **{name: count for name, count in on_the_way.items() if count}}
 
 
 def _coloured_json(whiteness: Whiteness, spectrum: Spectrum) -> dict[str, Any]:
