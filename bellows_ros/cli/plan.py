@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, predict, write, report."""
-    from bellows_ros.workflows.plan import plan, write_motion
+    from bellows_ros.workflows.plan import plan, write_prediction
 
     def work(given: Given, progress: Any) -> 'PlanReport':
         progress(f'predicting {given.path}')
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     return carry_out(
         arguments, console, work, draw, _say,
-        lambda report: write_motion(
+        lambda report: write_prediction(
             arguments.out, report.source, report.source.tool, report.prediction.states,
             report.values, arguments.force))
 

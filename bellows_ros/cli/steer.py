@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, steer, write, report."""
-    from bellows_ros.workflows.plan import write_motion
+    from bellows_ros.workflows.plan import write_prediction
     from bellows_ros.workflows.steer import steer_plan
 
     def work(given: Given, progress: Any) -> 'SteerReport':
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     def write(report: 'SteerReport') -> None:
         motion = report.motions[report.method]
-        write_motion(arguments.out, report.source, motion.tool, motion.prediction.states,
+        write_prediction(arguments.out, report.source, motion.tool, motion.prediction.states,
                      report.values, arguments.force)
 
     return carry_out(arguments, console, work, draw, _say, write, FILMS)

@@ -482,7 +482,7 @@ def _measured(
 # -------------------------------------------------------------------------------------- writing
 
 
-def write_motion(
+def write_prediction(
     path: str | os.PathLike[str], source: Source, tool: Trajectory, states: Array,
     values: Mapping[str, Any], replace_bag: bool = False,
 ) -> None:

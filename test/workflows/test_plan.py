@@ -19,7 +19,7 @@ from bellows_ros.files.plans import DESCRIPTION, JOINTS, STATES
 from bellows_ros.files.trajectory_files import write_tum
 from bellows_ros.files.transforms import TF
 from bellows_ros.workflows.convert import tool_to_bag
-from bellows_ros.workflows.plan import plan, read_plan, standing, write_motion
+from bellows_ros.workflows.plan import plan, read_plan, standing, write_prediction
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -280,7 +280,7 @@ def test_of_several_plans_the_first_is_taken_and_said(tmp_path):
 def test_what_is_predicted_can_be_read_again(truth, tmp_path):
     source = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
     report = plan(source, VALUES)
-    write_motion(tmp_path / 'out', report.source, report.source.tool,
+    write_prediction(tmp_path / 'out', report.source, report.source.tool,
                  report.prediction.states, report.values)
     again = figures(tmp_path / 'out', topic='/tool_arm/plan')
     for name in FIGURES:
