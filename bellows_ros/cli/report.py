@@ -1,9 +1,10 @@
 """`bellows report`: write a page with plots of an existing fit."""
 
 import argparse
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from bellows_ros.errors import BellowsError
 
 from . import options
 from .console import Console, OK
@@ -38,7 +39,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.files.results import content_of, read_result
 
     content = read_result(arguments.fit)
-    _require_settings(arguments.fit, content)
+    settings = content.get('settings')
+    if not isinstance(settings, dict) or not settings.get('bags'):
+        raise BellowsError(
+            f"Result '{arguments.fit}' does not name its recordings. Identify the cup again with "
+            '--json.')
     with content_of(arguments.fit):
         return _report(arguments, content, console)
 
@@ -66,14 +71,3 @@ def _report(arguments: argparse.Namespace, content: dict[str, Any], console: Con
             console.warn(f'{validation.bag}: {warning}')
     console.wrote(arguments.out)
     return OK
-
-
-def _require_settings(path: Path, content: Mapping[str, Any]) -> None:
-    """Refuse a result that does not say how it was made."""
-    from bellows_ros.errors import BellowsError
-
-    settings = content.get('settings')
-    if not isinstance(settings, dict) or not settings.get('bags'):
-        raise BellowsError(
-            f"Result '{path}' does not name its recordings. Identify the cup again with --json."
-        )

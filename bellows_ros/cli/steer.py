@@ -71,8 +71,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     def write(report: 'SteerReport') -> None:
         motion = report.motions[report.method]
-        write_prediction(arguments.out, report.source, motion.tool, motion.prediction.states,
-                     report.values, arguments.force)
+        write_prediction(
+            arguments.out, report.source, motion.tool, motion.prediction.states, report.values,
+            arguments.force)
 
     return carry_out(arguments, console, work, draw, _say, write, FILMS)
 

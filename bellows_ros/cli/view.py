@@ -50,6 +50,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.out:
         console.say(f'Wrote {arguments.out}. Open it with:')
         console.say(f'  rerun {arguments.out}')
-    if not arguments.out:
+    else:
         open_view(shown, str(arguments.bag))
     return OK

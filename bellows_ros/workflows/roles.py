@@ -104,14 +104,9 @@ def likely_alone(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess |
     return guesses[0], guesses[1]
 
 
-def _message(topic: str) -> set[str]:
-    """Return the words a topic's name is made of."""
-    return set(re.findall(r'[a-z]+', topic.lower()))
-
-
 def _said(topic: str, words: frozenset[str]) -> set[str]:
     """Return which of some words are in a topic's name."""
-    return _message(topic) & words
+    return set(re.findall(r'[a-z]+', topic.lower())) & words
 
 
 def _by_name(topic: str, words: frozenset[str]) -> str:
@@ -137,9 +132,8 @@ def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
         why_package.append(f"it starts {distance * 1e3:.0f} mm from '{tool.name}', along {axis}")
         score += 3.0
     if distance < LONGEST_DISTANCE and spread < LARGEST_CHANGE * distance:
-        why_package.append(
-            f'it stays {_range_mm(distances)} mm from it'
-        )
+        low, high = 1e3 * np.percentile(distances, (1, 99))  # jumps of tracking do not count
+        why_package.append(f'it stays {low:.1f} to {high:.1f} mm from it')
         score += 2.0
     for name, words, why in ((tool.name, TOOL_WORDS, why_tool),
                              (package.name, PACKAGE_WORDS, why_package)):
@@ -152,12 +146,6 @@ def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
         Guess(tool.name, tuple(why_tool)), Guess(package.name, tuple(why_package)), world,
         distance, score,
     )
-
-
-def _range_mm(distances: Array) -> str:
-    """Return the range of nearly all distances, mm; a few jumps of tracking do not count."""
-    low, high = 1e3 * np.percentile(distances, (1, 99))
-    return f'{low:.1f} to {high:.1f}'
 
 
 def _from_tool_to_package(tool: PoseStream, package: PoseStream) -> Array | None:
@@ -191,14 +179,13 @@ def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> TwistGu
     Where the tool hardly moves, the one with the stamps of the tool's poses.
     """
     compared = {name: _compared(tool, twist) for name, twist in twists.items()}
-    fitting = {name: found for name, found in compared.items() if found and found[0] < SAME_WITHIN}
-    if fitting:
-        name = min(fitting, key=lambda name: fitting[name][0])
-        error, frame = fitting[name]
+    fitting = [(*found, name) for name, found in compared.items() if found]
+    error, frame, name = min(fitting, default=(np.inf, '', ''))
+    if error < SAME_WITHIN:
         why = f'in {frame} axes it moves the tool as the poses do, to {100 * error:.1f} %'
         return TwistGuess(name, (why,), frame)
     for name, twist in twists.items():
-        if compared[name] is None and _share_stamps(tool, twist):
+        if compared[name] is None and np.mean(np.isin(twist.stamps_ns, tool.stamps_ns)) > 0.5:
             why = 'it has the stamps of the tool, which moves too little to determine its axes'
             return TwistGuess(name, (why,), 'world')
     return None
@@ -206,50 +193,23 @@ def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> TwistGu
 
 def _compared(tool: PoseStream, twist: TwistStream) -> tuple[float, str] | None:
     """Return how much a twist disagrees with the poses, and in which axes; None if unknown."""
-    ways = _ways(tool, twist)
-    if ways is None:
-        return None
-    errors = {frame: _relative(ways[frame], ways['poses']) for frame in ('world', 'tool')}
-    # Where the tool does not turn both agree; then the usual one is meant.
-    frame = 'world' if errors['world'] <= 1.2 * errors['tool'] else 'tool'
-    return errors[frame], frame
-
-
-def _share_stamps(tool: PoseStream, twist: TwistStream) -> bool:
-    """Return whether most twists have the stamp of a pose."""
-    return bool(np.mean(np.isin(twist.stamps_ns, tool.stamps_ns)) > 0.5)
-
-
-def _relative(way: Array, expected: Array) -> float:
-    """Return the RMS difference over the RMS expected."""
-    return float(np.sqrt(np.mean((way - expected) ** 2) / np.mean(expected**2)))
-
-
-def _ways(tool: PoseStream, twist: TwistStream) -> dict[str, Array] | None:
-    """Return how far the tool goes in each short time: by its poses, and by its twists."""
-    poses = tool.trajectory()
     inside = (twist.stamps_ns >= tool.stamps_ns[0]) & (twist.stamps_ns <= tool.stamps_ns[-1])
-    stamps = twist.stamps_ns[inside]
+    stamps, linear = twist.stamps_ns[inside], twist.linear[inside]
     if len(stamps) < 10:
         return None
-    body = resample(poses, stamps)
-    seconds = (stamps - stamps[0]) / NS_PER_S
-    linear = twist.linear[inside]
-    stride = max(1, round(STRIDE / float(np.median(np.diff(seconds)))))
+    body = resample(tool.trajectory(), stamps)
+    steps = np.diff(stamps)[:, None] / NS_PER_S
+    stride = max(1, round(STRIDE / float(np.median(steps))))
     if len(stamps) <= 2 * stride:
         return None
-    ways = {
-        'poses': body.position,
-        'world': _integrated(seconds, linear),
-        'tool': _integrated(seconds, apply(body.rotation, linear)),
-    }
-    steps = {name: way[stride:] - way[:-stride] for name, way in ways.items()}
-    moved = np.sqrt(np.mean(np.sum(steps['poses'] ** 2, axis=1)))
-    return steps if moved > WAY else None
-
-
-def _integrated(seconds: Array, velocity: Array) -> Array:
-    """Return the way (N, 3) that velocities lead, by the trapezoidal rule."""
-    steps = np.diff(seconds)[:, None] * 0.5 * (velocity[1:] + velocity[:-1])
-    way: Array = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-    return way
+    ways = [body.position]  # how far the tool goes in each short time: by its poses, its twists
+    for velocity in (linear, apply(body.rotation, linear)):
+        moved = 0.5 * steps * (velocity[1:] + velocity[:-1])
+        ways.append(np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)]))
+    expected, world, own = (way[stride:] - way[:-stride] for way in ways)
+    if np.sqrt(np.mean(np.sum(expected**2, axis=1))) <= WAY:
+        return None
+    in_world, in_tool = (float(np.sqrt(np.mean((way - expected)**2) / np.mean(expected**2)))
+                         for way in (world, own))
+    # Where the tool does not turn both agree; then the usual one is meant.
+    return (in_world, 'world') if in_world <= 1.2 * in_tool else (in_tool, 'tool')
