@@ -56,8 +56,7 @@ def _say(result: 'Comparison', console: Console) -> None:
         console.say(f'{title}:')
         console.table(_change_rows(changes))
     console.say()
-    for line in verdict(result):
-        console.paragraph(line)
+    console.paragraph(*verdict(result))
     if result.settings:
         console.say()
         console.say('Made differently:')

@@ -78,15 +78,14 @@ class Console:
         """Print a line of the result."""
         _write(self._out, self._styled(self._out, printable(text), style))
 
-    def paragraph(self, text: str, style: str = '') -> None:
-        """Print a sentence or several of the result, wrapped, with its indentation kept."""
-        indent = text[:len(text) - len(text.lstrip())]
-        lines = textwrap.wrap(
-            text.strip(), _width(), initial_indent=indent, subsequent_indent=2 * indent,
-            break_long_words=False, break_on_hyphens=False,
-        )
-        for line in lines:
-            self.say(line, style)
+    def paragraph(self, *texts: str, style: str = '') -> None:
+        """Print sentences of the result, wrapped, each text with its indentation kept."""
+        for text in texts:
+            indent = text[:len(text) - len(text.lstrip())]
+            for line in textwrap.wrap(
+                    text.strip(), _width(), initial_indent=indent, subsequent_indent=2 * indent,
+                    break_long_words=False, break_on_hyphens=False):
+                self.say(line, style)
 
     def wrote(self, *files: str) -> None:
         """Name the files that were written; '' and '-' are none."""
@@ -99,14 +98,13 @@ class Console:
         for line in aligned(rows, right):
             self.say(f'  {line}'.rstrip())
 
-    def warn(self, text: str) -> None:
-        """Print a warning."""
-        lines = textwrap.wrap(
-            f'Warning: {text}', _width(), subsequent_indent='  ', break_long_words=False,
-            break_on_hyphens=False,
-        )
-        for line in lines:
-            self._tell(self._styled(self._err, printable(line), 'yellow'))
+    def warn(self, *texts: str) -> None:
+        """Print warnings."""
+        for text in texts:
+            for line in textwrap.wrap(
+                    f'Warning: {text}', _width(), subsequent_indent='  ', break_long_words=False,
+                    break_on_hyphens=False):
+                self._tell(self._styled(self._err, printable(line), 'yellow'))
 
     def note(self, text: str) -> None:
         """Print what is not part of the result."""

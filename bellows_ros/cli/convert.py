@@ -137,5 +137,4 @@ def _say(done: 'Conversion', console: Console) -> None:
                     + (f'; left out: {left}' if left else ''))
     if done.world != 'z_up':
         console.say(f'Its world has y up: set recording.world to {done.world}.')
-    for note in done.notes:
-        console.warn(note)
+    console.warn(*done.notes)

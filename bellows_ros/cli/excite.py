@@ -116,8 +116,7 @@ def _say(found: 'Excitation', console: Console) -> None:
         [name, f'{100.0 * ratio:.1f} %', f'{100.0 * found.design.shares.get(name, 0.0):.0f} %']
         for name, ratio in found.design.ratios.items()])
     console.say()
-    for warning in found.warnings:
-        console.warn(warning)
+    console.warn(*found.warnings)
 
 
 def _say_series(found: 'Excitation', console: Console) -> None:

@@ -171,8 +171,7 @@ def _say_release(result: 'ReleaseResult', console: Console) -> None:
             f'load; at {result.speed:.2f} m/s, the fastest release, that is '
             f'{milli * fit.delay_scatter * result.speed:.1f} mm along the flight.')
     console.paragraph(f'chi2 per pose: {result.chi2:.2f} (1 if model and noise are right).')
-    for warning in result.warnings:
-        console.warn(warning)
+    console.warn(*result.warnings)
 
 
 def _reduce(arguments: argparse.Namespace, settings: dict[str, Any], console: Console) -> int:
@@ -253,8 +252,7 @@ def _say(result: 'Identification', console: Console) -> None:
     fit = result.fit
     bags = listed(result.bags)
     verdict = result.verdict
-    for line in verdict.cause if verdict else ():
-        console.paragraph(line)
+    console.paragraph(*(verdict.cause if verdict else ()))
     console.say(f'Cup identified from {bags}', 'bold')
     console.say(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     console.say()
@@ -277,12 +275,9 @@ def _say(result: 'Identification', console: Console) -> None:
     console.say()
     _say_samples(result, console)
     console.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
-    for line in result.findings[len(verdict.sentences) if verdict else 0:]:
-        console.paragraph(line)
-    for reason in result.refusals:
-        console.paragraph(reason, 'red')
-    for warning in result.warnings:
-        console.warn(warning)
+    console.paragraph(*(result.findings[len(verdict.sentences) if verdict else 0:]))
+    console.paragraph(*result.refusals, style='red')
+    console.warn(*result.warnings)
 
 
 def cup_table(fit: Any) -> list[str]:
@@ -346,7 +341,7 @@ def _say_files(
         kept = f'{name} was not written' if cup_file else 'do not use it'
         if written and cup_file:
             kept = f'{name} was written because of --force'
-        console.paragraph(f'This cup is refused: {kept}.', 'red')
+        console.paragraph(f'This cup is refused: {kept}.', style='red')
     elif cup_file not in ('', options.STDOUT):
         console.say(f'Wrote {cup_file}. Next, check how well it predicts another recording:')
         console.say(f'  bellows replay BAG --params {cup_file}')

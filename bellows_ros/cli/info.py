@@ -81,8 +81,7 @@ def _say(found: 'Info', console: Console) -> None:
         console.say(f'World    probably {WORLDS[found.settings["recording.world"]]}.')
     if found.rest_s is not None:
         console.say(f'Both stand still for the first {found.rest_s:.1f} s.')
-    for note in found.notes:
-        console.paragraph(note)
+    console.paragraph(*found.notes)
 
 
 def _topic_rows(found: 'Info') -> list[tuple[str, ...]]:

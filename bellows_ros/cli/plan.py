@@ -67,8 +67,7 @@ def _say(report: 'PlanReport', console: Console) -> None:
     console.say()
     console.table(figure_rows(report))
     console.say()
-    for warning in report.warnings:
-        console.warn(warning)
+    console.warn(*report.warnings)
     if not report.warnings:
         known = any(report.values['envelope.rates'])
         console.say('The grip holds' + (

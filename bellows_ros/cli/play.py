@@ -65,8 +65,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         chosen, = inside(stamps, options.given_span(arguments))
         messages = [message for message, here in zip(messages, chosen, strict=True) if here]
         names = {m.topic.name: m.topic.name for m in messages} | renamed
-        for note in notes:
-            console.warn(note)
+        console.warn(*notes)
         played = play(messages, names, arguments.rate, arguments.stamps == 'now', arguments.loop,
                       progress)
     options.put_json(arguments.json, {'bag': str(arguments.bag), **vars(played)})

@@ -93,28 +93,23 @@ def _say(
     console.say(f'Replay of {arguments.bag}', 'bold')
     console.paragraph(
         '(package relative to the tool, predicted minus measured; from '
-        f'{"static equilibrium" if rest else "the measured state"})', 'dim')
+        f'{"static equilibrium" if rest else "the measured state"})', style='dim')
     console.say()
     console.table(_error_rows(result), right=True)
     console.say()
-    console.paragraph(LEGEND, 'dim')
+    console.paragraph(LEGEND, style='dim')
     console.say()
-    for line in _verdict_lines(result, limit):
-        console.paragraph(line)
-    if result.margin:
-        console.paragraph(result.margin.sentence)
-    for line in offset_sentence(arguments.bag, result.time_offset):
-        console.paragraph(line)
+    console.paragraph(
+        *_verdict_lines(result, limit), *([result.margin.sentence] if result.margin else []),
+        *offset_sentence(arguments.bag, result.time_offset))
     if result.live:
-        for line in _count_lines(result.live.counts):
-            console.paragraph(line)
         console.paragraph(
+            *_count_lines(result.live.counts),
             f'The live prediction took {result.live.took:.2f} s, '
             f'{result.live.real_time_factor:.0f} times faster than real time.')
     if result.observed:
         _say_observed(result.observed, console)
-    for warning in result.warnings:
-        console.warn(warning)
+    console.warn(*result.warnings)
     console.wrote(arguments.json, arguments.report)
 
 

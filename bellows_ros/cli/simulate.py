@@ -82,5 +82,4 @@ def _say(report: 'SimulationReport', console: Console) -> None:
                     'the valve.')
     if report.truth:
         console.say(f'The true motion: {report.truth}')
-    for warning in report.warnings:
-        console.warn(warning)
+    console.warn(*report.warnings)

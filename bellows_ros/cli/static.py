@@ -107,9 +107,9 @@ def _say(result: 'StaticResult', console: Console) -> None:
         console.say(f'Spring, with a nominal length of {result.cup_length * 1e3:.2f} mm', 'bold')
         for number, pose in enumerate(result.spring.poses, 1):
             console.paragraph(f'  {number}: {pose.sentence}')
-        console.paragraph(result.spring.sentence, '' if result.spring.passed else 'red')
-    for warning in result.warnings:
-        console.warn(warning)
+        console.paragraph(
+            result.spring.sentence, style='' if result.spring.passed else 'red')
+    console.warn(*result.warnings)
 
 
 def _standstill_rows(result: 'StaticResult') -> list[tuple[str, ...]]:

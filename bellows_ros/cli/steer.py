@@ -99,8 +99,7 @@ def _say(report: 'SteerReport', console: Console) -> None:
         f'The tool moves at up to {own["speed"]:.3g} m/s, {own["acceleration"]:.3g} m/s^2, '
         f'{own["angular_speed"]:.3g} rad/s and {own["angular_acceleration"]:.3g} rad/s^2; the '
         f'package is at most {1e3 * own["path_error"]:.2g} mm from its desired path.')
-    for note in report.notes:
-        console.paragraph(note)
+    console.paragraph(*report.notes)
     if report.advice:
         console.paragraph(report.advice)
 

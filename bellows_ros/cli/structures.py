@@ -67,10 +67,8 @@ def _say(result: 'StructureAdvice', console: Console) -> None:
         'independent ones.'
     )
     console.say()
-    for sentence in selection.advice:
-        console.paragraph(sentence)
-    for warning in result.warnings:
-        console.warn(warning)
+    console.paragraph(*selection.advice)
+    console.warn(*result.warnings)
 
 
 def _axis_rows(result: 'StructureAdvice') -> list[tuple[str, ...]]:

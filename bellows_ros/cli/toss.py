@@ -122,8 +122,7 @@ def _say(result: 'TossResult', console: Console) -> None:
             'failed')
     console.say()
     _say_budget(result, console)
-    for warning in result.warnings:
-        console.warn(warning)
+    console.warn(*result.warnings)
 
 
 def _say_budget(result: 'TossResult', console: Console) -> None:
