@@ -1,13 +1,13 @@
 """`bellows excite`: design the motion that identifies a cup best."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from . import options
 from .console import Console, short, with_error
-from .planned import carry_out, Given
+from .planned import carry_out
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.excite import Excitation
@@ -76,10 +76,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.files.safe_yaml import load
     from bellows_ros.workflows.excite import excite, write_motion
 
-    def work(given: Given, progress: Callable[..., None]) -> 'Excitation':
+    def work(values: Mapping[str, Any], progress: Callable[..., None]) -> 'Excitation':
         return excite(
-            given.values, load(arguments.limits), arguments.time, given.urdf, arguments.beside,
-            arguments.seed, progress, arguments.series)
+            values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
+            arguments.beside, arguments.seed, progress, arguments.series)
 
     def draw(found: 'Excitation') -> Any:
         from bellows_ros.plots.excite import excite_figure

@@ -6,7 +6,7 @@ import math
 from typing import Any, TYPE_CHECKING
 
 from .console import Console, with_error
-from .planned import add_plan_options, carry_out, Given
+from .planned import add_plan_options, carry_out
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.plan import PlanReport
@@ -42,9 +42,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, predict, write, report."""
     from bellows_ros.workflows.plan import plan, write_prediction
 
-    def work(given: Given, progress: Any) -> 'PlanReport':
-        progress(f'predicting {given.path}')
-        return plan(*given, arguments.fastest, bool(arguments.plot))
+    def work(values: Mapping[str, Any], progress: Any) -> 'PlanReport':
+        progress(f'predicting {arguments.plan}')
+        return plan(arguments.plan, values, str(arguments.urdf or ''), arguments.topic,
+                    arguments.fastest, bool(arguments.plot))
 
     def draw(report: 'PlanReport') -> Any:
         from bellows_ros.plots.plan import plan_figure

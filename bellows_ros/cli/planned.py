@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from . import options
 from .console import Console, OK
@@ -32,18 +32,9 @@ def add_plan_options(
         options.add_force_option(parser)
 
 
-class Given(NamedTuple):
-    """A plan (or none) on the command line, as the workflows take it."""
-
-    path: Path
-    values: Mapping[str, Any]
-    urdf: str
-    topic: str
-
-
 def carry_out(
     arguments: argparse.Namespace, console: Console,
-    work: Callable[[Given, Callable[..., None]], Any],
+    work: Callable[[Mapping[str, Any], Callable[..., None]], Any],
     draw: Callable[[Any], Any], say: Callable[[Any, Console], None],
     write: Callable[[Any], None] | None = None, films: tuple[str, ...] = (),
 ) -> int:
@@ -55,7 +46,7 @@ def carry_out(
     arguments, console
         Of the command.
     work : callable
-        From what is given and a progress to a result, which has `as_json(parameter_files)`.
+        From parameters by name and a progress to a result, which has `as_json(parameter_files)`.
     draw : callable
         Returns the figure of a result to write as `plot`, or writes a film and returns None.
     write : callable
@@ -73,10 +64,8 @@ def carry_out(
         from bellows_ros.plots.style import require_picture, write_figure
 
         require_picture(arguments.plot, films)
-    path, topic = getattr(arguments, 'plan', Path()), getattr(arguments, 'topic', '')
-    given = Given(path, values, str(arguments.urdf or ''), topic)
     with console.progress() as progress:
-        result = work(given, progress)
+        result = work(values, progress)
         if arguments.plot and (figure := draw(result)):
             write_figure(arguments.plot, figure)
     options.put_json(arguments.json, result.as_json(arguments.params))

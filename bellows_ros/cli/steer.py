@@ -1,12 +1,13 @@
 """`bellows steer`: change a motion of the tool so that the package does not swing."""
 
 import argparse
+from collections.abc import Mapping
 import math
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from .console import Console
-from .planned import add_plan_options, carry_out, Given
+from .planned import add_plan_options, carry_out
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.steer import SteerReport
@@ -53,11 +54,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.workflows.plan import write_prediction
     from bellows_ros.workflows.steer import steer_plan
 
-    def work(given: Given, progress: Any) -> 'SteerReport':
-        progress(f'steering {given.path}')
+    def work(values: Mapping[str, Any], progress: Any) -> 'SteerReport':
+        progress(f'steering {arguments.plan}')
         return steer_plan(
-            given.path, given.values, arguments.method, arguments.limits or '', given.urdf,
-            given.topic)
+            arguments.plan, values, arguments.method, arguments.limits or '',
+            str(arguments.urdf or ''), arguments.topic)
 
     def draw(report: 'SteerReport') -> Any:
         if not arguments.plot.lower().endswith(FILMS):

@@ -1,13 +1,14 @@
 """`bellows toss`: where a planned toss lands, and what limits its accuracy."""
 
 import argparse
+from collections.abc import Mapping
 import math
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
 
 from .console import Console
-from .planned import add_plan_options, carry_out, Given
+from .planned import add_plan_options, carry_out
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.toss import Share, TossResult
@@ -59,11 +60,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     _require_numbers(arguments)
     from bellows_ros.workflows.toss import toss_plan
 
-    def work(given: Given, progress: Any) -> 'TossResult':
+    def work(values: Mapping[str, Any], progress: Any) -> 'TossResult':
         target = tuple(arguments.target) if arguments.target else None
         return toss_plan(
-            given.path, given.values, arguments.release, target, arguments.target_rotation,
-            arguments.monte_carlo, progress, given.urdf, given.topic)
+            arguments.plan, values, arguments.release, target, arguments.target_rotation,
+            arguments.monte_carlo, progress, str(arguments.urdf or ''), arguments.topic)
 
     def draw(result: 'TossResult') -> Any:
         from bellows_ros.plots.toss import toss_figure
