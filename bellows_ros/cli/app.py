@@ -126,7 +126,8 @@ def main(args: Sequence[str] | None = None) -> int:
         console.note(f'Ended by {end.name}; nothing was left half done.')
         return end.exit_code
     except BrokenPipeError:  # whoever reads the output has had enough
-        _silence_stdout()
+        # Let nothing be written any more, also not when the process ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
 
 
@@ -194,8 +195,3 @@ def exit_code(module: ModuleType) -> str:
     """Return what a command ends with, in a line."""
     found = getattr(module, 'FOUND', '')
     return EXIT_CODE.format(f'1 if {found}, ' if found else '')
-
-
-def _silence_stdout() -> None:
-    """Let nothing be written any more, also not when the process ends."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,7 +1,7 @@
 """`bellows parameters`: list all parameters with unit, default and meaning."""
 
 import argparse
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 import textwrap
 from typing import TYPE_CHECKING
@@ -107,20 +107,14 @@ def template_with(
 
     text = format_parameters(values, header)
     head, body = text.split(SECTION, 1)
-    return head + SECTION + ''.join(_to_fill_in(open_ones)) + (body if values else '')
-
-
-def _to_fill_in(parameters: 'list[Parameter]') -> 'Iterator[str]':
-    """Yield the lines, commented, of parameters that must be given."""
-    if parameters:
-        yield f"{INDENT}# CHANGE THESE (examples), and remove the '#' before their names.\n"
-    for parameter in parameters:
+    lines = [f"{INDENT}# CHANGE THESE (examples), and remove the '#' before their names."]
+    for parameter in open_ones:
         comment = f'{INDENT}# '
-        for line in textwrap.wrap(
-            parameter.description, 97, initial_indent=comment, subsequent_indent=comment
-        ):
-            yield f'{line}\n'
+        lines += textwrap.wrap(
+            parameter.description, 97, initial_indent=comment, subsequent_indent=comment)
         unit = f'  # {parameter.unit}' if parameter.unit else ''
         quote = "'" if isinstance(parameter.default, str) else ''
         given = f'{quote}{parameter.default}{quote}' if parameter.default else EXAMPLE_LIST
-        yield f'{INDENT}#{parameter.name}: {parameter.example or given}{unit}\n'
+        lines.append(f'{INDENT}#{parameter.name}: {parameter.example or given}{unit}')
+    to_fill_in = '\n'.join([*lines, '']) if open_ones else ''
+    return head + SECTION + to_fill_in + (body if values else '')

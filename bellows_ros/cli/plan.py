@@ -97,8 +97,11 @@ def figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
          f'{value("rigid_peak_moment", 1.0, "N m")} of the rigid load'),
     ]
     if report.prediction.ends_at_rest:
-        rows.append(('swing left at the end', value('swing_left', degrees, 'degrees'),
-                     _settled(figures)))
+        after = figures['settled_after']
+        still = 'below 0.5 degrees' + (f' after {after:.2f} s' if after > 0.0 else '')
+        rows.append((
+            'swing left at the end', value('swing_left', degrees, 'degrees'),
+            still if math.isfinite(after) else 'not below 0.5 degrees within 30 s'))
     if report.sought:
         found = report.fastest
         rows.append((
@@ -106,11 +109,3 @@ def figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
             with_error(found.scale * report.duration, found.scale_std * report.duration, 's'),
             '' if found is None else f"{found.scale:.3f} of the plan's"))
     return rows
-
-
-def _settled(figures: Mapping[str, float]) -> str:
-    """Return when the package hangs still."""
-    after = figures['settled_after']
-    if not math.isfinite(after):
-        return 'not below 0.5 degrees within 30 s'
-    return f'below 0.5 degrees after {after:.2f} s' if after > 0.0 else 'below 0.5 degrees'

@@ -57,7 +57,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.workflows.recordings import inside
     import numpy as np
 
-    renamed = dict(_renamed(text) for text in arguments.topics)
+    pairs = (text.partition(':=') for text in arguments.topics)
+    renamed = {name: new or name for name, new in (
+        (f'/{name.lstrip("/")}', new) for name, _, new in pairs)}
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         messages, notes = read_messages(arguments.bag, renamed)
@@ -71,13 +73,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     options.put_json(arguments.json, {'bag': str(arguments.bag), **vars(played)})
     _say(played, console)
     return OK
-
-
-def _renamed(text: str) -> tuple[str, str]:
-    """Return a topic, and the name to play it under."""
-    name, _, new = text.partition(':=')
-    name = name if name.startswith('/') else f'/{name}'
-    return name, new or name
 
 
 def _say(played: 'Played', console: Console) -> None:

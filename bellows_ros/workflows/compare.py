@@ -102,7 +102,8 @@ def compare_files(before: Path, after: Path) -> Comparison:
             fits=compare_fits(
                 fitted[0], fitted[1], package_of(values), values['gravity.magnitude']),
             settings=tuple(_differences(*contents)),
-            shared=_shared(*contents),
+            shared=tuple(name for name, content in _contents(contents[1]).items()
+                         if content in _contents(contents[0]).values()),
         )
 
 
@@ -123,12 +124,10 @@ def _fitted(content: Mapping[str, Any]) -> Fitted:
 
 def _differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Difference]:
     """Return what differs in how the fits were made."""
-    sides = [_described(content) for content in (before, after)]
-    names = sorted(set(sides[0]) | set(sides[1]))
-    return [
-        Difference(name, sides[0].get(name), sides[1].get(name))
-        for name in names if sides[0].get(name) != sides[1].get(name)
-    ]
+    first, second = _described(before), _described(after)
+    both = (Difference(name, first.get(name), second.get(name))
+            for name in sorted({*first, *second}))
+    return [found for found in both if found.before != found.after]
 
 
 def _described(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -143,12 +142,6 @@ def _described(content: Mapping[str, Any]) -> dict[str, Any]:
         digests = [file['sha256'][:12] for file in recording['files']]
         found[f'content of {recording["path"]}'] = ' '.join(digests)
     return found
-
-
-def _shared(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the recordings of the second fit that the first has used too."""
-    seen, files = _contents(before), _contents(after)
-    return tuple(name for name, content in files.items() if content in seen.values())
 
 
 def _contents(content: Mapping[str, Any]) -> dict[str, Any]:

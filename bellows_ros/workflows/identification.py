@@ -133,22 +133,16 @@ class Identification:
         return with_standstills(moving, self.static.standstills, self.cup_length)
 
     def cup_values(self) -> dict[str, Any]:
-        """Return the parameters of the run with the cup in them."""
+        """Return the parameters of the run with the cup, and the worlds as they were found."""
+        worlds = [part.package_world for part in self.parts if part.package_world]
+        best = min(worlds, key=lambda world: float(np.sum(world.std)), default=None)
         return {
             **self.values,
-            **self._world(),
+            **({'recording.package_world': pose_text(best.pose)} if best else {}),
             'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
             'cup.damping': tuple(self.fit.damping.ravel().tolist()),
             'cup.length': self.cup_length,
         }
-
-    def _world(self) -> dict[str, Any]:
-        """Return the transform between the worlds as it was found best, where it was."""
-        found = [part.package_world for part in self.parts if part.package_world]
-        if not found:
-            return {}
-        best = min(found, key=lambda world: float(np.sum(world.std)))
-        return {'recording.package_world': pose_text(best.pose)}
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters of the cup file: those of the run with the cup in them."""

@@ -20,7 +20,7 @@ from bellows_ros.core.parameters import RECORDING_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.residuals import AXES, Comparison, Spectrum, Whiteness
-from bellows_ros.core.trajectory import NS_PER_S, TwistStream
+from bellows_ros.core.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import provenance
 from bellows_ros.workflows.observe import Observed, observed
@@ -292,33 +292,22 @@ def predicted_live(
 
 def tool_messages(recording: Recording, values: Mapping[str, Any]) -> Messages:
     """Return the tool's poses and twists in the order of their stamps, in frames of the model."""
-    recorded = in_world(recording.tool_pose.trajectory(), _turn(values))
-    poses = recording.alignment.tool(recorded)
+    turn = world_rotation(values['recording.world'], values['gravity.direction'])
+    poses = recording.alignment.tool(in_world(recording.tool_pose.trajectory(), turn))
     good = recording.report.tool.outliers.good
     stamps = [poses.stamps_ns[good]]
     numbers = [np.hstack([poses.position, rotation_to_quaternion(poses.rotation)])[good]]
     if recording.tool_twist is not None:
-        stamps.append(recording.tool_twist.stamps_ns)
-        numbers.append(_twist_numbers(recording.tool_twist, recording, values))
+        axes = turn  # of the recorded twists, to those that tool_twist.frame names
+        if values['tool_twist.frame'] == 'tool':
+            axes = recording.alignment.R_tool_markers_tool.T
+        twists = recording.tool_twist
+        stamps.append(twists.stamps_ns)
+        numbers.append(np.hstack([apply(axes, twists.linear), apply(axes, twists.angular),
+                                  np.zeros((len(twists.stamps_ns), 1))]))
     joined = np.concatenate(stamps)
     order = np.argsort(joined, kind='stable')  # a pose comes before the twist of its stamp
     return Messages(joined[order], order >= len(stamps[0]), np.concatenate(numbers)[order])
-
-
-def _twist_numbers(
-    twists: TwistStream, recording: Recording, values: Mapping[str, Any]
-) -> Array:
-    """Return the recorded twists, in the axes that tool_twist.frame names, as in `Messages`."""
-    turn = _turn(values)
-    if values['tool_twist.frame'] == 'tool':
-        turn = recording.alignment.R_tool_markers_tool.T
-    linear, angular = (apply(turn, part) for part in (twists.linear, twists.angular))
-    return np.hstack([linear, angular, np.zeros((len(linear), 1))])
-
-
-def _turn(values: Mapping[str, Any]) -> Array:
-    """Return the rotation (3, 3) from recorded axes to those of the world."""
-    return world_rotation(values['recording.world'], values['gravity.direction'])
 
 
 def _counts(live: LivePredictor, recording: Recording) -> dict[str, int]:

@@ -8,7 +8,6 @@ key, or in `unit` of its only one; and counts, stamps in ns and rates in Hz say 
 from collections.abc import Mapping
 from typing import Any
 
-from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS, UNITS
 from bellows_ros.core.structure import structure_named
@@ -32,8 +31,9 @@ def fit_json(fit: Fit) -> dict[str, Any]:
             'samples_used', 'samples_rejected', 'condition_number', 'usable', 'weight',
             'residual_rms', 'noise_rms', 'chi2', 'robust_chi2', 'converged'),
         'intervals_95': {
-            **{name: _interval(getattr(fit, name), getattr(fit, f'{name}_std'))
-               for name in MATRIX_UNITS},
+            **{name: {'low': value - half, 'high': value + half} for name, value, half in (
+                ('stiffness', fit.stiffness, NORMAL_95 * fit.stiffness_std),
+                ('damping', fit.damping, NORMAL_95 * fit.damping_std))},
             'units': MATRIX_UNITS,
         },
         'parameters': {
@@ -72,11 +72,6 @@ def fit_json(fit: Fit) -> dict[str, Any]:
 def attributes(found: object, *names: str) -> dict[str, Any]:
     """Return some attributes by name."""
     return {name: getattr(found, name) for name in names}
-
-
-def _interval(value: Array, error: Array) -> dict[str, Array]:
-    """Return both ends of the 95 % intervals of a matrix's entries."""
-    return {'low': value - NORMAL_95 * error, 'high': value + NORMAL_95 * error}
 
 
 def _products(units: Any) -> list[list[str]]:
