@@ -78,7 +78,7 @@ class Parser(argparse.ArgumentParser):
     """Arguments as usual, but errors are short: what is wrong, and where help is."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Remember the words, to look in them for an option that was meant."""
+        """Keep the words, to find the option that was meant."""
         self._words = list(args or ())
         return super().parse_known_args(args, namespace)
 
@@ -125,7 +125,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except Ended as end:
         console.note(f'Ended by {end.name}; nothing was left half done.')
         return end.exit_code
-    except BrokenPipeError:  # whoever reads the output has had enough
+    except BrokenPipeError:  # the reader of the output has closed it
         # Let nothing be written any more, also not when the process ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED

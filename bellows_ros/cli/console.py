@@ -94,7 +94,7 @@ class Console:
                 self.say(f'Wrote {file}.')
 
     def table(self, rows: Sequence[Sequence[str]], right: bool = False) -> None:
-        """Say rows in columns, indented; numbers to the right."""
+        """Print rows in columns, indented; all but the first right-aligned if wanted."""
         for line in aligned(rows, right):
             self.say(f'  {line}'.rstrip())
 
@@ -124,12 +124,12 @@ class Console:
         sys.stdout.write(text)
 
     def flush(self) -> None:
-        """Make sure that all is written, as an error at the very end could not be reported."""
+        """Write everything now: an error at the very end could not be reported."""
         self._out.flush()
 
     @contextmanager
     def progress(self) -> Iterator['Progress']:
-        """Show progress on stderr while the work in this context goes on."""
+        """Show progress on stderr while the work in this context runs."""
         progress = Progress(self._err, _is_terminal(self._err))
         try:
             yield progress
@@ -145,7 +145,7 @@ class Progress:
     """One line that says what is being done, how far it is, and how long it will take."""
 
     def __init__(self, stream: TextIO, shown: bool) -> None:
-        """Start to take the time."""
+        """Start the clock."""
         self._stream = stream
         self._shown = shown
         self._start = time.monotonic()
@@ -172,7 +172,7 @@ class Progress:
 
 
 def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:
-    """Return a line with a bar and the time left (s), as far as the stage does not tell it."""
+    """Return a line with a bar, and the time left (s) unless the stage already gives it."""
     if fraction is None:
         return f'{stage} ...'
     done = min(max(fraction, 0.0), 1.0)
@@ -184,7 +184,7 @@ def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:
 
 
 def printable(text: str, kept: str = '') -> str:
-    """Return a text in which what a terminal would act upon is escaped: names may be hostile."""
+    """Return a text with control characters escaped: names may be hostile."""
     return ''.join(
         c if c.isprintable() or c in kept else c.encode('unicode_escape').decode() for c in text)
 
@@ -200,7 +200,7 @@ def _is_terminal(stream: TextIO) -> bool:
 
 
 def _write(stream: TextIO, text: str) -> None:
-    """Print a line in what the stream's encoding has."""
+    """Print a line in the characters that the stream's encoding has."""
     try:
         text.encode(stream.encoding or 'utf-8')
     except UnicodeEncodeError:
@@ -223,7 +223,7 @@ def with_error(value: float, error: float, unit: str = '') -> str:
 
 
 def _width() -> int:
-    """Return how wide sentences are: as the terminal, but no wider than is read with ease."""
+    """Return the width of sentences: that of the terminal, at most what is easy to read."""
     return max(min(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns), NARROWEST)
 
 
@@ -285,7 +285,7 @@ ENDING = (signal.SIGTERM, signal.SIGHUP)
 
 
 class Ended(BaseException):
-    """A signal has asked this process to end; raised wherever the work is, as Ctrl-C is."""
+    """A signal that ends this process; raised wherever the work is, as Ctrl-C is."""
 
     def __init__(self, number: int) -> None:
         """Remember which one."""
@@ -322,7 +322,7 @@ def ended_in_order() -> Iterator[None]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Put these signals and Ctrl-C off while finished work is written: all of it or nothing."""
+    """Hold these signals and Ctrl-C back while finished work is written: all of it or nothing."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _say(found: 'Info', console: Console) -> None:
-    """Print the topics, the roles and what to know."""
+    """Print the topics, their roles and notes."""
     console.say(f'Recording {found.path}', 'bold')
     console.table(_topic_rows(found))
     for topic in found.topics:

@@ -96,7 +96,7 @@ def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def add_force_option(parser: argparse.ArgumentParser, what: str = 'a recording') -> None:
-    """Add --force, which replaces what is there."""
+    """Add --force, which replaces existing output."""
     parser.add_argument(
         '--force', action='store_true', help=f'replace {what} that already exists')
 

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Write the page, or say what is wrong with the result."""
+    """Check the result file, then write the page."""
     from bellows_ros.files.results import content_of, read_result
 
     content = read_result(arguments.fit)
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _report(arguments: argparse.Namespace, content: dict[str, Any], console: Console) -> int:
-    """Read again, write, say."""
+    """Read the recordings again, write, report."""
     from bellows_ros.files.atomic import write_text
     from bellows_ros.report.build import identification_report
     from bellows_ros.workflows.report import changed_recordings, read_again

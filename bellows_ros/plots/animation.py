@@ -55,7 +55,7 @@ def write_animation(
     note : str
         Which recording and cup.
     theme : {'light', 'dark'}
-        For paper or for the dark.
+        Colours for a light or a dark background.
     progress : callable, optional
         Called with what is being done and the part (0 to 1) that is done.
     speed : float
@@ -254,7 +254,7 @@ def _mp4(pictures: Iterator[Any], rate_hz: float, ffmpeg: str) -> bytes:
                    f'{width}x{height}', '-r', f'{rate_hz:g}', '-i', '-', '-pix_fmt', 'yuv420p',
                    '-movflags', '+faststart', str(target)]
         with subprocess.Popen(command, stdin=subprocess.PIPE) as process, \
-                suppress(BrokenPipeError):  # it has ended early: its code tells
+                suppress(BrokenPipeError):  # it has ended early; its exit code is checked below
             for frame in chain((first,), pictures):
                 process.stdin.write(frame.tobytes())  # type: ignore[union-attr]
         if process.returncode != 0:

@@ -21,7 +21,7 @@ def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
     note : str
         For which cup and arm.
     theme : {'light', 'dark'}
-        For paper or for the dark.
+        Colours for a light or a dark background.
 
     Returns
     -------

@@ -33,7 +33,7 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     note : str
         Which recording and cup.
     theme : {'light', 'dark'}
-        For paper or for the dark.
+        Colours for a light or a dark background.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     note : str
         Which recording and cup.
     theme : {'light', 'dark'}
-        For paper or for the dark.
+        Colours for a light or a dark background.
 
     Returns
     -------

@@ -91,7 +91,7 @@ def pairs(figure: Any, **place: float) -> list[tuple[Any, Any]]:
 
 
 def draw_strip(panel: Any, seconds: Array, values: Array, theme: Theme) -> None:
-    """Draw what is left over, about zero and to its own scale."""
+    """Draw a difference about zero, to a scale of its own."""
     panel.axhline(0.0, color=theme.quiet, linewidth=0.6)
     panel.plot(seconds, values, color=theme.error, linewidth=0.6)
     reach = 1.15 * max(float(np.nanmax(np.abs(values))), 1e-3)

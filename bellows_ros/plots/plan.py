@@ -34,7 +34,7 @@ def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
     note : str
         Which plan and cup.
     theme : {'light', 'dark'}
-        For paper or for the dark.
+        Colours for a light or a dark background.
 
     Returns
     -------
@@ -42,7 +42,7 @@ def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
 
     """
     curves = report.curves
-    assert curves is not None  # noqa: S101 (whoever draws has asked for them)
+    assert curves is not None  # noqa: S101 (a report to be drawn has them)
     values, std = curves.values, curves.std
     offset = values[:, :3] - curves.tool
     note = f'{note}; bands: two standard deviations'
@@ -120,7 +120,7 @@ def margin_figure(margins: Margins, note: str, theme: str = 'light') -> Any:
     note : str
         Which recording and cup.
     theme : {'light', 'dark'}
-        For paper or for the dark.
+        Colours for a light or a dark background.
 
     Returns
     -------

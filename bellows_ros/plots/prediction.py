@@ -37,7 +37,7 @@ def prediction_figure(
     title, note : str
         What is shown, and under which conditions.
     theme : {'light', 'dark'}
-        For paper or for the dark.
+        Colours for a light or a dark background.
 
     Returns
     -------

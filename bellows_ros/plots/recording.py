@@ -23,7 +23,7 @@ def motion_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
     note : str
         Which recording.
     theme : {'light', 'dark'}
-        For paper or for the dark.
+        Colours for a light or a dark background.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def spectra_figure(spectra: Spectra, note: str, theme: str = 'light') -> Any:
     note : str
         Which recording.
     theme : {'light', 'dark'}
-        For paper or for the dark.
+        Colours for a light or a dark background.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def path_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
     note : str
         Which recording.
     theme : {'light', 'dark'}
-        For paper or for the dark.
+        Colours for a light or a dark background.
 
     Returns
     -------

@@ -22,7 +22,7 @@ def steer_figure(motions: Mapping[str, Any], note: str, theme: str = 'light') ->
     note : str
         Which plan and cup.
     theme : {'light', 'dark'}
-        For paper or for the dark.
+        Colours for a light or a dark background.
 
     Returns
     -------

@@ -24,7 +24,7 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
     title : str
         Over the picture.
     theme : {'light', 'dark'}
-        For paper or for the dark.
+        Colours for a light or a dark background.
 
     Returns
     -------

@@ -38,7 +38,7 @@ ENDING = '.rrd'
 TIMELINE = 'time'
 CUPS_PER_SECOND = 60.0
 ARM, AXES_LENGTH = 0.10, 0.04  # m, of what is drawn
-EYE = np.array([0.5, -1.0, 0.35])  # from what is seen, in parts of its size
+EYE = np.array([0.5, -1.0, 0.35])  # from the centre of the scene, in parts of its size
 COLOURS = THEMES['dark']
 XYZ_COLOURS = ((232, 88, 88), (86, 190, 96), (92, 138, 255))
 

@@ -88,7 +88,7 @@ def _intervals(
 
 
 def _facts(content: Mapping[str, Any]) -> list[str]:
-    """Return what else is known about a fit."""
+    """Return samples, condition number and chi squared of a fit."""
     condition = content['condition_number']
     found = [
         f'{content["samples_used"]} samples used, {content["samples_rejected"]} left out.',

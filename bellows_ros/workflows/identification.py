@@ -46,7 +46,7 @@ UNKNOWN_STD = 1e9
 """Stands in parameter files for the standard error of an entry of which nothing is known."""
 
 NARROWED = 0.95
-"""A standard error above this part of what it was is not worth a word."""
+"""Standard errors are mentioned if they fall below this ratio."""
 
 FREED = {
     'com': ('package.com', 'm'), 'length': ('cup.length', 'm'),

@@ -123,7 +123,7 @@ class PlanReport:
     curves : Curves or None
         For a picture, where one is wanted.
     outside : tuple of str
-        What of the plan lies outside of what the identification has seen.
+        Where the plan leaves the validity range of the cup.
     fastest : Fastest or None
         The shortest time scale that is safe, where it was sought and there is one.
     sought : bool
@@ -153,7 +153,7 @@ class PlanReport:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return what somebody should know before the motion."""
+        """Return warnings about the motion."""
         found = list(self.source.notes)
         if not self.prediction.grip_known:
             found.append(NO_GRIP)
@@ -188,7 +188,7 @@ class PlanReport:
 
 
 def safety_sentence(factor: float, mode: str, time: float, std: float, least: float) -> str:
-    """Return what there is to say of a safety factor that is too small, or nothing."""
+    """Return a sentence about a safety factor that is too small, else ''."""
     sigma = f' ± {std:.2g}' if std > 0.0 else ''
     finding = f'The smallest safety factor is {factor:.3g}{sigma} ({mode}, at {time:.3f} s)'
     if factor < 1.0:
@@ -308,7 +308,7 @@ def factors_along(
 
 
 def standing(tool: Trajectory, seconds: float) -> Trajectory:
-    """Return a plan with so much time (s) of standing still at its end."""
+    """Return a plan with a standstill of that many seconds added at its end."""
     count = round(seconds / STANDING_STEP)
     if count == 0:
         return tool
@@ -390,7 +390,7 @@ def _checked(
 
 def require_frame(frame_id: str, values: Mapping[str, Any]) -> None:
     """
-    Refuse a plan in another frame than wanted.
+    Refuse a plan in a frame other than plan.frame.
 
     Raises
     ------

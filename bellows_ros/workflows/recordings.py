@@ -38,13 +38,13 @@ NO_OFFSET = (
 """Said where a time offset is wanted and cannot be found."""
 
 WHOLE = {'recording.start': 0.0, 'recording.end': 0.0}
-"""What is read whole: plans, standstills, and what validates."""
+"""For what is read whole: plans, standstills, and recordings for validation."""
 
 ARRAYS = ('stamps_ns', 'position', 'rotation', 'linear', 'angular')
-"""What streams hold of each message."""
+"""The arrays of streams with an entry per message."""
 
 NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
-"""Stands for the inertia (kg m^2) of what hangs at rest, where it takes no part."""
+"""Placeholder for the inertia (kg m^2) of a package at rest, which does not matter."""
 
 
 OF_A_RECORDING = ('topics.', 'recording.', 'tool_twist.', 'gravity.direction')
@@ -102,7 +102,7 @@ def load(
 
 def inside(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask]:
     """
-    Say which stamps are from recording.start to recording.end.
+    Return masks of the stamps from recording.start to recording.end.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def values_of_each(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 def values_of_static(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """
-    Return the parameters for each of `static.bags`, with what hung there.
+    Return the parameters for each of `static.bags`, with its own package.
 
     Raises
     ------
@@ -294,7 +294,7 @@ def _each(
 
 
 def prepare_settings(values: Mapping[str, Any]) -> PrepareSettings:
-    """Return the settings of the preparation that parameters stand for."""
+    """Return the settings of the preparation, from parameters."""
     require(values, RECORDING_PARAMETERS)
     return PrepareSettings(
         world=values['recording.world'],

@@ -80,7 +80,7 @@ def _products(units: Any) -> list[list[str]]:
 
 
 def excitation_json(excitation: Excitation) -> dict[str, Any]:
-    """Return what recordings can tell, for a JSON file; what is not known is null."""
+    """Return what is identifiable from recordings, for a JSON file; null is unknown."""
     units = dict(zip(
         structure_named(excitation.structure).labels,
         parameter_units(structure_named(excitation.structure)), strict=True))

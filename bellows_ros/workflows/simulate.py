@@ -51,17 +51,17 @@ BENDING_LIMIT = math.radians(45.0)
 """Beyond this bending (rad) the modelled restoring moment falls."""
 
 SAMPLES_PER_PERIOD = 100.0
-"""The tool's motion is simulated with so many samples in the shortest period of the motion ..."""
+"""The tool is simulated with this many samples in the shortest period of its motion ..."""
 STEPS_PER_LARGEST = 2.5
-"""... and so many in the longest step that is stable. Both keep the truth right to 1e-9 m."""
+"""... and this many in the longest stable step. Both keep the truth accurate to 1e-9 m."""
 LEAST_RATE = 500.0
 """... and at least at this rate, Hz."""
 LARGEST_COUNT = 5_000_000
-"""So many samples are simulated at most."""
+"""Most samples of a simulation."""
 
 
 class Event(NamedTuple):
-    """An outlier or a dropout that was put in: topic, kind, and when it began, s."""
+    """A simulated outlier or dropout: its topic, its kind, and when it began, s."""
 
     topic: str
     kind: str
@@ -90,7 +90,7 @@ class SimulationReport:
     largest_bending_time : float
         When it was reached, s after the beginning.
     warnings : tuple of str
-        What the reader should know before using the recording.
+        What to know before using the recording.
     margin : Margin or None
         The smallest safety factor of the grip while the package is held; None if not known.
     tosses : tuple of Thrown
@@ -215,11 +215,11 @@ def simulate_recording(
 
 
 def _output_files(bag: Path, truth: bool, replace: bool) -> Path | None:
-    """Refuse a recording that is in the way, before the work; return where the truth goes."""
+    """Refuse to overwrite a recording, before any work; return the file for the truth."""
     if os.path.lexists(bag) and not replace:
         raise BellowsError(f"Output '{bag}' exists. Give another name, or remove it first.")
     if not os.path.lexists(bag):
-        atomic.require_file_target(bag)  # the folder around it is there
+        atomic.require_file_target(bag)  # its folder exists
     return atomic.require_file_target(bag.with_name(f'{bag.name}_truth.npz')) if truth else None
 
 

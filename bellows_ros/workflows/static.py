@@ -29,7 +29,7 @@ import numpy as np
 Progress = Callable[[str, float], None]
 
 StaticBag = tuple[str, Mapping[str, Any]]
-"""A recording, and the parameters of its own: what it held where that is not what others say."""
+"""A recording, and the parameters that hold for it alone, such as its package."""
 
 LENGTHS_AGREE_WITHIN = 3e-4
 """A cup.length that differs by more than this (m) from the one found is warned about."""
@@ -161,7 +161,7 @@ def read_standstills(values: Mapping[str, Any], tell: Progress) -> StaticResult:
 
 
 def static_bags(values: Mapping[str, Any]) -> list[StaticBag]:
-    """Return the recordings that the parameter `static.bags` names, with what hung there."""
+    """Return the recordings of the parameter `static.bags`, each with its package."""
     return [
         (os.fspath(bag), {name: own[name] for name in PACKAGE_PARAMETERS})
         for bag, own in zip(values['static.bags'], values_of_static(values), strict=True)
@@ -189,8 +189,8 @@ def static_check(
     Raises
     ------
     BellowsError
-        If a parameter or a recording is not usable, or there is neither a nominal length nor a
-        spring to be had from them.
+        If a parameter or a recording is not usable, or they give neither a nominal length nor a
+        check of the spring.
 
     """
     if not bags:
@@ -224,7 +224,7 @@ def _read(
     each: Sequence[tuple[str | os.PathLike[str], Mapping[str, Any]]], values: Mapping[str, Any],
     tell: Progress,
 ) -> StaticResult:
-    """Return what recordings tell, each with its parameters; twists are not seen at rest."""
+    """Return the result of recordings, each with its parameters; twists do not matter at rest."""
     recordings = []
     for number, (bag, own) in enumerate(each):
         tell(f'reading {os.fspath(bag)}', number / len(each))

@@ -29,7 +29,7 @@ from bellows_ros.workflows.plan import NO_GRIP, read_plan, Source, standing
 import numpy as np
 
 TAIL = 2.0
-"""How long (s) after the end the swing is looked at."""
+"""Duration after the end of the motion for which the swing is predicted, s."""
 
 
 class Motion(NamedTuple):
@@ -46,7 +46,7 @@ class Motion(NamedTuple):
     wanted: Trajectory
     """Where B is wanted, N points."""
     expected_swing: float
-    """Root of the mean square of the swing left over what is uncertain, rad."""
+    """RMS of the remaining swing over the uncertainty of cup and package, rad."""
 
     @property
     def seconds(self) -> Array:
@@ -95,11 +95,11 @@ class SteerReport:
     steered : Steered
         By the method.
     time_scale : float
-        How many times as long the motion was made for the limits.
+        Factor by which the motion was slowed down for the limits.
     limit : str
-        Which limit was the last reason for that.
+        The limit that required this.
     uncertain : bool
-        Whether anything is known of how sure the parameters are.
+        Whether the uncertainty of any parameter is known.
     values : mapping
         All parameters.
 
@@ -117,7 +117,7 @@ class SteerReport:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return what somebody should know of the motion."""
+        """Return notes on the motion."""
         found = list(self.source.notes)
         if self.steered.smoothed > 0.0:
             found.append(

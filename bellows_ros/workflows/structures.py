@@ -19,16 +19,16 @@ Progress = Callable[[str, float], None]
 @dataclass(frozen=True, eq=False)
 class StructureAdvice:
     """
-    What recordings tell, and the structures compared.
+    What is identifiable from recordings, and a comparison of structures.
 
     Parameters
     ----------
     excitation : Excitation
         For the structure of the parameter fit.structure.
     selection : StructureSelection
-        The structures with their marks.
+        The structures with their criteria.
     recordings : tuple of Recording
-        That it was taken from.
+        That were read.
     values : mapping
         All parameters.
 
@@ -41,7 +41,7 @@ class StructureAdvice:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user must know: of the excitation, then of the recordings."""
+        """Warnings about the excitation, then about the recordings."""
         of_recordings = (text for own in self.recordings for text in own.report.warnings)
         return (*self.excitation.warnings, *of_recordings)
 
@@ -61,7 +61,7 @@ def structures(
     settings: Mapping[str, object], progress: Progress | None = None
 ) -> StructureAdvice:
     """
-    Say what the recordings that the parameter `bags` names can tell, and compare structures.
+    Find what is identifiable from the recordings of the parameter `bags`; compare structures.
 
     Parameters
     ----------

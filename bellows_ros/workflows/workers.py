@@ -111,7 +111,7 @@ def _alone(joblib: Any, task: Task, item: Work) -> Outcome:
 
 
 def _tried(task: Task, number: int, bag: str, values: Mapping[str, Any], **more: Any) -> Outcome:
-    """Return what a task makes of a recording, or why there is none, whatever went wrong."""
+    """Return the result of a task on a recording, or the reason of any failure."""
     try:
         return number, task(bag, values, **more)
     except BellowsError as error:
@@ -121,7 +121,7 @@ def _tried(task: Task, number: int, bag: str, values: Mapping[str, Any], **more:
 
 
 def _broken(number: int, bag: str, error: Exception) -> Outcome:
-    """Return what is said of a recording on which the work broke off."""
+    """Return the failure of the work on a recording."""
     return number, Failed(bag, f'{type(error).__name__}: {error}')
 
 
@@ -130,7 +130,7 @@ def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]
     distributed = _imported('distributed', 'dask', '--dask')
     logging.getLogger('distributed.client').setLevel(logging.CRITICAL)  # errors are reported here
     try:
-        # A client that reaches nobody cannot be closed; so it is made where somebody answers.
+        # A client without a scheduler cannot be closed: look for the scheduler first.
         asyncio.run(_reach(distributed, address))
         client = distributed.Client(address, timeout=ANSWER_WITHIN, set_as_default=False)
     except (OSError, ValueError, TypeError, TimeoutError) as error:
@@ -150,7 +150,7 @@ def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]
 
 
 async def _reach(distributed: Any, address: str) -> None:
-    """Connect to a scheduler and take leave."""
+    """Connect to a scheduler, and close the connection."""
     comm = await distributed.comm.connect(address, timeout=ANSWER_WITHIN)
     await comm.close()
 
@@ -170,7 +170,7 @@ def _result_of(future: Any, number: int, bag: str, address: str) -> Outcome:
 
 
 def _imported(module: str, extra: str, option: str) -> Any:
-    """Return an optional module, or say how to get it."""
+    """Return an optional module; raise BellowsError with the way to install it."""
     try:
         return importlib.import_module(module)
     except ImportError:
