@@ -93,8 +93,10 @@ class Console:
             if file not in ('', '-'):
                 self.say(f'Wrote {file}.')
 
-    def table(self, rows: Sequence[Sequence[str]], right: bool = False) -> None:
+    def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
         """Print rows in columns, indented; all but the first right-aligned if wanted."""
+        if title:
+            self.say(title, 'bold')
         for line in aligned(rows, right):
             self.say(f'  {line}'.rstrip())
 

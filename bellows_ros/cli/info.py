@@ -67,8 +67,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(found: 'Info', console: Console) -> None:
     """Print the topics, their roles and notes."""
-    console.say(f'Recording {found.path}', 'bold')
-    console.table(_topic_rows(found))
+    console.table(_topic_rows(found), title=f'Recording {found.path}')
     for topic in found.topics:
         for line in _facts(topic):
             console.paragraph(f'  {topic.name}: {line}')

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Sequence
+from itertools import permutations
 import os
 from pathlib import Path
 import re
@@ -207,21 +208,18 @@ def parse_override(text: str) -> 'tuple[str, Value]':
 
 
 def _parsed(parameter: 'Parameter', text: str) -> object:
-    """Return a value in the parameter's kind, or the text itself where it is none."""
-    if parameter.kind == 'string':
-        return _unquoted(text)
-    if parameter.kind == 'string_array':
-        return [_unquoted(item.strip()) for item in _inside(text).split(',') if item.strip()]
-    if parameter.kind == 'double_array':
-        return [_number(item) for item in re.split(r'[,\s]+', _inside(text)) if item]
-    if parameter.kind == 'bool':
-        return {'true': True, 'false': False}.get(text.lower(), text)
+    """Return a value in the parameter's kind, or the text itself if it is none."""
+    items = text.removeprefix('[').removesuffix(']').strip()
+    match parameter.kind:
+        case 'string':
+            return _unquoted(text)
+        case 'string_array':
+            return [_unquoted(item.strip()) for item in items.split(',') if item.strip()]
+        case 'double_array':
+            return [_number(item) for item in re.split(r'[,\s]+', items) if item]
+        case 'bool':
+            return {'true': True, 'false': False}.get(text.lower(), text)
     return _number(text)
-
-
-def _inside(text: str) -> str:
-    """Return a list's items without its brackets."""
-    return text.removeprefix('[').removesuffix(']').strip()
 
 
 def _unquoted(text: str) -> str:
@@ -271,9 +269,8 @@ def require_outputs(outputs: 'Iterable[str]', inputs: 'Iterable[str | Path]') ->
         require_no_input(output, read)
         require = require_folder_target if isinstance(output, Folder) else require_file_target
         targets.append(Path(os.path.realpath(require(output))))
-    for i, target in enumerate(targets):
-        if any(target == other or other in target.parents
-               for other in [*targets[:i], *targets[i + 1:]]):
+    for target, other in permutations(targets, 2):
+        if target == other or other in target.parents:
             raise BellowsError(
                 f"Two outputs have the same name, or one lies in the other: '{target}'. Rename "
                 'one.')

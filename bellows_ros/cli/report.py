@@ -2,7 +2,6 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from bellows_ros.errors import BellowsError
 
@@ -35,8 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Check the result file, then write the page."""
+    """Read the result and its recordings again, write the page, report."""
+    from bellows_ros.files.atomic import write_text
     from bellows_ros.files.results import content_of, read_result
+    from bellows_ros.report.build import identification_report
+    from bellows_ros.workflows.report import changed_recordings, read_again
 
     content = read_result(arguments.fit)
     settings = content.get('settings')
@@ -44,30 +46,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         raise BellowsError(
             f"Result '{arguments.fit}' does not name its recordings. Identify the cup again with "
             '--json.')
-    with content_of(arguments.fit):
-        return _report(arguments, content, console)
-
-
-def _report(arguments: argparse.Namespace, content: dict[str, Any], console: Console) -> int:
-    """Read the recordings again, write, report."""
-    from bellows_ros.files.atomic import write_text
-    from bellows_ros.report.build import identification_report
-    from bellows_ros.workflows.report import changed_recordings, read_again
-
-    bags = [str(recording['bag']) for recording in content['recordings']]
-    options.require_named_outputs(arguments, bags)
-    with console.progress() as progress:
+    with content_of(arguments.fit), console.progress() as progress:
+        bags = [str(recording['bag']) for recording in content['recordings']]
+        options.require_named_outputs(arguments, bags)
         found = read_again(content, arguments.validation, progress)
         write_text(arguments.out, identification_report(content, *found))
-    others = changed_recordings(content)
+        others = changed_recordings(content)
     options.put_json(arguments.json, {
         'file': arguments.out, 'changed_recordings': others,
-        'validations': [validation.as_json() for validation in found.validations],
-    })
-    for bag in others:
-        console.warn(f'{bag} has changed since the cup was identified from it.')
-    for validation in found.validations:
-        for warning in validation.warnings:
-            console.warn(f'{validation.bag}: {warning}')
+        'validations': [validation.as_json() for validation in found.validations]})
+    console.warn(*(f'{bag} has changed since the cup was identified from it.' for bag in others))
+    console.warn(*(f'{validation.bag}: {warning}' for validation in found.validations
+                   for warning in validation.warnings))
     console.wrote(arguments.out)
     return OK

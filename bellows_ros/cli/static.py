@@ -98,8 +98,7 @@ def _bags(
 
 def _say(result: 'StaticResult', console: Console) -> None:
     """Print standstills, length and spring."""
-    console.say('Standstills', 'bold')
-    console.table(_standstill_rows(result), right=True)
+    console.table(_standstill_rows(result), right=True, title='Standstills')
     console.say()
     _say_length(result, console)
     if result.spring is not None:

@@ -50,18 +50,16 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 def _say(result: 'StructureAdvice', console: Console) -> None:
     """Print the excitation, the candidates and the advice."""
     excitation, selection = result.excitation, result.selection
-    console.say('Excitation of the lip, relative to the tool', 'bold')
-    console.table(_axis_rows(result), right=True)
+    console.table(
+        _axis_rows(result), right=True, title='Excitation of the lip, relative to the tool')
     console.say()
-    console.say('Identifiability, by least squares', 'bold')
-    console.table(_parameter_rows(result), right=True)
+    console.table(_parameter_rows(result), right=True, title='Identifiability, by least squares')
     console.paragraph(
         f'Rank {excitation.rank} of {excitation.size}, scaled condition number '
         f'{excitation.condition_number:.3g}.'
     )
     console.say()
-    console.say('Structures', 'bold')
-    console.table(_candidate_rows(result), right=True)
+    console.table(_candidate_rows(result), right=True, title='Structures')
     console.paragraph(
         f'{selection.samples} samples, equivalent to {selection.effective_samples:.0f} '
         'independent ones.'

@@ -278,15 +278,12 @@ def _origins(paths: Sequence[str | os.PathLike[str]]) -> tuple[Mapping[str, Any]
 
 
 def _static(values: Mapping[str, Any], tell: Progress) -> 'StaticResult | None':
-    """Return the recordings of standstills, where there are any, with the length they give."""
+    """Return the result of the recordings of standstills, if there are any."""
     if not values['static.bags']:
         return None
     from bellows_ros.workflows.static import read_standstills
 
-    found = read_standstills({**values, **WHOLE}, tell)
-    if found.length and values['static.length']:
-        return replace(found, cup_length=found.length.length)
-    return found
+    return read_standstills({**values, **WHOLE}, tell)
 
 
 def read_part(

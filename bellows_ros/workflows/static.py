@@ -138,6 +138,8 @@ def read_standstills(values: Mapping[str, Any], tell: Progress) -> StaticResult:
     """
     Return what follows from the recordings that the parameter `static.bags` names.
 
+    With static.length, the cup has the length that was found.
+
     Parameters
     ----------
     values : mapping
@@ -153,11 +155,13 @@ def read_standstills(values: Mapping[str, Any], tell: Progress) -> StaticResult:
     """
     own = zip(values['static.bags'], values_of_static(values), strict=True)
     found = _read(list(own), values, lambda what, part: tell(what, 0.0))
-    if found.length is None and values['static.length']:
+    if not values['static.length']:
+        return found
+    if found.length is None:
         raise BellowsError(f'static.length is set, but: {found.no_length}')
-    if found.length and values['static.length'] and not np.isfinite(found.length.length_std):
+    if not np.isfinite(found.length.length_std):
         raise BellowsError(f'static.length is set, but: {found.length.warnings[0]}')
-    return found
+    return replace(found, cup_length=found.length.length)
 
 
 def static_bags(values: Mapping[str, Any]) -> list[StaticBag]:
