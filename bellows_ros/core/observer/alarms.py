@@ -19,6 +19,7 @@ from typing import NamedTuple
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.jit import kernel
 from bellows_ros.core.observer.filter import (
+    add_product,
     FORCE,
     LENGTHENED,
     LENGTHENING,
@@ -76,8 +77,7 @@ LOOKED_FOR = START + tuple(cause for cause in CAUSES if cause.sets_in)
 ROWS = tuple(row for cause in LOOKED_FOR for row in cause.rows)
 FIRSTS = tuple(np.cumsum([0, *(len(cause.rows) for cause in LOOKED_FOR)]).tolist())
 """Where the numbers of each begin, and where the last end."""
-AT_START, N_START = len(START), FIRSTS[len(START)]
-N_LATER = len(ROWS) - N_START
+AT_START = len(START)
 OF_CAUSE = tuple(CAUSES.index(cause) for cause in LOOKED_FOR)
 SHARES = tuple(math.log(cause.share) for cause in CAUSES)
 USUAL = tuple(std for cause in LOOKED_FOR for std in cause.usual)
@@ -92,6 +92,13 @@ ONSETS, DENSE_NS, OLDEST_NS = 28, 550_000_000, 10_000_000_000
 So many of them, beside the beginning: all of a time (ns), what is older farther apart, and nothing
 that is older than this (ns): all that falls for long has fallen out of any number's range.
 """
+
+SLOTS = (1,) * AT_START + (ONSETS,) * (len(LOOKED_FOR) - AT_START)
+"""Onsets of each that is looked for, ..."""
+COLUMNS = tuple(np.cumsum([0, *(
+    slots for cause, slots in zip(LOOKED_FOR, SLOTS, strict=True) for _ in cause.rows)]).tolist())
+"""... and where the errors by each number begin, one for each onset, and where the last end."""
+LARGEST = max(len(cause.rows) for cause in LOOKED_FOR)
 
 OVERSHOOT = 1.2
 """
@@ -147,9 +154,9 @@ class Alarms:
     def forget(self) -> None:
         """Begin anew."""
         self.last_ns = -1
-        self._E: Array = np.zeros((EXTENDED, N_START + ONSETS * N_LATER))
-        self._information: Array = np.zeros((1 + ONSETS, N_START, N_START))
-        self._evidence: Array = np.zeros((1 + ONSETS, N_START))
+        self._E: Array = np.zeros((EXTENDED, COLUMNS[-1]))
+        self._information: Array = np.zeros((len(ROWS), LARGEST, ONSETS))
+        self._evidence: Array = np.zeros((len(ROWS), ONSETS))
         self._distances: Array = np.zeros(1 + ONSETS)  # the sum of the squared ones since each
         self._counts: Stamps = np.zeros(1 + ONSETS, np.int64)  # of measurements since each
         self._onsets: Stamps = np.full(1 + ONSETS, -1, np.int64)  # stamps
@@ -193,9 +200,8 @@ class Alarms:
     def _size(self, onset: int, which: int) -> float:
         """Return the most likely size of a fault: of a vector its length, of the first three."""
         usual = np.array(LOOKED_FOR[which].usual)
-        first = FIRSTS[which] - (N_START if onset else 0)
-        part = slice(first, first + len(usual))
-        J, d = self._information[onset, part, part], self._evidence[onset, part]
+        part, slot = slice(*FIRSTS[which:which + 2]), max(onset - 1, 0)
+        J, d = self._information[part, :len(usual), slot], self._evidence[part, slot]
         J = np.tril(J) + np.tril(J, -1).T
         found = np.linalg.solve(J + np.diag(usual ** -2.0), d)
         return float(np.linalg.norm(found[:3]))
@@ -223,8 +229,7 @@ def _step(
     if stamp_ns - onsets.max() >= ONSET_NS:
         k = _place(onsets, stamp_ns)
         onsets[k], distances[k], counts[k] = stamp_ns, 0.0, 0
-        information[k], evidence[k] = 0.0, 0.0
-        _set_in(E, k)
+        _set_in(E, information, evidence, k)
     _pass_on(E, M, product(M[:12], E[:GONE], np.empty((12, E.shape[1]))))
     made = product(_sight(H, position, quaternion_xyzw), E, np.empty((6, E.shape[1])))
     seen = product(root, made, np.empty((6, E.shape[1])))
@@ -233,12 +238,10 @@ def _step(
         if onsets[k] >= 0:
             distances[k] += distance
             counts[k] += 1
-            _compare(seen, z, k, information[k], evidence[k])
+    for what in range(len(SLOTS)):
+        _compare(seen, z, what, information, evidence)
     if used:
-        taken_out = product(gain, made, np.empty((22, E.shape[1])))
-        for i in range(22):
-            for c in range(E.shape[1]):
-                E[i, c] -= taken_out[i, c]
+        add_product(-gain, made, E[:22])
     return _judged(information, evidence, distances, counts)
 
 
@@ -262,19 +265,13 @@ def _place(onsets: Stamps, stamp_ns: int) -> int:
 
 
 @kernel
-def _columns(k: int) -> tuple[int, int, int]:
-    """Return an onset's first column, and its first and last number but one in `ROWS`."""
-    if k == 0:
-        return 0, 0, N_START
-    return N_START + (k - 1) * N_LATER, N_START, N_START + N_LATER
-
-
-@kernel
-def _set_in(E: Array, k: int) -> None:
+def _set_in(E: Array, J: Array, d: Array, k: int) -> None:
     """Write the error that each number of a size makes where it sets in."""
-    column, first, end = _columns(k)
-    for a in range(first, end):
-        c, row = column + a - first, ROWS[a]
+    for a in range(FIRSTS[0 if k == 0 else AT_START], FIRSTS[AT_START if k == 0 else -1]):
+        slot = max(k - 1, 0)
+        c, row = COLUMNS[a] + slot, ROWS[a]
+        d[a, slot] = 0.0
+        J[a, :, slot] = 0.0
         E[:, c] = 0.0
         E[row, c] = 1.0
         if k > 0 and 13 <= row <= 14:  # a package that slips moves, its lip does not
@@ -303,25 +300,29 @@ def _sight(H: Array, position: Vector, quaternion_xyzw: Quaternion) -> Array:
 def _pass_on(E: Array, M: Array, state: Array) -> None:
     """Write what becomes of the state's error, and let the faults go on as they do."""
     last = M[12]
-    for i in range(12):
-        E[i] = state[i]
-    E[LENGTHENED] += last[0] * E[LENGTHENING]
-    for i in range(3):
-        E[FALL + i] += last[0] * E[SPEED + i] + last[4 + i] * E[GONE]
-        E[SPEED + i] += last[1 + i] * E[GONE]
+    for c in range(E.shape[1]):
+        for i in range(12):
+            E[i, c] = state[i, c]
+        E[LENGTHENED, c] += last[0] * E[LENGTHENING, c]
+        for i in range(3):
+            E[FALL + i, c] += last[0] * E[SPEED + i, c] + last[4 + i] * E[GONE, c]
+            E[SPEED + i, c] += last[1 + i] * E[GONE, c]
 
 
 @kernel
-def _compare(seen: Array, z: Array, k: int, J: Array, d: Array) -> None:
-    """Add what a measurement says of the sizes of the faults at an onset; J below its diagonal."""
-    column, first, _ = _columns(k)
-    for what in range(0 if k == 0 else AT_START, AT_START if k == 0 else len(OF_CAUSE)):
-        for a in range(FIRSTS[what] - first, FIRSTS[what + 1] - first):
-            for i in range(6):
-                part = seen[i, column + a]
-                d[a] += part * z[i, 0]
-                for b in range(FIRSTS[what] - first, a + 1):
-                    J[a, b] += part * seen[i, column + b]
+def _compare(seen: Array, z: Array, what: int, J: Array, d: Array) -> None:
+    """Add what a measurement says of the sizes of a fault; J below its diagonal."""
+    first, m = FIRSTS[what], SLOTS[what]
+    for a in range(FIRSTS[what + 1] - first):
+        column = COLUMNS[first + a]
+        for i in range(6):
+            one = seen[i, column:column + m]
+            for k in range(m):
+                d[first + a, k] += one[k] * z[i, 0]
+            for b in range(a + 1):
+                other = seen[i, COLUMNS[first + b]:COLUMNS[first + b] + m]
+                for k in range(m):
+                    J[first + a, b, k] += one[k] * other[k]
 
 
 @kernel
@@ -331,16 +332,20 @@ def _judged(
     """Return what `_step` does."""
     top, sums = np.full(len(SHARES), -math.inf), np.zeros(len(SHARES))
     onset, which = np.zeros(len(SHARES), np.int64), np.zeros(len(SHARES), np.int64)
-    A, z = np.empty((6, 6)), np.empty(6)
-    for k in range(len(counts)):
-        usual = 6.0 * counts[k] + 4.0 * math.sqrt(12.0 * counts[k])
-        first, end = (0, AT_START) if k == 0 else (AT_START, len(OF_CAUSE))
-        for what in range(first, end if counts[k] >= LEAST else first):
-            explained, spread = _explained(information[k], evidence[k], k, what, A, z)
-            if distances[k] - explained > usual + UNEXPLAINED * explained:
+    A, z = np.empty((LARGEST, LARGEST, ONSETS)), np.empty((LARGEST, ONSETS))
+    explained, determinant = np.empty(ONSETS), np.empty(ONSETS)
+    for what in range(len(SLOTS)):
+        _explain(information, evidence, what, A, z, explained, determinant)
+        c, later = OF_CAUSE[what], what >= AT_START
+        for slot in range(SLOTS[what]):
+            k = slot + later
+            usual = 6.0 * counts[k] + 4.0 * math.sqrt(12.0 * counts[k])
+            if counts[k] < LEAST or (
+                    distances[k] - explained[slot] > usual + UNEXPLAINED * explained[slot]):
                 continue
-            ratio = 0.5 * explained - spread + (math.log(START_WEIGHS) if k == 0 else 0.0)
-            c = OF_CAUSE[what]
+            ratio = 0.5 * (explained[slot] - math.log(determinant[slot]))
+            if not later:
+                ratio += math.log(START_WEIGHS)
             if ratio > top[c]:
                 sums[c] = 1.0 + sums[c] * math.exp(top[c] - ratio)
                 top[c], onset[c], which[c] = ratio, k, what
@@ -360,33 +365,38 @@ def _judged(
 
 
 @kernel
-def _explained(
-    J: Array, d: Array, k: int, what: int, A: Array, z: Array
-) -> tuple[float, float]:
+def _explain(
+    J: Array, d: Array, what: int, A: Array, z: Array, explained: Array, determinant: Array
+) -> None:
     """
-    Return how much of the squared distances a fault explains, and the price of its freedom.
+    Write how much of the squared distances a fault explains, and the price of its freedom.
 
-    With J and d information and evidence of its numbers: z^T A^-1 z, and half of log det A, where
-    A = I + s J s and z = s d with s the numbers' usual sizes; beside what their mean explains.
-    A (6, 6) and z (6,) are room to work in.
+    With J and d information and evidence of its numbers, for each onset: z^T A^-1 z and det A,
+    where A = I + s J s and z = s d with s the numbers' usual sizes; beside what their mean
+    explains. A (6, 6, n) and z (6, n) are room to work in.
     """
-    base, n = FIRSTS[what], FIRSTS[what + 1] - FIRSTS[what]
-    first, explained, determinant = base - (N_START if k > 0 else 0), 0.0, 1.0
-    for i in range(n):  # A = L D L^T, z becomes L^-1 z
-        z[i] = USUAL[base + i] * d[first + i]
+    first, m = FIRSTS[what], SLOTS[what]
+    explained[:m], determinant[:m] = 0.0, 1.0
+    for i in range(FIRSTS[what + 1] - first):  # A = L D L^T, z becomes L^-1 z
+        a, usual = first + i, USUAL[first + i]
+        for k in range(m):
+            z[i, k] = usual * d[a, k]
+        if MEAN[a] != 0.0:  # it is the only number of its fault
+            for k in range(m):
+                explained[k] = 2.0 * d[a, k] - J[a, 0, k]
+                z[i, k] -= usual * J[a, 0, k]
         for j in range(i + 1):
-            A[i, j] = USUAL[base + i] * J[first + i, first + j] * USUAL[base + j]
-        if MEAN[base + i] != 0.0:  # it is the only number of its fault
-            a = J[first + i, first + i]
-            explained = 2.0 * d[first + i] - a
-            z[i] -= USUAL[base + i] * a
-        A[i, i] += 1.0
+            both, one = usual * USUAL[first + j], 1.0 if i == j else 0.0
+            for k in range(m):
+                A[i, j, k] = both * J[a, j, k] + one
         for j in range(i):
-            for m in range(j):
-                A[i, j] -= A[i, m] * A[j, m] * A[m, m]
-            A[i, j] /= A[j, j]
-            A[i, i] -= A[i, j] ** 2 * A[j, j]
-            z[i] -= A[i, j] * z[j]
-        explained += z[i] ** 2 / A[i, i]
-        determinant *= A[i, i]
-    return explained, 0.5 * math.log(determinant)
+            for n in range(j):
+                for k in range(m):
+                    A[i, j, k] -= A[i, n, k] * A[j, n, k] * A[n, n, k]
+            for k in range(m):
+                A[i, j, k] /= A[j, j, k]
+                A[i, i, k] -= A[i, j, k] ** 2 * A[j, j, k]
+                z[i, k] -= A[i, j, k] * z[j, k]
+        for k in range(m):
+            explained[k] += z[i, k] ** 2 / A[i, i, k]
+            determinant[k] *= A[i, i, k]

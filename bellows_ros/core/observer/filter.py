@@ -76,23 +76,33 @@ NOT_FOLLOWED: Array = np.zeros((0, 0))
 
 if COMPILED:
     @kernel
-    def product(A: Array, B: Array, out: Array) -> Array:
-        """Write A B, and return it: two columns of A at once, and none that are zero."""
+    def add_product(A: Array, B: Array, out: Array) -> Array:
+        """Add A B, and return the sum: four columns of A at once, and none that are zero."""
         n = A.shape[1]
         for i in range(A.shape[0]):
-            last = A[i, n - 1] if n % 2 else 0.0
-            for j in range(B.shape[1]):
-                out[i, j] = last * B[n - 1, j]
-            for k in range(0, n - 1, 2):
-                a, b = A[i, k], A[i, k + 1]
-                if a != 0.0 or b != 0.0:
+            for k in range(0, n - 3, 4):
+                a, b, c, d = A[i, k], A[i, k + 1], A[i, k + 2], A[i, k + 3]
+                if a != 0.0 or b != 0.0 or c != 0.0 or d != 0.0:
                     for j in range(B.shape[1]):
-                        out[i, j] += a * B[k, j] + b * B[k + 1, j]
+                        out[i, j] += (
+                            a * B[k, j] + b * B[k + 1, j] + c * B[k + 2, j] + d * B[k + 3, j])
+            for k in range(n - n % 4, n):
+                if A[i, k] != 0.0:
+                    for j in range(B.shape[1]):
+                        out[i, j] += A[i, k] * B[k, j]
         return out
 else:
-    def product(A: Array, B: Array, out: Array) -> Array:
-        """Write A B, and return it."""
-        return np.matmul(A, B, out=out)
+    def add_product(A: Array, B: Array, out: Array) -> Array:
+        """Add A B, and return the sum."""
+        out += A @ B
+        return out
+
+
+@kernel
+def product(A: Array, B: Array, out: Array) -> Array:
+    """Write A B, and return it."""
+    out[:] = 0.0
+    return add_product(A, B, out)
 
 
 @kernel
@@ -300,20 +310,20 @@ def spread(
         _beside_unity(h / n, product(A, G, X), G)
     _beside_unity(h, product(A, G, X), F)
     D = product(G, B, np.empty((12, 13)))
-    T, top = np.empty((12, 22)), np.empty((12, 22))
+    T, side = np.empty((12, 22)), np.empty((22, 12))
     for i in range(12):
         for j in range(13):
             D[i, j] *= h
         for j in range(22):
             T[i, j] = F[i, j] if j < 12 else D[i, j - 12]
     _drive(P, 0.5 * h, 0.5 * held, noise, walk)
-    product(T, P, top)
-    product(top, turned_over(T), X)
+    product(P, turned_over(T), side)
+    product(T, side, X)
     for i in range(12):
         for j in range(12):
             P[i, j] = X[i, j]
         for j in range(12, 22):
-            P[i, j] = P[j, i] = top[i, j]
+            P[i, j] = P[j, i] = side[j, i]
     _drive(P, 0.5 * h, 0.5 * held, noise, walk)
     return F, D
 

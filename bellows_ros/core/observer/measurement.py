@@ -9,7 +9,14 @@ from typing import Any, NamedTuple
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.jit import kernel
 from bellows_ros.core.kernels import State
-from bellows_ros.core.observer.filter import CENTRE, moved, pose_error, product, turned_over
+from bellows_ros.core.observer.filter import (
+    add_product,
+    CENTRE,
+    moved,
+    pose_error,
+    product,
+    turned_over,
+)
 from bellows_ros.core.screening import why_no_pose
 from bellows_ros.core.tuples import (
     add,
@@ -201,25 +208,22 @@ def corrected(
 ) -> tuple[State, Array, Array]:
     """Return state, theta and covariance with a measurement taken in, this by Joseph's form."""
     e, theta = np.zeros(22), theta.copy()
-    A = product(gain, H, np.empty((22, 22)))
     for i in range(22):
         for j in range(6):
             e[i] += gain[i, j] * y[j]
-        for j in range(22):
-            A[i, j] = (1.0 if i == j else 0.0) - A[i, j]
         if i >= 12:
             theta[i - 12] += e[i]
     body = moved(
         body, (e[0], e[1], e[2]), (e[3], e[4], e[5]), (e[6], e[7], e[8]), (e[9], e[10], e[11]))
-    half = turned_over(product(A, P, np.empty((22, 22))))
-    by_P = product(A, half, np.empty((22, 22)))
-    by_noise = product(
-        product(gain, noise, np.empty((22, 6))), turned_over(gain), np.empty((22, 22)))
+    found, less, of_noise = P, -gain, product(gain, noise, np.empty((22, 6)))
+    for _ in range(2):
+        found = turned_over(found)
+        add_product(less, product(H, found, np.empty((6, 22))), found)
+    add_product(of_noise, turned_over(gain), found)
     for i in range(22):
-        for j in range(i + 1):
-            a = by_P[i, j] + by_P[j, i] + by_noise[i, j] + by_noise[j, i]
-            by_P[i, j] = by_P[j, i] = 0.5 * a
-    return body, theta, by_P
+        for j in range(i):
+            found[i, j] = found[j, i] = 0.5 * (found[i, j] + found[j, i])
+    return body, theta, found
 
 
 USED, OUTSIDE, OUT_OF_REACH = 0, 1, 2

@@ -201,7 +201,8 @@ class Observer:
 
     def _with(self, theta: Array) -> ModelTuple:
         """Return the model with the payload as it is estimated."""
-        return with_payload(self._nominal, theta) if theta[:4].any() else self._nominal
+        return with_payload(self._nominal, theta) if self._values['payload.estimate'] else (
+            self._nominal)
 
     @property
     def estimate(self) -> Estimate | None:
