@@ -120,11 +120,13 @@ def robot_localization(
     Return poses as the package robot_localization filters them (Moore and Stouch 2014).
 
     An extended Kalman filter on position, roll, pitch, yaw, and velocity, rate and acceleration
-    in axes of the body, that go on as they are; `process` are variances (15,) in a second.
+    in axes of the body, that go on as they are; `process` are variances (15,) in a second. As in
+    its `ekf.cpp`: noise grows with time, angles of innovations are wrapped, P is of Joseph's form,
+    and begins with that of the first pose, and with 1e-9 for all else.
     """
-    x, P = np.zeros(15), np.eye(15) * 1e-2
+    x, P = np.zeros(15), np.eye(15) * 1e-9
     x[:3], x[3:6] = position[0], _euler(rotation[0])
-    R = np.diag(np.repeat(np.square(NOISE), 3))
+    P[:6, :6] = R = np.diag(np.repeat(np.square(NOISE), 3))
     out, newest, k = [], int(stamps_ns[0]), 1
     for stamp in at_ns.tolist():
         while k < len(stamps_ns) and stamps_ns[k] < stamp:

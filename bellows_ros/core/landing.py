@@ -103,7 +103,7 @@ def release_deviations(values: Mapping[str, Any]) -> Array:
 
 
 def parts_of(case: Case, held: Held, nominal: Toss) -> Parts:
-    """Return what cup, package and release contribute, by central differences of whole tosses."""
+    """Return what cup, package and release contribute, by differences as in `perturbed`."""
     gravity, until = case.model[2], nominal.release_time + MARGIN
 
     def landing(model: ModelTuple) -> Array:

@@ -388,7 +388,12 @@ def _rest(cup: Cup, package: Package, gravity: float, angle: float) -> tuple[flo
 def _predicted_std(
     fit: Fitted, package: Package, gravity: float, like: Sequence[Mode]
 ) -> list[float]:
-    """Return the standard errors of `_predicted`, by central differences."""
+    """
+    Return the standard errors of `_predicted`, by central differences.
+
+    Modes are those about a rest that itself moves with K: their derivatives are second ones of
+    the wrench, and `jacobians` gives the first.
+    """
     x = fit.structure.parameters(fit.cup.stiffness, fit.cup.damping)
 
     def values(at: Array) -> Array:

@@ -206,7 +206,7 @@ class LivePayload:
         """Correct the package with a measured pose."""
         observer, sample = self.observer, self._sample
         if observer is not None and not observer.see(seen) and sample is not None:
-            self._sample = sample._replace(body=observer.body)
+            self._sample = Sample(sample.stamp_ns, sample.tool, observer.body)
             self._coasted = None
 
     def forget(self, is_another: bool = True) -> None:

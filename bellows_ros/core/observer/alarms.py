@@ -98,6 +98,8 @@ SLOTS = (1,) * AT_START + (ONSETS,) * (len(LOOKED_FOR) - AT_START)
 COLUMNS = tuple(np.cumsum([0, *(
     slots for cause, slots in zip(LOOKED_FOR, SLOTS, strict=True) for _ in cause.rows)]).tolist())
 """... and where the errors by each number begin, one for each onset, and where the last end."""
+LINE = 8
+"""Rows begin where lines of the processor's cache do, which hold so many numbers."""
 LARGEST = max(len(cause.rows) for cause in LOOKED_FOR)
 
 OVERSHOOT = 1.2
@@ -154,7 +156,7 @@ class Alarms:
     def forget(self) -> None:
         """Begin anew."""
         self.last_ns = -1
-        self._E: Array = np.zeros((EXTENDED, COLUMNS[-1]))
+        self._E: Array = np.zeros((EXTENDED, COLUMNS[-1] + -COLUMNS[-1] % LINE))
         self._information: Array = np.zeros((len(ROWS), LARGEST, ONSETS))
         self._evidence: Array = np.zeros((len(ROWS), ONSETS))
         self._distances: Array = np.zeros(1 + ONSETS)  # the sum of the squared ones since each
@@ -230,7 +232,7 @@ def _step(
         k = _place(onsets, stamp_ns)
         onsets[k], distances[k], counts[k] = stamp_ns, 0.0, 0
         _set_in(E, information, evidence, k)
-    _pass_on(E, M, product(M[:12], E[:GONE], np.empty((12, E.shape[1]))))
+    _pass_on(E, M)
     made = product(_sight(H, position, quaternion_xyzw), E, np.empty((6, E.shape[1])))
     seen = product(root, made, np.empty((6, E.shape[1])))
     z = product(root, y.reshape((6, 1)), np.empty((6, 1)))
@@ -297,16 +299,26 @@ def _sight(H: Array, position: Vector, quaternion_xyzw: Quaternion) -> Array:
 
 
 @kernel
-def _pass_on(E: Array, M: Array, state: Array) -> None:
-    """Write what becomes of the state's error, and let the faults go on as they do."""
-    last = M[12]
-    for c in range(E.shape[1]):
-        for i in range(12):
+def _pass_on(E: Array, M: Array) -> None:
+    """Carry the state's error along, and let the faults go on as they do."""
+    state, last = product(M[:12, :22], E[:22], np.empty((12, E.shape[1]))), M[12]
+    for i in range(12):
+        for c in range(E.shape[1]):
             E[i, c] = state[i, c]
-        E[LENGTHENED, c] += last[0] * E[LENGTHENING, c]
-        for i in range(3):
-            E[FALL + i, c] += last[0] * E[SPEED + i, c] + last[4 + i] * E[GONE, c]
-            E[SPEED + i, c] += last[1 + i] * E[GONE, c]
+    for a in range(len(ROWS)):
+        first, end = COLUMNS[a], COLUMNS[a + 1]
+        own, longer = E[ROWS[a], first:end], E[LENGTHENED, first:end]
+        for i in range(12 if LENGTHENING <= ROWS[a] <= MOMENT else 0):
+            part, by_own, by_longer = E[i, first:end], M[i, ROWS[a]], M[i, LENGTHENED]
+            for c in range(len(part)):
+                part[c] += by_own * own[c] + by_longer * longer[c]
+        if ROWS[a] == LENGTHENING:
+            longer += last[0] * own
+        for i in range(3 if ROWS[a] == GONE else 0):
+            fall, speed = E[FALL + i, first:end], E[SPEED + i, first:end]
+            for c in range(len(fall)):
+                fall[c] += last[0] * speed[c] + last[4 + i] * own[c]
+                speed[c] += last[1 + i] * own[c]
 
 
 @kernel
@@ -377,7 +389,7 @@ def _explain(
     """
     first, m = FIRSTS[what], SLOTS[what]
     explained[:m], determinant[:m] = 0.0, 1.0
-    for i in range(FIRSTS[what + 1] - first):  # A = L D L^T, z becomes L^-1 z
+    for i in range(FIRSTS[what + 1] - first):
         a, usual = first + i, USUAL[first + i]
         for k in range(m):
             z[i, k] = usual * d[a, k]
@@ -389,14 +401,20 @@ def _explain(
             both, one = usual * USUAL[first + j], 1.0 if i == j else 0.0
             for k in range(m):
                 A[i, j, k] = both * J[a, j, k] + one
-        for j in range(i):
-            for n in range(j):
-                for k in range(m):
-                    A[i, j, k] -= A[i, n, k] * A[j, n, k] * A[n, n, k]
-            for k in range(m):
-                A[i, j, k] /= A[j, j, k]
-                A[i, i, k] -= A[i, j, k] ** 2 * A[j, j, k]
-                z[i, k] -= A[i, j, k] * z[j, k]
+        _eliminate(A, z, i, m)
         for k in range(m):
             explained[k] += z[i, k] ** 2 / A[i, i, k]
             determinant[k] *= A[i, i, k]
+
+
+@kernel
+def _eliminate(A: Array, z: Array, i: int, m: int) -> None:
+    """Write row i of L and D, with A = L D L^T for each of m onsets, and of L^-1 z."""
+    for j in range(i):
+        for n in range(j):
+            for k in range(m):
+                A[i, j, k] -= A[i, n, k] * A[j, n, k] * A[n, n, k]
+        for k in range(m):
+            A[i, j, k] /= A[j, j, k]
+            A[i, i, k] -= A[i, j, k] ** 2 * A[j, j, k]
+            z[i, k] -= A[i, j, k] * z[j, k]

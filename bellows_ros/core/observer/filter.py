@@ -378,6 +378,19 @@ def is_coarse(stamp_ns: int, next_ns: int, longest: float) -> bool:
 
 
 @kernel
+def sample_after(stamps: Any, count: int, stamp_ns: int) -> int:
+    """Return the number of the first sample after a stamp."""
+    first, end = 0, count
+    while first < end:
+        middle = (first + end) // 2
+        if stamps[middle] > stamp_ns:
+            end = middle
+        else:
+            first = middle + 1
+    return first
+
+
+@kernel
 def swept(
     model: ModelTuple, theta: Array, tool: State, body: State, P: Array, M: Array,
     stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,

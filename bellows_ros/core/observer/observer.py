@@ -8,7 +8,7 @@ so that the outcome is that of measurements that came in order.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right, insort
+from bisect import bisect_left
 from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
@@ -25,6 +25,7 @@ from bellows_ros.core.observer.filter import (
     is_coarse,
     NOT_FOLLOWED,
     pushed,
+    sample_after,
     swept,
     UNPASSED,
     with_payload,
@@ -50,8 +51,11 @@ GATE = 27.86
 WRONG_GATE = 8
 """After so many outside the gate, one after the other, the gate is wrong: start anew there."""
 
-KEPT_NS = 50_000_000
-"""Estimates are kept at least so much longer (ns) than anything can change them."""
+KEPT_NS = 100_000_000
+"""
+Estimates are kept so much longer (ns) than anything can change them: with a camera of 10 Hz and
+more no pose of the tool waits for a covariance to be carried along.
+"""
 
 LEAST_ROOM = 4096
 """For samples of the tool: seconds of them."""
@@ -101,7 +105,7 @@ class Track:
 
     def after(self, stamp_ns: int) -> int:
         """Return the number of the first sample after a stamp."""
-        return bisect_right(self.rows[0], stamp_ns, 0, self.count)
+        return sample_after(self.rows[0], self.count, stamp_ns)
 
     def make_room(self, since_ns: int) -> None:
         """Let another sample fit in; forget what was before a stamp."""
@@ -248,7 +252,7 @@ class Observer:
 
     def _unpassed(self) -> Array:
         """Return the passage to a stamp from the very same one, where it is followed."""
-        return NOT_FOLLOWED if self._alarms is None else UNPASSED.copy()
+        return NOT_FOLLOWED if self._alarms is None else UNPASSED
 
     def follow(self, stamp_ns: int, start: State, end: State) -> State:
         """Carry the package along with the tool, from the newest sample to this one."""
@@ -259,7 +263,8 @@ class Observer:
             self._longest)
         track.count += 1
         while self._ahead and self._ahead[0].stamp_ns <= stamp_ns:
-            self._put(self._ahead.pop(0))
+            self._seen.append(self._ahead.pop(0))
+            self._work_out(len(self._seen) - 1)
         if stamp_ns - self._known[0].stamp_ns > LATEST_NS + KEPT_NS:
             self._let_go(stamp_ns - LATEST_NS)
         return self.body
@@ -269,6 +274,8 @@ class Observer:
         known, seen = self._known, self._seen
         while seen and seen[0].stamp_ns <= before_ns:
             del known[0], seen[0]
+        if known[0].stamp_ns >= before_ns - KEPT_NS:
+            return
         stamps, k = self._track.rows[0], self._track.after(before_ns) - 1
         while stamps[k] > known[0].stamp_ns:
             if is_coarse(stamps[k], stamps[k + 1], self._longest):  # it would end there anyhow
@@ -287,8 +294,7 @@ class Observer:
         P, passage = known.covariance.copy(), known.passage.copy()
         tool, body = self._swept(
             self._with(known.theta), known, stamp_ns, is_known, P, passage)
-        return known._replace(
-            stamp_ns=stamp_ns, tool=tool, body=body, covariance=P, passage=passage)
+        return Estimate(stamp_ns, tool, body, known.theta, P, known.refused, passage)
 
     def _swept(
         self, model: ModelTuple, known: Estimate, stamp_ns: int, is_known: bool = False,
@@ -310,27 +316,26 @@ class Observer:
         return verdict
 
     def _place(self, seen: Measurement) -> str:
-        """Put a measured pose where it belongs, and work out what followed again."""
+        """Put a measured pose where it belongs, or say why it belongs nowhere."""
         stamp_ns = seen.stamp_ns
         if not self._known:
             return 'not_held'
         newest_ns = self._track.newest_ns
         if stamp_ns > newest_ns + LATEST_NS:
             return 'future_stamp'
-        if any(other.stamp_ns == stamp_ns for other in (*self._seen, *self._ahead)):
+        others = self._ahead if stamp_ns > newest_ns else self._seen
+        at = bisect_left(others, seen[:1])
+        if at < len(others) and others[at].stamp_ns == stamp_ns:
             return 'duplicate_stamp'
         if stamp_ns <= self._known[0].stamp_ns:
             return 'late'
-        if stamp_ns > newest_ns:
-            insort(self._ahead, seen, key=lambda m: m.stamp_ns)
-        else:
-            self._put(seen)
+        others.insert(at, seen)
+        if others is self._seen:
+            self._work_out(at)
         return ''
 
-    def _put(self, seen: Measurement) -> None:
-        """Put a measured pose where it belongs, and work out what followed again."""
-        at = bisect_left(self._seen, seen.stamp_ns, key=lambda m: m.stamp_ns)
-        self._seen.insert(at, seen)
+    def _work_out(self, at: int) -> None:
+        """Take a measured pose in, and all that followed again."""
         del self._known[at + 1:]
         for k in range(at, len(self._seen)):
             known = self._carried(self._known[k], self._seen[k].stamp_ns, k == at)
@@ -349,7 +354,7 @@ class Observer:
             name = 'recovered'
         if is_new:
             self.counts[name] += 1
-            self._look_for_causes(seen.stamp_ns, estimate, Innovation(*found), name)
+            self._look_for_causes(seen.stamp_ns, estimate, found, name)
         if verdict == OUT_OF_REACH:
             return estimate
         if name == 'recovered' or seen.stamp_ns in self._opened_ns:
@@ -365,7 +370,7 @@ class Observer:
             self._nominal[0][1], self._reach, gate)
 
     def _look_for_causes(
-        self, stamp_ns: int, estimate: Estimate, found: Innovation, verdict: str
+        self, stamp_ns: int, estimate: Estimate, found: Any, verdict: str
     ) -> None:
         """Raise an alarm where something is wrong; what a fault moves is then followed."""
         alarms, alarm = self._alarms, None
@@ -377,7 +382,8 @@ class Observer:
                 alarm = alarms.lost(stamp_ns)
         elif stamp_ns > alarms.last_ns:
             self._away, self._were_near = 0, self._were_near or verdict == 'used'
-            alarm = alarms.step(stamp_ns, estimate.passage, found, verdict == 'used')
+            alarm = alarms.step(
+                stamp_ns, estimate.passage, Innovation(*found), verdict == 'used')
             if verdict == 'recovered':
                 alarms.forget()
         if alarm is not None:

@@ -2,7 +2,7 @@
 
 from bellows_ros.core.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package
-from bellows_ros.core.observer.alarms import Alarms
+from bellows_ros.core.observer.alarms import Alarms, FIRSTS, LOOKED_FOR
 from bellows_ros.core.observer.filter import changed
 from bellows_ros.core.observer.observer import GATE
 from bellows_ros.core.tuples import quaternion_product
@@ -96,7 +96,9 @@ def most_within(seconds, rate_per_hour, seed):
     onset_ns = start_ns + round(AT * 1e9)
     slot = min(range(len(alarms._onsets)), key=lambda k: abs(alarms._onsets[k] - onset_ns))
     assert abs(alarms._onsets[slot] - onset_ns) <= EVERY * PERIOD_NS
-    distance = SLIP * np.sqrt(np.trace(alarms._information[slot, :2, :2]) / 2)
+    first = FIRSTS[LOOKED_FOR.index(next(c for c in LOOKED_FOR if c.name == 'slip'))]
+    J = alarms._information[first:first + 2, :2, slot - 1]
+    distance = SLIP * np.sqrt(np.trace(J) / 2)
     return norm.cdf(distance - norm.isf(rate_per_hour * seconds / 3600))
 
 

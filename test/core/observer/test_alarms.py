@@ -2,10 +2,21 @@
 
 from collections import Counter
 
+from bellows_ros.core.lie import hat, quaternion_to_rotation
+from bellows_ros.core.observer.alarms import (
+    _step,
+    Alarms,
+    CAUSES,
+    EXTENDED,
+    LEAST,
+    START_WEIGHS,
+    UNEXPLAINED,
+)
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 
-from .faults import by_chance, KINDS, most_within, SLIP, work
+from .faults import AT, by_chance, Kept, KINDS, most_within, observed, SLIP, work
 
 
 @pytest.mark.parametrize('kind', KINDS)
@@ -28,6 +39,54 @@ def test_sound_work_raises_no_alarm():
 def test_chance_raises_no_alarm():
     """Say nothing in a quarter of an hour of innovations that are pure chance."""
     assert by_chance(0.25, 0) == []
+
+
+def dense_total(given):
+    """Give the logarithm of the sum of likelihood ratios, all measurements being onsets."""
+    known, ratios = [], []
+    for n, (_, M, (position, q, y, H, root, distance, gain), used) in enumerate(given):
+        for cause in CAUSES:
+            if cause.sets_in if n else cause.at_start:
+                E = np.eye(EXTENDED)[:, list(cause.rows)]
+                if cause.name == 'slip':
+                    E[[0, 1], [0, 1]] = E[[39, 40], [0, 1]] = 1.0
+                known.append([cause, n, E, np.diag(np.power(cause.usual, -2.0)), 0.0, 0.0])
+        F, C, R = np.eye(EXTENDED), np.zeros((6, EXTENDED)), quaternion_to_rotation(q)
+        F[:12, :26], F[22, 23], F[27:30, 26] = M[:12], M[12, 0], M[12, 1:4]
+        F[30:33, 26], F[30:33, 27:30] = M[12, 4:7], M[12, 0] * np.eye(3)
+        C[:, :22], C[:3, 36:39], C[:3, 39:] = H, -R.T @ hat(position), -H[:3, 13:15]
+        C[:3, 30:33] = C[:3, 33:36] = C[3:, 36:39] = R.T
+        for each in known:
+            E = F @ each[2]
+            made = root @ C @ E
+            E[:22] -= used * gain @ C @ E
+            each[2:] = (E, each[3] + made.T @ made, each[4] + made.T @ root @ y,
+                        each[5] + distance)
+    for cause, n, _, A, d, distance in known:
+        count, price = len(given) - n, np.log(START_WEIGHS if n == 0 else 1.0)
+        mean = np.zeros(len(d)) + (cause.name == 'lost')
+        J = A - np.diag(np.power(cause.usual, -2.0))
+        z = d - J @ mean
+        explained = z @ np.linalg.solve(A, z) + 2.0 * mean @ d - mean @ J @ mean
+        left = distance - explained - UNEXPLAINED * explained
+        if count >= LEAST and left <= 6.0 * count + 4.0 * np.sqrt(12.0 * count):
+            det = np.linalg.slogdet(A * np.square(cause.usual))[1]
+            ratios.append(0.5 * (explained - det) + price + np.log(cause.share))
+    return logsumexp(ratios)
+
+
+@pytest.mark.parametrize('kind', ['wear', 'slip'])
+def test_ratios_are_those_of_dense_matrices(kind):
+    """Sum the same likelihood ratios of causes and onsets as matrices of full size do."""
+    kept = Kept()
+    observed(3, kind, AT + 0.9, (2e-5, 1e-4), kept)
+    given = kept.looked_at[-26:]
+    alarms = Alarms(1e-30)
+    for stamp_ns, *innovation in given:
+        total = _step(
+            alarms._E, alarms._information, alarms._evidence, alarms._distances, alarms._counts,
+            alarms._onsets, stamp_ns, *innovation)[0]
+    assert total == pytest.approx(dense_total(given), rel=1e-9)
 
 
 @pytest.mark.stress
