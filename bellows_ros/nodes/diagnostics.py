@@ -179,4 +179,4 @@ class Diagnostics:
         return prediction_status('prediction', PredictionSeen(
             state, live.phase(time.monotonic_ns()), self._cup, compute,
             {**live.counts, **failures}, self._report.restarts, live.twist_check.verdict,
-            self._outputs.covariance_known, above))
+            self._outputs.uncertainty.known, above))

@@ -28,7 +28,6 @@ from .conversions import (
     write_wrench,
 )
 from .markers import gone, Picture
-from ..core.arrays import Array
 from ..core.kernels import ModelTuple
 from ..core.live import Prediction
 from ..core.live.load import deflection, deflection_rotation
@@ -94,12 +93,16 @@ class Outputs:
     ----------
     model : tuple
         Cup, package and gravity.
+    uncertainty : Uncertainty
+        How sure a prediction is.
+    pose : Topic
+        That of the package's poses.
 
     """
 
     def __init__(self, node: Any, values: Mapping[str, Any]) -> None:
         """Advertise all topics; messages are made once and filled in again."""
-        self._pose = Topic(node, PoseStamped, 'package/pose')
+        self.pose = Topic(node, PoseStamped, 'package/pose')
         self._twist = Topic(node, TwistStamped, 'package/twist')
         self._odometry = Topic(node, Odometry, 'package/odometry')
         self._wrench = Topic(node, WrenchStamped, 'cup/wrench')
@@ -129,26 +132,12 @@ class Outputs:
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Go on with another cup or package; compile all that is shown of a prediction."""
         self.model, self._values = model, values
-        self._uncertainty = Uncertainty(model, values)
+        self.uncertainty = Uncertainty(model, values)
         self._picture = Picture(values)
         still = Prediction(1, *ORIGIN, ZERO, ZERO)
         deflection(model, still)
         deflection_rotation(still)
         Picture(values).of('', model, still)
-
-    @property
-    def topic(self) -> str:
-        """Full name of the topic with the package's poses."""
-        return self._pose.name
-
-    @property
-    def covariance_known(self) -> bool:
-        """Whether the last covariance that was sent is one."""
-        return self._uncertainty.known
-
-    def covariance(self, prediction: Prediction) -> Array:
-        """Return how sure a prediction is (12, 12); see `Uncertainty`."""
-        return self._uncertainty.covariance(prediction)
 
     def publish(
         self, prediction: Prediction, frame_id: str, factors: tuple[float, float] | None
@@ -166,7 +155,7 @@ class Outputs:
         if not (late if values['coast.poses'] else prediction.coasting):
             pose, twist, wrench = self._messages
             write_pose(pose, frame_id, prediction)
-            self._pose.publish(pose)
+            self.pose.publish(pose)
             if self._twist.wanted:
                 write_twist(twist, values['frames.package'], prediction)
                 self._twist.publish(twist)
@@ -186,7 +175,7 @@ class Outputs:
         stamp_ns, values = prediction.stamp_ns, self._values
         if self._odometry.wanted:
             odometry = Odometry()
-            root = UNKNOWN_ROOT if prediction.flies else self._uncertainty.root(prediction)
+            root = UNKNOWN_ROOT if prediction.flies else self.uncertainty.root(prediction)
             write_odometry(odometry, frame_id, values['frames.package'], prediction, root)
             self._odometry.publish(odometry)
         if self._deflection.wanted and not prediction.flies:

@@ -203,7 +203,7 @@ class PredictorNode(ManagedNode):
         origin = short(origin_of('package.mass', sys.argv), 200)
         log(f"Package of {values['package.mass']:g} kg" + (f', from {origin}.' if origin else '.'))
         log(f'Listens to {self._pose_in.topic} and {self._twist_in.topic}, publishes '
-            f'{self._outputs.topic}.')
+            f'{self._outputs.pose.name}.')
         heard = values['vacuum.signal'] == 'pressure'
         if grip_of(values, 0.0 if heard else None) is None:
             log('The safety factor of the grip is unknown: set cup.lip_radius and '
@@ -343,7 +343,8 @@ class PredictorNode(ManagedNode):
         self._planning.follow()
         flight = self._tossing.flight
         if held is not None and flight.known and not flight.state:
-            self._tossing.publish(live.model, held, live.frame_id, self._outputs.covariance)
+            self._tossing.publish(
+                live.model, held, live.frame_id, self._outputs.uncertainty.covariance)
         self._say_state()
 
     def _say_state(self) -> None:
