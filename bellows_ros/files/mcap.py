@@ -9,6 +9,7 @@ crashed, is read up to the break. The format is specified at https://mcap.dev/sp
 
 from collections import Counter
 from collections.abc import Iterator
+import io
 from pathlib import Path
 import struct
 from typing import BinaryIO
@@ -35,7 +36,7 @@ _CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
 _SUMMARY_CHECKSUM_AT = 16  # behind two offsets, in the footer
 _SKIP_STEP = 2**20
 
-Record = tuple[int, memoryview]
+Record = tuple[int, bytes | memoryview]
 
 
 def scan(
@@ -173,7 +174,7 @@ class _Scan:
     def _compare(self, fields: '_Fields') -> None:
         """Refuse a file in which not all messages were met that its statistics count."""
         fields.block(42)  # totals and times
-        counted = bytes(fields.block(fields.number('<I')))
+        counted = fields.block(fields.number('<I'))
         for channel, count in struct.iter_unpack('<HQ', counted):
             if self.met[channel] != count:
                 raise DamagedError(
@@ -192,36 +193,28 @@ class _Scan:
             self._wanted_channels.add(number)
 
 
-class _Fields:
+class _Fields(io.BytesIO):
     """The fields of a record, taken one after the other."""
-
-    def __init__(self, body: memoryview) -> None:
-        """Start at the first field."""
-        self._body = body
-        self._at = 0
 
     def number(self, form: str) -> int:
         """Take an unsigned number."""
-        (value,) = struct.unpack_from(form, self._body, self._at)
-        self._at += struct.calcsize(form)
+        (value,) = struct.unpack(form, self.read(struct.calcsize(form)))
         return int(value)
 
     def text(self) -> str:
         """Take a string."""
-        return bytes(self.block(self.number('<I'))).decode()
+        return self.block(self.number('<I')).decode()
 
-    def block(self, size: int) -> memoryview:
+    def block(self, size: int) -> bytes:
         """Take a number of bytes."""
         block = self.rest(size)
         if len(block) != size:
             raise DamagedError(f'a field of {size} bytes has only {len(block)}')
         return block
 
-    def rest(self, size: int) -> memoryview:
+    def rest(self, size: int) -> bytes:
         """Take up to a number of bytes."""
-        block = self._body[self._at:self._at + size]
-        self._at += len(block)
-        return block
+        return self.read(min(size, LARGEST_RECORD))
 
 
 def _file_records(source: _Source) -> Iterator[Record]:
@@ -244,15 +237,15 @@ def _file_records(source: _Source) -> Iterator[Record]:
             raise DamagedError(f'a record says it is {size} bytes long')
         body = source.read(size)
         if kind == _DATA_END:
-            _require_checksum(_Fields(memoryview(body)).number('<I'), checksum, 'its data')
+            _require_checksum(_Fields(body).number('<I'), checksum, 'its data')
             source.checksum = 0
         elif kind == _FOOTER:
             before = zlib.crc32(body[:_SUMMARY_CHECKSUM_AT], zlib.crc32(head, checksum))
-            fields = _Fields(memoryview(body))
+            fields = _Fields(body)
             fields.block(_SUMMARY_CHECKSUM_AT)
             _require_checksum(fields.number('<I'), before, 'its summary')
         if len(body) == size or kind == _CHUNK:
-            yield kind, memoryview(body)
+            yield kind, body
         if len(body) != size:
             raise _truncated()
     source.whole = source.at
@@ -266,7 +259,7 @@ def _require_checksum(said: int, found: int, of: str) -> None:
         raise DamagedError(f'the checksum of {of} is wrong')
 
 
-def _chunk_records(chunk: memoryview) -> Iterator[Record]:
+def _chunk_records(chunk: bytes | memoryview) -> Iterator[Record]:
     """Yield the records of a chunk; of one that is cut short, those that are whole."""
     records = memoryview(_chunk_data(_Fields(chunk)))
     at = 0
@@ -289,7 +282,7 @@ def _chunk_data(fields: _Fields) -> bytes:
     size, checksum = fields.number('<Q'), fields.number('<I')
     compression = fields.text()
     stored_size = fields.number('<Q')
-    stored = bytes(fields.rest(stored_size))
+    stored = fields.rest(stored_size)
     cut = len(stored) != stored_size
     if size > LARGEST_RECORD:
         raise DamagedError(f'a chunk says it is {size} bytes long')
@@ -319,7 +312,7 @@ def seal(path: Path) -> None:
             at, body = file.tell(), bytearray(file.read(size))
             before, checksum = checksum, zlib.crc32(head, checksum)
             if kind == _CHUNK:
-                records = _chunk_data(_Fields(memoryview(body)))
+                records = _chunk_data(_Fields(body))
                 struct.pack_into('<I', body, _CHUNK_CHECKSUM_AT, zlib.crc32(records))
             elif kind == _DATA_END:
                 struct.pack_into('<I', body, 0, before)

@@ -128,31 +128,27 @@ def decode_multi_dof(data: bytes) -> PlanMessage:
             f'{parts[2]} accelerations; expected 1 transform, and 0 or 1 of the others: a plan is '
             'of one thing, the tool.')
     reader.at = first
-    points = [_points(reader, parts, 1)]  # the first one may be padded differently
-    points.append(_points(reader, parts, count - 1))
-    times, poses, twists, accelerations = (
-        np.concatenate(column) for column in zip(*points, strict=True))
+    # The first point may be padded differently.
+    rows = [_points(reader, parts, 1), _points(reader, parts, count - 1)]
+    times = [each['sec'].astype(np.int64) * NS_PER_S + each['nanosec'] for each in rows]
+    poses, twists, accelerations = (
+        np.concatenate([each[name] for each in rows]).astype(float) if size else None
+        for name, size in zip('abc', parts, strict=True))
+    assert poses is not None  # parts[0] is 1
     return PlanMessage(
-        stamp_ns, frame_id, names, times, poses, twists if parts[1] else None,
-        accelerations if parts[2] else None)
+        stamp_ns, frame_id, names, np.concatenate(times), poses, twists, accelerations)
 
 
-def _points(
-    reader: Reader, parts: tuple[int, ...], count: int
-) -> tuple[Stamps, Array, Array, Array]:
-    """Return times, poses, twists and accelerations of points that lie alike."""
-    dtype = _point(reader.order, reader.at % 8, parts)
-    rows = reader.rows(dtype, count)
+def _points(reader: Reader, parts: tuple[int, ...], count: int) -> np.ndarray:
+    """Return points that lie alike: seconds, nanoseconds, and what they have by a, b and c."""
+    rows = reader.rows(_point(reader.order, reader.at % 8, parts), count)
     for name, size in zip('abc', parts, strict=True):
         if (rows[f'n{name}'] != size).any():
             raise BellowsError(
                 'The plan has points that differ in what they have; expected the same of all: '
                 'velocities and accelerations of every point, or of none.')
-    reader.at += count * dtype.itemsize
-    times = rows['sec'].astype(np.int64) * NS_PER_S + rows['nanosec']
-    a, b, c = (rows[name] if size else np.zeros((count, 6))
-               for name, size in zip('abc', parts, strict=True))
-    return times, a.astype(float), b.astype(float), c.astype(float)
+    reader.at += rows.nbytes
+    return rows
 
 
 @cache
