@@ -143,34 +143,25 @@ def differing_counts(listed: Listing, counts: Mapping[Topic, int]) -> tuple[str,
     information = listed.information
     if not information:
         return ()
-    found = Counter({topic.name: 0 for topic in counts})
+    found, said = Counter[str](), Counter[str]()
     for topic, count in counts.items():
         found[topic.name] += count
-    said = _said_counts(information)
+    entries = information.get('topics_with_message_count')
+    for entry in entries if isinstance(entries, list) else []:
+        about = entry.get('topic_metadata') if isinstance(entry, dict) else None
+        if isinstance(about, dict) and isinstance(entry.get('message_count'), int):
+            said[str(about.get('name'))] += entry['message_count']
     total = information.get('message_count')
-    names = [name for name in {**said, **found} if said.get(name, 0) != found[name]]
+    names = [name for name in {**said, **found} if said[name] != found[name]]
     if total == sum(found.values()) and not names:
         return ()
-    which = [f"'{name}' {found[name]} of {str(said.get(name, 0))[:20]}" for name in names]
+    which = [f"'{name}' {found[name]} of {str(said[name])[:20]}" for name in names]
     more = [f'{len(which) - _SHOWN} more'] if len(which) > _SHOWN else []
     return (
         f'The recording has {sum(found.values())} messages, but {METADATA} says '
         f'{str(total)[:20]}{": " if which else ""}{", ".join([*which[:_SHOWN], *more])}. Was it '
         'copied whole?',
     )
-
-
-def _said_counts(information: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what metadata says of the number of messages, by topic."""
-    said: dict[str, Any] = {}
-    listed = information.get('topics_with_message_count')
-    for entry in listed if isinstance(listed, list) else []:
-        about = entry.get('topic_metadata') if isinstance(entry, dict) else None
-        if isinstance(about, dict):
-            name, count = str(about.get('name')), entry.get('message_count')
-            both = isinstance(count, int) and isinstance(said.get(name), int)
-            said[name] = said[name] + count if both else count
-    return said
 
 
 def _listed_files(folder: Path) -> Listing:

@@ -172,7 +172,12 @@ def write_bag(
         If there is nothing to record, the choice is unknown, or something is in the way.
 
     """
-    _require_choices(storage, compression)
+    if storage not in STORAGES or compression not in COMPRESSIONS:
+        raise BellowsError(
+            f"Storage '{storage}' with compression '{compression}' is not known; storages are "
+            f'{", ".join(STORAGES)}, compressions {", ".join(COMPRESSIONS)}.')
+    if storage == 'sqlite3' and compression == 'chunk':
+        raise BellowsError("SQLite has no chunks to compress; use 'message' or 'file', or mcap.")
     if not any(len(r.stamps_ns) for r in recorded):
         raise BellowsError(f"Recording '{path}' would be empty. Give messages to record.")
     if replace:
@@ -194,17 +199,6 @@ def write_bag(
                     writer.write(connections[number], log_time_ns, data)
         except sqlite3.Error as error:  # of a full disk, which others say as the system does
             raise OSError(f'SQLite says {error}') from None
-
-
-def _require_choices(storage: str, compression: str) -> None:
-    """Refuse an unknown storage or compression, and chunks where there are none."""
-    if storage not in STORAGES or compression not in COMPRESSIONS:
-        raise BellowsError(
-            f"Storage '{storage}' with compression '{compression}' is not known; storages are "
-            f'{", ".join(STORAGES)}, compressions {", ".join(COMPRESSIONS)}.'
-        )
-    if storage == 'sqlite3' and compression == 'chunk':
-        raise BellowsError("SQLite has no chunks to compress; use 'message' or 'file', or mcap.")
 
 
 def require_replaceable(folder: Path) -> None:

@@ -263,15 +263,12 @@ def _scalar(value: object) -> str:
     if isinstance(value, float):  # the shortest decimals that read back, with a decimal point
         mantissa, exponent, power = repr(value).partition('e')
         return f'{mantissa}{"" if "." in mantissa else ".0"}{exponent}{power}'
-    return _quoted(value) if isinstance(value, str) else str(value)
-
-
-def _quoted(text: str) -> str:
-    """Return a text in single quotes, or in double ones where it needs escapes."""
-    if not text.isprintable():
-        escaped = (c if c.isprintable() and c not in '"\\' else f'\\U{ord(c):08x}' for c in text)
+    if not isinstance(value, str):
+        return str(value)
+    if not value.isprintable():  # in double quotes, which know escapes
+        escaped = (c if c.isprintable() and c not in '"\\' else f'\\U{ord(c):08x}' for c in value)
         return f'"{"".join(escaped)}"'
-    doubled = text.replace("'", "''")
+    doubled = value.replace("'", "''")
     return f"'{doubled}'"
 
 
