@@ -101,7 +101,7 @@ def run(bags: Path, out: Path, console: Console) -> int:
 
 
 def _require_all(bags: Path) -> None:
-    """Refuse to start where something is missing."""
+    """Refuse to start if something is missing."""
     for module, words in NEEDS.items():
         if importlib.util.find_spec(module) is None:
             raise BellowsError(f'The demonstration needs {words}')

@@ -19,7 +19,7 @@ _reserved: list[socket.socket] = []
 
 
 def isolate(log_folder: str) -> None:
-    """Give this process and its children a ROS domain nobody here uses, on this machine only."""
+    """Give this process and its children an unused ROS domain, on this machine only."""
     for name in _REACHING_OUT:
         os.environ.pop(name, None)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -49,7 +49,7 @@ def unused_domain() -> int:
 
 
 def _is_free(port: int) -> bool:
-    """Return whether no socket of this machine has the UDP port."""
+    """Return whether a UDP port of this machine is free."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(('', port))
@@ -59,7 +59,7 @@ def _is_free(port: int) -> bool:
 
 
 def _reserve(domain: int) -> bool:
-    """Take a name that only one process of this machine can have, and return whether it did."""
+    """Reserve a domain among the processes of this machine; return whether it was free."""
     name = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
         name.bind(f'\0bellows_ros domain {domain}')  # abstract: it vanishes with the process

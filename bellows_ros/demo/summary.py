@@ -84,5 +84,5 @@ def summary(outcome: Outcome) -> Iterator[str]:
 
 
 def _indented(lines: list[str]) -> list[str]:
-    """Return lines with two blanks before them."""
+    """Return lines indented by two blanks."""
     return [f'  {line}' if line else '' for line in lines]

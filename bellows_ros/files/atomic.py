@@ -157,7 +157,7 @@ def require_folder_target(path: str | os.PathLike[str]) -> Path:
 
 
 def _move_into_place(work: Path, target: Path, replace: bool) -> None:
-    """Rename the finished folder, or exchange it with the one that it replaces."""
+    """Rename the finished folder, or swap it with the one that it replaces."""
     finished = work / target.name
     if replace and target.exists():
         if not _exchange(finished, target):  # then there is a moment without either
@@ -171,7 +171,7 @@ def _move_into_place(work: Path, target: Path, replace: bool) -> None:
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Give two folders each other's names in one step, and return whether the system can."""
+    """Swap two folders in one step; return whether the system could."""
     import ctypes
 
     try:
@@ -183,20 +183,20 @@ def _exchange(one: Path, other: Path) -> bool:
 
 
 def _no_folder(path: str | os.PathLike[str], target: Path) -> BellowsError:
-    """Return the error for output into a folder that is not there."""
+    """Return the error for output into a folder that does not exist."""
     return BellowsError(
         f"Output '{path}': folder '{target.parent}' does not exist. Make it first."
     )
 
 
 def _beside(target: Path) -> Path:
-    """Return a hidden place beside a target, and remove what dead processes have left there."""
+    """Return a hidden path beside a target; clear away what dead processes left there."""
     remove_abandoned(target.parent)
     return target.with_name(hidden_name())
 
 
 def _sync(path: Path) -> None:
-    """Bring a file or a folder's names to the disk, where the file system can."""
+    """Flush a file, or the names in a folder, to disk where the file system can."""
     with suppress(OSError):
         descriptor = os.open(path, os.O_RDONLY)
         try:
@@ -215,16 +215,16 @@ def _failed(path: str | os.PathLike[str], error: Exception) -> BellowsError:
 
 PREFIX = '.bellows-'
 REPLACED = 'replaced'
-"""What is so called in a hidden folder is no copy: it is not removed."""
+"""Something of this name in a hidden folder is the only copy, so it is not removed."""
 
 
 def hidden_name() -> str:
-    """Return a name that nobody else uses, and that tells what is to be removed later."""
+    """Return a unique name that shows whether it may be removed later."""
     return f'{PREFIX}{os.getpid()}-{_machine()}-{secrets.token_hex(4)}.tmp'
 
 
 def remove_abandoned(folder: str | os.PathLike[str]) -> None:
-    """Remove what processes of this machine have left in a folder that are dead by now."""
+    """Remove from a folder what processes of this machine left there that are dead by now."""
     pattern = re.compile(rf'{re.escape(PREFIX)}(\d{{1,9}})-{_machine()}-\w+\.tmp')
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
@@ -240,7 +240,7 @@ def remove_abandoned(folder: str | os.PathLike[str]) -> None:
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Provide a folder among the system's temporary files, removed with what is in it."""
+    """Provide a temporary folder, removed afterwards with everything in it."""
     place = Path(tempfile.gettempdir())
     remove_abandoned(place)
     folder = place / hidden_name()
@@ -253,7 +253,7 @@ def scratch_folder() -> Iterator[Path]:
 
 @cache
 def _machine() -> str:
-    """Return a number for where processes are numbered: this machine, or this container."""
+    """Return an identifier of what numbers the processes: this machine, or this container."""
     namespace = ''
     with suppress(OSError):
         namespace = os.readlink('/proc/self/ns/pid')
@@ -261,7 +261,7 @@ def _machine() -> str:
 
 
 def _alive(pid: int) -> bool:
-    """Return whether there is such a process, and not only what nobody has waited for."""
+    """Return whether a process exists and is not a zombie."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

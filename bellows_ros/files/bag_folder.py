@@ -19,8 +19,7 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-# No record, chunk or message of a sound recording is larger; a damaged or hostile file may say it
-# is.
+# No record, chunk or message of a sound recording is larger, whatever a damaged file claims.
 LARGEST_RECORD = 256 * 2**20
 
 
@@ -131,7 +130,7 @@ def require_no_input(
 
 
 def _real(path: str | os.PathLike[str]) -> Path:
-    """Return where a name leads."""
+    """Return a path with all links resolved."""
     try:
         return Path(os.path.realpath(path))
     except (OSError, ValueError) as error:
@@ -139,7 +138,7 @@ def _real(path: str | os.PathLike[str]) -> Path:
 
 
 def differing_counts(listed: Listing, counts: Mapping[Topic, int]) -> tuple[str, ...]:
-    """Return in words where a recording has other numbers of messages than its metadata says."""
+    """Return in words where the numbers of messages differ from what the metadata says."""
     information = listed.information
     if not information:
         return ()
@@ -188,7 +187,7 @@ def _listed_files(folder: Path) -> Listing:
 
 
 def _without_metadata(folder: Path) -> Listing:
-    """Return the storage files of a folder whose recorder has not come to write metadata."""
+    """Return the storage files of a folder whose recorder has not written metadata yet."""
     names = {p.name for p in folder.iterdir() if p.suffix in STORED and p.is_file()}
     # A file that was being compressed is there twice.
     names -= {f'{name}.zstd' for name in names}

@@ -45,7 +45,7 @@ class _SealedMcap(_PLUGINS[StoragePlugin.MCAP]):  # type: ignore[misc]
 
 
 class _Writer(Writer):
-    """Writes sealed files."""
+    """Write MCAP files with checksums, and SQLite files."""
 
     STORAGE_PLUGINS = {**_PLUGINS, StoragePlugin.MCAP: _SealedMcap}
 
@@ -202,7 +202,7 @@ def write_bag(
 
 
 def require_replaceable(folder: Path) -> None:
-    """Refuse to replace what is not a recording and nothing else."""
+    """Refuse to replace a folder that holds anything but a recording."""
     if not folder.is_dir():
         return
     names = [p.name for p in folder.iterdir()]

@@ -97,7 +97,7 @@ class _Bag:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Look for its files; raise BellowsError where there are none."""
+        """Find its files; raise BellowsError if there are none."""
         self.path = Path(path)
         self._listed = listing(path)
         self.counts: dict[Topic, int] = {}
@@ -244,7 +244,7 @@ def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Co
     takers: dict[Topic, list[_Collector]] = {}
 
     def is_wanted(topic: Topic) -> bool:
-        """Note who takes a topic's messages, and return whether anybody does."""
+        """Note which collectors take a topic, and return whether any does."""
         takers[topic] = [each for each in collectors if each.accepts(topic)]
         return bool(takers[topic])
 
@@ -298,7 +298,7 @@ def decoded(data: bytes, type_name: str) -> Any:
 
 @cache
 def _types() -> Any:
-    """Return what decodes messages."""
+    """Return the store of message types that decodes messages."""
     from rosbags.typesys import get_typestore, Stores  # late: takes long, and is rarely needed
 
     return get_typestore(Stores.ROS2_JAZZY)
@@ -338,7 +338,7 @@ class _Collector:
         )
 
     def add(self, message: Message) -> None:
-        """Take one message, unless it, or one before, cannot be taken."""
+        """Take a message, unless it or an earlier one cannot be used."""
         if self._type_name not in ('', message.topic.type_name):
             self._problem = (
                 f"Topic '{self._name}' has messages of two types, {self._type_name} and "
@@ -417,7 +417,7 @@ class _Collector:
 
 
 def _plain(data: bytes) -> bytes:
-    """Return a message's plain bytes; none where they cannot be had, which is counted later."""
+    """Return a message's plain bytes; none if it is damaged, which is counted later."""
     if not data.startswith(ZSTD_MAGIC):
         return data if len(data) <= messages.LARGEST_MESSAGE else b''
     try:

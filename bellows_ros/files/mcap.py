@@ -101,7 +101,7 @@ class _Source:
         self.at = self.whole = self.checksum = 0
 
     def read(self, size: int) -> bytes:
-        """Read so many bytes, or what is left."""
+        """Read up to a number of bytes."""
         data = self._file.read(size)
         self.at += len(data)
         self.checksum = zlib.crc32(data, self.checksum)
@@ -109,14 +109,14 @@ class _Source:
         return data
 
     def read_all(self, size: int) -> bytes:
-        """Read exactly so many bytes."""
+        """Read exactly a number of bytes."""
         data = self.read(size)
         if len(data) != size:
             raise _truncated()
         return data
 
     def skip(self, size: int) -> None:
-        """Pass over so many bytes, which must be there."""
+        """Skip a number of bytes, which must be there."""
         while size:
             step = len(self.read(min(size, _SKIP_STEP)))
             if not step:
@@ -172,7 +172,7 @@ class _Scan:
                 self._compare(_Fields(body))
 
     def _compare(self, fields: '_Fields') -> None:
-        """Refuse a file in which not all messages were met that its statistics count."""
+        """Refuse a file with fewer or more messages than its statistics count."""
         fields.block(42)  # totals and times
         counted = fields.block(fields.number('<I'))
         for channel, count in struct.iter_unpack('<HQ', counted):
@@ -254,7 +254,7 @@ def _file_records(source: _Source) -> Iterator[Record]:
 
 
 def _require_checksum(said: int, found: int, of: str) -> None:
-    """Refuse what has another checksum than is said; 0 stands for none."""
+    """Refuse a checksum other than the stated one; 0 stands for none."""
     if said and said != found:
         raise DamagedError(f'the checksum of {of} is wrong')
 

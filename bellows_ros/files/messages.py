@@ -377,14 +377,14 @@ def _sift(
 
 
 def _refuse(refused: Refused, reason: str, left: Stamps, bad: Mask) -> Stamps:
-    """Note the bad ones of the messages left, and return the others."""
+    """Note the bad ones among the remaining messages, and return the others."""
     if bad.any():
         refused[reason] = tuple(int(i) for i in left[bad])
     return left[~bad]
 
 
 def _rotations(quaternion_xyzw: Array) -> Array:
-    """Return rotation matrices, converted in parts to spare memory."""
+    """Return rotation matrices, converted in parts to save memory."""
     rotation = np.empty((len(quaternion_xyzw), 3, 3))
     for start in range(0, len(quaternion_xyzw), _ROTATIONS_AT_ONCE):
         part = slice(start, start + _ROTATIONS_AT_ONCE)

@@ -138,7 +138,7 @@ def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody
 
 
 def _head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]:
-    """Return what the file says about itself, and its column heads, as wide as the axes' row."""
+    """Return what the file says about itself, and its column heads, as wide as the row of axes."""
     first = next(rows, [])
     if first and first[0].startswith('Format Version;'):
         raise BellowsError(
@@ -167,7 +167,7 @@ def _head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]
 
 
 def _require_settings(path: Path, about: Mapping[str, str]) -> None:
-    """Refuse what was exported in another way than poses can be taken from."""
+    """Refuse an export that poses cannot be taken from."""
     for name, wanted in (('Rotation Type', 'Quaternion'), ('Coordinate Space', 'Global')):
         if about.get(name, wanted) != wanted:
             raise BellowsError(
@@ -181,7 +181,7 @@ def _require_settings(path: Path, about: Mapping[str, str]) -> None:
 
 
 def _start_ns(about: Mapping[str, str]) -> int:
-    """Return when the capture began, ns (its clock is taken for UTC); 1 s where it is not said."""
+    """Return when the capture began, ns (its clock is taken as UTC); 1 s if not stated."""
     match = START.match(about.get('Capture Start Time', ''))
     if match is None:
         return int(NS_PER_S)

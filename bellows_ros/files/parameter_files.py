@@ -43,7 +43,7 @@ _AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
 Found = tuple[str, Any, int]
 Group = dict[str, Any]
-"""Names below a common one: parameters, and further groups."""
+"""Parameters and further groups whose names begin alike."""
 
 
 def read_parameters(path: str | os.PathLike[str], node: str | None = None) -> dict[str, Value]:
@@ -255,7 +255,7 @@ def _rows(parameter: Parameter, value: tuple[Any, ...], indent: str) -> Iterator
 
 
 def _scalar(value: object) -> str:
-    """Return a value as YAML of any version reads it."""
+    """Return a value in a form that every version of YAML reads."""
     if isinstance(value, tuple):
         return '[' + ', '.join(_scalar(item) for item in value) + ']'
     if isinstance(value, bool):

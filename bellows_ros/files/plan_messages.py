@@ -54,7 +54,7 @@ class PlanMessage:
 
 
 class Reader:
-    """What is read from a message, one thing after the other; positions count from its body."""
+    """Reads a message field by field; positions count from its body."""
 
     def __init__(self, data: bytes) -> None:
         """Take a message with its four-byte head."""
@@ -64,7 +64,7 @@ class Reader:
         self.body, self.at = memoryview(data)[4:], 0
 
     def number(self, kind: str = 'I') -> int:
-        """Return a whole number of four bytes."""
+        """Return an integer of four bytes."""
         self.at += -self.at % 4
         if self.at + 4 > len(self.body):
             raise _damaged('it ends too early')
@@ -87,21 +87,21 @@ class Reader:
         return stamp_ns, self.text()
 
     def skip_list(self, doubles: int) -> int:
-        """Pass a list of so many doubles each; return how many there are."""
+        """Skip a list of items of so many doubles; return the number of items."""
         count = self.number()
         if count:
             self.at += -self.at % 8 + 8 * doubles * count
         return count
 
     def rows(self, dtype: np.dtype[np.void], count: int) -> np.ndarray:
-        """Return structures that follow each other."""
+        """Return consecutive structures."""
         if self.at + count * dtype.itemsize > len(self.body):
             raise _damaged('it ends too early')
         return np.frombuffer(self.body, dtype, count, self.at)
 
 
 def _damaged(why: str) -> BellowsError:
-    """Return the error for a message that is none."""
+    """Return the error for a message that cannot be decoded."""
     return BellowsError(f'A plan cannot be decoded: {why}. Send {MULTI_DOF} as ROS does.')
 
 
@@ -140,7 +140,7 @@ def decode_multi_dof(data: bytes) -> PlanMessage:
 
 
 def _points(reader: Reader, parts: tuple[int, ...], count: int) -> np.ndarray:
-    """Return points that lie alike: seconds, nanoseconds, and what they have by a, b and c."""
+    """Return points with equal layout; their parts are called a, b and c."""
     rows = reader.rows(_point(reader.order, reader.at % 8, parts), count)
     for name, size in zip('abc', parts, strict=True):
         if (rows[f'n{name}'] != size).any():
@@ -153,7 +153,7 @@ def _points(reader: Reader, parts: tuple[int, ...], count: int) -> np.ndarray:
 
 @cache
 def _point(order: str, offset: int, parts: tuple[int, ...]) -> np.dtype[np.void]:
-    """Return how a point lies in memory that begins at an offset (0 or 4) from 8 bytes."""
+    """Return the layout of a point that begins 0 or 4 bytes behind a multiple of 8."""
     names, formats, offsets, at = [], [], [], offset
     for name, size, doubles in zip('abc', parts, (7, 6, 6), strict=True):
         names.append(f'n{name}')
@@ -223,11 +223,11 @@ def _header(stamp_ns: int, frame_id: str) -> bytes:
 
 
 def _with_number(data: bytes, number: int) -> bytes:
-    """Return data with a whole number behind it."""
+    """Return data followed by an integer."""
     return data + bytes(-len(data) % 4) + struct.pack('<I', number)
 
 
 def _with_text(data: bytes, text: str) -> bytes:
-    """Return data with a text behind it."""
+    """Return data followed by a text."""
     raw = text.encode() + b'\0'
     return _with_number(data, len(raw)) + raw

@@ -31,7 +31,7 @@ DESCRIPTION = 'std_msgs/msg/String'
 
 
 class NoArmError(BellowsError):
-    """Joints are given, and nothing says of which arm they are."""
+    """Joints are given, but not the arm they belong to."""
 
 
 class JointPlan(NamedTuple):
@@ -113,7 +113,7 @@ def multi_dof(message: Any) -> PlanMessage:
 
 
 def _rates(points: Sequence[Any], name: str) -> Array | None:
-    """Return the twists of points, or None where none has one."""
+    """Return the twists of all points, or None if no point has one."""
     lists = [getattr(point, name) for point in points]
     if not any(len(each) for each in lists):
         return None
@@ -150,7 +150,7 @@ def joint_plan(message: Any) -> JointPlan:
 
 
 def _joints(points: Sequence[Any], part: str, count: int) -> Array | None:
-    """Return numbers of all joints for all points, or None where none has any."""
+    """Return the numbers of all joints for all points, or None if no point has any."""
     rows = [getattr(point, part) for point in points]
     if not any(len(row) for row in rows):
         return None
@@ -162,7 +162,7 @@ def _joints(points: Sequence[Any], part: str, count: int) -> Array | None:
     return np.array(rows, dtype=float)
 
 
-def recorded_joints(path: str | os.PathLike[str], arm: Arm, topic: str = '') -> PlanMessage:
+def recorded_joints(path: str | os.PathLike[str], arm: Arm) -> PlanMessage:
     """
     Return the tool poses that recorded joint states make, with twists where they have velocities.
 
@@ -172,8 +172,7 @@ def recorded_joints(path: str | os.PathLike[str], arm: Arm, topic: str = '') -> 
         If there are none, or they lack a joint of the arm.
 
     """
-    messages = [decoded(data, kind)
-                for _, kind, _, data in messages_of(path, (STATES,), topic)]
+    messages = [decoded(data, kind) for _, kind, _, data in messages_of(path, (STATES,))]
     useful = [m for m in messages if set(arm.moving) <= set(m.name)
               and len(m.position) == len(m.name)]
     if not useful:
@@ -253,7 +252,7 @@ def arm_of(
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Mapping[str, Any]:
-    """Return the content of a YAML file; what `ros2 topic echo` puts behind it is left out."""
+    """Return the content of a YAML file, without what `ros2 topic echo` appends."""
     content = safe_yaml.load(Path(path))
     if not isinstance(content, Mapping):
         raise BellowsError(f"'{path}' holds no names and values, so no plan.")

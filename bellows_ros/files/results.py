@@ -92,7 +92,7 @@ def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
-    """Return what a JSON file holds; raise BellowsError if it cannot be read or is none."""
+    """Return the content of a JSON file; raise BellowsError if it cannot be read."""
     file = Path(path)
     try:
         with file.open('rb') as stream:
@@ -153,7 +153,7 @@ def _require_complete(what: str, content: Any) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON knows: NumPy becomes Python, NaN and infinity become None."""
+    """Return plain JSON types: NumPy becomes Python, NaN and infinity become None."""
     if isinstance(value, Mapping):
         return {_key(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -216,7 +216,7 @@ def provenance(
 
 
 def versions() -> dict[str, str | None]:
-    """Return the versions of this package, of Python, and of what numbers depend on."""
+    """Return the versions of this package, of Python, and of what the numbers depend on."""
     found: dict[str, str | None] = {
         'bellows_ros': __version__, 'python': platform.python_version()}
     for name in TOOLS:

@@ -27,7 +27,7 @@ class _Loader(yaml.SafeLoader):
     count = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Refuse tags, aliases, and more than anyone writes."""
+        """Refuse tags, aliases, and more values than anyone writes."""
         event = self.peek_event()  # type: ignore[no-untyped-call]
         self.count += 1
         if self.count > LARGEST_COUNT:
@@ -51,7 +51,7 @@ class _Loader(yaml.SafeLoader):
                 )
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """Refuse keys that are not plain or come twice."""
+        """Refuse keys that are not plain or are given twice."""
         seen: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):

@@ -59,7 +59,7 @@ def scan(path: Path, wanted: Wanted, counts: dict[Topic, int]) -> Iterator[Messa
 
 
 def _require_closed(path: Path) -> None:
-    """Refuse a database whose last changes still lie in a file beside it."""
+    """Refuse a database whose last changes are still in a file beside it."""
     for suffix in ('-wal', '-journal'):
         beside = path.with_name(path.name + suffix)
         if beside.is_file() and beside.stat().st_size:
@@ -125,7 +125,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _topics(database: sqlite3.Connection, counts: dict[Topic, int]) -> dict[int, Topic]:
-    """Return the topics by their number and add up their messages."""
+    """Return the topics by number, and count their messages."""
     amounts = dict(database.execute('SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id'))
     numbers: dict[int, Topic] = {}
     for row in database.execute('SELECT id, name, type, serialization_format FROM topics'):

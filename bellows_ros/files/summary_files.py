@@ -28,10 +28,10 @@ FORMAT = 'bellows_ros summary 5'
 LARGEST_HEADER = 64 * 2**20
 
 LARGEST_RATIO = 30
-"""Unpacked over stored bytes, beyond 64 MiB: numbers of a motion are far from it."""
+"""Of unpacked to stored bytes, beyond 64 MiB; the numbers of a motion stay far below."""
 
 LARGEST_NUMBER = 1e30
-"""Beyond what any recording gives; its square is still a number."""
+"""No recording gives a larger one; its square is still finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def read_summary(path: str | os.PathLike[str]) -> Summary:
 
 
 def _content(file: Path) -> tuple[Any, dict[str, Any]]:
-    """Return header and arrays of a file, after a look at how large they say they are."""
+    """Return header and arrays of a file, after checking the sizes that it states."""
     with zipfile.ZipFile(file) as archive:
         items = {item.filename.removesuffix('.npy'): item for item in archive.infolist()}
         size = sum(item.file_size for item in items.values())
@@ -111,7 +111,7 @@ def _content(file: Path) -> tuple[Any, dict[str, Any]]:
 
 
 def _array(data: bytes) -> Any:
-    """Return the array of a .npy file, without room for more than there is in it."""
+    """Return the array of a .npy file, allocating no more than the file holds."""
     stream = io.BytesIO(data)
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError('an array has an unknown version')
@@ -171,7 +171,7 @@ def _is(value: Any, kind: type) -> Any:
 
 
 def _require_whole(part: Reduced) -> None:
-    """Raise ValueError where an array is not as the structure wants it."""
+    """Raise ValueError if an array does not fit the structure."""
     sums, rows, world = part.statistics, part.information, part.package_world
     size = 2 * sums.structure.size + 1
     few = (6 if sums.structure.couples else 1) * size

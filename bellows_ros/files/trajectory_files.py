@@ -18,10 +18,10 @@ import numpy as np
 LARGEST_FILE = 2**31
 NS_PER_S = 10**9
 LATEST_NS = 9 * 10**18
-"""Stamps above do not fit into 64 bits."""
+"""Later stamps do not fit into 64 bits."""
 
 NO_ROTATION = 0.01
-"""R^T R of a KITTI pose may differ from I by so much; then it is made a rotation."""
+"""R^T R of a KITTI pose may differ from I by this much; R is then made a rotation."""
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
@@ -213,7 +213,7 @@ def _lines(path: str | os.PathLike[str], separator: str | None) -> list[tuple[in
 
 
 def _require(path: str | os.PathLike[str], number: int, good: bool, what: str) -> None:
-    """Refuse a line that is not as it must be."""
+    """Refuse a line that does not hold what it must."""
     if not good:
         raise BellowsError(
             f"'{path}', line {number}: expected {what}. A TUM line is 'time x y z qx qy qz qw'; "

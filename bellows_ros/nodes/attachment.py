@@ -47,7 +47,7 @@ class Attachment:
         self, node: GuardedNode, values: Mapping[str, Any], change: Callable[[bool, str], bool],
         hear: Callable[[float], None],
     ) -> None:
-        """Serve, and listen to the vacuum where the parameters say so."""
+        """Offer the services, and listen to the vacuum if the parameters say so."""
         self._change, self._hear = change, hear
         self.set_values(values)
         self._kind = signal = values['vacuum.signal']
@@ -98,14 +98,14 @@ class Attachment:
             self._follow(self._switch.held(pressure, bool(self._said)))
 
     def _follow(self, held: bool) -> None:
-        """Do as the vacuum says when it changes; a node not active yet does so when it is."""
+        """Follow the vacuum when it changes; a node that is not active yet does so once it is."""
         changed, self._said = held != self._said, held
         if changed and held != self.held:
             self.held = held
             self._change(held, 'vacuum')
 
     def status(self, name: str) -> Status | None:
-        """Return the line of the diagnostics on the vacuum signal, where one is asked for."""
+        """Return the diagnostics line on the vacuum signal, if there is to be one."""
         if self.signal is None:
             return None
         speaks_once = self._kind == 'bool'

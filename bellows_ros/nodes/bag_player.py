@@ -28,7 +28,7 @@ LISTENER_TIMEOUT = 5.0
 LOOK_EVERY = 0.05
 
 LAST_MOMENT = 200e-6
-"""So long (s) before a message is due nothing else is done."""
+"""Nothing else is done within this time (s) before a message is due."""
 
 LEAD_TIME = 0.2
 """Time (s) from the start to the first message."""
@@ -86,9 +86,9 @@ def play(
     rate : float
         Seconds of the recording per second.
     stamps_now : bool
-        Whether headers are stamped as if everything happened now; else as it was recorded.
+        Whether headers are stamped with the current time; else as recorded.
     loop : bool
-        Whether it begins again at its end, for ever.
+        Whether to start again at the end, forever.
     say : callable
         Called with what is being done and the part (0 to 1) that is done.
 
@@ -192,7 +192,7 @@ def spin_until(
     executor: SingleThreadedExecutor, done: Callable[[], bool], timeout: float,
     meanwhile: Callable[[], None] = lambda: None,
 ) -> bool:
-    """Receive until something is done, for so long (s) at most; return whether it is."""
+    """Receive until something is done, or for a time (s) at most; return whether it is done."""
     deadline = time.monotonic() + timeout
     while not (is_done := done()) and time.monotonic() < deadline:
         meanwhile()

@@ -119,7 +119,7 @@ def _run_node(
 
 
 def origin_of(name: str, arguments: Sequence[str]) -> str:
-    """Return which argument a parameter's value is from, the last one; '' where none names it."""
+    """Return the last argument that gives a parameter its value; '' if none does."""
     from ..files.parameter_files import read_parameters
 
     found = ''
@@ -133,7 +133,7 @@ def origin_of(name: str, arguments: Sequence[str]) -> str:
 
 
 def _initialise(argv: list[str]) -> None:
-    """Start ROS, and say in words what is wrong with its arguments."""
+    """Start ROS; say plainly what is wrong with its arguments."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 

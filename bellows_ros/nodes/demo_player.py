@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from .bag_player import LOOK_EVERY, playing, publisher, Say, send_all, spin_until, STAMP, stamped
 
 QUEUE = 10_000
-"""Messages kept on the way: nothing is lost because this process was busy."""
+"""Length of the queues: nothing is lost while this process is busy."""
 
 DISCOVERY_TIMEOUT = 90.0
 """How long (s) the predictor may take to start; without a cache it compiles first."""
@@ -133,7 +133,7 @@ class Player:
         probed_ns = firsts[-1].log_time_ns - PROBE_LEAD_NS
 
         def probe() -> None:
-            """Send the first twist and pose with the next stamp of long ago."""
+            """Send the first twist and pose with the next stamp from long ago."""
             nonlocal probed_ns
             probed_ns += round(LOOK_EVERY * 1e9)
             for message in firsts:

@@ -35,10 +35,10 @@ TOPIC = '/diagnostics'
 OF_TWISTS = 'twist_'
 
 LOGGED_AFTER, LOGGED_EVERY = 5.0, 30.0
-"""Seconds for which something must lack until it is logged, and until it is logged again."""
+"""Seconds that a fault must last before it is logged, and before it is logged again."""
 
 UPSIDE_DOWN = 0.5
-"""Part of gravity along z of the tool with which the package is above it."""
+"""Above this fraction of gravity along z of the tool the package is above the tool."""
 
 
 class Diagnostics:
@@ -146,7 +146,7 @@ class Diagnostics:
         return bool(z @ self._gravity > UPSIDE_DOWN * np.linalg.norm(self._gravity))
 
     def _log_lasting(self, line: Status, wrong: bool) -> None:
-        """Log a line whose fault lasts, and not often."""
+        """Log a line if its fault lasts, but not often."""
         now = time.monotonic()
         if not wrong:
             self._due.pop(line.name, None)

@@ -33,7 +33,7 @@ class GuardedNode(Node):
         super().__init__(*arguments, **options)
 
     def on_failure(self) -> None:
-        """Put the state right after a callback has failed; it may have stopped half-way."""
+        """Repair the state after a callback has failed, perhaps half-way through."""
 
     def note_failure(self, error: Exception) -> None:
         """Count an exception by its place, log it where it is new, and start afresh."""
@@ -53,7 +53,7 @@ class GuardedNode(Node):
     def guarded(
         self, callback: Callable[..., Any], otherwise: Callable[[], Any] = lambda: None
     ) -> Callable[..., Any]:
-        """Return a callback that notes its exceptions, and then returns something else."""
+        """Return a callback that notes its exceptions and then returns something else."""
         @wraps(callback)
         def call(*arguments: Any) -> Any:
             try:

@@ -1,4 +1,4 @@
-"""The node that identifies a cup from recordings, and shows them."""
+"""The node that identifies a cup from recordings and shows the result."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -21,11 +21,11 @@ from ..workflows.identify import identify
 
 TICK = 0.1
 LONGEST_WAIT = 10.0
-"""How long (s) the predictor is waited for."""
+"""How long (s) to wait for the predictor."""
 
 OF_THE_CUP = ('cup.', 'envelope.')
 SHOWN = [p.name for p in parameters_of('identifier') if p.name.startswith(OF_THE_CUP)]
-"""Parameters that are there when the work is done."""
+"""Parameters that are declared when the work is done."""
 
 
 class IdentifierNode(TableNode):
@@ -82,7 +82,7 @@ class IdentifierNode(TableNode):
     # ------------------------------------------------------------- in the executor
 
     def _tick(self) -> None:
-        """Do what comes next; what goes wrong ends the node, and after the end nothing is done."""
+        """Take the next step, if there is one; an error ends the node."""
         try:
             next(self._steps, None)
         except Exception as error:  # noqa: BLE001 (raised again by whoever waits for the end)
@@ -127,7 +127,7 @@ class IdentifierNode(TableNode):
         return cup
 
     def _set_on_predictor(self, cup: Mapping[str, Value]) -> Iterator[None]:
-        """Set the cup on the predictor as soon as it is there; say what that made of it."""
+        """Set the cup on the predictor as soon as it is there, and log the answer."""
         name = self.values['predictor']
         client = AsyncParameterClient(self, str(name))
         give_up_at = time.monotonic() + LONGEST_WAIT

@@ -1,4 +1,4 @@
-"""A managed node that refuses invalid transitions, where rclpy would end it, and cleans up."""
+"""A managed node that refuses invalid transitions, at which rclpy would end, and cleans up."""
 
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -46,11 +46,11 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         self._why_not = ''
 
     def configure(self) -> None:
-        """Make all that needs the parameters, or raise what stands against it."""
+        """Make everything that needs the parameters, or raise the obstacle."""
         raise NotImplementedError
 
     def start(self) -> None:
-        """Configure and activate, or end and raise what stands against it."""
+        """Configure and activate, or end and raise the obstacle."""
         for step in (self.trigger_configure, self.trigger_activate):
             if step() != SUCCESS:
                 self.destroy_node()

@@ -59,7 +59,7 @@ class Picture:
 
 
 def gone() -> MarkerArray:
-    """Return what takes all markers away."""
+    """Return the message that deletes all markers."""
     return MarkerArray(markers=[Marker(ns=NAMESPACE, action=Marker.DELETEALL)])
 
 

@@ -37,13 +37,13 @@ from ..core.live.uncertainty import Uncertainty, UNKNOWN_ROOT
 QUEUE = 500
 
 LATE_WITHIN_NS = 1_000_000_000
-"""Stamps behind an extrapolated one by no more (ns) are late; by more, of another clock."""
+"""Up to this far (ns) behind an extrapolated stamp one is late; farther, of another clock."""
 
 LARGEST_FACTOR = 1000.0
-"""Safety factors are sent no larger than this, as infinity is none in many plots."""
+"""Safety factors are capped here, as many plots cannot show infinity."""
 
 NOMINAL = '_nominal'
-"""Added to the name of the lip's frame: where the lip is without load."""
+"""Suffix of the lip's frame for where the lip is without load."""
 
 
 class Topic:

@@ -23,7 +23,7 @@ Values = dict[str, Any]
 
 QOS_PREFIX = 'qos_overrides.'
 TOGETHER = ('cup.', 'cups.', 'package.', 'envelope.', 'vacuum.')
-"""Parameters whose names begin so change together or not at all within one call."""
+"""Parameters with these prefixes change together or not at all within one call."""
 
 _TYPES = {
     'bool': Parameter.Type.BOOL,
@@ -129,13 +129,13 @@ class TableNode(GuardedNode):
         self.add_post_set_parameters_callback(self._keep)
 
     def check_values(self, values: Values) -> None:
-        """Raise BellowsError where values that are allowed one by one cannot stand together."""
+        """Raise BellowsError if values that are allowed one by one contradict each other."""
 
     def on_values(self, names: list[str]) -> None:
         """Act on new `values`; called after the named parameters have been set."""
 
     def unmatched_qos_overrides(self) -> list[str]:
-        """Return the names of given QoS overrides that no topic of this node has taken."""
+        """Return the names of QoS overrides that match no topic of this node."""
         return [
             name
             for name in self._parameter_overrides
@@ -178,7 +178,7 @@ class TableNode(GuardedNode):
         self.check_values(self.values)
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Set all or none of some parameters, and say in words why not."""
+        """Set all or none of some parameters, and say why not."""
         changing = [p for p in parameters if not self._stays_as_it_is(p)]
         if not changing:
             return SetParametersResult(successful=True)
@@ -263,7 +263,7 @@ def _refused(reason: str) -> SetParametersResult:
 
 
 def _is_ours(parameter: Parameter) -> bool:
-    """Return whether a parameter stands in the table; others belong to ROS."""
+    """Return whether a parameter is in the table; others belong to ROS."""
     return parameter.name in table.PARAMETERS or bool(table.NAMED_CUP.fullmatch(parameter.name))
 
 

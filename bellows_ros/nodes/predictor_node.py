@@ -36,16 +36,16 @@ from ..core.tuples import Quaternion, Vector
 from ..errors import BellowsError
 
 TICK = 0.02
-"""Time (s) between two looks at what does not come; each costs as much as a message."""
+"""Time (s) between two checks for missing messages; each costs as much as a message."""
 
 LATE_TICK_NS = 40_000_000
-"""A tick so long (ns) after the last one tells of a pause of this process: messages wait."""
+"""A tick this late (ns) after the last shows that the process paused: messages are waiting."""
 
 IDLE_TICKS = 2
-"""After so many ticks in a row without a pose none waits for its twist any longer."""
+"""After this many ticks without a pose, none waits for its twist any longer."""
 
 LOAD_TICKS = 3
-"""Every so many ticks the cup's deflection is compared with what its identification has seen."""
+"""Ticks between two comparisons of the cup's deflection with its validity range."""
 
 REPORT_PERIOD = 1.0
 
@@ -157,7 +157,7 @@ class PredictorNode(ManagedNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give back all that was made."""
+        """Release everything that was made."""
         result = super().on_cleanup(state)
         self._clean_up()
         return result
@@ -171,14 +171,14 @@ class PredictorNode(ManagedNode):
         return result
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give up what there is, so that the node can be configured again."""
+        """Release everything, so that the node can be configured again."""
         self.get_logger().error('A transition failed; the node is unconfigured now.')
         self._active = False
         self._clean_up()
         return TransitionCallbackReturn.SUCCESS
 
     def _clean_up(self) -> None:
-        """Give back the model and the topics."""
+        """Release the model and the topics."""
         if self._live is None:
             return
         self.get_logger().info(summary(self._live))
@@ -244,7 +244,7 @@ class PredictorNode(ManagedNode):
         self._diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
 
     def _publish(self, predictions: Iterable[Prediction]) -> None:
-        """Send predictions, and watch what the cup carries."""
+        """Send predictions, and watch the load on the cup."""
         for prediction in predictions:
             factors = self._diagnostics.load.watch_force(prediction)
             self._outputs.publish(prediction, self._live.frame_id, factors)
@@ -253,7 +253,7 @@ class PredictorNode(ManagedNode):
     # ----------------------------------------------------------------- events
 
     def _on_twist_publishers(self, count: int) -> None:
-        """Let poses wait for their twists while somebody sends some."""
+        """Let poses wait for their twists while twists have a publisher."""
         self._twists_exist = count > 0
         if self._live is None:
             return
@@ -302,7 +302,7 @@ class PredictorNode(ManagedNode):
         self._say_state()
 
     def _on_pressure(self, pressure: float) -> None:
-        """Hold as firmly as the pressure (Pa) in the cup says; after the valve it only falls."""
+        """Take the grip from the pressure (Pa) in the cup; once the valve is off it only falls."""
         load, flight = self._diagnostics.load, self._tossing.flight
         load.hear(pressure)
         self._planning.grip = load.grip
@@ -310,7 +310,7 @@ class PredictorNode(ManagedNode):
             flight.grip = load.grip
 
     def _attach(self, held: bool, why: str) -> bool:
-        """Take up or let go the package; return whether the node is active."""
+        """Attach or detach the package; return whether the node is active."""
         if not self._active:
             return False
         if not held and self._tossing.flight.state:  # the vacuum falls, as the valve has it
@@ -322,7 +322,7 @@ class PredictorNode(ManagedNode):
         return True
 
     def _tick(self) -> None:
-        """Predict for poses that wait when nothing comes any more, and bridge a pause."""
+        """Predict for waiting poses when no more messages arrive, and bridge a pause."""
         before_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
         # After a pause of this process what waits comes first; not twice.
         self._was_late = not self._was_late and self._ticked_ns - before_ns > LATE_TICK_NS
@@ -356,7 +356,7 @@ class PredictorNode(ManagedNode):
     # ------------------------------------------------------------- parameters
 
     def check_values(self, values: Values) -> None:
-        """Refuse what no cup or package can be, and what would have no effect."""
+        """Refuse impossible cups and packages, and settings without effect."""
         name = values['cup.name']
         idle = [key for key in OF_A_CUP if name and values[key] != self.values[key]]
         if idle:
@@ -380,7 +380,7 @@ class PredictorNode(ManagedNode):
             self._on_pressure(self._diagnostics.load.pressure)
 
     def _apply(self, live: LivePredictor, values: Values) -> None:
-        """Hand values to what uses them between two messages."""
+        """Pass values on to what uses them, between two messages."""
         live.coast_limit_ns = round(values['coast.limit'] * 1e9)
         self._observing.set_values(live, self._outputs, values)
         self._outputs.set_model(live.model, values)
@@ -392,11 +392,11 @@ class PredictorNode(ManagedNode):
     # ---------------------------------------------------------------- reports
 
     def _say_report(self) -> None:
-        """Say how the node is, to the log where something is wrong."""
+        """Report the health of the node, and log what is wrong."""
         self._diagnostics.report(self.lifecycle_state, self._last, self._twists_exist)
 
     def close(self) -> None:
-        """Say what came and went, and end."""
+        """Log the final counts, and end."""
         self._active = False
         self._clean_up()
         self.destroy_node()

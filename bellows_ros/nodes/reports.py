@@ -56,7 +56,7 @@ class InputReport:
     """
 
     def __init__(self, live: LivePredictor) -> None:
-        """Start to count from now."""
+        """Start counting now."""
         self._live = live
         self._no_equilibrium_said = False
         self._before = _counts(live)

@@ -14,7 +14,7 @@ from typing import Any
 from rclpy.executors import SingleThreadedExecutor
 
 LONGEST_WAIT = 0.1
-"""So late (s) at most is it noticed that the process is asked to end."""
+"""A request to end is noticed within this time (s)."""
 
 COLLECT_EVERY = 1.0
 """Time (s) between two runs of the garbage collector."""

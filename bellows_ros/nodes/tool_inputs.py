@@ -19,13 +19,13 @@ from ..core.live.transforms import Chain
 from ..errors import BellowsError
 
 QUEUE = 500
-"""Messages kept on each topic: at 1 kHz the longest gap that the motion is followed across."""
+"""Length of each queue: at 1 kHz the longest gap across which the motion is followed."""
 
 OVERRIDABLE = (
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
     QoSPolicyKind.DURABILITY,
 )
-"""Durability for the last word of a vacuum switch that speaks only when it changes."""
+"""Durability is for a vacuum switch that publishes only when it changes."""
 
 
 class SensorInput:
@@ -97,7 +97,7 @@ class SensorInput:
         )
 
     def _mismatch(self, publishers: int) -> Mismatch | None:
-        """Return for what a publisher cannot be heard, if any."""
+        """Return why a publisher cannot be heard, if there is one."""
         if self._subscription.get_publisher_count() >= publishers:
             return None
         asked = self._subscription.qos_profile
@@ -150,7 +150,7 @@ class TransformInput(SensorInput):
             qos=QoSProfile(depth=QUEUE, durability=DurabilityPolicy.TRANSIENT_LOCAL))
 
     def _on_moving(self, message: Any) -> None:
-        """Give the poses that a message makes known."""
+        """Pass on the poses that a message completes."""
         self._add(message, static=False)
         for pose in self._chain.due():
             self._take(pose.stamp_ns, self._chain.world, *pose[1:])
@@ -164,7 +164,7 @@ class TransformInput(SensorInput):
                 quaternion_xyzw(own.rotation)), static)
 
     def seen(self, refused: Mapping[str, int]) -> InputSeen:
-        """Return what came since the last call, with what had no transforms of its time."""
+        """Return what came since the last call, with the poses that lacked a transform."""
         return super().seen({**refused, 'no_transform': self._chain.dropped})
 
     def _mismatch(self, publishers: int) -> Mismatch | None:
