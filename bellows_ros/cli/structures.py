@@ -49,9 +49,13 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(result: 'StructureAdvice', console: Console) -> None:
     """Print the excitation, the candidates and the advice."""
+    from bellows_ros.report.cup import excitation_rows
+    from bellows_ros.report.standstills import structure_rows
+    from bellows_ros.workflows.result_json import selection_json
+
     excitation, selection = result.excitation, result.selection
-    console.table(
-        _axis_rows(result), right=True, title='Excitation of the lip, relative to the tool')
+    console.table(excitation_rows(excitation), right=True,
+                  title='Excitation of the lip, relative to the tool')
     console.say()
     console.table(_parameter_rows(result), right=True, title='Identifiability, by least squares')
     console.paragraph(
@@ -59,7 +63,7 @@ def _say(result: 'StructureAdvice', console: Console) -> None:
         f'{excitation.condition_number:.3g}.'
     )
     console.say()
-    console.table(_candidate_rows(result), right=True, title='Structures')
+    console.table(structure_rows(selection_json(selection)), right=True, title='Structures')
     console.paragraph(
         f'{selection.samples} samples, equivalent to {selection.effective_samples:.0f} '
         'independent ones.'
@@ -67,21 +71,6 @@ def _say(result: 'StructureAdvice', console: Console) -> None:
     console.say()
     console.paragraph(*selection.advice)
     console.warn(*result.warnings)
-
-
-def _axis_rows(result: 'StructureAdvice') -> list[tuple[str, ...]]:
-    """Return a row of the table for every direction."""
-    rows: list[tuple[str, ...]] = [
-        ('axis', 'deflection', 'moving', 'noise', 'velocity', 'noise', 'main band')]
-    for axis in result.excitation.axes:
-        unit, rate = ('mm', 'mm/s') if not axis.name.startswith('r') else ('mrad', 'mrad/s')
-        rows.append((
-            axis.name, _milli(axis.strain, unit), _milli(axis.motion, unit),
-            _milli(axis.strain_noise, unit), _milli(axis.twist, rate),
-            _milli(axis.twist_noise, rate),
-            '{:.1f}-{:.1f} Hz'.format(*axis.band_hz) if math.isfinite(axis.band_hz[0]) else '-',
-        ))
-    return rows
 
 
 def _parameter_rows(result: 'StructureAdvice') -> list[tuple[str, ...]]:
@@ -98,20 +87,3 @@ def _parameter_rows(result: 'StructureAdvice') -> list[tuple[str, ...]]:
             '-' if not math.isfinite(own.bias) else f'{own.bias:+.1%}',
         ))
     return rows
-
-
-def _candidate_rows(result: 'StructureAdvice') -> list[tuple[str, ...]]:
-    """Return a row for every structure."""
-    rows: list[tuple[str, ...]] = [
-        ('structure', 'parameters', 'AIC', 'BIC', 'held-out error', 'usable')]
-    for own in result.selection.candidates:
-        rows.append((
-            own.structure, str(own.parameters), f'+{own.aic:.1f}', f'+{own.bic:.1f}',
-            f'{own.held_out:.2%}' if math.isfinite(own.held_out) else '-',
-            'yes' if own.usable else 'no'))
-    return rows
-
-
-def _milli(value: float, unit: str) -> str:
-    """Return a value in thousandths of its SI unit, or a dash."""
-    return f'{value * 1e3:.3g} {unit}' if math.isfinite(value) else '-'

@@ -7,7 +7,7 @@ from typing import Any
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.result import UNITS
 from bellows_ros.core.identification.samples import Spectra
-from bellows_ros.core.residuals import Spectrum
+from bellows_ros.core.residuals import MILLI_UNITS, Spectrum
 from bellows_ros.core.structure import AXES, structure_named
 from bellows_ros.workflows.result_json import NORMAL_95
 import numpy as np
@@ -120,15 +120,26 @@ def envelope_content(content: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def excitation_rows(found: Excitation) -> list[tuple[str, ...]]:
+    """Return a table, with its head, of the motion of the lip in each axis of the tool."""
+    def milli(value: float, unit: str) -> str:
+        return f'{1e3 * value:.3g} {unit}' if math.isfinite(value) else '-'
+
+    rows: list[tuple[str, ...]] = [
+        ('axis', 'deflection', 'moving', 'noise', 'velocity', 'noise', 'main band')]
+    for axis, unit in zip(found.axes, MILLI_UNITS, strict=True):
+        low, high = axis.band_hz
+        rows.append((
+            axis.name, milli(axis.strain, unit), milli(axis.motion, unit),
+            milli(axis.strain_noise, unit), milli(axis.twist, f'{unit}/s'),
+            milli(axis.twist_noise, f'{unit}/s'),
+            f'{low:.1f}-{high:.1f} Hz' if math.isfinite(low) else '-'))
+    return rows
+
+
 def excitation_content(found: Excitation, spectra: Mapping[str, Spectra]) -> list[str]:
     """Return what is identifiable from the recordings."""
-    rows = []
-    for i, axis in enumerate(found.axes):
-        unit, milli = ('mm', 'mm/s') if i < 3 else ('mrad', 'mrad/s')
-        rows.append(
-            (axis.name, f'{1e3 * axis.motion:.3g} {unit}', f'{1e3 * axis.strain_noise:.2g} {unit}',
-             f'{1e3 * axis.twist:.4g} {milli}', f'{1e3 * axis.twist_noise:.2g} {milli}',
-             f'{axis.band_hz[0]:.3g} to {axis.band_hz[1]:.3g} Hz'))
+    head, *rows = excitation_rows(found)
     parameters = [
         (p.label, f'{100.0 * p.noise_share:.2g} %' if math.isfinite(p.noise_share) else '-',
          'not identifiable' if not p.identifiable else 'weakly' if p.weak else 'well')
@@ -138,7 +149,7 @@ def excitation_content(found: Excitation, spectra: Mapping[str, Spectra]) -> lis
         paragraph(f'{found.rank} of {found.size} combinations of parameters are identifiable; '
                   f'scaled condition number {found.condition_number:.3g}.'),
         bullets(found.warnings, 'warning'),
-        table(('lip in the tool', 'RMS motion', 'of noise', 'RMS rate', 'of noise', 'band'), rows),
+        table(head, rows),
         folded(
             'Each parameter', table(('parameter', 'noise', 'identifiable'), parameters, (0, 2))),
         *(part for name, own in spectra.items()

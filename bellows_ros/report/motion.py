@@ -7,7 +7,7 @@ from bellows_ros.core.residuals import AXES, CONFIDENT, MILLI_UNITS, SMALL, Whit
 from bellows_ros.workflows.replay import Margins, Replay
 import numpy as np
 
-from .page import figures, heading, paragraph, table, warnings
+from .page import figures, heading, paragraph, percent, table, warnings
 from .svg import Curve, line_chart
 
 MILLI = 1e3
@@ -80,14 +80,9 @@ def _score_table(found: Validation) -> str:
         word = 'good' if found.scores.nrmse[i] <= LIMIT else f'above {100 * LIMIT:g} %'
         rows.append((
             name, *(f'{MILLI * value:.3g} {unit}' for value in numbers),
-            _percent(found.scores.nrmse[i]), _percent(found.model_error[i]),
+            percent(found.scores.nrmse[i]), percent(found.model_error[i]),
             word if found.moves[i] else 'moves too little'))
     return table(head, rows, (0, 7))
-
-
-def _percent(ratio: float) -> str:
-    """Return a ratio in percent, or a dash."""
-    return f'{100.0 * ratio:.2f} %' if np.isfinite(ratio) else '-'
 
 
 def _verdict(found: Validation) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from html import escape
+import math
 
 from bellows_ros.plots.style import Theme, THEMES
 
@@ -62,6 +63,11 @@ def figures(items: Sequence[tuple[str, str]]) -> str:
         for words, svg in items
     )
     return f'<div class="figures">\n{inside}</div>'
+
+
+def percent(ratio: float) -> str:
+    """Return a ratio in percent, or a dash if it is not finite."""
+    return f'{100.0 * ratio:.2f} %' if math.isfinite(ratio) else '-'
 
 
 def folded(title: str, content: str) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 import math
 from typing import Any
 
-from .page import bullets, table
+from .page import bullets, percent, table
 
 
 def standstill_content(content: Mapping[str, Any]) -> list[str]:
@@ -37,12 +37,13 @@ NARROWED = 0.95
 
 def selection_content(selection: Mapping[str, Any]) -> list[str]:
     """Return how the structures compare, and the advice."""
-    rows = [
+    head, *rows = structure_rows(selection)
+    return [table(head, rows), bullets(selection['advice'])]
+
+
+def structure_rows(selection: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return a table, with its head, of the structures that were compared."""
+    return [('structure', 'parameters', 'AIC', 'BIC', 'held-out error', 'usable'), *(
         (own['structure'], str(own['parameters']), f'+{own["aic"]:.1f}', f'+{own["bic"]:.1f}',
-         '-' if own['held_out'] is None else f'{100.0 * own["held_out"]:.2f} %',
-         'yes' if own['usable'] else 'no')
-        for own in selection['candidates']]
-    return [
-        table(('structure', 'parameters', 'AIC', 'BIC', 'held-out error', 'usable'), rows),
-        bullets(selection['advice']),
-    ]
+         percent(math.nan if own['held_out'] is None else own['held_out']),
+         'yes' if own['usable'] else 'no') for own in selection['candidates'])]
