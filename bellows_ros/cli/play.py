@@ -57,9 +57,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.workflows.recordings import inside
     import numpy as np
 
-    pairs = (text.partition(':=') for text in arguments.topics)
-    renamed = {name: new or name for name, new in (
-        (f'/{name.lstrip("/")}', new) for name, _, new in pairs)}
+    renamed = {}
+    for topic, _, name in (text.partition(':=') for text in arguments.topics):
+        topic = f'/{topic.lstrip("/")}'
+        renamed[topic] = name or topic
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         messages, notes = read_messages(arguments.bag, renamed)

@@ -1,16 +1,17 @@
 """Compare two fits of a cup by their result files."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros.core.identification.comparison import compare_fits, FitComparison, Fitted
+from bellows_ros.core.identification.comparison import Change, compare_fits, FitComparison, Fitted
 from bellows_ros.core.model import Cup, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.structure import structure_named
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import content_of, read_result
+from bellows_ros.workflows.result_json import attributes
 import numpy as np
 
 Path = str | os.PathLike[str]
@@ -60,13 +61,18 @@ class Comparison:
             'matters': fits.matters,
             'significant': fits.significant,
             'p_value': fits.p_value,
-            **{name: [{**vars(change), **{derived: getattr(change, derived) for derived in (
-                'percent', 'standard_errors', 'p_value', 'significant')}} for change in changes]
-               for name, changes in (('parameters', fits.parameters), ('effects', fits.effects))},
+            'parameters': _changes_json(fits.parameters),
+            'effects': _changes_json(fits.effects),
             'shake_rms': fits.shake_rms,
             'settings': [difference._asdict() for difference in self.settings],
             'shared_recordings': self.shared,
         }
+
+
+def _changes_json(changes: Sequence[Change]) -> list[dict[str, Any]]:
+    """Return changes with what follows from them."""
+    derived = ('percent', 'standard_errors', 'p_value', 'significant')
+    return [{**vars(change), **attributes(change, *derived)} for change in changes]
 
 
 def compare_files(before: Path, after: Path) -> Comparison:
