@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     def work(values: Mapping[str, Any], progress: Any) -> 'PlanReport':
         progress(f'predicting {arguments.plan}')
         return plan(arguments.plan, values, str(arguments.urdf or ''), arguments.topic,
-                    arguments.fastest, bool(arguments.plot))
+                    arguments.fastest)
 
     def draw(report: 'PlanReport') -> Any:
         from bellows_ros.plots.plan import plan_figure

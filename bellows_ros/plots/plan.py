@@ -30,7 +30,7 @@ def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
     Parameters
     ----------
     report : PlanReport
-        With curves.
+        What is drawn.
     note : str
         Which plan and cup.
     theme : {'light', 'dark'}
@@ -42,7 +42,6 @@ def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
 
     """
     curves = report.curves
-    assert curves is not None  # noqa: S101 (a report to be drawn has them)
     values, std = curves.values, curves.std
     offset = values[:, :3] - curves.tool
     note = f'{note}; bands: two standard deviations'

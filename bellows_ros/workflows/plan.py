@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 import math
 import os
 from pathlib import Path
@@ -120,8 +121,6 @@ class PlanReport:
         Of the package.
     std : mapping of str to float
         Standard deviation of each of the prediction's figures.
-    curves : Curves or None
-        For a picture, where one is wanted.
     outside : tuple of str
         Where the plan leaves the validity range of the cup.
     fastest : Fastest or None
@@ -139,7 +138,6 @@ class PlanReport:
     source: Source
     prediction: Prediction
     std: Mapping[str, float]
-    curves: Curves | None
     outside: tuple[str, ...]
     fastest: Fastest | None
     sought: bool
@@ -150,6 +148,24 @@ class PlanReport:
     def duration(self) -> float:
         """Of the plan, s."""
         return float(self.source.tool.seconds[-1])
+
+    @cached_property
+    def curves(self) -> Curves:
+        """What a picture shows, with what follows a plan that ends at rest."""
+        found = self.prediction
+        after = min(AFTER, found.settled_after + 0.2) if found.ends_at_rest else 0.0
+        longer = standing(self.source.tool, after)
+        model = model_tuple(cup_of(self.values), package_of(self.values), self.source.gravity)
+        run = Run(model, grip_of(self.values), longer)
+
+        def compute(changed: ModelTuple) -> Array:
+            found = run.of(changed).at(1.0)
+            angle = bending(longer.rotation, quaternion_to_rotation(found.states[:, 3:7]))
+            factors = 1.0 / np.maximum(found.loads, 1.0 / LARGEST_FACTOR)
+            return np.hstack([found.states[:, :3], angle[:, None], factors, found.wrench])
+
+        return Curves(longer.seconds, longer.position, compute(model),
+                      _deviations(self.values, model, compute))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -201,7 +217,7 @@ def safety_sentence(factor: float, mode: str, time: float, std: float, least: fl
 
 def plan(
     path: str | os.PathLike[str], settings: Mapping[str, object], urdf: str = '',
-    topic: str = '', seek_fastest: bool = False, with_curves: bool = False,
+    topic: str = '', seek_fastest: bool = False,
 ) -> PlanReport:
     """
     Predict the package along a plan.
@@ -219,8 +235,6 @@ def plan(
         Where a recording has several plans.
     seek_fastest : bool
         Whether the shortest safe time is sought.
-    with_curves : bool
-        Whether curves for a picture are computed.
 
     Raises
     ------
@@ -249,7 +263,6 @@ def plan(
         found = fastest(values, model, grip, source.tool, least)
     return PlanReport(
         os.fspath(path), source, prediction, dict(zip(names, std.tolist(), strict=True)),
-        _curves(values, model, source.tool, prediction) if with_curves else None,
         prediction.outside(known_envelope(values), float(values['package.mass'])), found,
         seek_fastest, least, values,
     )
@@ -264,24 +277,6 @@ def _deviations(
         return 0.0 * compute(model)
     std: Array = np.sqrt(np.sum(parts ** 2, axis=0))
     return std
-
-
-def _curves(
-    values: Mapping[str, Any], model: ModelTuple, tool: Trajectory, prediction: Prediction
-) -> Curves:
-    """Return the curves of a picture, with what follows a plan that ends at rest."""
-    after = min(AFTER, prediction.settled_after + 0.2) if prediction.ends_at_rest else 0.0
-    longer = standing(tool, after)
-    run = Run(model, grip_of(values), longer)
-
-    def compute(changed: ModelTuple) -> Array:
-        found = run.of(changed).at(1.0)
-        angle = bending(longer.rotation, quaternion_to_rotation(found.states[:, 3:7]))
-        factors = 1.0 / np.maximum(found.loads, 1.0 / LARGEST_FACTOR)
-        return np.hstack([found.states[:, :3], angle[:, None], factors, found.wrench])
-
-    return Curves(
-        longer.seconds, longer.position, compute(model), _deviations(values, model, compute))
 
 
 def bending(R_world_tool: Array, R_world_lip: Array) -> Array:

@@ -291,7 +291,7 @@ def test_what_is_predicted_can_be_read_again(truth, tmp_path):
 
 def test_fastest_and_curves(tmp_path):
     source = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
-    report = plan(source, VALUES, seek_fastest=True, with_curves=True)
+    report = plan(source, VALUES, seek_fastest=True)
     found = report.as_json()
     assert 0.1 < found['fastest_scale'] < 5.0 and found['fastest_scale_std'] > 0.0
     shape = (len(report.curves.seconds), 12)
