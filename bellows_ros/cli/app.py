@@ -75,7 +75,7 @@ WIDTH = 79
 
 
 class Parser(argparse.ArgumentParser):
-    """Arguments as usual, but errors are short: what is wrong, and where help is."""
+    """A parser with short errors: what is wrong, and where to find help."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Keep the words, to find the option that was meant."""
@@ -132,7 +132,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str], console: Console) -> int:
-    """Run the named command, or answer for the whole."""
+    """Run the named command, or answer for `bellows` itself."""
     if not arguments or arguments[0] not in COMMANDS:
         _refuse(arguments)
     name, *rest = arguments
@@ -192,6 +192,6 @@ def _command_parser(name: str, module: ModuleType) -> Parser:
 
 
 def exit_code(module: ModuleType) -> str:
-    """Return what a command ends with, in a line."""
+    """Return a line on the exit codes of a command."""
     found = getattr(module, 'FOUND', '')
     return EXIT_CODE.format(f'1 if {found}, ' if found else '')

@@ -66,7 +66,7 @@ def _say(result: 'Comparison', console: Console) -> None:
 
 
 def _change_rows(changes: 'tuple[Change, ...]') -> list[tuple[str, ...]]:
-    """Return both values, the change, and how many standard errors it is, a row each."""
+    """Return a row for each change: both values, the change, and it in standard errors."""
     rows: list[tuple[str, ...]] = [('', 'A', 'B', 'unit', 'change', 'std. errors')]
     for change in changes:
         is_pose = change.unit in ('m', 'rad')

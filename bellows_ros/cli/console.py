@@ -66,7 +66,7 @@ class Console:
 
     @contextmanager
     def results_to_stderr(self, wanted: bool) -> Iterator[None]:
-        """Leave stdout to a file's content where it goes there."""
+        """Print results on stderr if stdout takes a file's content."""
         before = self._out
         self._out = self._err if wanted else before
         try:
@@ -117,7 +117,7 @@ class Console:
         self._tell(self._styled(self._err, 'bellows:', 'red') + ' ' + printable(text, '\n'))
 
     def _tell(self, text: str) -> None:
-        """Print on stderr, in its place where both streams go to one."""
+        """Print on stderr, in order if both streams have the same target."""
         self._out.flush()
         _write(self._err, text)
 

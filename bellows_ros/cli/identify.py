@@ -217,7 +217,7 @@ def _identified(
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return what is set: by files, --set, and always what has an argument of its own."""
+    """Return the parameters of files and --set, with those that have an argument of their own."""
     values = options.given_parameters(arguments, 'identifier')
     from bellows_ros.errors import BellowsError
 
@@ -246,7 +246,7 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _say(result: 'Identification', console: Console) -> None:
-    """Print the cup and what it rests on."""
+    """Print the cup, and the samples and findings behind it."""
     from bellows_ros.core.residuals import AXES, MILLI_UNITS
 
     fit = result.fit

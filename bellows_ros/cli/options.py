@@ -170,7 +170,7 @@ def given_parameters(
 
 
 def inputs_of(values: 'Mapping[str, Any]') -> list[str]:
-    """Return the files that parameters name as what is read."""
+    """Return the input files that parameters name."""
     return [file for name in INPUTS for file in values.get(name, ())]
 
 
@@ -223,13 +223,13 @@ def _parsed(parameter: 'Parameter', text: str) -> object:
 
 
 def _unquoted(text: str) -> str:
-    """Return a text without the quotes that YAML would want."""
+    """Return a text without YAML's quotes."""
     quoted = len(text) >= 2 and text[0] == text[-1] and text[0] in '\'"'
     return text[1:-1] if quoted else text
 
 
 def _number(text: str) -> int | float | str:
-    """Return a number, or the text itself where it is none."""
+    """Return a number, or the text itself if it is none."""
     for kind in (int, float):
         try:
             return kind(text)
@@ -277,7 +277,7 @@ def require_outputs(outputs: 'Iterable[str]', inputs: 'Iterable[str | Path]') ->
 
 
 def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] = ()) -> None:
-    """Refuse every `Output` of a command line that may not be, by every `Path` and other input."""
+    """Check every `Output` of a command line against every `Path` and other input."""
     named = [item for value in vars(arguments).values()
              for item in (value if isinstance(value, list) else [value])]
     require_outputs(

@@ -77,7 +77,7 @@ def _say(report: 'PlanReport', console: Console) -> None:
 
 
 def figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
-    """Return what is printed: name, value with its standard deviation, and more of it."""
+    """Return rows to print: name, value with its standard deviation, and a remark."""
     figures, std = report.prediction.figures(), report.std
 
     def value(name: str, factor: float, unit: str) -> str:

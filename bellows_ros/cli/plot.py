@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _require_possible(arguments: argparse.Namespace) -> None:
-    """Refuse an ending, a part of the time or a speed that does not suit, before any work."""
+    """Refuse an unsuitable ending, part of the time or speed, before any work."""
     what, out, span = arguments.what, arguments.out, (arguments.first, arguments.last)
     endings = ('.gif', '.mp4') if what == 'animation' else ('.png', '.svg', '.pdf')
     if not out.lower().endswith(endings):

@@ -114,7 +114,7 @@ def _say(
 
 
 def _say_observed(found: 'Observed', console: Console) -> None:
-    """Print what measured poses add, and what was found to be wrong."""
+    """Print the gain by measured poses, and alarms."""
     from bellows_ros.core.residuals import AXES, MILLI_UNITS
 
     console.say()
@@ -129,7 +129,7 @@ def _say_observed(found: 'Observed', console: Console) -> None:
 
 
 def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
-    """Return errors, what noise makes of them, and whether they are white, a row per axis."""
+    """Return a row for each axis: errors, the part due to noise, and whether they are white."""
     from bellows_ros.core.residuals import AXES, MILLI_UNITS
 
     found, live = result.validation, result.live
@@ -177,7 +177,7 @@ def _verdict_lines(result: 'Replay', limit: float) -> list[str]:
 
 
 def _count_lines(counts: Mapping[str, int]) -> list[str]:
-    """Return what came in and went out, and a line for all that was left out on the way."""
+    """Return the counts of messages in and out, and a line for each kind that was left out."""
     known = ('poses', 'twists', 'predictions', 'twists estimated')
     poses, twists, predictions, estimated = (counts.get(name, 0) for name in known)
     line = (f'{many(poses, "pose", "poses")} and {many(twists, "twist", "twists")} in, '

@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _require_numbers(arguments: argparse.Namespace) -> None:
-    """Refuse numbers that are none."""
+    """Refuse numbers that are not finite or out of range."""
     if arguments.monte_carlo < 0 or arguments.monte_carlo == 1:
         raise BellowsError(
             f'--monte-carlo is {arguments.monte_carlo}; expected 2 tosses or more, or 0 for none.')

@@ -134,7 +134,7 @@ def _fill(rr: Any, recording: Any, replayed: Replayed) -> None:
 
 
 def _send_bodies(rr: Any, recording: Any, replayed: Replayed) -> None:
-    """Send what hangs on the moving frames: the arm, axes, boxes."""
+    """Send what is fixed to the moving frames: the arm, axes, boxes."""
     half = [0.5 * replayed.box]
     axes = rr.Arrows3D(vectors=AXES_LENGTH * np.eye(3), radii=0.001, colors=XYZ_COLOURS)
     for name in ('tool', 'predicted'):
@@ -150,7 +150,7 @@ def _send_bodies(rr: Any, recording: Any, replayed: Replayed) -> None:
 
 
 def _send_cup(rr: Any, recording: Any, replayed: Replayed) -> None:
-    """Send the cup between tool and predicted package, some times a second."""
+    """Send the cup between tool and predicted package, `CUPS_PER_SECOND`."""
     step = max(1, round(1.0 / (CUPS_PER_SECOND * float(np.median(np.diff(replayed.seconds))))))
     shown = np.arange(0, len(replayed.seconds), step)
     lip = replayed.position - replayed.rotation @ replayed.com

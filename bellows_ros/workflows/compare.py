@@ -70,7 +70,7 @@ class Comparison:
 
 
 def _changes_json(changes: Sequence[Change]) -> list[dict[str, Any]]:
-    """Return changes with what follows from them."""
+    """Return changes with the figures derived from them."""
     derived = ('percent', 'standard_errors', 'p_value', 'significant')
     return [{**vars(change), **attributes(change, *derived)} for change in changes]
 
@@ -114,7 +114,7 @@ def compare_files(before: Path, after: Path) -> Comparison:
 
 
 def _fitted(content: Mapping[str, Any]) -> Fitted:
-    """Return what a comparison needs of a result."""
+    """Return structure, cup and covariance of a result."""
     structure = structure_named(content['structure'])
     labels = list(content['parameters']['labels'])
     rows = content['parameters']['covariance']
@@ -129,7 +129,7 @@ def _fitted(content: Mapping[str, Any]) -> Fitted:
 
 
 def _differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Difference]:
-    """Return what differs in how the fits were made."""
+    """Return the differences in how the fits were made."""
     first, second = _described(before), _described(after)
     both = (Difference(name, first.get(name), second.get(name))
             for name in sorted({*first, *second}))
@@ -137,7 +137,7 @@ def _differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Di
 
 
 def _described(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return by name all that says how a fit was made."""
+    """Return, by name, how a fit was made: settings, versions, content of recordings."""
     settings = content.get('settings') or {}
     found = {k: v for k, v in settings.items() if not k.startswith(NOT_COMPARED)}
     found |= {name: content.get(name) for name in ('method', 'structure', 'samples_used')}
@@ -151,7 +151,7 @@ def _described(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _contents(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the recordings of a fit by name: digests of what is in them, or the names again."""
+    """Return the digests of a fit's recordings by name; the names if there are no digests."""
     origin = (content.get('provenance') or {}).get('recordings')
     if origin is None:
         return {bag: bag for bag in (content.get('settings') or {}).get('bags', ())}

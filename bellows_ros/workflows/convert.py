@@ -167,7 +167,7 @@ def tool_to_bag(
     """
     Write a recording with poses of the tool from one that has joint states or transforms.
 
-    Its poses and twists of whatever are copied.
+    All other poses and twists are copied.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def _read(source: Path, fewest_markers: int) -> list[Body]:
 def _body(
     name: str, source: str, stamps: Any, values: Any, frame: str, left_out: Mapping[str, int]
 ) -> Body:
-    """Return a body under a topic of its name."""
+    """Return a body on a topic named after it."""
     word = re.sub(r'[^A-Za-z0-9_]+', '_', name).strip('_').lower() or 'body'
     topic = f'/{word}/pose' if not word[0].isdigit() else f'/body_{word}/pose'
     some = {reason: count for reason, count in left_out.items() if count}

@@ -155,7 +155,7 @@ class Identification:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What was found beside the cup, in sentences."""
+        """Findings beside the cup, in sentences."""
         lines = list(self.verdict.sentences if self.verdict else (NO_VERDICT,))
         lines += [text for part in self.parts
                   for text in world_sentence(part.name, part.package_world)]
@@ -176,7 +176,7 @@ class Identification:
         return tuple(lines)
 
     def _freed(self) -> Iterator[tuple[str, list[float], list[float], str]]:
-        """Yield the parameters that fit.free let be found: value, standard error and unit."""
+        """Yield the parameters that were estimated by fit.free: value, standard error and unit."""
         for name, _, std in self.fit.freed:
             parameter, unit = FREED[name]
             value = np.atleast_1d(self.values[parameter])[:len(std)]
@@ -190,13 +190,13 @@ class Identification:
             yield from offset_sentence(bag, offset)
 
     def _misfit(self) -> tuple[str, ...]:
-        """Return that the model explains too little, unless the cause is named instead."""
+        """Return a sentence that the model explains too little, unless the cause is named."""
         named = self.verdict is not None and self.verdict.is_certain
         return () if named or not self.fit.misfit else (self.fit.misfit,)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user must know: of what was given, the fit, the recordings, validations."""
+        """Warnings: about the input, the fit, the recordings, the validations."""
         one_cup, static = self.consistency, self.static
         return (
             *(f"Recording '{f.bag}' was left out: {f.reason}" for f in self.failed),
@@ -285,7 +285,7 @@ def names_of(bags: Sequence[str], payload: Iterable[Package]) -> list[str]:
 
 
 def _standstill_sentences(result: Identification) -> list[str]:
-    """Return what standstills have added to a fit, and the nominal length by them."""
+    """Return what standstills contribute to a fit, and the nominal length they give."""
     found, static = result.fit.standstills, result.static
     if found is None or static is None:
         return []

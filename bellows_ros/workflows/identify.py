@@ -166,7 +166,7 @@ def write_summary(
     parameter_files: Sequence[str | os.PathLike[str]] = (),
 ) -> Reduced:
     """
-    Write to a file what least squares needs of the one recording that `bags` names.
+    Write the sufficient statistics of the one recording in `bags` for least squares.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def write_summary(
 
 
 def needing_recordings(values: Mapping[str, Any]) -> str:
-    """Return which parameter needs the recordings themselves, not what they are reduced to."""
+    """Return the parameter that needs the recordings, not only their statistics; '' for none."""
     if values['fit.method'] != 'least_squares':
         return f'fit.method: {values["fit.method"]}'
     wanted = ('static.length', 'fit.compare_structures', 'output.report')
@@ -197,7 +197,7 @@ def needing_recordings(values: Mapping[str, Any]) -> str:
 
 
 def _require_reducible(values: Mapping[str, Any]) -> None:
-    """Refuse parameters with which a recording cannot be reduced beforehand."""
+    """Refuse parameters that need the recordings themselves."""
     if name := needing_recordings(values):
         raise BellowsError(
             f'{name} needs the recordings themselves, not their summaries. Leave it out, or give '
@@ -243,7 +243,7 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
 
 
 def _with_free(values: dict[str, Any]) -> dict[str, Any]:
-    """Return parameters with what fit.free says of clocks and worlds, or refuse."""
+    """Return parameters with the clocks and worlds of fit.free; refuse what cannot be free."""
     free = set(values['fit.free'])
     given = sorted(free - {'time_offset', 'package_world'})
     for wrong, remedy in (
@@ -263,7 +263,7 @@ def _with_free(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def assumed(settings: Mapping[str, object]) -> tuple[str, ...]:
-    """Return what is said where the cup's length is neither given nor to be found."""
+    """Return a warning if the cup's length is neither given nor estimated."""
     if 'cup.length' in settings or settings.get('static.length'):
         return ()
     return (
@@ -290,7 +290,7 @@ def read_part(
     bag: str, values: Mapping[str, Any], path: str = '', keep: Container[str] = ()
 ) -> Any:
     """
-    Return a recording that was read and reduced, itself or what it was reduced to.
+    Read and reduce a recording; return the recording or its sufficient statistics.
 
     Parameters
     ----------
@@ -362,7 +362,7 @@ def _identified(
     static: 'StaticResult | None', tell: Progress, read: Read | None = None, **more: Any,
 ) -> Identification:
     """
-    Return what follows from the recordings.
+    Fit the recordings; return the result.
 
     Of the parameters there are those that were given, and those in effect, with the length that
     standstills have given. What is found of the package or the cup's length takes the place of
@@ -405,7 +405,7 @@ def _identified(
 def _consistency(
     parts: Sequence[Part], values: Mapping[str, Any], tell: Progress
 ) -> 'Consistency | None':
-    """Return whether each recording alone finds the same cup, where that is asked for."""
+    """Return whether each recording alone gives the same cup, with fit.compare_recordings."""
     if not values['fit.compare_recordings'] or len(parts) < 2:
         return None
     from bellows_ros.core.identification.consistency import same_cup
@@ -417,14 +417,14 @@ def _consistency(
 
 
 def _of(name: str, tell: Progress) -> Progress:
-    """Return what reports the progress of the fit to one recording."""
+    """Return the progress callback for the fit to one recording."""
     return lambda what, part: tell(f'{name} alone, {what}', FIT_ENDS)
 
 
 def selection(
     recordings: Sequence[Recording], values: Mapping[str, Any], tell: Progress
 ) -> 'StructureSelection':
-    """Return the structures compared."""
+    """Compare the structures."""
     from bellows_ros.core.identification.samples import samples_of
     from bellows_ros.core.identification.structure_selection import select_structure
 

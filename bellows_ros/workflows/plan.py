@@ -271,7 +271,7 @@ def plan(
 def _deviations(
     values: Mapping[str, Any], model: ModelTuple, compute: Callable[[ModelTuple], Array]
 ) -> Array:
-    """Return the standard deviations of what is computed of a model; 0 where all is exact."""
+    """Return the standard deviations of a function of the model; 0 if all parameters are exact."""
     _, parts = contributions(values, model, compute)
     if not len(parts):
         return 0.0 * compute(model)

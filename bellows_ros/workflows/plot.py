@@ -171,7 +171,7 @@ def _motion(recording: Recording) -> Motion:
 
 def spectra(bag: str | os.PathLike[str], settings: Mapping[str, object], cup: bool) -> Spectra:
     """
-    Return the spectra of a recording, and with a cup also of what a prediction leaves over.
+    Return the spectra of a recording and, with a cup, of the prediction error.
 
     Samples that are missing are interpolated linearly. Without a cup no package is needed, as for
     `motion`.
@@ -230,7 +230,7 @@ def _middle(cup: Cup, o: Array, R: Array) -> Array:
 
 
 def _given(cup: Cup, o: Array, R: Array, v: Array) -> Array:
-    """Return the wrenches (N, 6) that a cup gives, at the lip: two columns of the regressor."""
+    """Return the wrenches (N, 6) of a cup at the lip: two columns of the regressor."""
     columns = regressor(cup.length, [cup.stiffness, cup.damping], o, R, v)
     wrench: Array = columns[:, :, 0] + columns[:, :, 3]  # K as stiffness, P as damping
     return wrench
@@ -267,7 +267,7 @@ def margins(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Marg
 
 def within(shown: Timed, first: float, last: float) -> Timed:
     """
-    Return what a picture shows of a part of the time.
+    Return the data of a picture for a part of the time.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def within(shown: Timed, first: float, last: float) -> Timed:
 
 
 def _picked(group: Group, index: Stamps | Mask) -> Group:
-    """Return a group of arrays at some samples; what is not one per sample stays."""
+    """Return a group of arrays at some samples; `NOT_SAMPLES` are kept whole."""
     picked = {
         field.name: getattr(group, field.name)[index]
         for field in fields(group) if field.name not in NOT_SAMPLES

@@ -144,7 +144,7 @@ def _prepared(
     tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
     values: Mapping[str, Any],
 ) -> Recording:
-    """Return streams prepared, in one world and with one clock."""
+    """Return prepared streams, in one world and on one clock."""
     world = values['recording.package_world']
     recorded, pose = package, None
     if world == '':
@@ -216,7 +216,7 @@ def world_sentence(bag: object, found: PackageWorld | None) -> list[str]:
 
 def repeats(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
     """
-    Yield what is wrong with recordings that are there twice, under whatever names.
+    Yield recordings that occur twice, under any name, each with a sentence.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def values_of_static(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 def _each(
     values: Mapping[str, Any], bags_in: str, files_in: str, needed: Sequence[str]
 ) -> list[Mapping[str, Any]]:
-    """Return the parameters for each recording, with what its file says of it and its package."""
+    """Return the parameters for each recording, with those of its own file."""
     files, bags = values[files_in], values[bags_in]
     if not files:
         return [values] * len(bags)

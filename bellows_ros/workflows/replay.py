@@ -39,7 +39,7 @@ SHOWN = 3
 @dataclass(frozen=True, eq=False)
 class Live(Comparison):
     """
-    What the live predictor makes of the recorded messages, compared with the recording.
+    The live prediction from recorded messages, compared with the recording.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Margins:
 @dataclass(frozen=True, eq=False)
 class Replay:
     """
-    A cup and a recording that it was tried on.
+    A recording predicted with a cup.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ class Replay:
 
     @property
     def time_offset(self) -> TimeOffset | None:
-        """What was taken from the tool's stamps, where that was wanted and could be found."""
+        """The offset that was subtracted from the tool's stamps; None if it was not estimated."""
         return self.recording.report.time_offset
 
     @property
@@ -159,7 +159,7 @@ class Replay:
 
     @property
     def sentence(self) -> str:
-        """What a recording that the fit has not seen says of the cup."""
+        """The verdict on the cup by a recording not used in the fit."""
         found = self.validation
         moving = [
             f'{name} {100.0 * ratio:.2f} %' for name, moves, ratio in zip(
@@ -248,7 +248,7 @@ def replay(
 
 
 def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
-    """Return what a prepared recording says of the cup that the parameters describe."""
+    """Simulate a prepared recording with the cup of the parameters, and compare."""
     found, outside = validate(cup_of(values), recording), tuple[str, ...]()
     known = known_envelope(values)
     phrases = beyond(known, envelope_of(recording, values['cup.length'])) if known else []

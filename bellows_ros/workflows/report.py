@@ -1,4 +1,4 @@
-"""A fit that was made before, with its recordings read again: what a page on it shows."""
+"""An existing fit, with its recordings read again for a page."""
 
 from collections.abc import Callable, Mapping, Sequence
 import os
@@ -73,7 +73,7 @@ def read_again(
 
 
 def changed_recordings(content: Mapping[str, Any]) -> list[str]:
-    """Return the recordings whose content is not that of the time of the fit."""
+    """Return the recordings that have changed since the fit."""
     known = (content.get('provenance') or {}).get('recordings', ())
     return [entry['path'] for entry in known if digests(entry['path']) != entry['files']]
 
