@@ -109,13 +109,9 @@ class _Bag:
             lost: list[str] = []
             try:
                 yield from _file_messages(file, wanted, self.counts, lost)
-            except DamagedError as error:
+            except (DamagedError, ZstdError, EOFError) as error:
                 raise BellowsError(
                     f"File '{file}' cannot be read as a recording: {error}. "
-                    'Give a sound copy, or record again.') from None
-            except (ZstdError, EOFError) as error:
-                raise BellowsError(
-                    f"File '{file}' is damaged or truncated: {error}. "
                     'Give a sound copy, or record again.') from None
             except OSError as error:
                 raise BellowsError(f"File '{file}' cannot be read: {error}.") from None
