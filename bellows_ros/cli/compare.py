@@ -1,6 +1,7 @@
 """`bellows compare`: differences between two fits, and whether they matter."""
 
 import argparse
+from collections.abc import Iterator
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from . import options
 from .console import Console, listed, NOT_USABLE, OK, with_error
 
 if TYPE_CHECKING:
-    from bellows_ros.core.identification.comparison import Change, FitComparison
+    from bellows_ros.core.identification.comparison import Change
     from bellows_ros.workflows.compare import Comparison
 
 DESCRIPTION = (
@@ -81,53 +82,40 @@ def _change_rows(changes: 'tuple[Change, ...]') -> list[tuple[str, ...]]:
     return rows
 
 
-def verdict(result: 'Comparison') -> list[str]:
-    """Return the changes and whether they matter, as sentences."""
+def verdict(result: 'Comparison') -> Iterator[str]:
+    """Yield the changes and whether they matter, as sentences."""
     fits = result.fits
-    lines = []
     if result.shared:
-        lines.append(
-            f'Both fits used {listed(list(result.shared))}: they are not independent, and the '
-            'standard errors and probabilities do not apply.'
-        )
-    marked = [f'{change.name} ({change.percent:+.2g} %)'
-              for change in fits.parameters if change.significant]
+        yield (f'Both fits used {listed(list(result.shared))}: they are not independent, and the '
+               'standard errors and probabilities do not apply.')
     p = fits.p_value
     chance = f'probability of chance {f"{p:.2g}" if p >= 1e-4 else "below 1e-4"}'
-    lines.append(
+    yield (
         f'The parameters together differ by more than their standard errors explain ({chance}).'
         if fits.significant else
-        f'The standard errors explain the difference of the parameters together ({chance}).'
-    )
+        f'The standard errors explain the difference of the parameters together ({chance}).')
+    marked = [f'{change.name} ({change.percent:+.2g} %)'
+              for change in fits.parameters if change.significant]
     if marked:
-        lines.append(f'* Significant difference: {listed(marked)}.')
+        yield f'* Significant difference: {listed(marked)}.'
     shift, turn = 1e3 * fits.shake_rms[:3].max(), 1e3 * fits.shake_rms[3:].max()
-    lines.append(
-        f'In a shake of 3 Hz (5 mm, 50 mrad) the predicted motions differ by {shift:.2g} mm and '
-        f'{turn:.2g} mrad RMS.'
-    )
+    yield (f'In a shake of 3 Hz (5 mm, 50 mrad) the predicted motions differ by {shift:.2g} mm '
+           f'and {turn:.2g} mrad RMS.')
     large = [e.name for e in fits.effects if e.matters and e.significant]
     if large:
-        lines.append(f'Large enough to matter: {listed(large)}.')
+        yield f'Large enough to matter: {listed(large)}.'
     if fits.open_effects:
-        lines.append(
-            'Large enough to matter, but within the standard errors: '
-            f'{listed([e.name for e in fits.open_effects])}. Record a motion that excites these '
-            'more.'
-        )
-    lines.append(_conclusion(fits))
-    return lines
-
-
-def _conclusion(fits: 'FitComparison') -> str:
-    """Return whether it matters."""
+        yield ('Large enough to matter, but within the standard errors: '
+               f'{listed([e.name for e in fits.open_effects])}. Record a motion that excites '
+               'these more.')
     if not fits.matters:
-        return ('No significant difference: the changes are within the standard errors, or too '
-                'small to matter.')
-    if fits.shake_matters:
-        return 'The difference matters: do not exchange the two cups.'
-    return ('The difference matters for motions that excite the modes named above; the shake of '
-            '3 Hz would not show it.')
+        yield ('No significant difference: the changes are within the standard errors, or too '
+               'small to matter.')
+    elif fits.shake_matters:
+        yield 'The difference matters: do not exchange the two cups.'
+    else:
+        yield ('The difference matters for motions that excite the modes named above; the shake '
+               'of 3 Hz would not show it.')
 
 
 def _short(value: object) -> str:

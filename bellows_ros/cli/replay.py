@@ -1,7 +1,7 @@
 """`bellows replay`: predict a recording with a cup, and report how well it does."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from . import options
@@ -147,33 +147,27 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
     return rows
 
 
-def _verdict_lines(result: 'Replay', limit: float) -> list[str]:
-    """Return what the figures mean, in sentences."""
+def _verdict_lines(result: 'Replay', limit: float) -> Iterator[str]:
+    """Yield what the figures mean, in sentences."""
     from bellows_ros.core.residuals import AXES
 
     found = result.validation
     moving = [name for name, moves in zip(AXES, found.moves, strict=True) if moves]
     still = [name for name in AXES if name not in moving]
-    lines = []
     failing = found.failing(limit)
-    if moving and not failing:
-        lines.append(f'All axes that move are within {PERCENT * limit:g} %: {listed(moving)}.')
     if failing:
-        lines.append(f'Above {PERCENT * limit:g} % of the motion: {listed(failing)}.')
-    if not moving:
-        lines.append('No axis moves enough for a verdict: record a larger motion.')
+        yield f'Above {PERCENT * limit:g} % of the motion: {listed(failing)}.'
+    elif moving:
+        yield f'All axes that move are within {PERCENT * limit:g} %: {listed(moving)}.'
+    else:
+        yield 'No axis moves enough for a verdict: record a larger motion.'
     if still:
-        lines.append(
-            f'* {listed(still)} moves too little for a verdict: noise alone is more than 5 % of '
-            'its motion.'
-        )
+        yield (f'* {listed(still)} moves too little for a verdict: noise alone is more than 5 % '
+               'of its motion.')
     if found.one_step:
-        lines.append(
-            f'One-step prediction errors: chi^2 per degree of freedom {found.one_step.chi2:.3f} '
-            '(1 if model and noise explain everything).'
-        )
-    lines.append(f'{found.scores.samples} samples compared.')
-    return lines
+        yield ('One-step prediction errors: chi^2 per degree of freedom '
+               f'{found.one_step.chi2:.3f} (1 if model and noise explain everything).')
+    yield f'{found.scores.samples} samples compared.'
 
 
 def _count_lines(counts: Mapping[str, int]) -> list[str]:
