@@ -40,8 +40,6 @@ NO_VERDICT = (
     'right, is not known. Give two or three of the recordings themselves to bellows identify.')
 """Why nothing is said of what a verdict says."""
 
-"""Begins what either method says of residuals that are larger than noise."""
-
 UNKNOWN_STD = 1e9
 """Stands in parameter files for the standard error of an entry of which nothing is known."""
 
@@ -284,11 +282,11 @@ def names_of(bags: Sequence[str], payload: Iterable[Package]) -> list[str]:
     return [f'{bag} ({mass:.4g} kg)' for bag, mass in zip(bags, masses, strict=True)]
 
 
-def _standstill_sentences(result: Identification) -> list[str]:
-    """Return what standstills contribute to a fit, and the nominal length they give."""
+def _standstill_sentences(result: Identification) -> Iterator[str]:
+    """Yield what standstills contribute to a fit, and the nominal length they give."""
     found, static = result.fit.standstills, result.static
     if found is None or static is None:
-        return []
+        return
     ratios, labels = found.narrowed, result.fit.labels
     order = [i for i in np.argsort(ratios, kind='stable').tolist() if ratios[i] < NARROWED]
     parts = [
@@ -298,16 +296,13 @@ def _standstill_sentences(result: Identification) -> list[str]:
     more = f' and {len(order) - SHOWN} more' if len(order) > SHOWN else ''
     narrowed = (f'ratio of standard errors with and without them: {", ".join(parts)}{more}'
                 if order else 'they change no standard error')
-    lines = [
-        f'{found.count} standstills are part of the fit (chi^2 per degree of freedom '
-        f'{found.chi2:.2g}): {narrowed}.'
-    ]
+    yield (f'{found.count} standstills are part of the fit (chi^2 per degree of freedom '
+           f'{found.chi2:.2g}): {narrowed}.')
     if static.length:
-        lines.append(f'Nominal length by the loads alone: {static.length.text}.')
+        yield f'Nominal length by the loads alone: {static.length.text}.'
     if result.values['static.length']:
-        lines.append(f'Nominal length with the fit: {1e3 * found.length:.3f} ± '
-                     f'{1e3 * found.length_std:.3f} mm.')
-    return lines
+        yield (f'Nominal length with the fit: {1e3 * found.length:.3f} ± '
+               f'{1e3 * found.length_std:.3f} mm.')
 
 
 def save(
