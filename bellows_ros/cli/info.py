@@ -67,6 +67,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(found: 'Info', console: Console) -> None:
     """Print the topics, their roles and notes."""
+    from bellows_ros.core.recording.alignment import SHORTEST_REST
+
     console.table(_topic_rows(found), title=f'Recording {found.path}')
     for topic in found.topics:
         for line in _facts(topic):
@@ -78,7 +80,7 @@ def _say(found: 'Info', console: Console) -> None:
         console.paragraph(f'{role.capitalize():8} {name}{why}.')
     if 'recording.world' in found.settings:
         console.say(f'World    probably {WORLDS[found.settings["recording.world"]]}.')
-    if found.rest_s is not None:
+    if found.rest_s is not None and found.rest_s >= SHORTEST_REST:
         console.say(f'Both stand still for the first {found.rest_s:.1f} s.')
     console.paragraph(*found.notes)
 

@@ -5,7 +5,7 @@ import math
 from typing import Any, TYPE_CHECKING
 
 from . import options
-from .console import Console, OK
+from .console import Console, NOT_USABLE, OK
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.structures import StructureAdvice
@@ -22,6 +22,8 @@ EXAMPLES = (
     ('bellows structures first second --params my_cell.yaml --json structures.json',
      'for two recordings together, with all figures in a file'),
 )
+
+FOUND = 'no structure fits'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +46,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     options.put_json(arguments.json, result.as_json())
     _say(result, console)
     console.wrote(arguments.json)
-    return OK
+    return OK if result.selection.fits else NOT_USABLE
 
 
 def _say(result: 'StructureAdvice', console: Console) -> None:

@@ -24,7 +24,7 @@ from bellows_ros.files import atomic
 from bellows_ros.files.results import format_json
 import numpy as np
 
-FORMAT = 'bellows_ros summary 5'
+FORMAT = 'bellows_ros summary 6'
 LARGEST_HEADER = 64 * 2**20
 
 LARGEST_RATIO = 30
@@ -187,8 +187,8 @@ def _require_whole(part: Reduced) -> None:
     ]
     if rows.passed is not None:
         wanted += [(rows.passed.power, (6,)), (rows.passed.lost, (6,)),
-                   (rows.passed.floor, (6,)),
-                   (np.array([rows.passed.of_noise, rows.passed.end_hz]), (2,))]
+                   (rows.passed.floor, (6,)), (rows.passed.of_noise, (6,)),
+                   (np.array(rows.passed.end_hz), ())]
     if world is not None:
         wanted += [(world.pose, (7,)), (world.std, (6,))]
     if sums.noise is not None:

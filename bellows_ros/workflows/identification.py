@@ -187,10 +187,14 @@ class Identification:
         for bag, offset in zip(self.bags, offsets, strict=False):
             yield from offset_sentence(bag, offset)
 
-    def _misfit(self) -> tuple[str, ...]:
-        """Return a sentence that the model explains too little, unless the cause is named."""
-        named = self.verdict is not None and self.verdict.is_certain
-        return () if named or not self.fit.misfit else (self.fit.misfit,)
+    def _of_the_fit(self) -> tuple[str, ...]:
+        """Return the warnings of the fit and its equations, unless given data are their cause."""
+        causes = self.verdict.diagnosis.findings[:1] if self.verdict else ()
+        if any(own.material for own in causes):
+            return ()
+        misfit = () if any(own.certain for own in causes) or not self.fit.misfit else (
+            self.fit.misfit,)
+        return (*self.fit.warnings, *misfit, *self.excitation.warnings)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -199,9 +203,7 @@ class Identification:
         return (
             *(f"Recording '{f.bag}' was left out: {f.reason}" for f in self.failed),
             *self.assumed,
-            *self.fit.warnings,
-            *self._misfit(),
-            *self.excitation.warnings,
+            *self._of_the_fit(),
             *((one_cup.verdict,) if one_cup and one_cup.differs else ()),
             *(static.warnings if static else ()),
             *(text for part in self.parts for text in part.report['warnings']),
@@ -253,13 +255,13 @@ class Identification:
     def refusals(self) -> tuple[str, ...]:
         """Why the cup is refused; none where it is not."""
         doubts = self.verdict.refusals if self.verdict else ()
-        return doubts if self.fit.usable else (*doubts, NO_CUP)
+        return doubts if doubts or self.fit.usable else (NO_CUP,)
 
     def require_usable(self, force: bool = False) -> None:
         """Raise BellowsError if the cup is refused; with force, if no predictor can take it."""
         if self.refusals and not (force and self.fit.usable):
             causes = self.verdict.sentences[:1] if self.verdict else ()
-            more = () if self.fit.usable else (*self.assumed, *self.fit.warnings, *self._misfit())
+            more = () if self.fit.usable else (*self.assumed, *self._of_the_fit())
             raise BellowsError(' '.join([*causes, *self.refusals, *more]))
 
     def header(self) -> list[str]:

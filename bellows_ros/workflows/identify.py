@@ -21,7 +21,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.workflows.identification import Identification, names_of, NOT_OF_THE_CUP
 from bellows_ros.workflows.recordings import Failed, load, repeats, values_of_each, WHOLE
-from bellows_ros.workflows.verdict import LOOKED_AT, verdict_of
+from bellows_ros.workflows.verdict import diagnosed, LOOKED_AT, Verdict, verdict_of
 
 if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.core.identification.consistency import Consistency
@@ -388,7 +388,7 @@ def _identified(
         result.fit, result.excitation, values,
         tuple(part if isinstance(part, Reduced) else reduced(part, effective) for part in parts),
         whole, _consistency(parts, effective, tell),
-        selection=(selection(whole, effective, tell)
+        selection=(selection(whole, effective, tell, verdict)
                    if values['fit.compare_structures'] else None), verdict=verdict, **more)
     if static:
         from bellows_ros.core.model import cup_of
@@ -422,16 +422,21 @@ def _of(name: str, tell: Progress) -> Progress:
 
 
 def selection(
-    recordings: Sequence[Recording], values: Mapping[str, Any], tell: Progress
+    recordings: Sequence[Recording], values: Mapping[str, Any], tell: Progress,
+    verdict: Verdict | None = None,
 ) -> 'StructureSelection':
-    """Compare the structures."""
+    """Compare the structures; if none fits, say so, by the verdict on the fit if it has the best."""
     from bellows_ros.core.identification.samples import samples_of
     from bellows_ros.core.identification.structure_selection import select_structure
 
     tell('comparing structures', FIT_ENDS)
-    return select_structure(
+    found = select_structure(
         [samples_of(recording) for recording in recordings], values['cup.length'],
         [recording.noise for recording in recordings])
+    if verdict and values['fit.structure'] == found.advised:
+        return found.judged(verdict.diagnosis, ())
+    own = Verdict((), diagnosed(recordings, values['cup.length'], found.advised), values)
+    return found.judged(own.diagnosis, own.cause)
 
 
 def _validated(result: Identification, tell: Progress) -> 'list[Replay]':

@@ -8,11 +8,16 @@ from types import MappingProxyType
 from typing import Any
 
 from bellows_ros import __version__
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.lie import exp_so3, log_so3
+from bellows_ros.core.lie import log_so3
 from bellows_ros.core.parameters import ESTIMATE, short
-from bellows_ros.core.recording.alignment import in_world, world_rotation
+from bellows_ros.core.recording.alignment import (
+    in_world,
+    rest_of,
+    SHORTEST_REST,
+    world_rotation,
+)
 from bellows_ros.core.recording.outliers import find_outliers
+from bellows_ros.core.recording.preparation import stream_warnings
 from bellows_ros.core.resampling import timing
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, topics
@@ -29,15 +34,7 @@ import numpy as np
 
 Stream = PoseStream | TwistStream
 
-START_SECONDS = 0.2  # over which the pose at rest is averaged
-STILL_POSITION, STILL_ROTATION = 1e-3, 5e-3  # m and rad; more, beyond the noise, is motion
-LARGE_WAY = 20.0  # m; more is no cell, but millimetres
-STILL_DEVIATIONS = 6.0
-SHORTEST_REST = 0.5  # s, for an alignment at rest
 REST_USED = 0.9  # of the standstill that was found
-TURNED = np.deg2rad(1.5)  # marker frames turned by more than this need alignment
-LOW_RATE_HZ = 100.0
-JITTER_SAID = 0.1  # of the period
 
 
 @dataclass(frozen=True)
@@ -86,6 +83,8 @@ class TopicInfo:
         the body's.
     motion : Motion or None
         Of poses.
+    warnings : tuple of str
+        What to know before identifying from these poses.
 
     """
 
@@ -104,6 +103,7 @@ class TopicInfo:
     outliers: int = 0
     noise: Mapping[str, list[float]] = field(default_factory=dict)
     motion: Motion | None = None
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -219,6 +219,7 @@ def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
         quality['outliers'] = int(np.count_nonzero(~outliers.good))
         quality['noise'] = {name: x.tolist() for name, x in outliers.noise.items()}
         quality['motion'] = _motion(poses.select(outliers.good))
+        quality['warnings'] = tuple(stream_warnings(stream, time, outliers))
     return quality
 
 
@@ -271,24 +272,7 @@ def _quality_notes(
     used = {guess.topic for guess in guesses if guess}
     notes = [f'{topic.name} cannot be used: {topic.problem}' for topic in described
              if topic.problem]
-    for topic in described:
-        if topic.motion and max(topic.motion.position) > LARGE_WAY:
-            notes.append(
-                f'{topic.name} moves through {max(topic.motion.position):.0f} m. Its positions '
-                'may be in millimetres; they must be in metres (REP-103).'
-            )
-        if topic.name not in used:
-            continue
-        if topic.rate_hz < LOW_RATE_HZ:
-            notes.append(
-                f'{topic.name} has only {topic.rate_hz:.0f} Hz, but axial and bending modes of a '
-                f'cup lie at several Hz. Record at {LOW_RATE_HZ:.0f} Hz or more.'
-            )
-        if topic.jitter_s * topic.rate_hz > JITTER_SAID:
-            notes.append(
-                f'The stamps of {topic.name} jitter by {topic.jitter_s * 1e3:.2g} ms; they may '
-                'be arrival times. Stamps of the sensor give better accelerations.'
-            )
+    notes += [text for topic in described if topic.name in used for text in topic.warnings]
     if len([guess for guess in guesses[:2] if guess]) < 2:
         notes.append(
             'An identification needs the poses of tool and package; the tool alone is enough '
@@ -305,63 +289,22 @@ def _at_rest(
 
     Where their worlds are apart, distance and turn say nothing of the bodies.
     """
-    bodies = [in_world(poses[guess.topic].trajectory(), world_rotation(pair.world))
-              for guess in (pair.tool, pair.package)]
-    begin = max(int(body.stamps_ns[0]) for body in bodies)
-    bodies = [body.select(body.stamps_ns >= begin) for body in bodies]
-    rest_s = min(_standstill(body) for body in bodies)
-    tool, package = (_start_rotation(body) for body in bodies)
-    tilts = [float(np.arccos(np.clip(R[2, 2], -1.0, 1.0))) for R in (tool, package)]
-    turned = float(np.linalg.norm(log_so3(tool.T @ package)))
+    rest = rest_of(*(in_world(poses[guess.topic].trajectory(), world_rotation(pair.world))
+                     for guess in (pair.tool, pair.package)))
     notes = [
         f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool. That is about '
         'cup.length if its poses are those of the lip (recording.package_frame: lip), or '
         'cup.length plus the depth of package.com if they are those of the centre of mass '
         '(com).'
     ] if not apart else []
-    if rest_s < SHORTEST_REST:
+    if rest.seconds < SHORTEST_REST:
         notes.append(
-            f'The standstill at the beginning lasts only {rest_s:.1f} s. Start with 2 s of '
+            f'The standstill at the beginning lasts only {rest.seconds:.1f} s. Start with 2 s of '
             'standstill, so that rotated marker frames can be detected.'
         )
-    aligned = not apart and max(*tilts, turned) > TURNED
+    aligned = rest.is_turned and not apart
     if aligned:
-        tool_deg, package_deg = np.rad2deg(tilts)
-        notes.append(
-            f'At rest the z axis of the tool is {tool_deg:.1f} degrees and that of the package '
-            f'{package_deg:.1f} degrees off the vertical, and the two frames are rotated by '
-            f'{np.rad2deg(turned):.1f} degrees. If the tool was upright then, set '
-            'recording.align_at_rest.'
-        )
-    rest = max(0.1, np.floor(10.0 * REST_USED * rest_s) / 10.0)
-    settings = {
-        'recording.align_at_rest': bool(aligned and rest_s >= SHORTEST_REST),
-        'recording.rest_duration': float(rest),
-    }
-    return rest_s, settings, notes
-
-
-def _start_rotation(body: Trajectory) -> Array:
-    """Return the median orientation (3, 3) of the first moments."""
-    start = body.select(body.seconds <= START_SECONDS)
-    middle = start.rotation[len(start) // 2]
-    turn: Array = np.median(log_so3(middle.T @ start.rotation), axis=0)
-    rotation: Array = middle @ exp_so3(turn)
-    return rotation
-
-
-def _standstill(body: Trajectory) -> float:
-    """Return how long a body stays where it starts, s."""
-    start = body.select(body.seconds <= START_SECONDS)
-    reference = _start_rotation(body)
-    middle = np.median(start.position, axis=0)
-    way = np.linalg.norm(body.position - middle, axis=1)
-    turn = np.linalg.norm(log_so3(reference.T @ body.rotation), axis=1)
-    moves = np.zeros(len(body), dtype=bool)
-    for size, least in ((way, STILL_POSITION), (turn, STILL_ROTATION)):
-        # Second differences are of the noise alone, also where the body moves at once.
-        noise = np.median(np.abs(np.diff(size, 2))) if len(size) > 2 else 0.0
-        moves |= size > least + STILL_DEVIATIONS * noise
-    # A jump of tracking is over at once, a motion is not.
-    lasting = moves & np.roll(moves, -max(1, len(start) // 4))
-    return float(body.seconds[int(np.argmax(lasting))] if lasting.any() else body.seconds[-1])
+        notes += rest.turned_sentence
+    duration = max(0.1, np.floor(10.0 * REST_USED * rest.seconds) / 10.0)
+    return rest.seconds, {
+        'recording.align_at_rest': aligned, 'recording.rest_duration': float(duration)}, notes

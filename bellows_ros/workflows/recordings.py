@@ -158,7 +158,8 @@ def _prepared(
 
         origin = np.zeros(3) if settings.package_frame == 'lip' else -settings.payload.com
         pose = pose_of(world) if world != ESTIMATE else closed_form(
-            tool, package, values['cup.length'], origin, settings.align_at_rest)
+            tool.trajectory(), package.trajectory(), values['cup.length'], origin,
+            settings.align_at_rest)
         package = in_tool_world(recorded, pose, tool.frame_id)
     filtered = filter_streams(tool, package, settings, twist)
     recording = filtered.joined()

@@ -121,7 +121,7 @@ def selection_json(selection: Any) -> dict[str, Any]:
             }
             for candidate in selection.candidates
         ],
-        **attributes(selection, 'samples', 'effective_samples', 'advised', 'advice'),
+        **attributes(selection, 'samples', 'effective_samples', 'advised', 'advice', 'fits'),
         'units': {'effective_samples': '1'},
     }
 

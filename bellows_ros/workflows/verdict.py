@@ -4,7 +4,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis, Finding
+from bellows_ros.core.identification.hypotheses import (
+    diagnose,
+    Diagnosis,
+    DOUBTED,
+    Finding,
+)
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.model import Cup
 from bellows_ros.core.recording.recording import Recording
@@ -18,12 +23,6 @@ LOOKED_AT = 3
 
 UNEXPLAINED = 0.2
 """Part of the motion in an axis that may be left unexplained."""
-
-DOUBTED = 1.0
-"""Residuals beyond noise, over those expected of noise and rubber, that are worth a word."""
-
-WORTH_A_WORD = 0.8
-"""A likely cause leaves at most this part of the residuals."""
 
 AT_NOISE = 1.1
 """A free simulation that is off by so many times the noise leaves nothing to doubt. Residuals may
@@ -78,20 +77,13 @@ class Verdict(NamedTuple):
         first = self.diagnosis.findings[0]
         if first.certain:
             return (finding_sentence(first, self.given),)
-        if self.diagnosis.excess < DOUBTED:
+        if first.likely:
+            return (f'Likely, but not certain: {finding_sentence(first, self.given)}',)
+        if self.diagnosis.excess < DOUBTED or (self.simulated and all(
+                (own.rms <= AT_NOISE * own.noise).all() for own in self.simulated)):
             return ()
-        if first.left > WORTH_A_WORD:
-            if self.simulated and all(
-                    (own.rms <= AT_NOISE * own.noise).all() for own in self.simulated):
-                return ()
-            return ('Noise does not explain the residuals, and no tested cause explains most of '
-                    'them: check the list in the JSON file, and the given values.',)
-        return (f'Likely, but not certain: {finding_sentence(first, self.given)}',)
-
-    @property
-    def is_certain(self) -> bool:
-        """Whether one cause is named."""
-        return any(found.certain for found in self.diagnosis.findings[:1])
+        return ('Noise does not explain the residuals, and no tested cause explains most of '
+                'them: check the list in the JSON file, and the given values.',)
 
     @property
     def refusals(self) -> tuple[str, ...]:
@@ -105,7 +97,7 @@ class Verdict(NamedTuple):
         first = self.diagnosis.findings[:1]
         if first and first[0].material:
             found.append(
-                f'{setting_of(first[0])} is wrong. See the first line, and fit again.')
+                f'Correct {setting_of(first[0])} as the first line says, and fit again.')
         return tuple(found)
 
     def as_json(self) -> dict[str, Any]:
@@ -129,7 +121,8 @@ UNITS: dict[str, Any] = {
 SETTINGS = {
     'time_offset': 'fit.time_offset', 'com': 'package.com', 'length': 'cup.length',
     'inertia': 'package.inertia', 'mass': 'package.mass', 'structure': 'fit.structure',
-    'package_world': 'recording.package_world', 'yaw': 'recording.align_at_rest',
+    'package_world': 'recording.package_world', 'tool': 'the axes of topics.tool_pose',
+    'package': 'the axes of topics.package_pose',
 }
 
 
@@ -157,11 +150,18 @@ def verdict_of(
     some = recordings[:LOOKED_AT]
     if not some:
         return None
-    diagnosis = diagnose(some, length, structure_named(values['fit.structure']), known)
+    diagnosis = diagnosed(some, length, values['fit.structure'], known)
     if not fit.usable:
         return Verdict((), diagnosis, values)
     cup = Cup(fit.stiffness, fit.damping, length)
     return Verdict(tuple(_simulated(cup, own) for own in some), diagnosis, values)
+
+
+def diagnosed(
+    recordings: Sequence[Recording], length: float, structure: str, known: Sequence[str] = ()
+) -> Diagnosis:
+    """Return what explains the residuals of some recordings with a structure of K and P."""
+    return diagnose(recordings[:LOOKED_AT], length, structure_named(structure), known)
 
 
 def _simulated(cup: Cup, recording: Recording) -> Simulated:
@@ -180,18 +180,22 @@ def _simulated(cup: Cup, recording: Recording) -> Simulated:
 
 
 def setting_of(found: Finding) -> str:
-    """Return the parameter to change, '' where it is the cup."""
+    """Return the parameter to change, both where either may be wrong, '' where it is the cup."""
     if found.value.startswith('gravity'):
         return 'gravity.direction'
-    if found.instead in SETTINGS:
-        return f'{SETTINGS[found.name]} or {SETTINGS[found.instead]}'
-    return SETTINGS.get(found.name, found.name if found.datum else '')
+    if found.name == 'yaw':
+        causes = [own.split()[0] for own in (found.value, found.instead) if own]
+    else:
+        causes = [own for own in (found.name, found.instead) if own]
+    return ' or '.join(dict.fromkeys(
+        SETTINGS.get(own, own if found.datum else '') for own in causes))
 
 
 def finding_sentence(found: Finding, given: Mapping[str, Any]) -> str:
     """Return what was found, its size, by how much residuals fall, and what to change."""
     what, remedy = _words(found, given)
-    return f'{what}. With that, the residuals fall to {100.0 * found.left:.2g} %. {remedy}'
+    falls = f' With that, the residuals fall to {100.0 * found.left:.2g} %.'
+    return f'{what}.{falls if found.left else ""} {remedy}'
 
 
 def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
@@ -219,12 +223,10 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
                 'Measure it under vacuum, or with bellows static: it would be '
                 f'{given["cup.length"] + theta[0]:.5f}.')
     if name == 'package_world':
-        way, turn = (', '.join(f'{1e3 * x:.2f} ± {1e3 * s:.2g}' for x, s in
-                               zip(theta[part], std[part], strict=True))
-                     for part in (slice(0, 3), slice(3, 6)))
-        return (f"The worlds of the tool's and the package's poses differ by {way} mm and {turn} "
-                'mrad', 'Set recording.package_world: estimate.')
-    return _setting_words(found)
+        from bellows_ros.core.recording.package_world import motion_sentence  # late: rare
+
+        return motion_sentence(theta, std), 'Set recording.package_world: estimate.'
+    return _setting_words(found, given)
 
 
 def _length_or_com(way: float) -> tuple[str, str]:
@@ -234,7 +236,7 @@ def _length_or_com(way: float) -> tuple[str, str]:
             'Measure cup.length under vacuum, or with bellows static, and check package.com.')
 
 
-def _setting_words(found: Finding) -> tuple[str, str]:
+def _setting_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the same where a setting is changed."""
     name, value = found.name, found.value
     if name == 'inertia' and not value:
@@ -244,7 +246,9 @@ def _setting_words(found: Finding) -> tuple[str, str]:
                 'compute its inertia in kg m^2.')
     if name in ('inertia', 'mass'):
         unit = 'kg m^2' if name == 'inertia' else 'kg'
-        return (f'package.{name} is in {value}, not in {unit}', f'Give it in {unit}.')
+        size = ', '.join(f'{x:g}' for x in np.atleast_1d(given[f'package.{name}'])[:3])
+        return (f'package.{name} is in {value}, not in {unit}: {size} {unit} is beyond any '
+                'package for such a cup', f'Give it in {unit}.')
     if name == 'recording.world':
         if value.startswith('gravity'):
             return ('Gravity is not along -z of the world',

@@ -7,10 +7,12 @@ from typing import Any
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import apply, exp_so3, rotation_to_quaternion
+from bellows_ros.core.parameters import resolve
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.workflows.info import info, TopicInfo
+from bellows_ros.workflows.recordings import load
 import numpy as np
 import pytest
 
@@ -105,6 +107,35 @@ def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(tmp_path: Path) -> None:
         twists('/speed', t, 0.0 * m['v'])])
     found = info(tmp_path / 'bag')
     assert found.twist and found.twist.topic == '/speed' and 'too little' in found.twist.why[0]
+
+
+@pytest.mark.parametrize(('fault', 'words'), [
+    ('slow', 'has only 67 Hz'), ('jitter', 'jitter by'), ('repeats', 'repeats its pose'),
+    ('step', 'does not return'), ('turned', 'two frames are rotated by 45.8 degrees')])
+def test_what_is_found_before_a_fit_is_said_with_it(
+    fault: str, words: str, tmp_path: Path
+) -> None:
+    """Warn of the same when the recording is read for a fit, in the same words."""
+    m = motion()
+    t, o, R = m['t'], m['o_p'].copy(), m['R_p']
+    if fault == 'slow':
+        t, o, R = (x[::3] for x in (t, o, R))
+    if fault == 'jitter':
+        t = t + np.random.default_rng(3).uniform(-1e-3, 1e-3, len(t))
+    if fault == 'repeats':
+        again = np.arange(len(t)) // 2 * 2
+        o, R = o[again], R[again]
+    if fault == 'step':
+        o[len(t) // 2:] += [0.0, 0.03, 0.0]
+    if fault == 'turned':
+        R = R @ exp_so3(np.array([0.0, 0.0, 0.8]))
+    write_bag(tmp_path / 'bag', [poses('/tool', m['t'], m['o'], m['R']), poses('/box', t, o, R)])
+    (note,) = [note for note in info(tmp_path / 'bag').notes if words in note]
+    values = resolve({
+        'topics.tool_pose': '/tool', 'topics.package_pose': '/box', 'topics.tool_twist': '',
+        'package.mass': 1.0, 'package.inertia': (0.01, 0.01, 0.01, 0.0, 0.0, 0.0),
+        'package.com': (0.0, 0.0, 0.0), 'recording.package_frame': 'com'})
+    assert note in load(tmp_path / 'bag', values).report.warnings
 
 
 def test_what_moves_at_once_does_not_stand_still(tmp_path: Path) -> None:

@@ -5,8 +5,11 @@ import json
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
+from bellows_ros.workflows.identify import selection
 from bellows_ros.workflows.structures import structures
 import pytest
+
+from ..core.identification.hypotheses.laboratory import FAULTS, Laboratory
 
 
 @pytest.fixture(scope='module')
@@ -59,3 +62,18 @@ def test_progress_goes_from_reading_to_done(shipped):
 def test_no_recording_is_a_mistake(shipped):
     with pytest.raises(BellowsError, match='bags is empty'):
         structures({**shipped.values, 'bags': []})
+
+
+@pytest.mark.parametrize(('fault', 'word'), [
+    ('soft spring', 'not linear'), ('drift', 'drifts'), ('length', 'cup.length'), ('', ''),
+    pytest.param('friction', 'hysteresis', marks=pytest.mark.stress)])
+def test_where_no_structure_fits_the_cause_is_named(fault, word):
+    """Say so of a cup that is no linear one, and of wrong data, and not of a sound recording."""
+    laboratory = Laboratory(74102 if fault else 74100)
+    FAULTS.get(fault, [lambda own: None])[0](laboratory)
+    values = {'cup.length': laboratory.said_length, 'fit.structure': 'axisymmetric',
+              'package.com': laboratory.said.com}
+    found = selection([laboratory.recording()], values, lambda what, part: None)
+    assert found.fits is not bool(fault)
+    assert found.advice[0].startswith('No structure fits' if fault else 'Use fit.structure')
+    assert word in found.advice[0]

@@ -1,6 +1,6 @@
 """Quantities estimated together with K and P: those in fit.free, and package_world."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ from bellows_ros.core.identification.objective import (
 from bellows_ros.core.identification.variations import Given, Variation
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.recording.alignment import Alignment
+from bellows_ros.core.recording.package_world import closed_form, motion_of
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.structure import Structure
 from bellows_ros.errors import BellowsError
@@ -41,11 +42,9 @@ class Block(NamedTuple):
         What they do to a recording.
     steps : tuple of float
         Change of each for derivatives.
-    raster : tuple of float
-        Values of one of them that are tried first: where the weight stretches the cup by less
+    starts : callable
+        Numbers that are tried first, of a recording: where the weight stretches the cup by less
         than what is off, its stiffness has the wrong sign in a false minimum.
-    raster_of : int
-        Which one that is.
     furthest : float
         No round goes further than so many steps.
     each : bool
@@ -56,8 +55,7 @@ class Block(NamedTuple):
     name: str
     vary: Variation
     steps: tuple[float, ...]
-    raster: tuple[float, ...] = ()
-    raster_of: int = 0
+    starts: Callable[[Given], Iterable[Array]] = lambda given: ()
     furthest: float = 200.0
     each: bool = False
 
@@ -101,7 +99,7 @@ def refine(
     """
     Return the numbers of blocks with which noise explains most.
 
-    They are looked for from a start, or from 0 and values on a raster where none is given.
+    They are looked for from a start, or from 0 and the starts of blocks where none is given.
     """
     count = len(ensemble.given)
     steps = np.concatenate([np.tile(b.steps, b.size(count) // len(b.steps)) for b in blocks])
@@ -111,7 +109,7 @@ def refine(
         """Return what is left at some numbers."""
         return objective.solved(ensemble.varied(varied(blocks, theta)))
 
-    theta = _on_raster(objective, ensemble, blocks, len(steps)) if start is None else start
+    theta = _first(objective, ensemble, blocks, len(steps)) if start is None else start
     here = at(theta)
     for _ in range(rounds):
         gradient, D = _derivatives(at, theta, here, steps)
@@ -131,18 +129,20 @@ def refine(
     return Refined(theta, covariance, here)
 
 
-def _on_raster(
+def _first(
     objective: Objective, ensemble: Ensemble, blocks: Sequence[Block], size: int
 ) -> Array:
-    """Return the numbers (size,) on the rasters of blocks that explain most, 0 without any."""
+    """Return the numbers (size,) among the starts of blocks that explain most, 0 without any."""
     theta, first, count = np.zeros(size), 0, len(ensemble.given)
     quiet = Ensemble(ensemble.given, ())
     least = objective.solved(quiet).excess
     for block in blocks:
-        for place in range(first, first + block.size(count), len(block.steps)):
-            for value in block.raster:
+        width = len(block.steps)
+        for number in range(block.size(count) // width):
+            place = first + number * width
+            for value in block.starts(ensemble.given[number]):
                 there = theta.copy()
-                there[place + block.raster_of] = value
+                there[place:place + width] = value
                 excess = objective.solved(quiet.varied(varied(blocks, there))).excess
                 if excess < least:
                     theta, least = there, excess
@@ -182,18 +182,29 @@ FALLS = 0.9
 FEWEST_SECONDS = 3.0
 """Valid samples of less time than this (s) tell nothing."""
 
-_OFFSETS = tuple(RASTER * i for i in range(-10, 11))
+HEIGHTS = np.array([-8e-3, -4e-3, -2e-3, -1e-3, 1e-3, 2e-3, 4e-3, 8e-3])
+"""The same of lengths, m."""
 
-_HEIGHTS = (-8e-3, -4e-3, -2e-3, -1e-3, 1e-3, 2e-3, 4e-3, 8e-3)
+
+def _worlds(given: Given) -> list[Array]:
+    """Return motions (6,) of the package's world: along z, also from that of one rigid body."""
+    tool, package = given.samples.tool, given.samples.package
+    pose = closed_form(tool, package, given.length, -given.samples.payload.com, False)
+    rigid = motion_of(pose, package.position[package.valid].mean(axis=0))
+    along = np.outer([0.0, *HEIGHTS], np.eye(6)[2])
+    return [*along[1:], *(rigid + along)]
+
 
 BLOCKS = {
-    'time_offset': Block('time_offset', variations.time_offset, (1e-4,), _OFFSETS, 0, 100.0, True),
-    'com': Block('com', variations.com, (1e-5,) * 3, _HEIGHTS, 2, furthest=1000.0),
-    'length': Block('length', variations.length, (1e-5,), _HEIGHTS, furthest=500.0),
+    'time_offset': Block('time_offset', variations.time_offset, (1e-4,), lambda given:
+                         RASTER * np.arange(-10, 11)[:, None], 100.0, True),
+    'com': Block('com', variations.com, (1e-5,) * 3, lambda given:
+                 np.outer(HEIGHTS, np.eye(3)[2]), 1000.0),
+    'length': Block('length', variations.length, (1e-5,), lambda given: HEIGHTS[:, None], 500.0),
     'inertia': Block('inertia', variations.inertia, (1e-3,) * 3, furthest=1000.0),
     'mass': Block('mass', variations.mass, (1e-3,), furthest=1000.0),
     'package_world': Block(
-        'package_world', variations.package_world, (1e-5,) * 6, _HEIGHTS, 2, 5000.0, True),
+        'package_world', variations.package_world, (1e-5,) * 6, _worlds, 5000.0, True),
     'grip': Block('grip', variations.grip, (1e-5,) * 5, furthest=5000.0, each=True),
 }
 """What may be set free, by its name in fit.free; the grip with package_world and alignment."""

@@ -31,71 +31,41 @@ import numpy as np
 if TYPE_CHECKING:
     from bellows_ros.core.identification.free import Block
 
-TRIED = 0.08
-"""Residuals beyond noise, in their weights, below which nothing is looked for."""
+CHANCE = 2.5
+"""Noise floor of a mean of squares, in standard deviations of what chance makes of it."""
 
-SURE = 0.3
-"""Standard errors that are smaller than this part of a change tell its sign."""
+SIGNIFICANT = 6.0
+"""Standard errors that a significant change is away from nothing."""
 
-CHANCE = 2.0
-"""The same in standard deviations of what chance leaves of so many residuals."""
+MATERIAL = 0.05
+"""Part by which a material change moves an entry of K, or a twist."""
 
-NOTHING = 0.06
-"""Residuals that chance leaves."""
+DISTINCT = 0.5
+"""A distinct hypothesis leaves less than this part of the squares that another leaves. The square
+of it is asked where it must explain nearly all, and of what the cup may be beside wrong data."""
 
-EXPLAINS, BETTER = 0.2, 0.5
-"""A certain hypothesis leaves at most this part of what there was, and of what others leave."""
+DOUBTED = 1.0
+"""Squares beyond noise, in those expected of noise and rubber, with which a cup is doubted."""
 
-OF_THE_CUP = 0.25
-"""The same as the latter for what the cup may be, beside what may be wrong in what was given."""
+COST = 0.1
+"""Part by which squares must fall for each number that is freed."""
 
-GAINED, SMALL = 20.0, 1.0
-"""Chi2 that what the cup is gains over others, and residuals up to which that is enough."""
-
-SOLID = 0.01
-"""Radius of gyration (m) that no package is below."""
-
-MISSES = 1e-3
-"""Mean square by which twists miss those of the poses, in theirs, below which they suit."""
-
-ERRORS, OF_STIFFNESS = 6.0, 4.0
-"""Standard errors that a certain change is away from nothing, and that of a stiffness."""
-
-PENALTY = 0.1
-"""By how much residuals must fall for each number that is freed."""
-
-LEAST = {
-    'time_offset': 5e-4, 'com': 5e-4, 'length': 2e-4, 'inertia': 0.03, 'mass': 0.03,
-    'package_world': 5e-4, 'drift': 0.02, 'cubic': 0.02, 'friction': 0.02,
-}
-"""Changes that are smaller (s, m, ln 1, m and rad, parts of K) are not worth a word."""
-
-ALIKE = 1.5
-"""Residuals of two hypotheses that cannot be distinguished differ by less."""
-
-ROUGHLY = 3
-"""Rounds in which numbers are found at first, with noise left in."""
-
-AGAIN = 6
-"""Hypotheses that are tried a second time, with noise taken off."""
-
-SHOWN, NEAR = 2, 10.0
-"""So many are named; others that leave more than so many times the best are not tried again."""
-
-K_MOVES = 0.05
-"""Part by which a material change moves an entry of K."""
+QUICK_ROUNDS, AGAIN, SHOWN = 3, 6, 2
+"""Rounds of a first look without regard to noise; how many are tried again, and returned."""
 
 HEAVIEST = 50.0
 """No suction cup of this kind holds more, kg: beyond it the mass has the wrong unit."""
 
-LARGEST_FACTOR = float(np.log(10.0))
-"""ln of the factor by which no inertia is off but by its unit."""
+GYRATION = (0.01, 0.3, 1.0)
+"""Radii of gyration of packages, m: the smallest, the largest usual one, the largest of all."""
 
-WIDEST, TYPICAL = 1.0, 0.3
-"""Radius of gyration (m) that no package has, and that any of these has at most."""
+TENFOLD = float(np.log(10.0))
+"""No inertia is off by more, but by its unit."""
 
 UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
 """What moments of inertia may be in, and how many of each are 1 kg m^2."""
+
+NONE = np.empty(0)
 
 
 class Hypothesis(NamedTuple):
@@ -150,18 +120,23 @@ class Finding(NamedTuple):
 
     name: str
     value: str
-    theta: Array
-    std: Array
-    left: float
-    moved: float
-    datum: bool
-    certain: bool
-    instead: str
+    theta: Array = NONE
+    std: Array = NONE
+    left: float = 0.0
+    moved: float = 0.0
+    datum: bool = True
+    certain: bool = True
+    instead: str = ''
 
     @property
     def material(self) -> bool:
-        """Whether a cup is wrong without it: errors halve, or K moves."""
-        return self.certain and self.datum and (self.left < 0.5 or self.moved > K_MOVES)
+        """Whether a cup is wrong without it: whatever is certain halves errors, or moves K."""
+        return self.certain and self.datum
+
+    @property
+    def likely(self) -> bool:
+        """Whether it is worth a word: it explains most, whatever else does."""
+        return self.certain or self.left**2 < DISTINCT
 
 
 def hypotheses(given: Given, world: str) -> Iterator[Hypothesis]:
@@ -180,15 +155,14 @@ def hypotheses(given: Given, world: str) -> Iterator[Hypothesis]:
     yield Hypothesis('inertia', SCALE.vary, 1, block=SCALE)
     gyration = radius_of_gyration(given.samples.payload)
     for unit, factor in UNITS:
-        if gyration < SOLID * np.sqrt(factor):
-            continue
-        yield Hypothesis(
-            'inertia', variations.scaled(variations.inertia, 1.0 / factor), value=unit)
+        if gyration > GYRATION[0] * np.sqrt(factor):
+            yield Hypothesis(
+                'inertia', variations.scaled(variations.inertia, 1.0 / factor), value=unit)
     for value, R in _worlds(world):
         yield Hypothesis('recording.world', variations.gravity(R), value=value)
     for body in ('tool', 'package'):
         for degrees in (90, 180, -90):
-            yield Hypothesis('yaw', variations.yaw(np.radians(degrees), body == 'tool'),
+            yield Hypothesis('yaw', variations.yaw(np.radians(-degrees), body == 'tool'),
                              value=f'{body} {degrees}')
     yield Hypothesis('recording.package_frame', variations.other_frame,
                      value='com' if given.lip_recorded else 'lip')
@@ -246,23 +220,25 @@ def diagnose(
     ensemble = ensemble_of(recordings, length, structure)
     objective = Objective.of(ensemble)
     before = objective.solved(ensemble)
-    labels = known or structure.labels
-    if before.excess < max(TRIED, CHANCE * np.sqrt(2.0 / before.residuals)):
+    if before.excess < _chance(before):
         tried = _in_order(_tried(h, objective, ensemble) for h in _OTHERWISE)
-        found = [_finding(trial, tried, before, structure, labels) for trial in tried[:1]]
-        return Diagnosis(before.excess, tuple(own for own in found if own.certain))
-    quiet = Ensemble(ensemble.given, ())
-    level = objective.solved(quiet).excess - before.excess
-    tried = _in_order(_tried(h, objective, quiet, rounds=ROUGHLY, level=level)
-                      for h in hypotheses(ensemble.given[0], recordings[0].settings.world))
-    # With weights as they are where the best of them is true.
-    objective = Objective.of(ensemble.varied(tried[0].vary), sound=True)
-    before = objective.solved(ensemble)
-    tried = _in_order(_tried(trial.hypothesis, objective, ensemble, trial.theta)
-                      for number, trial in enumerate(tried[:AGAIN])
-                      if number < SHOWN or _mark(trial) < NEAR * _mark(tried[0]))
-    return Diagnosis(before.excess, tuple(
-        _finding(trial, tried, before, structure, labels) for trial in tried[:SHOWN]))
+    else:
+        quiet = Ensemble(ensemble.given, ())
+        level = objective.solved(quiet).excess - before.excess
+        tried = _in_order(_tried(h, objective, quiet, rounds=QUICK_ROUNDS, level=level)
+                          for h in hypotheses(ensemble.given[0], recordings[0].settings.world))
+        # With weights as they are where the best of them is true.
+        objective = Objective.of(ensemble.varied(tried[0].vary), sound=True)
+        before = objective.solved(ensemble)
+        tried = _in_order(
+            _tried(trial.hypothesis, objective, ensemble, trial.theta)
+            for number, trial in enumerate(tried[:AGAIN])
+            if number < SHOWN or DISTINCT**3 * _mark(trial) < _mark(tried[0]))
+    findings = [_finding(trial, tried, before, structure, known or structure.labels)
+                for trial in tried[:SHOWN]]
+    if before.excess < _chance(before):
+        findings = [own for own in findings if own.certain]
+    return Diagnosis(before.excess, tuple(findings))
 
 
 def radius_of_gyration(held: Package) -> float:
@@ -272,13 +248,13 @@ def radius_of_gyration(held: Package) -> float:
 
 def _absurd(held: Package) -> Finding | None:
     """Return the unit of a mass or an inertia that no package has, None where it may have it."""
-    none, gyration = np.empty(0), radius_of_gyration(held)
+    gyration, (_, usual, largest) = radius_of_gyration(held), GYRATION
     if held.mass > HEAVIEST:
-        return Finding('mass', 'g', none, none, 0.0, 1.0, True, True, '')
-    if gyration < WIDEST:
+        return Finding('mass', 'g')
+    if gyration < largest:
         return None
-    unit = next((u for u, k in UNITS if gyration / np.sqrt(k) < TYPICAL), UNITS[-1][0])
-    return Finding('inertia', unit, none, none, 0.0, 1.0, True, True, '')
+    return Finding('inertia', next(
+        (unit for unit, many in UNITS if gyration < usual * np.sqrt(many)), UNITS[-1][0]))
 
 
 def _in_other_axes(own: Recording) -> Finding | None:
@@ -303,11 +279,9 @@ def _in_other_axes(own: Recording) -> Finding | None:
         float(np.mean((twist[:, part] - true[:, part]) ** 2) / np.mean(true[:, part] ** 2 + 1e-12))
         for part in (slice(0, 3), slice(3, 6)))
         for twist in (given, np.hstack([apply(turn, given[:, :3]), apply(turn, given[:, 3:])])))
-    if before < MISSES or after > EXPLAINS**2 * before:
+    if before < MATERIAL**2 or after > DISTINCT**4 * before:
         return None
-    none = np.empty(0)
-    return Finding('tool_twist.frame', other, none, none, float(np.sqrt(after / before)), 0.0,
-                   True, True, '')
+    return Finding('tool_twist.frame', other, left=float(np.sqrt(after / before)))
 
 
 class _Trial(NamedTuple):
@@ -331,45 +305,52 @@ def _tried(
     if hypothesis.block is not None:
         from bellows_ros.core.identification.free import refine, ROUNDS
 
-        found = refine(objective, ensemble, [hypothesis.block], start, rounds or ROUNDS)
-        found = found._replace(solved=found.solved._replace(excess=found.solved.excess - level))
-        return _Trial(hypothesis, found.theta, found.std, found.solved)
-    solved = objective.solved(ensemble.varied(
-        lambda given: [hypothesis.vary(own, np.empty(0)) for own in given]))
-    solved = solved._replace(excess=solved.excess - level)
-    if hypothesis not in _OTHERWISE:
-        return _Trial(hypothesis, np.empty(0), np.empty(0), solved)
-    # Parts by which K changes, or friction as a part of the largest force, and standard errors.
-    own = ensemble.given[0].structure
-    entries, n = extra_entries(own, hypothesis.name), 2 * own.size
-    each = SLIPS if hypothesis.name == 'friction' else (1.0,)
-    T = np.kron(each, np.eye(len(entries))) / solved.x[entries, None]
-    covariance = T @ covariance_of(solved, solved.rows.A)[n:, n:] @ T.T
-    return _Trial(hypothesis, T @ solved.x[n:], np.sqrt(np.diag(covariance)), solved)
+        theta, covariance, solved = refine(
+            objective, ensemble, [hypothesis.block], start, rounds or ROUNDS)
+        std = np.sqrt(np.diag(covariance))
+    else:
+        theta = std = NONE
+        solved = objective.solved(ensemble.varied(
+            lambda given: [hypothesis.vary(own, NONE) for own in given]))
+    if hypothesis in _OTHERWISE:
+        # Parts by which K changes, or friction as a part of the largest force.
+        own = ensemble.given[0].structure
+        entries, n = extra_entries(own, hypothesis.name), 2 * own.size
+        each = SLIPS if hypothesis.name == 'friction' else (1.0,)
+        T = np.kron(each, np.eye(len(entries))) / solved.x[entries, None]
+        covariance = T @ covariance_of(solved, solved.rows.A)[n:, n:] @ T.T
+        theta, std = T @ solved.x[n:], np.sqrt(np.diag(covariance))
+    return _Trial(hypothesis, theta, std, solved._replace(excess=solved.excess - level))
 
 
 def _in_order(trials: Iterable[_Trial]) -> list[_Trial]:
     """Return trials, the best first, without cups and packages that cannot be."""
     def can_be(trial: _Trial) -> bool:
         """Return whether K keeps its sign, friction takes energy, and a package is one."""
-        if trial.hypothesis.name == 'inertia' and len(trial.theta):
-            return bool(np.abs(trial.theta[0]) < LARGEST_FACTOR)
+        size = np.abs(trial.theta)
+        if trial.hypothesis.name == 'inertia' and len(size):
+            return bool(size[0] < TENFOLD)
         if trial.hypothesis not in _OTHERWISE:
             return True
         if trial.hypothesis.name == 'friction':
-            return bool(trial.theta[np.argmax(np.abs(trial.theta) / trial.std)] > 0.0)
-        return bool(np.all((np.abs(trial.theta) < 1.0) | (SURE * np.abs(trial.theta) < trial.std)))
+            return bool(trial.theta[np.argmax(size / trial.std)] > 0.0)
+        return bool(np.all((size < 1.0) | (size < SIGNIFICANT * trial.std)))
     return sorted(filter(can_be, trials), key=_mark)
 
 
-def _left(trial: _Trial) -> float:
-    """Return the residuals that a hypothesis leaves, never less than chance does."""
-    return max(trial.solved.excess, 0.0) + NOTHING
+def _chance(solved: Solved) -> float:
+    """Return the noise floor of squares: the mean of so many residuals is off by chance."""
+    return float(CHANCE * np.sqrt(2.0 / solved.residuals))
+
+
+def _left(solved: Solved) -> float:
+    """Return the squares that are left, never less than chance leaves."""
+    return max(solved.excess, 0.0) + _chance(solved)
 
 
 def _mark(trial: _Trial) -> float:
-    """Return what hypotheses are ordered by: residuals, more for each number freed."""
-    return _left(trial) * (1.0 + PENALTY * trial.hypothesis.freed)
+    """Return what hypotheses are ordered by: squares, more for each number freed."""
+    return _left(trial.solved) * (1.0 + COST * trial.hypothesis.freed)
 
 
 def _finding(
@@ -378,33 +359,34 @@ def _finding(
 ) -> Finding:
     """Return what is said of a hypothesis."""
     own, value, theta, std = trial.hypothesis, trial.hypothesis.value, trial.theta, trial.std
-    instead = [t for t in tried if _left(t) < ALIKE * _left(trial) and (
+    left, first = _left(trial.solved), _left(before)
+    instead = [t for t in tried if DISTINCT * _left(t.solved) < left and (
         {t.hypothesis.name, own.name} == {'length', 'com'} or (
             t.hypothesis.name == own.name == 'yaw' and t is not trial))]
-    others = [t for t in tried if t.hypothesis.name != own.name
-              and t.hypothesis.freed <= own.freed and not any(t is i for i in instead)]
-    first = max(before.excess, 0.0) + NOTHING
-    certain = trial is tried[0] and all(_left(trial) < most for most in (
-        BETTER * first, EXPLAINS * first + NOTHING,
-        *((BETTER if own.datum or not t.hypothesis.datum else OF_THE_CUP) * _left(t)
-          for t in others)))
-    if trial is tried[0] and own in _OTHERWISE and before.excess < SMALL:
-        most = min([before.excess, *(t.solved.excess for t in tried[1:])])
-        certain = GAINED < before.residuals * (most - trial.solved.excess)
-    if own.block is not None or own in _OTHERWISE:
-        many = OF_STIFFNESS if own.name in ('drift', 'cubic') else ERRORS
-        far = np.abs(theta) > np.maximum(many * std, LEAST[own.name])
-        certain = certain and bool(far.any())
-    n = structure.size
+    others = [(_left(t.solved), t.hypothesis) for t in tried
+              if t.hypothesis.name != own.name and not any(t is i for i in instead)]
+    if own in _OTHERWISE and before.excess < DOUBTED:
+        least = min([before.excess, *(t.solved.excess for t in tried if t is not trial)])
+        certain = before.residuals * (least - trial.solved.excess) > SIGNIFICANT**2
+    else:
+        certain = left < DISTINCT**2 * first + _chance(before) and left < DISTINCT * first and all(
+            left < (DISTINCT if own.datum or not other.datum else DISTINCT**2) * most
+            if other.freed <= own.freed else other.datum or left < most
+            for most, other in others)
+    if len(theta):
+        certain = certain and bool(np.any(np.abs(theta) > SIGNIFICANT * std))
     diagonal = [i for i, (row, column) in enumerate(structure.leads)
                 if row == column and structure.labels[i] in labels]
-    moved = np.abs(trial.solved.x[diagonal] / before.x[diagonal] - 1.0) if (
-        len(trial.solved.x) >= n and own.name != 'structure') else np.zeros(1)
+    moved = change = np.zeros(1)
+    if own.name != 'structure':
+        moved = change = np.abs(trial.solved.x[diagonal] / before.x[diagonal] - 1.0)
     if own in _OTHERWISE:  # the entry of K that shows it best is enough
         entries = extra_entries(structure, own.name)
         best = int(np.argmax(np.isin(entries, diagonal) * np.abs(theta) / std))
         value, theta, std = structure.labels[entries[best]], theta[[best]], std[[best]]
+        change = np.abs(theta)
+    material = own.name == 'structure' or left < DISTINCT**2 * first or np.any(change > MATERIAL)
     return Finding(
-        own.name, value, theta, std, float(np.sqrt(_left(trial) / first)),
-        float(moved.max(initial=0.0)), own.datum, certain,
+        own.name, value, theta, std, float(np.sqrt(left / first)), float(moved.max(initial=0.0)),
+        own.datum, bool(certain and material and trial is tried[0]),
         instead[0].hypothesis.value or instead[0].hypothesis.name if instead else '')

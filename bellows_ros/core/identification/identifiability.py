@@ -209,7 +209,7 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
         return
     power = np.mean([own.power for own in passed], axis=0)
     lost = np.mean([own.lost for own in passed], axis=0)
-    of_noise = np.mean([own.of_noise for own in passed])
+    of_noise = np.mean([own.of_noise for own in passed], axis=0)
     floor = np.mean([own.floor for own in passed], axis=0)
     variance = np.maximum(np.array([axis.twist_noise for axis in axes]) ** 2, floor)
     moving, lost = power - variance, lost - of_noise * variance

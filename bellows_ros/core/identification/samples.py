@@ -15,10 +15,12 @@ from typing import NamedTuple
 from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.envelope import Envelope
 from bellows_ros.core.identification.equations import BLOCK, LipMotion
-from bellows_ros.core.lie import apply, exp_so3
+from bellows_ros.core.lie import apply, quaternion_to_rotation
 from bellows_ros.core.model import Package
+from bellows_ros.core.parameter_table import THESIS_LENGTH
+from bellows_ros.core.parameters import ESTIMATE
 from bellows_ros.core.recording.recording import FilterNoise, Recording
-from bellows_ros.core.residuals import interpolated, relative_coordinates, Spectrum, spectrum
+from bellows_ros.core.residuals import interpolated, Spectrum, spectrum
 from bellows_ros.core.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -26,6 +28,9 @@ from numpy.typing import ArrayLike
 
 FARTHEST = 2.0
 """Distance (m) of the lip from the tool tip that no cup has: its length is at most 1 m."""
+
+HELD = 0.3
+"""In its own world the lip moves by at most this part of what it does in another."""
 
 LOOKED_AT_EVERY = 20
 """So many samples are stepped over where only the arrangement is looked at."""
@@ -135,26 +140,57 @@ def _samples(recording: Recording) -> Samples:
 def _require_below(recording: Recording) -> None:
     """Refuse a recording whose package is mostly not below the tool, along its z axis."""
     some = np.flatnonzero(recording.valid)[::LOOKED_AT_EVERY]
-    package = recording.measured_package.select(some)
-    relative = relative_coordinates(recording.measured_tool.select(some), package)
-    lip = relative[:, :3] - exp_so3(relative[:, 3:]) @ recording.payload.com
     if not len(some):
         return
+    tool, package = recording.measured_tool.select(some), recording.measured_package.select(some)
+    way = package.position - apply(package.rotation, recording.payload.com) - tool.position
+    lip = apply(np.swapaxes(tool.rotation, 1, 2), way)
     away, above = float(np.median(np.linalg.norm(lip, axis=1))), float(np.median(lip[:, 2]))
+    if away <= FARTHEST and above <= 0.0:
+        return
+    if wrong := _in_two_worlds(recording, tool, package, lip):
+        raise BellowsError(wrong)
     if away > FARTHEST:
         raise BellowsError(_millimetres(recording, away))
-    if above > 0.0:
-        upward = float(np.median(
-            (package.position - recording.measured_tool.select(some).position)[:, 2]))
-        raise BellowsError(
-            f'The lip of the cup is {1e3 * above:.0f} mm above the tool tip in tool axes, but '
-            'the cup hangs below it. ' + (
-                f'The package is also {1e3 * upward:.0f} mm above the tool in the world: '
-                'topics.tool_pose and topics.package_pose are exchanged, or recording.world is '
-                'wrong.' if upward > 0.0 else
-                'In the world the package is below the tool: z of the tool points the wrong way '
-                '(it must point from the cup back into the arm), or package.com is wrong.')
-        )
+    upward = float(np.median(way[:, 2]))
+    raise BellowsError(
+        'topics.tool_pose and topics.package_pose are exchanged: the lip of the cup would be '
+        f'{1e3 * above:.0f} mm above the tool tip in tool axes, and {1e3 * upward:.0f} mm in the '
+        'world. Exchange the two; if they are right, check recording.world.' if upward > 0.0 else
+        'z of the tool points the wrong way: it must point from the cup back into the arm. In '
+        f'tool axes the lip of the cup is {1e3 * above:.0f} mm above the tool tip, in the world '
+        f'{-1e3 * upward:.0f} mm below it. Turn the frame in its driver; if it is right, check '
+        'package.com.')
+
+
+def _in_two_worlds(
+    recording: Recording, tool: Trajectory, package: Trajectory, lip: Array
+) -> str:
+    """Return what is said where another world of the package keeps its lip in place, or ''."""
+    from bellows_ros.core.recording.package_world import (  # late: rare
+        closed_form,
+        motion_of,
+        motion_sentence,
+    )
+
+    def wandering(at: Array) -> float:
+        """Return how far a lip (N, 3) in axes of the tool moves there, m."""
+        return float(np.linalg.norm(np.subtract(*np.percentile(at, (75, 25), axis=0))))
+
+    com, own = recording.payload.com, recording.measured_package
+    try:
+        pose = closed_form(recording.measured_tool, own, THESIS_LENGTH, -com, False)
+    except BellowsError:  # too short to say
+        return ''
+    R = quaternion_to_rotation(pose[3:])
+    there = apply(R, package.position - apply(package.rotation, com)) + pose[:3] - tool.position
+    left = wandering(apply(np.swapaxes(tool.rotation, 1, 2), there))
+    if left > HELD * wandering(lip):
+        return ''
+    middle = own.position[own.valid].mean(axis=0)
+    return (f'{motion_sentence(motion_of(pose, middle))}: seen from the tool, the lip of the cup '
+            f'moves by {1e3 * wandering(lip):.0f} mm, and by {1e3 * left:.0f} mm without that. '
+            f'Set recording.package_world: {ESTIMATE}, or give its seven numbers.')
 
 
 def _millimetres(recording: Recording, away: float) -> str:
@@ -166,10 +202,10 @@ def _millimetres(recording: Recording, away: float) -> str:
               for t, p in ((1e-3, 1.0), (1.0, 1e-3), (1e-3, 1e-3))]
     which = (names[0], names[1], f'{names[0]} and {names[1]}')[int(np.argmin(scaled))]
     if min(scaled) > FARTHEST:
-        return (f'The lip of the cup is {away:.3g} m from the tool tip: the poses of {names[0]} '
-                f'and {names[1]} use different worlds. Set recording.package_world.')
-    return (f'The lip of the cup is {away:.3g} m from the tool tip: the poses of {which} are in '
-            'millimetres. They must be in m: change the driver, or convert the recording.')
+        return (f'The poses of {names[0]} and {names[1]} use different worlds: the lip of the cup '
+                f'is {away:.3g} m from the tool tip. Set recording.package_world.')
+    return (f'The poses of {which} are in millimetres: the lip of the cup would be {away:.3g} m '
+            'from the tool tip. They must be in m: change the driver, or convert the recording.')
 
 
 def lip_relative(
@@ -315,14 +351,14 @@ class PassBand(NamedTuple):
     What the filter of one recording's package leaves of the lip's twist.
 
     Mean squares (6,) of the filtered twist, power, and of what the filter took of it, lost; the
-    part of white noise that it took; the end (Hz) of its pass band; half windows (samples) of the
-    filters of tool and package; and the mean squares of the white noise that the spectra show
+    part (6,) of the noise that it took; the end (Hz) of its pass band; half windows (samples) of
+    the filters of tool and package; and the mean squares (6,) of the noise that the spectra show
     beyond the pass band, where noise in one axis is larger than in the others.
     """
 
     power: Array
     lost: Array
-    of_noise: float
+    of_noise: Array
     end_hz: float
     half_windows: tuple[int, int]
     floor: Array
@@ -334,11 +370,14 @@ class PassBand(NamedTuple):
         white = (part * twist.frequency) ** 2
         end = pass_band(noise.package_weights, rate_hz)
         beyond = (twist.frequency > 2.0 * end) & (white > NO_FLOOR * white.max())
-        level = twist.density[beyond] / white[beyond, None]
-        floor = np.median(level, axis=0) * white.sum() if beyond.any() else np.zeros(6)
+        back = np.exp(-2j * np.pi * twist.frequency / rate_hz)  # to the sample before
+        colour = np.abs(1.0 - np.multiply.outer(back, noise.correlation)) ** -2.0
+        seen = white[:, None] * np.repeat(colour, 3, axis=1)
+        level = twist.density[beyond] / seen[beyond]
+        floor = np.median(level, axis=0) * seen.sum(axis=0) if beyond.any() else np.zeros(6)
         return cls(
             twist.frequency[1] * twist.density.sum(axis=0),
             twist.frequency[1] * (1.0 - part) @ twist.density,
-            float((1.0 - part) @ white / white.sum()), end,
+            (1.0 - part) @ seen / seen.sum(axis=0), end,
             (noise.tool_half_window, noise.package_weights.shape[1] // 2),
             twist.frequency[1] * floor)

@@ -24,6 +24,7 @@ from bellows_ros.core.identification.equations import (
     r_factor,
     whitening_of,
 )
+from bellows_ros.core.identification.hypotheses import Diagnosis, DOUBTED
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.reduction import draws, statistics, with_noise
 from bellows_ros.core.identification.result import Fit
@@ -49,6 +50,9 @@ EXTRAPOLATED = (3.0, -3.0, 1.0)
 
 SHORTEST_RUN = 1.0
 """A segment that is simulated lasts at least this long, s."""
+
+UNEXPLAINED = 0.2
+"""Error of held-out motion, in its size, with which no structure fits, whatever the cause."""
 
 AS_GOOD_WITHIN = 0.02
 """A simpler structure whose held-out error is larger by less than this part is as good, ..."""
@@ -118,6 +122,8 @@ class StructureSelection:
         The structure to take.
     advice : tuple of str
         Why, in sentences.
+    fits : bool
+        Whether any structure fits; the advice begins with why not.
 
     """
 
@@ -126,6 +132,22 @@ class StructureSelection:
     effective_samples: float
     advised: str
     advice: tuple[str, ...]
+    fits: bool = True
+
+    def judged(self, diagnosis: Diagnosis, causes: Sequence[str]) -> 'StructureSelection':
+        """Return it with the verdict that none fits, by what noise leaves, and sentences why."""
+        best = next(own for own in self.candidates if own.structure == self.advised)
+        excess, first = diagnosis.excess, diagnosis.findings[:1]
+        of_another = bool(first) and first[0].likely and first[0].name != 'structure'
+        if best.usable and best.held_out < UNEXPLAINED and (excess < DOUBTED or not of_another):
+            return self
+        size = (f', and held-out motion is simulated with an error of {best.held_out:.0%} of its '
+                'size' if best.usable and np.isfinite(best.held_out) else '')
+        residuals = (f': with the best one, {self.advised}, residuals are '
+                     f'{np.sqrt(1.0 + excess):.2g} times those expected of noise'
+                     if 0.0 < excess < np.inf else '')
+        return replace(self, fits=False, advice=(
+            ' '.join([f'No structure fits{residuals}{size}.', *causes]), *self.advice))
 
 
 Folds = list[list[LipMotion]]

@@ -9,6 +9,7 @@ same transformations, with the identity in them.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.lie import apply, exp_so3, log_so3
@@ -40,6 +41,16 @@ SMALLEST_PART_AT_REST = 0.5
 # A mean over the standstill leaves out what is further from the median than this many robust
 # standard deviations.
 TRIMMED_BEYOND = 5.0
+# A beginning at rest: over how long (s) poses are averaged, how far (m, rad) and how many times
+# the noise a body moves at least, and how long (s) it stands still for an alignment.
+START_SECONDS = 0.2
+STILL_POSITION, STILL_ROTATION = 1e-3, 5e-3
+STILL_DEVIATIONS = 6.0
+SHORTEST_REST = 0.5
+# Marker frames are turned against each other if by more than this (rad), and by more than this
+# part of the tool's tilt, with which a package bends the cup.
+TURNED = np.deg2rad(1.5)
+OF_TILT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,6 +288,65 @@ def standstill(
     return BodyStandstill(
         position, rotation, len(rest), {q: float(np.max(part)) for q, part in spread.items()}
     )
+
+
+class Rest(NamedTuple):
+    """
+    How both bodies begin: how long they stand still (s), their tilts and relative turn (rad).
+
+    The tilts are of tool and package, from the vertical.
+    """
+
+    seconds: float
+    tilts: tuple[float, ...]
+    turned: float
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether marker frames are turned against each other, by more than a cup bends."""
+        return (self.seconds >= SHORTEST_REST
+                and bool(self.turned > max(TURNED, OF_TILT * self.tilts[0])))
+
+    @property
+    def turned_sentence(self) -> tuple[str, ...]:
+        """A sentence about marker frames that are turned, or none."""
+        if not self.is_turned:
+            return ()
+        tool, package, turned = np.rad2deg([*self.tilts, self.turned])
+        return (f'At rest the z axis of the tool is {tool:.1f} degrees and that of the package '
+                f'{package:.1f} degrees off the vertical, and the two frames are rotated by '
+                f'{turned:.1f} degrees. If the tool was upright then, set '
+                'recording.align_at_rest.',)
+
+
+def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
+    """Return how both bodies begin, from where both are known; poses in the world, z up."""
+    begin = max(int(body.stamps_ns[0]) for body in (tool, package))
+    bodies = [body.select((body.stamps_ns >= begin) & body.valid) for body in (tool, package)]
+    if not all(len(body) for body in bodies):
+        return Rest(0.0, (0.0, 0.0), 0.0)
+    (R_tool, still), (R_package, package_still) = map(_beginning, bodies)
+    tilts = tuple(float(np.arccos(np.clip(R[2, 2], -1.0, 1.0))) for R in (R_tool, R_package))
+    return Rest(min(still, package_still), tilts,
+                float(np.linalg.norm(log_so3(R_tool.T @ R_package))))
+
+
+def _beginning(body: Trajectory) -> tuple[Array, float]:
+    """Return the median orientation (3, 3) of the first moments, and how long it stays, s."""
+    start = body.select(body.seconds <= START_SECONDS)
+    some = start.rotation[len(start) // 2]
+    reference = some @ exp_so3(np.median(log_so3(some.T @ start.rotation), axis=0))
+    way = np.linalg.norm(body.position - np.median(start.position, axis=0), axis=1)
+    turn = np.linalg.norm(log_so3(reference.T @ body.rotation), axis=1)
+    moves = np.zeros(len(body), dtype=bool)
+    for size, least in ((way, STILL_POSITION), (turn, STILL_ROTATION)):
+        # Second differences are of the noise alone, also where the body moves at once.
+        noise = np.median(np.abs(np.diff(size, 2))) if len(size) > 2 else 0.0
+        moves |= size > least + STILL_DEVIATIONS * noise
+    # A jump of tracking is over at once, a motion is not.
+    lasting = moves & np.roll(moves, -max(1, len(start) // 4))
+    return reference, float(
+        body.seconds[int(np.argmax(lasting))] if lasting.any() else body.seconds[-1])
 
 
 def require_choice(parameter: str, value: str, choices: tuple[str, ...]) -> None:

@@ -45,7 +45,7 @@ def in_tool_world(package: PoseStream, pose: Array, frame_id: str) -> PoseStream
 
 
 def closed_form(
-    tool: PoseStream, package: PoseStream, length: float, origin_to_lip: Array, turned: bool
+    tool: Trajectory, package: Trajectory, length: float, origin_to_lip: Array, turned: bool
 ) -> Array:
     """
     Return a first guess (7,) of the pose of the package's world in the tool's.
@@ -56,8 +56,8 @@ def closed_form(
 
     Parameters
     ----------
-    tool, package : PoseStream
-        As recorded, each in its own frame.
+    tool, package : Trajectory
+        Each in its own frame.
     length : float
         Of the cup, m.
     origin_to_lip : ndarray (3,)
@@ -68,7 +68,7 @@ def closed_form(
     Raises
     ------
     BellowsError
-        If the streams have too few poses in common, or nothing turns where that is needed.
+        If the two have too few poses in common, or nothing turns where that is needed.
 
     """
     hand, eye = _slow(tool, package)
@@ -101,24 +101,42 @@ def shifted_pose(pose: Array, R_world_recorded: Array, middle: Array, theta: Arr
     return np.concatenate([T[:3, 3], rotation_to_quaternion(T[:3, :3])])
 
 
-def _slow(tool: PoseStream, package: PoseStream) -> tuple[Trajectory, Trajectory]:
-    """Return poses of both at common stamps, the slowest ones."""
+def motion_of(pose: Array, middle: Array) -> Array:
+    """Return the motion (6,) about a point (3,) that brings a world to its pose (7,), m, rad."""
+    R = quaternion_to_rotation(pose[3:])
+    return np.concatenate([pose[:3] + R @ middle - middle, log_so3(R)])
+
+
+def motion_sentence(theta: Array, std: Array | None = None) -> str:
+    """Return by how much the worlds differ (6,), m and rad, with standard errors (6,) if known."""
+    sizes = []
+    for part, scale, unit in ((slice(3, 6), np.rad2deg(1.0), 'degrees'), (slice(0, 3), 1e3, 'mm')):
+        size = float(np.linalg.norm(theta[part]))
+        error = '' if std is None else (
+            f' ± {scale * np.linalg.norm(theta[part] * std[part]) / max(size, 1e-12):.2g}')
+        sizes.append(f'{scale * size:.{2 if scale < 1e3 else 1}f}{error} {unit}')
+    return (f'The poses of tool and package are in two worlds, turned by {sizes[0]} and apart '
+            f'by {sizes[1]}')
+
+
+def _slow(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Trajectory]:
+    """Return valid poses of both at common stamps, the slowest ones."""
     first, last = (pick(tool.stamps_ns[end], package.stamps_ns[end])
                    for pick, end in ((max, 0), (min, -1)))
     count = int((last - first) / NS_PER_S * LOOKED_AT_HZ)
     if count < 20:
         raise BellowsError(
-            f"Topics '{tool.name}' and '{package.name}' overlap too little to estimate "
+            'The poses of tool and package overlap too little to estimate '
             'recording.package_world. Record longer, or give its seven numbers.'
         )
     stamps = first + np.linspace(0, last - first, count).astype(np.int64)  # exact to the ns
-    hand, eye = (resample(body.trajectory(), stamps) for body in (tool, package))
+    hand, eye = (resample(body, stamps) for body in (tool, package))
     way = np.linalg.norm(np.gradient(hand.position, axis=0), axis=1)
     turn = np.zeros(count)
     turn[1:] = np.linalg.norm(
         log_so3(np.swapaxes(hand.rotation[:-1], 1, 2) @ hand.rotation[1:]), axis=1)
     speed = way / max(float(np.median(way)), 1e-9) + turn / max(float(np.median(turn)), 1e-9)
-    slow = speed <= np.quantile(speed, SLOWEST)
+    slow = (speed <= np.quantile(speed, SLOWEST)) & hand.valid & eye.valid
     return hand.select(slow), eye.select(slow)
 
 

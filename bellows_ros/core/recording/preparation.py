@@ -17,6 +17,7 @@ from bellows_ros.core.recording.alignment import (
     as_recorded,
     BodyStandstill,
     in_world,
+    rest_of,
     standstill,
 )
 from bellows_ros.core.recording.outliers import find_outliers, Outliers, repeats_in_motion, Step
@@ -44,11 +45,14 @@ import numpy as np
 # K and P of a cup shaken at 3 Hz, and averages as much noise as that allows.
 AUTOMATIC_HALF_WINDOW = 1 / 12
 # Warned about: a lip so far aside at rest (m), so large a lateral centre of mass (m), so many
-# poses repeated in motion, stamps that jitter by so much (parts of the sample or period).
+# poses repeated in motion, stamps that jitter by so much (parts of the sample or period), fewer
+# poses a second, ways (m) that are no cell's, but millimetres.
 LATERAL_WARNED = 5e-3
 LATERAL_COM_WARNED = 1e-6
 REPEATS_WARNED = 0.05
 JITTER_WARNED = 0.1
+LOW_RATE_HZ = 100.0
+LARGE_WAY = 20.0
 # A step that the motion makes within so many deviations of the stamps' jitter is none.
 STEP_JITTERS = 10.0
 
@@ -363,7 +367,10 @@ def _warnings(
     streams: tuple[_Stream, _Stream], alignment: Alignment, settings: PrepareSettings
 ) -> list[str]:
     """Return what the user should know."""
-    found = [warning for stream in streams for warning in _stream_warnings(stream)]
+    found = [warning for own in streams
+             for warning in stream_warnings(own.recorded, own.timing, own.outliers)]
+    if not settings.align_at_rest:
+        found += rest_of(*(own.poses for own in streams)).turned_sentence
     aside = float(np.linalg.norm(alignment.lateral_offset))
     if aside > LATERAL_WARNED:
         found.append(
@@ -380,34 +387,43 @@ def _warnings(
     return found
 
 
-def _stream_warnings(stream: _Stream) -> list[str]:
-    """Return what the user should know about one topic."""
-    name, start = stream.recorded.name, int(stream.recorded.stamps_ns[0])
+def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> list[str]:
+    """Return what the user should know about the poses of one topic, before or after a fit."""
+    name, start = recorded.name, int(recorded.stamps_ns[0])
     found = [
         f"Topic '{name}' jumps by {step.position * 1e3:.1f} mm and {step.rotation * 1e3:.1f} "
         f'mrad {(step.stamp_ns - start) / NS_PER_S:.3f} s after its start and does not return, '
         'so all later poses are offset from the earlier ones. Use the recording up to there, or '
         'from there on.'
-        for step in stream.outliers.steps if not _is_of_jitter(stream, step)
+        for step in outliers.steps if not _is_of_jitter(recorded, time, step)
     ]
-    repeats = repeats_in_motion(stream.recorded)
-    if repeats > REPEATS_WARNED * len(stream.recorded):
+    way = float(np.ptp(recorded.position[outliers.good], axis=0).max(initial=0.0))
+    if way > LARGE_WAY:
+        found.append(
+            f"Topic '{name}' moves through {way:.0f} m. Its positions may be in millimetres; they "
+            'must be in metres (REP-103).')
+    if time.rate_hz < LOW_RATE_HZ:
+        found.append(
+            f"Topic '{name}' has only {time.rate_hz:.0f} Hz, but axial and bending modes of a cup "
+            f'lie at several Hz. Record at {LOW_RATE_HZ:.0f} Hz or more.')
+    repeats = repeats_in_motion(recorded)
+    if repeats > REPEATS_WARNED * len(recorded):
         found.append(
             f"Topic '{name}' repeats its pose {repeats} times in motion: it is published faster "
             'than it is measured, so its actual rate is lower.'
         )
-    if stream.timing.jitter_s * stream.timing.rate_hz > JITTER_WARNED:
+    if time.jitter_s * time.rate_hz > JITTER_WARNED:
         found.append(
-            f"The stamps of topic '{name}' jitter by {stream.timing.jitter_s * 1e3:.2g} ms at "
-            f'{stream.timing.rate_hz:.5g} Hz. The stamps were used as they are; if they are '
-            'arrival times, stamp the poses when they are measured.'
+            f"The stamps of topic '{name}' jitter by {time.jitter_s * 1e3:.2g} ms at "
+            f'{time.rate_hz:.5g} Hz. The stamps are used as they are; if they are arrival times, '
+            'stamp the poses when they are measured.'
         )
     return found
 
 
-def _is_of_jitter(stream: _Stream, step: Step) -> bool:
+def _is_of_jitter(poses: PoseStream, time: Timing, step: Step) -> bool:
     """Return whether stamps that jitter explain a step, of a body that moves as fast as there."""
-    poses, near = stream.recorded, slice(max(step.index - 5, 0), step.index + 6)
+    near = slice(max(step.index - 5, 0), step.index + 6)
     seconds = np.ptp(poses.stamps_ns[near]) / NS_PER_S
     R = poses.rotation[near]
     turns = log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
@@ -415,5 +431,5 @@ def _is_of_jitter(stream: _Stream, step: Step) -> bool:
         float(np.linalg.norm(part, axis=1).sum())
         for part in (np.diff(poses.position[near], axis=0), turns)
     )
-    part = STEP_JITTERS * stream.timing.jitter_s / seconds
+    part = STEP_JITTERS * time.jitter_s / seconds
     return bool(step.position < part * way and step.rotation < part * angle)

@@ -153,6 +153,8 @@ class FilterNoise:
         Weights of the filters (see `trajectory.Filtered`), or others with the same products.
     tool_half_window : int
         Of the tool's filter, samples.
+    correlation : tuple of float
+        Of the noise of the package's positions and rotations with the sample before.
 
     """
 
@@ -161,6 +163,7 @@ class FilterNoise:
     tool_weights: Array
     package_weights: Array
     tool_half_window: int = 0
+    correlation: tuple[float, float] = (0.0, 0.0)
 
     def times(self, factor: float) -> 'FilterNoise':
         """Return so many times the noise, through the same filters."""
@@ -449,20 +452,27 @@ class Recording:
     @cached_property
     def noise(self) -> FilterNoise:
         """White noise of the poses as they were measured, and the filters that it went through."""
+        position, rotation = self.colours[1]
         return FilterNoise(
-            noise_of(self.aligned_tool),
-            noise_of(self.aligned_package),
+            *self._pose_noise,
             resampled_weights(
                 self.aligned_tool.stamps_ns, self.tool.stamps_ns, self.tool_weights),
             self.package_weights,
             self.tool_weights.shape[1] // 2,
+            (position.correlation, rotation.correlation),
         )
 
     @cached_property
     def colours(self) -> tuple[tuple[Colour, Colour], tuple[Colour, Colour]]:
         """Noise of tool and package as it is correlated in time, of positions and rotations."""
-        return (colours_of(self.aligned_tool, self.noise.tool),
-                colours_of(self.aligned_package, self.noise.package))
+        tool, package = self._pose_noise
+        return (colours_of(self.aligned_tool, tool),
+                colours_of(self.aligned_package, package))
+
+    @cached_property
+    def _pose_noise(self) -> tuple[Noise, Noise]:
+        """White noise of tool and package, each at its own stamps."""
+        return noise_of(self.aligned_tool), noise_of(self.aligned_package)
 
     @cached_property
     def measured_noise(self) -> tuple[Noise, Noise]:

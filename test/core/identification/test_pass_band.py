@@ -83,7 +83,7 @@ def test_a_motion_that_the_filter_follows_is_not_warned_about(frequency):
 
 def test_windows_are_advised_only_where_they_are_shorter():
     axis = Axis('z', 1e-3, 1e-3, 0.1, (1.0, 5.0), 0.0, 0.0)
-    slow = PassBand(np.ones(1), np.full(1, 0.5), 0.5, 6.0, (30, 30), np.zeros(1))
+    slow = PassBand(np.ones(1), np.full(1, 0.5), np.full(1, 0.5), 6.0, (30, 30), np.zeros(1))
     (same,) = too_fast([axis], [slow])
     assert 'half_window' not in same and same.endswith('Use fit.method: prediction_error.')
 
@@ -92,4 +92,15 @@ def test_noise_along_one_axis_is_no_motion():
     loud = np.array([2e-5, 2e-5, 6e-4])
     recording = simulated.record(
         simulated.shake(), tool=(2e-5, 5e-5), package=(loud, 5e-5), rate_hz=RATE_HZ)
+    assert warnings_of(samples_of(recording), recording.noise) == []
+
+
+@pytest.mark.parametrize('noise', [1e-4, 1e-3])
+@pytest.mark.parametrize('motion', [
+    simulated.shake(axes=(0, 3)), simulated.standstills([(0.0, 0.0, 0.0)], 8.0)])
+def test_noise_that_is_correlated_is_no_motion(motion, noise):
+    """Say of noise that motion capture smooths over 26 ms, in axes that rest, that it is none."""
+    recording = simulated.record(
+        motion, tool=(2e-5, 5e-5), package=(noise, 5.0 * noise), rate_hz=RATE_HZ,
+        kept=np.exp(-1.0 / (RATE_HZ * 0.026)))
     assert warnings_of(samples_of(recording), recording.noise) == []

@@ -44,7 +44,8 @@ def rigid(marker, aside):
 def test_the_closed_form_is_exact_for_a_rigid_cup(marker, aside):
     """Find the transform as well as poses are interpolated between others 10 ms apart."""
     tool, package = rigid(np.array(marker), aside)
-    pose = closed_form(tool, package, LENGTH, np.zeros(3), any(marker))
+    pose = closed_form(
+        tool.trajectory(), package.trajectory(), LENGTH, np.zeros(3), any(marker))
     assert_allclose(
         transform(quaternion_to_rotation(pose[3:]), pose[:3]), T_BASE_MOCAP, atol=1e-7)
     moved = in_tool_world(package, pose, 'base')
@@ -58,7 +59,7 @@ def test_nothing_that_turns_tells_no_turn_between_the_worlds():
     still = PoseStream('tool', 'base', tool.stamps_ns, tool.position,
                        np.tile(np.eye(3), (len(tool), 1, 1)))
     with pytest.raises(BellowsError, match='hardly turns'):
-        closed_form(still, package, LENGTH, np.zeros(3), True)
+        closed_form(still.trajectory(), package.trajectory(), LENGTH, np.zeros(3), True)
 
 
 def test_a_small_motion_of_the_world_moves_what_is_seen_in_it():

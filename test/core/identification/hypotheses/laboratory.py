@@ -179,6 +179,12 @@ def _worlds(own):
     own.apart = own.rng.normal(size=6) * ([1e-3] * 3 + [8e-3] * 3)
 
 
+def _far_worlds(own):
+    turn = own.rng.normal(size=3)
+    turn *= np.radians(own.rng.uniform(10.0, 90.0)) / np.linalg.norm(turn)
+    own.apart = np.concatenate([own.rng.normal(size=3), turn])
+
+
 def _drift(own):
     part = either(own.rng, 0.2, 0.4)
     own.law = lambda when, deflection: own.K * (1.0 + part * (when - 0.5))
@@ -216,5 +222,6 @@ FAULTS = {
     'structure': (_oval, 'structure'),
     'exchanged topics': (lambda own: setattr(own, 'swapped', True), 'are exchanged'),
     'millimetres': (_millimetres, 'in millimetres'),
+    'two worlds far apart': (_far_worlds, 'package_world'),
 }
 """What makes a laboratory faulty, and the name of the cause, or words of the error."""
