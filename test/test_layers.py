@@ -36,10 +36,11 @@ CORE = (
     'identification.motion_equations', 'identification.minimum',
     'identification.prediction_error', 'identification.innovations', 'identification.fisher',
     'identification.statics',
-    'identification.identifiability', 'identification.structure_selection',
+    'identification.identifiability',
     'identification.validation', 'identification.comparison', 'identification.consistency',
     'identification.variations', 'identification.objective', 'identification.free',
-    'identification.hypotheses', 'identification.methods', 'identification.release_fit',
+    'identification.hypotheses', 'identification.structure_selection',
+    'identification.methods', 'identification.release_fit',
     'excitation', 'commissioning',
 )
 """The rooms of core, each above those that it may import; '' are the modules of core itself."""

@@ -21,7 +21,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.workflows.identification import Identification, names_of, NOT_OF_THE_CUP
 from bellows_ros.workflows.recordings import Failed, load, repeats, values_of_each, WHOLE
-from bellows_ros.workflows.verdict import diagnosed, LOOKED_AT, Verdict, verdict_of
+from bellows_ros.workflows.verdict import LOOKED_AT, Verdict, verdict_of
 
 if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.core.identification.consistency import Consistency
@@ -435,8 +435,9 @@ def selection(
         [recording.noise for recording in recordings])
     if verdict and values['fit.structure'] == found.advised:
         return found.judged(verdict.diagnosis, ())
-    own = Verdict((), diagnosed(recordings, values['cup.length'], found.advised), values)
-    return found.judged(own.diagnosis, own.cause)
+    own = verdict_of(None, recordings, values['cup.length'],
+                     {**values, 'fit.structure': found.advised})
+    return found.judged(own.diagnosis, own.cause) if own else found
 
 
 def _validated(result: Identification, tell: Progress) -> 'list[Replay]':

@@ -127,16 +127,16 @@ SETTINGS = {
 
 
 def verdict_of(
-    fit: Fit, recordings: Sequence[Recording], length: float, values: Mapping[str, Any],
-    known: Sequence[str],
+    fit: Fit | None, recordings: Sequence[Recording], length: float, values: Mapping[str, Any],
+    known: Sequence[str] = (),
 ) -> Verdict | None:
     """
     Return the verdict on a fit from some of its recordings, None without any.
 
     Parameters
     ----------
-    fit : Fit
-        K and P.
+    fit : Fit or None
+        K and P; None where only a cause is looked for.
     recordings : sequence of Recording
         Of the fit.
     length : float
@@ -144,24 +144,20 @@ def verdict_of(
     values : mapping
         Parameters by name.
     known : sequence of str
-        Labels of the parameters that are identifiable.
+        Labels of the parameters that are identifiable; all where left out.
 
     """
     some = recordings[:LOOKED_AT]
     if not some:
         return None
-    diagnosis = diagnosed(some, length, values['fit.structure'], known)
-    if not fit.usable:
+    held = some[0].payload
+    values = {**values, 'package.mass': held.mass, 'package.com': held.com,
+              'package.inertia': np.diag(held.inertia)}
+    diagnosis = diagnose(some, length, structure_named(values['fit.structure']), known)
+    if fit is None or not fit.usable:
         return Verdict((), diagnosis, values)
     cup = Cup(fit.stiffness, fit.damping, length)
     return Verdict(tuple(_simulated(cup, own) for own in some), diagnosis, values)
-
-
-def diagnosed(
-    recordings: Sequence[Recording], length: float, structure: str, known: Sequence[str] = ()
-) -> Diagnosis:
-    """Return what explains the residuals of some recordings with a structure of K and P."""
-    return diagnose(recordings[:LOOKED_AT], length, structure_named(structure), known)
 
 
 def _simulated(cup: Cup, recording: Recording) -> Simulated:
@@ -246,7 +242,7 @@ def _setting_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
                 'compute its inertia in kg m^2.')
     if name in ('inertia', 'mass'):
         unit = 'kg m^2' if name == 'inertia' else 'kg'
-        size = ', '.join(f'{x:g}' for x in np.atleast_1d(given[f'package.{name}'])[:3])
+        size = ', '.join(f'{x:g}' for x in np.atleast_1d(given[f'package.{name}']))
         return (f'package.{name} is in {value}, not in {unit}: {size} {unit} is beyond any '
                 'package for such a cup', f'Give it in {unit}.')
     if name == 'recording.world':

@@ -360,19 +360,21 @@ def _finding(
     """Return what is said of a hypothesis."""
     own, value, theta, std = trial.hypothesis, trial.hypothesis.value, trial.theta, trial.std
     left, first = _left(trial.solved), _left(before)
-    instead = [t for t in tried if DISTINCT * _left(t.solved) < left and (
-        {t.hypothesis.name, own.name} == {'length', 'com'} or (
-            t.hypothesis.name == own.name == 'yaw' and t is not trial))]
-    others = [(_left(t.solved), t.hypothesis) for t in tried
-              if t.hypothesis.name != own.name and not any(t is i for i in instead)]
+    least = SIGNIFICANT**2 / before.residuals  # squares that tell two hypotheses apart
+    instead = [t for t in tried if (
+        DISTINCT * max(t.solved.excess, least) < max(trial.solved.excess, 0.0) + least and (
+            {t.hypothesis.name, own.name} == {'length', 'com'} or (
+                t.hypothesis.name == own.name == 'yaw' and t is not trial)))]
     if own in _OTHERWISE and before.excess < DOUBTED:
-        least = min([before.excess, *(t.solved.excess for t in tried if t is not trial)])
-        certain = before.residuals * (least - trial.solved.excess) > SIGNIFICANT**2
+        others = min([before.excess, *(t.solved.excess for t in tried if t is not trial)])
+        certain = others - trial.solved.excess > least
     else:
         certain = left < DISTINCT**2 * first + _chance(before) and left < DISTINCT * first and all(
             left < (DISTINCT if own.datum or not other.datum else DISTINCT**2) * most
             if other.freed <= own.freed else other.datum or left < most
-            for most, other in others)
+            for most, other in ((_left(t.solved), t.hypothesis) for t in tried
+                                if not any(t is i for i in instead))
+            if other.name != own.name)
     if len(theta):
         certain = certain and bool(np.any(np.abs(theta) > SIGNIFICANT * std))
     diagonal = [i for i, (row, column) in enumerate(structure.leads)
