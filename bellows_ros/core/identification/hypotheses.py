@@ -361,10 +361,10 @@ def _finding(
     own, value, theta, std = trial.hypothesis, trial.hypothesis.value, trial.theta, trial.std
     left, first = _left(trial.solved), _left(before)
     least = SIGNIFICANT**2 / before.residuals  # squares that tell two hypotheses apart
-    instead = [t for t in tried if (
-        DISTINCT * max(t.solved.excess, least) < max(trial.solved.excess, 0.0) + least and (
-            {t.hypothesis.name, own.name} == {'length', 'com'} or (
-                t.hypothesis.name == own.name == 'yaw' and t is not trial)))]
+    excess = max(trial.solved.excess, 0.0)
+    instead = [t for t in tried if t.solved.excess < max(excess / DISTINCT, excess + least) and (
+        {t.hypothesis.name, own.name} == {'length', 'com'} or (
+            t.hypothesis.name == own.name == 'yaw' and t is not trial))]
     if own in _OTHERWISE and before.excess < DOUBTED:
         others = min([before.excess, *(t.solved.excess for t in tried if t is not trial)])
         certain = others - trial.solved.excess > least
