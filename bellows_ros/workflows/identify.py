@@ -425,7 +425,7 @@ def selection(
     recordings: Sequence[Recording], values: Mapping[str, Any], tell: Progress,
     verdict: Verdict | None = None,
 ) -> 'StructureSelection':
-    """Compare the structures; if none fits, say so, by the verdict on the fit if it has the best."""
+    """Compare the structures, with a verdict where none fits; that of the fit where given."""
     from bellows_ros.core.identification.samples import samples_of
     from bellows_ros.core.identification.structure_selection import select_structure
 
