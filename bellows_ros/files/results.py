@@ -155,7 +155,10 @@ def _require_complete(what: str, content: Any) -> None:
 def _plain(value: Any) -> Any:
     """Return plain JSON types: NumPy becomes Python, NaN and infinity become None."""
     if isinstance(value, Mapping):
-        return {_key(key): _plain(item) for key, item in value.items()}
+        for key in value:
+            if not isinstance(key, str):
+                raise BellowsError(f'A result cannot hold the key {key!r:.80}: keys are texts.')
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, list | tuple):
@@ -165,13 +168,6 @@ def _plain(value: Any) -> Any:
     if value is None or isinstance(value, bool | int | str):
         return value
     raise BellowsError(f'A result cannot hold {type(value).__name__}: {value!r:.80}.')
-
-
-def _key(key: Any) -> str:
-    """Return a key, which must be a text."""
-    if not isinstance(key, str):
-        raise BellowsError(f'A result cannot hold the key {key!r:.80}: keys are texts.')
-    return key
 
 
 def _text(value: Any, indent: str) -> str:

@@ -94,7 +94,9 @@ def read_euroc(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
     stamps, rows = [], []
     for number, cells in _lines(path, ','):
         _require(path, number, len(cells) >= 8, f'at least 8 numbers, got {len(cells)}')
-        stamps.append(_whole(path, number, cells[0]))
+        known = _digits(cells[0]) and len(cells[0]) < 20 and int(cells[0]) < LATEST_NS
+        _require(path, number, known, f"a time in ns, got '{cells[0][:40]}'")
+        stamps.append(int(cells[0]))
         x, y, z, qw, qx, qy, qz = _floats(path, number, cells[1:8])
         rows.append([x, y, z, qx, qy, qz, qw])
     return _arrays(path, stamps, rows)
@@ -227,13 +229,6 @@ def _floats(path: str | os.PathLike[str], number: int, cells: list[str]) -> list
         return [float(cell) for cell in cells]
     except ValueError as error:
         raise BellowsError(f"'{path}', line {number}: {error}.") from None
-
-
-def _whole(path: str | os.PathLike[str], number: int, cell: str) -> int:
-    """Return a time in ns."""
-    known = _digits(cell) and len(cell) < 20 and int(cell) < LATEST_NS
-    _require(path, number, known, f"a time in ns, got '{cell[:40]}'")
-    return int(cell)
 
 
 def _seconds_to_ns(path: str | os.PathLike[str], number: int, cell: str) -> int:

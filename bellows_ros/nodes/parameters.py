@@ -53,9 +53,8 @@ def descriptor(parameter: table.Parameter, read_only: bool) -> ParameterDescript
         additional_constraints=parameter.constraint,
         read_only=read_only or parameter.read_only,
     )
-    low, high = parameter.above, parameter.maximum
-    if parameter.minimum is not None:
-        low = parameter.minimum
+    low = parameter.above if parameter.minimum is None else parameter.minimum
+    high = parameter.maximum
     if low is not None and high is not None:  # of a single number; ROS knows none for arrays
         if parameter.kind == 'double':
             described.floating_point_range = [
