@@ -99,27 +99,30 @@ def multi_dof(message: Any) -> PlanMessage:
     """Return the points of a MultiDOFJointTrajectory."""
     points = message.points
     require_count(len(points), 'The plan')
-    poses = np.array([_seven(p.transforms[0].translation, p.transforms[0].rotation)
-                      for p in points], dtype=float)
-    several = [p for p in points if len(p.transforms) != 1]
-    if several:
-        raise BellowsError(
-            f'The plan has points with {len(several[0].transforms)} transforms; expected 1: a '
-            'plan is of one thing, the tool.')
-    rates = [_rates(points, name) for name in ('velocities', 'accelerations')]
+    transforms, *rates = (
+        _lists(points, part, 1) for part in ('transforms', 'velocities', 'accelerations'))
+    if transforms is None:
+        raise BellowsError('The plan has points without transforms; expected one of each.')
+    poses = np.array([_seven(own.translation, own.rotation) for (own,) in transforms])
+    twists, accelerations = (
+        None if lists is None else np.array(
+            [(*_three(own.linear), *_three(own.angular)) for (own,) in lists]) for lists in rates)
     return PlanMessage(
         _ns(message.header.stamp), message.header.frame_id, tuple(message.joint_names),
-        _durations(points), poses, *rates)
+        _durations(points), poses, twists, accelerations)
 
 
-def _rates(points: Sequence[Any], name: str) -> Array | None:
-    """Return the twists of all points, or None if no point has one."""
-    lists = [getattr(point, name) for point in points]
+def _lists(points: Sequence[Any], part: str, count: int) -> list[Any] | None:
+    """Return what all points have of a part, or None if no point has any; refuse other numbers."""
+    lists = [getattr(point, part) for point in points]
     if not any(len(each) for each in lists):
         return None
-    if not all(len(each) == 1 for each in lists):
-        raise BellowsError(f'The plan has {name} of some points only; expected all or none.')
-    return np.array([(*_three(twist.linear), *_three(twist.angular)) for (twist,) in lists])
+    wrong = [i for i, each in enumerate(lists) if len(each) != count]
+    if wrong:
+        raise BellowsError(
+            f'The plan: point {wrong[0]} (the first is 0) has {len(lists[wrong[0]])} {part}; '
+            f'expected {count} in every point, one per joint or for the tool, or none at all.')
+    return lists
 
 
 def path_points(message: Any) -> PlanMessage:
@@ -140,26 +143,15 @@ def joint_plan(message: Any) -> JointPlan:
     """Return the points of a JointTrajectory."""
     points, names = message.points, tuple(message.joint_names)
     require_count(len(points), 'The plan')
-    parts = [_joints(points, part, len(names))
-             for part in ('positions', 'velocities', 'accelerations')]
-    if parts[0] is None:
+    position, velocity, acceleration = (
+        None if lists is None else np.array(lists, dtype=float) for lists in (
+            _lists(points, part, len(names))
+            for part in ('positions', 'velocities', 'accelerations')))
+    if position is None:
         raise BellowsError('The plan has points without positions; expected one of each joint.')
     return JointPlan(
-        message.header.frame_id, _ns(message.header.stamp), names, _durations(points), parts[0],
-        parts[1], parts[2])
-
-
-def _joints(points: Sequence[Any], part: str, count: int) -> Array | None:
-    """Return the numbers of all joints for all points, or None if no point has any."""
-    rows = [getattr(point, part) for point in points]
-    if not any(len(row) for row in rows):
-        return None
-    wrong = [i for i, row in enumerate(rows) if len(row) != count]
-    if wrong:
-        raise BellowsError(
-            f'The plan: point {wrong[0]} (the first is 0) has {len(rows[wrong[0]])} {part} for '
-            f'{count} joints; expected one of each.')
-    return np.array(rows, dtype=float)
+        message.header.frame_id, _ns(message.header.stamp), names, _durations(points), position,
+        velocity, acceleration)
 
 
 def recorded_joints(path: str | os.PathLike[str], arm: Arm) -> PlanMessage:
