@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import partial
+import gc
 import sys
 import time
 from typing import Any
@@ -22,9 +23,9 @@ from .tool_inputs import OVERRIDABLE
 from ..core.arrays import Array
 from ..core.envelope import known_envelope
 from ..core.holding import grip_of
-from ..core.lie import quaternion_to_rotation, rotation_to_quaternion
+from ..core.lie import rotation_to_quaternion
 from ..core.live import LivePredictor, Prediction
-from ..core.live.ahead import Ahead, future
+from ..core.live.ahead import Ahead, future, thin_out
 from ..core.live.health import Level, number, Status
 from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import UNKNOWN_ROOT
@@ -72,8 +73,6 @@ class Planning:
     ----------
     grip : tuple or None
         That of the package which is held, as `grip_of` returns it.
-    status : Status or None
-        The line of the diagnostics on the plan, once there was one.
 
     """
 
@@ -123,7 +122,7 @@ class Planning:
         """Drop the plan; what is being answered is waited for."""
         wait(self._jobs)
         self._ahead: Ahead | None = None
-        self.status: Status | None = None
+        self._found: Predicted | Status | None = None
         self._predicted_ns = 0
 
     def set_model(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
@@ -144,7 +143,9 @@ class Planning:
         at_rest = Ahead(still, 0)
         at_rest.follow(STILL)
         predict(self._live.model, grip_of(self._values), at_rest.rest(STILL), tail=0.1)
+        thin_out(np.zeros(1, np.int64), np.zeros((1, 13)), 1.0, True)
         steer(self._live.model, still.trajectory(), self._values['steer.method'])
+        gc.freeze()  # the collector need not look through what numba has made
         self._is_warm = True
 
     def future(self, now: Prediction, duration: float) -> Rows:
@@ -183,13 +184,13 @@ class Planning:
         except BellowsError as error:
             self._refuse('plan', error)
             return
-        if self.status is not None and self.status.level > Level.OK:
-            self._node.get_logger().warning(f'Plan: {self.status.message}')
+        if (status := self.status) and status.level > Level.OK:
+            self._node.get_logger().warning(f'Plan: {status.message}')
 
     def _refuse(self, what: str, error: BellowsError) -> None:
         """Say why a message is of no use; the prediction goes on."""
         self._ahead = self._ahead if what != 'plan' else None
-        self.status = Status('plan', Level.WARN, f'The last {what} was refused. {error}', {})
+        self._found = Status('plan', Level.WARN, f'The last {what} was refused. {error}', {})
         self._node.get_logger().warning(f'A {what} was refused. {error}')
 
     def follow(self) -> None:
@@ -220,22 +221,23 @@ class Planning:
         """Publish the package along a plan, then see what there is to say of it."""
         frame, states = self._live.frame_id, run.states()
         times = run.tool.stamps_ns - run.tool.stamps_ns[0]
-        slots = np.floor(times * (self._values['plan.points_rate'] / NS_PER_S) + 1e-6)
-        sent = np.append(np.flatnonzero(slots[:-1] != np.append(-1.0, slots[:-2])), len(times) - 1)
-        times, states = times[sent], states[sent]
+        count = thin_out(times, states, self._values['plan.points_rate'],
+                         self._values['tool_twist.frame'] == 'world')
+        times, states = times[:count], states[:count]
         if self._plan_out.wanted:
-            twists = in_axes(quaternion_to_rotation(states[:, 3:7]), states[:, 7:],
-                             self._values['tool_twist.frame'])
             self._plan_out.publish(encode_multi_dof(PlanMessage(
                 stamp_ns, frame, (self._values['frames.package'],), times, states[:, :7],
-                twists)))
+                states[:, 7:])))
         if self._path_out.wanted:
             self._path_out.publish(encode_path(stamp_ns, frame, times, states[:, :7]))
-        self.status = self._summary(run.prediction())
+        self._found = run.prediction()
 
-    def _summary(self, found: Predicted) -> Status:
-        """Return the line of the diagnostics."""
-        words = []
+    @property
+    def status(self) -> Status | None:
+        """The line of the diagnostics on the plan, once there was one."""
+        found, words = self._found, []
+        if found is None or isinstance(found, Status):
+            return found
         if found.grip_known:
             words.append(safety_sentence(
                 *found.smallest_safety, 0.0, self._values['safety.least']))

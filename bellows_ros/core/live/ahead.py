@@ -10,14 +10,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import State, tool_at, tool_segment
 from bellows_ros.core.live.flight import steadily
 from bellows_ros.core.live.payload import extrapolated
 from bellows_ros.core.live.samples import Prediction
-from bellows_ros.core.simulation import row_state, Rows, tool_rows
+from bellows_ros.core.simulation import row_state, Rows, tool_rows, write_row
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import (
+    apply,
     apply_transposed,
     dot,
     log_quaternion,
@@ -25,6 +27,7 @@ from bellows_ros.core.tuples import (
     quaternion_conjugate,
     quaternion_product,
     rotation_matrix,
+    scale,
     subtract,
     Vector,
 )
@@ -102,6 +105,62 @@ def locate(
     )
 
 
+@kernel
+def left(
+    rows: Any, seconds: Any, tool: State, progress: float, rate: float, wait: float,
+    spacing: float, stamps_ns: Stamps, out: Array,
+) -> int:
+    """
+    Write the tool as it is, then what is left of a plan from the progress (s) on.
+
+    The plan starts after a wait (s) and is driven at so many times its speed; its points are
+    thinned to a spacing (s). Return how many points that makes.
+    """
+    last, here = len(seconds) - 1, 0
+    for i in range(len(seconds)):
+        if abs(seconds[i] - progress) < abs(seconds[here] - progress):
+            here = i
+    join = min(LONGEST_JOIN, apart(rows[here], tool[0], tool[1]) / JOIN_SPEED)
+    first, k = progress + max(join, 1e-4 if wait == 0.0 else 0.0), 0
+    while k < last and seconds[k] < first:
+        k += 1
+    gap = max(seconds[last] - seconds[k], 1e-9) / max(1, last - k)
+    stride, count = max(1, round(spacing / gap)), 1
+    stamps_ns[0] = 0
+    write_row(out[0], tool)
+    while True:
+        o, q, v, w = row_state(rows[k])
+        stamps_ns[count] = round(
+            (wait + max(seconds[k] - progress, 1e-4) / rate) * NS_PER_S)
+        write_row(out[count], (o, q, scale(rate, v), scale(rate, w)))
+        count += 1
+        if k == last:
+            return count
+        k = min(k + stride, last)
+
+
+@kernel
+def thin_out(times_ns: Stamps, states: Array, rate: float, in_world: bool) -> int:
+    """
+    Move at most so many states a second, and the last, to the front; return how many.
+
+    Their twists are turned into axes of the world if asked.
+    """
+    count, last, before = 0, len(times_ns) - 1, -1.0
+    for k in range(last + 1):
+        slot = math.floor(times_ns[k] * (rate / NS_PER_S) + 1e-6)
+        if slot != before or k == last:
+            o, q, v, w = row_state(states[k])
+            if in_world:
+                R = rotation_matrix(q)
+                v, w = apply(R, v), apply(R, w)
+            times_ns[count] = times_ns[k]
+            write_row(states[count], (o, q, v, w))
+            count += 1
+        before = slot
+    return count
+
+
 class Ahead:
     """
     A plan of the tool that is being driven, or will be.
@@ -163,18 +222,11 @@ class Ahead:
         wait = 0.0
         if self.progress == 0.0 and self._stamp_ns > now.stamp_ns:
             wait = (self._stamp_ns - now.stamp_ns) / NS_PER_S
-        here = int(np.argmin(np.abs(self._seconds - self.progress)))
-        error = apart(self._rows[here], now.tool[0], now.tool[1])
-        join = min(LONGEST_JOIN, error / JOIN_SPEED)
-        first = self.progress + max(join, 1e-4 if wait == 0.0 else 0.0)
-        last = len(self._seconds) - 1
-        next_ = min(int(np.searchsorted(self._seconds, first)), last)
-        gap = max(float(self._seconds[-1] - self._seconds[next_]), 1e-9) / max(1, last - next_)
-        kept = np.append(np.arange(next_, last, max(1, round(spacing / gap))), last)
-        later = wait + np.maximum(self._seconds[kept] - self.progress, 1e-4) / self.rate
-        rows = np.vstack([np.hstack(now.tool), self._rows[kept]])
-        rows[1:, 7:] *= self.rate
-        return Rows(np.append(0, np.round(later * NS_PER_S)).astype(np.int64), rows)
+        stamps_ns = np.empty(len(self._rows) + 1, np.int64)
+        rows = np.empty((len(stamps_ns), 13))
+        count = left(*self._inputs[:2], now.tool, self.progress, self.rate, wait, spacing,
+                     stamps_ns, rows)
+        return Rows(stamps_ns[:count], rows[:count])
 
 
 @kernel
