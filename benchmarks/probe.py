@@ -71,7 +71,7 @@ class Probe(Node):
             self._heard['package/landing'] = PoseWithCovarianceStamped, self._on_other
         for name, (kind, callback) in self._heard.items():
             self.create_subscription(kind, name, callback, QUEUE)
-        self._camera = None
+        self._camera = self._plan_out = None
         if heard == 'camera':
             self._camera = self.create_publisher(PoseStamped, 'package/measured', QUEUE)
         self._next_seen_ns = 0
@@ -109,10 +109,12 @@ class Probe(Node):
     def _on_plan(self, message: Any) -> None:
         """Note the answer to a plan; those of what is left of one that is driven are shorter."""
         now_ns = time.perf_counter_ns()
+        if self._planned_ns is None:  # to decode it would hold up the next pose
+            return
         last_ns = stamp_to_ns(message.points[-1].time_from_start) if (
             isinstance(message, MultiDOFJointTrajectory)) else decode_multi_dof(
                 message).times_ns[-1]
-        if self._planned_ns is not None and last_ns > 0.9e9 * PLAN_LASTS:
+        if last_ns > 0.9e9 * PLAN_LASTS:
             self.plans.append((self._planned_ns, now_ns))
             self._planned_ns = None
 
@@ -126,9 +128,9 @@ class Probe(Node):
             and all(self.count_publishers(name) > 0 for name in self._heard),
             DISCOVERY,
         )
-        camera = self._camera
-        if both and camera:  # the filter is compiled when somebody is there who may send
-            both = self._spin_until(lambda: camera.get_subscription_count() > 0, DISCOVERY)
+        asked = self._camera or self._plan_out
+        if both and asked:  # what is needed is compiled when somebody is there who may send
+            both = self._spin_until(lambda: asked.get_subscription_count() > 0, DISCOVERY)
             self._spin_until(lambda: False, COMPILED_AFTER)
         twists = self._twist_out
         if both and twists:
