@@ -21,8 +21,8 @@ DESCRIPTION = (
 EXAMPLES = (
     ('bellows toss bags/throw.yaml --params bags/tossing.yaml --release 3.0',
      'the landing if the valve is switched 3.0 s after the beginning of the plan'),
-    ('bellows toss bags/throw.yaml --params bags/tossing.yaml --target 1.9 0.1 --plot toss.png',
-     'the time to switch the valve to land at x = 1.9 m, y = 0.1 m, with a picture'),
+    ('bellows toss bags/throw.yaml --params bags/tossing.yaml --target 1.9 0.15 --plot toss.png',
+     'the time to switch the valve to land at x = 1.9 m, y = 0.15 m, with a picture'),
 )
 MILLI = 1e3
 UNITS = {
@@ -139,7 +139,7 @@ def _say_budget(result: 'TossResult', console: Console) -> None:
     def amount(share: 'Share') -> str:
         factor, unit = UNITS.get(share.name, (1.0, ''))
         known = math.isfinite(share.std)
-        return f'{share.std * factor:.3g} {unit}'.strip() if known else 'its _std'
+        return f'{share.std * factor:.3g} {unit}'.strip() if known else 'per entry'
 
     rows = [('uncertain quantity', 'by', 'at landing', 'turned')]
     rows += [

@@ -82,10 +82,13 @@ def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPl
         points = content['points']
         return multi_dof(message) if 'transforms' in points[0] else joint_plan(message)
     except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
+        missing = error.name if isinstance(error, AttributeError) else (
+            error.args[0] if isinstance(error, KeyError) else '')
+        why = f"'{missing}' is missing" if missing else str(error)
         raise BellowsError(
-            f"'{name}' holds no plan: {type(error).__name__} {error}. Expected a {MULTI_DOF}, "
-            f"{PATH} or {JOINTS} as 'ros2 topic echo --once --full-length' prints it, or a motion "
-            "of 'bellows simulate'.") from None
+            f"'{name}' holds no plan: {why}. Expected a {MULTI_DOF}, {PATH} or {JOINTS} as 'ros2 "
+            "topic echo --once --full-length' prints it, or a motion of 'bellows simulate'."
+        ) from None
 
 
 def _with_attributes(content: Any) -> Any:
@@ -114,7 +117,7 @@ def multi_dof(message: Any) -> PlanMessage:
 
 def _lists(points: Sequence[Any], part: str, count: int) -> list[Any] | None:
     """Return what all points have of a part, or None if no point has any; refuse other numbers."""
-    lists = [getattr(point, part) for point in points]
+    lists = [getattr(point, part, ()) for point in points]
     if not any(len(each) for each in lists):
         return None
     wrong = [i for i, each in enumerate(lists) if len(each) != count]

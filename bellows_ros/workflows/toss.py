@@ -23,6 +23,9 @@ import numpy as np
 MILLI = 1e3
 PATH_POINTS = 60
 
+TOLERANCE = 1e-3
+"""A target so far (m) outside the ellipse of a landing still counts as reached."""
+
 GROUPS = ('cup.stiffness', 'cup.damping', 'package.mass', 'package.com', 'package.inertia',
           'release.delay', 'release.tau', 'release.impulse')
 
@@ -180,6 +183,10 @@ def toss_plan(
         raise BellowsError(
             'A target is x and y on the floor, but gravity.direction is not along -z. Give the '
             'plan in a world with z up.')
+    if target_rotation is not None and target is None:
+        raise BellowsError(
+            'An orientation is wanted, but no target. Give --target X Y beside '
+            '--target-rotation, or leave it out.')
     if switched is None and target is None:
         raise BellowsError('Neither a time nor a target is given. Give --release T or --target.')
     model = model_tuple(cup_of(values), package_of(values), gravity)
@@ -196,12 +203,21 @@ def toss_plan(
     case = Case(values, model, grip, tool, release, switched)
     progress('working out how sure the landing is')
     parts = parts_of(case, held, nominal)
+    warnings = [*notes, *_warnings(case, held)]
+    if found is not None and target is not None and not part_inside(
+            parts.covariance + TOLERANCE**2 * np.eye(6),
+            np.subtract([nominal.landing[0][:2]], target)):
+        turned = '' if target_rotation is None else ' in this orientation'
+        warnings.append(
+            f'No release of this plan lands at the target{turned}: the best one is '
+            f'{found.distance:.3g} m away, and the target is outside its 95 % ellipse. Change the '
+            'plan or the target.')
     if monte_carlo:
         progress(f'drawing {monte_carlo} tosses')
     drawn = draw(case, nominal, monte_carlo) if monte_carlo else None
     return TossResult(
         os.fspath(path), case, held, nominal, parts, found, asked if found else None, target,
-        drawn, (*notes, *_warnings(case, held)))
+        drawn, tuple(warnings))
 
 
 def _warnings(case: Case, held: Held) -> list[str]:

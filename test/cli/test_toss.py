@@ -49,6 +49,9 @@ def test_finds_the_time_for_a_target(bellows: Run) -> None:
     assert found['valve_time'] == pytest.approx(3.1, abs=1e-4)
     assert found['target']['distance'] < 1e-4 < found['target']['distance_as_asked']
     assert 'away, instead of' in done.stderr
+    assert 'lands at the target' not in done.stderr
+    far = bellows('toss', PLAN, '--params', PARAMS, '--target', 100.0, 0.0)
+    assert 'No release of this plan lands at the target' in ' '.join(far.stderr.split())
 
 
 @pytest.mark.parametrize('changes, words', [
@@ -61,6 +64,7 @@ def test_finds_the_time_for_a_target(bellows: Run) -> None:
     (('--target', 1.0, 0.0, '--target-rotation', 0, 0, 0, 0), 'a quaternion of length 1'),
     (('--release', 3.0, '--monte-carlo', -3), 'expected 2 tosses or more'),
     ((), 'Neither a time nor a target'),
+    (('--release', 3.0, '--target-rotation', 0, 0, 0, 1), 'but no target'),
     (('--target', 1.0, 0.0, '--set', 'gravity.direction=0,1,0'), 'not along -z'),
 ])
 def test_bad_input_ends_with_a_message_and_nothing_written(

@@ -154,7 +154,7 @@ def test_the_vacuum_that_is_heard_counts(make_partner: Callable[..., Partner]) -
         partner.send_twist(1_000_000_000 + count * PERIOD_NS)
         partner.wait_for_poses(count + 1)
         planner.plans.clear()
-        partner.predictor._planning.status = None
+        partner.predictor._planning._found = None
         planner.send(message())
         factors.append(float(planner.status().values['smallest_safety_factor']))
     assert factors[0] == pytest.approx(2.0 * factors[1], rel=1e-2)

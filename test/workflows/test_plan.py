@@ -360,7 +360,7 @@ def test_a_bad_plan_is_refused(tmp_path, content, values, words):
 
 def test_what_is_no_plan_is_refused(tmp_path: Path):
     (tmp_path / 'no.yaml').write_text('a: 1\n')
-    with pytest.raises(BellowsError, match="'.*no.yaml' holds no plan: KeyError"):
+    with pytest.raises(BellowsError, match="'.*no.yaml' holds no plan: 'points' is missing"):
         figures(tmp_path / 'no.yaml')
     (tmp_path / 'list.yaml').write_text('- 1\n')
     with pytest.raises(BellowsError, match='holds no names and values'):
