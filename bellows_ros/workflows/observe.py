@@ -13,7 +13,7 @@ from bellows_ros.core.model import cup_of, package_of
 from bellows_ros.core.observer import Alarm, Observer, Payload
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.package_world import in_tool_world, pose_of
-from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.recording.recording import Recording, require_one_frame
 from bellows_ros.core.residuals import compare, Comparison
 from bellows_ros.core.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
@@ -53,12 +53,17 @@ class Observed:
     @property
     def sentence(self) -> str:
         """What became of the measured poses, and what they say of the payload."""
-        words = {'gate': 'outside the gate', 'not_held': 'with nothing held',
-                 'covariance': 'with a covariance that is none'}
+        words = {'gate': 'outside the gate', 'not_held': "earlier than the tool's",
+                 'future_stamp': "later than the tool's", 'recovered': 'from which it restarted',
+                 'out_of_reach': 'where the cup cannot hold it'}
         counted = ', '.join(
             f'{count} {words.get(what, what.replace("_", " "))}'
             for what, count in self.counts.items())
         said = [f'Measured poses: {counted}.']
+        if 2 * self.counts.get('used', 0) < sum(self.counts.values()):
+            said.append(
+                'Most of them are not used. Check that one clock stamps tool and camera, and that '
+                f'measured.frame, measured.offset and recording.package_world fit {self.topic}.')
         if found := self.payload:
             com = ', '.join(f'{1e3 * value:.2f} ± {1e3 * std:.2g}' for value, std in zip(
                 found.com, found.com_std, strict=True))
@@ -69,8 +74,15 @@ class Observed:
 
     @property
     def alarm_lines(self) -> list[str]:
-        """When something was found to be wrong, and what."""
-        return [f'{seconds:.2f} s, {a.cause}: {a.message}' for seconds, a in self.alarms]
+        """When each cause was found first, and what to do; how often and until when later."""
+        times: dict[str, list[float]] = {}
+        lines: dict[str, str] = {}
+        for seconds, alarm in self.alarms:
+            lines.setdefault(alarm.cause, f'{seconds:.2f} s, {alarm.cause}: {alarm.message}')
+            times.setdefault(alarm.cause, []).append(seconds)
+        return [
+            line + (f' Found {len(times[cause])} times until {times[cause][-1]:.2f} s.'
+                    if times[cause][1:] else '') for cause, line in lines.items()]
 
     @property
     def ways(self) -> dict[str, Comparison]:
@@ -123,6 +135,8 @@ def observed(
     if world := values['recording.package_world']:
         found = recording.report.package_world
         stream = in_tool_world(stream, found.pose if found else pose_of(world), '')
+    else:
+        require_one_frame(recording.tool_pose, stream)
     values = {**values, 'recording.package_world': ''}  # as they are brought into one world here
     turn = world_rotation(values['recording.world'], values['gravity.direction'])
     poses = in_world(stream.trajectory(), turn)
@@ -141,6 +155,9 @@ def observed(
     held = held.select(np.isin(held.stamps_ns, package.stamps_ns))
     prediction, both = (compare_recorded(way, tool, package) for way in ways)
     counts = {what: n for what, n in observer.counts.items() if n}
+    if later := len(seen) - sum(counts.values()):
+        counts['future_stamp'] = counts.get('future_stamp', 0) + later
+    counts |= {reason: len(numbers) for reason, numbers in stream.refused.items()}
     alarms = tuple(
         ((alarm.stamp_ns - int(messages.stamps_ns[0])) * 1e-9, alarm) for alarm in observer.alarms)
     return Observed(

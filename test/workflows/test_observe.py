@@ -102,3 +102,27 @@ def test_a_topic_that_is_not_there(filmed):
     bag, values = filmed
     with pytest.raises(BellowsError, match=r'camera/box.* Set --observe\.'):
         replay(bag, values, observe='camera/other')
+
+
+def test_poses_of_no_use_are_counted_with_what_to_check(filmed, tmp_path):
+    """Say why poses of another clock and in another frame are not used."""
+    bag, values = filmed
+    streams = read_streams(bag, {**ROLES, 'camera': 'camera/box'})
+    camera = streams['camera']
+    tool, package = (
+        Recorded('/' + ROLES[role], 'geometry_msgs/msg/PoseStamped', streams[role].stamps_ns,
+                 rows(streams[role].position, streams[role].rotation), 'world')
+        for role in ('tool', 'package'))
+
+    def seen(name, late_ns=0, frame_id='world'):
+        write_bag(tmp_path / name, [tool, package, Recorded(
+            '/camera/box', 'geometry_msgs/msg/PoseStamped', camera.stamps_ns + late_ns,
+            rows(camera.position, camera.rotation), frame_id)])
+        return replay(
+            tmp_path / name, {**values, 'topics.tool_twist': ''}, observe='camera/box').observed
+
+    early = seen('early', late_ns=-3_600_000_000_000)
+    assert early.counts == {'not_held': len(camera.stamps_ns)}
+    assert 'Check that one clock stamps tool and camera' in early.sentence
+    with pytest.raises(BellowsError, match="in frame 'world', those of '/camera/box' in 'cam'"):
+        seen('framed', frame_id='cam')

@@ -365,7 +365,7 @@ class LivePredictor:
         seen = observer.sight.measurement(stamp_ns, position, quaternion_xyzw, covariance)
         if isinstance(seen, str):
             observer.counts[seen] += 1
-        elif not observer.sight.has_own_world and frame_id != self.frame_id:
+        elif not observer.sight.has_own_world and self.frame_id not in ('', frame_id):
             observer.counts['frame_id'] += 1
         elif self.flight is not None and self.flight.is_free:
             observer.counts['not_held'] += 1

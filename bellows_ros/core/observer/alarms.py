@@ -62,7 +62,7 @@ CAUSES = (
           "Identify it with 'bellows identify'.", 100.0),
     Cause('payload', (12, 13, 14, 15), (0.2, 0.01, 0.01, 0.01), 0.1, True,
           False,
-          'Mass or centre of mass differ from package.*: correct them, or set payload.estimate.'),
+          'Mass or centre of mass differs from package.*: correct it, or set payload.estimate.'),
     Cause('lost', (GONE,), (0.3,), 0.1, False, True,
           'The package is lost: stop the arm.'),
     Cause('camera', tuple(range(FRAME, FRAME + 6)), (0.01,) * 6, 0.15,
@@ -301,10 +301,8 @@ def _sight(H: Array, position: Vector, quaternion_xyzw: Quaternion) -> Array:
 @kernel
 def _pass_on(E: Array, M: Array) -> None:
     """Carry the state's error along, and let the faults go on as they do."""
-    state, last = product(M[:12, :22], E[:22], np.empty((12, E.shape[1]))), M[12]
-    for i in range(12):
-        for c in range(E.shape[1]):
-            E[i, c] = state[i, c]
+    last = M[12]
+    E[:12] = product(M[:12, :22], E[:22], np.empty((12, E.shape[1])))
     for a in range(len(ROWS)):
         first, end = COLUMNS[a], COLUMNS[a + 1]
         own, longer = E[ROWS[a], first:end], E[LENGTHENED, first:end]

@@ -108,11 +108,7 @@ def product(A: Array, B: Array, out: Array) -> Array:
 @kernel
 def turned_over(A: Array) -> Array:
     """Return A^T, its rows one after the other in memory."""
-    out = np.empty((A.shape[1], A.shape[0]))
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            out[j, i] = A[i, j]
-    return out
+    return np.ascontiguousarray(A.T)
 
 
 class Estimate(NamedTuple):
@@ -378,19 +374,6 @@ def is_coarse(stamp_ns: int, next_ns: int, longest: float) -> bool:
 
 
 @kernel
-def sample_after(stamps: Any, count: int, stamp_ns: int) -> int:
-    """Return the number of the first sample after a stamp."""
-    first, end = 0, count
-    while first < end:
-        middle = (first + end) // 2
-        if stamps[middle] > stamp_ns:
-            end = middle
-        else:
-            first = middle + 1
-    return first
-
-
-@kernel
 def swept(
     model: ModelTuple, theta: Array, tool: State, body: State, P: Array, M: Array,
     stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
@@ -432,9 +415,8 @@ def swept(
                 now_ns, stamps[k], longest)):
             force = slopes(model, push, 1.0 + theta[0], tool, body, A1, B1)
             if not fresh:
-                _mean(A0, A1)
-                _mean(B0, B1)
-                F, D = spread(A0, B0, h, held, driven[0], driven[1], P)
+                F, D = spread(
+                    0.5 * (A0 + A1), 0.5 * (B0 + B1), h, held, driven[0], driven[1], P)
                 if M.shape[0]:
                     pass_on(M, F, D, h, scale(-1.0 / model[1][0], force))
             A0, B0, A1, B1 = A1, B1, A0, B0
@@ -472,14 +454,6 @@ def _followed(
     if is_sample:
         write_row(row, body)
     return body
-
-
-@kernel
-def _mean(A: Array, B: Array) -> None:
-    """Write the mean of two arrays into the first."""
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            A[i, j] = 0.5 * (A[i, j] + B[i, j])
 
 
 @kernel

@@ -8,7 +8,7 @@ so that the outcome is that of measurements that came in order.
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
@@ -25,7 +25,6 @@ from bellows_ros.core.observer.filter import (
     is_coarse,
     NOT_FOLLOWED,
     pushed,
-    sample_after,
     swept,
     UNPASSED,
     with_payload,
@@ -105,7 +104,7 @@ class Track:
 
     def after(self, stamp_ns: int) -> int:
         """Return the number of the first sample after a stamp."""
-        return sample_after(self.rows[0], self.count, stamp_ns)
+        return bisect_right(self.rows[0], stamp_ns, 0, self.count)
 
     def make_room(self, since_ns: int) -> None:
         """Let another sample fit in; forget what was before a stamp."""
@@ -161,6 +160,7 @@ class Observer:
         self._opened_ns: set[int] = set()  # stamps of measurements at which an alarm was raised
         allowed = values['alarm.false_per_hour']
         self._alarms = Alarms(allowed) if allowed > 0.0 else None
+        self._unpassed = UNPASSED if allowed > 0.0 else NOT_FOLLOWED
         self.alarms: list[Alarm] = []
         self._away, self._were_near = 0, False
 
@@ -246,13 +246,9 @@ class Observer:
         self._driven = driving(self._nominal, tool, body, noise, self._walk)
         self._track.begin(stamp_ns)
         self._seen.clear()
-        self._known = [Estimate(stamp_ns, tool, body, theta, P, 0, self._unpassed())]
+        self._known = [Estimate(stamp_ns, tool, body, theta, P, 0, self._unpassed)]
         self._use(theta)
         self.body = body
-
-    def _unpassed(self) -> Array:
-        """Return the passage to a stamp from the very same one, where it is followed."""
-        return NOT_FOLLOWED if self._alarms is None else UNPASSED
 
     def follow(self, stamp_ns: int, start: State, end: State) -> State:
         """Carry the package along with the tool, from the newest sample to this one."""
@@ -360,8 +356,8 @@ class Observer:
         if name == 'recovered' or seen.stamp_ns in self._opened_ns:
             _, _, body, theta, P = self._compared(self._opened(estimate), seen, math.inf)
         elif verdict == OUTSIDE:
-            return estimate._replace(passage=self._unpassed(), refused=estimate.refused + 1)
-        return Estimate(seen.stamp_ns, estimate.tool, body, theta, P, 0, self._unpassed())
+            return estimate._replace(passage=self._unpassed, refused=estimate.refused + 1)
+        return Estimate(seen.stamp_ns, estimate.tool, body, theta, P, 0, self._unpassed)
 
     def _compared(self, estimate: Estimate, seen: Measurement, gate: float) -> Any:
         """Return what `taken` does."""
