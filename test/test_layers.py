@@ -30,7 +30,7 @@ LONGEST_START = 0.3  # s of the processor, of `bellows --help`
 
 
 CORE = (
-    '', 'recording', 'synthetic', 'arm_limits', 'observer', 'live',
+    '', 'recording', 'synthetic', 'motion_limits', 'arm_limits', 'observer', 'live',
     'identification.equations', 'identification.samples', 'identification.result',
     'identification.reduction', 'identification.least_squares', 'identification.segments',
     'identification.motion_equations', 'identification.minimum',
