@@ -31,10 +31,10 @@ from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.recording.recording import FilterNoise, Noise, noise_of
 from bellows_ros.core.resampling import savgol, weights
+from bellows_ros.core.settings import Settings
 from bellows_ros.core.simulation import simulate
 from bellows_ros.core.structure import Structure, structure_named
 from bellows_ros.core.synthetic.motion import motion_from
-from bellows_ros.core.synthetic.settings import Settings
 from bellows_ros.core.trajectory import Trajectory
 import numpy as np
 from scipy.signal import lfilter

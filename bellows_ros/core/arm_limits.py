@@ -9,8 +9,8 @@ from bellows_ros.core.arm import Arm, Joint
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import log_so3, transform
 from bellows_ros.core.motion_limits import largest_rates, read_rates
+from bellows_ros.core.settings import Settings
 from bellows_ros.core.synthetic.motion import Motion, Pose, pose_from
-from bellows_ros.core.synthetic.settings import Settings
 from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.interpolate import CubicSpline

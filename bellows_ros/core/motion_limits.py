@@ -8,7 +8,7 @@ from typing import NamedTuple
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import apply
 from bellows_ros.core.resampling import resample
-from bellows_ros.core.synthetic.settings import Settings
+from bellows_ros.core.settings import Settings
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np

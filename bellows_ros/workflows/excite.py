@@ -22,10 +22,10 @@ from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.resampling import resample
+from bellows_ros.core.settings import Settings
 from bellows_ros.core.structure import Structure, structure_named
 from bellows_ros.core.synthetic.motion import Motion
 from bellows_ros.core.synthetic.sensing import sensor_from
-from bellows_ros.core.synthetic.settings import Settings
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.atomic import new_folder

@@ -18,7 +18,7 @@ from bellows_ros.core.model import Cup, cup_of
 from bellows_ros.core.parameters import ESTIMATE, PACKAGE_PARAMETERS, resolve, validate
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
-from bellows_ros.core.synthetic.settings import Settings
+from bellows_ros.core.settings import Settings
 from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import write_parameters

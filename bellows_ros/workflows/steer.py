@@ -18,8 +18,8 @@ from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.perturbed import mean_square, perturbed
 from bellows_ros.core.plan import Prediction, Run, SETTLED
 from bellows_ros.core.plan_points import timed
+from bellows_ros.core.settings import Settings
 from bellows_ros.core.steering import hanging, steer, Steered, tool_above
-from bellows_ros.core.synthetic.settings import Settings
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import safe_yaml

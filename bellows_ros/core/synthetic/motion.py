@@ -20,7 +20,7 @@ from bellows_ros.core.lie import (
     rpy_rotation,
 )
 from bellows_ros.core.resampling import resample
-from bellows_ros.core.synthetic.settings import Settings
+from bellows_ros.core.settings import Settings
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import re
 
 from bellows_ros.core.arrays import Array
+from bellows_ros.core.settings import Settings
 from bellows_ros.core.synthetic.motion import Motion, motion_from
 from bellows_ros.core.synthetic.sensing import (
     Sensor,
@@ -13,7 +14,6 @@ from bellows_ros.core.synthetic.sensing import (
     TwistSensor,
     WORLDS,
 )
-from bellows_ros.core.synthetic.settings import Settings
 import numpy as np
 from numpy.random import default_rng, Generator, SeedSequence
 

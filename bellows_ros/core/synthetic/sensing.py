@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.lie import apply, exp_so3
-from bellows_ros.core.synthetic.settings import Settings
+from bellows_ros.core.settings import Settings
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np

@@ -1,6 +1,6 @@
 """Nested settings: what is read, and the words in which the rest is refused."""
 
-from bellows_ros.core.synthetic.settings import Settings
+from bellows_ros.core.settings import Settings
 from bellows_ros.errors import BellowsError
 import pytest
 
