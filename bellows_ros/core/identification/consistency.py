@@ -85,11 +85,10 @@ def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
     sizes[sizes == 0.0] = 1.0
     relative = x / sizes
     covariances = [fit.covariance / np.outer(sizes, sizes) for fit in fits]
-    mean, statistic, degrees = _compared(relative, covariances)
-    probability = float(chdtrc(degrees, statistic)) if degrees else float('nan')
+    mean, statistic, degrees, probability = _compared(relative, covariances)
     half = x.shape[1] // 2
     parts = [
-        _probability(relative[:, part], [c[part, part] for c in covariances])
+        _compared(relative[:, part], [c[part, part] for c in covariances])[-1]
         for part in (slice(0, half), slice(half, None))
     ]
     std = np.sqrt([np.diag(c) for c in covariances])
@@ -102,8 +101,12 @@ def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
     )
 
 
-def _compared(x: Array, covariances: Sequence[Array]) -> tuple[Array, float, int]:
-    """Return the weighted mean (p,), Wald's chi^2 about it, and its degrees of freedom."""
+def _compared(x: Array, covariances: Sequence[Array]) -> tuple[Array, float, int, float]:
+    """
+    Return the weighted mean (p,), Wald's chi^2 about it, its degrees of freedom, and its chance.
+
+    The chance of a larger one is NaN where nothing can be compared.
+    """
     weights = [information_of(covariance) for covariance in covariances]
     total = np.sum(weights, axis=0)
     together = covariance_of(total)
@@ -112,13 +115,9 @@ def _compared(x: Array, covariances: Sequence[Array]) -> tuple[Array, float, int
     mean = together @ np.sum([W @ row for W, row in zip(weights, x, strict=True)], axis=0)
     statistic = float(sum((r - mean) @ W @ (r - mean) for r, W in zip(x, weights, strict=True)))
     known_alone = [np.isfinite(np.diag(covariance)) for covariance in covariances]
-    return mean, statistic, int(np.sum(known_alone) - np.sum(known))
-
-
-def _probability(x: Array, covariances: Sequence[Array]) -> float:
-    """Return the probability of larger differences by chance; NaN where none can be seen."""
-    _, statistic, degrees = _compared(x, covariances)
-    return float(chdtrc(degrees, statistic)) if degrees else float('nan')
+    degrees = int(np.sum(known_alone) - np.sum(known))
+    probability = float(chdtrc(degrees, statistic)) if degrees else float('nan')
+    return mean, statistic, degrees, probability
 
 
 def parameters_of(fit: Fit) -> Array:
@@ -141,7 +140,8 @@ def _verdict(
         )
     row, column = divmod(int(np.argmax(np.abs(deviations))), deviations.shape[1])
     size = float(relative[row, column])
-    which = _which(parts)
+    differ = [name for name, own in zip('KP', parts, strict=True) if own < SIGNIFICANT]
+    which = f'{differ[0]} is' if len(differ) == 1 else 'K and P are'
     said = (
         f'The fits are not of one cup (chance {p:.1g}): {which} not the same for '
         f'{_listed(names)}; {labels[column]} of {names[row]} is '
@@ -153,12 +153,6 @@ def _verdict(
         return (f'{said} The significant differences are below {MATTERS * 100:g} %, which hardly '
                 'matters.')
     return f'{said} The model of stiffness and damping may not hold over this range.'
-
-
-def _which(parts: Sequence[float]) -> str:
-    """Return which of K and P differ, for a sentence."""
-    differ = [name for name, p in zip('KP', parts, strict=True) if p < SIGNIFICANT]
-    return f'{differ[0]} is' if len(differ) == 1 else 'K and P are'
 
 
 def _listed(names: Sequence[str]) -> str:

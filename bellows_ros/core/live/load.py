@@ -182,7 +182,7 @@ class Load:
         self._bending = max(self._bending, bending(lip))
         if self._envelope is None:
             return
-        vector = _rotation_vector(lip.rotation)
+        vector = log_so3(np.reshape(lip.rotation, (3, 3)))
         now = distance(
             self._envelope, (*lip.shift, *vector), (*lip.linear, *lip.angular), self._mass)
         if self._distance is None or now.value > self._distance.value:
@@ -193,9 +193,3 @@ class Load:
         found = self._safety, self._distance, self._bending
         self._clear()
         return found
-
-
-def _rotation_vector(R: Matrix) -> Vector:
-    """Return the logarithm of a rotation."""
-    x, y, z = log_so3(np.reshape(R, (3, 3))).tolist()
-    return x, y, z

@@ -93,7 +93,8 @@ class Pairing:
         """Queue a twist, or note that it came behind its pose."""
         stamp_ns = twist.stamp_ns
         self._drop_leaps(stamp_ns)
-        if self._is_out_of_order(stamp_ns):
+        far_ahead = 0 <= self._newest_ns < stamp_ns - FARTHEST_AHEAD_NS
+        if far_ahead or (self._twists and stamp_ns <= self._twists[-1].stamp_ns):
             self.unpaired += 1
             return
         if self._newest_twist_ns >= 0 and stamp_ns > self._newest_twist_ns:
@@ -123,11 +124,6 @@ class Pairing:
             self._newest_twist_ns = self._twists[-1].stamp_ns if self._twists else -1
             self.unpaired += 1
 
-    def _is_out_of_order(self, stamp_ns: int) -> bool:
-        """Return whether a twist stands far ahead of the poses, or not behind the last twist."""
-        far = 0 <= self._newest_ns < stamp_ns - FARTHEST_AHEAD_NS
-        return far or (bool(self._twists) and stamp_ns <= self._twists[-1].stamp_ns)
-
     def give_up_waiting(self) -> None:
         """Let all poses go on that wait, without their twists."""
         if self._poses:
@@ -139,7 +135,9 @@ class Pairing:
         while self._poses:
             pose = self._poses[0]
             twist = self._twist_of(pose.stamp_ns)
-            if twist is None and self.expect and not self._is_sparse():
+            # twists that come seldom are not worth waiting for
+            sparse = self._twist_period_ns > SPARSE * self._pose_period_ns > 0
+            if twist is None and self.expect and not sparse:
                 overdue = (
                     self._newest_ns - pose.stamp_ns > LONGEST_WAIT_NS
                     or len(self._poses) > LONGEST_QUEUE
@@ -151,10 +149,6 @@ class Pairing:
             self._poses.popleft()
             self._note_gone(pose.stamp_ns, twist is not None)
             yield pose, twist
-
-    def _is_sparse(self) -> bool:
-        """Return whether twists come so seldom that waiting for them only costs time."""
-        return self._twist_period_ns > SPARSE * self._pose_period_ns > 0
 
     def _note_gone(self, stamp_ns: int, paired: bool) -> None:
         """Remember how a pose went on."""

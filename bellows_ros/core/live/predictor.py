@@ -200,15 +200,13 @@ class LivePredictor:
         if self._arrival_ns is None:
             return 'waiting'
         silent_ns = arrival_ns - self._arrival_ns
-        if silent_ns <= self._patience_ns():
+        patience_ns = max(
+            COAST_AFTER_NS, COAST_PERIODS * self._period_ns, 3 * self._pause_ns // 2)
+        if silent_ns <= patience_ns:
             if not (self._package.is_held or self.waiting):
                 return 'lost'
             return 'settling' if self._package.settling.now else 'predicting'
         return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
-
-    def _patience_ns(self) -> int:
-        """Return how long a pause (ns) between two poses is nothing to be said."""
-        return max(COAST_AFTER_NS, COAST_PERIODS * self._period_ns, 3 * self._pause_ns // 2)
 
     def _note_arrival(self, arrival_ns: int | None) -> None:
         """Note when a pose came, and how long pauses are: quickly upwards, slowly downwards."""

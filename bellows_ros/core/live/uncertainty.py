@@ -77,8 +77,9 @@ class Uncertainty:
         self.known = True
         self._model = model
         self._noise = np.repeat([values['tool_noise.position'], values['tool_noise.rotation']], 3)
-        self._std = _entry_errors(
-            model, matrix(values['cup.stiffness_std']), matrix(values['cup.damping_std']))
+        self._std: Array = np.concatenate([  # of the upper triangles of K and of P
+            _at_most_whole(matrix(values[f'cup.{name}_std']), blocks)[np.triu_indices(6)]
+            for name, blocks in (('stiffness', model[0][2]), ('damping', model[0][3]))])
         self._sensitivity: Array | None = None
         self._left, self._left_since_ns = np.eye(12), -1
         self._last_ns = self._measured_ns = self._tried_ns = -1
@@ -121,7 +122,9 @@ class Uncertainty:
             parts.append(_coasting_root((prediction.stamp_ns - self._measured_ns) * 1e-9))
         if prediction.unsettled is not None:
             parts.append(self._left_of(prediction.unsettled, prediction.stamp_ns))
-        return np.asarray(_to_own_axes(prediction) @ np.hstack(parts))
+        turn = np.eye(12)  # a twist's error follows the error phi of its axes: v x phi
+        turn[6:9, 3:6], turn[9:, 3:6] = hat(prediction.linear), hat(prediction.angular)
+        return np.asarray(turn @ np.hstack(parts))
 
     def _left_of(self, start: Unsettled, stamp_ns: int) -> Array:
         """Return what is left (12, 12) of errors that a state had earlier, a column for each."""
@@ -211,9 +214,10 @@ class Uncertainty:
         transition, gain = exponential[:12, :12], exponential[:12, 12:] @ drive
         root: Array = gain * self._noise
         for _ in range(DOUBLINGS):
-            root = _triangle(np.hstack([root, transition @ root]))
+            _, R = np.linalg.qr(np.hstack([root, transition @ root]).T)
+            root = R.T
             transition = transition @ transition
-        return np.hstack([root, direct * self._noise])
+        return np.asarray(np.hstack([root, direct * self._noise]))
 
 
 def warm_up_uncertainty() -> None:
@@ -227,12 +231,6 @@ def warm_up_uncertainty() -> None:
     Uncertainty(model, values).covariance(Prediction(1, *ORIGIN, ZERO, ZERO))
 
 
-def _entry_errors(model: ModelTuple, stiffness_std: Array, damping_std: Array) -> Array:
-    """Return the standard deviations (42,) of the upper triangles of K and of P."""
-    known = _at_most_whole(stiffness_std, model[0][2]), _at_most_whole(damping_std, model[0][3])
-    return np.concatenate([part[np.triu_indices(6)] for part in known])
-
-
 def _at_most_whole(std: Array, blocks: Blocks) -> Array:
     """
     Return standard deviations (6, 6) of K or P that are no larger than its diagonal allows.
@@ -244,24 +242,11 @@ def _at_most_whole(std: Array, blocks: Blocks) -> Array:
     return np.minimum(std, np.outer(root, root))
 
 
-def _to_own_axes(prediction: Prediction) -> Array:
-    """Return the matrix that lets a twist's error follow the error phi of its axes: v x phi."""
-    turn = np.eye(12)
-    turn[6:9, 3:6], turn[9:, 3:6] = hat(prediction.linear), hat(prediction.angular)
-    return turn
-
-
 def _coasting_root(seconds: float) -> Array:
     """Return the root of what the tool may have done since it was last seen."""
     acceleration = np.repeat([COASTING_ACCELERATION, COASTING_ANGULAR_ACCELERATION], 3)
     pose, twist = 0.5 * acceleration * seconds ** 2, acceleration * seconds
     return np.diag(np.concatenate([pose, twist]))
-
-
-def _triangle(root: Array) -> Array:
-    """Return the root (12, 12) of the same covariance as a wider one."""
-    _, R = np.linalg.qr(root.T)
-    return np.asarray(R.T)
 
 
 def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float]) -> Array:

@@ -226,9 +226,10 @@ def aligned_at_rest(
     # (4.6) at rest, where the axes of E, S and the world are the same.
     E_o_S = package.position + origin - tool.position
     if float(np.linalg.norm(E_o_S[:2])) >= -E_o_S[2]:
+        at = ', '.join(f'{1e3 * x:.1f}' for x in E_o_S)
         raise BellowsError(
             'At rest the lip should hang below the tool tip, but relative to the tip it is at '
-            f'({_mm(E_o_S)}) mm in world axes, z up: more aside than below. Check '
+            f'({at}) mm in world axes, z up: more aside than below. Check '
             'recording.world, recording.package_frame, package.com, and that the tool and '
             'package topics are not exchanged.'
         )
@@ -447,11 +448,6 @@ def _require_rest(
         f'still for the first {still_s:.1f} s or so: set recording.rest_duration below that, '
         'record a longer standstill, or set recording.align_at_rest to false.'
     )
-
-
-def _mm(vector: Array) -> str:
-    """Return a vector in mm, in words."""
-    return ', '.join(f'{1e3 * x:.1f}' for x in vector)
 
 
 def levelling(direction: ArrayLike) -> Array:
