@@ -49,12 +49,6 @@ def peel_factor(grip: Grip, f: Vector, m: Vector) -> float:
 
 
 @kernel
-def tip_factor(grip: Grip, f: Vector, m: Vector) -> float:
-    """Return the safety factor against tipping over the edge of a rigid ring: m_t / r <= N."""
-    return ratio(grip[0], f[2] + math.sqrt(m[0] * m[0] + m[1] * m[1]) / grip[1])
-
-
-@kernel
 def slip_factor(grip: Grip, f: Vector, m: Vector) -> float:
     """Return the safety factor against sliding and twisting: q <= friction N."""
     twist = m[2] / grip[1]

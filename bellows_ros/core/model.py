@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,10 +15,7 @@ from bellows_ros.core.kernels import (
     CupTuple,
     ModelTuple,
     PackageTuple,
-    spring_energy,
-    spring_frames,
 )
-from bellows_ros.core.lie import adjoint, inverse_transform
 from bellows_ros.core.parameters import check_inertia, inertia_matrix, matrix
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -200,14 +197,6 @@ def model_tuple(cup: Cup, package: Package, gravity: float | ArrayLike) -> Model
     return cup.as_tuple, package.as_tuple, _tuple(_frozen(vector, (3,), 'gravity'))
 
 
-def potential_energy(cup: Cup, T_tool_lip: ArrayLike) -> float:
-    """Return the elastic energy P0 (J) (3.17) with the lip at a pose (4, 4) in the tool."""
-    T = np.asarray(T_tool_lip, dtype=float)
-    R = _tuple(T[:3, :3])
-    o = spring_frames(cup.as_tuple, _tuple(T[:3, 3]), R)
-    return float(spring_energy(o, R, cup.as_tuple[2]))
-
-
 def wrench_at_lip(cup: Cup, T_tool_lip: ArrayLike, twist_tool_lip: ArrayLike) -> Array:
     """
     Return the wrench (6,) of the cup on the package at the lip, in lip axes (3.27, 3.35).
@@ -290,53 +279,3 @@ def box_inertia(mass: float, depth: float, width: float, height: float) -> Array
     """
     d2, w2, h2 = depth**2, width**2, height**2
     return mass / 12.0 * np.diag([h2 + w2, h2 + d2, d2 + w2])
-
-
-def cylinder_inertia(mass: float, radius: float, height: float) -> Array:
-    """Return the inertia tensor (3, 3) in kg m^2 of a homogeneous upright cylinder (A.4)."""
-    lateral = (3.0 * radius**2 + height**2) / 12.0
-    return mass * np.diag([lateral, lateral, radius**2 / 2.0])
-
-
-def generalized_inertia(mass: float, inertia: ArrayLike) -> Array:
-    """Return the generalized inertia (6, 6) of a body at its centre of mass (A.1)."""
-    M = np.zeros((6, 6))
-    M[:3, :3] = mass * np.eye(3)
-    M[3:, 3:] = np.asarray(inertia)
-    return M
-
-
-def composite(parts: Sequence[tuple[float, ArrayLike, ArrayLike]]) -> tuple[float, Array, Array]:
-    """
-    Return mass, centre of mass and inertia of rigidly joined parts (A.3).
-
-    Parameters
-    ----------
-    parts : sequence of (mass, inertia, T_lip_part)
-        Mass in kg, inertia (3, 3) at the part's own centre of mass and in its own axes, and the
-        pose (4, 4) of that frame in the lip frame S.
-
-    Returns
-    -------
-    mass : float
-    com : ndarray (3,)
-        Centre of mass in S.
-    inertia : ndarray (3, 3)
-        Inertia at the centre of mass, in S axes.
-
-    """
-    if not parts:
-        raise BellowsError('A composite package needs at least one part, got none.')
-    masses = np.array([mass for mass, _, _ in parts], dtype=float)
-    if not np.all(masses > 0.0):
-        raise BellowsError(f'Every part of a package needs a mass above 0 kg, got {masses}.')
-    poses = [np.asarray(T_lip_part, dtype=float) for _, _, T_lip_part in parts]
-    mass = float(masses.sum())
-    com = masses @ np.array([T[:3, 3] for T in poses]) / mass
-    T_lip_com = np.eye(4)
-    T_lip_com[:3, 3] = com
-    total = np.zeros((6, 6))
-    for (part_mass, inertia, _), T_lip_part in zip(parts, poses, strict=True):
-        X = adjoint(inverse_transform(T_lip_part) @ T_lip_com)
-        total += X.T @ generalized_inertia(part_mass, inertia) @ X
-    return mass, com, total[3:, 3:]

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.lie import adjoint, apply, transform
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -187,28 +186,6 @@ class Trajectory:
     def seconds(self) -> Array:
         """Times since the first sample, s (N,)."""
         return (self.stamps_ns - self.stamps_ns[:1]) / NS_PER_S
-
-    @property
-    def spatial_twist(self) -> Array:
-        """Spatial (right-trivialised) twist X(T_world_body) twist (4.32), m/s and rad/s (N, 6)."""
-        return self._spatial(self.twist, 'twists')
-
-    @property
-    def spatial_acceleration(self) -> Array:
-        """
-        Time derivative of the spatial twist (4.33), m/s^2 and rad/s^2 (N, 6).
-
-        It is X(T_world_body) acceleration: the rate of X is X ad(twist), and ad(twist) twist = 0.
-        """
-        return self._spatial(self.acceleration, 'accelerations')
-
-    def _spatial(self, body: Array | None, name: str) -> Array:
-        """Return body quantities in world axes, about the world's origin."""
-        if body is None:
-            raise BellowsError(
-                f'This trajectory has no {name}; filter or differentiate its poses first.'
-            )
-        return apply(adjoint(transform(self.rotation, self.position)), body)
 
     def select(self, index: slice | Mask | Stamps) -> 'Trajectory':
         """

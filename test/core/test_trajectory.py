@@ -1,6 +1,5 @@
 """Streams and trajectories: their checks, and what is derived from them."""
 
-from bellows_ros.core import lie
 from bellows_ros.core.trajectory import (
     Filtered,
     PoseStream,
@@ -35,17 +34,6 @@ def test_a_dropout_is_no_uniform_rate():
 def test_valid_windows():
     valid = np.arange(10) != 4
     assert_array_equal(valid_windows(valid, 1), np.abs(np.arange(1, 9) - 4) > 1)
-
-
-def test_spatial_twist_is_the_world_rate_of_the_pose():
-    trajectory = motion(11, 10.0)
-    # T_dot T^-1 of the motion, by its parts: (4.37) and w = R w_B.
-    rate = lie.apply(trajectory.rotation, trajectory.twist[:, 3:])
-    o_rate = lie.apply(trajectory.rotation, trajectory.twist[:, :3])
-    expected = np.concatenate([o_rate - np.cross(rate, trajectory.position), rate], axis=1)
-    assert_allclose(trajectory.spatial_twist, expected, atol=1e-14)
-    with pytest.raises(BellowsError, match='no accelerations'):
-        _ = trajectory.spatial_acceleration
 
 
 def test_seconds_and_select():
