@@ -24,7 +24,7 @@ class UnstableError(BellowsError):
 
 
 class UndeterminedError(BellowsError):
-    """Recordings do not determine what is to be found in them."""
+    """The recordings do not determine what is to be estimated."""
 
 
 class NoLandingError(BellowsError):

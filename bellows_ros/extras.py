@@ -11,5 +11,5 @@ PACKAGES = {
 
 
 def install(extra: str) -> str:
-    """Return the command that installs what an extra needs."""
+    """Return the command that installs an extra."""
     return f'pip install {PACKAGES[extra]}'

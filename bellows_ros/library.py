@@ -85,7 +85,7 @@ def read_package(path: str | os.PathLike[str]) -> Package:
 
 def write_cup(path: str | os.PathLike[str], cup: Cup, package: Package | None = None) -> None:
     """
-    Write a cup, and a package if one is given, as both nodes and all commands read it.
+    Write a cup, and a package if one is given, for both nodes and all commands.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def static_equilibrium(
 
 
 def _package_values(package: Package) -> dict[str, object]:
-    """Return the parameters that a package stands for."""
+    """Return the parameters of a package."""
     inertia = package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     return {
         'package.mass': package.mass,

@@ -83,7 +83,7 @@ class Parser(argparse.ArgumentParser):
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong with the command line and end with 2."""
+        """Report what is wrong with the command line, and exit with 2."""
         options = self._option_string_actions
         for word in (word.partition('=')[0] for word in self._words):
             near = difflib.get_close_matches(word, options, n=1)
@@ -149,7 +149,7 @@ def _run(arguments: list[str], console: Console) -> int:
 
 
 def _refuse(arguments: list[str]) -> NoReturn:
-    """Answer --help and --version, and refuse what is no command."""
+    """Answer --help and --version, and refuse an unknown command."""
     parser = _top_parser()
     if not arguments:
         parser.print_help(sys.stderr)

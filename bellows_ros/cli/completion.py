@@ -125,6 +125,6 @@ def script(shell: str) -> str:
 
 
 def _described(name: str, text: str) -> str:
-    """Return a word and what it does as one of zsh's, quoted."""
+    """Return a word and its description, quoted for zsh."""
     quoted = f'{name}:{text}'.replace('%%', '%').replace("'", "'\\''")
     return f"'{quoted}'"

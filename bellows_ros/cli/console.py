@@ -48,7 +48,7 @@ PLAIN = str.maketrans({'±': '+-', '²': '^2', '→': '->'})
 
 class Console:
     """
-    Say results, notes and errors.
+    Print results, notes and errors.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class Console:
                 self.say(line, style)
 
     def wrote(self, *files: str) -> None:
-        """Name the files that were written; '' and '-' are none."""
+        """Name the files that were written, leaving out '' and '-'."""
         for file in files:
             if file not in ('', '-'):
                 self.say(f'Wrote {file}.')
@@ -109,11 +109,11 @@ class Console:
                 self._tell(self._styled(self._err, printable(line), 'yellow'))
 
     def note(self, text: str) -> None:
-        """Print what is not part of the result."""
+        """Print a note that is not part of the result."""
         self._tell(printable(text, '\n'))
 
     def error(self, text: str) -> None:
-        """Print what went wrong."""
+        """Print an error."""
         self._tell(self._styled(self._err, 'bellows:', 'red') + ' ' + printable(text, '\n'))
 
     def _tell(self, text: str) -> None:
@@ -144,7 +144,7 @@ class Console:
 
 
 class Progress:
-    """One line that says what is being done, how far it is, and how long it will take."""
+    """One line with the current stage, a bar, and the time left."""
 
     def __init__(self, stream: TextIO, shown: bool) -> None:
         """Start the clock."""
@@ -155,7 +155,7 @@ class Progress:
         self._stage = ''
 
     def __call__(self, stage: str, fraction: float | None = None) -> None:
-        """Show a stage, and the fraction of the whole work that is done where it is known."""
+        """Show a stage and, if known, the completed fraction of the whole work."""
         now = time.monotonic()
         if not self._shown or (now < self._next and stage == self._stage):
             return
@@ -192,12 +192,12 @@ def printable(text: str, kept: str = '') -> str:
 
 
 def has_colour(stream: TextIO) -> bool:
-    """Return whether a stream shows colours and its reader wants them."""
+    """Return whether a stream shows colours and the user wants them."""
     return _is_terminal(stream) and not os.environ.get('NO_COLOR')
 
 
 def _is_terminal(stream: TextIO) -> bool:
-    """Return whether a stream is a terminal that can do more than print."""
+    """Return whether a stream is a terminal that can move its cursor."""
     return stream.isatty() and os.environ.get('TERM') != 'dumb'
 
 
@@ -248,7 +248,7 @@ def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
 
 
 def _blocks(widths: Sequence[int], room: int) -> list[list[int]]:
-    """Return the columns beside the first in blocks that fit; in one where no width is known."""
+    """Return the columns after the first in blocks that fit the width."""
     blocks, used = [list[int]()], widths[0]
     for number, width in enumerate(widths[1:], 1):
         if blocks[-1] and 0 < room < used + GUTTER + width:
@@ -267,7 +267,7 @@ def short(value: float) -> str:
 
 
 def percent(ratio: float, decimals: int = 2) -> str:
-    """Return a ratio in percent, or a dash where nothing moved."""
+    """Return a ratio in percent, or a dash if nothing moved."""
     return f'{100.0 * ratio:.{decimals}f} %' if math.isfinite(ratio) else '-'
 
 

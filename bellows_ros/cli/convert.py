@@ -128,7 +128,7 @@ def _require_possible(arguments: argparse.Namespace, text: bool, frames: bool) -
 
 
 def _say(done: 'Conversion', console: Console) -> None:
-    """Print what was written, and what was left out."""
+    """Print what was written and what was left out."""
     console.say(f'Wrote {done.out}', 'bold')
     width = max(len(body.topic) for body in done.bodies)
     for body in done.bodies:

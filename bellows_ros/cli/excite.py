@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _say(found: 'Excitation', console: Console) -> None:
-    """Print the expected errors, and what limits the motion."""
+    """Print the expected errors and the active limits."""
     motion = found.design.motion
     console.say(f'A motion of {motion.duration:g} s', 'bold')
     console.say(f'(up to {motion.highest_frequency:.3g} Hz; {found.structure.name})', 'dim')
@@ -120,7 +120,7 @@ def _say(found: 'Excitation', console: Console) -> None:
 
 
 def _say_series(found: 'Excitation', console: Console) -> None:
-    """Print what to record in which order, and what each recording identifies."""
+    """Print what to record, in order, and what each recording identifies."""
     if not found.series:
         return
     purposes = (

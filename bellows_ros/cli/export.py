@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Write the model, and list what is lost."""
+    """Write the model, and list what the format cannot express."""
     from bellows_ros.core.holding import grip_of
     from bellows_ros.core.model import cup_of, package_of
     from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve

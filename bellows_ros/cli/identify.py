@@ -333,7 +333,7 @@ def _say_samples(result: 'Identification', console: Console) -> None:
 def _say_files(
     usable: bool, written: bool, cup_file: str, json_file: str, console: Console
 ) -> None:
-    """Print what was written and what comes next."""
+    """Print the files written and the next step."""
     console.say()
     console.wrote(json_file)
     name = 'the cup' if cup_file == options.STDOUT else cup_file

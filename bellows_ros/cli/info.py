@@ -101,7 +101,7 @@ def _topic_rows(found: 'Info') -> list[tuple[str, ...]]:
 
 
 def _facts(topic: 'TopicInfo') -> Iterator[str]:
-    """Yield what is wrong with a topic's messages, and the noise of its poses."""
+    """Yield the faults in a topic's messages, and the noise of its poses."""
     found = [f'{count} {reason.replace("_", " ")}' for reason, count in topic.refused.items()]
     if found:
         yield f'messages left out: {", ".join(found)}'

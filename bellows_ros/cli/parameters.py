@@ -102,7 +102,7 @@ def template(parameters: 'Iterable[Parameter]') -> str:
 def template_with(
     open_ones: 'list[Parameter]', values: Mapping[str, object], header: Sequence[str]
 ) -> str:
-    """Return a parameter file with values, and what is to be filled in as comments above them."""
+    """Return a parameter file with values, and required ones as comments to fill in."""
     from bellows_ros.files.parameter_files import format_parameters
 
     text = format_parameters(values, header)

@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _say(report: 'PlanReport', console: Console) -> None:
-    """Print the figures and what they mean."""
+    """Print the figures and their meaning."""
     source = report.source
     where = f", in frame '{source.frame_id}'" if source.frame_id else ''
     console.say(f'Plan {report.path}', 'bold')

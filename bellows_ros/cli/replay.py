@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 def _say(
     result: 'Replay', limit: float, arguments: argparse.Namespace, console: Console
 ) -> None:
-    """Print the errors per axis and what they mean."""
+    """Print the errors per axis and their meaning."""
     from bellows_ros.workflows.recordings import offset_sentence
 
     rest = result.validation.start == 'equilibrium'

@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 def _bags(
     arguments: argparse.Namespace, settings: 'Mapping[str, Value]'
 ) -> 'list[StaticBag]':
-    """Return the recordings with their masses; those of static.bags where none is named."""
+    """Return the recordings with their masses; those of static.bags if none is named."""
     from bellows_ros.core.parameters import resolve
     from bellows_ros.workflows.static import read_list, static_bags
 
@@ -130,7 +130,7 @@ def _standstill_rows(result: 'StaticResult') -> list[tuple[str, ...]]:
 
 
 def _say_length(result: 'StaticResult', console: Console) -> None:
-    """Print the nominal length, or why there is none."""
+    """Print the nominal length, or why it is not identifiable."""
     length = result.length
     if length is None:
         console.paragraph(f'No nominal length: {result.no_length}')

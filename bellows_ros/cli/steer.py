@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _say(report: 'SteerReport', console: Console) -> None:
-    """Print what the motions do, and which to take."""
+    """Print the effects of the motions, and which one to use."""
     console.say(f'Plan {report.path}, steered by {report.method}', 'bold')
     console.say()
     rows = [(
@@ -106,6 +106,6 @@ def _say(report: 'SteerReport', console: Console) -> None:
 
 
 def _degrees(angle: float) -> str:
-    """Return an angle (rad) as it is printed."""
+    """Return an angle (rad) as text."""
     degrees = math.degrees(angle)
     return f'{degrees:.1f} deg' if degrees >= 10.0 else f'{degrees:.3f} deg'

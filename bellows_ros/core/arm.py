@@ -23,12 +23,12 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 LARGEST_URDF = 10_000_000
-"""So many characters at most."""
+"""Largest number of characters in a URDF."""
 
-REACHED, MOST_STEPS = 1e-9, 30
-"""Joint positions are found when the tool is off by less (m, rad), in so many steps at most ..."""
+POSE_TOLERANCE, MOST_STEPS = 1e-9, 30
+"""Inverse kinematics: largest error of the tool pose (m, rad), and most iterations."""
 LONGEST_STEP, SINGULAR = 0.5, 1e-4
-"""... of so much (rad, m) each; directions with less effect than that of the best are left out."""
+"""Longest step (rad, m), and singular values below this fraction of the largest are dropped."""
 
 TURNING, SLIDING = ('revolute', 'continuous'), ('prismatic',)
 
@@ -46,7 +46,7 @@ class Joint(NamedTuple):
     upper: float = math.inf
     """Ends of its range, rad or m."""
     speed: float = math.inf
-    """Largest, rad/s or m/s."""
+    """Maximum, rad/s or m/s."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Arm:
 
     def columns(self, names: Sequence[str], of: str) -> list[int]:
         """
-        Return where the joints of this arm stand among names.
+        Return the columns of this arm's joints among the names.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class Arm:
         return T, twist
 
     def jacobian(self, position: Array) -> Array:
-        """Differentiate (N, 6, M) the tool's displacement in its own axes."""
+        """Return the derivative (N, 6, M) of the tool's displacement in its own axes."""
         count, moving = position.shape
         _, twist = self.tool(
             np.repeat(position, moving, axis=0), np.tile(np.eye(moving), (count, 1)))
@@ -126,7 +126,7 @@ class Arm:
 
     def positions(self, T: Array, near: Array) -> Array:
         """
-        Find the joints (N, M) for poses (N, 4, 4) of the tool, all near to given ones (M,).
+        Return the joints (N, M) for tool poses (N, 4, 4), all near the given ones (M,).
 
         Raises
         ------
@@ -137,7 +137,7 @@ class Arm:
         position = np.tile(near, (len(T), 1))
         for _ in range(MOST_STEPS):
             error = log_se3(inverse_transform(self.tool(position)[0]) @ T)
-            if np.abs(error).max() < REACHED:
+            if np.abs(error).max() < POSE_TOLERANCE:
                 return position
             step = np.linalg.pinv(self.jacobian(position), rcond=SINGULAR) @ error[:, :, None]
             position = position + np.clip(step[:, :, 0], -LONGEST_STEP, LONGEST_STEP)
@@ -240,7 +240,7 @@ def _joint(element: ElementTree.Element) -> Joint:
 
 
 def _numbers(name: str, what: str, text: str, count: int = 3) -> Array:
-    """Return so many numbers of an attribute."""
+    """Return the numbers in an attribute."""
     try:
         numbers = np.array([float(word) for word in text.split()])
     except ValueError:

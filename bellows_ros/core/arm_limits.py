@@ -16,10 +16,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 CHECK_RATE, JOINT_RATE = 1000.0, 250.0
-"""Rates (Hz) at which limits are checked, and at which joint positions are found for that."""
+"""Rates (Hz) at which limits are checked, and at which joint positions are computed for that."""
 
 BENDING, TORSION, HIGHEST_FREQUENCY = math.radians(20.0), math.radians(30.0), 12.0
-"""Of real cups (rad; from 45 degrees on the model's moment falls), and what arms follow (Hz)."""
+"""Defaults for real cups (rad; beyond 45 degrees the model's moment falls) and real arms (Hz)."""
 
 
 class Bound(NamedTuple):
@@ -39,7 +39,7 @@ class Bound(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class ArmLimits:
     """
-    What an arm may do, SI units.
+    Limits of an arm, SI units.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class ArmLimits:
 
     @property
     def axes(self) -> Array:
-        """From displacements (6,) of the tool to those in its own axes at the start, (6, 6)."""
+        """Return the map (6, 6) from displacements of the tool to its axes at the start."""
         turned = np.eye(6)
         turned[:3, :3] = self.start.rotation.T
         return turned

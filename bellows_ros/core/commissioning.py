@@ -13,13 +13,13 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 REST, HOLD, STOPS = 2.0, 3.0, (0.0, 0.3)
-"""Times (s) of standing still at the beginning, of a standstill, and of stops between moves."""
+"""Durations (s): the initial rest, one standstill, and the stops between moves."""
 
-USED = 0.9
-"""Part of workspace and turns in which the poses lie."""
+WORKSPACE_SHARE = 0.9
+"""Fraction of the workspace and of the rotations that the standstills cover."""
 
-STEEPEST = (1.875, 5.7736, 60.0)
-"""Largest speed, acceleration and jerk of the smooth step from 0 to 1 in a second."""
+SMOOTH_STEP_PEAKS = (1.875, 5.7736, 60.0)
+"""Peak speed, acceleration and jerk of the smooth step from 0 to 1 within one second."""
 
 EASIER, MOST_TRIES = 1.15, 30
 
@@ -28,7 +28,7 @@ def standstills(
     limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
 ) -> Waypoints:
     """Return standstills upright and tilted to both sides, within the limits with any model."""
-    tilt = USED * limits.turn[:2]
+    tilt = WORKSPACE_SHARE * limits.turn[:2]
     turns = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0, 0)]
 
     def eased(by: float) -> Waypoints:
@@ -47,8 +47,8 @@ def everyday(
     draws = rng.uniform(-1.0, 1.0, (500, 6))
     middle = 0.5 * (limits.lower + limits.upper)
     reach = 0.5 * (limits.upper - limits.lower)
-    poses = [Pose(middle + USED * reach * draw[:3], limits.start.rotation @ exp_so3(
-        USED * limits.turn * draw[3:])) for draw in draws]
+    poses = [Pose(middle + WORKSPACE_SHARE * reach * draw[:3], limits.start.rotation @ exp_so3(
+        WORKSPACE_SHARE * limits.turn * draw[3:])) for draw in draws]
 
     def eased(by: float) -> Waypoints:
         whole = _through(poses, limits, by, itertools.cycle(STOPS))
@@ -72,7 +72,8 @@ def _through(
         shortest = max(
             (steep * size / most) ** (1.0 / order)
             for order, steep, size, most in zip(
-                2 * (1, 2, 3), 2 * STEEPEST, [way] * 3 + [angle] * 3, limits.rates.values(),
+                2 * (1, 2, 3), 2 * SMOOTH_STEP_PEAKS, [way] * 3 + [angle] * 3,
+                limits.rates.values(),
                 strict=True))
         segments.append(Segment(pose, max(0.05, 1.001 * by * shortest), hold))
         here = pose

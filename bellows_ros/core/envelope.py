@@ -26,13 +26,13 @@ UNITS = ('mm',) * 3 + ('mrad',) * 3
 
 LEAST_DEFLECTION = np.array([5e-4] * 3 + [5e-3] * 3)
 LEAST_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
-"""Ranges are taken as at least that wide: m, rad and m/s, rad/s. Noise is not an excursion."""
+"""Smallest width of a validity range (m, rad; m/s, rad/s), so that noise does not leave it."""
 
 LEAST_FREQUENCY, FREQUENCY_MARGIN = 1.0, 1.25
-"""Bands reach at least so far (Hz); theirs is left where the upper end is so many times higher."""
+"""Bands reach at least this high (Hz), and are exceeded by a frequency this many times higher."""
 
 MASS_MARGIN = 0.1
-"""A mass this part above or below those seen is not called another one."""
+"""Masses within this fraction of those in the fit are inside the validity range."""
 
 DOWN, UP = (Context(prec=6, rounding=way) for way in (ROUND_FLOOR, ROUND_CEILING))
 ROUNDING = {
@@ -90,7 +90,7 @@ class Envelope:
             raise BellowsError('Envelope: a range ends below its beginning.')
 
     def parameters(self) -> dict[str, tuple[float, ...]]:
-        """Return the parameters of the cup file that hold it: six digits, rounded outward."""
+        """Return the parameters of the cup file: six digits, rounded outward."""
         return {
             f'envelope.{name}': tuple(
                 float(way.create_decimal(repr(x)))
@@ -129,7 +129,7 @@ def joined_envelopes(parts: Sequence[Envelope]) -> Envelope:
 @dataclass(frozen=True)
 class Distance:
     """
-    How far a state is from what a fit has seen.
+    Distance of a state from the validity range.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def distance(
     mass: float | None = None,
 ) -> Distance:
     """
-    Return how far a state is from what a fit has seen.
+    Return the distance of a state from the validity range.
 
     A state has no frequency: a motion that is faster than any seen shows by its rates. Bands are
     compared in `beyond`.
@@ -186,7 +186,7 @@ def distance(
 
 
 def beyond(known: Envelope, other: Envelope) -> tuple[str, ...]:
-    """Return a phrase for each range of another envelope beyond the known, the worst first."""
+    """Return a phrase for each range that another envelope exceeds, the worst first."""
     found: list[tuple[float, str]] = []
     ends = other.deflection_low, other.deflection_high
     farthest = np.max([[part for part, _ in _deflections(known, end)] for end in ends], axis=0)
@@ -201,7 +201,7 @@ def beyond(known: Envelope, other: Envelope) -> tuple[str, ...]:
 
 
 def known_envelope(values: Mapping[str, Any]) -> Envelope | None:
-    """Return the envelope that parameter values hold, or None where all are zero: not known."""
+    """Return the envelope in parameter values, or None if all are zero: unknown."""
     parts = {name: values.get(f'envelope.{name}', ()) for name in FIELDS}
     if not any(any(part) for part in parts.values()):
         return None
@@ -252,7 +252,7 @@ def _frequencies(known: Envelope, bands: Array) -> list[tuple[float, str]]:
 
 
 def _mass(known: Envelope, mass: float) -> list[tuple[float, str]]:
-    """Return distance and words for the mass; nothing where none has been seen."""
+    """Return distance and text for the mass; nothing if no mass is known."""
     low, high = known.mass.tolist()
     if high <= 0.0:
         return []

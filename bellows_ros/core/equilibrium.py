@@ -45,7 +45,7 @@ def resting_on_tool(model: ModelTuple, tool: State) -> State:
 
 @kernel
 def displaced(body: State, delta: Vector, phi: Vector) -> State:
-    """Return the body moved by R delta and turned by exp(phi) in its own axes, at rest."""
+    """Return the body at rest, moved by R delta and rotated by exp(phi) in its own axes."""
     move = apply(rotation_matrix(body[1]), delta)
     o = body[0]
     return (
@@ -152,7 +152,7 @@ def static_equilibrium(
 def _loaded(
     model: ModelTuple, gravity: Vector, body: State, loads: int, A: Any, x: Any
 ) -> tuple[State, bool]:
-    """Put gravity on in steps; return the rest, and whether there is a stable one."""
+    """Apply gravity in steps; return the equilibrium, and whether it is stable."""
     for load in range(1, loads + 1):
         now = (model[0], model[1], scale(load / loads, gravity))
         body, settled, stable = _newton(now, body, A, x)
@@ -163,7 +163,7 @@ def _loaded(
 
 @kernel
 def _newton(model: ModelTuple, body: State, A: Any, x: Any) -> tuple[State, bool, bool]:
-    """Return the state near body where nothing accelerates; whether it is one, and a minimum."""
+    """Return the equilibrium near a state, and whether it exists and is a minimum."""
     size, stable = math.inf, False
     for _ in range(_ITERATIONS):
         for j in range(6):
@@ -230,7 +230,7 @@ def _moved(body: State, axis: int, by: float) -> State:
 
 
 def _no_equilibrium(model: ModelTuple) -> UnstableError:
-    """Return the error that says so."""
+    """Return the error for a missing equilibrium."""
     return UnstableError(
         f'No static equilibrium: the cup cannot hold {model[1][0]:g} kg in this tool pose '
         'without tipping over. Check package.mass, package.com, cup.stiffness and their units.'

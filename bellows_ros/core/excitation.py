@@ -1,12 +1,12 @@
 """
 Design of the motion with the most information on K and P, within limits of arm, grip and cup.
 
-It is a Fourier series in each axis, ramped in and out, whose coefficients maximise the determinant
-of the Fisher information (D-optimal) of small motions, for the guess of K and for one too soft and
-one too stiff by `GUESS_OFF`. The largest ratio of a signal to its limit, as a p-norm over limits
-and time, divides the coefficients, so that nothing but their shape is sought; p grows in stages.
-After each the motion is simulated with the whole model, and what loads may be in the linear one
-is adapted. The stage that tells most is scaled until no limit is violated.
+The motion is a Fourier series in each axis, with ramps at both ends. Its coefficients maximise the
+determinant of the Fisher information (D-optimal) of small motions, for the guess of K and for a
+softer and a stiffer one (`GUESS_FACTOR`). The largest ratio of a signal to its limit, as a p-norm
+over limits and time, divides the coefficients, so that only their shape is searched; p grows in
+stages. After each stage the whole model simulates the motion, and corrects the limits of the loads
+in the linear one. The most informative stage is scaled until no limit is violated.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -34,26 +34,26 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 REST, RAMP = 2.0, 1.0
-"""Times (s) of standing still at the beginning, and of swelling and of dying away."""
+"""Durations (s): the initial rest, and each ramp of the amplitude."""
 
-GUESS_OFF = 1.3
-"""K may be so many times the guess, or the guess so many times K."""
+GUESS_FACTOR = 1.3
+"""The true K may differ from the guess by this factor in either direction."""
 
 PRIOR = 1.0
-"""Information on each number in units of itself, before: it is known to a factor of about 2."""
+"""Prior information on each parameter, relative to its size: known to a factor of about 2."""
 
 STAGES = ((8, 500), (16, 500), (32, 500), *((64, 400),) * 5)
-"""Powers of the norm that stands for the largest ratio, and most steps with each."""
+"""Exponent of the norm that approximates the largest ratio to a limit, and most steps with it."""
 
 STARTS = 3
-"""Random shapes from which is searched: there are several maxima."""
+"""Number of random starts; the criterion has several maxima."""
 
 POINTS_PER_PERIOD, MEMORY, ENOUGH = 8, 20, 1e-6
 STRONGER = 1.4
-"""Power of what a load is too large by: a part of it does not shrink with what is bounded."""
+"""Exponent of the correction for loads: part of a load does not shrink with the amplitude."""
 
 MARGIN = 1e-3
-"""What is left below a limit."""
+"""Distance kept from a limit, as a fraction."""
 
 CHUNK = 4096
 
@@ -72,7 +72,7 @@ def ramp(s: Array) -> Array:
 
 
 def window(t: Array, period: float) -> Array:
-    """Return what swells and dies away in a period (s), and three derivatives (4, N) by time."""
+    """Return a window with ramps up and down over a period (s), and three derivatives (4, N)."""
     per_s = (1.0 / RAMP) ** np.arange(4)[:, None]
     up, down = ramp(t / RAMP) * per_s, ramp((period - t) / RAMP) * per_s
     return np.array([
@@ -112,7 +112,7 @@ class FourierMotion(Motion):
         return len(self.coefficients) / self.period
 
     def scaled(self, factor: float) -> 'FourierMotion':
-        """Return the motion so many times as large."""
+        """Return the motion multiplied by a factor."""
         return replace(self, coefficients=factor * self.coefficients)
 
     def displacement(self, t: Array) -> Array:
@@ -146,7 +146,7 @@ class Search:
         self, limits: ArmLimits, period: float, models: Sequence[ModelTuple], grip: Grip | None,
         responses_at: Callable[[Array], list[Response]], rate_hz: float,
     ) -> None:
-        """Take what bounds the motion, and how the package responds at frequencies (rad/s)."""
+        """Set the limits, and the package's response at frequencies (rad/s)."""
         self.count = max(2, math.floor(limits.highest_frequency * period))
         wide = self.count + math.ceil(2.0 * period / RAMP)  # the ramps widen the lines
         self.points = 2 ** math.ceil(math.log2(POINTS_PER_PERIOD * self.count))
@@ -258,7 +258,7 @@ class Search:
 
 class Design(NamedTuple):
     """
-    A motion, and what is known of it.
+    A designed motion and its properties.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ def design(
     limits: ArmLimits, tracking: Tracking, duration: float, seed: int, progress: Progress,
 ) -> Design:
     """
-    Return a motion that tells K and P.
+    Return the motion that is most informative on K and P.
 
     Parameters
     ----------
@@ -354,9 +354,9 @@ def design(
 
 
 def cups_near(cup: Cup) -> list[Cup]:
-    """Return the cup as it is guessed, and one that is softer and one that is stiffer."""
+    """Return the guessed cup, a softer one and a stiffer one."""
     return [replace(cup, stiffness=factor * cup.stiffness)
-            for factor in (1.0, 1.0 / GUESS_OFF, GUESS_OFF)]
+            for factor in (1.0, 1.0 / GUESS_FACTOR, GUESS_FACTOR)]
 
 
 def all_ratios(

@@ -17,25 +17,26 @@ from bellows_ros.core.trajectory import Trajectory
 import numpy as np
 
 SLOWEST, QUICKEST = 10.0, 0.02
-"""Time scales between which the shortest is sought."""
+"""Range of time scales that is searched."""
 
 FINENESS = 0.006
-"""Neighbouring time scales of the scan differ by this part."""
+"""Relative spacing of the time scales in the scan."""
 
-NEARLY = 0.95
-"""A run is broken off where its safety factor falls below this part of what is needed."""
+ABORT_BELOW = 0.95
+"""A run is aborted when its safety factor falls below this fraction of the required one."""
 
 LONGEST_TAIL = 2.0
-"""After the end the load can grow for a period of the slowest mode, but not for longer (s)."""
+"""The load may peak up to one period of the slowest mode after the end, at most this long (s)."""
 
 ROW_NS = 4_000_000
-"""Rows of the plan nearer to each other than this are left out in the scan."""
+"""Minimum spacing (ns) of the plan's points in the scan."""
 
 RENEW = 0.03
-"""Standard deviations are computed anew so near to what is needed, and so far on in scale."""
+"""Standard deviations are recomputed within this fraction of the required factor, and after this
+change of scale."""
 
-WIDTH = 1e-4
-"""The shortest time scale is found to this part."""
+TOLERANCE = 1e-4
+"""Relative accuracy of the shortest time scale."""
 
 
 class Fastest(NamedTuple):
@@ -82,9 +83,9 @@ def fastest(
     fine = Run(model, grip, tool, tail=tail, longest=longest)
 
     def margin(scale: float, part: float, run: Run) -> float:
-        """Return by how much the factor is above what is needed, two sigma being a part of it."""
+        """Return the excess of the factor, less two sigma, over the required one."""
         needed = least / max(1.0 - 2.0 * part, 0.01)
-        return _factor(run, scale, 1.0 / (NEARLY * needed)) / needed - 1.0
+        return _factor(run, scale, 1.0 / (ABORT_BELOW * needed)) / needed - 1.0
 
     def sigma(scale: float) -> float:
         """Return the standard deviation as a part of the safety factor."""
@@ -131,11 +132,11 @@ def _summit(margin: Callable[[float], float], scale: float) -> tuple[float, floa
 def _narrowed(
     margin: Callable[[float], float], scale: float, run: Run, part: float
 ) -> Fastest:
-    """Return the shortest time scale near one that holds, by bisection with fine steps."""
+    """Return the shortest safe time scale near a safe one, by bisection with fine steps."""
     low, high = scale / (1.0 + FINENESS), scale
     while margin(high) < 0.0:  # with coarse steps it just held
-        low, high = high, (1.0 + WIDTH) * high
-    while high > (1.0 + WIDTH) * low:
+        low, high = high, (1.0 + TOLERANCE) * high
+    while high > (1.0 + TOLERANCE) * low:
         middle = math.sqrt(low * high)
         low, high = (low, middle) if margin(middle) >= 0.0 else (middle, high)
     factor, ends = _factor(run, high), (0.99 * high, 1.01 * high)

@@ -23,12 +23,12 @@ Grip = tuple[float, float, float]
 """Suction force V (N), radius of the lip r (m), friction between lip and package."""
 
 MODES = ('peel', 'slip')
-"""What limits the safety factor; an elastic lip peels before it tips."""
+"""Failure modes of the grip; an elastic lip peels before it tips."""
 
 
 @kernel
 def ratio(suction: float, load: float) -> float:
-    """Return suction / load, infinite where nothing pulls."""
+    """Return suction / load, or infinity if nothing pulls."""
     return suction / load if load > 0.0 else math.inf
 
 
@@ -78,7 +78,7 @@ class Margin(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Say it."""
+        """The margin as a sentence."""
         lost = ': the cup would have let go' if self.factor < 1.0 else ''
         return (
             f'The smallest safety factor of the grip is {self.factor:.3g} ({self.mode}, at '
@@ -86,7 +86,7 @@ class Margin(NamedTuple):
 
 
 def margin(grip: Grip, wrench: Array, seconds: Array) -> Margin:
-    """Return the smallest safety factor of wrenches (N, 6) at times (N,); NaN are left out."""
+    """Return the smallest safety factor of wrenches (N, 6) at times (N,), ignoring NaN."""
     factors = safety_factors_of(grip, wrench)
     row, mode = np.unravel_index(np.nanargmin(factors), factors.shape)
     return Margin(float(factors[row, mode]), MODES[mode], float(seconds[row]))
@@ -103,7 +103,7 @@ def _write_factors(grip: Grip, wrench: Array, out: Array) -> None:
 
 def grip_of(values: Mapping[str, Any], vacuum: float | None = None) -> Grip | None:
     """
-    Return the grip that parameter values describe, or None where too little is known.
+    Return the grip in parameter values, or None if it is incomplete.
 
     Parameters
     ----------

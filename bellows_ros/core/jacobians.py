@@ -49,7 +49,7 @@ from bellows_ros.core.tuples import (
 )
 
 Square = tuple[Matrix, Matrix, Matrix, Matrix]
-"""A 6x6 matrix: its blocks oo, oR, Ro, RR."""
+"""A 6x6 matrix as its blocks oo, oR, Ro, RR."""
 
 STIFFNESS, DAMPING = slice(0, 21), slice(21, 42)
 LENGTH, INERTIA, GRAVITY = slice(42, 43), slice(43, 49), slice(49, 52)
@@ -290,7 +290,7 @@ def tool_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square,
 
 @kernel
 def acceleration_at(package: PackageTuple, c: Vector, f: Vector, m: Vector) -> Wrench:
-    """Return the accelerations that a wrench makes, B seen at c from where it acts (3.5)."""
+    """Return the accelerations due to a wrench, with B at c from its point of action (3.5)."""
     return scale(1.0 / package[0], f), apply(package[3], subtract(m, cross(c, f)))
 
 
@@ -442,7 +442,7 @@ def _others(
 
 @kernel
 def by_length(model: ModelTuple, tool: State, body: State, f: Vector) -> Wrench:
-    """Return the accelerations per metre of l0, of which each end of the spring takes half."""
+    """Return the accelerations per metre of l0, half of which acts at each end of the spring."""
     cup, package, _ = model
     c, o, R, v, w, _, _, _ = ends_of_spring(model, tool, body)
     damper, by_twist = damper_jacobians(o, R, v, w, cup[3])

@@ -21,7 +21,7 @@ except ImportError:
     numba = None
 
 COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
-"""Whether kernels are machine code."""
+"""Whether kernels are compiled."""
 
 OPTIONS = {'error_model': 'numpy', 'nogil': True, 'forceinline': True}
 """
@@ -36,7 +36,7 @@ Function = TypeVar('Function', bound=Callable[..., Any])
 
 def kernel(function: Function) -> Function:
     """
-    Compile a scalar function on tuples, or return it as it is where numba is missing.
+    Compile a scalar function on tuples, or return it unchanged without numba.
 
     Division by zero gives inf or nan in compiled code and raises in interpreted code, so a
     kernel guards its divisors itself.
@@ -54,7 +54,7 @@ def kernel(function: Function) -> Function:
 @cache
 def _source_digest(function: Callable[..., Any]) -> bytes:
     """
-    Return a digest of what a kernel is compiled from: its code, constants, and kernels it calls.
+    Return a digest of a kernel's code, constants, and the kernels it calls.
 
     numba watches only the file of the kernel itself, but the machine code holds what stands in
     other files, too: without this a stale one would be loaded.
@@ -76,7 +76,7 @@ def _source_digest(function: Callable[..., Any]) -> bytes:
 
 class _TolerantCache:
     """
-    The cache of a kernel, done without where it cannot be used.
+    A kernel cache that is skipped if it cannot be used.
 
     By itself numba fails on an index or a file that is damaged, or cannot be read or written, as
     on a disk that is full. And where two processes keep code for different arguments at once,
@@ -99,7 +99,7 @@ class _TolerantCache:
         return getattr(self._cache, name)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        """Return what was compiled for these arguments, or None for it to be compiled now."""
+        """Return the compiled code for these arguments, or None to compile it now."""
         try:  # only now: the kernels that it calls may stand below it
             self._cache._cache_file._source_stamp = _source_digest(self._function)
             found = self._cache.load_overload(signature, context)
@@ -112,7 +112,7 @@ class _TolerantCache:
             return None
 
     def save_overload(self, signature: Any, code: Any) -> None:
-        """Keep what was compiled, if that can be."""
+        """Save compiled code if possible."""
         try:
             self._cache.save_overload(signature, code)
         except Exception as error:  # noqa: BLE001 (what is compiled works all the same)
@@ -120,14 +120,14 @@ class _TolerantCache:
             self._cache.disable()
 
     def _start_afresh(self) -> None:
-        """Empty the index, so that what is compiled now can be kept."""
+        """Empty the index, so that new code can be saved."""
         try:
             self._cache.flush()
         except OSError:
             self._cache.disable()
 
     def _warn(self, error: Exception) -> None:
-        """Say that the folder should be looked at."""
+        """Ask the user to check the folder."""
         warnings.warn(
             f'Compiled code in {self._cache.cache_path} cannot be used ({type(error).__name__}): '
             'compiling again. If this message appears at every start, remove that folder.',

@@ -47,7 +47,7 @@ Wrench = tuple[Vector, Vector]
 
 @kernel
 def multiply_blocks(M: Blocks, a: Vector, b: Vector) -> tuple[Vector, Vector]:
-    """Return M [a; b] for a symmetric 6x6 matrix given by its blocks."""
+    """Return M [a; b] for a symmetric 6x6 matrix in blocks."""
     return (
         add(apply(M[0], a), apply(M[1], b)),
         add(apply_transposed(M[1], a), apply(M[2], b)),
@@ -179,7 +179,7 @@ def newton_euler(
 
 @kernel
 def lip_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
-    """Return the wrench of the cup on the package at the lip, in S axes, in a given state."""
+    """Return the wrench of the cup on the package at the lip, in S axes, for a state."""
     cup, package, _ = model
     o_E_S, R_E_S, v_ES, w_ES = lip_relative_to_tool(
         package[1],
@@ -337,7 +337,7 @@ def stages(
 def step(
     model: ModelTuple, body: State, tool: State, tool_middle: State, tool_end: State, h: float
 ) -> State:
-    """Return the package's state h later, the tool given at start, middle and end (RKMK4)."""
+    """Return the package's state after h, for tool states at start, middle and end (RKMK4)."""
     return stages(model, body, tool, tool_middle, tool_end, h)[3]
 
 

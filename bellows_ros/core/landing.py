@@ -40,20 +40,20 @@ import numpy as np
 RELEASE_NAMES = ('release.delay', 'release.tau', 'release.impulse')
 
 MARGIN = 0.25
-"""So long (s) after the nominal instant a changed cup may let go at the latest."""
+"""A cup with changed parameters may let go up to this much (s) after the nominal instant."""
 
-SCAN, FOUND = 4e-3, 1e-6
-"""Times of release (s) between which the nearest is sought, and to which it is found."""
+SCAN, TOLERANCE = 4e-3, 1e-6
+"""Spacing (s) of the release times in the scan, and accuracy of the best one."""
 
 CANDIDATES = 8
-"""So many of the best times of the scan are looked at closely."""
+"""Number of the best times in the scan that are refined."""
 
 ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
-"""The ellipse of so many standard deviations holds 95 % in a plane."""
+"""Standard deviations to the edge of the ellipse that holds 95 % in a plane."""
 
 
 class Parts(NamedTuple):
-    """What each uncertain number contributes to a landing."""
+    """The contribution of each uncertain parameter to a landing."""
 
     names: tuple[str, ...]
     std: Array
@@ -76,10 +76,10 @@ class Case(NamedTuple):
     tool: Trajectory
     release: Release
     switched: float
-    """When the valve is switched, s since the first point of the plan."""
+    """Time of the valve, s since the first point of the plan."""
 
     def with_numbers(self, model: ModelTuple, release: Release, until: float) -> Toss:
-        """Return the toss with another model and release; looked at until a time (s)."""
+        """Return the toss with another model and release, up to a time (s)."""
         return toss(Held(model, self.grip, self.tool, until=until), release, self.switched)
 
 
@@ -128,9 +128,9 @@ class Drawn(NamedTuple):
     """Landings with all uncertain numbers drawn."""
 
     figures: Array
-    """(N, 6), of those that can be tossed."""
+    """(N, 6), of the tosses that succeed."""
     failed: int
-    """How many cannot: the cup does not hold or does not let go."""
+    """Number of tosses in which the cup does not hold, or does not let go."""
 
     @property
     def covariance(self) -> Array:
@@ -139,7 +139,7 @@ class Drawn(NamedTuple):
 
 
 def draw(case: Case, nominal: Toss, count: int, seed: int = 0) -> Drawn:
-    """Return so many tosses with every number drawn from its normal distribution."""
+    """Return random tosses with every parameter drawn from its normal distribution."""
     rng = np.random.default_rng(seed)
     numbers, std = numbers_of(case.values), deviations_of(case.values)
     of_release = release_deviations(case.values)
@@ -179,7 +179,7 @@ class Aim(NamedTuple):
     distance: float
     """In the plane, m."""
     angle: float
-    """From the rotation wanted, rad; 0 where none is."""
+    """From the wanted rotation, rad; 0 if none is given."""
 
 
 def aim(
@@ -242,7 +242,7 @@ def aim(
         if near[k] <= 1.5 * near.min() + 1e-3:
             best = minimize_scalar(
                 cost, bounds=(times[k], times[k + 1]), method='bounded',
-                options={'xatol': FOUND})
+                options={'xatol': TOLERANCE})
             tried += [(cost(t), float(t)) for t in (best.x, times[k], times[k + 1])]
     size, switched = min(tried, default=(1e6, 0.0))
     if size >= 1e6:

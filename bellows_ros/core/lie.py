@@ -381,7 +381,7 @@ def inverse_transform(T: ArrayLike) -> Array:
 
 def adjoint(T: ArrayLike) -> Array:
     """
-    Return X(T) = [[R, o^ R], [0, R]], which maps a twist in b to the same twist in a (2.24).
+    Return X(T) = [[R, o^ R], [0, R]], which maps a twist from b to a (2.24).
 
     Parameters
     ----------
@@ -404,7 +404,7 @@ def adjoint(T: ArrayLike) -> Array:
 
 def wrench_transform(T_a_b: ArrayLike) -> Array:
     """
-    Return X(T_a_b^-1)^T, which maps a wrench in b to the same wrench in a (2.28).
+    Return X(T_a_b^-1)^T, which maps a wrench from b to a (2.28).
 
     Parameters
     ----------
@@ -577,7 +577,7 @@ def _squared(v: Array) -> Array:
 
 
 def _vectors(v: ArrayLike, size: int) -> Array:
-    """Return v as a float array whose last axis has the given size, or say what is wrong."""
+    """Return v as a float array with a last axis of the given size, or raise an error."""
     array: Array = np.asarray(v, dtype=np.float64)
     if array.ndim < 1 or array.shape[-1] != size:
         raise BellowsError(f'Expected an array of shape (..., {size}), got {array.shape}.')
@@ -585,7 +585,7 @@ def _vectors(v: ArrayLike, size: int) -> Array:
 
 
 def _matrices(M: ArrayLike, size: int) -> Array:
-    """Return M as a float array of square matrices of the given size, or say what is wrong."""
+    """Return M as a float array of square matrices of the given size, or raise an error."""
     array: Array = np.asarray(M, dtype=np.float64)
     if array.ndim < 2 or array.shape[-2:] != (size, size):
         raise BellowsError(

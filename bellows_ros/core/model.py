@@ -110,7 +110,7 @@ class Cup:
 @dataclass(frozen=True)
 class Package:
     """
-    A rigid package and where it hangs on the lip.
+    A rigid package and its place on the lip.
 
     Parameters
     ----------

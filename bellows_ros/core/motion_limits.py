@@ -17,19 +17,19 @@ RATES = {
     'speed': 'm/s', 'acceleration': 'm/s^2', 'jerk': 'm/s^3',
     'angular_speed': 'rad/s', 'angular_acceleration': 'rad/s^2', 'angular_jerk': 'rad/s^3',
 }
-"""What is limited, with its unit."""
+"""Limited quantities and their units."""
 
 SPACING_NS = 4_000_000
-"""Accelerations and jerks are taken of points so far from each other (ns), as drives have them."""
+"""Spacing (ns) of the points that accelerations and jerks are computed from, as in drives."""
 
 SLOWEST, STEP = 20.0, 1.02
 """A motion is stretched to no more than so many times its time, in steps of this factor where it
 is not known how much is needed, ..."""
 LEAST_STEP = 1.002
-"""... and by no less than this."""
+"""... and at least by this factor."""
 
 NONE = 1e12
-"""A limit that is none."""
+"""Stands for no limit."""
 
 
 def read_rates(settings: Settings, default: float | None = None) -> dict[str, float]:
@@ -45,7 +45,7 @@ def read_rates(settings: Settings, default: float | None = None) -> dict[str, fl
 
 
 class Limits(NamedTuple):
-    """What a motion must keep to; `NONE`, or 0 for the safety factor, where nothing is asked."""
+    """Limits of a motion; `NONE`, or 0 for the safety factor, means no limit."""
 
     rates: Mapping[str, float]
     """By the names of `RATES`, SI units."""
@@ -82,7 +82,7 @@ def demands(tool: Trajectory) -> dict[str, float]:
 
 
 def too_much(limits: Limits, tool: Trajectory, safety_factor: float) -> tuple[float, str]:
-    """Return how many times as long a motion must take, as far as is known, and for what."""
+    """Return by how much a motion must be stretched in time, as far as is known, and why."""
     asked = demands(tool)
     over = [((asked[name] / limits.rates[name]) ** (1.0 / (1 + i % 3)), name)
             for i, name in enumerate(RATES)]
@@ -97,7 +97,7 @@ def stretched(
     limits: Limits, motion: Callable[[float], tuple[Trajectory, float]]
 ) -> tuple[float, str]:
     """
-    Return how many times as long a motion takes within limits, and what the last reason was.
+    Return by how much a motion is stretched to stay within limits, and the last reason.
 
     Parameters
     ----------

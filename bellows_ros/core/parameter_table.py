@@ -88,7 +88,7 @@ class Parameter:
 
     @property
     def constraint(self) -> str:
-        """What the value must be, in words: its kind, count, range, choices and unit."""
+        """The constraint in words: kind, count, range, choices and unit."""
         unit = f' ({self.unit})' if self.unit else ''
         if self.choices:
             some = 'a list of some of ' if self.kind == 'string_array' else 'one of '
@@ -96,7 +96,7 @@ class Parameter:
         return _KIND_MESSAGES[self.kind].format(count=self.length) + self._range() + unit
 
     def _range(self) -> str:
-        """Return the range in words, with a leading blank, or nothing."""
+        """Return the range in words, with a leading blank, or ''."""
         low = [f'above {self.above:g}'] if self.above is not None else []
         low += [f'at least {self.minimum:g}'] if self.minimum is not None else []
         high = [f'at most {self.maximum:g}'] if self.maximum is not None else []
@@ -490,7 +490,7 @@ def _hint(name: str, named: re.Match[str] | None) -> str:
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:
-    """Return the nearest known name, or the names of the same group, or all."""
+    """Return the nearest known name, the names of the same group, or all names."""
     name = name[:80]
     group, _, leaf = name.rpartition('.')
     inside = [other for other in known if other.startswith(f'{name}.')]

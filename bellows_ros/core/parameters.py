@@ -56,13 +56,13 @@ __all__ = [
 
 
 SYMMETRIC_WITHIN = 1e-9
-"""Relative difference of a matrix and its transpose that is taken for rounding."""
+"""Relative difference of a matrix and its transpose that counts as rounding."""
 
 UNIT_WITHIN = 1e-3
-"""Length by which a quaternion written with few digits may differ from 1."""
+"""Tolerance of the length of a quaternion written with few digits."""
 
 ESTIMATE = 'estimate'
-"""The value of recording.package_world with which it is found."""
+"""Value of recording.package_world that asks for its estimation."""
 
 SOFTEST = 1e-6
 """Smallest eigenvalue (N/m, N m/rad) of a stiffness: a million times softer than any cup."""
@@ -193,7 +193,7 @@ def require_damping(damping: Array, name: str = 'cup.damping') -> None:
 
 
 def _refuse(parameter: Parameter, got: str) -> BellowsError:
-    """Return the error for a value that is not what the parameter must be."""
+    """Return the error for an invalid value."""
     return BellowsError(
         f'{parameter.name} must be {parameter.constraint}, got {got}. {parameter.description}'
     )
@@ -219,7 +219,7 @@ def _to_double(parameter: Parameter, value: object) -> Value:
 
 
 def _to_string(parameter: Parameter, value: object) -> Value:
-    """Return a text, one of the choices where there are any."""
+    """Return a text, checked against the choices if there are any."""
     text = _text(parameter, value)
     if parameter.choices and text not in parameter.choices:
         raise _refuse(parameter, f"'{short(text)}'")
@@ -237,7 +237,7 @@ def _to_doubles(parameter: Parameter, value: object) -> Value:
 
 
 def _world_text(parameter: Parameter, value: object) -> str:
-    """Return seven numbers, given as a list or a text, as a text; others as they are."""
+    """Return seven numbers, given as a list or a text, as a text; other values unchanged."""
     parts = value.replace(',', ' ').strip('[] ').split() if isinstance(value, str) else value
     if parts in ([], [ESTIMATE]):
         return ''.join(parts)
@@ -325,7 +325,7 @@ def _in_range(parameter: Parameter, value: float, where: str) -> float:
 
 
 def require(given: Mapping[str, object], required: Iterable[str]) -> None:
-    """Refuse missing required parameters, all in one message that shows what to set."""
+    """Refuse missing required parameters, in one message with an example."""
     missing = [lookup(name) for name in required if name not in given]
     if missing:
         lines = [f'  {p.name}: {p.example}  # {p.unit}{"; " * bool(p.unit)}{p.description}'

@@ -17,7 +17,7 @@ from bellows_ros.core.parameters import inertia_matrix, matrix
 import numpy as np
 
 STEP = 0.5
-"""Central differences reach so many standard deviations to both sides."""
+"""Step of central differences, standard deviations."""
 
 UPPER = np.triu_indices(6)
 NAMES = (
@@ -26,7 +26,7 @@ NAMES = (
     'package.mass', *(f'package.com[{axis}]' for axis in 'xyz'),
     *(f'package.inertia[{entry}]' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')),
 )
-"""The 52 numbers, in the order in which they stand in arrays."""
+"""The 52 parameters, in the order of the arrays."""
 
 
 def numbers_of(values: Mapping[str, Any]) -> Array:
@@ -83,7 +83,7 @@ def contributions(
     values: Mapping[str, Any], model: ModelTuple, compute: Callable[[ModelTuple], Array]
 ) -> tuple[list[str], Array]:
     """
-    Return what each uncertain number contributes to the standard deviations of figures.
+    Return the contribution of each uncertain parameter to the standard deviations of figures.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def mean_square(
     values: Mapping[str, Any], model: ModelTuple, compute: Callable[[ModelTuple], float]
 ) -> float:
     """
-    Return the mean square of the size of something over what is uncertain, see `contributions`.
+    Return the mean square of a vector over the uncertain parameters; see `contributions`.
 
     Of a size near zero the derivative says nothing; its square is quadratic in each number.
     """

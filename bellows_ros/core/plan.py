@@ -46,32 +46,32 @@ from bellows_ros.errors import UnstableError
 import numpy as np
 
 SETTLED = math.radians(0.5)
-"""The package has settled when it is turned from rest by less (rad) ..."""
+"""The package has settled when its rotation from rest stays below this (rad) ..."""
 QUIET, LONGEST_TAIL = 2.0, 30.0
-"""... for so long (s), which is waited for no longer than this (s) after the end."""
+"""... for this time (s); the wait ends at the latest this long (s) after the end."""
 
 OVERTURNED = 1.5
-"""What happens after the end is not followed beyond this turn (rad): no cup goes so far."""
+"""The swing after the end is not followed beyond this rotation (rad): no cup goes so far."""
 
 TAIL_STEP = 4e-3
-"""After the end a step of the integration may be as long (s): only the swing matters there ..."""
+"""Longest integration step (s) after the end, where only the swing matters ..."""
 
 COARSE = 3.0
-"""... or so many times as long as before, if that is shorter: that is still accurate to 1e-4."""
+"""... or this multiple of the normal step, if shorter: still accurate to 1e-4."""
 
 STILL = (1e-3, 1e-2)
-"""A plan whose last point is faster (m/s, rad/s) ends in motion: nothing is known after it."""
+"""A plan whose last point is faster (m/s, rad/s) ends in motion."""
 
 PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_moment', 'swing')
-"""Whose largest values are kept: loads, rad, m, N, N m, N m, rad."""
+"""Quantities whose peaks are kept: loads, rad, m, N, N m, N m, rad."""
 
 SAME_TILT = 0.05
-"""A tool hangs the package nearly alike where gravity turns by less in its axes (rad) ..."""
+"""The package hangs nearly alike if gravity turns by less than this in tool axes (rad) ..."""
 LEVEL = 1e-12
-"""... and alike where it turns by less."""
+"""... and exactly alike below this."""
 
 UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
-"""Goes into the kernel where no grip is known; nobody looks at the loads then."""
+"""Passed to the kernel if the grip is unknown; the loads are then not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class Prediction:
         return (1.0 / load if load > 0.0 else math.inf), MODES[worst], time
 
     def figures(self) -> dict[str, float]:
-        """Return the numbers of a summary, SI units; NaN for what is not known."""
+        """Return the figures of a summary, SI units; NaN for unknown ones."""
         peak = dict(zip(PEAKS, self.peaks[:, 0].tolist(), strict=True))
         factor, _, time = self.smallest_safety if self.grip_known else (math.nan, '', math.nan)
         return {
@@ -136,7 +136,7 @@ class Prediction:
         }
 
     def outside(self, known: Envelope | None, mass: float) -> tuple[str, ...]:
-        """Return a phrase for each range of an identification (see `envelope`) that is left."""
+        """Return a phrase for each validity range (see `envelope`) that is exceeded."""
         if known is None:
             return ()
         here = Envelope(
@@ -213,7 +213,7 @@ class Run:
         self._past = np.empty((len(PEAKS), 4))
 
     def of(self, model: ModelTuple) -> Run:
-        """Return the same for a model that differs little."""
+        """Return the same run with a slightly different model."""
         other = copy(self)
         other._model = model
         if self._rests:
@@ -231,12 +231,12 @@ class Run:
         return float(self._out[3][:2, 0].max())
 
     def at(self, duration_scale: float) -> Prediction:
-        """Return what is predicted with the plan so many times as long."""
+        """Return the prediction of the plan stretched in time by a factor."""
         self.states(duration_scale)
         return self.prediction()
 
     def states(self, duration_scale: float = 1.0) -> Array:
-        """Predict along the plan alone, which is known first; return its states, (N, 13)."""
+        """Predict along the plan alone, which is available first, as an array (N, 13)."""
         self._follow(duration_scale, math.inf)
         states = self._out[0].copy()
         if not np.isfinite(states).all():
@@ -244,7 +244,7 @@ class Run:
         return states
 
     def prediction(self) -> Prediction:
-        """Return all that is predicted, once `states` are known; it goes on after the end."""
+        """Return the whole prediction after `states`, including the time after the end."""
         settled = self._swing_out(math.inf)
         states, wrench, loads, peaks, lip = (array.copy() for array in self._out)
         return Prediction(
@@ -253,7 +253,7 @@ class Run:
         )
 
     def _follow(self, duration_scale: float, ceiling: float) -> bool:
-        """Fill in the arrays along the plan; return whether no load was above the ceiling."""
+        """Fill in the arrays along the plan; return whether all loads were below the ceiling."""
         self._past[:] = math.inf  # no sample yet
         try:
             self._body, self._seconds, below = _follow(
@@ -264,7 +264,7 @@ class Run:
         return bool(below)
 
     def _swing_out(self, ceiling: float) -> float:
-        """Go on after the end; return after what time (s) the package has settled."""
+        """Continue after the end; return the time (s) until the package has settled."""
         h = max(self._longest, min(TAIL_STEP, COARSE * self._longest))
         _, _, _, peaks, lip = self._out
         try:
@@ -277,7 +277,7 @@ class Run:
 
 
 def _not_finite() -> UnstableError:
-    """Return the error that says so."""
+    """Return the error for states that are not finite."""
     return UnstableError(
         'The prediction along the plan diverges. Check the plan for jumps, and cup.stiffness, '
         'cup.damping, package.mass and their units.'
@@ -285,7 +285,7 @@ def _not_finite() -> UnstableError:
 
 
 def rest(model: ModelTuple, row: Array, near: State | None = None) -> State:
-    """Return the package at rest under the tool of a row (13,), near to a state if given."""
+    """Return the package at rest under the tool of a row (13,), near a state if given."""
     return static_equilibrium(model, state_row(row[:3], row[3:7], np.zeros(6)), near)
 
 
@@ -294,7 +294,7 @@ def rest_after(
     near: State | None = None,
 ) -> State:
     """
-    Return the package at rest under a row, sought from where it hangs under another one.
+    Return the package at rest under a row, starting from its rest under another one.
 
     Where the tool tilts in between it is sought near a state, or from the beginning, as where
     nothing is found; where it rests at the start and the tool does not tilt, it hangs alike.
@@ -374,7 +374,7 @@ def look(
     model: ModelTuple, grip: Grip, tool: State, body: State, t: float,
     wrench: Array, loads: Array, peaks: Array, past: Array, lip: Array,
 ) -> float:
-    """Write wrench and loads of a state, keep what is largest, and return the larger load."""
+    """Write wrench and loads of a state, update the peaks, and return the larger load."""
     cup, package, _ = model
     o, R, v, w = lip_relative_to_tool(
         package[1],

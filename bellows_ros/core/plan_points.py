@@ -28,16 +28,16 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 MOST_POINTS, LONGEST = 100_000, 600.0
-"""A plan has no more points, and does not last longer (s)."""
+"""Most points of a plan, and its longest duration (s)."""
 
 LONGEST_GAP_NS = 10_000_000
-"""Points are put into a plan that has them further apart."""
+"""Points farther apart (ns) are interpolated."""
 
 SLACK = (1e-3, 1e-2)
-"""Points that are hardly apart (m, rad) are no jump, however short the time."""
+"""Points closer than this (m, rad) are no jump, however short the time."""
 
 DENSE, MISFIT = 20, 0.5
-"""With so many points, velocities that miss the steps by this part are of something else."""
+"""With this many points, velocities that deviate from the steps by this fraction are wrong."""
 
 
 def plan_of(
@@ -78,7 +78,7 @@ def rows_of(
     stamps_ns: Stamps, poses: Array, twist: Array | None = None,
     acceleration: Array | None = None, twist_frame: str = 'world', name: str = 'The plan',
 ) -> Rows:
-    """Return the same from poses (N, 7) as the kernels take it, in a fifth of the time."""
+    """Return the rows for the kernels from poses (N, 7), in a fifth of the time."""
     require_count(len(stamps_ns), name)
     given = [part for part in (poses, twist, acceleration) if part is not None]
     _refuse(~np.isfinite(np.hstack(given)).all(axis=1), name,
@@ -230,7 +230,7 @@ def body_twists(q: Array, rate: Array) -> tuple[Array, Array]:
 
 def refined(plan: Trajectory, acceleration: Array | None = None) -> Trajectory:
     """
-    Return a plan with points put in where they are further apart than `LONGEST_GAP_NS`.
+    Return a plan with points inserted where gaps exceed `LONGEST_GAP_NS`.
 
     With accelerations of the tool tip and of rotation (N, 6), in tool axes, the points put in lie
     on quintic polynomials, otherwise on cubic ones.
@@ -284,7 +284,7 @@ def _polynomial(
 
 
 def timed(plan: Trajectory, factor: float) -> Trajectory:
-    """Return a plan that takes so many times as long, its first stamp as it is."""
+    """Return a plan stretched in time by a factor, with the same first stamp."""
     stamps = plan.stamps_ns[0] + np.round((plan.stamps_ns - plan.stamps_ns[0]) * factor).astype(
         np.int64)
     return replace(plan, stamps_ns=stamps, twist=np.asarray(plan.twist) / factor)
@@ -331,7 +331,7 @@ def _write_motion(
     poses: Any, twists: Any, durations: Any, in_world: bool, rows: Array, sizes: Array, fit: Array
 ) -> None:
     """
-    Write a plan as tool rows (N, 13), what limits hold for, and how twists fit poses.
+    Write a plan as tool rows (N, 13), its peak rates, and the fit of twists to poses.
 
     sizes (N, 5) are the length of the quaternion, of the step to the next point its shift (m) and
     turn (rad), and speed (m/s) and rate (rad/s) of the twist. fit (4,), zero before, are sums of
@@ -372,7 +372,7 @@ def _write_motion(
 
 
 def _require_reachable(durations: Array, sizes: Array, name: str) -> None:
-    """Refuse what no arm can follow; sizes as `_write_motion` has them."""
+    """Refuse a motion that no arm can follow; sizes as in `_write_motion`."""
     moved, turned = sizes[:-1, 1], sizes[:-1, 2]
     jump = (moved > SLACK[0] + LARGEST_SPEED * durations) | (
         turned > SLACK[1] + LARGEST_RATE * durations)

@@ -52,21 +52,21 @@ from bellows_ros.errors import BellowsError, NoLandingError, UnstableError
 import numpy as np
 
 STRIDE, LONGEST_STRIDE = 0.01, 0.02
-"""A step of the flight turns the package by so much (rad), and lasts no longer than this (s)."""
+"""Rotation (rad) per integration step of the flight, and the longest step (s)."""
 COARSE_STRIDE = 0.1
-"""As `STRIDE`, where 0.01 mrad are enough."""
+"""As `STRIDE`, if 0.01 mrad is accurate enough."""
 
 INSTANT = 1e-10
-"""To this (s) the instants of letting go and landing are found."""
+"""Accuracy (s) of the instants of letting go and landing."""
 
 LONGEST_WAIT, LONGEST_FLIGHT = 2.0, 10.0
-"""Within this (s) after the valve the cup lets go, and within this (s) after that it lands."""
+"""Longest time (s) from the valve to letting go, and from there to landing."""
 
 STILL = (1e-3, 1e-2)
-"""A plan whose last point is faster (m/s, rad/s) ends in motion: nothing is known after it."""
+"""A plan whose last point is faster (m/s, rad/s) ends in motion."""
 
 NO_GRIP: Grip = (1.0, 0.0, 0.0)
-"""Where radius or vacuum are not known: it is let go after the delay."""
+"""Stands for an unknown radius or vacuum: the cup lets go after the delay."""
 
 Valve = tuple[float, float]
 """Delay (s) from the valve to the fall of the suction force, and its time constant tau (s)."""
@@ -77,7 +77,7 @@ Box = tuple[Vector, Vector]
 @kernel
 def spare(grip: Grip, valve: Valve, late: float, load: float) -> float:
     """
-    Return by how much (N) the lip holds a load (N, `peel_load`) so long (s) after the valve.
+    Return the lip's excess suction (N) over a load (N) a time (s) after the valve.
 
     It lets go at 0 and below. Where the grip is not known, the time (s) that is left.
     """
@@ -339,11 +339,11 @@ def toss_along(
 
 
 class Release(NamedTuple):
-    """What is known of valve, blow-off pulse, package and floor."""
+    """Data of valve, blow-off, package and floor."""
 
     valve: Valve
     impulse: float
-    """Of the blow-off pulse, along -z of S at S, N s."""
+    """Of the blow-off, along -z of S at S, N s."""
     box: Box
     height: float
     """Of the floor, from the world's origin against gravity, m."""
@@ -357,7 +357,7 @@ class Toss(NamedTuple):
     landing_time: float
     landing: State
     release_mode: str = ''
-    """'peel', or 'delay' where the grip is not known."""
+    """'peel', or 'delay' if the grip is unknown."""
 
     @property
     def tumbling(self) -> float:
@@ -367,7 +367,7 @@ class Toss(NamedTuple):
 
 class Held:
     """
-    The package held along a plan: what all tosses from it start from.
+    The package held along a plan, the start of all its tosses.
 
     Parameters
     ----------
@@ -446,7 +446,7 @@ class Held:
         self._inputs = [*fixed, *(out if COMPILED else [a.tolist() for a in out])]
 
     def again(self, start: State) -> Held:
-        """Return the same from another state."""
+        """Return the same from another initial state."""
         other = copy(self)
         other._follow(start)
         return other
@@ -469,7 +469,7 @@ class Held:
 
 def toss(held: Held, release: Release, switched: float, stride: float = STRIDE) -> Toss:
     """
-    Return what becomes of the package when the valve is switched at a time of the plan.
+    Return the toss when the valve is switched at a time of the plan.
 
     Parameters
     ----------
@@ -520,7 +520,7 @@ def toss(held: Held, release: Release, switched: float, stride: float = STRIDE) 
 
 def release_of(values: Mapping[str, Any]) -> Release:
     """
-    Return what parameter values say of release and landing.
+    Return release and landing as the parameter values describe them.
 
     Raises
     ------
@@ -542,7 +542,7 @@ def release_of(values: Mapping[str, Any]) -> Release:
 
 
 def flight_path(model: ModelTuple, toss: Toss, count: int) -> Array:
-    """Return so many states (N, 13), evenly spread from letting go to landing."""
+    """Return states (N, 13), evenly spaced from letting go to landing."""
     _, package, gravity = model
     out = np.empty((count, 13))
     body, h = toss.release, (toss.landing_time - toss.release_time) / (count - 1)

@@ -311,7 +311,7 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
 
 def _period(steps: Stamps) -> float:
     """
-    Return the time between samples where none is missing, ns.
+    Return the time between samples without gaps, ns.
 
     The median step knows the period to the stamps' resolution; the mean of the steps near it,
     which average that out, knows it better. Of stamps in pairs or bursts only the mean over many
@@ -325,7 +325,7 @@ def _period(steps: Stamps) -> float:
 
 
 def _usual(values: Array | Stamps) -> float:
-    """Return the mean of the values near their median, or the median where there are none."""
+    """Return the mean of the values near their median, or the median if there are none."""
     median = float(np.median(values))
     near = values[np.abs(values - median) < 0.5 * median]
     return float(np.mean(near)) if len(near) else median

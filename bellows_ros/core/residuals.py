@@ -109,7 +109,7 @@ def score(measured: Array, predicted: Array) -> Scores:
 
 def compare(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Comparison:
     """
-    Compare a prediction with what was measured.
+    Compare a prediction with a measurement.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def compare(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Com
 
 
 SEGMENT_S = 2.0
-"""Length of the segments of a spectrum, s: lines half a hertz apart are kept apart."""
+"""Length of the segments of a spectrum, s: separates lines half a hertz apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +159,7 @@ class Spectrum:
 
     def band(self, part: float) -> tuple[Array, Array]:
         """
-        Return the bands (C,), (C,) in Hz that hold the middle part of each channel's power.
+        Return the bands (C,), (C,) in Hz with the middle part of each channel's power.
 
         The rest is left out in equal shares below and above. NaN where there is no power.
         """
@@ -235,10 +235,10 @@ LAGS = 20
 """Lags of the portmanteau test."""
 
 CONFIDENT = 0.01
-"""Probability below which a residual is not called white."""
+"""p-value below which a residual is not white."""
 
 SMALL = 0.1
-"""Autocorrelation below which a colour does not matter: it explains 1 % of the next residual."""
+"""Autocorrelation below which colour is negligible: it explains 1 % of the next residual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +281,7 @@ class Whiteness:
 
     @property
     def white(self) -> Mask:
-        """Where nothing speaks against whiteness (C,)."""
+        """Which channels pass the test of whiteness (C,)."""
         return ~(self.p_value < CONFIDENT)
 
     @property

@@ -16,48 +16,48 @@ from bellows_ros.core.tuples import Quaternion, Vector
 import numpy as np
 
 LARGEST_SPEED = 20.0
-"""No arm is faster (m/s) ..."""
+"""Largest speed of an arm, m/s."""
 
 LARGEST_RATE = 60.0
-"""... nor turns faster (rad/s)."""
+"""Largest angular speed of an arm, rad/s."""
 
 UNIT_WITHIN = 0.01
-"""A quaternion whose length is off by more is refused, by less is scaled to unit length."""
+"""A quaternion whose length is off by more is refused; otherwise it is normalised."""
 
 
 LONGEST_GAP_NS = 500_000_000
-"""After a longer time without poses the package's motion is unknown: start from rest again."""
+"""After a longer gap (ns) the package's motion is unknown, and prediction restarts from rest."""
 
 BACKWARD_RUN = 5
-"""So many backward stamps in a row, themselves increasing, are a clock that was set back."""
+"""Consecutive backward stamps, increasing among themselves, that mean a clock set back."""
 
 FAR_BACKWARD_RUN = 3
-"""The same where they lie further back than any late message: a recording that starts again."""
+"""The same, further back than any late message: a recording that starts again."""
 
 LEAP_NS = 20_000_000
 LEAP_PERIODS = 4
-"""Stamps further ahead (ns, periods) of their arrival than before leap: one does not count."""
+"""Lead (periods) over earlier stamps relative to arrival that makes a stamp a leap."""
 
 SETTLED_AFTER = 10
-"""Poses after which it is known how far stamps lie behind their arrivals."""
+"""Poses needed to know the delay between stamps and arrivals."""
 
 ACCEPTED = ''
 
 
 class Verdict(NamedTuple):
-    """What is to be done with a pose."""
+    """The decision on a pose."""
 
     refused: str
-    """Why it is refused, or nothing."""
+    """Why the pose is refused, or ''."""
     restart: str
-    """Why everything starts afresh with this pose, or nothing."""
+    """Why prediction restarts with this pose, or ''."""
 
 
 GOOD = Verdict(ACCEPTED, '')
 
 
 def why_no_pose(o: Vector, q: Quaternion) -> str:
-    """Return why numbers are no pose, or nothing."""
+    """Return why numbers are not a pose, or ''."""
     squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
     if not math.isfinite(o[0] + o[1] + o[2] + squared):
         return 'nan'
@@ -122,7 +122,7 @@ class StampScreen:
         return GOOD
 
     def accept_stamp(self, stamp_ns: int, arrival_ns: int | None, restart: str) -> None:
-        """Compare what follows with this stamp; with a restart, with nothing before it."""
+        """Make this stamp the reference; after a restart, the only one."""
         if restart:
             self.forget_stamps()
         elif self.newest_ns >= 0:
@@ -143,7 +143,7 @@ class StampScreen:
         self._accepted += 1
 
     def _leaps_alone(self, stamp_ns: int, age_ns: int) -> bool:
-        """Return whether a stamp lies in the future, and the one before it did not."""
+        """Return whether a stamp, unlike the previous one, lies in the future."""
         ahead_ns = self._least_age_ns - age_ns
         if ahead_ns <= LEAP_NS or self._accepted < SETTLED_AFTER:
             self._leap_ns = -1
@@ -154,7 +154,7 @@ class StampScreen:
         return not 0 <= before < stamp_ns
 
     def _judge_backward(self, stamp_ns: int) -> Verdict:
-        """Refuse stamps that go back until they have done so long enough."""
+        """Refuse stamps that go back until this persists."""
         if self._backward_run and stamp_ns <= self._backward_last_ns:
             self._backward_run = 0
         self._backward_run += 1
@@ -165,7 +165,7 @@ class StampScreen:
         return Verdict('backward_stamp', '')
 
     def _judge_ahead(self, stamp_ns: int, arrival_ns: int | None) -> Verdict:
-        """Tell a pause, after which all starts from rest, from a stamp in the future."""
+        """Distinguish a pause, after which prediction restarts, from a stamp in the future."""
         if arrival_ns is None or self._newest_arrival_ns is None:
             return Verdict(ACCEPTED, 'gap')
         waited = arrival_ns - self._newest_arrival_ns
@@ -247,7 +247,7 @@ def _is_rather_lost(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps]) -> boo
 
 
 def _are_plain(stamps_ns: Stamps, arrivals_ns: Stamps | None) -> bool:
-    """Return whether the screen would surely accept all stamps, so that none need be judged."""
+    """Return whether the screen would accept all stamps, so that checking each is unnecessary."""
     steps = np.diff(stamps_ns)
     if np.any(steps <= 0):
         return False

@@ -65,11 +65,11 @@ NO_PARAMETERS = slice(0, 0)
 if COMPILED:
     @kernel
     def columns(n: int) -> Iterable[Any]:
-        """Return what to go through n columns by."""
+        """Return the range over n columns."""
         return range(n)
 else:
     def columns(n: int) -> Iterable[Any]:
-        """Return what to go through n columns by."""
+        """Return the range over n columns."""
         return (slice(None),)
 
 
@@ -147,7 +147,7 @@ def rate_changes(
 
 @kernel
 def followed(S: Any, c: Any, E: Matrix, sigma: Vector, h: float, slope: Change) -> Change:
-    """Return the change of a state that has moved from where it changed by S, in its own axes."""
+    """Return the change of a state, in its own axes, after it moved from where S applies."""
     start = change_at(S, c)
     return (
         apply_transposed(E, add_scaled(start[0], h, slope[0])),

@@ -41,7 +41,7 @@ def state_row(position: ArrayLike, quaternion_xyzw: ArrayLike, twist: ArrayLike)
 @dataclass(frozen=True, eq=False, slots=True)
 class Rows:
     """
-    A tool's motion that is known to be sound, as the kernels take it.
+    A checked motion of the tool in the form of the kernels.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Rows:
         return np.asarray((self.stamps_ns - self.stamps_ns[0]) / NS_PER_S)
 
     def trajectory(self) -> Trajectory:
-        """Return the same, checked."""
+        """Return it as a checked trajectory."""
         return Trajectory(self.stamps_ns, self.rows[:, :3],
                           quaternion_to_rotation(self.rows[:, 3:7]), self.rows[:, 7:])
 

@@ -66,32 +66,32 @@ import numpy as np
 METHODS = ('inverse', 'zv', 'zvd')
 
 GRID = 0.001
-"""Spacing (s) of the motions that come out."""
+"""Spacing (s) of the resulting motion."""
 
 SPACING, JUMP, LITTLE = 0.005, 100.0, 0.1
 """Spacing (s) at which the fourth derivative is looked at, and changes that are none: of this size
 (m/s^4), or this part of it."""
 STEEPEST = 0.25 * math.pi
-"""The cup's restoring moment is largest at this bending (rad)."""
+"""Bending (rad) at which the cup's restoring moment is largest."""
 PARTS = 5
-"""It is smoothed on points so many times as near ..."""
+"""Smoothing uses points this many times closer ..."""
 SMOOTHED, LONGEST_SMOOTHING = 0.12, 0.2
 """... over this part of its duration, but no longer than this (s): a longer time makes the rest so
 quick that a cup known to 5 % swings, a shorter one the tool jerk."""
 
 RATE_PER_STEP = 0.4
-"""Largest relaxation rate of the cup times step: RK4 is accurate there to 1e-4 of what relaxes."""
+"""Relaxation rate of the cup times step; RK4 is then accurate to 1e-4."""
 FASTEST = 1e5
-"""A cup whose damper is so weak that it relaxes at a higher rate (1/s) is not inverted."""
+"""A cup that relaxes faster (1/s), because its damper is weak, is not inverted."""
 ARRIVED = (2e-5, 1e-4)
-"""The tool has arrived where no more than this way is left to it (m, rad)."""
+"""The tool has arrived when this is left to go (m, rad)."""
 LONGEST_ARRIVAL = 12.0
-"""It is waited for no longer than so many of the cup's longest relaxation times."""
+"""Longest wait for the arrival, in the cup's longest relaxation times."""
 
 SWINGING = SETTLED
-"""Modes that the plan leaves turning the package by more (rad) are shaped ..."""
+"""Modes that the plan leaves swinging by more than this (rad) are shaped ..."""
 ALIKE = 0.05
-"""... those whose frequencies differ by less than this part as one."""
+"""... and modes whose frequencies differ by less than this fraction are shaped as one."""
 
 
 class Mode(NamedTuple):
@@ -102,7 +102,7 @@ class Mode(NamedTuple):
     damping: float
     """Ratio to the critical one."""
     tilt: float
-    """By how much it turns the package after a plan, rad."""
+    """Rotation of the package by this mode after a plan, rad."""
 
 
 # -------------------------------------------------------------------------------------- inverse
@@ -121,7 +121,7 @@ def inverse3(A: Matrix) -> Matrix:
 
 @kernel
 def needed_wrench(model: ModelTuple, body: State, dv: Vector, dw: Vector) -> Wrench:
-    """Return the wrench at the lip, in S axes, that gives the package these rates (3.5)."""
+    """Return the wrench at the lip, in S axes, that causes these rates of the package (3.5)."""
     mass, com, inertia, _ = model[1]
     _, q, v, w = body
     f = scale(mass, subtract(
@@ -135,7 +135,7 @@ def leading_tool(
     model: ModelTuple, tool: State, body: State, dv: Vector, dw: Vector
 ) -> State:
     """
-    Return the tool with the twist at which the cup gives the package these rates.
+    Return the tool with the twist at which the cup causes these rates of the package.
 
     D1(H) v1 = f_spring(H) - f_needed at S1 (3.27, 3.33) is solved for the relative twist.
     """
@@ -244,7 +244,7 @@ def _lead(
 
 def relaxation_rates(model: ModelTuple) -> Array:
     """
-    Return the rates (1/s) at which the cup relaxes under a given wrench: those of P^-1 K.
+    Return the rates (1/s) at which the cup relaxes under a wrench: those of P^-1 K.
 
     Raises
     ------
@@ -347,7 +347,7 @@ def _led(
 
 
 def _too_far() -> BellowsError:
-    """Return the error for a motion that no cup can give."""
+    """Return the error for a motion beyond the cup's reach."""
     return BellowsError(
         'This motion of the package would bend the cup by more than 45 degrees. Give the motion '
         'more time, or use --method zvd.')
@@ -395,7 +395,7 @@ def _smooth_rows(wanted: Trajectory) -> tuple[Array, float]:
 
 def is_smooth(motion: Trajectory) -> bool:
     """
-    Tell whether a motion from rest to rest has four continuous derivatives.
+    Return whether a motion from rest to rest has four continuous derivatives.
 
     Where it has not, the change of the fourth from one point to the next does not become smaller
     with their distance.
@@ -455,7 +455,7 @@ def impulses(modes: Sequence[Mode], method: str) -> tuple[Array, Array]:
 
 
 def to_shape(modes: Sequence[Mode]) -> list[Mode]:
-    """Return the modes that swing, those alike as one: the mean, weighted by how they swing."""
+    """Return the modes that swing; similar ones are merged, weighted by their swing."""
     groups: list[list[Mode]] = []
     for mode in (mode for mode in modes if mode.tilt > SWINGING):
         if groups and mode.frequency < (1.0 + ALIKE) * groups[-1][-1].frequency:
@@ -487,9 +487,9 @@ class Steered(NamedTuple):
     package: Trajectory
     """Poses of B as wanted, at the tool's stamps."""
     smoothed: float
-    """Over what time (s) the wanted motion was smoothed; 0 where it was C^4."""
+    """Time (s) over which the wanted motion was smoothed; 0 if it was C^4."""
     modes: list[Mode]
-    """Of the package, that the plan makes swing and that are shaped."""
+    """Modes of the package that the plan excites and that are shaped."""
 
 
 def steer(
@@ -554,7 +554,7 @@ def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
 
 
 def carried(motion: Trajectory, T: Array) -> Trajectory:
-    """Return the motion of what stands at poses T (4, 4) or (N, 4, 4) in what moves."""
+    """Return the motion of frames at poses T (4, 4) or (N, 4, 4) on a moving body."""
     moved = transform(motion.rotation, motion.position) @ T
     twist = apply_all(adjoint(inverse_transform(T)), np.asarray(motion.twist))
     return Trajectory(motion.stamps_ns, moved[:, :3, 3], moved[:, :3, :3], twist)

@@ -16,10 +16,10 @@ AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 """Names of the six directions: translations, then rotations."""
 
 Block = tuple[tuple[int, float], ...]
-"""Axes that are coupled with each other, each with the sign it is taken with."""
+"""Axes coupled with each other, each with its sign."""
 
 Entry = tuple[int, int, float]
-"""Row and column in the upper triangle, and the sign with which the parameter stands there."""
+"""Row and column in the upper triangle, and the parameter's sign there."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Structure:
 
     @cached_property
     def blocks(self) -> tuple[tuple[Block, ...], ...]:
-        """For every group its blocks, which hold the same numbers."""
+        """The blocks of each group, which hold the same parameters."""
         return tuple(
             tuple(
                 tuple((AXES.index(axis.lstrip('-')), -1.0 if '-' in axis else 1.0)
@@ -133,13 +133,13 @@ class Structure:
         )
 
     def sizes(self, stiffness: Array, damping: Array) -> Array:
-        """Return what is large for each parameter (2 n,): the root of its two diagonal entries."""
+        """Return the scale of each parameter (2 n,): the root of its two diagonal entries."""
         i, j = np.array(self.leads).T
         return np.concatenate([
             np.sqrt(np.abs(M[i, i] * M[j, j])) for M in (stiffness, damping)])
 
     def contains(self, other: 'Structure') -> bool:
-        """Return whether every matrix of another structure is one of this."""
+        """Return whether every matrix of another structure also has this structure."""
         return all(
             np.array_equal(self.matrices(self.parameters(unit, unit))[0], unit)
             for unit in other.basis)
@@ -189,7 +189,7 @@ STRUCTURES = {structure.name: structure for structure in (
     Structure('diagonal', 'no coupling of directions', ('x', 'y', 'z', 'rx', 'ry', 'rz')),
     Structure('full', 'any symmetric matrix', ('x y z rx ry rz',)),
 )}
-"""From the simplest to the richest."""
+"""From the simplest to the most general."""
 
 
 def structure_named(name: str) -> Structure:

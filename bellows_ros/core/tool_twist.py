@@ -110,7 +110,7 @@ def slope_weights(
     n: float, s1: float, s2: float, s3: float, s4: float
 ) -> tuple[float, float, float]:
     """
-    Return the row of the inverse normal matrix of a quadratic fit that gives its slope at s = 0.
+    Return the row of the inverse normal matrix of a quadratic fit that yields its slope at s = 0.
 
     The matrix is [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]] of the sums of powers of s. Where it is
     nearly singular, as of two samples or of two bursts, the slope is that of the fitted line.

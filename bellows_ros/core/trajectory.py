@@ -126,7 +126,7 @@ class TwistStream:
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """
-    Poses of one body over time, with body twists and their derivatives where known.
+    Poses of one body over time, with body twists and their derivatives if known.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def valid_windows(valid: Mask, half_window: int) -> Mask:
 
 
 def checked_stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
-    """Return stamps as an int64 array nobody else writes to, or say what is wrong with them."""
+    """Return stamps as a read-only int64 array, or raise an error."""
     stamps = np.asarray(stamps_ns)
     if stamps.ndim != 1 or not (stamps.size == 0 or np.issubdtype(stamps.dtype, np.integer)):
         raise BellowsError(
@@ -323,7 +323,7 @@ def _freeze_stamps(owner: PoseStream | TwistStream | Trajectory, of: str) -> int
 
 
 def _freeze(owner: object, of: str, name: str, shape: tuple[int, ...]) -> None:
-    """Check one of the owner's float arrays and store it, or a copy where it can be written to."""
+    """Check one of the owner's float arrays and store it, or a copy if it is writeable."""
     array = np.asarray(getattr(owner, name), dtype=np.float64)
     if not _is_frozen(array):
         array = np.array(array, order='C')
@@ -354,13 +354,13 @@ def _freeze_mask(owner: Trajectory, of: str, count: int) -> None:
 
 
 def frozen(array: Array | Stamps) -> Any:
-    """Return an array, read-only from now on, so that what is built from it need not copy it."""
+    """Return an array made read-only, so that objects built from it need not copy it."""
     array.setflags(write=False)
     return array
 
 
 def _is_frozen(array: NDArray[Any]) -> bool:
-    """Return whether nobody can write to an array, nor to the one that it is a part of."""
+    """Return whether an array, and the array that it views, is read-only."""
     base = array.base
     owner_frozen = base is None or (isinstance(base, np.ndarray) and not base.flags.writeable)
     return owner_frozen and not array.flags.writeable

@@ -114,7 +114,7 @@ def _require_all(bags: Path) -> None:
 
 
 def _identify(bag: Path, known: Settings, out: Path, console: Console) -> Identification:
-    """Identify the cup, and write it where it can be used."""
+    """Identify the cup, and write its file."""
     console.say(f'1. Identify the cup from {bag}', 'bold')
     settings = resolve({**known, 'bags': [str(bag)]}, PACKAGE_PARAMETERS)
     with console.progress() as progress:
@@ -127,7 +127,7 @@ def _identify(bag: Path, known: Settings, out: Path, console: Console) -> Identi
 def _predict_and_compare(
     bags: Path, settings: Settings, found: Identification, out: Path, console: Console
 ) -> Outcome:
-    """Play the other recording to the node, compare what it says, and draw it."""
+    """Play the other recording to the node, compare its predictions, and draw them."""
     bag = bags / VALIDATION
     console.say(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
     recorded = load_recording(bag, settings)

@@ -29,7 +29,7 @@ def isolate(log_folder: str) -> None:
 
 def unused_domain() -> int:
     """
-    Return a ROS domain in which nothing on this machine takes part, and keep it for this process.
+    Return a ROS domain that nothing on this machine uses, reserved for this process.
 
     The search starts at a domain of this process, so that runs started together differ.
 

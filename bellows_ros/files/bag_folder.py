@@ -324,7 +324,7 @@ def recording_digest(
     path: str | os.PathLike[str], files: Sequence[Mapping[str, Any]] = ()
 ) -> str:
     """
-    Return the SHA-256 of a recording's messages as stored, the same wherever and however it lies.
+    Return the SHA-256 of a recording's stored messages, independent of place and storage.
 
     Its `digests` are taken again only where they are not given.
 

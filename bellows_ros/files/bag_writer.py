@@ -103,7 +103,7 @@ class Recorded:
         return np.asarray(self.stamps_ns if self.log_times_ns is None else self.log_times_ns)
 
     def messages(self, number: int) -> Iterator[tuple[int, int, bytes]]:
-        """Yield log time, the given number and bytes of each message, by log time."""
+        """Yield log time, connection number and bytes of each message, by log time."""
         log_times = self._log_times()
         order = np.argsort(log_times, kind='stable')
         layout = messages.LAYOUTS[self.type_name]
@@ -137,7 +137,7 @@ class Encoded:
     data: Sequence[bytes]
 
     def messages(self, number: int) -> Iterator[tuple[int, int, bytes]]:
-        """Yield log time, the given number and bytes of each message."""
+        """Yield log time, connection number and bytes of each message."""
         for stamp_ns, data in zip(self.stamps_ns, self.data, strict=True):
             yield int(stamp_ns), number, data
 

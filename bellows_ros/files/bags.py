@@ -41,7 +41,7 @@ LARGEST_TEMPORARY = 16 * 2**30
 SQLITE_MAGIC = b'SQLite format 3\0'
 
 SHORTEST = 16
-"""Bytes of any message with a header: its encoding, stamp, and the length of a frame's name."""
+"""Bytes of the shortest message with a header: encoding, stamp, and the length of frame_id."""
 
 _BATCH = 8192
 _COPY_STEP = 2**20
@@ -60,7 +60,7 @@ class TopicCount(NamedTuple):
 
 class Contents(NamedTuple):
     """
-    What was read of a recording.
+    The content of a recording.
 
     Parameters
     ----------
@@ -315,7 +315,7 @@ class _Collector:
     """The messages of one topic for one role, decoded in batches as they come."""
 
     def __init__(self, name: str, role: str) -> None:
-        """Start with nothing."""
+        """Start empty."""
         self.role = role
         self._name = name
         self._twists = role.endswith('twist')
@@ -328,7 +328,7 @@ class _Collector:
         self._decoded: list[messages.Decoded] = []
 
     def accepts(self, topic: Topic) -> bool:
-        """Return whether a topic is this one, in a type and an encoding that can be read."""
+        """Return whether a connection is of this topic, with a readable type and encoding."""
         return (
             topic.name == self._name and topic.type_name in self._types and topic.encoding == 'cdr'
         )
@@ -352,7 +352,7 @@ class _Collector:
             self._flush()
 
     def _flush(self) -> None:
-        """Decode what has come."""
+        """Decode the messages collected so far."""
         layout = messages.LAYOUTS[self._type_name]
         part = layout.twist if self._twists else layout.pose
         if self._batch and part:
@@ -425,7 +425,7 @@ def _plain(data: bytes) -> bytes:
 def _file_messages(
     path: Path, wanted: Wanted, counts: dict[Topic, int], lost: list[str]
 ) -> Iterator[Message]:
-    """Yield the wanted messages of a file; its first bytes tell its storage and compression."""
+    """Yield the wanted messages of a file, whose first bytes identify storage and compression."""
     with open_plain(path) as (file, compressed):
         magic = file.read(len(SQLITE_MAGIC))
         file.seek(0)

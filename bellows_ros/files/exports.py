@@ -23,13 +23,13 @@ AXES = ('x', 'y', 'z')
 
 
 HEADER = Path(__file__).with_name('bellows_cup.h')
-"""The model in C, without numbers."""
+"""The model in C, with placeholders for the numbers."""
 
 DOWN = (0.0, 0.0, -STANDARD_GRAVITY)
 
 
 class Exported(NamedTuple):
-    """What is exported."""
+    """The data to export."""
 
     cup: Cup
     package: Package
@@ -39,7 +39,7 @@ class Exported(NamedTuple):
 
 
 class Target(NamedTuple):
-    """A format: what writes it, and what it cannot express."""
+    """A format: its writer, and what it cannot express."""
 
     name: str
     write: Callable[[Exported], str]
@@ -49,7 +49,7 @@ class Target(NamedTuple):
 
 
 def limits(target: Target, cup: Cup) -> list[str]:
-    """Return what is lost on the way to a format, with what of this cup is left out."""
+    """Return what a format cannot express, and what of this cup it leaves out."""
     lost = list(target.limits)
     if target.whole:
         return lost
@@ -194,7 +194,7 @@ def _tensor(values: tuple[float, ...]) -> str:
 
 
 def _dummy(package: Package) -> list[str]:
-    """Return the inertial of a link that should have none."""
+    """Return the inertial of a massless link."""
     moment = DUMMY * float(np.min(np.linalg.eigvalsh(package.inertia)))
     return [
         f'      <inertial><mass>{DUMMY * package.mass!r}</mass>',
@@ -247,7 +247,7 @@ def _braced(values: Any) -> str:
 
 def openplx(exported: Exported) -> str:
     """
-    Return the six-dof suction cup of OpenPLX, the same while it rests and holds.
+    Return the six-dof suction cup of OpenPLX, equivalent at rest and while it holds.
 
     Its z is that of the tool. Its springs are where its connectors meet, by default at the tool.
     """

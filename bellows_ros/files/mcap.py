@@ -124,7 +124,7 @@ class _Source:
             size -= step
 
     def ends_well(self) -> bool:
-        """Read what is left, and return whether it ends as an MCAP file does."""
+        """Read the rest, and return whether it ends as an MCAP file does."""
         while self.read(_SKIP_STEP):
             pass
         return self.at >= 2 * len(MAGIC) and self._tail == MAGIC
@@ -139,7 +139,7 @@ class _Scan:
     """The schemas and channels met so far."""
 
     def __init__(self, wanted: Wanted, counts: dict[Topic, int]) -> None:
-        """Start with nothing."""
+        """Start empty."""
         self._wanted = wanted
         self._counts = counts
         self._schemas: dict[int, str] = {}
@@ -194,7 +194,7 @@ class _Scan:
 
 
 class _Fields(io.BytesIO):
-    """The fields of a record, taken one after the other."""
+    """The fields of a record, read in order."""
 
     def number(self, form: str) -> int:
         """Take an unsigned number."""

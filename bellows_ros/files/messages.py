@@ -35,7 +35,7 @@ BOOL = 'std_msgs/msg/Bool'
 @dataclass(frozen=True)
 class Layout:
     """
-    What follows the stamp of a message type.
+    The fields after the stamp of a message type.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int] | None:
 
 
 def _dtype(head: bytes, size: int, layout: Layout) -> np.dtype[np.void] | None:
-    """Return how messages with this head lie in memory, or None if that is not the layout."""
+    """Return the memory layout of messages with this head, or None if it differs."""
     if head[0] or head[1] > 1:  # not plain CDR
         return None
     order = '<' if head[1] else '>'
@@ -254,7 +254,7 @@ def encode_bool(value: bool) -> bytes:
 
 
 def decode_bool(message: bytes) -> bool | None:
-    """Return what a std_msgs/Bool says; None where it is damaged."""
+    """Return the value of a std_msgs/Bool, or None if it is damaged."""
     sound = len(message) > 4 and message[0] == 0 and message[1] <= 1 and message[4] <= 1
     return bool(message[4]) if sound else None
 

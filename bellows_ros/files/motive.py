@@ -104,7 +104,7 @@ def read_motive(
 
 
 def is_motive(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file begins as Motive's exports do."""
+    """Return whether a file begins like an export of Motive."""
     with Path(path).open('rb') as file:
         return file.read(200).lstrip(b'\xef\xbb\xbf"').startswith(b'Format Version')
 

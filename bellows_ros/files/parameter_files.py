@@ -150,7 +150,7 @@ def format_parameters(values: Mapping[str, object], header: Sequence[str] = ()) 
 def _sections(
     file: Path, content: Mapping[str, Any], node: str | None
 ) -> list[tuple[tuple[str, ...], Mapping[str, Any]]]:
-    """Return the parts of a file that are meant for a node, with the keys that lead to each."""
+    """Return the parts of a file for a node, with the keys that lead to each."""
     every = list(_ros_sections(content, ()))
     if not every:
         return [((), content)]
@@ -172,7 +172,7 @@ def _sections(
 
 
 def _ros_sections(content: Mapping[str, Any], keys: tuple[str, ...]) -> Iterator[tuple[Any, Any]]:
-    """Yield what stands under each `ros__parameters`, with the keys that lead to it."""
+    """Yield the content of each `ros__parameters`, with the keys that lead to it."""
     for key, value in content.items():
         if key == _SECTION:
             yield (*keys, key), value

@@ -35,7 +35,7 @@ class NoArmError(BellowsError):
 
 
 class JointPlan(NamedTuple):
-    """Positions of an arm's joints over time, rad and m, with rates where they are given."""
+    """Positions of an arm's joints over time, rad and m, with rates if given."""
 
     frame_id: str
     stamp_ns: int
@@ -159,7 +159,7 @@ def joint_plan(message: Any) -> JointPlan:
 
 def recorded_joints(path: str | os.PathLike[str], arm: Arm) -> PlanMessage:
     """
-    Return the tool poses that recorded joint states make, with twists where they have velocities.
+    Return the tool poses of recorded joint states, with twists if they have velocities.
 
     Raises
     ------

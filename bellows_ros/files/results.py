@@ -62,7 +62,7 @@ def write_result(path: str | os.PathLike[str], result: Mapping[str, Any]) -> Non
 
 
 def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
-    """Write any mapping as JSON in the same form, whole or not at all."""
+    """Write a mapping as JSON, whole or not at all."""
     atomic.write_text(path, format_json(content))
 
 
@@ -190,7 +190,7 @@ def provenance(
     parameter_files: Iterable[str | os.PathLike[str]] = (),
 ) -> dict[str, Any]:
     """
-    Return all that a result depends on beside its settings, the same for the same files.
+    Return what a result depends on besides its settings, the same for the same files.
 
     Returns
     -------

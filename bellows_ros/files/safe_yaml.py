@@ -84,7 +84,7 @@ for _name, _form in _NUMBERS.items():
 
 def load(path: Path, aliases: bool = False) -> Any:
     """
-    Return the content of a YAML file: dicts, lists, strings, numbers, truth values and None.
+    Return the content of a YAML file: dicts, lists, strings, numbers, booleans and None.
 
     Raises
     ------

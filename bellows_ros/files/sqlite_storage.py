@@ -70,7 +70,7 @@ def _require_closed(path: Path) -> None:
 
 
 def _require_whole(path: Path) -> None:
-    """Refuse a file shorter than its header says; SQLite would take what is missing for zeros."""
+    """Refuse a file shorter than its header says; SQLite would read the rest as zeros."""
     with path.open('rb') as file:
         header = file.read(_HEADER)
         size = file.seek(0, os.SEEK_END)
@@ -87,7 +87,7 @@ def _require_whole(path: Path) -> None:
 
 def _require_plain(database: sqlite3.Connection) -> None:
     """
-    Refuse a database that computes what it seems to hold.
+    Refuse a database whose content is computed, as by views.
 
     One step of SQLite's machine may then take any time: steps bound the work on stored values.
     """

@@ -37,7 +37,7 @@ LARGEST_NUMBER = 1e30
 @dataclass(frozen=True, eq=False)
 class Summary:
     """
-    What a file holds.
+    The content of a file.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def _packed(value: Any, name: str, arrays: dict[str, Any]) -> Any:
 
 
 def _unpacked(kind: Any, value: Any, arrays: Mapping[str, Any]) -> Any:
-    """Return what was packed, of a type; raise TypeError if it is of another."""
+    """Return a packed value of a type; raise TypeError for another type."""
     if isinstance(kind, UnionType):
         if value is None:
             return None

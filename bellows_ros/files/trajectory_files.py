@@ -34,7 +34,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
 
 def read_kitti(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
     """
-    Read the poses of a KITTI file, and their times (s) of a file beside it.
+    Read the poses of a KITTI file, and their times (s) from a file beside it.
 
     That is named NAME_times.txt, or times.txt. See `read_tum` for what is returned.
     """
@@ -160,7 +160,7 @@ def write_urscript(
     frame: str,
 ) -> None:
     """
-    Write a program that a Universal Robots arm runs: its tool goes through poses in equal steps.
+    Write a program for a Universal Robots arm that moves the tool through evenly timed poses.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def _seconds_to_ns(path: str | os.PathLike[str], number: int, cell: str) -> int:
 
 
 def _digits(text: str) -> bool:
-    """Return whether a text is digits from 0 to 9 and nothing else."""
+    """Return whether a text consists of digits from 0 to 9."""
     return text.isascii() and text.isdigit()
 
 

@@ -21,12 +21,12 @@ TF, STATIC_TF = 'tf2_msgs/msg/TFMessage', '/tf_static'
 NS_PER_S = 1_000_000_000
 
 LONGEST_GAP = 4.0
-"""Over a longer time without a link's transform, in its usual steps, nothing is interpolated."""
+"""Gaps in a link's transforms longer than this many periods are not interpolated."""
 
 
 class Link(NamedTuple):
     """
-    A frame in its parent: poses (N, 4, 4) at stamps (ns), one of them where it is fixed.
+    A frame in its parent: poses (N, 4, 4) at stamps (ns), one if it is fixed.
 
     Bad: how many others are no poses.
     """
@@ -39,7 +39,7 @@ class Link(NamedTuple):
 
 def read_transforms(path: str | os.PathLike[str]) -> dict[str, Link]:
     """
-    Return the links of all frames in a recording by their names; what is fixed counts once.
+    Return the links of all frames in a recording by name; a fixed link counts once.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def read_transforms(path: str | os.PathLike[str]) -> dict[str, Link]:
 
 
 def _link(parent: str, series: Mapping[int, tuple[float, ...]]) -> Link:
-    """Return a link in the order of its stamps, without what is not finite or no rotation."""
+    """Return a link in the order of its stamps, without invalid transforms."""
     stamps = np.array(sorted(series), dtype=np.int64)
     rows = np.array([series[stamp] for stamp in stamps.tolist()])
     length = np.linalg.norm(rows[:, 3:], axis=1)
@@ -149,7 +149,7 @@ def _way(links: Mapping[str, Link], frame: str, of: str) -> list[str]:
 
 
 def _along(links: Mapping[str, Link], way: list[str], stamps: Stamps) -> tuple[Array, Mask]:
-    """Return poses (N, 4, 4) of the first frame of a way above its last, and which are known."""
+    """Return poses (N, 4, 4) of the first frame of a path above its last, and which are valid."""
     T: Array = np.tile(np.eye(4), (len(stamps), 1, 1))
     valid: Mask = np.ones(len(stamps), dtype=bool)
     for name in way:
@@ -159,7 +159,7 @@ def _along(links: Mapping[str, Link], way: list[str], stamps: Stamps) -> tuple[A
 
 
 def _at(link: Link, stamps: Stamps) -> tuple[Array, Mask]:
-    """Return the poses of a link at stamps, and whether each is known."""
+    """Return the poses of a link at stamps, and which are valid."""
     if len(link.stamps_ns) == 1:
         return np.repeat(link.poses, len(stamps), axis=0), np.ones(len(stamps), dtype=bool)
     there = Trajectory(link.stamps_ns, link.poses[:, :3, 3], link.poses[:, :3, :3])

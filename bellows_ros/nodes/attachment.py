@@ -73,7 +73,7 @@ class Attachment:
     def _answer(
         self, held: bool, words: str, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        """Do what a service was asked for."""
+        """Carry out a service request."""
         response.success = self._change(held, 'service')
         response.message = words if response.success else 'The node is not active.'
         if response.success:

@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 QUEUE = 1000
-"""Messages kept on the way, for subscriptions that are slow for a moment."""
+"""Queue size, for subscriptions that are briefly slow."""
 
 LISTENER_TIMEOUT = 5.0
 """How long (s) to wait for a subscriber."""

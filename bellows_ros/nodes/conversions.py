@@ -32,7 +32,7 @@ TOOL_POSES = {
         PoseWithCovarianceStamped, attrgetter('pose.pose.position', 'pose.pose.orientation')),
     'odometry': (Odometry, attrgetter('pose.pose.position', 'pose.pose.orientation')),
 }
-"""By the name of the parameter tool_pose.type: the message, and what is in it."""
+"""By the parameter tool_pose.type: the message type, and what it contains."""
 
 NANOSECONDS = 1_000_000_000
 NO_STAMP = 0
@@ -122,7 +122,7 @@ def write_odometry(
 
 
 def write_payload(message: InertiaStamped, frame_id: str, payload: Payload) -> None:
-    """Write a payload as it is estimated, in the frame of the lip."""
+    """Write an estimated payload, in the frame of the lip."""
     write_header(message, payload.stamp_ns, frame_id)
     inertia, entries = message.inertia, payload.inertia
     inertia.m = payload.mass

@@ -23,13 +23,13 @@ QUEUE = 10_000
 """Length of the queues: nothing is lost while this process is busy."""
 
 DISCOVERY_TIMEOUT = 90.0
-"""How long (s) the predictor may take to start; without a cache it compiles first."""
+"""Longest wait (s) for the predictor to start; without a cache it compiles first."""
 
 ANSWER_TIMEOUT = 5.0
-"""How long (s) an answer, or the last predictions, may take."""
+"""Longest wait (s) for an answer, or for the last predictions."""
 
 PROBE_LEAD_NS = 3_600_000_000_000
-"""Probes are stamped an hour before the recording, so that they differ from it."""
+"""Probes are stamped an hour before the recording, so that they can be recognised."""
 
 TWISTS = Topic('tool_arm/twist', 'geometry_msgs/msg/TwistStamped', 'cdr')
 POSES = Topic('tool_arm/pose', 'geometry_msgs/msg/PoseStamped', 'cdr')
@@ -38,7 +38,7 @@ POSES = Topic('tool_arm/pose', 'geometry_msgs/msg/PoseStamped', 'cdr')
 @dataclass(frozen=True, eq=False)
 class Exchange:
     """
-    What went to the predictor and what came back.
+    Messages sent to the predictor and received from it.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ UPSIDE_DOWN = 0.5
 
 class Diagnostics:
     """
-    Watch a predictor and say how it is.
+    Watch a predictor and report its state.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class Diagnostics:
         return [*lines, *(line for line in others if line)]
 
     def _is_above(self, last: Prediction) -> bool:
-        """Return whether z of the tool points down, so that the package is above it."""
+        """Return whether the tool's z axis points down, so that the package is above it."""
         z = np.array(rotation_matrix(last.tool[1])[2::3])
         return bool(z @ self._gravity > UPSIDE_DOWN * np.linalg.norm(self._gravity))
 

@@ -28,7 +28,7 @@ class GuardedNode(Node):
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        """Make the node; rclpy makes its first subscriptions here."""
+        """Create the node; rclpy creates its first subscriptions here."""
         self.failures: Counter[str] = Counter()
         super().__init__(*arguments, **options)
 
@@ -88,7 +88,7 @@ class GuardedNode(Node):
             timer_period_sec, self.guarded(callback), *more, **options)
 
     def _only_possible_times(self, callback: Callable[[Clock], Any]) -> Callable[[Clock], Any]:
-        """Return a callback that leaves out times before 1970, at which rclpy raises."""
+        """Return a callback that drops times before 1970, for which rclpy raises."""
         def call(message: Clock) -> None:
             if message.clock.sec >= 0:
                 callback(message)

@@ -12,7 +12,7 @@ WIDTH = 96
 @dataclass(frozen=True)
 class Interface:
     """
-    What a node is for and what it is connected with.
+    Purpose and connections of a node.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Interface:
 
 
 def help_text(interface: Interface) -> str:
-    """Return what `--help` prints: purpose, topics and services, parameters, examples."""
+    """Return the text of `--help`: purpose, topics and services, parameters, examples."""
     parts = [
         f'usage: {interface.name} [--help] [--version] [--ros-args ...]\n\n'
         + textwrap.fill(interface.purpose, WIDTH),

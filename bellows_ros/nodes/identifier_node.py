@@ -30,7 +30,7 @@ SHOWN = [p.name for p in parameters_of('identifier') if p.name.startswith(OF_THE
 
 class IdentifierNode(TableNode):
     """
-    Identify a cup once, beside the executor, and show the result as parameters.
+    Identify a cup once, beside the executor, and offer the result as parameters.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class IdentifierNode(TableNode):
     # --------------------------------------------------------- beside the executor
 
     def _do_work(self, settings: Mapping[str, Any]) -> None:
-        """Identify and write the files, in a thread that touches nothing of ROS."""
+        """Identify and write the files, in a thread without ROS calls."""
         try:
             result = identify(settings, lambda stage, fraction: self._stages.append(stage))
             wanted = result.values
@@ -152,5 +152,5 @@ class IdentifierNode(TableNode):
         self.get_logger().info(f"Set the cup on '{name}'.")
 
     def close(self) -> None:
-        """End; work that still goes on is left behind, as it writes its files only when done."""
+        """Stop; unfinished work is abandoned, since files are written only at its end."""
         self.destroy_node()

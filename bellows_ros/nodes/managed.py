@@ -62,7 +62,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         return str(self._state_machine.current_state[1])
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Configure, or say why not and leave nothing half made."""
+        """Configure, or log why not and leave nothing behind."""
         self._before = {*self.publishers, *self.subscriptions, *self.services}
         try:
             self.configure()

@@ -14,7 +14,7 @@ from ..core.tuples import add_scaled, apply, rotation_matrix, Vector
 
 NAMESPACE = 'bellows_ros'
 PERIOD_NS = 40_000_000
-"""Time (ns) between two pictures."""
+"""Time (ns) between two sets of markers."""
 
 METRES_PER_NEWTON = 0.005
 CUP_WIDTH = 0.04
@@ -37,7 +37,7 @@ class Picture:
         self._last_ns = 0
 
     def is_due(self, stamp_ns: int) -> bool:
-        """Return whether it is time for another picture."""
+        """Return whether the next markers are due."""
         return not 0 <= stamp_ns - self._last_ns < PERIOD_NS
 
     def of(self, frame_id: str, model: ModelTuple, prediction: Prediction) -> MarkerArray:

@@ -25,12 +25,12 @@ KINDS = {
 """By the name of the parameter measured.type."""
 
 SHOWN_NS = 5_000_000_000
-"""How long (ns) an alarm is shown in the diagnostics and as the state."""
+"""How long (ns) an alarm stays in the diagnostics and as the state."""
 
 
 class Observing:
     """
-    What the node hears of where the package has been seen.
+    Subscriber to measured poses of the package, and the outputs of the observer.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Observing:
     """
 
     def __init__(self, node: Any, kind: str) -> None:
-        """Listen; nothing changes before the first message."""
+        """Subscribe; nothing changes before the first message."""
         self._with_covariance = kind != 'pose'
         self._live: LivePredictor | None = None
         self._node, self._is_warm, self._said = node, False, 0
@@ -53,14 +53,14 @@ class Observing:
     def set_values(
         self, live: LivePredictor, outputs: Outputs, values: Mapping[str, Any]
     ) -> None:
-        """Take the predictor, and other values; what was known of the package is lost."""
+        """Use another predictor and other values; the estimate starts again."""
         self._live, self._outputs, self._values = live, outputs, values
         if live.observer is not None:
             live.observe(Observer(values))
             self._said = 0
 
     def _on_publishers(self, count: int) -> None:
-        """Compile what is needed when somebody is there who may send."""
+        """Compile once a possible publisher appears."""
         if count and self._live is not None and not self._is_warm:
             self._is_warm = True
             warm_up_observer(self._values, self._live.model)
@@ -99,7 +99,7 @@ class Observing:
             self._estimated.publish(message)
 
     def _say_alarms(self) -> None:
-        """Log what was found to be wrong since the last call."""
+        """Log the alarms since the last call."""
         alarms = self._live.observer.alarms if self._live and self._live.observer else []
         for alarm in alarms[self._said:]:
             self._node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.message}')
@@ -107,7 +107,7 @@ class Observing:
 
     @property
     def alarm(self) -> Alarm | None:
-        """What was found to be wrong in the last moments, if anything."""
+        """The alarm of the last seconds, if any."""
         live = self._live
         if live is None or live.observer is None or not live.observer.alarms:
             return None
@@ -115,7 +115,7 @@ class Observing:
         return newest if live.newest_ns - newest.stamp_ns < SHOWN_NS else None
 
     def status(self, name: str) -> Status | None:
-        """Return the line of the diagnostics; None where nothing was ever heard."""
+        """Return the line of the diagnostics; None if no message ever came."""
         if self._live is None or self._live.observer is None:
             return None
         counts = self._live.observer.counts

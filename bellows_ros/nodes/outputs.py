@@ -171,7 +171,7 @@ class Outputs:
             self._publish_more(prediction, frame_id)
 
     def _publish_more(self, prediction: Prediction, frame_id: str) -> None:
-        """Send what goes on while the tool is extrapolated."""
+        """Publish the outputs that continue while the tool is extrapolated."""
         stamp_ns, values = prediction.stamp_ns, self._values
         if self._odometry.wanted:
             odometry = Odometry()
@@ -195,7 +195,7 @@ class Outputs:
             self._tf.publish(self._tf_message)
 
     def say_state(self, state: str) -> None:
-        """Send what is going on when it has changed; a late listener gets it too."""
+        """Publish the state when it changes; late subscribers get it too."""
         if state != self._said:
             self._said = state
             self._state.publish(String(data=state))

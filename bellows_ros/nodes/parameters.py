@@ -46,7 +46,7 @@ def ros_parameter(name: str, value: object) -> Parameter:
 
 
 def descriptor(parameter: table.Parameter, read_only: bool) -> ParameterDescriptor:
-    """Return what `ros2 param describe` shows: sentence, unit, constraint and range."""
+    """Return the content of `ros2 param describe`: sentence, unit, constraint and range."""
     unit = f' Unit: {parameter.unit}.' if parameter.unit else ''
     described = ParameterDescriptor(
         description=parameter.description + unit,
@@ -102,7 +102,7 @@ class TableNode(GuardedNode):
         results: Collection[str] = (),
         **options: Any,
     ) -> None:
-        """Declare all parameters, with what files and the command line say about them."""
+        """Declare all parameters, with the values from files and the command line."""
         try:
             super().__init__(user, start_parameter_services=False, **options)
         except (RuntimeError, ParameterException) as error:  # the bases of rcl's and rclpy's
@@ -165,7 +165,7 @@ class TableNode(GuardedNode):
         self.declare_parameter(name, initial, described, ignore_override=True)
 
     def _take_given(self, user: str) -> None:
-        """Check what files and the command line say, and fill in the defaults."""
+        """Check the values from files and the command line, and fill in defaults."""
         given = {
             table.lookup(name).name: parameter.value
             for name, parameter in self._parameter_overrides.items()
@@ -197,7 +197,7 @@ class TableNode(GuardedNode):
             return _refused(_why_unknown(unknown[0], self.get_name()))
 
     def _stays_as_it_is(self, parameter: Parameter) -> bool:
-        """Return whether a parameter has this value already."""
+        """Return whether a parameter already has this value."""
         if not self.has_parameter(parameter.name):
             return False
         now = self.get_parameter_or(parameter.name, Parameter(parameter.name))
@@ -209,7 +209,7 @@ class TableNode(GuardedNode):
         return {**self.values, **new}
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Say whether new values are allowed, and change nothing."""
+        """Check new values without changing anything."""
         try:
             self.check_values(self._checked(parameters))
         except BellowsError as error:
@@ -226,7 +226,7 @@ class TableNode(GuardedNode):
 
 class TogetherParameterService(ParameterService):
     """
-    The parameter services of a node, with its own `set_parameters` behind the one of that name.
+    The parameter services of a node, with its own `set_parameters`.
 
     The service of rclpy sets one parameter after the other, whatever the node.
     """
@@ -234,7 +234,7 @@ class TogetherParameterService(ParameterService):
     def _set_parameters_callback(
         self, request: SetParameters.Request, response: SetParameters.Response
     ) -> SetParameters.Response:
-        """Set what belongs together all or nothing, the rest one by one."""
+        """Set parameters that belong together all or none, the others one by one."""
         try:
             parameters = [Parameter.from_parameter_msg(p) for p in request.parameters]
         except (TypeError, ValueError) as error:  # no such type of parameter
@@ -257,7 +257,7 @@ class TogetherParameterService(ParameterService):
 
 
 def _refused(reason: str) -> SetParametersResult:
-    """Return the answer to a call that changed nothing."""
+    """Return the answer to a refused call."""
     return SetParametersResult(successful=False, reason=reason)
 
 
@@ -267,7 +267,7 @@ def _is_ours(parameter: Parameter) -> bool:
 
 
 def _why_unknown(name: str, node: str) -> str:
-    """Return what to say about a parameter that a node does not have."""
+    """Return the message about an unknown parameter."""
     try:
         users = table.lookup(name).used_by
     except BellowsError as error:
@@ -278,7 +278,7 @@ def _why_unknown(name: str, node: str) -> str:
 
 
 def _as_double(parameter: Parameter) -> Parameter:
-    """Return a parameter, its whole number or numbers as doubles if they are meant to be."""
+    """Return a parameter with integers converted to doubles if doubles are expected."""
     if not _is_ours(parameter):
         return parameter
     if (table.lookup(parameter.name).kind, parameter.type_) not in _WHOLE_NUMBERS:

@@ -40,24 +40,24 @@ from ..files.plan_messages import decode_multi_dof, encode_multi_dof, encode_pat
 from ..workflows.plan import in_axes, require_frame, safety_sentence
 
 LONGEST_REQUEST = 10.0
-"""So far ahead (s) package/predict_at may ask."""
+"""How far ahead (s) package/predict_at may ask."""
 
 MOST_WAITING = 4
-"""Messages that wait to be answered; more are refused."""
+"""Messages that may wait for an answer; more are refused."""
 
 SWITCH = 5e-5
 """The live prediction gets the interpreter back from an answer within this time (s)."""
 
 TAIL = 2.0
-"""How long (s) after the end of a plan the package is looked at."""
+"""Time (s) after the end of a plan that is predicted."""
 
 STILL = Prediction(1, *ORIGIN, ZERO, ZERO)
-"""Stands for a package of which nothing is known yet."""
+"""Stands for a package of unknown state."""
 
 
 class Planning:
     """
-    What the node publishes and hears of plans.
+    Subscribers and publishers for plans.
 
     Answers are made in a thread beside the live prediction: the kernels let go of the interpreter,
     and the rest gives it back soon.
@@ -77,7 +77,7 @@ class Planning:
     """
 
     def __init__(self, node: Any, now: Callable[[], Prediction | None]) -> None:
-        """Advertise and listen; messages with many points are taken and sent as bytes."""
+        """Advertise and subscribe; messages with many points are handled as bytes."""
         self._node, self._now = node, now
         self._plan_out = Topic(node, MultiDOFJointTrajectory, 'package/plan')
         self._path_out = Topic(node, Path, 'package/plan_path')
@@ -99,12 +99,12 @@ class Planning:
 
     @property
     def held(self) -> Prediction | None:
-        """The newest prediction, where the cup holds the package."""
+        """The newest prediction of a held package."""
         now = self._now()
         return None if now is None or now.flies else now
 
     def submit(self, work: Callable[..., None], *arguments: Any) -> None:
-        """Let something be done beside the live prediction; too much of it is refused."""
+        """Run work beside the live prediction; refuse it if too much is waiting."""
         self._jobs = [job for job in self._jobs if not job.done()]
         if len(self._jobs) < MOST_WAITING:
             self._jobs.append(self._pool.submit(self._node.guarded(work), *arguments))
@@ -119,7 +119,7 @@ class Planning:
         return any(not job.done() for job in self._jobs)
 
     def forget(self) -> None:
-        """Drop the plan; what is being answered is waited for."""
+        """Drop the plan, after waiting for running answers."""
         wait(self._jobs)
         self._ahead: Ahead | None = None
         self._found: Predicted | Status | None = None
@@ -132,12 +132,12 @@ class Planning:
         self._period_ns = round(0.9e9 / values['plan.rate'])  # ticks are not exact
 
     def _on_publishers(self, matched: Any) -> None:
-        """Compile what is needed when somebody is there who may send a plan."""
+        """Compile once a possible publisher of plans appears."""
         if matched.current_count and not self._is_warm:
             self.submit(self._warm_up)
 
     def _warm_up(self) -> None:
-        """Answer a plan that is none."""
+        """Compile, by answering a dummy plan."""
         still = rows_of(np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
                         np.zeros((9, 6)))
         at_rest = Ahead(still, 0)
@@ -155,7 +155,7 @@ class Planning:
     # --------------------------------------------------------------- messages
 
     def _read(self, data: bytes) -> tuple[PlanMessage, Rows]:
-        """Return a plan as it came, and checked."""
+        """Return a plan as received, and checked."""
         message = decode_multi_dof(data)
         require_frame(message.frame_id, self._values)
         frame = self._live.frame_id
@@ -168,7 +168,7 @@ class Planning:
             self._values['tool_twist.frame'])
 
     def _on_plan(self, data: bytes) -> None:
-        """Say what a plan does to the package, and follow it from now on."""
+        """Predict a plan, and follow it from now on."""
         try:
             message, tool = self._read(data)
             self._ahead = Ahead(tool, message.stamp_ns)
@@ -188,7 +188,7 @@ class Planning:
             self._node.get_logger().warning(f'Plan: {status.message}')
 
     def _refuse(self, what: str, error: BellowsError) -> None:
-        """Say why a message is of no use; the prediction goes on."""
+        """Log why a message is refused; the prediction goes on."""
         self._ahead = self._ahead if what != 'plan' else None
         self._found = Status('plan', Level.WARN, f'The last {what} was refused. {error}', {})
         self._node.get_logger().warning(f'A {what} was refused. {error}')
@@ -209,7 +209,7 @@ class Planning:
             self.submit(self._predict_rest, ahead, now)
 
     def _predict_rest(self, ahead: Ahead, now: Prediction) -> None:
-        """Predict what is left of a plan from a live state."""
+        """Predict the rest of a plan from a live state."""
         try:
             self._answer(Run(
                 self._live.model, self.grip, ahead.rest(now), now.body, 0.0, self._coarse),
@@ -218,7 +218,7 @@ class Planning:
             self._refuse('plan', error)
 
     def _answer(self, run: Run, stamp_ns: int) -> None:
-        """Publish the package along a plan, then see what there is to say of it."""
+        """Publish the package along a plan, then its summary."""
         frame, states = self._live.frame_id, run.states()
         times = run.tool.stamps_ns - run.tool.stamps_ns[0]
         count = thin_out(times, states, self._values['plan.points_rate'],
@@ -253,7 +253,7 @@ class Planning:
         return Status('plan', level, said or 'Nothing speaks against the plan.', values)
 
     def _on_request(self, request: Header) -> None:
-        """Say where the package will be at a stamp, the tool going on as planned or steadily."""
+        """Publish the package at a stamp, with the tool moving as planned or steadily."""
         live, now = self._live, self._now()
         try:
             if now is None:

@@ -50,7 +50,7 @@ LOAD_TICKS = 3
 REPORT_PERIOD = 1.0
 
 CLOCKS_APART_NS = 500_000_000
-"""The valve is switched at the newest pose where the node's clock differs by more (ns)."""
+"""If the node's clock differs by more (ns), the valve is switched at the newest pose."""
 
 BACKWARD = Duration(nanoseconds=-1)
 
@@ -348,7 +348,7 @@ class PredictorNode(ManagedNode):
         self._say_state()
 
     def _say_state(self) -> None:
-        """Say what is going on when it has changed."""
+        """Publish the state when it changes."""
         alarm = self._observing.alarm
         self._outputs.say_state(
             f'alarm: {alarm.cause}' if alarm else self._live.phase(time.monotonic_ns()))

@@ -44,7 +44,7 @@ NO_EQUILIBRIUM = (
 
 class InputReport:
     """
-    Say at each call what `LivePredictor` has refused, missed and restarted since the last.
+    Report what `LivePredictor` refused, missed and restarted since the last call.
 
     Attributes
     ----------

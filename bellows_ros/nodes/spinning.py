@@ -22,7 +22,7 @@ COLLECT_EVERY = 1.0
 
 def executor_for(node: Any) -> Any:
     """
-    Return an executor that holds a node and can spin it, woken by events where that works.
+    Return an executor for a node, woken by events if possible.
 
     It came with rclpy 7.1.4. It takes no guard conditions, and not every middleware can call back;
     it says so with a RuntimeError as soon as it is spun.
@@ -81,7 +81,7 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
 
 
 def _spin(executor: Any, node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
-    """Do one thing after the other, and collect garbage now and then."""
+    """Run callbacks, and collect garbage now and then."""
     due = time.monotonic() + COLLECT_EVERY
     while not (is_asked_to_stop() or node.finished.done()):
         try:

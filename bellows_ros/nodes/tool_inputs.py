@@ -30,7 +30,7 @@ OVERRIDABLE = (
 
 class SensorInput:
     """
-    One subscription and what is known about its messages.
+    One subscription with the statistics of its messages.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class SensorInput:
         self.arrivals.add(arrival_ns, (now_ns - stamp_ns) * 1e-9)
 
     def seen(self, refused: Mapping[str, int]) -> InputSeen:
-        """Return what came since the last call, with the counts of what was refused so far."""
+        """Return the statistics since the last call, with the refused messages so far."""
         before, self._refused = self._refused, dict(refused)
         last_ns = self.arrivals.last_ns
         silent = (time.monotonic_ns() - last_ns) * 1e-9 if last_ns >= 0 else float('inf')
@@ -168,6 +168,6 @@ class TransformInput(SensorInput):
         return super().seen({**refused, 'no_transform': self._chain.dropped})
 
     def _mismatch(self, publishers: int) -> Mismatch | None:
-        """Return why there is no pose, where there is a publisher."""
+        """Return why there is no pose although there is a publisher."""
         missing = self._chain.missing if publishers and self.arrivals.is_empty else ''
         return Mismatch('frames', missing) if missing else super()._mismatch(publishers)

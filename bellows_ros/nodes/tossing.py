@@ -24,13 +24,13 @@ from ..core.live.flight import Flight, Landing, PATH_POINTS
 from ..core.release import flight_path
 
 AIM_PERIOD_NS = 200_000_000
-"""Time (ns) between two answers on release/at."""
+"""Period (ns) of release/at."""
 BLUE = (0.36, 0.29, 0.62, 0.9)
 
 
 class Tossing:
     """
-    What the node publishes and hears of a toss.
+    Subscribers and publishers for a toss.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ class Tossing:
         self._landed_ns = self._aimed_ns = 0
 
     def forget(self) -> None:
-        """Wait for what is being sought."""
+        """Wait for a running search."""
         wait([self._aiming] if self._aiming else [])
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
-        """Go on with other values; compile what a landing needs."""
+        """Use other values; compile what a landing needs."""
         self.flight = Flight(values, self._planning.future)
         self._period_ns = round(0.9e9 / values['landing.rate'])  # ticks are not exact
         self.flight.warm_up(model)
@@ -78,7 +78,7 @@ class Tossing:
         self, model: ModelTuple, prediction: Prediction, frame_id: str,
         covariance: Callable[[Prediction], Array],
     ) -> None:
-        """Say where the package would land, and when to release it, as often as is wanted."""
+        """Publish the landing, and when to release, at their rates."""
         now_ns = time.monotonic_ns()
         wanted = self._landing.wanted or self._picture.wanted
         if wanted and now_ns - self._landed_ns >= self._period_ns:
@@ -96,7 +96,7 @@ class Tossing:
             self._aiming = self._pool.submit(self._aim, model, prediction, frame_id)
 
     def _say_when(self, model: ModelTuple, prediction: Prediction, frame_id: str) -> None:
-        """Say when to switch the valve for the target."""
+        """Publish when to switch the valve for the target."""
         after = self.flight.time_to_target(model, prediction)
         if after is not None:
             message = Header(frame_id=frame_id)

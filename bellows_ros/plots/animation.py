@@ -83,7 +83,7 @@ def write_steering(
     path: str | os.PathLike[str], report: SteerReport, note: str, theme: str = 'light',
     progress: Progress | None = None, speed: float = 1.0,
 ) -> None:
-    """Write a motion as planned, and steered beside it; see `write_animation`."""
+    """Write a motion as planned and as steered, side by side; see `write_animation`."""
     values = report.values
     com, box = np.array(values['package.com']), np.array(equivalent_box(values))
     views = []
@@ -134,7 +134,7 @@ def _write(
     path: str | os.PathLike[str], views: Sequence[View], title: str, note: str, theme: str,
     progress: Progress | None, speed: float,
 ) -> None:
-    """Write views beside each other, from the first time to the last of all."""
+    """Write views side by side, from the first time to the last of all."""
     ending = Path(path).suffix.lower()
     if ending not in FRAMES_PER_SECOND:
         raise BellowsError(f"Animation '{path}' must end in .gif or .mp4.")
@@ -202,7 +202,7 @@ def _space(figure: Any, left: float, view: View, colours: Theme) -> Any:
 
 
 def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
-    """Draw one moment into a panel and return what was drawn."""
+    """Draw one moment into a panel and return its artists."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
     scene = view.scene

@@ -12,7 +12,7 @@ PARTS = ((slice(0, 3), 1e3, 'mm'), (slice(3, 6), 180.0 / np.pi, 'degrees'))
 
 def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
     """
-    Draw a motion, its spectrum, and what part of each limit it takes.
+    Draw a motion, its spectrum, and how much of each limit it uses.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
 
 def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     """
-    Draw the load that the motion needs, and below it what of it the cup does not explain.
+    Draw the load that the motion needs, and below it the part unexplained by the cup.
 
     Parameters
     ----------

@@ -121,7 +121,7 @@ def arrange_pair(
 
 
 def broken(values: Array, valid: Mask) -> Array:
-    """Return values with NaN where they are not valid, so that lines are interrupted."""
+    """Return values with NaN where invalid, so that lines are interrupted."""
     shape = (len(values),) + (1,) * (values.ndim - 1)
     result: Array = np.where(valid.reshape(shape), values, np.nan)
     return result

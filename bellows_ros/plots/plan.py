@@ -14,10 +14,10 @@ from .style import Theme
 
 WIDE = (9.4, 4.2)  # inches
 SIGMAS = 2.0
-"""Width of the bands, standard deviations to each side."""
+"""Half width of the bands, standard deviations."""
 
 LARGEST_SHOWN = 4.0
-"""Safety factors are drawn up to so many times the least."""
+"""Safety factors are drawn up to this multiple of the required one."""
 
 DEGREES = 180.0 / math.pi
 STYLES = ('-', '--', ':')
@@ -90,7 +90,7 @@ def _draw_bands(
 
 
 def _legend(panel: Any) -> None:
-    """Name the lines, over what is drawn."""
+    """Draw the legend above the panel."""
     legend = panel.legend(fontsize=8, ncols=3, loc='upper right', handlelength=1.4, frameon=True,
                           facecolor=panel.get_facecolor(), edgecolor='none', framealpha=0.85)
     legend.set_zorder(5)
@@ -110,7 +110,7 @@ def _draw_path(panel: Any, curves: Curves, colours: Theme) -> None:
 
 def margin_figure(margins: Margins, note: str, theme: str = 'light') -> Any:
     """
-    Draw how firmly a grip holds over time, with bands of two standard deviations.
+    Draw the safety factors of a grip over time, with bands of two standard deviations.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def margin_figure(margins: Margins, note: str, theme: str = 'light') -> Any:
 
 
 def _draw_margins(panel: Any, margins: Margins, colours: Theme) -> None:
-    """Draw safety factors, the smallest, what is needed, and where the cup lets go."""
+    """Draw the safety factors, the smallest, the required one, and where the cup lets go."""
     _draw_bands(panel, margins.seconds, margins.factors, margins.std, MODES, colours)
     factor, mode, time = margins.smallest
     panel.plot([time], [factor], 'o', markersize=4.0, color=colours.text,

@@ -16,7 +16,7 @@ from .style import Theme
 
 SIZE = (11.0, 8.4)  # inches
 GAP_PERIODS = 3.0
-"""A line is interrupted where so many sampling periods have no sample."""
+"""A line is interrupted where samples are missing for this many periods."""
 
 LEAST_SPAN = 2.0
 """mm or mrad that an axis shows at least, so that noise at rest does not look like motion."""
@@ -89,7 +89,7 @@ def figures(value: float) -> str:
 
 
 def percent(ratio: float) -> str:
-    """Return a ratio in percent with two figures, or a dash where nothing moved."""
+    """Return a ratio in percent with two figures, or a dash if nothing moved."""
     return f'{figures(100.0 * ratio)} %' if np.isfinite(ratio) else '-'
 
 

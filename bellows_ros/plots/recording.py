@@ -14,7 +14,7 @@ from .style import Theme
 
 def motion_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
     """
-    Draw tool and package against time, each axis, from where they start.
+    Draw tool and package over time, each axis from its start.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def _paint_space(space: Any, colours: Theme) -> None:
 
 
 def set_equal(space: Any, points: Array) -> None:
-    """Show all points, with the same scale along x, y and z."""
+    """Show all points with equal scales along x, y and z."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)

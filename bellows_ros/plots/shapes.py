@@ -22,7 +22,7 @@ def box_corners(centre: Array, R: Array, size: Array) -> Array:
 
 def bellows_rings(top_o: Array, top_R: Array, lip_o: Array, lip_R: Array) -> Array:
     """
-    Return the rings of a bellows that leaves and arrives along the two z axes.
+    Return the rings of a bellows between two z axes.
 
     Parameters
     ----------

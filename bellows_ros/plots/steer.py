@@ -8,7 +8,7 @@ import numpy as np
 from .panels import BELOW_HEAD, name_panel, picture
 
 AFTER = 1.0
-"""The picture goes on for so long (s) after the last motion has ended."""
+"""Time (s) shown after the end of the last motion."""
 
 
 def steer_figure(motions: Mapping[str, Any], note: str, theme: str = 'light') -> Any:

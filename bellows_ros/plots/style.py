@@ -25,7 +25,7 @@ DPI = 150
 
 @dataclass(frozen=True)
 class Theme:
-    """Colours of a picture: what they are for, as matplotlib names them."""
+    """Colours of a picture by purpose, as matplotlib names them."""
 
     background: str
     panel: str
@@ -54,7 +54,7 @@ THEMES: Mapping[str, Theme] = MappingProxyType(
 @contextmanager
 def drawing(theme: Theme) -> Iterator[Any]:
     """
-    Provide `matplotlib.figure` in a theme, drawing to files only: no window, no global state left.
+    Provide `matplotlib.figure` in a theme, for files only: no window, no global state.
 
     Raises
     ------

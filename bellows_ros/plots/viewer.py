@@ -201,7 +201,7 @@ def _send_series(rr: Any, recording: Any, replayed: Replayed, times: list[Any]) 
 
 
 def _blueprint(rr: Any, replayed: Replayed) -> Any:
-    """Return how the viewer is laid out: space on the left, series on the right; it plays."""
+    """Return the layout of the viewer: space on the left, series on the right."""
     rrb = rr.blueprint
     bodies = np.vstack([replayed.motion.tool_position, replayed.position])
     low, high = bodies.min(axis=0), bodies.max(axis=0)

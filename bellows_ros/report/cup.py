@@ -19,7 +19,7 @@ LOWEST_HZ = 0.2
 """Lower end of spectra on a logarithmic axis."""
 
 WIDE = 3.0
-"""Ratio of numbers from which an axis is logarithmic."""
+"""Ratio of values from which an axis is logarithmic."""
 
 NAMES = {'K': ('stiffness', 'Stiffness K'), 'P': ('damping', 'Damping P')}
 
@@ -46,7 +46,7 @@ def cup_content(content: Mapping[str, Any]) -> list[str]:
 
 
 def entry_rows(content: Mapping[str, Any]) -> list[tuple[str, float, float, float, str]]:
-    """Return label, value, standard error (NaN: not known), scale and unit of each parameter."""
+    """Return label, value, standard error (NaN: unknown), scale and unit of each parameter."""
     structure = structure_named(content['structure'])
     rows = []
     for matrix, (key, _) in NAMES.items():

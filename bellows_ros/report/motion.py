@@ -12,11 +12,11 @@ from .svg import Curve, line_chart
 
 MILLI = 1e3
 LEAST_SPAN = 2.0
-"""mm or mrad; an axis that hardly moves is not blown up beyond this."""
+"""Smallest range of an axis, mm or mrad."""
 
 ERROR_SIZE, MARGIN_SIZE = (540.0, 110.0), (1080.0, 220.0)
 LARGEST_SHOWN = 4.0
-"""Safety factors are drawn up to so many times the least."""
+"""Safety factors are drawn up to this multiple of the required one."""
 LOWEST_HZ = 0.4
 """Lower end of spectra on a logarithmic axis."""
 
@@ -86,7 +86,7 @@ def _score_table(found: Validation) -> str:
 
 
 def _verdict(found: Validation) -> str:
-    """Return what the table says, in words."""
+    """Return the meaning of the table, in words."""
     failing = found.failing()
     if failing:
         return f'Errors above {100 * LIMIT:g} % of the motion: {", ".join(failing)}.'

@@ -32,25 +32,25 @@ def heading(text: str) -> str:
 
 
 def paragraph(text: str, kind: str = '') -> str:
-    """Return a paragraph, of a class where one is given."""
+    """Return a paragraph, with a class if given."""
     of_kind = f' class="{kind}"' if kind else ''
     return f'<p{of_kind}>{escape(text)}</p>'
 
 
 def warnings(texts: Sequence[str]) -> str:
-    """Return warnings as a list, or nothing."""
+    """Return warnings as a list, or ''."""
     return bullets(texts, 'warning')
 
 
 def bullets(texts: Sequence[str], kind: str = '') -> str:
-    """Return a list of sentences, or nothing."""
+    """Return a list of sentences, or ''."""
     of_kind = f' class="{kind}"' if kind else ''
     items = ''.join(f'<li>{escape(text)}</li>' for text in texts)
     return f'<ul{of_kind}>{items}</ul>' if texts else ''
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], words: Sequence[int] = (0,)) -> str:
-    """Return a table; numbers to the right, the columns in `words` to the left."""
+    """Return a table with numbers to the right, the columns in `words` to the left."""
     kinds = ['' if i in words else ' class="number"' for i in range(len(head))]
     lines = [_row('th', head, kinds), *(_row('td', row, kinds) for row in rows)]
     return f'<div class="wide"><table>\n{"".join(lines)}</table></div>'

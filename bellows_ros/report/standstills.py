@@ -8,7 +8,7 @@ from .page import bullets, percent, table
 
 
 def standstill_content(content: Mapping[str, Any]) -> list[str]:
-    """Return the standstills of a result, the nominal length, and what they have narrowed."""
+    """Return the standstills of a result, the nominal length, and the reduced errors."""
     found, added = content['static'], content['with_standstills']
     rows = [
         (recording['bag'], f'{recording["package"]["mass"]:.4g} kg', f'{still["duration"]:.1f} s',
@@ -32,7 +32,7 @@ def standstill_content(content: Mapping[str, Any]) -> list[str]:
 
 
 NARROWED = 0.95
-"""A standard error above this part of that without the standstills is not mentioned."""
+"""A standard error is mentioned if standstills reduce it below this fraction."""
 
 
 def selection_content(selection: Mapping[str, Any]) -> list[str]:

@@ -69,7 +69,7 @@ class Scale:
 
 
 def round_numbers(low: float, high: float, most: int) -> list[float]:
-    """Return at most so many multiples of 1, 2 or 5 times a power of ten in a range."""
+    """Return up to some multiples of 1, 2 or 5 times a power of ten in a range."""
     raw = (high - low) / max(most, 1)
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(factor * power for factor in (1.0, 2.0, 5.0, 10.0, 20.0)

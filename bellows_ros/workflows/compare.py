@@ -18,11 +18,11 @@ Path = str | os.PathLike[str]
 
 NOT_COMPARED = ('output.', 'predictor', 'exit_when_done', 'envelope.', 'cup.stiffness',
                 'cup.damping')
-"""Settings that say nothing about how the fit was made."""
+"""Settings that do not affect the fit."""
 
 
 class Difference(NamedTuple):
-    """A setting or a version that differs; None where a fit does not have it."""
+    """A setting or a version that differs; None if a fit lacks it."""
 
     name: str
     before: Any

@@ -282,7 +282,7 @@ def _written(
 
 
 def _read(source: Path, fewest_markers: int) -> list[Body]:
-    """Return the bodies in a file, with what was left out."""
+    """Return the bodies in a file, and what was left out."""
     if not os.path.isfile(source):
         raise BellowsError(
             f"'{source}' is not a file. Give a Motive CSV export, or a TUM, KITTI or EuRoC file."

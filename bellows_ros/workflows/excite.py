@@ -40,13 +40,13 @@ import numpy as np
 Progress = Callable[[str, float], None]
 
 POINT_RATE, UR_RATE = 1000.0, 125.0
-"""Points per second in a recording and in CSV, and in a URScript program, Hz."""
+"""Points per second in recordings and CSV, and in a URScript program, Hz."""
 
 SHORTEST, LONGEST = 5.0, 120.0
-"""Times of a motion, s."""
+"""Range of durations, s."""
 
 STANDSTILLS, EXCITATION, VALIDATION = '1_standstills', '2_excitation', '3_validation'
-"""Names of the recordings of a series, in their order."""
+"""Names of the recordings of a series, in order."""
 
 NO_GRIP = (
     'The safety factor of the grip is unknown and does not limit this motion: set '
@@ -56,7 +56,7 @@ NO_GRIP = (
 @dataclass(frozen=True, eq=False)
 class Excitation:
     """
-    A designed motion and what it is expected to tell.
+    A designed motion and its expected information.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Excitation:
 
     @property
     def errors(self) -> Array:
-        """What to expect as standard error of each entry, (2 n,)."""
+        """Expected standard error of each entry, (2 n,)."""
         return standard_errors(self.design.information)
 
     @property
@@ -98,7 +98,7 @@ class Excitation:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return what somebody should know before the motion."""
+        """Return warnings before the motion."""
         return () if self.grip_known else (NO_GRIP,)
 
     def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
@@ -126,7 +126,7 @@ def excite(
     progress: Progress | None = None, with_series: bool = False,
 ) -> Excitation:
     """
-    Design a motion that tells K and P.
+    Design a motion that is most informative on K and P.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def write_motion(
 
 
 def _require_series(folder: Path) -> None:
-    """Refuse to replace what is not a series and nothing else."""
+    """Refuse to replace anything but a series."""
     for each in folder.iterdir() if folder.is_dir() else ():
         if each.name not in (STANDSTILLS, EXCITATION, VALIDATION) or not each.is_dir():
             raise BellowsError(

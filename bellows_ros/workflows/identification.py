@@ -30,18 +30,18 @@ NOT_OF_THE_CUP = (
     'bags', 'package.files', 'static.bags', 'static.files', 'static.length', 'validation.bags',
     'output.parameters', 'output.json', 'output.report', 'predictor', 'exit_when_done',
 )
-"""Parameters that belong to one run and not into the file of the cup."""
+"""Parameters of one run, which do not belong in the cup file."""
 
 NO_CUP = 'This cup cannot hold a package: see the warnings.'
-"""Why a fit is refused that no predictor can take."""
+"""Reason for refusing a fit that no predictor can use."""
 
 NO_VERDICT = (
     'Summaries hold no poses: what the cup is worth in mm and mrad, and whether what was given is '
     'right, is not known. Give two or three of the recordings themselves to bellows identify.')
-"""Why nothing is said of what a verdict says."""
+"""Reason for a missing verdict."""
 
 UNKNOWN_STD = 1e9
-"""Stands in parameter files for the standard error of an entry of which nothing is known."""
+"""Standard error in parameter files of an entry that is not identifiable."""
 
 NARROWED = 0.95
 """Standard errors are mentioned if they fall below this ratio."""
@@ -49,10 +49,10 @@ NARROWED = 0.95
 FREED = {
     'com': ('package.com', 'm'), 'length': ('cup.length', 'm'),
     'mass': ('package.mass', 'kg'), 'inertia': ('package.inertia', 'kg m^2')}
-"""The parameters of names in fit.free, and their units."""
+"""Parameter and unit of each name in fit.free."""
 
 SHOWN = 6
-"""Parameters that a sentence names."""
+"""Most parameters named in a sentence."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ class Identification:
 
     @property
     def cup_length(self) -> float:
-        """Nominal length that belongs to the fit, m: the given one, or the one that was found."""
+        """Nominal length of the fit, m: given or estimated."""
         found = self.fit.standstills
         return found.length if found else self.parts[0].statistics.cup_length
 
@@ -253,7 +253,7 @@ class Identification:
 
     @property
     def refusals(self) -> tuple[str, ...]:
-        """Why the cup is refused; none where it is not."""
+        """Why the cup is refused; empty if it is not."""
         doubts = self.verdict.refusals if self.verdict else ()
         return doubts if doubts or self.fit.usable else (NO_CUP,)
 
@@ -265,7 +265,7 @@ class Identification:
             raise BellowsError(' '.join([*causes, *self.refusals, *more]))
 
     def header(self) -> list[str]:
-        """Return the lines at the top of the cup file: where its numbers come from."""
+        """Return the lines at the top of the cup file: the origin of its numbers."""
         fit = self.fit
         return [
             f'Identified by bellows_ros {__version__} from {", ".join(self.bags)}',
@@ -314,7 +314,7 @@ def save(
     force: bool = False,
 ) -> None:
     """
-    Write the cup file and the JSON file; None or '' for none.
+    Write the cup file and the JSON file, unless None or ''.
 
     With force the file of a cup that is refused is written, too, and says so.
 

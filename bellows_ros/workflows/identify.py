@@ -34,13 +34,13 @@ Part = Recording | Reduced
 Read = Callable[[Mapping[str, Any]], tuple[list[Part], list['Failed']]]
 
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
-"""Parts of the whole work at which fitting begins and ends, for the progress."""
+"""Fractions of the work at which the fit begins and ends, for the progress."""
 
 MOST_ON_A_PAGE = 20
-"""Recordings that a report shows."""
+"""Most recordings shown in a report."""
 
 BY_SUMMARIES = {'fit.method': 'least_squares'}
-"""Summaries hold the sums that least squares needs, and no poses."""
+"""Summaries hold the sums for least squares, and no poses."""
 
 ONLY_SUMS = (
     'Summaries are fitted by least squares, regardless of fit.method: they contain no poses. '
@@ -50,7 +50,7 @@ OF_ALL_SUMMARIES = (
     'bags', 'fit.compare_recordings', 'static.bags', 'static.files', 'validation.bags',
     'output.parameters', 'output.json', 'package.mass', 'package.inertia', 'package.com',
 )
-"""Parameters that need not be what they were when recordings were reduced."""
+"""Parameters that may differ from those of the reduction."""
 
 
 def identify(
@@ -441,7 +441,7 @@ def selection(
 
 
 def _validated(result: Identification, tell: Progress) -> 'list[Replay]':
-    """Return the free simulations of the recordings for validation, if the cup can hold them."""
+    """Return the free simulations of the validation recordings, if the cup is usable."""
     if not (result.fit.usable and result.values['validation.bags']):
         return []
     from bellows_ros.workflows.replay import replay

@@ -57,7 +57,7 @@ class Motion:
 @dataclass(frozen=True)
 class TopicInfo:
     """
-    A topic, and the quality of its messages where they can be read.
+    A topic, and the quality of its messages if they can be read.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def _topic(
     name: str, type_name: str, messages: int, streams: Mapping[str, Stream],
     problems: Mapping[str, str], start_ns: int,
 ) -> TopicInfo:
-    """Return what is known of a topic."""
+    """Return the description of a topic."""
     mine = {kind: streams[f'{name} {kind}'] for kind in ('pose', 'twist')
             if f'{name} {kind}' in streams}
     if not mine:
@@ -268,7 +268,7 @@ def _assigned(
 def _quality_notes(
     described: tuple[TopicInfo, ...], *guesses: Guess | None
 ) -> list[str]:
-    """Return what is wrong with the topics that would be used."""
+    """Return remarks on the topics that would be used."""
     used = {guess.topic for guess in guesses if guess}
     notes = [f'{topic.name} cannot be used: {topic.problem}' for topic in described
              if topic.problem]
@@ -285,7 +285,7 @@ def _at_rest(
     poses: Mapping[str, PoseStream], pair: Pair, apart: bool
 ) -> tuple[float, dict[str, Any], list[str]]:
     """
-    Return how long both stand still, the settings that follow, and what to know.
+    Return the duration of the initial standstill, the settings from it, and remarks.
 
     Where their worlds are apart, distance and turn say nothing of the bodies.
     """

@@ -24,7 +24,7 @@ import numpy as np
 @dataclass(frozen=True, eq=False)
 class Observed:
     """
-    The package as it was recorded beside three ways to know it, over the same time.
+    The recorded package beside three estimates of it, over the same time.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Observed:
 
     @property
     def sentence(self) -> str:
-        """What became of the measured poses, and what they say of the payload."""
+        """Counts of the measured poses, and the estimated payload."""
         words = {'gate': 'outside the gate', 'not_held': "earlier than the tool's",
                  'future_stamp': "later than the tool's", 'recovered': 'from which it restarted',
                  'out_of_reach': 'where the cup cannot hold it'}

@@ -52,17 +52,17 @@ import numpy as np
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 START_NS = 1_700_000_000_000_000_000
-"""Stamp of the first message of a recording that is made of a plan without a date."""
+"""First stamp of a recording made from a plan without a date."""
 
 YAML, TEXT = ('.yaml', '.yml'), ('.tum', '.txt', '.kitti', '.csv')
 MOTION_RATE = 500.0
-"""Points per second that are taken of a motion of `bellows simulate`, Hz."""
+"""Points per second taken from a motion of `bellows simulate`, Hz."""
 
 AFTER, STANDING_STEP = 1.5, 0.005
-"""A picture goes on for so long (s) after the end, with points so far (s) from each other."""
+"""Time (s) shown after the end, and the spacing of its points."""
 
 LARGEST_FACTOR = 1000.0
-"""Safety factors are drawn no larger."""
+"""Largest safety factor drawn."""
 
 NO_GRIP = (
     'The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
@@ -71,7 +71,7 @@ ENDS_IN_MOTION = (
 
 
 class Source(NamedTuple):
-    """A plan as it was read."""
+    """A plan as read from its file."""
 
     tool: Trajectory
     """E in the plan's frame with body twists."""
@@ -80,13 +80,13 @@ class Source(NamedTuple):
     """Acceleration (3,) in that frame, m/s^2."""
     notes: tuple[str, ...] = ()
     moves: str = ''
-    """What it is a plan of, as the message names it."""
+    """Name of the moved body in the message."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
     """
-    What a picture of a plan shows, until the package has settled or `AFTER` the end.
+    Curves for a picture, until the package has settled or `AFTER` the end.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class Curves:
 @dataclass(frozen=True, eq=False)
 class PlanReport:
     """
-    What a plan does to the package.
+    The effects of a plan on the package.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class PlanReport:
         return tuple(found)
 
     def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
-        """Return the content of the JSON file; SI units, null for what is not known."""
+        """Return the content of the JSON file; SI units, null for unknown values."""
         figures: dict[str, Any] = {'duration': self.duration, 'duration_std': 0.0}
         for name, value in self.prediction.figures().items():
             figures |= {name: value, f'{name}_std': self.std[name]}
@@ -342,7 +342,7 @@ def read_plan(
 def _read_plan(
     file: Path, values: Mapping[str, Any], urdf: str, topic: str
 ) -> tuple[Source, Stamps]:
-    """Return the whole plan in a file, and the stamps of what was recorded, if it was."""
+    """Return the whole plan in a file, and the stamps of a recording."""
     gravity, undated = gravity_of(values), np.empty(0, dtype=np.int64)
     if file.suffix.lower() in YAML:
         content = read_yaml(file)

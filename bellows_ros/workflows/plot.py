@@ -27,7 +27,7 @@ NOT_SAMPLES = {'smallest', 'least', 'stiffness', 'motion', 'live', 'cup_length',
                'scores', 'counts', 'real_time_factor', 'took'}
 TRACKED = {'recording.package_frame': 'com', 'package.mass': 1.0, 'package.inertia': NO_INERTIA,
            'package.com': (0.0, 0.0, 0.0)}
-"""Puts B where the package is tracked; a motion has no mass."""
+"""Puts B at the tracked point; a picture of motion needs no mass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Spectra:
 @dataclass(frozen=True, eq=False)
 class Loads:
     """
-    What the cup carries, and how it is deflected: at S1, in axes halfway between tool and lip.
+    Load and deflection of the cup: at S1, in axes halfway between tool and lip.
 
     In these axes a bent cup's load and deflection belong together; in those of tool or lip the
     weight would seem to push sideways as soon as the cup bends.
@@ -114,7 +114,7 @@ class Loads:
 @dataclass(frozen=True, eq=False)
 class Replayed:
     """
-    A replayed recording, with the poses of all bodies, wherever the tool is known.
+    A replayed recording with the poses of all bodies, where the tool is known.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ Group = TypeVar('Group', Motion, Loads, Margins, Replayed, Live)
 
 def motion(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Motion:
     """
-    Return tool and package of a recording as measured; raises what reading raises.
+    Return tool and package of a recording as measured.
 
     Without package.com, B is where the package is tracked.
     """
@@ -193,7 +193,7 @@ def spectra(bag: str | os.PathLike[str], settings: Mapping[str, object], cup: bo
 
 
 def loads(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Loads:
-    """Return what the cup carried in a recording, by inverse dynamics, and its deflection."""
+    """Return the load of the cup in a recording, by inverse dynamics, and its deflection."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     recording = load(bag, values)
     cup, package = cup_of(values), package_of(values)
@@ -241,7 +241,7 @@ def replayed(
     settings: Mapping[str, object],
     progress: Progress | None = None,
 ) -> Replayed:
-    """Return a replay with the poses of all bodies; raises what reading and predicting raise."""
+    """Return a replay with the poses of all bodies."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     recording = load(bag, values)
     found = predicted_live(recording, values, *filter(None, [progress]))

@@ -35,7 +35,7 @@ NO_OFFSET = (
     'stamps were used unchanged. Record a motion that is richer in all directions, with clocks '
     'that differ by less than 100 ms.'
 )
-"""Said where a time offset is wanted and cannot be found."""
+"""Used if a time offset is wanted and not identifiable."""
 
 WHOLE = {'recording.start': 0.0, 'recording.end': 0.0}
 """For what is read whole: plans, standstills, and recordings for validation."""
@@ -48,7 +48,7 @@ NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 
 
 OF_A_RECORDING = ('topics.', 'recording.', 'tool_twist.', 'gravity.direction')
-"""Parameters, beside the package's, in which recordings of one cup may differ."""
+"""Parameters, besides the package's, in which recordings of one cup may differ."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def _prepared(
 
 
 def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:
-    """Return a sentence about the clocks of a recording, or none where the offset is not known."""
+    """Return a sentence about the time offset of a recording, if it is known."""
     if offset is None or not math.isfinite(offset.std):
         return []
     where = 'behind' if offset.value >= 0.0 else 'ahead of'
@@ -201,7 +201,7 @@ def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:
 
 
 def world_sentence(bag: object, found: PackageWorld | None) -> list[str]:
-    """Return a sentence about the worlds of tool and package, or none where that is given."""
+    """Return a sentence about the estimated transform between the worlds, if any."""
     if found is None:
         return []
     position, errors, turns = (

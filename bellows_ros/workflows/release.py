@@ -23,7 +23,7 @@ from bellows_ros.workflows.recordings import load, values_of_each
 import numpy as np
 
 CHI2_WARNED = 2.0
-"""A larger sum of squares over their number says that the model does not explain the poses."""
+"""Chi^2 per pose above which the model does not explain the poses."""
 
 NO_VALVE = (
     'No valve was recorded on topics.valve: only the blow-off is identifiable, not delay and '
@@ -36,7 +36,7 @@ NO_GRIP = (
 @dataclass(frozen=True, eq=False)
 class ReleaseResult:
     """
-    What recordings of tosses say of valve and blow-off.
+    The estimates of valve and blow-off from recordings of tosses.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class ReleaseResult:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user must know."""
+        """Warnings for the user."""
         found = [f'Left out: {text}.' for text in self.left_out]
         if math.isnan(self.fit.delay):
             found.append(NO_VALVE)
@@ -87,7 +87,7 @@ class ReleaseResult:
         return tuple(found)
 
     def parameters(self) -> dict[str, float]:
-        """Return the parameters of the release file; what is not identifiable is not in it."""
+        """Return the identifiable parameters for the release file."""
         fit = self.fit
         found = {
             'release.delay': fit.delay,
@@ -159,7 +159,7 @@ def identify_release(
 
 
 def _valves(bag: str, values: Mapping[str, Any]) -> list[int] | None:
-    """Return when the valve is switched off, ns as received; None where it is not recorded."""
+    """Return when the valve is switched off, ns as received; None without a recording of it."""
     if not values['topics.valve']:
         return None
     messages = [

@@ -33,7 +33,7 @@ SCORE_UNITS = {**dict.fromkeys(('rms', 'largest', 'motion'), POSE_UNITS), 'nrmse
 Progress = Callable[[str, float], None]
 
 SHOWN = 3
-"""Ranges of the envelope that a warning names."""
+"""Validity ranges named in a warning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class Live(Comparison):
 @dataclass(frozen=True, eq=False)
 class Margins:
     """
-    How firmly a grip holds over time.
+    Safety factors of a grip over time.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class Replay:
 
     @property
     def margin(self) -> Margin | None:
-        """The smallest safety factor of the grip in the free simulation; None if not known."""
+        """The smallest safety factor of the grip in the free simulation; None if unknown."""
         grip, found = grip_of(self.values), self.validation
         return None if grip is None else margin(
             grip, found.wrench, self.recording.since_start(found.stamps_ns))
@@ -311,7 +311,7 @@ def tool_messages(recording: Recording, values: Mapping[str, Any]) -> Messages:
 
 
 def _counts(live: LivePredictor, recording: Recording) -> dict[str, int]:
-    """Return messages in, predictions out, and what was left out on the way, where any was."""
+    """Return the counts of messages in, predictions out, and anything left out."""
     on_the_way = {
         'tool poses left out as outliers': recording.report.tool.marked,
         **{f'tool poses refused: {r}': len(w) for r, w in recording.tool_pose.refused.items()},

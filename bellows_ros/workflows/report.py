@@ -16,11 +16,11 @@ from bellows_ros.workflows.replay import Replay, validated
 import numpy as np
 
 INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Entries of the parameter package.inertia in the tensor."""
+"""Entries of package.inertia in the tensor."""
 
 
 class ReadAgain(NamedTuple):
-    """Recordings of a fit, what is identifiable from them, and validations of its cup."""
+    """Recordings of a fit, their identifiability, and validations of its cup."""
 
     recordings: list[Recording]
     excitation: Excitation
@@ -87,7 +87,7 @@ def cup_values(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def values_of_recordings(content: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the settings of a result for each of its recordings: its cup, and what was held."""
+    """Return the settings of a result for each of its recordings, with cup and package."""
     values, each = cup_values(content), []
     own = dict(zip(map(str, values['bags']), values_of_each(values), strict=True))
     for recording in content['recordings']:

@@ -22,7 +22,7 @@ MATRIX_UNITS = {
 
 
 def fit_json(fit: Fit) -> dict[str, Any]:
-    """Return what the JSON file says of a fit."""
+    """Return the JSON content on a fit."""
     units, found = parameter_units(structure_named(fit.structure)), fit.standstills
     residual = list(fit.residual_units)
     return {

@@ -89,14 +89,14 @@ class TwistGuess(Guess):
 
 
 def likely_pair(poses: Mapping[str, PoseStream]) -> Pair | None:
-    """Return the likeliest tool and package among the topics with poses; None without two."""
+    """Return the likeliest tool and package among topics of poses; None without two."""
     found = [_pair(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
     pairs = [pair for pair in found if pair is not None]
     return max(pairs, key=lambda pair: pair.score, default=None)
 
 
 def likely_alone(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess | None]:
-    """Return tool and package by name only, each None where no name says so."""
+    """Return tool and package judged by name alone, None if no name says so."""
     guesses = []
     for words, others in ((TOOL_WORDS, PACKAGE_WORDS), (PACKAGE_WORDS, TOOL_WORDS)):
         named = [name for name in poses if _said(name, words) and not _said(name, others)]
@@ -115,7 +115,7 @@ def _by_name(topic: str, words: frozenset[str]) -> str:
 
 
 def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
-    """Return two topics as tool and package, with what speaks for that; None where nothing can."""
+    """Return two topics as tool and package with the reasons; None without any."""
     apart = _from_tool_to_package(tool, package)
     if apart is None:
         return None
@@ -162,7 +162,7 @@ def _from_tool_to_package(tool: PoseStream, package: PoseStream) -> Array | None
 
 
 def _hanging(tool: PoseStream, apart: Array) -> tuple[str, bool]:
-    """Return the world in which what is so far from the tool is lowest, and whether it hangs."""
+    """Return the world in which a body at this distance is lowest, and whether it hangs."""
     still = Trajectory(tool.stamps_ns[:1], apart[None], np.eye(3)[None])
     turned = {world: in_world(still, world_rotation(world)) for world in WORLDS}
     down = {world: -float(poses.position[0, 2]) for world, poses in turned.items()}
@@ -174,7 +174,7 @@ def _hanging(tool: PoseStream, apart: Array) -> tuple[str, bool]:
 
 def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> TwistGuess | None:
     """
-    Return the topic whose linear velocity moves the tool as its poses say; None without any.
+    Return the topic whose velocity matches the tool's poses; None without any.
 
     Where the tool hardly moves, the one with the stamps of the tool's poses.
     """
@@ -192,7 +192,7 @@ def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> TwistGu
 
 
 def _compared(tool: PoseStream, twist: TwistStream) -> tuple[float, str] | None:
-    """Return how much a twist disagrees with the poses, and in which axes; None if unknown."""
+    """Return the misfit of a twist to the poses, and its axes; None if unknown."""
     inside = (twist.stamps_ns >= tool.stamps_ns[0]) & (twist.stamps_ns <= tool.stamps_ns[-1])
     stamps, linear = twist.stamps_ns[inside], twist.linear[inside]
     if len(stamps) < 10:

@@ -48,14 +48,14 @@ POSE = 'geometry_msgs/msg/PoseStamped'
 TWIST = 'geometry_msgs/msg/TwistStamped'
 
 BENDING_LIMIT = math.radians(45.0)
-"""Beyond this bending (rad) the modelled restoring moment falls."""
+"""Bending (rad) beyond which the modelled restoring moment falls."""
 
 SAMPLES_PER_PERIOD = 100.0
 """The tool is simulated with this many samples in the shortest period of its motion ..."""
 STEPS_PER_LARGEST = 2.5
 """... and this many in the longest stable step. Both keep the truth accurate to 1e-9 m."""
 LEAST_RATE = 500.0
-"""... and at least at this rate, Hz."""
+"""... and the lowest rate, Hz."""
 LARGEST_COUNT = 5_000_000
 """Most samples of a simulation."""
 
@@ -71,7 +71,7 @@ class Event(NamedTuple):
 @dataclass(frozen=True)
 class SimulationReport:
     """
-    What was recorded.
+    Summary of a simulated recording.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def simulate_recording(
     plan: str | os.PathLike[str] = '',
 ) -> SimulationReport:
     """
-    Simulate a held package and write what a tracking system would record of it.
+    Simulate a held package, and write the recording of a tracking system.
 
     The same input gives the same recording.
 
@@ -325,7 +325,7 @@ def _report(
     recorded: list[Recorded | Encoded],
     truth: Truth,
 ) -> SimulationReport:
-    """Return what was recorded."""
+    """Return the summary of a recording."""
     seconds, held = truth.tool.seconds, truth.held
     angle = np.where(held, bending(truth.tool.rotation, truth.package.rotation), 0.0)
     worst = int(np.argmax(angle))

@@ -32,13 +32,13 @@ StaticBag = tuple[str, Mapping[str, Any]]
 """A recording, and the parameters that hold for it alone, such as its package."""
 
 LENGTHS_AGREE_WITHIN = 3e-4
-"""A cup.length that differs by more than this (m) from the one found is warned about."""
+"""Difference (m) between the given and the estimated cup.length that triggers a warning."""
 
 
 @dataclass(frozen=True, eq=False)
 class StaticResult:
     """
-    What follows from static recordings.
+    The result from static recordings.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class StaticResult:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user must know."""
+        """Warnings for the user."""
         found = list(self.length.warnings) if self.length else []
         if self.length and abs(self.length.length - self.cup_length) > LENGTHS_AGREE_WITHIN:
             found.append(
@@ -136,7 +136,7 @@ def standstills_in(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
 
 def read_standstills(values: Mapping[str, Any], tell: Progress) -> StaticResult:
     """
-    Return what follows from the recordings that the parameter `static.bags` names.
+    Return the result from the recordings in the parameter `static.bags`.
 
     With static.length, the cup has the length that was found.
 
@@ -178,7 +178,7 @@ def static_check(
     progress: Progress | None = None,
 ) -> StaticResult:
     """
-    Find the standstills of recordings, the cup's nominal length, and whether its spring holds.
+    Find the standstills of recordings and the nominal length, and check the spring.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ def static_check(
 
 
 def with_spring(found: StaticResult, cup: Cup, gravity: float) -> StaticResult:
-    """Return the same with the spring of a cup, of the length found, checked in every pose."""
+    """Return the result with a cup's spring checked in every pose, at the length found."""
     cup = Cup(cup.stiffness, cup.damping, found.cup_length)
     return replace(found, spring=check_spring(cup, found.standstills, gravity))
 
@@ -250,7 +250,7 @@ def _read(
 
 def read_list(path: str | os.PathLike[str]) -> list[StaticBag]:
     """
-    Read a YAML file that lists recordings with what they held.
+    Read a YAML file that lists recordings with their packages.
 
     It holds `recordings`, a list of blocks with `bag` (relative to the file's folder), `mass` (kg)
     and, where it differs from package.com, `com` (m).
@@ -288,7 +288,7 @@ def save_length(
     result: StaticResult, path: str | os.PathLike[str], given: Mapping[str, object]
 ) -> None:
     """
-    Write the given parameters with the nominal length that was found.
+    Write the given parameters with the estimated nominal length.
 
     Raises
     ------

@@ -33,18 +33,18 @@ TAIL = 2.0
 
 
 class Motion(NamedTuple):
-    """A motion of the tool, and what it does to the package."""
+    """A motion of the tool, and its effect on the package."""
 
     tool: Trajectory
     prediction: Prediction
     added_time: float
-    """s, until the package has arrived, beyond what was planned."""
+    """Time (s) beyond the plan until the package arrives."""
     along: Trajectory
     """The tool until `TAIL` after the end, N points."""
     states: Array
     """Of B in the world (N, 13): position, quaternion, body twist."""
     wanted: Trajectory
-    """Where B is wanted, N points."""
+    """Wanted motion of B, N points."""
     expected_swing: float
     """RMS of the remaining swing over the uncertainty of cup and package, rad."""
 
@@ -74,7 +74,7 @@ class Motion(NamedTuple):
 
 
 OF_EXCITE = ('start', 'joints', 'bending', 'torsion', 'highest_frequency', 'tracking')
-"""Settings of a limits file that only `bellows excite` reads."""
+"""Settings in a limits file that only `bellows excite` reads."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ class SteerReport:
 
     @property
     def advice(self) -> str:
-        """Return which method to take, and by how much the inverse is the more sensitive one."""
+        """Return the recommended method, and the relative sensitivity of the inverse."""
         if 'zvd' not in self.motions or self.method == 'zvd':
             return ''
         inverse, zvd = self.motions['inverse'], self.motions['zvd']
@@ -153,7 +153,7 @@ class SteerReport:
         return f'{finding} Use zvd, or identify cup and package better.'
 
     def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
-        """Return the content of the JSON file; SI units, null for what is not known."""
+        """Return the content of the JSON file; SI units, null for unknown values."""
         return {
             'method': self.method, **self.motions[self.method].figures(),
             'beside': {name: motion.figures() for name, motion in self.motions.items()
@@ -265,7 +265,7 @@ def _motion(
     values: Mapping[str, Any], model: ModelTuple, tool: Trajectory, wanted: Trajectory,
     added_time: float,
 ) -> Motion:
-    """Return what a motion of the tool does to the package that is wanted somewhere."""
+    """Return the effect of a motion of the tool on the package."""
     run = Run(model, grip_of(values), tool, tail=TAIL)
     longer = standing(tool, TAIL)
     square = mean_square(

@@ -31,11 +31,11 @@ GROUPS = ('cup.stiffness', 'cup.damping', 'package.mass', 'package.com', 'packag
 
 
 class Share(NamedTuple):
-    """What a parameter contributes to the scatter of the landing."""
+    """The contribution of a parameter to the scatter of the landing."""
 
     name: str
     std: float
-    """Of the number, SI units; of a group NaN."""
+    """Of the parameter, SI units; of a group NaN."""
     metres: float
     radians: float
 
@@ -51,7 +51,7 @@ class TossResult:
     parts: Parts
     aim: Aim | None
     asked: Toss | None
-    """With a target, the toss at the time that was given."""
+    """With a target, the toss at the given time."""
     target: tuple[float, float] | None
     drawn: Drawn | None
     warnings: tuple[str, ...]
@@ -116,7 +116,7 @@ class TossResult:
 
     @property
     def distance_as_asked(self) -> float | None:
-        """From the target with the time that was given, m."""
+        """Distance from the target at the given release time, m."""
         if self.asked is None or self.target is None:
             return None
         return float(np.linalg.norm(np.subtract(self.asked.landing[0][:2], self.target)))
@@ -221,7 +221,7 @@ def toss_plan(
 
 
 def _warnings(case: Case, held: Held) -> list[str]:
-    """Return what the reader should know."""
+    """Return warnings for the user."""
     found = []
     lost = held.lost_before(case.switched)
     if lost is not None:

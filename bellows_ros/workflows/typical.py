@@ -16,10 +16,10 @@ from bellows_ros.workflows.plan import Source
 import numpy as np
 
 STEP = 0.5
-"""Central differences reach so many standard errors to both sides."""
+"""Step of central differences, standard errors."""
 
 MOST_OF_IT = 0.5
-"""Entries are named until they make up so large a part of the variance."""
+"""Entries are named until they make up this fraction of the variance."""
 
 REMEDIES: Mapping[str, str] = {
     'x': 'quick moves to the sides', 'y': 'quick moves to the sides',
@@ -56,7 +56,7 @@ class Typical:
 
     @property
     def sentence(self) -> str:
-        """Accuracy, where it comes from, and what to record again."""
+        """Accuracy, its main causes, and what to record again."""
         (mm, most_mm), (mrad, most_mrad) = (
             (1e3 * value for value in each) for each in (self.position, self.rotation))
         text = (f'Along {self.plan} the prediction of the package is accurate to {mm:.2g} mm and '

@@ -19,10 +19,10 @@ from bellows_ros.errors import UnstableError
 import numpy as np
 
 LOOKED_AT = 3
-"""Recordings that are simulated freely and doubted; more tell the same."""
+"""Recordings tested; more add nothing new."""
 
 UNEXPLAINED = 0.2
-"""Part of the motion in an axis that may be left unexplained."""
+"""Largest fraction of the motion in an axis that may be unexplained."""
 
 AT_NOISE = 1.1
 """A free simulation that is off by so many times the noise leaves nothing to doubt. Residuals may
@@ -40,7 +40,7 @@ class Simulated(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What the cup is worth."""
+        """The accuracy of the cup."""
         if not np.isfinite(self.rms).all():
             return f'{self.bag} cannot be simulated freely with this cup.'
         parts = []

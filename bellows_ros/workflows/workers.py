@@ -19,17 +19,17 @@ from bellows_ros.files.atomic import remove_abandoned
 from bellows_ros.workflows.recordings import Failed
 
 ANSWER_WITHIN = 10.0
-"""Seconds in which a Dask scheduler must answer."""
+"""Longest wait (s) for an answer of the Dask scheduler."""
 
 LOOK_EVERY = 0.5
-"""Seconds between two looks of a process at whether its parent is still there."""
+"""Period (s) at which a process checks that its parent exists."""
 
 Work = tuple[int, str, dict[str, Any]]
-"""Place in the parameter `bags`, recording, and its parameters."""
+"""Index in the parameter `bags`, recording, and its parameters."""
 Task = Callable[..., Any]
-"""Makes something of a recording (its name, its parameters, and perhaps its path)."""
+"""Processes a recording (name, parameters, perhaps path)."""
 Outcome = tuple[int, Any]
-"""Place of a piece of work, and what was made of it, or a `Failed`."""
+"""Index of a piece of work, and its result, or a `Failed`."""
 
 
 def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
@@ -74,7 +74,7 @@ def _in_pool(
 def _watched(
     parent: int, task: Task, number: int, bag: str, values: Mapping[str, Any]
 ) -> Outcome:
-    """Return what `_tried` returns, in a process that ends with the one that has started it."""
+    """Return the result of `_tried`, in a process that ends with its parent."""
     _end_with(parent)
     return _tried(task, number, bag, values)
 
@@ -91,14 +91,14 @@ def _end_with(parent: int) -> None:
 
 
 def _noted(work: Iterable[Work], begun: list[int]) -> Iterator[Work]:
-    """Yield work, and note the numbers of what was begun."""
+    """Yield work, and store the numbers of those begun."""
     for item in work:
         begun.append(item[0])
         yield item
 
 
 def _alone(joblib: Any, task: Task, item: Work) -> Outcome:
-    """Return the result of a process that works on nothing else."""
+    """Return the result of a process that has no other work."""
     try:
         (result,) = _in_pool(joblib, 2, task, [item])
         return result
@@ -156,7 +156,7 @@ async def _reach(distributed: Any, address: str) -> None:
 
 
 def _result_of(future: Any, number: int, bag: str, address: str) -> Outcome:
-    """Return the result of a Dask worker, or why there is none; raise where Dask is gone."""
+    """Return the result of a Dask worker, or the error; raise if Dask is gone."""
     try:
         result: Outcome = future.result()
     except Exception as error:  # noqa: BLE001 (a worker can raise whatever it likes)

@@ -25,25 +25,25 @@ from scipy.linalg import block_diag
 from scipy.special import chdtrc, ndtr
 
 SIGNIFICANT = 0.05
-"""Probability of chance below which a difference is called significant."""
+"""p-value below which a difference is significant."""
 
 TILT = 0.35
-"""rad, by which the tool is tilted for the second rest pose: 20 degrees."""
+"""Tilt of the tool for the second rest pose, rad: 20 degrees."""
 
 SHAKE_HZ, SHAKE_M, SHAKE_RAD, SHAKE_S, SHAKE_RATE_HZ = 3.0, 5e-3, 0.05, 2.0, 240.0
-"""A motion like that of the thesis, at 3 Hz in all directions at once, to try both cups on."""
+"""A motion like that of the thesis, 3 Hz in all directions at once, to compare both cups on."""
 
 MATTERS_SHIFT, MATTERS_TURN = 1e-4, 1e-3
-"""Changes of a pose that matter, m and rad: what motion capture sees."""
+"""Smallest material change of a pose, m and rad: the resolution of motion capture."""
 
 MATTERS_FREQUENCY, MATTERS_DAMPING = 0.02, 0.10
-"""Changes that matter, as parts: of a natural frequency, of a damping ratio."""
+"""Smallest material relative change of a natural frequency and of a damping ratio."""
 
 COINCIDE = 0.02
-"""Natural frequencies that are closer than this part have no shapes of their own."""
+"""Natural frequencies closer than this fraction have no unique mode shapes."""
 
 AXES_PART = 1e-6
-"""Of the trace of the damping: what turns shapes that are alike in all to the axes."""
+"""Fraction of the damping's trace added to align degenerate mode shapes with the axes."""
 
 STEP = 1e-4
 """Relative step of the derivatives by parameters."""
@@ -56,7 +56,7 @@ GROUP_NAMES = ('lateral', 'axial', 'bending', 'torsion')
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """
-    What a comparison needs of a fit.
+    The part of a fit that a comparison needs.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class Change:
 
     @property
     def standard_errors(self) -> float:
-        """Change in standard errors of the difference of independent fits; NaN where none are."""
+        """Change in standard errors of the difference of independent fits; NaN if unknown."""
         std = float(np.hypot(self.before_std, self.after_std))
         if std == 0.0:
             return float('nan')
@@ -147,7 +147,7 @@ class Change:
 @dataclass(frozen=True)
 class FitComparison:
     """
-    What differs between two fits.
+    The differences between two fits.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class FitComparison:
 
     @property
     def matters(self) -> bool:
-        """Whether predictions differ by more than what does not matter, and not by chance."""
+        """Whether predictions differ materially and significantly."""
         shaken = self.shake_matters and self.significant
         return shaken or any(effect.matters and effect.significant for effect in self.effects)
 
@@ -194,7 +194,7 @@ def compare_fits(
     before: Fitted, after: Fitted, package: Package, gravity: float
 ) -> FitComparison:
     """
-    Compare two fits of a cup, and what they predict for a package.
+    Compare two fits of a cup, and their predictions for a package.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def _in_order_of(like: Sequence[Mode], found: Sequence[Mode]) -> list[Mode]:
 
 
 def _spread(jacobian: Array, covariance: Array) -> Array:
-    """Return the covariance of what has this Jacobian (m, n) by parameters; inf stays infinite."""
+    """Return the covariance of a quantity with Jacobian (m, n); inf stays infinite."""
     known = np.isfinite(np.diag(covariance))
     inner = np.where(np.outer(known, known), covariance, 0.0)
     result = jacobian @ inner @ jacobian.T
@@ -340,7 +340,7 @@ def _together(difference: Array, covariance: Array) -> float:
 def _effects(
     before: Fitted, after: Fitted, package: Package, gravity: float
 ) -> tuple[Change, ...]:
-    """Return the changes of what the cups do with the package."""
+    """Return the changes in the cups' effects on the package."""
     like = modes(before.cup, package, gravity)
     names = [_predicted(fit.cup, package, gravity, like) for fit in (before, after)]
     stds = [_predicted_std(fit, package, gravity, like) for fit in (before, after)]
@@ -357,7 +357,7 @@ def _effects(
 def _predicted(
     cup: Cup, package: Package, gravity: float, like: Sequence[Mode]
 ) -> list[tuple[str, str, float, float]]:
-    """Return name, unit, what change matters, and value of what a cup does with a package."""
+    """Return name, unit, material change, and value of each effect of a cup on a package."""
     found = []
     for words, angle in (('hanging', 0.0), (f'tool tilted by {np.degrees(TILT):.0f} deg', TILT)):
         shift, turn = _rest(cup, package, gravity, angle)
@@ -373,7 +373,7 @@ def _predicted(
 
 
 def _rest(cup: Cup, package: Package, gravity: float, angle: float) -> tuple[float, float]:
-    """Return how far (m) and by how much (rad) the lip is off its nominal pose at rest."""
+    """Return the displacement (m) and rotation (rad) of the lip at rest from its nominal pose."""
     zero = (0.0, 0.0, 0.0)
     half = 0.5 * angle
     tool = (zero, (float(np.sin(half)), 0.0, 0.0, float(np.cos(half))), zero, zero)
@@ -397,7 +397,7 @@ def _predicted_std(
     x = fit.structure.parameters(fit.cup.stiffness, fit.cup.damping)
 
     def values(at: Array) -> Array:
-        """Return what a cup of these parameters does."""
+        """Return the effects of a cup with these parameters."""
         cup = Cup(*fit.structure.matrices(at), fit.cup.length)
         return np.array([value for *_, value in _predicted(cup, package, gravity, like)])
 
@@ -408,7 +408,7 @@ def _predicted_std(
 
 
 def _shaken_apart(before: Cup, after: Cup, package: Package, gravity: float) -> Array:
-    """Return the RMS difference (6,) of the motion in the tool under the same shake."""
+    """Return the RMS difference (6,) of the motion relative to the tool under the same shake."""
     tool = shake()
     seen: Sequence[Array] = [
         relative_coordinates(tool, simulate(cup, package, tool, gravity=gravity))

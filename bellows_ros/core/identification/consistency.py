@@ -12,13 +12,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 SIGNIFICANT = 0.01
-"""Probability of the differences by chance below which the cups differ."""
+"""p-value below which the cups differ."""
 
-ERRORS_OF_CHANCE = 3.0
+SIGNIFICANT_ERRORS = 3.0
 """Standard errors above which the difference of a single parameter is significant."""
 
-MATTERS = 0.05
-"""Relative differences of a parameter from the mean that are worth a word."""
+MATERIAL = 0.05
+"""Smallest material relative difference of a parameter from the mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Consistency:
 
     @property
     def differs(self) -> bool:
-        """Whether the cups are said to differ."""
+        """Whether the cups differ significantly and materially."""
         return self.probability < SIGNIFICANT
 
 
@@ -148,9 +148,9 @@ def _verdict(
         f'{abs(size) * 100:.2g} % {"above" if size > 0 else "below"} the common value, '
         f'{abs(deviations[row, column]):.1f} standard errors.'
     )
-    large = np.abs(relative[np.abs(deviations) > ERRORS_OF_CHANCE])
-    if not (large > MATTERS).any():
-        return (f'{said} The significant differences are below {MATTERS * 100:g} %, which hardly '
+    large = np.abs(relative[np.abs(deviations) > SIGNIFICANT_ERRORS])
+    if not (large > MATERIAL).any():
+        return (f'{said} The significant differences are below {MATERIAL * 100:g} %, which hardly '
                 'matters.')
     return f'{said} The model of stiffness and damping may not hold over this range.'
 

@@ -20,10 +20,10 @@ from bellows_ros.core.trajectory import NS_PER_S
 import numpy as np
 
 BLOCK = 4096
-"""Samples that are worked on at a time, so that memory does not grow with the recording."""
+"""Samples processed at a time, so that memory does not grow with the recording."""
 
 LARGEST_KEPT = 2**27
-"""Bytes of one recording's regressor that are kept for those who ask for it again."""
+"""Largest regressor of one recording that is kept for reuse, bytes."""
 
 WRENCH = (
     *((f'force along {axis}', 'N') for axis in 'xyz'),
@@ -32,7 +32,7 @@ WRENCH = (
 """The components of a wrench at S, and their units."""
 
 CLUSTER_WINDOWS = 4
-"""Residuals this many filter windows apart are taken as independent for standard errors."""
+"""Residuals this many filter windows apart count as independent for standard errors."""
 
 
 class Rows(NamedTuple):
@@ -82,7 +82,7 @@ class LipMotion:
     _kept: dict[Hashable, Array] = field(default_factory=dict, init=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave behind what can be computed again."""
+        """Leave out what can be computed again."""
         return {**vars(self), '_kept': {}}
 
     @cached_property
@@ -138,7 +138,7 @@ class LipMotion:
             self._kept[key] = L
 
     def select(self, chosen: slice | Mask | Stamps) -> 'LipMotion':
-        """Return some of the samples, with what is known of them."""
+        """Return some of the samples, with all their data."""
         some = LipMotion(
             self.index[chosen], self.stamps_ns[chosen], self.window, self.position[chosen],
             self.rotation[chosen], self.twist[chosen], self.wrench[chosen])
@@ -146,17 +146,17 @@ class LipMotion:
         return some
 
     def thinned(self, step: int) -> 'LipMotion':
-        """Return those of every so many of the recording's samples, which are counted anew."""
+        """Return every n-th sample of the recording, renumbered."""
         some = self.select(self.index % step == 0)
         object.__setattr__(some, 'index', some.index // step)
         return some
 
 
 LEVER = 0.01
-"""Moments are taken to be at least forces at such a lever, m, where they are compared."""
+"""Moments are compared with forces at this lever, m."""
 
 NO_WRENCH, FLOOR = 1e-10, 1e-8
-"""Variances of a wrench (parts of their mean) that are none, and what is then added."""
+"""Relative variance below which a component of the wrench is zero, and what is then added."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +189,7 @@ class Moments:
         return cls(len(vectors), mean, deviation.T @ deviation)
 
     def joined(self, other: 'Moments') -> 'Moments':
-        """Return the moments of both together; what cancels are deviations, not raw squares."""
+        """Return the moments of both together, from deviations rather than raw squares."""
         count = self.count + other.count
         if not count:
             return self
@@ -203,11 +203,11 @@ class Moments:
 
     @property
     def std(self) -> Array:
-        """Standard deviations (6,), nan of none."""
+        """Standard deviations (6,), NaN without samples."""
         return np.sqrt(np.diag(self.scatter) / (self.count or np.nan))
 
     def covariance(self, structure: Structure) -> Array:
-        """Return Q (6, 6) of wrenches in the form that a structure gives it (4.69, 4.80)."""
+        """Return Q (6, 6) of wrenches in the form of a structure (4.69, 4.80)."""
         return structure.covariance(self.count, self.mean, self.scatter)
 
 
@@ -217,7 +217,7 @@ def joined(parts: Iterable[Moments]) -> Moments:
 
 
 def regular(covariance: Array) -> Array:
-    """Return a covariance (6, 6) of wrenches that has a root where none act in some direction."""
+    """Return a covariance (6, 6) of wrenches, made regular in directions without a wrench."""
     force, moment = (float(np.mean(np.diag(covariance)[part]))
                      for part in (slice(0, 3), slice(3, 6)))
     scale = np.repeat([max(force, moment), max(moment, LEVER**2 * force)], 3)
@@ -236,16 +236,16 @@ def whitening_of(covariance: Array) -> Array:
 
 
 LARGEST_CONDITION = 1e6
-"""Combinations of parameters with singular values below this part of the largest are not known."""
+"""Ratio of singular values beyond which a combination of parameters is not identifiable."""
 
 ROUNDING = 1e-12
-"""Eigenvalues of scaled information below this part of the largest are rounding."""
+"""Eigenvalues of scaled information below this fraction of the largest are rounding errors."""
 
 IN_NULL_SPACE = 0.05
-"""A parameter with at least this part in a direction that is not known is not identifiable."""
+"""A parameter with a larger component in the null space is not identifiable."""
 
 NO_EFFECT = 1e-8
-"""A parameter whose column is smaller than this part of those of its kind has no effect."""
+"""A parameter whose column is smaller than this fraction of others of its kind has no effect."""
 
 
 def covariance_of(information: Array) -> Array:
@@ -297,7 +297,7 @@ def information_of(covariance: Array) -> Array:
 
 
 def without(covariance: Array, unknown: Mask) -> Array:
-    """Return a covariance in which some parameters (n,) are made unknown."""
+    """Return a covariance in which some parameters (n,) are unknown."""
     known = ~unknown
     result = np.where(np.outer(known, known), covariance, 0.0)
     result[np.diag_indices_from(result)] = np.where(known, np.diag(covariance), np.inf)
@@ -305,7 +305,7 @@ def without(covariance: Array, unknown: Mask) -> Array:
 
 
 QR_ROWS = 512
-"""Rows that are reduced to an R factor at a time: they stay in the processor's cache."""
+"""Rows reduced to an R factor at a time, so that they stay in the processor's cache."""
 
 
 def r_factor(parts: Iterable[Array], columns: int) -> Array:
@@ -358,7 +358,7 @@ def solution(R: Array, structure: Structure) -> Solution:
 
 def column_sizes(R: Array, structure: Structure) -> Array:
     """
-    Return by what the columns (p,) of equations are divided, infinite where they are rounding.
+    Return the scales of the columns (p,) of equations, infinite for rounding errors.
 
     Those of K or P of the same units are compared with each other.
     """

@@ -26,7 +26,7 @@ from bellows_ros.core.trajectory import Trajectory
 import numpy as np
 
 DIFFERENCE = 1e-4
-"""Of parameters, in units of their scale, for derivatives of the linear response."""
+"""Step of numerical derivatives by parameters, in units of their scale."""
 
 UPPER = np.triu_indices(6)
 
@@ -112,7 +112,7 @@ def response(
     omega: Array, tracking: Tracking,
 ) -> Response:
     """
-    Return the linear response and what it tells of parameters.
+    Return the linear response and its information on the parameters.
 
     Parameters
     ----------

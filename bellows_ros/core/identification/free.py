@@ -27,7 +27,7 @@ import numpy as np
 ROUNDS, HALVINGS = 12, 5
 
 CONVERGED = 0.05
-"""A round that goes less far than this part of the standard error is the last."""
+"""Converged when a step is shorter than this fraction of the standard error."""
 
 
 class Block(NamedTuple):
@@ -60,7 +60,7 @@ class Block(NamedTuple):
     each: bool = False
 
     def size(self, recordings: int) -> int:
-        """Return how many numbers there are for so many recordings."""
+        """Return the number of unknowns for a number of recordings."""
         return len(self.steps) * (recordings if self.each else 1)
 
 
@@ -78,7 +78,7 @@ class Refined(NamedTuple):
 
 
 def varied(blocks: Sequence[Block], theta: Array) -> Callable[[Sequence[Given]], list[Given]]:
-    """Return what varies recordings by the numbers of blocks, one after the other."""
+    """Return recordings varied by the unknowns of blocks, one block after the other."""
     def vary(given: Sequence[Given]) -> list[Given]:
         """Return the recordings varied."""
         changed, first = list(given), 0
@@ -106,7 +106,7 @@ def refine(
     far = np.concatenate([np.full(b.size(count), b.furthest) for b in blocks]) * steps
 
     def at(theta: Array) -> Solved:
-        """Return what is left at some numbers."""
+        """Return the residuals at given unknowns."""
         return objective.solved(ensemble.varied(varied(blocks, theta)))
 
     theta = _first(objective, ensemble, blocks, len(steps)) if start is None else start
@@ -153,7 +153,7 @@ def _first(
 def _derivatives(
     at: Callable[[Array], Solved], theta: Array, here: Solved, steps: Array
 ) -> tuple[Array, Array]:
-    """Return half the gradient (n,) of the squares left, and the residuals' Jacobian (N, n)."""
+    """Return half the gradient (n,) of the sum of squares, and the residuals' Jacobian (N, n)."""
     gradient, columns = np.zeros(len(theta)), []
     for i, step in enumerate(steps):
         change = np.zeros(len(theta))
@@ -168,19 +168,19 @@ def _derivatives(
 
 
 RASTER = 0.01
-"""Time (s) between the offsets tried first: the residuals of motions up to 10 Hz have one dip."""
+"""Spacing (s) of the offsets tried first; up to 10 Hz the residuals have one minimum within it."""
 
 LARGEST_ERROR = 3e-4
-"""An offset whose standard error is larger (s) is not identifiable."""
+"""Largest standard error (s) of an identifiable time offset."""
 
 WORLD_ERROR = 5e-3
-"""The same of the transform between two worlds, m and rad."""
+"""Largest standard error (m, rad) of an identifiable transform between two worlds."""
 
 FALLS = 0.9
-"""Residuals that fall to this part up to the largest offset tell that the true one is larger."""
+"""If residuals at the largest offset fall below this fraction, the true offset is larger."""
 
 FEWEST_SECONDS = 3.0
-"""Valid samples of less time than this (s) tell nothing."""
+"""Shortest duration of valid samples (s) for an estimate."""
 
 HEIGHTS = np.array([-8e-3, -4e-3, -2e-3, -1e-3, 1e-3, 2e-3, 4e-3, 8e-3])
 """The same of lengths, m."""
@@ -207,15 +207,15 @@ BLOCKS = {
         'package_world', variations.package_world, (1e-5,) * 6, _worlds, 5000.0, True),
     'grip': Block('grip', variations.grip, (1e-5,) * 5, furthest=5000.0, each=True),
 }
-"""What may be set free, by its name in fit.free; the grip with package_world and alignment."""
+"""Blocks by their names in fit.free; package_world includes the grip and the alignment."""
 
 SCALE = Block('inertia', variations.inertia, (1e-3,), furthest=1000.0)
-"""All moments of inertia together: with K and P, as good as the mass."""
+"""A common factor of all moments of inertia; with K and P free, equivalent to the mass."""
 
 
 class Found(NamedTuple):
     """
-    What was found of one recording, None where it was not wanted or is not identifiable.
+    Estimates for one recording, None if not wanted or not identifiable.
 
     The motion of the package's world (6,) about a point (3,), its standard errors (6,), the
     alignment that belongs to it, and the time offset.
@@ -284,7 +284,7 @@ def refined_preparation(
 
 
 def _offset(value: float, std: float, fallen: bool) -> TimeOffset | None:
-    """Return a time offset; None where it is not identifiable."""
+    """Return a time offset, or None if it is not identifiable."""
     if abs(value) > variations.LARGEST_OFFSET - RASTER / 2.0 and fallen:
         raise BellowsError(
             f'The stamps of tool and package are {1e3 * variations.LARGEST_OFFSET:g} ms or more '

@@ -28,7 +28,7 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 LARGEST_SHARE, SHARE_WEAK = 0.5, 0.05
-"""Noise in a parameter's equations beyond which it is not, and weakly, identifiable."""
+"""Noise share in a parameter's equations above which it is not, or only weakly, identifiable."""
 
 PAIRS_SHOWN = 3
 
@@ -40,7 +40,7 @@ DIRECTIONS = {
     'ry': ('Bending about y', 'tilt the tool about y, or move it along x, at 1-3 Hz'),
     'rz': ('Torsion', 'turn the tool about z at 1-3 Hz'),
 }
-"""What moves, and what would make it move."""
+"""The motion in each direction, and how to excite it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +107,12 @@ class Identifiability:
 
     @property
     def identifiable(self) -> bool:
-        """Whether it is known to better than its own size."""
+        """Whether the standard error is below half the parameter's size."""
         return not np.isnan(self.value)
 
     @property
     def weak(self) -> bool:
-        """Whether it is identifiable, but least squares is off without what it knows of noise."""
+        """Whether it is identifiable, but least squares depends on the noise compensation."""
         return self.identifiable and bool(
             self.noise_share > SHARE_WEAK or abs(self.bias) > SHARE_WEAK
         )
@@ -126,7 +126,7 @@ def advice(
     source: str,
     biased: bool = True,
 ) -> Iterator[str]:
-    """Yield what the user should know and do; of noise that biases only where it does."""
+    """Yield advice to the user; on noise only where it biases the estimates."""
     size = structure.size
     coupled = []
     for number, entries in enumerate(structure.entries):
@@ -158,7 +158,7 @@ def advice(
 def _direction_warnings(
     axes: list[str], own: tuple[Identifiability, Identifiability], source: str, biased: bool
 ) -> Iterator[str]:
-    """Yield what is to be said about a direction's stiffness and damping."""
+    """Yield warnings about a direction's stiffness and damping."""
     what = ('stiffness', 'damping')
     unknown = [name for name, each in zip(what, own, strict=True) if not each.identifiable]
     weak = [(name, each) for name, each in zip(what, own, strict=True) if each.weak and biased]
@@ -190,7 +190,7 @@ Velocities count as so many times the power of the noise at least, which is know
 
 
 SHORTEST = 4
-"""Half window (samples) that is the shortest for polynomials of order 6."""
+"""Shortest half window (samples) for polynomials of order 6."""
 
 
 def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
@@ -221,7 +221,7 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
 
 
 def _sentence(axis: Axis, passed: PassBand) -> str:
-    """Return what is said of a direction that is too fast for the filter, with the remedy."""
+    """Return the warning about a direction that is too fast for the filter, with the remedy."""
     end, fastest = passed.end_hz, axis.band_hz[1]
     tool, package = (max(int(n * end / fastest), SHORTEST) for n in passed.half_windows)
     shorter = (f', or shorter windows (filter.tool.half_window: {tool}, '
@@ -234,16 +234,16 @@ def _sentence(axis: Axis, passed: PassBand) -> str:
 
 
 SMALLEST_RATIO = 0.5
-"""An estimate that noise of the same size shrinks by more than this is off by its own size."""
+"""An estimate that equal additional noise shrinks below this fraction is off by its own size."""
 
 CORRELATED = 0.95
-"""Parameters with estimates correlated by more than this can hardly be separated."""
+"""Correlation of two estimates above which they can hardly be separated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
     """
-    What is identifiable from recordings.
+    The identifiability of all parameters from recordings.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ class Excitation:
 
     @property
     def not_identifiable(self) -> tuple[str, ...]:
-        """Labels of the parameters on which there is no information but that of noise."""
+        """Labels of the parameters whose information is only noise."""
         return tuple(own.label for own in self.parameters if not own.identifiable)
 
 
@@ -284,7 +284,7 @@ def excitation_of(
     fit: tuple[Array, Array] | None = None,
 ) -> Excitation:
     """
-    Return what of K and P is identifiable, from the information of each recording.
+    Return the identifiability of K and P from the information of each recording.
 
     Where there is a fit its own standard errors say what is. Before, it is what has less
     information from noise than from motion.
@@ -402,7 +402,7 @@ def _rms(moments: Moments) -> Array:
 def _correlated(
     correlation: Array, labels: Sequence[str]
 ) -> Iterator[tuple[str, str, float]]:
-    """Yield the pairs of parameters with nearly the same errors, the worst first."""
+    """Yield the pairs of strongly correlated parameters, the worst first."""
     upper = np.abs(np.triu(correlation, 1))
     for flat in np.argsort(-upper, axis=None):
         i, j = divmod(int(flat), upper.shape[1])

@@ -41,14 +41,14 @@ from bellows_ros.core.tuples import (
 import numpy as np
 
 LEAST_NOISE = 1e-7
-"""Noise (m, rad) below which there is nothing for an observer to weigh: rounding is as large."""
+"""Noise (m, rad) below which rounding dominates and the observer has nothing to weigh."""
 
 CLIPPED_AT = 4.0
-"""Standard deviations of an innovation beyond which it corrects the state no further."""
+"""Innovations are clipped at this many standard deviations."""
 
 
 LAGS = 2 * TOOL_HALF_WINDOW + 1
-"""Innovations that act on the next prediction: one for each pose that makes a tool twist."""
+"""Past innovations in the next prediction: one for each pose in a tool twist."""
 
 ZERO = (0.0, 0.0, 0.0)
 NO_INNOVATION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -127,7 +127,7 @@ def _with_tool_noise(F: Array, inputs: list[Array]) -> tuple[Array, Array]:
 
 def _lagged(A: Array, kalman: Array) -> Array:
     """
-    Return what innovations of now and before add to the next state.
+    Return the contribution of the current and past innovations to the next state.
 
     A noise is estimated from the innovations since it first acted: an innovation changes the
     estimates of all noises known at its time, and these act until they have shifted out.
@@ -163,7 +163,7 @@ def _one_step(
 
 @kernel
 def corrected(state: State, change: Change) -> State:
-    """Return a state moved and turned along its own axes, with its twist changed."""
+    """Return a state displaced along its own axes, with its twist changed."""
     o, q, _, _ = displaced(state, change[0], change[1])
     return o, q, add(state[2], change[2]), add(state[3], change[3])
 
@@ -215,7 +215,7 @@ def innovations(
     filtering: Observer,
 ) -> Array:
     """
-    Return the one-step prediction errors of a recording, zero where nothing was measured.
+    Return the one-step prediction errors of a recording, zero at missing samples.
 
     They are (N, 6), in body axes, m and rad.
 
@@ -280,7 +280,7 @@ def clipped(value: float, limit: float) -> float:
 
 @kernel
 def correction(gain: Any, recent: Any) -> Change:
-    """Return what the last innovations, the newest first, change in the next state."""
+    """Return the correction of the next state by the last innovations, the newest first."""
     d, r, v, w = ZERO, ZERO, ZERO, ZERO
     for lag in range(len(recent)):
         d = add(d, rows_product(gain[lag], 0, recent[lag]))
@@ -309,7 +309,7 @@ def rows_product(gain: Any, i: int, e: Any) -> Vector:
 @dataclass(frozen=True, eq=False)
 class OneStep:
     """
-    One-step prediction errors: the model corrected at every sample by what was measured.
+    One-step prediction errors: the model corrected by the measurement at every sample.
 
     Parameters
     ----------
@@ -351,7 +351,7 @@ def one_step_errors(
     noises: tuple[Noise, Noise],
 ) -> OneStep | None:
     """
-    Return the one-step prediction errors of a recording, or None without noise to weigh.
+    Return the one-step prediction errors of a recording, or None without noise.
 
     Parameters
     ----------

@@ -33,22 +33,22 @@ from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
 SHOWN = 4
-"""Parameters that a sentence names."""
+"""Most parameters named in a sentence."""
 
 CLUSTERS_PER_PARAMETER = 2
-"""Clusters that correlations of the estimates need at least."""
+"""Clusters per parameter required for the correlations of the estimates."""
 
 ENOUGH_CLUSTERS = 10
-"""Clusters that variances of the estimates need at least."""
+"""Clusters required for the variances of the estimates."""
 
 SMALLEST_SHARE = 1e-3
-"""Least information on a direction in other clusters, as a part, for a residual to count."""
+"""Share of the information on a direction that other clusters need for a residual to count."""
 
 LEAST_SIGNAL = 0.1
-"""In a direction with less signal, as a part of its information, noise cannot be taken off."""
+"""Share of the information that must be signal for noise to be removed from a direction."""
 
 UNEXPLAINED, OF_THE_WRENCH = 1.5, 0.1
-"""Residuals so many times those of noise, and by such a part of the wrench, are too large."""
+"""Residuals are too large beyond this multiple of noise and this fraction of the wrench."""
 
 
 def least_squares(parts: Sequence[Statistics]) -> Fit:
@@ -151,7 +151,7 @@ def common_structure(parts: Sequence[Statistics]) -> Structure:
 def _uncertainty(
     rows: Callable[[], Iterable[Rows]], whitening: Array, x: Array, inverse: Array, gain: Array
 ) -> tuple[Array, Array]:
-    """Return the covariance (p, p) of x, however few clusters, and the squares (6,) left."""
+    """Return the covariance (p, p) of x, however few clusters, and the residual squares (6,)."""
     covariance, squares, clusters = _cluster_robust(rows(), whitening, x, inverse, gain)
     if clusters < ENOUGH_CLUSTERS:
         variances = np.maximum(
@@ -249,7 +249,7 @@ def _with_correlations_of(covariance: Array, variances: Array) -> Array:
 
 
 def identifiability_warnings(labels: Sequence[str], identifiable: Mask) -> tuple[str, ...]:
-    """Return a sentence that names the parameters that are not identifiable, or none."""
+    """Return a sentence naming the parameters that are not identifiable, if any."""
     names = [label for label, known in zip(labels, identifiable, strict=True) if not known]
     if not names:
         return ()
@@ -263,7 +263,7 @@ def identifiability_warnings(labels: Sequence[str], identifiable: Mask) -> tuple
 
 
 def _short_warnings(covariance: Array) -> tuple[str, ...]:
-    """Return a sentence where no standard error is known, or none."""
+    """Return a sentence if standard errors are unknown."""
     if np.isfinite(np.diag(covariance)).any():
         return ()
     return (
@@ -274,7 +274,7 @@ def _short_warnings(covariance: Array) -> tuple[str, ...]:
 
 
 def _misfit(left: Array, by_noise: Array | None, whitening: Array) -> str:
-    """Return a sentence if a fit leaves more of the wrench (6,) than noise explains."""
+    """Return a sentence if the residual wrench (6,) is larger than noise explains."""
     if by_noise is None:
         return ''
     spread = np.linalg.norm(np.linalg.inv(whitening), axis=1)

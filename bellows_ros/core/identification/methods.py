@@ -23,18 +23,18 @@ if TYPE_CHECKING:
 Progress = Callable[[str, float], None]
 
 TYPICAL_STEPS = 7
-"""Steps that a prediction-error fit takes."""
+"""Typical number of steps of a prediction-error fit."""
 
 LEAST_NOISE = Noise(1e-5, 5e-5)
-"""Noise (m, rad) whose bias does not matter, whatever its colour."""
+"""Noise (m, rad) below which its bias is negligible."""
 
 LENGTH_STEP = 1e-5
-"""Change of cup.length (m) for derivatives."""
+"""Step of numerical derivatives by cup.length, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A fit, without standard errors of what is not identifiable, and what is identifiable."""
+    """A fit, and the identifiability of its parameters."""
 
     fit: Fit
     excitation: Excitation
@@ -48,7 +48,7 @@ def fit(
     length_std: float = 0.0,
 ) -> Result:
     """
-    Fit a cup to recordings as the parameters say.
+    Fit a cup to recordings as the parameters specify.
 
     It may be called again with other parameters: what does not depend on them is kept with the
     recordings.
@@ -107,7 +107,7 @@ def fit(
 
 
 def _of_colour(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
-    """Yield a sentence where least squares has taken out less than the bias of the noise."""
+    """Yield a sentence if correlated noise biases least squares."""
     coloured = [
         own.name for own in recordings if isinstance(own, Recording) and any(
             colour.correlation > 0.0 and colour.size > least
@@ -123,19 +123,19 @@ def fitted(
     recordings: Sequence[Recording | Reduced], values: Mapping[str, Any],
     progress: Progress | None = None,
 ) -> Fit:
-    """Return the fit to recordings alone, whatever else is known of them and of the cup."""
+    """Return the fit to recordings alone, without standstills and prior knowledge."""
     if values['fit.method'] == 'least_squares':
         return least_squares([_reduced(own, values).statistics for own in recordings])
     return _by_prediction_error(_whole(recordings), values, progress)
 
 
 def _reduced(recording: Recording | Reduced, values: Mapping[str, Any]) -> Reduced:
-    """Return what a recording is reduced to."""
+    """Return the sufficient statistics of a recording."""
     return recording if isinstance(recording, Reduced) else reduced(recording, values)
 
 
 def _whole(recordings: Sequence[Recording | Reduced]) -> list[Recording]:
-    """Return recordings, or say that these are reduced."""
+    """Return recordings, or refuse reduced ones."""
     whole = [recording for recording in recordings if isinstance(recording, Recording)]
     if len(whole) < len(recordings):
         raise BellowsError(
@@ -146,7 +146,7 @@ def _whole(recordings: Sequence[Recording | Reduced]) -> list[Recording]:
 
 
 def _with_offsets(found: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
-    """Return a fit with all that the tool's stamps are behind: what was taken off, and its own."""
+    """Return a fit with the total time offsets: those removed before, and the fit's own."""
     taken = [offset or TimeOffset(0.0, math.inf) for offset in offsets]
     if not found.delays:
         values, errors = zip(*taken, strict=True)
@@ -194,7 +194,7 @@ def first_guess(
     recordings: Sequence[Recording], values: Mapping[str, Any]
 ) -> tuple[Freed, ...]:
     """
-    Return what fit.free names of package and cup as least squares sees it.
+    Return least-squares estimates of what fit.free names.
 
     It is looked for as hypotheses are, on a raster first: where something is far off, so are K and
     P, and the prediction error would start from there. What is not identifiable so is not changed.
@@ -221,7 +221,7 @@ def first_guess(
 
 
 def with_freed(values: Mapping[str, Any], freed: Sequence[Freed]) -> dict[str, Any]:
-    """Return parameters with what was found beside them."""
+    """Return parameters with the estimates of fit.free."""
     found = dict(values)
     for name, change, _ in freed:
         if name == 'com':
@@ -238,7 +238,7 @@ def with_freed(values: Mapping[str, Any], freed: Sequence[Freed]) -> dict[str, A
 
 
 def _require_identifiable(freed: Sequence[Freed]) -> None:
-    """Raise BellowsError where the recordings do not tell what was set free."""
+    """Refuse free quantities that are not identifiable from the recordings."""
     unknown = [own.name for own in freed if not np.all(np.isfinite(own.std))]
     if unknown:
         raise BellowsError(
@@ -249,13 +249,13 @@ def _require_identifiable(freed: Sequence[Freed]) -> None:
 
 
 def free_of(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return what is found together with K and P: fit.free, and a time offset where wanted."""
+    """Return what is estimated with K and P: fit.free, and a time offset if wanted."""
     offset = ('time_offset',) if values['fit.time_offset'] else ()
     return tuple(dict.fromkeys((*offset, *values['fit.free'])))
 
 
 def moves_with_com(settings: PrepareSettings) -> tuple[bool, bool, bool]:
-    """Return with which components of the centre of mass B moves: the lip is where it is."""
+    """Return the components of the centre of mass with which B moves while the lip stays."""
     lip = settings.package_frame == 'lip'
     return lip or settings.align_at_rest, lip or settings.align_at_rest, lip
 
@@ -278,7 +278,7 @@ def start_cup(parts: Sequence[Statistics], known: Cup) -> Cup:
 
 
 def _teller(progress: Progress | None) -> Callable[[Iteration], None] | None:
-    """Return what reports an iteration in words."""
+    """Return a function that reports an iteration in words."""
     if progress is None:
         return None
     iterations: list[Iteration] = []

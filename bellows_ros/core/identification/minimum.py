@@ -104,7 +104,7 @@ class Root:
         return float(np.sum(innovations**2) + 2.0 * np.sum(np.log(self.factor[0])))
 
     def noise(self, whitened: Array) -> tuple[Array, Array]:
-        """Return the likeliest (M, 12) that makes innovations (6 N,), and what is new in it."""
+        """Return the likeliest (M, 12) behind innovations (6 N,), and its own innovations."""
         back = lapack.dtbtrs(self.factor, whitened[:, None], uplo='L', trans='T')[0]
         parts = np.einsum('kijm,ki->kjm', self.effects, back.reshape(-1, 6))
         fresh = np.zeros_like(self.scale)
@@ -113,7 +113,7 @@ class Root:
         return self.accumulated(fresh), fresh
 
     def accumulated(self, fresh: Array) -> Array:
-        """Return the noise (M, 12), m and rad, of what is new in it, in units of its spread."""
+        """Return the noise (M, 12), m and rad, from its scaled innovations."""
         halves = zip(np.hsplit(fresh * self.scale, 2), self.kept, strict=True)
         return np.hstack([lfilter([1.0], [1.0, -a], part, axis=0) for part, a in halves])
 
@@ -160,7 +160,7 @@ def _band(effects: Array) -> Array:
 
 
 Note = Callable[[Array, float], None]
-"""Takes the free numbers of a step and its chi^2."""
+"""Called with the free parameters of a step and its chi^2."""
 
 WIDEST, FURTHEST = 10.0, 100.0
 """
@@ -169,10 +169,10 @@ within so many of its units: weakly.
 """
 
 TOLERANCE = 1e-3
-"""Half the fall of chi^2 that another step would bring, below which the search has converged."""
+"""Converged when half the predicted decrease of chi^2 is below this."""
 
 NEAR = 1.0
-"""The same, below which the colour of the noise is looked at."""
+"""Predicted decrease below which the correlation of the noise is estimated."""
 
 MOST_STEPS = 40
 
@@ -184,10 +184,10 @@ The smaller one holds far from the minimum, and covariances take directions to h
 """
 
 HUBER_FROM = 3.0
-"""Standard deviations from which the noise of a pose counts linearly."""
+"""Threshold of Huber's loss, standard deviations."""
 
 ROBUST_STEPS = (2, 3, 4)
-"""Steps before which the scatter of the poses is looked at: then it is kept."""
+"""Steps before which the scale of the residuals is re-estimated; then it is kept."""
 
 FARTHEST = 4.0
 """
@@ -196,16 +196,16 @@ poses are far off.
 """
 
 MISSING, LARGEST_MISSING = np.repeat([5e-3, 5e-2], 3), 1000.0
-"""Scatter of a pose that is not measured, m and rad, and at most so many deviations."""
+"""Standard deviation of a missing pose (m, rad), and at most this many of a measured one."""
 
 KEPT = (0.0, 0.4, 0.65, 0.8, 0.9, 0.95, 0.975, 0.99)
-"""Part of the noise that the next pose has in common: values among which is searched."""
+"""Candidate autocorrelations of the noise between successive poses."""
 
 ENOUGH = 4096
-"""Poses of each segment that give the colour of its noise."""
+"""Poses of each segment used to estimate the correlation of its noise."""
 
 CONVINCING = 10.0
-"""Fall of the deviance from which on noise is not taken to be white."""
+"""Decrease of the deviance required to reject white noise."""
 
 
 class Found(NamedTuple):
@@ -292,7 +292,7 @@ class Search:
         return {name: values[places] for name, places in self.own_places(segment).items()}
 
     def by_numbers(self, segment: Segment, jacobian: Array) -> Array:
-        """Return derivatives (..., m) by all numbers, of those by entries and free numbers."""
+        """Return derivatives (..., m) by all unknowns, from those by entries and the rest."""
         out = np.zeros((*jacobian.shape[:-1], len(self.units)))
         first = len(self._entries)
         out[..., :self.count] = jacobian[..., :first] @ self._entries
@@ -400,7 +400,7 @@ class Search:
             for own, segment, spread in zip(equations, self.segments, self.spread, strict=True)]
 
     def colour(self, equations: list[Equations]) -> tuple[float, float]:
-        """Return how much of the noise the next pose keeps, of package and tool."""
+        """Return the autocorrelation of the noise of package and tool between successive poses."""
         known: dict[tuple[float, float], float] = {}
         parts = [(segment, Equations(*(array[:ENOUGH] for array in own)), spread)
                  for segment, own, spread in zip(
@@ -460,7 +460,7 @@ def _vertex(
 
 
 def _missing(segment: Segment) -> Array:
-    """Return by how much more each pose (M, 12) scatters than usual: those that are missing do."""
+    """Return the relative scatter of each pose (M, 12), large for missing ones."""
     measured = segment.measured
     lost = ~measured.package.valid
     lost[1:] |= lost[:-1]
@@ -471,7 +471,7 @@ def _missing(segment: Segment) -> Array:
 
 
 def _spread(fresh: Array) -> Array:
-    """Return the scatter (M, 12) with which Huber's loss takes noise of so many deviations."""
+    """Return the scatter (M, 12) that Huber's loss assigns to noise of given deviations."""
     size = np.abs(fresh)
     typical = np.maximum(MAD_TO_STD * np.median(size, axis=0), 1.0)
     return np.sqrt(np.clip(size / (HUBER_FROM * typical), 1.0, LARGEST_MISSING))

@@ -39,12 +39,12 @@ from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
 REACH = 4
-"""Poses on each side of one that give its twist: modes to a ninth of the rate are met to 2e-5."""
+"""Poses on each side used for a twist; accurate to 2e-5 up to a ninth of the sampling rate."""
 
 STEPS = 2 * REACH + 1
 
 SMOOTHED_OVER = 1 / 12
-"""Half a window (s) of the polynomials that take noise off the motion that is linearised about."""
+"""Half window (s) of the polynomials that smooth the motion of the linearisation."""
 
 SMOOTHED_ORDER = 6
 
@@ -93,7 +93,7 @@ package's way, m and rad.
 """
 
 Free = Mapping[str, Array]
-"""Values by name, of one recording."""
+"""Values by name, for one recording."""
 
 
 class Equations(NamedTuple):
@@ -225,7 +225,7 @@ def _states(poses: Trajectory) -> tuple[Array, Array]:
 
 
 def _changed_poses(poses: Trajectory, change: Array) -> Trajectory:
-    """Return poses after small changes (N, 6) in their own axes."""
+    """Return poses after small displacements (N, 6) in their own axes."""
     return Trajectory(
         poses.stamps_ns, poses.position + apply(poses.rotation, change[:, :3]),
         poses.rotation @ exp_so3(change[:, 3:]))
@@ -300,7 +300,7 @@ def payload_of(held: Package, free: Free) -> Package:
 
 def poses_of(package: Trajectory, free: Free, moves: Array) -> Trajectory:
     """
-    Return the poses of B that follow from those with the given numbers.
+    Return the poses of B for given free quantities.
 
     Moves (3,) is 1 for the components of the centre of mass that B moves with, else 0.
     """
@@ -321,7 +321,7 @@ def _middle(package: Trajectory) -> Array:
 
 
 def model_columns(name: str, payload: Package, parameters: Array) -> Array:
-    """Return derivatives (..., count) by a number that is of the model, of those by parameters."""
+    """Return derivatives (..., count) by a free quantity of the model from those by parameters."""
     if name == 'length':
         return parameters[..., LENGTH]
     if name == 'com':
@@ -337,7 +337,7 @@ def model_columns(name: str, payload: Package, parameters: Array) -> Array:
 
 
 def pose_changes(name: str, package: Trajectory, moves: Array) -> Array | None:
-    """Return how the poses (M, 6, count) move in their own axes, None where they do not."""
+    """Return the derivatives of poses (M, 6, count) in their own axes, None if they are fixed."""
     if name == 'com' and moves.any():
         change = np.zeros((6, 3))
         change[:3] = np.diag(moves)

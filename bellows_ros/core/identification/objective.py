@@ -26,37 +26,37 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 RATE_HZ = 60.0
-"""Samples per second that are looked at, or a few more."""
+"""Samples per second in use, approximately."""
 
 MEAN_OVER = 0.08
 """Time (s) over which equations are averaged."""
 
 MEANS = 300
-"""Means that are enough to decide; of longer recordings every so many are looked at."""
+"""Averages needed for a decision; longer recordings are thinned out."""
 
 FLOOR = 0.01
-"""Part of the wrench that no model of rubber explains."""
+"""Fraction of the wrench that no model of rubber explains."""
 
 DRAWS = 2
-"""How often noise is added."""
+"""Number of noise draws."""
 
 CLUSTER = 8
-"""Means that hang together, for standard errors."""
+"""Correlated averages per cluster, for standard errors."""
 
 LARGEST_CUP = 3.0
-"""Times the thesis' cup: K and P count up to that in first weights."""
+"""Multiple of the thesis' K and P up to which they enter the first weights."""
 
 SMOOTHING = 6
-"""Order of the filter of accelerations, as it is if left alone."""
+"""Order of the filter of accelerations by default."""
 
 SLIPS = (0.06, 0.4)
-"""Parts of the largest displacement after which sliders slip: between them lies any friction."""
+"""Fractions of the largest displacement at which the sliders of the friction model slip."""
 
 LEAST_SIGNAL = 0.05
-"""Noise is taken to leave at least this part of the information on a direction."""
+"""Smallest share of the information on a direction that is taken to be signal."""
 
 SMALLEST = 1e-7
-"""Singular values below this part of the largest are nothing."""
+"""Singular values below this fraction of the largest count as zero."""
 
 
 class Rows(NamedTuple):
@@ -312,7 +312,7 @@ class Solved(NamedTuple):
 
 
 SINGULAR = 1e-10
-"""Eigenvalues of scaled information below this are no information."""
+"""Eigenvalues of scaled information below this count as zero."""
 
 
 def inverse_of(information: Array) -> tuple[Array, Mask]:

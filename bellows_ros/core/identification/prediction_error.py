@@ -45,13 +45,13 @@ import numpy as np
 Progress = Callable[[Iteration], None]
 
 LARGEST_CHI2 = 1.2
-"""A chi^2 per degree of freedom above this is said to be too large."""
+"""Chi^2 per degree of freedom above this triggers a warning."""
 
 SHORTEST_COLOUR = 0.6
-"""Noise of which the next pose keeps less than this is as good as white."""
+"""Autocorrelation between successive poses below which noise is treated as white."""
 
 SOFTEST = 0.05
-"""Eigenvalues of K and P where the search for definite ones begins, in scaled units."""
+"""Smallest scaled eigenvalue of K and P at the start of the search for definite matrices."""
 
 NOT_CONVERGED = (
     'The search for the minimum of the prediction errors did not converge: K and P must not be '
@@ -61,7 +61,7 @@ NOT_CONVERGED = (
 
 class Certainty(NamedTuple):
     """
-    What is known of m free numbers.
+    The uncertainty of m unknowns.
 
     Covariance (m, m), and which of the numbers (m,) are identifiable. Chi2: squares of the
     innovations per degree of freedom, all of them; robust: as large as their middle makes it.
@@ -204,7 +204,7 @@ def _colour(search: Search) -> tuple[str, ...]:
 
 
 def _misfit(chi2: float) -> str:
-    """Return a sentence on a chi^2 per degree of freedom that is too large, or nothing."""
+    """Return a sentence if chi^2 per degree of freedom is too large."""
     if chi2 <= LARGEST_CHI2:
         return ''
     return (
@@ -221,14 +221,14 @@ def _condition(information: Array) -> float:
 
 
 LAST_WEIGHT = 1e-3
-"""Weight of the barrier in what is minimised in the end."""
+"""Final weight of the barrier function."""
 
 FALL = 5.0
-"""By which factor the weight falls from stage to stage."""
+"""Factor by which the weight falls from stage to stage."""
 
 CONE_STEPS = 100
 CONE_NEAR = 1e-6
-"""Newton decrement at which a stage of the minimum in the cone ends."""
+"""Newton decrement at which a stage of the constrained minimisation ends."""
 
 
 def minimum_in_cone(H: Array, best: Array, inside: Array, units: Array) -> Array:
@@ -278,22 +278,22 @@ def _barrier(x: Array, units: Array) -> tuple[Array, Array]:
 
 
 CLUSTER = 1.0
-"""Length (s) of the parts of a recording whose gradients are kept."""
+"""Length (s) of the segments whose gradients are kept."""
 
 COMMON = 10.0
-"""What all parameters have in common counts as much as so many parts of the recordings."""
+"""Weight of the scatter common to all parameters, in segments of the recordings."""
 
 LEAST_EXCESS = 0.25
-"""Scatter that is less than this part of what the noise model says is of what nothing tells."""
+"""Scatter below this fraction of the noise model's belongs to directions without information."""
 
 LARGEST_UNKNOWN = 0.5
 """With more of its variance from directions without signal a number is not identifiable."""
 
 LARGEST_LEVERAGE = 0.999
-"""Part of a second that is left out: something is left where one second tells all."""
+"""Largest leverage of one second: something must remain when it is left out."""
 
 MEDIAN_OF_NORMAL = 0.6744897501960817
-"""Of the size of a standard normal variable."""
+"""Median of the absolute value of a standard normal variable."""
 
 
 def certainty(search: Search, found: Found) -> Certainty:
@@ -324,7 +324,7 @@ def certainty(search: Search, found: Found) -> Certainty:
 
 
 def _left_out(information: Array, part: Whitened, period: float) -> Iterator[Array]:
-    """Yield by how much the estimates (m,) change without each second of a segment."""
+    """Yield the change of the estimates (m,) when each second of a segment is left out."""
     length = 6 * max(round(CLUSTER / period), 1)
     for first in range(0, len(part.innovations), length):
         J, r = part.jacobian[first:first + length], part.innovations[first:first + length]

@@ -43,11 +43,11 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 SEED = 20210801
-"""Of the noise that is added; the same recording always gets the same answer."""
+"""Seed of the added noise: the same recording always gives the same result."""
 
 
 def draws(count: int) -> list[np.random.Generator]:
-    """Return the generators of so many draws of noise, the first ones always the same."""
+    """Return random generators for noise draws, the first ones always the same."""
     return np.random.default_rng(SEED).spawn(count)
 
 
@@ -96,7 +96,7 @@ def noise_products(
     recording: Samples, noise: FilterNoise, cup_length: float, structure: Structure
 ) -> Array:
     """
-    Return the expected products (6, q, 6, q) of what noise adds to the rows [L c], q = p + 1.
+    Return the expected contribution of noise to the products of [L c] (6, q, 6, q), q = p + 1.
 
     They are sums over all valid samples, of each two components of the wrench, seen by adding
     noise of the same kind once more. Those of several recordings can be added.
@@ -148,7 +148,7 @@ class Statistics:
     noise: Array | None
 
     def rows(self) -> Iterator[Rows]:
-        """Yield rows [L c], or such with the same inner products, cluster by cluster."""
+        """Yield rows [L c], or others with the same inner products, cluster by cluster."""
         if self.lip is not None:
             yield from self.lip.equations(self.cup_length, self.structure)
         elif len(self.r_factors):
@@ -199,10 +199,10 @@ def _component_r_factors(rows: Array) -> Array:
 
 
 DRAWS = 4
-"""How often noise is added."""
+"""Number of noise draws."""
 
 BAND = 0.9
-"""Part of the power of a velocity that its frequency band holds."""
+"""Fraction of a velocity's power inside its frequency band."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +298,7 @@ def information_of(
 def _rows(
     lip: LipMotion, noisy: LipMotion | None, cup_length: float, structure: Structure
 ) -> tuple[Array, Array]:
-    """Return the few rows of (noisy) samples, and products of what noise changes in columns."""
+    """Return the reduced rows of (noisy) samples, and products of the changes due to noise."""
     rows = np.zeros((1, 6, 2 * structure.size + 1))
     added = np.zeros((2 * structure.size, 6, 6))
     others = noisy and noisy.equations(cup_length, structure, keep=False)
@@ -325,7 +325,7 @@ def _few(rows: Array, structure: Structure) -> Array:
 @dataclass(frozen=True, eq=False)
 class Reduced:
     """
-    What remains of a recording where only sums over recordings are wanted.
+    The sufficient statistics of a recording.
 
     Parameters
     ----------
@@ -362,7 +362,7 @@ class Reduced:
 
     @property
     def name(self) -> str:
-        """What the user calls the recording."""
+        """Name of the recording as the user gave it."""
         return str(self.report['bag'])
 
 

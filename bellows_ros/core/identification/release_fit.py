@@ -26,22 +26,22 @@ from bellows_ros.errors import UndeterminedError, UnstableError
 import numpy as np
 
 FEWEST = 3
-"""So many tosses are needed for delay and tau."""
+"""Fewest tosses for delay and tau."""
 
 FALLS_BELOW, SHORTEST_FALL = 3.0, 0.05
-"""A package flies where it feels less than this (m/s^2) for at least so long (s)."""
+"""A package flies if its specific force stays below this (m/s^2) for at least this time (s)."""
 
 BEFORE, AFTER = 0.15, 0.3
-"""Of a toss, so much (s) before and after letting go counts."""
+"""Part of a toss used, before and after letting go, s."""
 
 LONGEST_LATE = 1.0
-"""A valve that is followed by no flight within this (s) is no release."""
+"""Longest time (s) from the valve to the flight."""
 
 REPLICAS = 20
-"""So many times the tool's noise is drawn for the standard errors of a toss."""
+"""Draws of the tool's noise for the standard errors of a toss."""
 
 SIZES = np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
-"""By which corrections of the state at the beginning are scaled: m, rad, m/s, rad/s."""
+"""Scales of the corrections of the initial state: m, rad, m/s, rad/s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +271,7 @@ class ValveFit:
 
 def valve_fit(tosses: Sequence[LettingGo], suction: float) -> ValveFit:
     """
-    Return what many tosses say of valve and blow-off.
+    Return the estimates of valve and blow-off from many tosses.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from bellows_ros.core.structure import Structure, structure_named, STRUCTURES
 import numpy as np
 
 UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}
-"""Of entries of K and P: of translations, of one of both, of rotations."""
+"""Of entries of K and P: translation, coupling, rotation."""
 
 WRENCH_UNITS = ('N',) * 3 + ('N m',) * 3
 POSE_UNITS = ('m',) * 3 + ('rad',) * 3
@@ -22,7 +22,7 @@ def parameter_units(structure: Structure) -> tuple[str, ...]:
 
 
 LARGEST_ERROR = 0.5
-"""A parameter with a standard error above this part of its size is not identifiable."""
+"""Largest relative standard error of an identifiable parameter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Iteration:
 
 
 class Freed(NamedTuple):
-    """Numbers found together with K and P beside those given, of a name in fit.free, SI."""
+    """Estimates of one name in fit.free, SI units."""
 
     name: str
     change: tuple[float, ...]
@@ -48,7 +48,7 @@ class Freed(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class StandstillPart:
     """
-    What standstills have added to a fit.
+    The contribution of standstills to a fit.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class Fit:
 
 
 def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> tuple[str, ...]:
-    """Return a sentence for each matrix that is not as a cup's must be, with what to do."""
+    """Return a sentence, with a remedy, for each matrix that is not definite."""
     simplest = next(iter(STRUCTURES.values()))
     simpler = (
         f', or use fit.structure: {simplest.name}, which has fewer parameters'

@@ -27,13 +27,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 FARTHEST = 2.0
-"""Distance (m) of the lip from the tool tip that no cup has: its length is at most 1 m."""
+"""Distance (m) of the lip from the tool tip that no cup reaches: its length is at most 1 m."""
 
 HELD = 0.3
 """In its own world the lip moves by at most this part of what it does in another."""
 
 LOOKED_AT_EVERY = 20
-"""So many samples are stepped over where only the arrangement is looked at."""
+"""Every such sample is used where only the arrangement matters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Samples:
 
     @property
     def valid(self) -> Mask:
-        """Where both motions are to be used (N,)."""
+        """Where both motions can be used (N,)."""
         return self.tool.valid & self.package.valid
 
     @property
@@ -74,7 +74,7 @@ class Samples:
 
     @cached_property
     def lip(self) -> LipMotion:
-        """What equations are made of."""
+        """The motion of the lip, the basis of the equations."""
         parts = [(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 6)), np.empty((0, 6)))]
         for block in self.blocks():
             motion = lip_relative(block.tool, block.package, block.payload.com)
@@ -95,7 +95,7 @@ class Samples:
             yield self.select(valid[start:start + BLOCK])
 
     def thinned(self, most: int) -> 'Samples':
-        """Return every so many of the samples, about as many as asked for or a few more."""
+        """Return every n-th sample, to about the number asked for."""
         step = max(len(self.tool) // most, 1)
         if step == 1:
             return self
@@ -107,7 +107,7 @@ class Samples:
 
 def samples_of(recording: Recording) -> Samples:
     """
-    Return what least squares takes, filtered as the parameter filter.relative says.
+    Return the samples for least squares, filtered as filter.relative says.
 
     Raises
     ------
@@ -119,14 +119,14 @@ def samples_of(recording: Recording) -> Samples:
 
 
 def filtered_samples(recording: Recording) -> Samples:
-    """Return the filtered motions, whatever filter.relative says."""
+    """Return the filtered motions, regardless of filter.relative."""
     return recording.once('filtered samples', lambda: Samples(
         recording.tool, recording.package, recording.payload, recording.settings.gravity,
         recording.package_weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns)))
 
 
 def _samples(recording: Recording) -> Samples:
-    """Return the samples of a recording that was looked at."""
+    """Return the samples of a checked recording."""
     _require_below(recording)
     samples = filtered_samples(recording)
     if not recording.settings.relative:
@@ -194,7 +194,7 @@ def _in_two_worlds(
 
 
 def _millimetres(recording: Recording, away: float) -> str:
-    """Return what is to be said of poses that are so far apart (m)."""
+    """Return a remark on poses this far apart (m)."""
     names = [f"'{stream.name}'" for stream in (recording.tool_pose, recording.package_pose)]
     tool, package = (np.median(stream.position, axis=0)
                      for stream in (recording.tool_pose, recording.package_pose))
@@ -249,16 +249,16 @@ def needed_wrench(package: Package, motion: Trajectory, gravity: ArrayLike) -> A
 
 
 FOLLOWED = 0.013
-"""A filter follows while it takes less than this part of a velocity: up to 6 Hz, if automatic."""
+"""Largest fraction of a velocity that a suitable filter removes; automatic filters reach 6 Hz."""
 
 RESOLUTION = 0.05
-"""Step (Hz) in which the end of a pass band is looked for."""
+"""Resolution (Hz) of the end of a pass band."""
 
 NO_FLOOR = 1e-3
-"""Frequencies at which the filter leaves less than this part of white noise show none."""
+"""Transmission of white noise below which the spectrum shows no noise floor."""
 
 BAND = 0.95
-"""Part of the deflection's power that the frequency bands hold."""
+"""Fraction of the deflection's power inside the frequency bands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,7 +332,7 @@ def _bands(densities: Spectrum) -> Array:
 
 
 def left(weights: Array, rate_hz: float, frequency: Array) -> Array:
-    """Return the parts (F,) of velocities at frequencies (F,) in Hz that a filter leaves."""
+    """Return the transmission (F,) of a filter for velocities at frequencies (F,) in Hz."""
     half_window = weights.shape[1] // 2
     time = np.arange(-half_window, half_window + 1) / rate_hz
     omega = 2.0 * np.pi * np.maximum(frequency, RESOLUTION)
@@ -348,7 +348,7 @@ def pass_band(weights: Array, rate_hz: float) -> float:
 
 class PassBand(NamedTuple):
     """
-    What the filter of one recording's package leaves of the lip's twist.
+    The transmission of a package's filter for the lip's twist.
 
     Mean squares (6,) of the filtered twist, power, and of what the filter took of it, lost; the
     part (6,) of the noise that it took; the end (Hz) of its pass band; half windows (samples) of

@@ -20,10 +20,10 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 CUT_AT = 5.0
-"""What is left of a pose counts as so many typical deviations at most: outliers do not count."""
+"""Residuals are clipped at this many typical deviations, so that outliers do not count."""
 
 SMALLEST = np.repeat([2e-7, 2e-6], 3)
-"""Noise (m, rad) below which no pose is taken to be: interpolation and rounding."""
+"""Smallest noise of a pose (m, rad): interpolation and rounding."""
 
 
 class PoseNoise(NamedTuple):
@@ -75,7 +75,7 @@ def pose_noise(poses: Trajectory) -> PoseNoise:
 
 
 def _ripple(poses: Trajectory) -> Array:
-    """Return what a quartic through nine poses leaves of the middle one (N - 8, 6), own axes."""
+    """Return the residual of the middle one of nine poses from a quartic (N - 8, 6), own axes."""
     n = HALF_WINDOW
     count = len(poses) - 2 * n
     centre = slice(n, n + count)
@@ -99,19 +99,19 @@ def _ripple_part(kept: float) -> float:
 
 
 LONGEST_GAP = 0.15
-"""Over a longer time (s) without poses a motion is unknown: the recording is cut there."""
+"""Longest gap (s) that is bridged; at longer ones the recording is split."""
 
 BRIDGE_HALF_WINDOW, BRIDGE_ORDER = 2, 4
-"""Quartics through five poses meet them all: they give the twists beside gaps."""
+"""Quartics through exactly five poses give the twists beside gaps."""
 
 SHORTEST_SEGMENT = 1.0
-"""Shorter segments (s) between such gaps are left out."""
+"""Shortest segment (s) between gaps that is used."""
 
 MOST_POSES = 16_384
-"""Longer segments are cut into equal parts, so that memory is bounded."""
+"""Longer segments are split into equal parts, so that memory is bounded."""
 
 BLIND_STEPS = 3.0
-"""Poses in gaps of the tool of more than so many steps do not count."""
+"""Poses in gaps of the tool longer than this many steps are ignored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +159,7 @@ def measured_segments(
     recording: int = 0,
 ) -> list[Measured]:
     """
-    Return the segments of a recording in which both motions are known throughout.
+    Return the segments of a recording without gaps in either motion.
 
     Parameters
     ----------

@@ -40,25 +40,25 @@ from bellows_ros.errors import BellowsError, UndeterminedError, UnstableError
 import numpy as np
 
 FOLDS = 5
-"""Parts that every recording is cut into; each is held out once."""
+"""Folds of each recording; each is held out once."""
 
 DRAWS = 2
-"""How often each size of noise is added."""
+"""Draws of added noise of each size."""
 
 EXTRAPOLATED = (3.0, -3.0, 1.0)
-"""Weights of estimates with one, two and three times the variance: a parabola's value at none."""
+"""Weights that extrapolate estimates at noise variance 1, 2 and 3 to 0 along a parabola."""
 
 SHORTEST_RUN = 1.0
-"""A segment that is simulated lasts at least this long, s."""
+"""Shortest simulated segment, s."""
 
 UNEXPLAINED = 0.2
 """Error of held-out motion, in its size, with which no structure fits, whatever the cause."""
 
 AS_GOOD_WITHIN = 0.02
-"""A simpler structure whose held-out error is larger by less than this part is as good, ..."""
+"""A simpler structure is as good if its held-out error is larger by less than this fraction ..."""
 
 NEGLIGIBLE = 5e-3
-"""... and so is one that adds less than this to an error-free simulation: filters do as much."""
+"""... or if it adds less than this to a simulation without errors: filters add as much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class Candidate:
 
     @property
     def usable(self) -> bool:
-        """Whether there is a fit that a predictor can take."""
+        """Whether its fit can be used for prediction."""
         return self.fit is not None and self.fit.usable
 
 
@@ -151,7 +151,7 @@ class StructureSelection:
 
 
 Folds = list[list[LipMotion]]
-"""The lip's motion in every fold, part by part."""
+"""The lip's motion in every fold, segment by segment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +270,7 @@ def effective_samples(residuals: Sequence[tuple[Array, Mask]], longest_lag: int)
 def _fit(
     recordings: list[Samples], cup_length: float, structure: Structure
 ) -> tuple[Fit | None, str]:
-    """Return the least-squares fit, or why there is none."""
+    """Return the least-squares fit, or why it failed."""
     try:
         return least_squares([statistics(s, cup_length, structure) for s in recordings]), ''
     except UndeterminedError as error:
@@ -363,7 +363,7 @@ def _candidate(
 
 
 def _solutions(parts: list[Array]) -> list[Array]:
-    """Return the solution (p,) without each of the folds whose R factors are given."""
+    """Return the solution (p,) without each of the folds with these R factors."""
     columns = parts[0].shape[1]
     return [
         _solution(r_factor(parts[:i] + parts[i + 1:], columns)) for i in range(len(parts))
@@ -403,7 +403,7 @@ def _simulated_error(problem: _Problem, fold: int, structure: Structure, x: Arra
 
 
 def _runs(samples: Samples) -> list[Samples]:
-    """Return the segments in which the tool is known, from a package pose on."""
+    """Return the segments with a known tool, from a package pose on."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], samples.tool.valid, [0]])))
     runs = []
     for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
@@ -463,7 +463,7 @@ def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:
 
 
 def _as_good(candidate: Candidate, best: Candidate) -> bool:
-    """Return whether a candidate is as good as the best one, as far as the folds can tell."""
+    """Return whether a candidate is as good as the best, as far as the folds resolve."""
     if candidate is best:
         return True
     worse = candidate.simulated**2 - best.simulated**2
@@ -473,7 +473,7 @@ def _as_good(candidate: Candidate, best: Candidate) -> bool:
 
 
 def _reason(advised: Candidate, best: Candidate, able: list[Candidate]) -> str:
-    """Return the sentence that says why a structure is advised."""
+    """Return the sentence that justifies the recommended structure."""
     errors = ', '.join(f'{candidate.structure} {candidate.held_out:.2%}' for candidate in able)
     if advised is best:
         why = 'It has the smallest held-out error'
@@ -483,7 +483,7 @@ def _reason(advised: Candidate, best: Candidate, able: list[Candidate]) -> str:
 
 
 def _unable(candidate: Candidate) -> str:
-    """Return the sentence that says why a structure is out of the question."""
+    """Return the sentence that rules a structure out."""
     if candidate.fit is None:
         return f'{candidate.structure} cannot be fitted: {candidate.refused}'
     if not candidate.fit.usable:

@@ -37,30 +37,30 @@ if TYPE_CHECKING:
     from bellows_ros.core.identification.innovations import OneStep
 
 LIGHT_HALF_WINDOW, LIGHT_ORDER = 1 / 60, 4
-"""Half window (s) and order of the smoothing of the tool: motions to 20 Hz pass."""
+"""Half window (s) and order of the light smoothing of the tool, which passes up to 20 Hz."""
 
 BRIDGE_PASSES = 2
-"""How often gaps are filled and their edges filtered again; more would carry noise into them."""
+"""Passes of filling gaps and filtering their edges; more would spread noise into them."""
 
 LIMIT = 0.05
-"""NRMSE that the thesis wishes for."""
+"""NRMSE that the thesis asks for."""
 
 NOISE_RUNS = 2
-"""Simulations with made-up tool noise, from which the error that noise makes is taken."""
+"""Simulations with added tool noise that give the error due to noise."""
 
 LONGEST_BRIDGE_S = 0.08
-"""A gap of the tool longer than this is warned about: what the tool did in it is a guess."""
+"""Gaps of the tool longer than this (s) are bridged with a warning."""
 
 REST_S = 0.2
 REST_SPEED = np.array([5e-3] * 3 + [2e-2] * 3)
-"""A body stands still where its RMS twist over `REST_S` seconds is below this, m/s, rad/s."""
+"""A body stands still if its RMS twist over `REST_S` seconds is below this, m/s, rad/s."""
 
 NOISE_WIDTHS = 3.0
-"""Standard deviations of a twist's own noise that do not count as motion."""
+"""Standard deviations of a twist's noise that do not count as motion."""
 
 
 SEED = 0
-"""Of the made-up noise: the same recording gives the same numbers."""
+"""Seed of the added noise: the same recording gives the same numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,14 +104,14 @@ class Validation(Comparison):
 
     @cached_property
     def one_step(self) -> 'OneStep | None':
-        """The same with the model corrected at every sample; None without noise to weigh."""
+        """The same, with the model corrected at every sample; None without noise."""
         from .innovations import one_step_errors  # late: not for the verdict on a fit
 
         return one_step_errors(*self.corrected)
 
     @property
     def moves(self) -> Mask:
-        """Which axes move so much that noise alone stays within the limit (6,)."""
+        """Which axes move enough for noise alone to stay within the limit (6,)."""
         return np.asarray(self.scores.motion * LIMIT > self.noise)
 
     @property
@@ -130,7 +130,7 @@ class Validation(Comparison):
 
 def validate(cup: Cup, recording: Recording) -> Validation:
     """
-    Simulate a recording from its start to its end and compare with what was measured.
+    Simulate a recording from start to end, and compare it with the measurement.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def _validated(cup: Cup, recording: Recording) -> Validation:
 
 def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, Array]:
     """
-    Return the tool with twists at every stamp that can be known, and the gaps bridged (G, 2).
+    Return the tool with twists at every usable stamp, and the bridged gaps (G, 2).
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
 
 
 def _bridged(filtered: Trajectory, known: Mask, stamps: Stamps) -> Trajectory:
-    """Return the tool at all stamps from the samples of a filter that are known."""
+    """Return the tool at all stamps from the valid samples of a filter."""
     usable = filtered.select(known)
     poses = Trajectory(usable.stamps_ns, usable.position, usable.rotation, usable.twist)
     return resample(poses, stamps)
@@ -265,7 +265,7 @@ def _span(whole: Trajectory, part: Trajectory) -> slice:
 def _start(
     model: ModelTuple, tool: Trajectory, recording: Recording, noises: tuple[Noise, Noise]
 ) -> tuple[State, int, str]:
-    """Return the package's first state, at which sample of the tool, and where it is from."""
+    """Return the package's first state, the tool's sample of it, and its origin."""
     rows = tool_rows(tool.select(slice(0, 1)))[0]
     rest = static_equilibrium(model, state_row(rows[:3], rows[3:7], np.zeros(6)))
     bodies = (recording.tool, recording.package)
@@ -283,7 +283,7 @@ def _start(
 
 
 def _at_rest(filtered: Trajectory, weights: Array, noise: Noise) -> bool:
-    """Return whether the body stands still at first, as far as noise lets one see."""
+    """Return whether the body stands still at first, within noise."""
     span = filtered.stamps_ns <= filtered.stamps_ns[0] + int(REST_S * NS_PER_S)
     seen = filtered.valid & span
     if filtered.twist is None or not seen.any():
@@ -305,7 +305,7 @@ def _noise_of_errors(
     body: Trajectory,
     noises: tuple[Noise, Noise],
 ) -> Array:
-    """Return the RMS error (6,) of the package's noise and of what the tool's noise drives."""
+    """Return the RMS error (6,) due to noise of the package and of the tool."""
     cup, package, gravity = payload
     rng = np.random.default_rng(SEED)
     squares = []
@@ -317,7 +317,7 @@ def _noise_of_errors(
 
 
 def _shaken(tool: Trajectory, noise: Noise, rng: np.random.Generator) -> Trajectory:
-    """Return the tool as it would be smoothed from poses with so much more white noise."""
+    """Return the tool as smoothed from poses with added white noise."""
     n = half_window_of(tool)
     added = rng.normal(size=(len(tool) + 2 * n, 6)) * _six(noise)
     W = weights(n, LIGHT_ORDER, uniform_rate_hz(tool.stamps_ns))

@@ -14,15 +14,15 @@ from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
 LARGEST_OFFSET = 0.1
-"""Time offsets of the streams are looked for up to this, s."""
+"""Largest time offset considered, s ..."""
 
 SLACK = 0.01
-"""... and a little beyond for derivatives, s."""
+"""... and the margin beyond it for derivatives, s."""
 
 
 class Given(NamedTuple):
     """
-    A recording with what was given with it.
+    A recording with its given data.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def time_offset(given: Given, theta: Array) -> Given:
 
 
 def com(given: Given, theta: Array) -> Given:
-    """Return it with the centre of mass elsewhere by so much (3,) in axes of the lip, m."""
+    """Return it with the centre of mass moved (3,) in axes of the lip, m."""
     held = given.samples.payload
     there = Package(held.mass, held.inertia, held.com + theta)
     fixed = np.array([given.aligned, given.aligned, False]) | given.lip_recorded  # then B moves
@@ -83,7 +83,7 @@ def length(given: Given, theta: Array) -> Given:
 
 
 def mass(given: Given, theta: Array) -> Given:
-    """Return it with a mass exp(theta) times as large and the same inertia."""
+    """Return it with the mass multiplied by exp(theta), at the same inertia."""
     held = given.samples.payload
     return _with(given, payload=Package(
         held.mass * float(np.exp(theta[0])), held.inertia, held.com))
@@ -116,7 +116,7 @@ def grip(given: Given, theta: Array) -> Given:
 
 
 def gravity(R: Array) -> Variation:
-    """Return what turns the world of both bodies."""
+    """Return a variation that rotates the world of both bodies."""
     def turned(given: Given, theta: Array) -> Given:
         """Return it in a world that is turned by R."""
         tool, package = given.samples.tool, given.samples.package
@@ -126,7 +126,7 @@ def gravity(R: Array) -> Variation:
 
 
 def yaw(angle: float, of_tool: bool) -> Variation:
-    """Return what turns a body's frame about its z axis."""
+    """Return a variation that rotates a body's frame about its z axis."""
     phi = np.array([0.0, 0.0, angle])
 
     def turned(given: Given, theta: Array) -> Given:
@@ -138,7 +138,7 @@ def yaw(angle: float, of_tool: bool) -> Variation:
 
 
 def other_frame(given: Given, theta: Array) -> Given:
-    """Return it with the package's poses taken for those of the lip instead of B, or reverse."""
+    """Return it with the package's poses taken as those of the lip instead of B, or vice versa."""
     com = given.samples.payload.com
     moved = _body_moved(given, np.zeros(3), -com if given.lip_recorded else com)
     return moved._replace(lip_recorded=not given.lip_recorded)
@@ -168,13 +168,13 @@ def _with(given: Given, **changes: object) -> Given:
 
 
 def _in_world(R: Array, body: Trajectory) -> Trajectory:
-    """Return a motion in another world, whose body twists are the same."""
+    """Return a motion in another world, with the same body twists."""
     return Trajectory(body.stamps_ns, apply(R, body.position), R @ body.rotation, body.twist,
                       body.acceleration, body.valid)
 
 
 def _body_moved(given: Given, phi: Array, way: Array, about_lip: bool = False) -> Given:
-    """Return it with B turned and moved in its own axes."""
+    """Return it with B displaced in its own axes."""
     if about_lip:  # B = S + R com
         com = given.samples.payload.com
         way = exp_so3(phi) @ com - com

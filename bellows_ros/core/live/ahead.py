@@ -34,26 +34,26 @@ from bellows_ros.core.tuples import (
 import numpy as np
 
 LEVER = 0.1
-"""A turn by 1 rad counts as so far (m)."""
+"""Distance (m) that counts as much as a rotation by 1 rad."""
 WINDOW = 0.25
-"""So far ahead (s of the plan) of where it is expected the tool is sought."""
+"""The tool is searched up to this far (s of the plan) ahead of its expected place."""
 AT_ONCE = 2e-4
 """Places of the plan whose distances differ by less (m) are distinguished by the clock."""
-OFF = 0.05
-"""A tool so far (m) from the plan does not drive it."""
+OFF_THE_PLAN = 0.05
+"""A tool farther than this (m) from the plan does not follow it."""
 
 MOVING = 0.05
-"""Where the plan is faster than this part of its highest speed, it shows how fast it is driven."""
+"""Fraction of the plan's highest speed above which the driver's speed can be measured."""
 SLOWEST, QUICKEST = 0.1, 2.0
-"""Factors on the plan's speed that a driver may have; below it pauses."""
+"""Range of the driver's speed relative to the plan; below it, the driver pauses."""
 
-NEWEST = 0.8
-"""Weight of the newest such factor beside those before."""
+SMOOTHING = 0.8
+"""Weight of the latest measured speed factor."""
 
 JOIN_SPEED, LONGEST_JOIN = 0.05, 0.1
-"""The tool comes back to the plan at this speed (m/s), within this time (s)."""
+"""The tool returns to the plan at this speed (m/s), within this time (s)."""
 SPACING = 0.01
-"""Points of the rest of a plan are no nearer to each other (s)."""
+"""Minimum spacing (s) of the points of the remaining plan."""
 
 
 @kernel
@@ -205,20 +205,20 @@ class Ahead:
         far, progress, rate = locate(
             *self._inputs, self._slow, now.tool, self.progress, self._expected(now.stamp_ns))
         self._seen_ns = now.stamp_ns
-        self.off = far > OFF
+        self.off = far > OFF_THE_PLAN
         self.progress = max(self.progress, progress)
         self.done = self.progress >= self._seconds[-1] - 1e-3
         if rate > SLOWEST:  # else the driver pauses
-            self.rate += NEWEST * (min(rate, QUICKEST) - self.rate)
+            self.rate += SMOOTHING * (min(rate, QUICKEST) - self.rate)
 
     def _expected(self, stamp_ns: int) -> float:
-        """Return where it would be by the clock, s of the plan."""
+        """Return the expected time in the plan according to the clock, s."""
         if self._seen_ns >= 0 and self.progress > 0.0:
             return self.progress + self.rate * (stamp_ns - self._seen_ns) / NS_PER_S
         return max(0.0, (stamp_ns - self._stamp_ns) / NS_PER_S) if self._stamp_ns else 0.0
 
     def rest(self, now: Prediction, spacing: float = SPACING) -> Rows:
-        """Return what is left of the plan, from the tool as it is; stamps count from now."""
+        """Return the rest of the plan from the current tool pose, with stamps from now."""
         wait = 0.0
         if self.progress == 0.0 and self._stamp_ns > now.stamp_ns:
             wait = (self._stamp_ns - now.stamp_ns) / NS_PER_S

@@ -31,19 +31,19 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 AHEAD, TAUS = 0.05, 6.0
-"""Within the delay, so many tau and this time (s) the cup lets go, if it does."""
+"""The cup lets go within the delay, this time (s) and this many tau, or not at all."""
 AIMED_AHEAD = 0.4
-"""So far ahead (s) a release for the target is sought."""
+"""How far ahead (s) a release for the target is searched."""
 AIMED_SCAN, AIMED_CLOSELY = 0.01, 1
-"""Step (s) of the scan for it, and how many of its times are looked at closely."""
+"""Spacing (s) of that scan, and how many of its times are refined."""
 COARSE = 2.0
 """Steps are so many times as long as elsewhere: the landing is within 0.02 mm, 0.2 mrad."""
 INSTANT = 1e-7
-"""To this (s) the instant of letting go is found."""
+"""Accuracy (s) of the instant of letting go."""
 PUSHES = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3
-"""Differences by shift (m), turn (rad), linear and angular twist (m/s, rad/s)."""
+"""Steps of differences by shift (m), turn (rad), linear and angular twist (m/s, rad/s)."""
 RENEWED = 10
-"""Every so many landings the covariance of the package's state is asked for."""
+"""The covariance of the package's state is renewed once in this many landings."""
 PATH_POINTS = 24
 
 
@@ -95,7 +95,7 @@ class Flight:
     """
 
     def __init__(self, values: Mapping[str, Any], future: Future = steadily) -> None:
-        """Take what is known of release and landing."""
+        """Set the data of release and landing."""
         self._values, self._future = values, future
         self.known = min(values['package.size']) > 0.0
         self._release = release_of(values) if self.known else None
@@ -141,7 +141,7 @@ class Flight:
         return self.state in ('flying', 'landed')
 
     def follow(self, model: ModelTuple, now: Prediction) -> Prediction:
-        """Return a prediction of the held package, or that of the flight where it is let go."""
+        """Return a prediction of the held package, or of the flight once it is released."""
         before, self._before = self._before, now
         if self.state != 'released' or before is None or self._release is None:
             return now
@@ -161,7 +161,7 @@ class Flight:
         return self.fly(model, now.stamp_ns, now.tool) or now
 
     def fly(self, model: ModelTuple, stamp_ns: int, tool: State) -> Prediction | None:
-        """Return where the package is at a stamp of its flight; None once it has landed."""
+        """Return the package at a stamp of its flight, or None after landing."""
         if self._body is None or self.state != 'flying':
             return None
         if self._landing_ns is not None and stamp_ns > self._landing_ns:
@@ -218,7 +218,7 @@ class Flight:
         covariance: Callable[[Prediction], Array],
     ) -> Landing | None:
         """
-        Return where it would land if the valve were switched now, the tool going on as planned.
+        Return the landing if the valve were switched now and the tool moved on as planned.
 
         One derivative is renewed each time: all of them take as long as what they are used for
         hardly changes.
@@ -263,7 +263,7 @@ class Flight:
         nominal: Toss, i: int,
     ) -> Array:
         """
-        Return the change (6,) of a landing by the i-th of what it depends on.
+        Return the change (6,) of a landing by its i-th parameter.
 
         By shift, turn, linear and angular twist of B in its own axes, for a unit of each, and by
         delay, tau and impulse, for a standard deviation.
@@ -284,7 +284,7 @@ class Flight:
         return figures(found, nominal, model[2]) / size
 
     def time_to_target(self, model: ModelTuple, prediction: Prediction) -> float | None:
-        """Return after what time (s) to switch the valve for the target; None without one."""
+        """Return the time (s) until the valve should be switched for the target, or None."""
         if self._release is None or self.state or not self._values['landing.aim']:
             return None
         x, y = self._values['landing.target']

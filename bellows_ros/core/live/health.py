@@ -16,7 +16,7 @@ from bellows_ros.core.live.load import Safety, STRONGEST_BENDING
 from bellows_ros.core.live.timing import Quantiles, Rhythm
 
 STRANGE_AGE = 1.0
-"""Messages older or younger (s) than this have stamps of another clock."""
+"""Messages older or younger (s) than this carry stamps of another clock."""
 
 TWIST_MESSAGES = {
     'other_axes': 'The twists do not fit the poses in the axes of tool_twist.frame, but they do '
@@ -37,7 +37,7 @@ PHASE_MESSAGES = {
 
 
 class Mismatch(NamedTuple):
-    """Why an input cannot be heard: `name` is a QoS policy, the other type, or what is missing."""
+    """Why an input cannot be received: a QoS policy, another type, or a missing part."""
 
     of: Literal['qos', 'type', 'frames']
     name: str
@@ -78,7 +78,7 @@ class InputSeen(NamedTuple):
 
 
 def number(value: float) -> str:
-    """Return a number for the diagnostics; what there is none of is said so."""
+    """Return a number for the diagnostics, or a text for a missing one."""
     return f'{value:.4g}' if math.isfinite(value) else 'none'
 
 
@@ -126,7 +126,7 @@ def _judge_input(seen: InputSeen, optional: bool) -> tuple[Level, str]:
 
 
 def twist_status(name: str, seen: InputSeen, poses: int, alone: int) -> Status:
-    """Return the line on the twists; so many of the poses since the last report had none."""
+    """Return the line on the twists, with the number of recent poses without one."""
     status = input_status(name, seen, optional=True)
     seldom = 2 * seen.rhythm.messages <= poses
     if status.level > Level.OK or seldom or 2 * alone <= poses:
@@ -138,7 +138,7 @@ def twist_status(name: str, seen: InputSeen, poses: int, alone: int) -> Status:
 
 
 def _judge_silence(seen: InputSeen, optional: bool, lowest: Level) -> tuple[Level, str]:
-    """Return level and words on an input that sends nothing."""
+    """Return level and text for a silent input."""
     if seen.mismatch:
         return lowest, _mismatch_message(seen.topic, seen.mismatch)
     if seen.publishers == 0:
@@ -155,7 +155,7 @@ def _judge_silence(seen: InputSeen, optional: bool, lowest: Level) -> tuple[Leve
 
 
 def _mismatch_message(topic: str, mismatch: Mismatch) -> str:
-    """Return what to say about a mismatch of QoS, type or frames."""
+    """Return the text on a mismatch of QoS, type or frames."""
     of, name = mismatch
     if of == 'frames':
         return (f'No pose of the tool from {topic}: {name}. Check frames.world and frames.tool, '
@@ -169,7 +169,7 @@ def _mismatch_message(topic: str, mismatch: Mismatch) -> str:
 
 def vacuum_status(name: str, seen: InputSeen, held: bool, speaks_once: bool) -> Status:
     """
-    Return the line on the signal that says whether the package is held.
+    Return the line on the signal of the vacuum.
 
     One that speaks once, when it changes, may be silent from its first word on.
     """
@@ -278,7 +278,7 @@ def load_status(
     name: str, safety: Safety | None, away: Distance | None, bending: float,
     limits_known: bool, envelope_known: bool, least: float,
 ) -> Status:
-    """Return the line on the cup's load: safety factor and what its identification has seen."""
+    """Return the line on the cup's load: safety factor and validity range."""
     values = {
         'safety factor': 'not known' if not limits_known else number(
             math.nan if safety is None else safety.factor),

@@ -25,14 +25,14 @@ from bellows_ros.core.tuples import (
 import numpy as np
 
 STRONGEST_BENDING = 0.6
-"""Beyond this angle (rad) the restoring moment of the model hardly grows any more (3.17)."""
+"""Bending (rad) beyond which the restoring moment of the model hardly grows (3.17)."""
 
 
 class Deflection(NamedTuple):
     """Pose and twist of the lip relative to the nominal lip, in tool axes and lip axes."""
 
     shift: Vector
-    """From where the lip is without load, in tool axes, m."""
+    """Of the lip from its place without load, in tool axes, m."""
     rotation: Matrix
     """E_R_S, row by row."""
     linear: Vector
@@ -52,7 +52,7 @@ def _lip(model: ModelTuple, tool: State, body: State) -> tuple[Vector, Matrix, V
 
 
 def deflection(model: ModelTuple, prediction: Prediction) -> Deflection:
-    """Return by how much the lip has moved from its nominal pose (0, 0, -l0) in the tool."""
+    """Return the displacement of the lip from its nominal pose (0, 0, -l0) in the tool."""
     o, R, v, w = _lip(model, prediction.tool, prediction.body)
     return Deflection((o[0], o[1], o[2] + model[0][1]), R, v, w)
 
@@ -90,7 +90,7 @@ def bending(lip: Deflection) -> float:
 
 
 class Safety(NamedTuple):
-    """The smallest safety factor of the grip, and what limits it."""
+    """The smallest safety factor of the grip, and its mode."""
 
     factor: float
     mode: str
@@ -139,27 +139,27 @@ class Load:
 
     @property
     def limits_known(self) -> bool:
-        """Whether anything is known of when the cup lets go."""
+        """Whether any limit of the cup is known."""
         return self.grip_known or self._max_force > 0.0 or self._max_moment > 0.0
 
     @property
     def grip_known(self) -> bool:
-        """Whether radius of the lip and vacuum are known."""
+        """Whether lip radius and vacuum are known."""
         return self.grip is not None
 
     def hear(self, pressure: float | None) -> None:
-        """Take the absolute pressure (Pa) in the cup, where it is heard."""
+        """Store the absolute pressure (Pa) in the cup, if it is measured."""
         self.pressure = pressure
         below = None if pressure is None else self._values['vacuum.ambient'] - pressure
         self.grip = grip_of(self._values, below)
 
     @property
     def envelope_known(self) -> bool:
-        """Whether it is known what the identification has seen."""
+        """Whether the validity range is known."""
         return self._envelope is not None
 
     def watch_force(self, prediction: Prediction) -> tuple[float, float] | None:
-        """Note the safety factors of a prediction; return those of the grip where it is known."""
+        """Record the safety factors of a prediction; return those of the grip if known."""
         factors = None
         if self.grip is not None:
             factors = safety_factors(self.grip, prediction.force, prediction.moment)
@@ -177,7 +177,7 @@ class Load:
             self._safety = Safety(factor, mode)
 
     def watch_deflection(self, model: ModelTuple, prediction: Prediction) -> None:
-        """Note how far a prediction is from what the identification has seen."""
+        """Record how far a prediction is outside the validity range."""
         lip = deflection(model, prediction)
         self._bending = max(self._bending, bending(lip))
         if self._envelope is None:

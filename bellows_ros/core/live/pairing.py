@@ -14,30 +14,30 @@ from bellows_ros.core.live.samples import PoseSample, TwistSample
 from bellows_ros.core.tuples import add, scale, Vector
 
 PAIRING_TOLERANCE_NS = 100_000
-"""Stamps of a pose and a twist that differ by no more belong to one instant."""
+"""Largest difference (ns) of the stamps of a pose and its twist."""
 
 LONGEST_WAIT_NS = 20_000_000
-"""A pose does not wait longer for its twist, counted in stamps."""
+"""Longest time (ns, in stamps) for which a pose waits for its twist."""
 
 LONGEST_QUEUE = 256
-"""So many poses wait at most, however near their stamps are."""
+"""Most poses that wait."""
 
 LONGEST_BRACKET_NS = 30_000_000
-"""Between twists further apart nothing is interpolated."""
+"""Longest time (ns) between twists that is interpolated."""
 
 FARTHEST_AHEAD_NS = 500_000_000
-"""A twist whose stamp is further ahead of the newest pose is of no use."""
+"""Twists stamped further ahead (ns) of the newest pose are dropped."""
 
 TWISTS_KEPT = 32
 
 LOST_RUN = 3
-"""After so many poses in a row whose twists were lost, twists are not waited for any more."""
+"""Consecutive poses without a twist after which twists are no longer waited for."""
 
 SMOOTHING = 0.1
-"""Part of a new period in the mean of the periods: one lost twist does not make them seldom."""
+"""Weight of a new period in the mean period, so that one lost twist hardly changes it."""
 
 SPARSE = 1.5
-"""Twists whose period is longer than this many periods of the poses are not waited for."""
+"""Twists rarer than one in this many poses are not waited for."""
 
 Pair = tuple[PoseSample, TwistSample | None]
 

@@ -41,14 +41,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 MOST_SUBSTEPS = 10_000
-"""Of one advance; more is a cup so stiff, or a time so long, that it counts as diverged."""
+"""Most substeps of one advance; more means a cup too stiff or a time too long: diverged."""
 
 CUP_LENGTHS = SAGS = 3.0
 """No lip is further from where it is without load than so many lengths of the cup, and so many
 times what the package's weight shifts it by in the softest direction."""
 
 RETRY_NS = 100_000_000
-"""Time (ns) after which rest is sought again where there was none: that takes milliseconds."""
+"""Time (ns) until a failed search for equilibrium, which takes milliseconds, is repeated."""
 
 
 @kernel
@@ -95,19 +95,19 @@ def extrapolated(tool: State, duration: float) -> State:
 
 
 class Prepared(NamedTuple):
-    """A model, and what follows from it."""
+    """A model and derived quantities."""
 
     model: ModelTuple
     longest_step: float
-    """s, of its integration."""
+    """Longest stable integration step, s."""
     reach: float
-    """m, by which no lip is ever from where it is without load."""
+    """Largest plausible displacement of the lip, m."""
     modes: Modes
 
 
 def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
     """
-    Return the model of a cup and a package, and what follows from it.
+    Return the model of a cup and a package, with derived quantities.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
 
 
 def _reach(model: ModelTuple) -> float:
-    """Return how far (m) a lip can be from where it is without load."""
+    """Return the largest plausible displacement (m) of the lip."""
     cup, package, gravity = model
     softest = float(np.linalg.eigvalsh(np.reshape(cup[2][0], (3, 3)))[0])
     return CUP_LENGTHS * cup[1] + SAGS * package[0] * math.hypot(*gravity) / softest
@@ -210,7 +210,7 @@ class LivePayload:
             self._coasted = None
 
     def forget(self, is_another: bool = True) -> None:
-        """Let the next tool sample start from rest, with the same package or with another."""
+        """Restart from rest at the next tool sample, with the same or another package."""
         if self.observer is not None:
             self.observer.forget(is_another)
         self._sample = self._coasted = None
@@ -250,7 +250,7 @@ class LivePayload:
 
     def coast(self, stamp_ns: int) -> Prediction | None:
         """
-        Predict with the tool going on as it did; the state for the next sample stays as it is.
+        Predict with the tool extrapolated, without changing the state for the next sample.
 
         Returns None when there is nothing to go on from.
         """
@@ -270,7 +270,7 @@ class LivePayload:
         self, body: State, start: State, end: State, duration: float, kept_ns: int = 0
     ) -> tuple[State, Wrench] | None:
         """
-        Return the package and the wrench at the end, or None if they are not finite.
+        Return package and wrench at the end, or None if they are not finite.
 
         An observer keeps what ends at a stamp (ns).
         """
@@ -306,7 +306,7 @@ class LivePayload:
         return Prediction(stamp_ns, *body, force, moment, tool, False, self.settling.now)
 
     def _rest(self, tool: State) -> State | None:
-        """Return the package at rest, or None if it cannot rest there with finite numbers."""
+        """Return the package at rest, or None if there is no finite equilibrium."""
         try:
             body = static_equilibrium(self.model, tool)
             wrench = lip_wrench(self.model, (tool[0], tool[1], ZERO, ZERO), body)

@@ -28,16 +28,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 COAST_AFTER_NS = 20_000_000
-"""Shorter pauses (ns) between poses are nothing to be said."""
+"""Pauses (ns) between poses shorter than this are ignored ..."""
 
 COAST_PERIODS = 4
-"""Nor are pauses shorter than so many periods of the poses."""
+"""... as are pauses shorter than this many periods of the poses ..."""
 
 LONGEST_BURST_NS = 100_000_000
-"""Pauses up to this (ns) that come again and again are those between bursts: nothing either."""
+"""... and recurring pauses up to this (ns), which separate bursts."""
 
 COAST_LIMIT_NS = 100_000_000
-"""How long (ns) the tool is extrapolated by default."""
+"""Default time (ns) for which the tool is extrapolated."""
 
 REFUSALS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
@@ -103,7 +103,7 @@ class LivePredictor:
         history: int = 5,
         coast_limit_ns: int = COAST_LIMIT_NS,
     ) -> None:
-        """Prepare the model; nothing is predicted before the first pose."""
+        """Prepare the model; predictions begin with the first pose."""
         self._twist_in_world = twist_frame == 'world'
         self._history = PoseHistory(history)
         self._package = LivePayload(cup, package, gravity)
@@ -135,7 +135,7 @@ class LivePredictor:
 
     @property
     def arrival_ns(self) -> int | None:
-        """When the newest accepted pose came; None before the first."""
+        """Arrival of the newest accepted pose; None before the first."""
         return self._arrival_ns
 
     @property
@@ -150,12 +150,12 @@ class LivePredictor:
 
     @property
     def refused(self) -> dict[str, int]:
-        """Counts of what was refused, by reason."""
+        """Counts of refused messages, by reason."""
         return {**self._counts, 'twist_unpaired': self._pairing.unpaired}
 
     @property
     def counts(self) -> dict[str, int]:
-        """What came, went out and was made up since the beginning, and fresh starts."""
+        """Counts of messages in, predictions out, and restarts, since the beginning."""
         return {
             'poses in': self.poses_in, 'twists in': self.twists_in,
             'predictions': self.predictions, 'coasted': self.coasted,
@@ -172,7 +172,7 @@ class LivePredictor:
 
     @property
     def expect_twists(self) -> bool:
-        """Whether a pose waits for its twist; set it where it is known that twists come."""
+        """Whether a pose waits for its twist; set when twists are known to come."""
         return self._pairing.expect
 
     @expect_twists.setter
@@ -186,7 +186,7 @@ class LivePredictor:
 
     def phase(self, arrival_ns: int) -> str:
         """
-        Return what is going on at a time on the clock of arrivals.
+        Return the phase of the prediction at a time on the clock of arrivals.
 
         'detached', 'waiting' (no pose has come yet), 'predicting', 'settling' (predicting, but
         what the start was off by is still felt), 'coasting' (no pose has come for a moment) or
@@ -338,12 +338,12 @@ class LivePredictor:
         return self._release([])
 
     def observe(self, observer: Observer) -> None:
-        """Let measured poses of the package correct what is predicted from now on."""
+        """Correct predictions with measured poses of the package from now on."""
         self._package.observe(observer)
 
     @property
     def observer(self) -> Observer | None:
-        """What corrects the predictions with measured poses of the package, if anything."""
+        """The observer that corrects the predictions, if any."""
         return self._package.observer
 
     def on_measured(
@@ -351,7 +351,7 @@ class LivePredictor:
         covariance: Array | None = None,
     ) -> None:
         """
-        Correct what is predicted next with a measured pose of the package, as `observe` has it.
+        Correct the next predictions with a measured pose of the package; see `observe`.
 
         It may be late, and out of order; what cannot be used is counted by the observer. The
         covariance (6, 6) is that of the message, about axes of the world. Its frame is the
@@ -423,7 +423,7 @@ class LivePredictor:
         return prediction
 
     def _measured(self, pose: PoseSample, twist: TwistSample) -> State | None:
-        """Return the tool's state with the twist turned into tool axes; None if that is false."""
+        """Return the tool's state with the twist in tool axes, or None if the twist is wrong."""
         q = pose.quaternion_xyzw
         if self.twist_check.is_due(pose.stamp_ns, q, twist.linear, twist.angular):
             self.twist_check.compare(self._history.state(back=2))
@@ -443,7 +443,7 @@ class LivePredictor:
 
 
 def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) -> None:
-    """Predict on made-up data in a predictor that is thrown away: nothing compiles later."""
+    """Compile everything, by predicting made-up data in a temporary predictor."""
     live = LivePredictor(cup, package, np.linalg.norm(gravity), twist_frame)
     safety_factors((ratio(1.0, 1.0), 1.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
     still, upright, arrival_ns = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0

@@ -19,7 +19,7 @@ import numpy as np
 
 REPORT_EVERY = 2000
 AT_ONCE = 2000
-"""So many messages are Python objects at a time: the garbage collector looks through them."""
+"""Messages held as Python objects at a time, to spare the garbage collector."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def predictions(
     seen: Sequence[tuple[int, Any, Any]] = (),
 ) -> Trajectory:
     """
-    Return what the predictor says to messages in order: B in the world with body twists.
+    Return the live predictions for messages in order: B in the world with body twists.
 
     Measured poses of the package (stamp, position, quaternion), in order, are given to it before
     the first message after their stamp.
@@ -109,7 +109,7 @@ def predicted_trajectory(stamps_ns: Stamps, rows: Array) -> Trajectory:
 
 def compare_recorded(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Comparison:
     """
-    Compare a prediction with what a recording has measured, at the recording's own stamps.
+    Compare a prediction with a recording, at the recording's own stamps.
 
     Parameters
     ----------

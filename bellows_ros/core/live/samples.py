@@ -30,7 +30,7 @@ class TwistSample(NamedTuple):
 
 
 class Unsettled(NamedTuple):
-    """By how much the package's state may have been off at one time, in each direction."""
+    """Possible error of the package's state at one time, in each direction."""
 
     since_ns: int
     shift: float
@@ -60,13 +60,13 @@ class Prediction(NamedTuple):
     moment: Vector
     """Moment of the cup on the package about the lip's centre, in lip axes, N m."""
     tool: State = ORIGIN
-    """The tool's pose and body twist that the prediction was made with."""
+    """Pose and body twist of the tool used for the prediction."""
     coasting: bool = False
-    """True where no tool pose has come and the tool is extrapolated."""
+    """Whether the tool is extrapolated because no pose has come."""
     unsettled: Unsettled | None = None
-    """What is left of an error at the start, or of doubted poses; None where nothing is."""
+    """The remaining error of the start or of doubtful poses; None if there is none."""
     covariance: Callable[[], Array | None] | None = None
-    """Gives that of the state (12, 12), in body axes, where an observer knows it."""
+    """Returns the covariance of the state (12, 12), in body axes, if an observer knows it."""
 
     @property
     def body(self) -> State:
@@ -75,5 +75,5 @@ class Prediction(NamedTuple):
 
     @property
     def flies(self) -> bool:
-        """Whether no cup holds the package: `Flight` gives this very ZERO, and no kernel does."""
+        """Whether the package is in flight: only `Flight` uses this very ZERO."""
         return self.force is ZERO

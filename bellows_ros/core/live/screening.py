@@ -37,49 +37,49 @@ from bellows_ros.core.tuples import (
 
 FRAME_RUN = 3
 FRAME_RUN_NS = 150_000_000
-"""A new frame is believed after so many poses in a row that span so much time (ns)."""
+"""A new frame is accepted after consecutive poses that span this time (ns)."""
 
 JUMP_RUN = 5
-"""So many poses in a row, near each other but far from the last accepted, are a new place."""
+"""Consecutive poses, close together but far from the last accepted one, that make a new place."""
 
 SPEED_SLACK, RATE_SLACK = 0.05, 0.3
-"""By so much (m, rad) a pose may be off from where an arm could be."""
+"""Tolerance (m, rad) of a pose about where an arm could be."""
 
 HARDEST_JOLT, JOLT_SLACK = 100.0, 0.02
-"""No arm is thrown about with more (m/s^2); and by how much (m) a pose may be off all the same."""
+"""Largest acceleration of an arm (m/s^2), and tolerance of a pose beside it (m)."""
 
 HARDEST_TURN_JOLT, TURN_JOLT_SLACK = 1000.0, 0.2
 """The same for rotations (rad/s^2, rad)."""
 
 DOUBTED_JOLT, DOUBTED_JOLT_SLACK = 40.0, 0.015
 DOUBTED_TURN_JOLT, DOUBTED_TURN_JOLT_SLACK = 400.0, 0.15
-"""The same from which on what an arm does, or a tracker says, is doubted."""
+"""The same, for doubting the arm's motion or the tracker."""
 
 AFTER_JUMPS = 0.2
-"""Doubt begins at such a part of it where poses before were refused."""
+"""Fraction of that limit at which doubt begins after refused poses."""
 
 JITTER = 0.025
-"""Time (s) by which stamps may be off: those of arrival come in bursts."""
+"""Largest error (s) of stamps; those of arrival come in bursts."""
 
 HARDEST_STOP, STOP_SLACK = 30.0, 3e-4
-"""No arm comes to a complete stop within one sample with more (m/s^2); and the noise (m) of it."""
+"""Largest deceleration (m/s^2) to a complete stop within one sample, and its noise (m)."""
 
 HARDEST_TURN_STOP, TURN_STOP_SLACK = 300.0, 1.5e-3
 """The same for rotations (rad/s^2, rad)."""
 
 UNKNOWN = -1.0
-"""Period of a pose of which it is not known how fast the tool was there."""
+"""Period of a pose at which the tool's speed is unknown."""
 
 
 class Step(NamedTuple):
     """From one pose to a later one."""
 
     excess: float
-    """How far it goes, as a part of what can be; above 1 no arm does it."""
+    """Size relative to what an arm can do; above 1 is impossible."""
     doubt: float
-    """The same for what is doubted."""
+    """Size relative to the limit of doubt."""
     jolt: float
-    """How far it goes beside a steady motion, m."""
+    """Deviation from a steady motion, m."""
     turn_jolt: float
     """The same for rotations, rad."""
     speed: float
@@ -99,9 +99,9 @@ class Reference(NamedTuple):
     position: Vector
     quaternion_xyzw: Quaternion
     period: float
-    """Time since the pose before, s; 0 for the first, whose tool is taken to be at rest."""
+    """Time since the previous pose, s; 0 for the first, whose tool counts as at rest."""
     step: Step
-    """From the pose before."""
+    """From the previous pose."""
 
 
 REST = Step(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, ZERO, ZERO)
@@ -131,7 +131,7 @@ def step_between(
     other_o: Vector, other_q: Quaternion, seconds: float,
 ) -> tuple[float, float, float, float, float, float, Vector, Vector]:
     """
-    Return the `Step` from a pose to another so many seconds later.
+    Return the `Step` from a pose to another after some seconds.
 
     The change of velocity counts for the shorter of the two periods, and less in a steady motion,
     so that neither bursts nor stamps with jitter make jolts of it.
@@ -162,7 +162,7 @@ def step_between(
 
 
 class FrameChange:
-    """Tells when another frame_id than before is to be believed: when it goes on for a while."""
+    """Decides when a new frame_id is accepted: when it persists."""
 
     def __init__(self) -> None:
         """Know of no other frame."""
@@ -170,11 +170,11 @@ class FrameChange:
         self._run = self._first_ns = self._last_ns = 0
 
     def clear(self) -> None:
-        """Note that the frame is the same as before."""
+        """Note that the frame is unchanged."""
         self._run = 0
 
     def is_believed(self, frame_id: str | None, stamp_ns: int) -> bool:
-        """Return whether nothing but this other frame has come for long enough."""
+        """Return whether only this new frame has come for long enough."""
         if not self._run or frame_id != self._frame_id or stamp_ns <= self._last_ns:
             self._frame_id, self._run, self._first_ns = frame_id, 0, stamp_ns
         self._run += 1
@@ -198,7 +198,7 @@ class Screen(StampScreen):
     """
 
     def __init__(self) -> None:
-        """Know nothing."""
+        """Start without a reference."""
         self.reset()
 
     def reset(self) -> None:
@@ -208,7 +208,7 @@ class Screen(StampScreen):
         self.forget_motion()
 
     def forget_motion(self) -> None:
-        """Take whatever stamp and place come next, in the same frame."""
+        """Accept any next stamp and place, in the same frame."""
         self.forget_stamps()
         self._last: Reference | None = None
         self._step = REST  # from there, if judged by its place
@@ -218,7 +218,7 @@ class Screen(StampScreen):
 
     @property
     def jolt(self) -> tuple[float, float]:
-        """How far (m, rad) the newest pose lies beside a steady motion."""
+        """Deviation (m, rad) of the newest pose from a steady motion."""
         return self._step.jolt, self._step.turn_jolt
 
     def judge(
@@ -230,7 +230,7 @@ class Screen(StampScreen):
         arrival_ns: int | None = None,
     ) -> Verdict:
         """
-        Return whether a pose can be used, and keep it as reference if so.
+        Return whether a pose can be used; if so, keep it as reference.
 
         Parameters
         ----------
@@ -261,7 +261,7 @@ class Screen(StampScreen):
     def _judge(
         self, stamp_ns: int, frame_id: str, o: Vector, q: Quaternion, arrival_ns: int | None
     ) -> Verdict:
-        """Return the verdict of the first check that has something to say."""
+        """Return the first verdict of the checks."""
         reason = why_no_pose(o, q)
         if reason:
             return Verdict(reason, '')
@@ -277,7 +277,7 @@ class Screen(StampScreen):
         return self._judge_place(stamp_ns, o, q)
 
     def _accept(self, stamp_ns: int, frame_id: str, o: Vector, q: Quaternion) -> None:
-        """Compare what follows with this pose."""
+        """Make this pose the reference."""
         seconds = 0.0 if self._last is None else (stamp_ns - self.newest_ns) * 1e-9
         self._last = Reference(stamp_ns, o, q, seconds, self._step)
         self.frame_id = frame_id
@@ -307,7 +307,7 @@ class Screen(StampScreen):
         return Verdict('jump', '')
 
     def _is_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> bool:
-        """Return whether a pose goes on from the last that was refused, not the last accepted."""
+        """Return whether a pose continues from the last refused pose."""
         there, last = self._elsewhere, self._last
         if there is None or last is None or stamp_ns <= there.stamp_ns:
             return False
@@ -341,7 +341,7 @@ def _beside(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> tuple[f
 
 
 def _cannot_stop(last: Reference) -> bool:
-    """Return whether an arm moves too fast to stand still one sample later."""
+    """Return whether an arm is too fast to stand still one sample later."""
     step, period = last.step, last.period
     return (
         (step.speed - HARDEST_STOP * period) * period > STOP_SLACK

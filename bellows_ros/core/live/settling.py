@@ -29,16 +29,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 SPAN_NS = 100_000_000
-"""Time (ns) after a start in which it shows how the tool moves; in halves."""
+"""Time (ns) after a start, in two halves, in which the tool's motion becomes known."""
 
 UNSEEN = 0.5, 1.0, 5.0, 25.0
-"""What a tool may do before it has been seen to: m/s, rad/s, m/s^2, rad/s^2."""
+"""What a tool may do before it is observed: m/s, rad/s, m/s^2, rad/s^2."""
 
 SMALL, SMALL_TURN = 1e-3, 5e-3
-"""An error (m, rad) of this size counts no more."""
+"""Errors (m, rad) below this are negligible."""
 
 SLOWEST_DECAY, SLOWEST_MODE = 0.1, 1.0
-"""Least that is assumed of any package, 1/s and rad/s."""
+"""Smallest decay rate (1/s) and frequency (rad/s) assumed of any package."""
 
 
 class Modes(NamedTuple):
@@ -67,13 +67,13 @@ def modes_of(system: Array) -> Modes:
 
 
 def _size(matrix: NDArray[Any]) -> float:
-    """Return by how much a matrix (3, 3) lengthens a vector at most."""
+    """Return the largest factor by which a matrix (3, 3) lengthens a vector."""
     return float(np.linalg.norm(matrix, 2))
 
 
 class Settling:
     """
-    Follow what a start, and doubted poses, leave in the state.
+    Track the error of the state after a start or after doubtful poses.
 
     Attributes
     ----------
@@ -94,11 +94,11 @@ class Settling:
         self._until_ns = 0
 
     def set_modes(self, modes: Modes) -> None:
-        """Take the modes of another cup or package; what is under way keeps its end."""
+        """Use the modes of another cup or package; a running decay keeps its end."""
         self._modes = modes
 
     def begin(self, stamp_ns: int, tool: State) -> None:
-        """Note a start at rest below a tool, of which soon it will show how it moves."""
+        """Note a start at rest below a tool whose motion is not yet known."""
         self._seen = [(stamp_ns, tool)]
         self.now = self._left_by(stamp_ns, *UNSEEN)
 
@@ -111,7 +111,7 @@ class Settling:
         self._until_ns = stamp_ns + self._duration_ns(self.now)
 
     def follow(self, stamp_ns: int, tool: State) -> Unsettled | None:
-        """Return what is left at a sample of the tool."""
+        """Return the remaining error at a sample of the tool."""
         if self.now is None:
             return None
         if self._seen:
@@ -121,7 +121,7 @@ class Settling:
         return self.now
 
     def _watch(self, stamp_ns: int, tool: State) -> None:
-        """See how the tool moves after a start: where it was, is half-way, and at last."""
+        """Measure the tool's motion after a start, from three poses."""
         start_ns, start = self._seen[0]
         since_ns = stamp_ns - start_ns
         if len(self._seen) == 1:
@@ -137,7 +137,7 @@ class Settling:
     def _left_by(
         self, stamp_ns: int, speed: float, rate: float, acceleration: float, turning: float
     ) -> Unsettled:
-        """Return what a package is off by that is taken to be at rest below a tool that moves."""
+        """Return the error of assuming rest below a moving tool."""
         by_shift, by_turn, turn_by_turn = self._modes.give
         turn = by_turn * acceleration + turn_by_turn * turning
         return Unsettled(stamp_ns, by_shift * acceleration, turn, speed, rate)

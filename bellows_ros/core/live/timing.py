@@ -12,7 +12,7 @@ KEPT = 2048
 
 
 class Quantiles(NamedTuple):
-    """Median, 99 % quantile and maximum of some numbers; NaN where there are none."""
+    """Median, 99 % quantile and maximum of some numbers; NaN without any."""
 
     p50: float
     p99: float
@@ -20,7 +20,7 @@ class Quantiles(NamedTuple):
 
 
 class Window:
-    """The newest numbers of a series, at most `KEPT` of them since they were last taken."""
+    """The newest numbers of a series since last taken, at most `KEPT`."""
 
     def __init__(self) -> None:
         """Reserve the memory."""
@@ -54,16 +54,16 @@ class Rhythm(NamedTuple):
 
 
 class Arrivals:
-    """When messages of one topic came, summed up since last taken."""
+    """Statistics of the arrivals of one topic since last taken."""
 
     def __init__(self) -> None:
-        """Know of none."""
+        """Start without arrivals."""
         self._last_ns = -1
         self._ages = Window()
         self._clear()
 
     def _clear(self) -> None:
-        """Begin to sum up again; the last arrival stays known."""
+        """Start new statistics; keep the last arrival."""
         self._count = self._intervals = 0
         self._sum = self._squares = 0.0
 
@@ -74,7 +74,7 @@ class Arrivals:
 
     @property
     def is_empty(self) -> bool:
-        """Whether none came since they were last taken."""
+        """Whether nothing has arrived since last taken."""
         return self._count == 0
 
     def add(self, arrival_ns: int, age: float) -> None:

@@ -21,13 +21,13 @@ from bellows_ros.core.tuples import (
 )
 
 KEPT = 500
-"""Transforms of each moving link that are remembered."""
+"""Transforms kept for each moving link."""
 
 LARGEST_TREE = 10_000
-"""Frames that are remembered."""
+"""Most frames in a tree."""
 
 STATIC = 0
-"""Stamp of a transform that always holds."""
+"""Stamp of static transforms."""
 
 IDENTITY = PoseSample(STATIC, ZERO, (0.0, 0.0, 0.0, 1.0))
 
@@ -52,7 +52,7 @@ class Chain:
     """
 
     def __init__(self, world: str, tool: str) -> None:
-        """Know nothing yet."""
+        """Start without transforms."""
         self.world, self.tool, self.dropped = world, tool, 0
         self._parents: dict[str, str] = {}
         self._left: dict[str, str | None] = {}  # with the last message, for another parent
@@ -99,7 +99,7 @@ class Chain:
         self._waiting.append(stamp_ns)
 
     def _follow(self) -> None:
-        """Find the way; what was known of its links is of no use where it is another one."""
+        """Find the chain of links; discard the links of another one."""
         ups = [self._up(self.tool), self._up(self.world)]
         shared = next((frame for frame in ups[0] if frame in ups[1]), None)
         self._ways = [up[:up.index(shared)] if shared is not None else [] for up in ups]
@@ -114,7 +114,7 @@ class Chain:
         self._waiting: deque[int] = deque()
 
     def _up(self, frame: str) -> list[str]:
-        """Return a frame and those above it, up to the root or to where they go in circles."""
+        """Return a frame and its ancestors, up to the root or a circle."""
         way = [frame]
         while (frame := self._parents.get(frame, '')) and frame not in way:
             way.append(frame)
@@ -122,7 +122,7 @@ class Chain:
 
     @property
     def missing(self) -> str:
-        """Why no pose of the tool can be given, or nothing."""
+        """Why there is no pose of the tool, or ''."""
         ups = [self._up(frame) for frame in (self.world, self.tool)]
         for frame in (*ups[0], *ups[1]):
             if frame in self._both:
@@ -145,7 +145,7 @@ class Chain:
         return f"the transforms of '{slow}' are {behind:.3g} s behind those of '{self._first}'"
 
     def due(self) -> Iterator[PoseSample]:
-        """Yield the poses of the tool in the world that have become known."""
+        """Yield the tool's poses in the world that are now known."""
         others = [samples for link, samples in self._moving.items() if link != self._first]
         while self._waiting and all(o and o[-1].stamp_ns >= self._waiting[0] for o in others):
             stamp_ns = self._waiting.popleft()
@@ -181,7 +181,7 @@ def at(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSample:
 
 
 def composed(outer: PoseSample, inner: PoseSample) -> PoseSample:
-    """Return a pose that is given in another one."""
+    """Return a pose given in another pose."""
     turned = apply(rotation_matrix(outer.quaternion_xyzw), inner.position)
     return PoseSample(
         outer.stamp_ns, add(outer.position, turned),
@@ -189,7 +189,7 @@ def composed(outer: PoseSample, inner: PoseSample) -> PoseSample:
 
 
 def relative(base: PoseSample, pose: PoseSample) -> PoseSample:
-    """Return a pose in another one, both given in the same frame."""
+    """Return a pose relative to another, both given in the same frame."""
     back = subtract(pose.position, base.position)
     return PoseSample(
         pose.stamp_ns, apply_transposed(rotation_matrix(base.quaternion_xyzw), back),

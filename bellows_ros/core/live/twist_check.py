@@ -26,28 +26,28 @@ PERIOD_NS = 20_000_000
 """Time (ns) between two comparisons."""
 
 MEMORY = 0.98
-"""Weight of what is known against a new comparison: some 50 of them count, 1 s."""
+"""Forgetting factor: about 50 comparisons count, 1 s."""
 
 ENOUGH = 20
-"""Comparisons before anything is said."""
+"""Comparisons before the first verdict."""
 
 MISFIT = 0.25
-"""Twists do not fit when this part of their mean square is not explained by the poses."""
+"""Twists are wrong if the poses leave this fraction of their mean square unexplained."""
 
 LEVER = 0.1
 """Arm (m) by which rotations are weighed against translations."""
 
 LEAST = 1e-3
-"""Mean square speed (m^2/s^2) below which noise decides and nothing is said."""
+"""Mean square speed (m^2/s^2) below which noise dominates and there is no verdict."""
 
 LARGEST_JERK, SLACK = 5e3, 0.015
-"""No arm has more (m/s^3); and the position (m) by which a pose may be off all the same."""
+"""Largest jerk of an arm (m/s^3), and tolerance of a position beside it (m)."""
 
 LARGEST_TURN_JERK, TURN_SLACK = 5e4, 0.15
 """The same for rotations (rad/s^3, rad)."""
 
 DOUBTED_JERK, DOUBTED_TURN_JERK = 5e2, 5e3
-"""From such on (m/s^3, rad/s^3) the twists of an arm are doubted."""
+"""Jerk (m/s^3, rad/s^3) above which twists are doubted."""
 
 
 @kernel
@@ -55,7 +55,7 @@ def misfits(
     q: Quaternion, linear: Vector, angular: Vector, v: Vector, w: Vector
 ) -> tuple[float, float, float]:
     """
-    Return the mean squares of the body twist (v, w) and of what is left of it.
+    Return the mean squares of the body twist (v, w) and of its residual.
 
     What is left with the measured twist (linear, angular) taken to be in world axes, and in tool
     axes; rotations count with the lever.
@@ -85,7 +85,7 @@ class TwistCheck:
     """
 
     def __init__(self, in_world: bool, back: int = 2) -> None:
-        """Know nothing yet."""
+        """Start without comparisons."""
         self._in_world = in_world
         self._back = back
         self._recent: deque[tuple[int, Quaternion, Vector, Vector]] = deque(maxlen=back + 1)
@@ -103,7 +103,7 @@ class TwistCheck:
         self._recent.clear()
 
     def is_due(self, stamp_ns: int, q: Quaternion, linear: Vector, angular: Vector) -> bool:
-        """Keep a measured twist and return whether the one some poses before is to be compared."""
+        """Store a measured twist; return whether an earlier one is due for comparison."""
         self._recent.append((stamp_ns, q, linear, angular))
         return len(self._recent) > self._back and stamp_ns >= self._due_ns
 
@@ -131,7 +131,7 @@ class TwistCheck:
 
 @kernel
 def in_tool_axes(q: Quaternion, linear: Vector, angular: Vector) -> tuple[Vector, Vector]:
-    """Return a twist given in world axes in those of the tool."""
+    """Return a twist given in world axes in tool axes."""
     R = rotation_matrix(q)
     return apply_transposed(R, linear), apply_transposed(R, angular)
 
@@ -166,7 +166,7 @@ def measured(
     before: State, position: Vector, q: Quaternion, linear: Vector, angular: Vector,
     in_world: bool, seconds: float,
 ) -> tuple[State, float, float, tuple[float, float]]:
-    """Return the tool with a twist as it was measured, in tool axes, and its `misfit`."""
+    """Return the tool with the measured twist, in tool axes, and its `misfit`."""
     v, w = linear, angular
     if in_world:
         v, w = in_tool_axes(q, linear, angular)

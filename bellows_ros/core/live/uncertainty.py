@@ -37,26 +37,26 @@ import numpy as np
 from scipy.linalg import expm
 
 STEP_NS = 4_000_000
-"""Sensitivities go on in steps at least so long: the package's modes are slow against it."""
+"""Shortest step (ns) of the sensitivities; the package's modes are slow against it."""
 
 DOUBLINGS = 15
-"""2^15 samples make the long time of the part due to noise."""
+"""Doublings of the horizon for the stationary covariance: 2^15 samples."""
 
 COASTING_ACCELERATION = 5.0
 COASTING_ANGULAR_ACCELERATION = 25.0
-"""Standard deviations (m/s^2, rad/s^2) of what an arm may do while nobody sees it."""
+"""Standard deviations (m/s^2, rad/s^2) of what an unobserved arm may do."""
 
 UNKNOWN_ROOT = 1e3 * np.eye(12)
 UNKNOWN = UNKNOWN_ROOT @ UNKNOWN_ROOT.T
-"""Stands for a covariance that is not known (m^2, rad^2, m^2/s^2, rad^2/s^2)."""
+"""Stands for an unknown covariance (m^2, rad^2, m^2/s^2, rad^2/s^2)."""
 
 RETRY_NS = 100_000_000
-"""Time (ns) after which what is not known is tried again: that takes milliseconds."""
+"""Time (ns) until a failed computation, which takes milliseconds, is repeated."""
 
 
 class Uncertainty:
     """
-    Follow predictions and give their covariance.
+    Follow predictions and compute their covariance.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Uncertainty:
     """
 
     def __init__(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
-        """Take what is uncertain; the model is linearised at the first prediction."""
+        """Set the uncertainties; the model is linearised at the first prediction."""
         self.known = True
         self._model = model
         self._noise = np.repeat([values['tool_noise.position'], values['tool_noise.rotation']], 3)
@@ -96,7 +96,7 @@ class Uncertainty:
         return np.asarray(root @ root.T)
 
     def root(self, prediction: Prediction) -> Array:
-        """Return what gives the covariance when multiplied with its transpose (12, n)."""
+        """Return a factor (12, n) of the covariance, see above."""
         if not prediction.coasting:
             self._note_period(prediction.stamp_ns)
         observed = prediction.covariance and prediction.covariance()
@@ -127,7 +127,7 @@ class Uncertainty:
         return np.asarray(turn @ np.hstack(parts))
 
     def _left_of(self, start: Unsettled, stamp_ns: int) -> Array:
-        """Return what is left (12, 12) of errors that a state had earlier, a column for each."""
+        """Return the remainder (12, 12) of earlier errors of a state, one column each."""
         if start.since_ns != self._left_since_ns:
             seconds = max(0.0, (stamp_ns - start.since_ns) * 1e-9)
             self._left, self._left_since_ns = expm(self._A * seconds), start.since_ns
@@ -194,7 +194,7 @@ class Uncertainty:
         return self._step_of[1:]
 
     def _noise_root(self) -> Array:
-        """Return the root of what white noise of the tool's pose does at the samples' period."""
+        """Return the root of the covariance due to white noise of the tool's poses."""
         if self._period_ns not in self._noise_of:
             self._noise_of[self._period_ns] = self._driven_by_noise(self._period_ns * 1e-9)
         return self._noise_of[self._period_ns]
@@ -243,7 +243,7 @@ def _at_most_whole(std: Array, blocks: Blocks) -> Array:
 
 
 def _coasting_root(seconds: float) -> Array:
-    """Return the root of what the tool may have done since it was last seen."""
+    """Return the root of the covariance due to the unobserved motion of the tool."""
     acceleration = np.repeat([COASTING_ACCELERATION, COASTING_ANGULAR_ACCELERATION], 3)
     pose, twist = 0.5 * acceleration * seconds ** 2, acceleration * seconds
     return np.diag(np.concatenate([pose, twist]))

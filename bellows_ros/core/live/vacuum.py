@@ -26,14 +26,14 @@ class PressureSwitch:
         self._detach_above = detach_above
 
     def held(self, pressure: float, held: bool) -> bool:
-        """Return whether the package is held now, from a pressure (Pa) and what was before."""
+        """Return whether the package is held, from a pressure (Pa) and the previous state."""
         if pressure < self._attach_below:
             return True
         return held and pressure <= self._detach_above
 
 
 def why_no_pressure(pressure: float) -> str:
-    """Return why a number is no absolute pressure, or nothing."""
+    """Return why a number is not an absolute pressure, or ''."""
     if not math.isfinite(pressure):
         return 'nan'
     return 'negative' if pressure < 0.0 else ''

@@ -39,16 +39,16 @@ class Cause(NamedTuple):
 
     name: str
     rows: tuple[int, ...]
-    """Of the extended error, one for each number of its size."""
+    """Of the extended error, one for each component of the fault."""
     usual: tuple[float, ...]
-    """Standard deviations of its size."""
+    """Prior standard deviations of the fault's components."""
     share: float
-    """Of all faults."""
+    """Prior share among all faults."""
     at_start: bool
     sets_in: bool
-    """Whether it may be there from the beginning, and whether it may set in."""
+    """Whether it may be present from the start, and whether it may have an onset."""
     message: str
-    """Finding, and what to do."""
+    """The finding, and what to do."""
     unit: float = 1e3
 
 
@@ -69,23 +69,23 @@ CAUSES = (
           True, True,
           'The frame of the camera has moved by {:.1f} mm: calibrate it.'),
 )
-"""What is looked for."""
+"""The faults that are tested."""
 
 START = tuple(cause for cause in CAUSES if cause.at_start)
 LOOKED_FOR = START + tuple(cause for cause in CAUSES if cause.sets_in)
-"""First those that may be there from the beginning, then those that may set in."""
+"""First the faults present from the start, then those with an onset."""
 ROWS = tuple(row for cause in LOOKED_FOR for row in cause.rows)
 FIRSTS = tuple(np.cumsum([0, *(len(cause.rows) for cause in LOOKED_FOR)]).tolist())
-"""Where the numbers of each begin, and where the last end."""
+"""First column of each fault, and the end of the last one."""
 AT_START = len(START)
 OF_CAUSE = tuple(CAUSES.index(cause) for cause in LOOKED_FOR)
 SHARES = tuple(math.log(cause.share) for cause in CAUSES)
 USUAL = tuple(std for cause in LOOKED_FOR for std in cause.usual)
 MEAN = tuple(1.0 if row == GONE else 0.0 for row in ROWS)
-"""A package that is lost has lost all of the cup's force."""
+"""A lost package has lost all of the cup's force."""
 
 ONSET_NS = 30_000_000
-"""Time (ns) between two onsets that are looked at."""
+"""Spacing (ns) of the onsets tested."""
 
 ONSETS, DENSE_NS, OLDEST_NS = 28, 550_000_000, 10_000_000_000
 """
@@ -109,10 +109,10 @@ let go, and a cause must lead: chance alone raises no more alarms than allowed a
 """
 
 START_WEIGHS = 30.0
-"""A fault from the beginning is as likely as one that sets in at any of so many onsets."""
+"""Prior odds of a fault from the start against an onset at any one of the times tested."""
 
-LEAST = 3
-"""Measurements after an onset without which nothing is said."""
+FEWEST = 3
+"""Measurements after an onset required for a decision."""
 
 SURE, DECIDE_NS = 5.0, 500_000_000
 """
@@ -121,19 +121,19 @@ after half-way to the threshold.
 """
 
 CONFIRMED = 2
-"""Nor before so many measurements after half-way to the threshold: one jump can be anything."""
+"""Measurements required after half the threshold is passed: one jump proves nothing."""
 
 UNEXPLAINED = 0.2
-"""A cause leaves no more of what is unusual: wild measurements have none."""
+"""Largest fraction of the misfit that a named cause may leave unexplained."""
 
 
 class Alarm(NamedTuple):
-    """What was found to be wrong."""
+    """A fault that was found."""
 
     stamp_ns: int
     cause: str
     size: float
-    """m, m/s or 1."""
+    """m, m/s or relative."""
     message: str
 
 
@@ -149,12 +149,12 @@ class Alarms:
     """
 
     def __init__(self, false_per_hour: float) -> None:
-        """Know of nothing."""
+        """Start without measurements."""
         self._threshold = math.log(3.6e12 / ONSET_NS / false_per_hour) - OVERSHOOT
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew."""
+        """Start again."""
         self.last_ns = -1
         self._E: Array = np.zeros((EXTENDED, COLUMNS[-1] + -COLUMNS[-1] % LINE))
         self._information: Array = np.zeros((len(ROWS), LARGEST, ONSETS))
@@ -168,7 +168,7 @@ class Alarms:
         self, stamp_ns: int, passage: Array, found: Innovation, used: bool
     ) -> Alarm | None:
         """
-        Take the next innovation, and say what is wrong.
+        Process the next innovation, and return an alarm if there is one.
 
         Parameters
         ----------
@@ -249,7 +249,7 @@ def _step(
 
 @kernel
 def _place(onsets: Stamps, stamp_ns: int) -> int:
-    """Return where another onset goes: for the one nearest to its neighbours, being older."""
+    """Return the slot for another onset: that of the older one nearest to its neighbour."""
     place, least = 0, math.inf
     for k in range(len(onsets)):
         before_ns, after_ns = onsets[0], stamp_ns
@@ -268,7 +268,7 @@ def _place(onsets: Stamps, stamp_ns: int) -> int:
 
 @kernel
 def _set_in(E: Array, J: Array, d: Array, k: int) -> None:
-    """Write the error that each number of a size makes where it sets in."""
+    """Write the error that each component of a fault causes at its onset."""
     for a in range(FIRSTS[0 if k == 0 else AT_START], FIRSTS[AT_START if k == 0 else -1]):
         slot = max(k - 1, 0)
         c, row = COLUMNS[a] + slot, ROWS[a]
@@ -282,7 +282,7 @@ def _set_in(E: Array, J: Array, d: Array, k: int) -> None:
 
 @kernel
 def _sight(H: Array, position: Vector, quaternion_xyzw: Quaternion) -> Array:
-    """Return what the extended error makes of an innovation (6, 41)."""
+    """Return the derivative (6, 41) of an innovation by the extended error."""
     C = np.zeros((6, EXTENDED))
     for i in range(6):
         for j in range(22):
@@ -350,7 +350,7 @@ def _judged(
         for slot in range(SLOTS[what]):
             k = slot + later
             usual = 6.0 * counts[k] + 4.0 * math.sqrt(12.0 * counts[k])
-            if counts[k] < LEAST or (
+            if counts[k] < FEWEST or (
                     distances[k] - explained[slot] > usual + UNEXPLAINED * explained[slot]):
                 continue
             ratio = 0.5 * (explained[slot] - math.log(determinant[slot]))

@@ -65,13 +65,13 @@ LENGTHENED, LENGTHENING, FORCE, MOMENT = 22, 23, 24, 25
 ZERO = (0.0, 0.0, 0.0)
 
 UNPASSED: Array = np.vstack([np.eye(12, 26), np.zeros((1, 26))])
-"""The passage to a stamp from the very same one."""
+"""The transition over no time."""
 
 COARSE = 8
-"""Steps of the covariance are so many times longer than those of the state at most."""
+"""The covariance is propagated in steps up to this many times longer than the state's."""
 
 NOT_FOLLOWED: Array = np.zeros((0, 0))
-"""In place of a covariance or a passage."""
+"""Stands for a covariance or transition that is not computed."""
 
 
 if COMPILED:
@@ -100,7 +100,7 @@ else:
 
 @kernel
 def product(A: Array, B: Array, out: Array) -> Array:
-    """Write A B, and return it."""
+    """Write A B and return it: two columns of A at a time, skipping zero ones."""
     out[:] = 0.0
     return add_product(A, B, out)
 
@@ -112,7 +112,7 @@ def turned_over(A: Array) -> Array:
 
 
 class Estimate(NamedTuple):
-    """What is known of the package at one stamp."""
+    """The estimated package at one stamp."""
 
     stamp_ns: int
     tool: State
@@ -122,25 +122,25 @@ class Estimate(NamedTuple):
     covariance: Array
     """Of the error (22, 22)."""
     refused: int = 0
-    """Measurements outside the gate, one after the other."""
+    """Consecutive measurements outside the gate."""
     passage: Array = NOT_FOLLOWED
-    """Since the measurement before (13, 26), where it is followed."""
+    """Transition since the previous measurement (13, 26), if it is computed."""
 
 
 class Driving(NamedTuple):
-    """What drives the error, beside itself."""
+    """The noise that drives the error."""
 
     noise: Array
-    """Of the state (12, 12) by noise of the tool's pose that is held for a second."""
+    """Covariance of the state (12, 12) due to noise of the tool's pose, held for a second."""
     walk: Array
-    """Variances of the steps of the error (22,) in a second."""
+    """Variances of the random walk of the error (22,) per second."""
 
 
 @kernel
 def moved(
     body: State, shift: Vector, turn: Vector, linear: Vector, angular: Vector
 ) -> State:
-    """Return a state changed in its own axes."""
+    """Return a state displaced in its own axes."""
     return (
         add(body[0], apply(rotation_matrix(body[1]), shift)),
         normalised(quaternion_product(body[1], exp_quaternion(turn))),
@@ -171,7 +171,7 @@ def with_payload(model: ModelTuple, theta: Array) -> ModelTuple:
 
 @kernel
 def wrench_of(theta: Array) -> Wrench:
-    """Return the wrench (N, N m) beside the cup's."""
+    """Return the wrench bias (N, N m)."""
     return (theta[4], theta[5], theta[6]), (theta[7], theta[8], theta[9])
 
 
@@ -183,7 +183,7 @@ def changed(body: State, error: Array) -> State:
 
 def driving(model: ModelTuple, tool: State, body: State, noise: Array, walk: Array) -> Driving:
     """
-    Return what white noise (6,) of the tool's pose does, with small motions about a state.
+    Return the effect of white noise (6,) of the tool's pose, linearised about a state.
 
     The tool's twist is the derivative of its noise e. Integrated by parts, its slope T_v acts
     like the slope A T_v of e.
@@ -283,7 +283,7 @@ def spread(
     A: Array, B: Array, h: float, held: float, noise: Array, walk: Array, P: Array
 ) -> tuple[Array, Array]:
     """
-    Carry a covariance (22, 22) through a step, in place; return what the step does (12, 12 + 13).
+    Propagate a covariance (22, 22) in place; return the transition (12, 12 + 13).
 
     With G the mean of exp(A t) over the step, to fourth order, the error becomes
     (I + h A G) x + h G B theta. What drives it acts half before and half after the step.
@@ -336,7 +336,7 @@ def _beside_unity(factor: float, A: Array, out: Array) -> Array:
 
 @kernel
 def _drive(P: Array, h: float, held: float, noise: Array, walk: Array) -> None:
-    """Add what drives the error to its covariance."""
+    """Add the process noise to the error's covariance."""
     for i in range(12):
         for j in range(12):
             P[i, j] += held * noise[i, j]
@@ -368,7 +368,7 @@ def pass_on(M: Array, F: Array, D: Array, h: float, falling: Vector) -> None:
 
 @kernel
 def is_coarse(stamp_ns: int, next_ns: int, longest: float) -> bool:
-    """Return whether a step of the covariance ends at a sample, wherever it began."""
+    """Return whether a covariance step ends at a sample, regardless of where it began."""
     length_ns = int(1e9 * min(COARSE * longest, 1.0))
     return stamp_ns // length_ns != next_ns // length_ns
 

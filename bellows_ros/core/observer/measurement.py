@@ -53,7 +53,7 @@ class Measurement(NamedTuple):
 
 class Sight:
     """
-    What is measured, and how well.
+    The measured frame and its noise.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Sight:
     """
 
     def __init__(self, values: Mapping[str, Any]) -> None:
-        """Take the frame that is measured, and the noise where a message has none."""
+        """Set the measured frame, and the noise for messages without covariance."""
         self.noise = np.diag(np.repeat(np.square(values['measured.noise']), 3))
         of_lip = values['measured.frame'] == 'lip'
         x, y, z, *turn = values['measured.offset']
@@ -137,7 +137,7 @@ def _at_com(
 
 @kernel
 def lip_shift(position: Vector, q: Quaternion, com: Vector, tool: State, length: float) -> float:
-    """Return how far (m) the lip of a package at a pose is from where it is without load."""
+    """Return the displacement (m) of the lip from its place without load, for a package pose."""
     lip = subtract(position, apply(rotation_matrix(q), com))
     free = add(tool[0], apply(rotation_matrix(tool[1]), (0.0, 0.0, -length)))
     away = subtract(lip, free)
@@ -145,7 +145,7 @@ def lip_shift(position: Vector, q: Quaternion, com: Vector, tool: State, length:
 
 
 class Innovation(NamedTuple):
-    """What a measured pose says of an estimate."""
+    """The difference of a measured pose from an estimate, with its covariance."""
 
     position: Vector
     quaternion_xyzw: Quaternion
@@ -155,7 +155,7 @@ class Innovation(NamedTuple):
     H: Array
     """Its derivative by the error (6, 22)."""
     whitener: Array
-    """What makes its covariance unity, triangular (6, 6)."""
+    """Triangular (6, 6); makes its covariance the identity."""
     distance: float
     """Its squared Mahalanobis distance."""
     gain: Array
@@ -206,7 +206,7 @@ def compared(
 def corrected(
     body: State, theta: Array, P: Array, y: Array, H: Array, gain: Array, noise: Array
 ) -> tuple[State, Array, Array]:
-    """Return state, theta and covariance with a measurement taken in, this by Joseph's form."""
+    """Return state, theta and covariance after a measurement, in Joseph's form."""
     e, theta = np.zeros(22), theta.copy()
     for i in range(22):
         for j in range(6):

@@ -42,13 +42,13 @@ from bellows_ros.core.tuples import Matrix, Vector
 import numpy as np
 
 LATEST_NS = 500_000_000
-"""A measurement may be so late (ns), or so far ahead of the tool's newest pose."""
+"""Largest delay (ns) of a measurement, and largest lead over the tool's newest pose."""
 
 GATE = 27.86
-"""Squared Mahalanobis distance that 1 in 10,000 good measurements exceeds (6 numbers)."""
+"""Squared Mahalanobis distance that 1 in 10,000 good measurements exceeds (chi^2 of 6)."""
 
 WRONG_GATE = 8
-"""After so many outside the gate, one after the other, the gate is wrong: start anew there."""
+"""Consecutive measurements outside the gate after which the filter restarts from them."""
 
 KEPT_NS = 100_000_000
 """
@@ -57,32 +57,32 @@ more no pose of the tool waits for a covariance to be carried along.
 """
 
 LEAST_ROOM = 4096
-"""For samples of the tool: seconds of them."""
+"""Smallest buffer of tool samples: seconds of them."""
 
 START = np.repeat([0.01, 0.1, 0.5, 1.0], 3)
 """Standard deviations at the start: m, rad, m/s, rad/s."""
 
 MASS_SHARE, COM_UNCERTAIN = 0.1, 0.01
-"""Standard deviations of a payload of which none is given: by mass, m."""
+"""Default standard deviations of the payload: relative mass, centre of mass (m)."""
 
 BIAS_WALK, WALK_ARM = 0.01, 0.02
-"""By how much of the weight the wrench bias walks in a second; its moment by its force (m)."""
+"""Random walk of the wrench bias per second: fraction of the weight, and moment by force (m)."""
 
 BIAS_SHARE = 0.1
-"""The bias at the start, by what a payload would make of which nothing is given."""
+"""Initial bias, relative to the effect of the default payload uncertainty."""
 
 VERDICTS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'covariance', 'frame_id', 'not_held',
     'late', 'future_stamp', 'duplicate_stamp', 'out_of_reach', 'gate',
 )
-"""Why a measured pose is not used."""
+"""Why a measured pose is refused."""
 
 
 class Track:
     """The tool's samples of the last moments, the package at each, as the kernels take them."""
 
     def __init__(self) -> None:
-        """Know of none."""
+        """Start without samples."""
         self._make(LEAST_ROOM)
 
     def _make(self, room: int) -> None:
@@ -94,7 +94,7 @@ class Track:
             self.rows = stamps.tolist(), starts.tolist(), ends.tolist(), bodies.tolist()
 
     def begin(self, stamp_ns: int) -> None:
-        """Keep nothing but where a motion begins."""
+        """Discard all but the start of a motion."""
         self.rows[0][0], self.count = stamp_ns, 1
 
     @property
@@ -107,7 +107,7 @@ class Track:
         return bisect_right(self.rows[0], stamp_ns, 0, self.count)
 
     def make_room(self, since_ns: int) -> None:
-        """Let another sample fit in; forget what was before a stamp."""
+        """Make room for another sample; discard those before a stamp."""
         if self.count < len(self.rows[0]):
             return
         before, kept = self.rows, slice(self.after(since_ns) - 1, self.count)
@@ -118,7 +118,7 @@ class Track:
 
 
 class Payload(NamedTuple):
-    """A payload as it is estimated: kg, m in S, kg m^2 at B, and standard deviations."""
+    """An estimated payload: kg, m in S, kg m^2 at B, and standard deviations."""
 
     stamp_ns: int
     mass: float
@@ -183,7 +183,7 @@ class Observer:
         return np.array([mass, *(std or COM_UNCERTAIN for std in values['package.com_std'])])
 
     def forget(self, is_another: bool = True) -> None:
-        """Begin anew, with the same package or with another."""
+        """Start again, with the same or another package."""
         if is_another:
             self._kept = np.zeros(10), np.diag(np.square(self._prior[12:16]))
         elif self._known:
@@ -199,18 +199,18 @@ class Observer:
             self._alarms.forget()
 
     def _use(self, theta: Array) -> None:
-        """Take what is known of the payload into the model."""
+        """Put the estimated payload into the model."""
         self._theta, self._asked = theta, None
         self.model = self._with(theta)
 
     def _with(self, theta: Array) -> ModelTuple:
-        """Return the model with the payload as it is estimated."""
+        """Return the model with the estimated payload."""
         return with_payload(self._nominal, theta) if self._values['payload.estimate'] else (
             self._nominal)
 
     @property
     def estimate(self) -> Estimate | None:
-        """What is known at the newest sample of the tool."""
+        """The estimate at the newest sample of the tool."""
         if not self._known:
             return None
         known, newest_ns = self._asked or self._known[-1], self._track.newest_ns
@@ -220,13 +220,13 @@ class Observer:
         return known
 
     def covariance(self, stamp_ns: int) -> Array | None:
-        """Return that of the state (12, 12) at a stamp of the tool, if it is known still."""
+        """Return the covariance of the state (12, 12) at a stamp of the tool, if available."""
         known = self.estimate
         return None if known is None or known.stamp_ns != stamp_ns else known.covariance[:12, :12]
 
     @property
     def payload(self) -> Payload | None:
-        """What the payload is found to be, where it is estimated."""
+        """The estimated payload, if it is estimated."""
         if not self._known or not self._values['payload.estimate']:
             return None
         known = self._known[-1]
@@ -266,7 +266,7 @@ class Observer:
         return self.body
 
     def _let_go(self, before_ns: int) -> None:
-        """Forget estimates that nothing can change any more, but for the last of them."""
+        """Discard estimates that nothing can change any more, except the last of them."""
         known, seen = self._known, self._seen
         while seen and seen[0].stamp_ns <= before_ns:
             del known[0], seen[0]
@@ -305,7 +305,7 @@ class Observer:
     # ------------------------------------------------------------ measurements
 
     def see(self, seen: Measurement) -> str:
-        """Take a measured pose in; return why it cannot be, or nothing."""
+        """Process a measured pose; return why it is refused, or ''."""
         verdict = self._place(seen)
         if verdict:
             self.counts[verdict] += 1
@@ -368,7 +368,7 @@ class Observer:
     def _look_for_causes(
         self, stamp_ns: int, estimate: Estimate, found: Any, verdict: str
     ) -> None:
-        """Raise an alarm where something is wrong; what a fault moves is then followed."""
+        """Raise an alarm for a fault, and widen the states that it affects."""
         alarms, alarm = self._alarms, None
         if alarms is None:
             return
@@ -388,7 +388,7 @@ class Observer:
                 self._opened_ns.add(stamp_ns)
 
     def _opened(self, estimate: Estimate) -> Estimate:
-        """Return an estimate of which all but the payload is as uncertain as at the start."""
+        """Return an estimate as uncertain as at the start, except for the payload."""
         P = estimate.covariance + np.diag(
             np.square(self._prior) * ([1.0] * 12 + [0.0] * 4 + [1.0] * 6))
         return estimate._replace(covariance=P)

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 DOWN = np.array([0.0, 0.0, -1.0])
-"""Where gravity points in a world whose z is up."""
+"""Direction of gravity in a world with z up."""
 
 PARALLEL = 1e-12
-"""Sine of an angle that is none, or half a turn."""
+"""Sine below which two directions are parallel."""
 
 WORLDS = ('z_up', 'motive_y_up')
 PACKAGE_FRAMES = ('com', 'lip')
@@ -126,7 +126,7 @@ class Alignment:
 @dataclass(frozen=True, eq=False)
 class BodyStandstill:
     """
-    Where a body is while it stands still.
+    Mean pose of a body during a standstill.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def standstill(
     poses: Trajectory, start_ns: int, duration_s: float, noise: dict[str, Array], body: str
 ) -> BodyStandstill:
     """
-    Return where a body stands still, having checked that it does.
+    Return the pose of a body during a standstill, after checking that it stands still.
 
     Parameters
     ----------
@@ -351,7 +351,7 @@ def _beginning(body: Trajectory) -> tuple[Array, float]:
 
 
 def require_choice(parameter: str, value: str, choices: tuple[str, ...]) -> None:
-    """Refuse a value that is none of the choices."""
+    """Refuse a value that is not one of the choices."""
     if value not in choices:
         raise BellowsError(f"{parameter} must be one of {', '.join(choices)}, not '{value}'.")
 
@@ -376,12 +376,12 @@ def _origin_of_lip(package_frame: str, com: ArrayLike) -> Array:
 
 
 def _with_poses(poses: Trajectory, position: Array, rotation: Array) -> Trajectory:
-    """Return other poses at the same stamps, with the same ones valid."""
+    """Return other poses with the same stamps and validity."""
     return Trajectory(poses.stamps_ns, frozen(position), frozen(rotation), valid=poses.valid)
 
 
 def _turned(rotation: Array, turn: Array) -> Array:
-    """Return rotations (N, 3, 3) followed by a turn (3, 3); the same array if there is none."""
+    """Return rotations (N, 3, 3) times a rotation (3, 3); the same array for none."""
     return rotation if np.array_equal(turn, np.eye(3)) else rotation @ turn
 
 

@@ -102,7 +102,7 @@ def _noise_gain(step_s: Array) -> Array:
 
 
 def _bends(increment: Array, jumps: Jumps, gap: Mask) -> Indices:
-    """Return where what looks like a jump is a bend of a motion that is smooth on both sides."""
+    """Return where an apparent jump is a bend of a motion that is smooth on both sides."""
     tried = np.flatnonzero(jumps.strength >= WEAKER)
     inside = (tried >= 3) & (tried < len(increment) - 3)
     i = tried[inside]
@@ -167,7 +167,7 @@ def uneven(step_ns: Stamps) -> Mask:
 
 def _line_weights(count: int) -> tuple[Array, Array, Array]:
     """
-    Return how samples weigh in their line, at the last one and one after it, and what is left.
+    Return the weights of samples in a line at the last one and one after it, and the residual.
 
     The last is (count, count - 2): orthonormal combinations that vanish on every line.
     """
@@ -178,14 +178,14 @@ def _line_weights(count: int) -> tuple[Array, Array, Array]:
 
 
 def any_within(mask: Mask, width: int) -> Mask:
-    """Return whether any is set of each `width` neighbours (N - width + 1,)."""
+    """Return whether any of each `width` neighbours is set (N - width + 1,)."""
     total = np.concatenate([[0], np.cumsum(mask)])
     result: Mask = total[width:] > total[:-width]
     return result
 
 
 def _without_acceleration(start: Array, end: Array, width: int) -> tuple[Array, Array]:
-    """Take out half their difference where it varies smoothly: it is due to the acceleration."""
+    """Subtract half the difference where it varies smoothly, since it is due to acceleration."""
     smooth = np.empty_like(start)
     for axis in range(3):  # two to three times faster than one filter of size (width, 1)
         half = 0.5 * (end[:, axis] - start[:, axis])
@@ -212,7 +212,7 @@ def _jumps(
 
 def _surroundings(values: Array, unseen: Mask) -> Array:
     """
-    Return the running median of what was seen, before or after each, whichever is larger.
+    Return the running median before or after each sample, whichever is larger.
 
     So the first samples of a motion are compared with the motion, not with the rest before it.
     """

@@ -88,7 +88,7 @@ class Excursion:
 @dataclass(frozen=True)
 class Step:
     """
-    A jump that nothing cancels: the samples after it stay off those before it.
+    A jump without a return: the samples after it stay away from those before it.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def _jump_over(
 def _thresholds_over(
     poses: Trajectory, increments: dict[str, Array], breaks: Mask, slots: int
 ) -> tuple[float, float]:
-    """Return the thresholds of jumps over gaps of so many periods; infinite if unknown."""
+    """Return the thresholds of jumps over gaps of several periods; infinite if unknown."""
     if len(breaks) < slots + 2:
         return np.inf, np.inf
     free = np.flatnonzero(~any_within(breaks, slots + 2)) + 1
@@ -244,7 +244,7 @@ def _thresholds_over(
 
 
 def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Excursion], list[Step]]:
-    """Return the excursions between jumps that cancel, and the steps that are left over."""
+    """Return the excursions between jumps that cancel, and the remaining steps."""
     edges = sorted(edges, key=lambda edge: edge.before)
     flickers = _flicker(edges)
     excursions: list[Excursion] = []
@@ -286,7 +286,7 @@ def _flicker(edges: list[Edge]) -> Mask:
 
 
 def _lasts(edge: Edge) -> bool:
-    """Return whether more than the samples beside a jump show it, or nothing can tell."""
+    """Return whether a jump persists beyond the neighbouring samples, or this is undecidable."""
     if edge.lasting is None:
         return True
     sizes = (float(np.linalg.norm(form[0])) for form in edge.forms)
@@ -297,7 +297,7 @@ def _lasts(edge: Edge) -> bool:
 
 
 def _last_alike(one: Edge, other: Edge) -> bool:
-    """Return whether two jumps last, and are of one size, as lines see them, or nothing tells."""
+    """Return whether two jumps persist with one size, or this is undecidable."""
     if one.lasting is None or other.lasting is None:
         return _lasts(one) and _lasts(other)
     stronger = one if one.strength >= other.strength else other
@@ -343,7 +343,7 @@ def _sum(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array
 
 
 def _cancels(edge: Edge, summed: tuple[Array, Array], within: float = CANCELS_WITHIN) -> bool:
-    """Return whether a jump and others, summed with it, cancel, in the form that suits best."""
+    """Return whether a jump and others cancel when summed, in the most suitable form."""
     for q in range(2):
         size, threshold = float(np.linalg.norm(edge.forms[q][0])), edge.thresholds[q]
         left = float(np.min(np.linalg.norm(summed[q], axis=1)))
@@ -365,7 +365,7 @@ def _run(poses: Trajectory, first: int, last: int, edge: Edge) -> Excursion:
 
 
 def _to_the_end(edge: Edge, poses: Trajectory) -> Excursion | None:
-    """Return what lies between a jump and an end of the recording, if short, else nothing."""
+    """Return the part between a jump and an end of the recording, if short, else nothing."""
     stamps = poses.stamps_ns
     last = len(poses) - 1
     before = float(stamps[edge.before] - stamps[0]) / NS_PER_S
@@ -392,7 +392,7 @@ BEYOND_ROUNDING, LEAST_STEP = 4.0, 1e-9
 @dataclass(frozen=True, eq=False)
 class Outliers:
     """
-    What is wrong with the poses of a stream.
+    The faults in the poses of a stream.
 
     Parameters
     ----------
@@ -489,7 +489,7 @@ def repeats_in_motion(poses: PoseStream | Trajectory) -> int:
 
 
 def _repeats(poses: PoseStream | Trajectory) -> Mask:
-    """Return after which samples the very same pose comes again (M,)."""
+    """Return the samples after which the identical pose comes again (M,)."""
     same: Mask = np.all(poses.position[1:] == poses.position[:-1], axis=1)
     same &= np.all(poses.rotation[1:] == poses.rotation[:-1], axis=(1, 2))
     return same
@@ -501,7 +501,7 @@ def _reindexed(run: Excursion, kept: Indices) -> Excursion:
 
 
 def _find_jumps(poses: Trajectory, longest_step_ns: int) -> Outliers:
-    """Find the jumps of poses that are not frozen, and what lies between them."""
+    """Find jumps between poses that are not frozen, and the parts between them."""
     steps_ns = np.diff(poses.stamps_ns)
     gap = steps_ns > longest_step_ns
     increments = increments_of(poses)
@@ -575,7 +575,7 @@ def _frozen(poses: Trajectory) -> tuple[Excursion, ...]:
 def _catch_up(
     lengths: list[Array], moves: Indices, k: int, repeats: int
 ) -> tuple[list[float], list[float]]:
-    """Return the lengths of the step after some repeats, and by how much they are too large."""
+    """Return the lengths of the steps after repeated poses, and their excess."""
     if k == len(moves):
         sizes = _lost_by_the_end(lengths, moves, repeats)
         return sizes, sizes

@@ -22,13 +22,13 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 LOOKED_AT_HZ = 50.0
-"""Poses per second that the start is found from."""
+"""Poses per second used for the start value."""
 
 SLOWEST = 0.5
-"""Part of them that is used: the slowest, in which the cup gives way the least."""
+"""Fraction of the poses used: the slowest, at which the cup yields least."""
 
 LEAST_TURN = 0.02
-"""Rotation (rad) between two poses that says anything about the turn between the worlds."""
+"""Smallest rotation (rad) between two poses that determines the rotation between the worlds."""
 
 
 def pose_of(text: str) -> Array:
@@ -141,7 +141,7 @@ def _slow(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Trajectory
 
 
 def _turn(R_tool: Array, R_package: Array) -> Array:
-    """Return the turn between the worlds in which both bodies rotate alike."""
+    """Return the rotation between the worlds that makes both bodies rotate alike."""
     pairs = [(first, slice(first, None, len(R_tool) // 15 + 1))
              for first in range(0, len(R_tool), len(R_tool) // 15 + 1)]
     a, b = (np.concatenate([log_so3(R[part] @ R[i].T) for i, part in pairs])

@@ -59,7 +59,7 @@ STEP_JITTERS = 10.0
 
 @dataclass(frozen=True, eq=False)
 class _Stream:
-    """One topic's poses in the world at a uniform rate, and what was found on the way."""
+    """One topic's poses in the world at a uniform rate, with the findings on the way."""
 
     recorded: PoseStream
     timing: Timing
@@ -70,7 +70,7 @@ class _Stream:
 
 @dataclass(frozen=True, eq=False)
 class FilteredStreams:
-    """Streams that were cleaned, aligned and filtered, each at its own stamps."""
+    """Cleaned, aligned and filtered streams, each at its own stamps."""
 
     recorded: tuple[PoseStream, PoseStream, TwistStream | None]
     settings: PrepareSettings
@@ -85,7 +85,7 @@ class FilteredStreams:
         (tool, package, twist), shift = self.recorded, round(offset.value * NS_PER_S)
 
         def earlier(stamped: Any) -> Any:
-            """Return the same at earlier stamps."""
+            """Return the stream shifted to earlier stamps."""
             return stamped and replace(stamped, stamps_ns=stamped.stamps_ns - shift)
 
         return replace(
@@ -184,7 +184,7 @@ def filter_streams(
 def _aligned(
     streams: tuple[_Stream, _Stream], settings: PrepareSettings, given: Alignment | None
 ) -> tuple[Alignment, tuple[BodyStandstill | None, BodyStandstill | None]]:
-    """Return the alignment that was given or asked for, and the standstills it was found from."""
+    """Return the given or estimated alignment, and the standstills behind it."""
     if given is not None:
         return given, (None, None)
     if not settings.align_at_rest:
@@ -194,7 +194,7 @@ def _aligned(
 
 
 def _clean(recorded: PoseStream, R_world_recorded: Array) -> _Stream:
-    """Return a topic's poses in the world at a uniform rate, with what is wrong in them marked."""
+    """Return a topic's poses in the world at a uniform rate, with faults marked."""
     if len(recorded) < 3:
         raise BellowsError(
             f"Topic '{recorded.name}' has {len(recorded)} usable poses, too few. Record longer, "
@@ -245,7 +245,7 @@ def _filtered(poses: Trajectory, half_window: int, order: int, name: str) -> Fil
 def _common(
     filtered: tuple[Filtered, Filtered], recorded: tuple[PoseStream, PoseStream, Any]
 ) -> Stamps:
-    """Return the package's stamps at which the filtered tool is known."""
+    """Return the package's stamps at which the filtered tool is available."""
     tool, package = filtered
     stamps = package.stamps_ns
     common: Stamps = stamps[(stamps >= tool.stamps_ns[0]) & (stamps <= tool.stamps_ns[-1])]
@@ -315,7 +315,7 @@ def _covered(stamps_ns: Stamps, wanted_ns: Stamps) -> Mask:
 def _stream_report(
     stream: _Stream, filtered: Filtered, still: BodyStandstill | None
 ) -> StreamReport:
-    """Return what became of a topic's poses."""
+    """Return the report on a topic's poses."""
     at_centres = _at(stream.poses, filtered.stamps_ns).valid
     return StreamReport(
         stream.recorded.name,
@@ -349,7 +349,7 @@ def _covers(stream: PoseStream) -> str:
 
 
 def _require_some(valid: Mask, reports: list[StreamReport]) -> None:
-    """Refuse a recording of which nothing is left."""
+    """Refuse a recording without any usable sample."""
     if valid.any():
         return
     found = '; '.join(
@@ -422,7 +422,7 @@ def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> l
 
 
 def _is_of_jitter(poses: PoseStream, time: Timing, step: Step) -> bool:
-    """Return whether stamps that jitter explain a step, of a body that moves as fast as there."""
+    """Return whether jitter of the stamps explains a step at the body's speed."""
     near = slice(max(step.index - 5, 0), step.index + 6)
     seconds = np.ptp(poses.stamps_ns[near]) / NS_PER_S
     R = poses.rotation[near]

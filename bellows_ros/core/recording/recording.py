@@ -24,10 +24,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 HALF_WINDOW, ORDER = 4, 4
-"""A quartic through nine samples follows any motion of a package; what it leaves is noise."""
+"""A quartic through nine samples follows any motion of a package; its residual is noise."""
 
 ENOUGH = 20_000
-"""Windows or samples that give what noise does to a percent; a few more are looked at."""
+"""Windows or samples that determine the noise to a percent; slightly more are used."""
 
 TOOL_HALF_WINDOW, TOOL_ORDER = 6, 6
 """
@@ -38,7 +38,7 @@ products with the noise of the poses (not seen by linearised noise models) then 
 """
 
 PLACES = 8
-"""Places between two poses of the tool that stand for all."""
+"""Interpolation points between two tool poses that represent all others."""
 
 MAD_TO_STD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
@@ -99,7 +99,7 @@ class Colour(NamedTuple):
     correlation: float
 
     def drawn(self, count: int, draw: np.random.Generator) -> Array:
-        """Return so many samples of it in three axes (N, 3)."""
+        """Return samples of this noise in three axes (N, 3)."""
         white = self.size * draw.standard_normal((count, 3))
         root = np.sqrt(1.0 - self.correlation**2)
         return np.asarray(lfilter([root], [1.0, -self.correlation], white, axis=0))
@@ -130,7 +130,7 @@ def colours_of(poses: Trajectory, noise: Noise) -> tuple[Colour, Colour]:
 
 
 def _seen(samples: float) -> float:
-    """Return what `noise_of` finds of noise of size 1, correlated over so many samples."""
+    """Return the estimate of `noise_of` for correlated noise of size 1."""
     n = HALF_WINDOW
     left = -weights(n, ORDER, 1.0)[0]
     scale = np.sqrt(1.0 + left[n])
@@ -166,7 +166,7 @@ class FilterNoise:
     correlation: tuple[float, float] = (0.0, 0.0)
 
     def times(self, factor: float) -> 'FilterNoise':
-        """Return so many times the noise, through the same filters."""
+        """Return the noise multiplied by a factor, through the same filters."""
         tool, package = (Noise(factor * n.position, factor * n.rotation)
                          for n in (self.tool, self.package))
         return replace(self, tool=tool, package=package)
@@ -208,7 +208,7 @@ T = TypeVar('T')
 @dataclass(frozen=True)
 class PrepareSettings:
     """
-    How recorded streams become a recording; the names of the parameters they stand for.
+    Settings of the preparation, named as their parameters.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ class PrepareSettings:
 @dataclass(frozen=True, eq=False)
 class StreamReport:
     """
-    What became of the poses of one topic.
+    The report on the poses of one topic.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ class StreamReport:
         return int(np.count_nonzero(~self.outliers.good))
 
     def as_json(self) -> dict[str, Any]:
-        """Return what became of the topic's messages, for a JSON file."""
+        """Return the report on the topic's messages, for a JSON file."""
         return {
             'topic': self.name,
             'poses': self.samples,
@@ -312,7 +312,7 @@ class StreamReport:
 
 class PackageWorld(NamedTuple):
     """
-    The pose of the package's world in the tool's, as it was found.
+    The estimated pose of the package's world in the tool's.
 
     Position (m) and quaternion (x y z w) (7,), and standard errors (6,) of the position at the
     middle of the package's way (m) and of the rotation (rad), in axes of the tool's world.
@@ -345,7 +345,7 @@ class TimeOffset(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Report:
     """
-    What became of a recording.
+    The report on a recording.
 
     Parameters
     ----------
@@ -428,7 +428,7 @@ class Recording:
     _kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def once(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return what is made of the recording for a key: made when it is first asked for."""
+        """Return a result computed from the recording, computed at the first request."""
         if key not in self._kept:
             self._kept[key] = make()
         found: T = self._kept[key]
@@ -441,12 +441,12 @@ class Recording:
 
     @property
     def valid(self) -> Mask:
-        """Where both filtered poses are to be used (N,)."""
+        """Where both filtered poses can be used (N,)."""
         return self.tool.valid & self.package.valid
 
     @property
     def measured(self) -> Mask:
-        """Where both unfiltered poses are to be used (N,)."""
+        """Which unfiltered samples of both bodies are valid (N,)."""
         return self.measured_tool.valid & self.measured_package.valid
 
     @cached_property
@@ -464,7 +464,7 @@ class Recording:
 
     @cached_property
     def colours(self) -> tuple[tuple[Colour, Colour], tuple[Colour, Colour]]:
-        """Noise of tool and package as it is correlated in time, of positions and rotations."""
+        """Time correlation of the noise of tool and package, in position and rotation."""
         tool, package = self._pose_noise
         return (colours_of(self.aligned_tool, tool),
                 colours_of(self.aligned_package, package))
@@ -481,7 +481,7 @@ class Recording:
 
     @property
     def start_ns(self) -> int:
-        """First stamp of what was recorded, ns; the filters begin half a window later."""
+        """First stamp of the recording, ns; the filtered part begins half a window later."""
         streams = (self.tool_pose, self.package_pose, self.tool_twist)
         return min(int(stream.stamps_ns[0]) for stream in streams if stream is not None)
 
@@ -490,7 +490,7 @@ class Recording:
         return (stamps_ns - self.start_ns) / NS_PER_S
 
     def as_json(self) -> dict[str, Any]:
-        """Return what became of the recording, for a JSON file."""
+        """Return the report on the recording, for a JSON file."""
         noise, payload, offset = self.noise, self.payload, self.report.time_offset
         world = self.report.package_world
         return {
@@ -516,7 +516,7 @@ class Recording:
 
 def require_one_frame(tool: PoseStream, package: PoseStream) -> None:
     """
-    Refuse poses in two frames between which no transform is given.
+    Refuse poses in two frames without a transform between them.
 
     Raises
     ------

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 
 def relatively_filtered(recording: Recording) -> tuple[Trajectory, Trajectory]:
-    """Return tool and package filtered in windows that last as long as the recording's own."""
+    """Return tool and package filtered in windows as long as the recording's own."""
     rate_hz = uniform_rate_hz(recording.package.stamps_ns)
     of_tool, of_package = (
         weights.shape[1] // 2 for weights in (recording.tool_weights, recording.package_weights))
@@ -73,7 +73,7 @@ def filtered_with_lip(
 
 
 def lip_poses(tool: Trajectory, package: Trajectory, com: ArrayLike) -> Trajectory:
-    """Return the poses of S in E, of those of E and B in the world at the same stamps."""
+    """Return the poses of S in E, from those of E and B in the world at the same stamps."""
     R_tool_world = np.swapaxes(tool.rotation, -1, -2)
     lip = package.position - apply(package.rotation, np.asarray(com, dtype=float))
     return Trajectory(
@@ -127,7 +127,7 @@ def composed(tool: Trajectory, lip: Trajectory, com: ArrayLike) -> Trajectory:
 
 
 def _derivatives(motion: Trajectory) -> tuple[Array, Array]:
-    """Return the twists and accelerations, or say that there are none."""
+    """Return twists and accelerations, or raise an error if there are none."""
     if motion.twist is None or motion.acceleration is None:
         raise BellowsError('Tool and lip need twists and accelerations; filter them first.')
     return motion.twist, motion.acceleration

@@ -20,13 +20,13 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 SHORTEST = 0.5
-"""A standstill lasts at least this long, s."""
+"""Shortest standstill, s."""
 
 STILL_WITHIN = Noise(1.5e-4, 1.5e-3)
-"""Means over short blocks of a still body differ by at most this, m and rad, beside noise."""
+"""Block means of a still body differ by at most this (m, rad), beside noise ..."""
 
 NOISE_DEVIATIONS = 5.0
-"""... and by this many standard deviations of the mean's noise."""
+"""... and by this many standard deviations of their noise."""
 
 FEWEST_IN_BLOCK = 3
 
@@ -144,7 +144,7 @@ def _blocks(tool: Trajectory, package: Trajectory) -> list[Stamps]:
 
 
 def _limits(noise: Noise, samples: int) -> Noise:
-    """Return by how much the means of so many samples of a body at rest may differ."""
+    """Return the tolerance of the means of a body at rest over some samples."""
     factor = NOISE_DEVIATIONS / float(np.sqrt(samples))
     return Noise(*(w + factor * n for w, n in zip(STILL_WITHIN, noise, strict=True)))
 

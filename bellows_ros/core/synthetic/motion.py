@@ -32,7 +32,7 @@ AXES = ('x', 'y', 'z')
 LONGEST = 3600.0
 """Longest motion, s."""
 LARGEST_FREQUENCY = 100.0
-"""Highest frequency of a motion, Hz: beyond any robot."""
+"""Highest frequency of a motion, Hz, beyond any robot."""
 SHORTEST_MOVE = 0.01
 """Shortest move to a waypoint, s."""
 _UNIT_WITHIN = 1e-3  # of a start or waypoint quaternion written with few digits
@@ -89,7 +89,7 @@ class Motion(ABC):
     @property
     @abstractmethod
     def highest_frequency(self) -> float:
-        """Highest frequency in the motion, Hz; an estimate where it has no line spectrum."""
+        """Highest frequency in the motion, Hz; estimated for motions without a line spectrum."""
 
     def trajectory(self, stamps_ns: Stamps, start_ns: int) -> Trajectory:
         """
@@ -305,7 +305,7 @@ class Planned(Motion):
 
 def motion_from(settings: Settings, phases: Generator) -> Motion:
     """
-    Return the motion that settings describe; what they mean stands in config/motion_example.yaml.
+    Return the motion that settings describe; see config/motion_example.yaml.
 
     Parameters
     ----------
@@ -424,7 +424,7 @@ def _sweeps(settings: Settings) -> tuple[Stamps, Array, Array]:
 
 
 def _segments(settings: Settings, kind: str) -> tuple[Segment, ...]:
-    """Return the segments of waypoints, each with its times, or of static poses, all alike."""
+    """Return the segments of waypoints, each with its times, or of static poses."""
     common = None
     if kind == 'static':
         common = _times(settings)
@@ -435,7 +435,7 @@ def _segments(settings: Settings, kind: str) -> tuple[Segment, ...]:
 
 
 def _times(settings: Settings) -> tuple[float, float]:
-    """Return the time of a move and of the hold after it, s."""
+    """Return the durations of a move and of the hold after it, s."""
     move = settings.number('move', unit='s', least=SHORTEST_MOVE, most=LONGEST)
     return move, settings.number('hold', 0.0, 's', least=0.0, most=LONGEST)
 

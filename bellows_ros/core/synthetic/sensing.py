@@ -25,17 +25,17 @@ Indices = Stamps
 R_MOTIVE_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 """From the world A (z up) to Motive's frame M (y up): the inverse of (4.1), which is (4.1)."""
 WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_MOTIVE_WORLD}
-"""R_recording_world of each world a recording can be in."""
+"""R_recording_world of each possible world of a recording."""
 
 FASTEST = 10_000.0
 """Highest rate of a stream, Hz."""
 LARGEST_JITTER = 0.45
-"""Jitter is cut at this part of the sampling time, so that stamps keep their order."""
+"""Jitter is limited to this fraction of the sampling time, so that stamps stay in order."""
 
 
 @dataclass(frozen=True)
 class Jumps:
-    """Tracking jumps: how many, how far (m), how much turned (rad), and how long each (s)."""
+    """Tracking jumps: count, distance (m), rotation (rad), and duration (s)."""
 
     count: int = 0
     position: float = 0.0
@@ -101,7 +101,7 @@ class TwistSensor:
 @dataclass(frozen=True, eq=False)
 class Schedule:
     """
-    When a stream's samples are taken, and what becomes of each.
+    When a stream's samples are taken, and the fate of each.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def schedule(
     sensor: Sensor, duration: float, rest_duration: float, start_ns: int, draw: Generator
 ) -> Schedule:
     """
-    Plan a stream's samples; jumps and gaps never overlap, and none is in the rest.
+    Plan a stream's samples; jumps and gaps never overlap, and the initial rest has none.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def _event_starts(
 
 
 def _jitter_ns(sensor: Sensor, count: int, draw: Generator) -> Stamps:
-    """Return by how much each stamp is off, ns."""
+    """Return the error of each stamp, ns."""
     largest = LARGEST_JITTER / sensor.rate_hz
     jitter = np.clip(draw.normal(0.0, sensor.jitter, count), -largest, largest)
     return np.round(jitter * NS_PER_S).astype(np.int64)
@@ -313,7 +313,7 @@ def measure_twists(
 
 def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
     """
-    Return the sensor that settings describe; what they mean stands in config/motion_example.yaml.
+    Return the sensor that settings describe; see config/motion_example.yaml.
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
 
 
 def _jumps(settings: Settings) -> Jumps:
-    """Return the tracking jumps; their sizes must be given where there are any."""
+    """Return the tracking jumps; if there are any, their sizes must be given."""
     count = settings.whole('count', 0, most=100_000)
     needed = 0.0 if not count else None
     jumps = Jumps(
@@ -356,7 +356,7 @@ def _jumps(settings: Settings) -> Jumps:
 
 
 def _dropouts(settings: Settings) -> Dropouts:
-    """Return the gaps; their duration must be given where there are any."""
+    """Return the gaps; if there are any, their duration must be given."""
     count = settings.whole('count', 0, most=100_000)
     duration = settings.number('duration', None if count else 0.0, 's', least=0.0)
     settings.done()
@@ -364,7 +364,7 @@ def _dropouts(settings: Settings) -> Dropouts:
 
 
 def twist_sensor_from(settings: Settings) -> TwistSensor | None:
-    """Return the twist sensor that the block 'tool.twist' describes; None where it is off."""
+    """Return the twist sensor in the block 'tool.twist'; None if it is off."""
     publish = settings.flag('publish', True)
     noise = settings.block('noise')
     sensor = TwistSensor(

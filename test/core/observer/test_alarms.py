@@ -8,7 +8,7 @@ from bellows_ros.core.observer.alarms import (
     Alarms,
     CAUSES,
     EXTENDED,
-    LEAST,
+    FEWEST,
     START_WEIGHS,
     UNEXPLAINED,
 )
@@ -69,7 +69,7 @@ def dense_total(given):
         z = d - J @ mean
         explained = z @ np.linalg.solve(A, z) + 2.0 * mean @ d - mean @ J @ mean
         left = distance - explained - UNEXPLAINED * explained
-        if count >= LEAST and left <= 6.0 * count + 4.0 * np.sqrt(12.0 * count):
+        if count >= FEWEST and left <= 6.0 * count + 4.0 * np.sqrt(12.0 * count):
             det = np.linalg.slogdet(A * np.square(cause.usual))[1]
             ratios.append(0.5 * (explained - det) + price + np.log(cause.share))
     return logsumexp(ratios)

@@ -21,28 +21,28 @@ import numpy as np
 from scipy.special import chdtrc
 
 UPRIGHT_WITHIN = np.radians(2.0)
-"""Nominal length is measured with the cup's axis within this of the vertical, rad."""
+"""Largest angle (rad) of the cup's axis from the vertical for measuring the nominal length."""
 
 SAME_MASS_WITHIN = 1e-3
-"""Masses (kg) closer than this are one load."""
+"""Masses (kg) closer than this count as one load."""
 
 SAME_LOAD_WITHIN = 1e-2
 """The same for loads, N."""
 
 POLYNOMIAL = 3
-"""Degree of length against load (4.2), where there are loads enough."""
+"""Degree of length against load (4.2), if there are enough loads."""
 
 LINEAR_WITHIN = 0.05
-"""The range is linear to where the polynomial leaves its tangent by this part of the stretch."""
+"""The linear range ends where the polynomial deviates from its tangent by this fraction."""
 
 MISFIT = 0.01
-"""Probability by chance of how far lengths are off their polynomial, below which it is said."""
+"""p-value of the polynomial's residuals below which a misfit is reported."""
 
 WANTED_LENGTH_ERROR = 1e-4
-"""Standard error of a nominal length (m) above which more or longer ones are wanted."""
+"""Largest acceptable standard error of the nominal length, m."""
 
 GOOD_WITHIN = 0.05
-"""An equilibrium is met if it is off by less than this part of the deflection, or by noise."""
+"""An equilibrium is met within this fraction of the deflection, or within noise."""
 
 ERRORS_OF_NOISE = 3.0
 """Standard errors of a mean that count as noise."""
@@ -90,7 +90,7 @@ class NominalLength:
 
     @property
     def text(self) -> str:
-        """The length with its standard error, or that there is none."""
+        """The length with its standard error, or a statement that it is not identifiable."""
         if np.isfinite(self.length_std):
             return f'{1e3 * self.length:.3f} ± {1e3 * self.length_std:.3f} mm'
         return f'{1e3 * self.length:.3f} mm, without a standard error'
@@ -277,7 +277,7 @@ def _line(
 def _length_warnings(
     different: int, std: float, coefficients: Array, loads: Array
 ) -> list[str]:
-    """Return what the user should know about a nominal length."""
+    """Return warnings about a nominal length."""
     found = []
     if not np.isfinite(std):
         found.append(

@@ -28,22 +28,22 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 STEP = 1e-6
-"""Displacement (m, rad) for derivatives of the balance."""
+"""Step of numerical derivatives of the balance, m and rad."""
 
 NEWTON_STEPS, LARGEST_MOVE = 6, 0.05
-"""To find an equilibrium near a measured pose; m and rad that one may lead."""
+"""Newton steps to an equilibrium near a measured pose, and the longest one (m, rad)."""
 
 NO_EFFECT = 1e-3
-"""An entry whose change by its own size shifts poses by less (standard errors) has no effect."""
+"""A change of an entry by its own size that moves poses by fewer standard errors has no effect."""
 
 SMALLEST_ERROR = (1e-7, 1e-6)
-"""Errors (m, rad) of a mean pose are taken as at least this: rounding, and the model's own."""
+"""Smallest standard error of a mean pose (m, rad): rounding, and the error of the model."""
 
 ROUNDS = 4
-"""How often equations are whitened anew with the K that they gave, and weighed by how they fit."""
+"""Rounds of whitening with the latest K and reweighting by the residuals."""
 
 LARGEST_CHI2 = 4.0
-"""Chi^2 per degree of freedom of standstills above which they are said not to agree."""
+"""Chi^2 per degree of freedom above which standstills contradict each other."""
 
 
 def static_equations(
@@ -90,7 +90,7 @@ def static_equations(
 
 class Length(NamedTuple):
     """
-    An uncertain nominal length, and what it does to a fit of motions.
+    An uncertain nominal length, and its effect on a fit of motions.
 
     Its value and standard error (m), and the derivatives (2 n,) of the parameters by it.
     """
@@ -104,7 +104,7 @@ def joined_with_standstills(
     fit: Fit, standstills: Sequence[Standstill], length: Length, gravity: float, typical: Array
 ) -> Fit:
     """
-    Return a fit of motions with what standstills say about K added, each by its own covariance.
+    Return a fit of motions combined with standstills, each by its own covariance.
 
     With the information J of the motions about their estimate x0 + s (l - l0), it minimises
     |x - x0 - s (l - l0)|^2 in J, |b - A x - g (l - l0)|^2 and (l - l0)^2 over its variance
@@ -150,7 +150,7 @@ def joined_with_standstills(
 
 
 def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) -> Array:
-    """Return K (6, 6) by which equations are whitened; what is not identifiable is typical."""
+    """Return K (6, 6) for whitening, with typical values for entries that are not identifiable."""
     if structure.couples:
         return structure.matrices(x)[0]
     known = np.isfinite(np.diag(covariance)) & (x > 0.0)
@@ -158,7 +158,7 @@ def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) ->
 
 
 def _chi2(A: Array, left: Array, weight: float, covariance: Array) -> float:
-    """Return the squares left per degree of freedom that the parameters leave the equations."""
+    """Return the residual squares of the equations per degree of freedom."""
     known = np.isfinite(np.diag(covariance))
     finite = np.where(np.outer(known, known), covariance, 0.0)
     used = weight * float(np.trace(A @ finite @ A.T))
@@ -180,7 +180,7 @@ def _disagreement(chi2: float) -> tuple[str, ...]:
 def _minimum(
     x0: Array, J: Array, weight: float, A: Array, b: Array, covariance: Array
 ) -> Array:
-    """Return the parameters at the minimum; those that nothing tells stay where they were."""
+    """Return the parameters at the minimum, unchanged in directions without information."""
     index = np.flatnonzero(np.isfinite(np.diag(covariance)))
     part = (J + weight * A.T @ A)[np.ix_(index, index)]
     scale = np.sqrt(np.diag(part))
@@ -194,7 +194,7 @@ def _minimum(
 def _with(
     fit: Fit, structure: Structure, x: Array, covariance: Array, found: StandstillPart
 ) -> Fit:
-    """Return a fit with other parameters, and what standstills had to do with that."""
+    """Return a fit with other parameters, and the contribution of the standstills."""
     stiffness, damping = structure.matrices(x)
     old = definiteness_warnings(fit.stiffness, fit.damping, fit.structure)
     new = definiteness_warnings(stiffness, damping, fit.structure)
@@ -219,14 +219,14 @@ def _narrowed(before: Array, after: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Balance:
-    """What it takes to balance a standstill."""
+    """The balance of a standstill."""
 
     standstill: Standstill
     structure: Structure
     gravity: float
 
     def equations(self, cup_length: float, k: Array) -> tuple[Array, Array, Array]:
-        """Return A (6, n) and b (6,) in pose coordinates, and what the length shifts (6,)."""
+        """Return A (6, n) and b (6,) in pose coordinates, and the effect of the length (6,)."""
         moved = self._equilibrium(cup_length, k)
         L, c, G = self._balance(cup_length, k, moved)
         jacobian = np.asarray(np.linalg.solve(G, L), dtype=np.float64)
@@ -244,7 +244,7 @@ class _Balance:
         return moved
 
     def _balance(self, cup_length: float, k: Array, moved: Array) -> tuple[Array, Array, Array]:
-        """Return L (6, n), c (6,) and the slope G (6, 6) of c - L k, the lip moved so far."""
+        """Return L (6, n), c (6,) and the slope G (6, 6) of c - L k at a displaced lip."""
         moves = moved + STEP * np.concatenate([np.zeros((1, 6)), np.eye(6), -np.eye(6)])
         found, com = self.standstill, self.standstill.payload.com
         R = found.package.rotation[0]
