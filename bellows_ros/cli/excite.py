@@ -108,8 +108,8 @@ def _say(found: 'Excitation', console: Console) -> None:
     console.say()
     if found.beside:
         console.paragraph(
-            'The expected values are standard errors if the guess is right; the other columns '
-            'are the errors of other motions, as multiples of these.')
+            'Expected are standard errors, if the guess is right. The other columns are the '
+            'errors of other motions, as multiples of these.')
         console.say()
     _say_series(found, console)
     console.table([['limit', 'taken', 'share in limiting the motion']] + [
@@ -124,13 +124,12 @@ def _say_series(found: 'Excitation', console: Console) -> None:
     if not found.series:
         return
     purposes = (
-        'Standstills, upright and tilted. Repeat them with every package, two or more of '
-        'different mass: their loads identify K without any derivative, and two masses identify '
-        'the nominal length.',
+        'Standstills, upright and tilted. Record them with two or more packages of different '
+        'mass. The poses at rest identify K, and two masses identify the nominal length.',
         'The motion above. It identifies K and P.',
-        'Moves from pose to pose, as quick as the limits allow. Keep them out of the fit, to '
-        'validate the cup with them.')
-    console.say('Record, in this order:', 'bold')
+        'Moves from pose to pose, as quick as the limits allow. Keep this recording out of the '
+        'fit, and validate the cup with it.')
+    console.say('Record in this order', 'bold')
     for (name, (motion, _)), text in zip(found.series.items(), purposes, strict=True):
         console.paragraph(f'{name}, {motion.duration:.1f} s. {text}')
     console.say()
@@ -143,8 +142,9 @@ def _say_series(found: 'Excitation', console: Console) -> None:
                 for _, errors in found.series.values())])
     console.table(rows, right=True)
     console.say()
-    console.paragraph('Each recording alone, with the length known; -: not identifiable. Then, '
-                      'with PLAN a motion of yours:')
+    console.paragraph('Each column is for this recording alone, with the nominal length known; '
+                      '- is not identifiable. Then identify the cup from all of them, with an '
+                      'everyday motion of yours as PLAN:')
     console.say('  bellows identify RECORDING_2 --params PARAMS --set static.bags=RECORDING_1 \\')
     console.say('      --set validation.bags=RECORDING_3 --typical PLAN --report page.html')
     console.say()

@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     options.put_json(arguments.json, content)
     options.warn_of_thesis_cup(values, console)
     console.wrote(arguments.out)
-    console.say(f'What {target.name} cannot express:')
+    console.say(f'What differs or is left out in {target.name}:')
     for sentence in lost:
         console.paragraph(f'  - {sentence}')
     return OK

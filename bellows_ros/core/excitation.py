@@ -297,7 +297,7 @@ def design(
     tracking : Tracking
         How both bodies will be tracked.
     duration : float
-        Of rest and motion, s.
+        Of rest and motion, s; the motion takes three ramps or more.
     seed : int
         Of the shape from which the search begins.
     progress : callable
@@ -306,18 +306,13 @@ def design(
     Raises
     ------
     BellowsError
-        If there is no time to move, the cup cannot hold the package, or no motion is within the
-        limits.
+        If the cup cannot hold the package, or no motion is within the limits.
 
     """
     from scipy import optimize  # late: it takes a while to load
 
     minimise: Any = optimize.minimize
     period = duration - REST
-    if period < 3.0 * RAMP:
-        raise BellowsError(
-            f'The time is too short: {duration:g} s with {REST:g} s of rest and ramps of '
-            f'{RAMP:g} s. Give at least {REST + 3.0 * RAMP:g} s.')
     cups = cups_near(cup)
     models = [model_tuple(each, package, gravity) for each in cups]
     at = state_row(limits.start.position, rotation_to_quaternion(limits.start.rotation), [0.0] * 6)

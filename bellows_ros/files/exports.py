@@ -7,6 +7,7 @@ of (3.35). The header in C (bellows_cup.h, and the numbers behind it) is the mod
 """
 
 from collections.abc import Callable, Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,8 +20,8 @@ import numpy as np
 # A link of SDF without a mass weighs 1 kg. The tool and the links between single joints have this
 # part of the package's mass and inertia instead.
 DUMMY = 1e-3
-AXES = ('x', 'y', 'z')
-
+AXES = {'x': '1 0 0', 'y': '0 1 0', 'z': '0 0 1'}
+"""With their unit vectors."""
 
 HEADER = Path(__file__).with_name('bellows_cup.h')
 """The model in C, with placeholders for the numbers."""
@@ -54,18 +55,12 @@ def limits(target: Target, cup: Cup) -> list[str]:
     if target.whole:
         return lost
     for name, matrix in (('K', cup.stiffness), ('P', cup.damping)):
-        coupling = _coupling(matrix)
+        root = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        coupling = float(np.max(np.abs(matrix - np.diag(np.diag(matrix))) / np.outer(root, root)))
         if coupling > 0.0:
             lost.insert(0, f'The off-diagonal entries of {name} are left out; the largest couples '
                            f'two axes by {100 * coupling:.2g} %.')
     return lost
-
-
-def _coupling(matrix: Array) -> float:
-    """Return the largest off-diagonal entry in parts of the root of its two diagonal ones."""
-    diagonal = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = np.abs(matrix) / np.outer(diagonal, diagonal)
-    return float(np.max(scaled - np.diag(np.diag(scaled))))
 
 
 def _numbers(values: Array | tuple[float, ...]) -> str:
@@ -90,9 +85,9 @@ def mjcf(exported: Exported) -> str:
     cup, package, *_ = exported
     stiffness, damping = (np.diag(m).tolist() for m in (cup.stiffness, cup.damping))
     joints = [
-        f'        <joint name="cup_{kind}_{axis}" type="{kind}" axis="{_unit(i % 3)}" '
+        f'        <joint name="cup_{kind}_{axis}" type="{kind}" axis="{AXES[axis]}" '
         f'stiffness="{stiffness[i]!r}" damping="{damping[i]!r}"/>'
-        for i, (kind, axis) in enumerate((k, a) for k in ('slide', 'hinge') for a in AXES)
+        for i, (kind, axis) in enumerate(product(('slide', 'hinge'), AXES))
     ]
     return '\n'.join([
         '<mujoco model="bellows_cup">',
@@ -116,74 +111,73 @@ def mjcf(exported: Exported) -> str:
     ])
 
 
-def _unit(axis: int) -> str:
-    """Return a unit vector."""
-    return ' '.join('1' if i == axis else '0' for i in range(3))
-
-
 def drake(exported: Exported) -> str:
     """Return a model for Drake: SDF with its roll-pitch-yaw bushing."""
     cup, package, *_ = exported
-    stiffness, damping = np.diag(cup.stiffness), np.diag(cup.damping)
-    half = f'0 0 {-cup.length / 2.0!r} 0 0 0'
-    return '\n'.join([
-        '<?xml version="1.0"?>',
-        '<sdf version="1.7" xmlns:drake="http://drake.mit.edu">',
-        '  <model name="bellows_cup">',
-        '    <!-- Weld the frame of "tool" to the end of your arm. -->',
-        '    <link name="tool">', *_dummy(package), '    </link>',
-        *_package_link(cup, package, half),
-        f'    <frame name="middle_tool" attached_to="tool"><pose>{half}</pose></frame>',
+    return _sdf('1.7" xmlns:drake="http://drake.mit.edu', exported, [
+        f'    <frame name="middle_tool" attached_to="tool"><pose>{_middle(cup)}</pose></frame>',
         '    <frame name="middle_package" attached_to="package"/>',
         '    <drake:linear_bushing_rpy>',
         '      <drake:bushing_frameA>middle_tool</drake:bushing_frameA>',
         '      <drake:bushing_frameC>middle_package</drake:bushing_frameC>',
-        f'      <drake:bushing_torque_stiffness>{_numbers(stiffness[3:])}'
-        '</drake:bushing_torque_stiffness>',
-        f'      <drake:bushing_torque_damping>{_numbers(damping[3:])}'
-        '</drake:bushing_torque_damping>',
-        f'      <drake:bushing_force_stiffness>{_numbers(stiffness[:3])}'
-        '</drake:bushing_force_stiffness>',
-        f'      <drake:bushing_force_damping>{_numbers(damping[:3])}'
-        '</drake:bushing_force_damping>',
+        *(f'      <drake:bushing_{kind}_{name}>{_numbers(np.diag(matrix)[part])}'
+          f'</drake:bushing_{kind}_{name}>'
+          for kind, part in (('torque', slice(3, 6)), ('force', slice(3)))
+          for name, matrix in (('stiffness', cup.stiffness), ('damping', cup.damping))),
         '    </drake:linear_bushing_rpy>',
-        '  </model>',
-        '</sdf>',
-        '',
     ])
 
 
 def sdf(exported: Exported) -> str:
     """Return a model in SDF: six joints in a row, with dummy links between them."""
     cup, package, *_ = exported
-    half = f'0 0 {-cup.length / 2.0!r} 0 0 0'
-    links = [f'between_{i}' for i in range(1, 6)]
-    chain = ['tool', *links, 'package']
-    lines = [
+    chain = ['tool', *(f'between_{i}' for i in range(1, 6)), 'package']
+    lines = []
+    for link in chain[1:-1]:
+        lines += [f'    <link name="{link}"><pose>{_middle(cup)}</pose>', *_dummy(package),
+                  '    </link>']
+    kinds = product(('prismatic', 'revolute'), AXES)
+    for parent, child, (kind, axis), stiffness, damping in zip(
+            chain, chain[1:], kinds, np.diag(cup.stiffness).tolist(),
+            np.diag(cup.damping).tolist(), strict=False):
+        lines += [
+            f'    <joint name="cup_{kind}_{axis}" type="{kind}">',
+            f'      <parent>{parent}</parent><child>{child}</child>',
+            f'      <axis><xyz>{AXES[axis]}</xyz>',
+            f'        <dynamics><damping>{damping!r}</damping><spring_reference>0'
+            f'</spring_reference><spring_stiffness>{stiffness!r}</spring_stiffness></dynamics>',
+            '        <limit><lower>-1e16</lower><upper>1e16</upper></limit>',
+            '      </axis>',
+            '    </joint>',
+        ]
+    return _sdf('1.9', exported, lines)
+
+
+def _sdf(version: str, exported: Exported, connection: list[str]) -> str:
+    """Return a model in SDF: tool and package, whose frame is in the middle of the cup."""
+    cup, package, *_ = exported
+    return '\n'.join([
         '<?xml version="1.0"?>',
-        '<sdf version="1.9">',
+        f'<sdf version="{version}">',
         '  <model name="bellows_cup">',
         '    <!-- Fix "tool" to the end of your arm. -->',
         '    <link name="tool">', *_dummy(package), '    </link>',
-    ]
-    for link in links:
-        lines += [f'    <link name="{link}"><pose>{half}</pose>', *_dummy(package), '    </link>']
-    lines += _package_link(cup, package, half)
-    for i, (parent, child) in enumerate(zip(chain, chain[1:], strict=False)):
-        lines += _joint(cup, i, parent, child)
-    return '\n'.join([*lines, '  </model>', '</sdf>', ''])
-
-
-def _package_link(cup: Cup, package: Package, pose: str) -> list[str]:
-    """Return the link of the package, whose frame is in the middle of the cup."""
-    return [
-        f'    <link name="package"><pose>{pose}</pose>',
+        f'    <link name="package"><pose>{_middle(cup)}</pose>',
         f'      <inertial><pose>{_numbers(_com(cup, package))} 0 0 0</pose>',
         f'        <mass>{package.mass!r}</mass>',
         f'        {_tensor(_inertia(package))}',
         '      </inertial>',
         '    </link>',
-    ]
+        *connection,
+        '  </model>',
+        '</sdf>',
+        '',
+    ])
+
+
+def _middle(cup: Cup) -> str:
+    """Return the pose of the middle of the cup below the tool tip."""
+    return f'0 0 {-cup.length / 2.0!r} 0 0 0'
 
 
 def _tensor(values: tuple[float, ...]) -> str:
@@ -200,23 +194,6 @@ def _dummy(package: Package) -> list[str]:
         f'      <inertial><mass>{DUMMY * package.mass!r}</mass>',
         f'        {_tensor((moment,) * 3 + (0.0,) * 3)}',
         '      </inertial>',
-    ]
-
-
-def _joint(cup: Cup, number: int, parent: str, child: str) -> list[str]:
-    """Return one of the six joints."""
-    kind = 'prismatic' if number < 3 else 'revolute'
-    return [
-        f'    <joint name="cup_{kind}_{AXES[number % 3]}" type="{kind}">',
-        f'      <parent>{parent}</parent><child>{child}</child>',
-        f'      <axis><xyz>{_unit(number % 3)}</xyz>',
-        f'        <dynamics><damping>{float(cup.damping[number, number])!r}</damping>'
-        f'<spring_reference>0</spring_reference>'
-        f'<spring_stiffness>{float(cup.stiffness[number, number])!r}</spring_stiffness>'
-        '</dynamics>',
-        '        <limit><lower>-1e16</lower><upper>1e16</upper></limit>',
-        '      </axis>',
-        '    </joint>',
     ]
 
 
@@ -306,14 +283,14 @@ TARGETS: Mapping[str, Target] = {
         _TOOL_AXES,
     )),
     'openplx': Target('OpenPLX (SixDofSuctionCup)', openplx, (
-        'It is round: of x and y, and of the turns about them, the means are taken.',
-        'A lock between gripper and lip is linear in its six deflections; (3.17) has the sine of '
-        'one rotation.',
-        'The package is not in it: give your own body its mass and inertia.',
-        'Its names and connectors follow the Robotics bundle of OpenPLX 0.19.0; it was not tried '
-        'with a simulator.',
+        'The cup is round: x and y share the mean of their stiffness and damping, and so do the '
+        'turns about them.',
+        'The springs are linear in the six deflections; (3.17) has the sine of one rotation.',
+        'The package is left out: give your own body its mass and inertia.',
+        'Names and connectors follow the Robotics bundle of OpenPLX 0.19.0. The export was not '
+        'tried with a simulator.',
     )),
-    'c': Target('C (C11, a header)', header, (
-        'Release, flight and uncertainties; of the model itself nothing is lost.',
+    'c': Target('C11 (a header)', header, (
+        'Release, flight and uncertainties are left out; the model itself is complete.',
     ), whole=True),
 }

@@ -134,8 +134,8 @@ def _way(links: Mapping[str, Link], frame: str, of: str) -> list[str]:
     """Return the frames from this one up to below the root; refuse circles."""
     if frame not in links and frame not in {link.parent for link in links.values()}:
         raise BellowsError(
-            f"Frame '{frame}' is not among the transforms of {of}: "
-            f"{', '.join(sorted(links)[:8]) or 'there are none'}.")
+            f"Frame '{frame}' is not among the transforms of {of}. There are: "
+            f"{', '.join(sorted(links)[:8]) or 'none'}.")
     way: list[str] = []
     while frame in links:
         way.append(frame)
@@ -153,16 +153,12 @@ def _along(links: Mapping[str, Link], way: list[str], stamps: Stamps) -> tuple[A
     T: Array = np.tile(np.eye(4), (len(stamps), 1, 1))
     valid: Mask = np.ones(len(stamps), dtype=bool)
     for name in way:
-        step, known = _at(links[name], stamps)
-        T, valid = step @ T, valid & known
+        link = links[name]
+        if len(link.stamps_ns) == 1:
+            T = link.poses @ T
+            continue
+        there = Trajectory(link.stamps_ns, link.poses[:, :3, 3], link.poses[:, :3, :3])
+        longest = LONGEST_GAP * float(np.median(np.diff(link.stamps_ns)))
+        found = resample(there, stamps, round(longest))
+        T, valid = transform(found.rotation, found.position) @ T, valid & found.valid
     return T, valid
-
-
-def _at(link: Link, stamps: Stamps) -> tuple[Array, Mask]:
-    """Return the poses of a link at stamps, and which are valid."""
-    if len(link.stamps_ns) == 1:
-        return np.repeat(link.poses, len(stamps), axis=0), np.ones(len(stamps), dtype=bool)
-    there = Trajectory(link.stamps_ns, link.poses[:, :3, 3], link.poses[:, :3, :3])
-    longest = LONGEST_GAP * float(np.median(np.diff(link.stamps_ns)))
-    found = resample(there, stamps, round(longest))
-    return transform(found.rotation, found.position), found.valid

@@ -10,13 +10,14 @@ from bellows_ros import __version__
 from bellows_ros.core.arm_limits import limits_from
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.commissioning import everyday, standstills
-from bellows_ros.core.excitation import cups_near, Design, design
+from bellows_ros.core.excitation import cups_near, Design, design, LOADS, RAMP, REST
 from bellows_ros.core.holding import grip_of
 from bellows_ros.core.identification.fisher import (
     motion_information,
     standard_errors,
     Tracking,
 )
+from bellows_ros.core.identification.result import UNITS
 from bellows_ros.core.lie import log_so3, rotation_to_quaternion
 from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve
@@ -34,7 +35,7 @@ from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, PlanMes
 from bellows_ros.files.plans import arm_of
 from bellows_ros.files.results import provenance
 from bellows_ros.files.trajectory_files import write_euroc, write_urscript
-from bellows_ros.workflows.plan import read_plan
+from bellows_ros.workflows.plan import in_axes, read_plan
 import numpy as np
 
 Progress = Callable[[str, float], None]
@@ -42,7 +43,7 @@ Progress = Callable[[str, float], None]
 POINT_RATE, UR_RATE = 1000.0, 125.0
 """Points per second in recordings and CSV, and in a URScript program, Hz."""
 
-SHORTEST, LONGEST = 5.0, 120.0
+SHORTEST, LONGEST = REST + 3.0 * RAMP, 120.0
 """Range of durations, s."""
 
 STANDSTILLS, EXCITATION, VALIDATION = '1_standstills', '2_excitation', '3_validation'
@@ -70,8 +71,6 @@ class Excitation:
         Standard errors that other motions of the same time would give, by their names.
     series : mapping of str to (Motion, array (2 n,))
         What else to record, by names in their order, and the standard errors it would give alone.
-    grip_known : bool
-        Whether the safety factor of the grip was a limit.
     values : mapping
         All parameters.
 
@@ -82,7 +81,6 @@ class Excitation:
     guess: Array
     beside: Mapping[str, Array]
     series: Mapping[str, tuple[Motion, Array]]
-    grip_known: bool
     values: Mapping[str, Any]
 
     @property
@@ -93,13 +91,12 @@ class Excitation:
     @property
     def units(self) -> list[str]:
         """Return the unit of every entry."""
-        kinds = [('N/m', 'N', 'N m/rad')[(i > 2) + (j > 2)] for i, j in self.structure.leads]
-        return [*kinds, *({'N/m': 'N s/m', 'N': 'N s', 'N m/rad': 'N m s/rad'}[k] for k in kinds)]
+        return [UNITS[kind][(i > 2) + (j > 2)] for kind in 'KP' for i, j in self.structure.leads]
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return warnings before the motion."""
-        return () if self.grip_known else (NO_GRIP,)
+        return () if LOADS[-1] in self.design.ratios else (NO_GRIP,)
 
     def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
         """Return the content of the JSON file, SI units."""
@@ -155,7 +152,8 @@ def excite(
     """
     if not SHORTEST <= duration <= LONGEST:
         raise BellowsError(
-            f'The motion is {duration:g} s long; expected {SHORTEST:g} to {LONGEST:g} s.')
+            f'The motion is {duration:g} s long; expected {SHORTEST:g} to {LONGEST:g} s, with '
+            f'{REST:g} s of rest and ramps of {RAMP:g} s.')
     if seed < 0:
         raise BellowsError(f'The seed is {seed}; expected a whole number from 0 on.')
     tell = progress or (lambda what, part: None)
@@ -173,8 +171,12 @@ def excite(
             cup, package, gravity, tool, tracking, structure))
 
     period = tracking.package_period
-    others = {os.fspath(path): errors_of(sampled(
-        read_plan(path, values, urdf).tool, period, duration)) for path in beside}
+    others = {}
+    for path in beside:
+        tool = read_plan(path, values, urdf).tool
+        count = int(min(duration, float(tool.seconds[-1])) / period)
+        at = np.round(np.arange(count) * period * NS_PER_S).astype(np.int64)
+        others[os.fspath(path)] = errors_of(resample(tool, tool.stamps_ns[0] + at))
     found = design(
         cup, package, gravity, grip, structure, bounds, tracking, duration, seed, tell)
     guess = structure.parameters(cup.stiffness, cup.damping)
@@ -184,7 +186,7 @@ def excite(
     } if with_series else {}
     series = {name: (motion, errors_of(motion.at_rate(1.0 / period)))
               for name, motion in more.items()}
-    return Excitation(found, structure, guess, others, series, grip is not None, values)
+    return Excitation(found, structure, guess, others, series, values)
 
 
 def tracking_from(settings: Settings) -> Tracking:
@@ -210,13 +212,6 @@ def tracking_from(settings: Settings) -> Tracking:
     return Tracking(*found)
 
 
-def sampled(tool: Trajectory, period: float, duration: float) -> Trajectory:
-    """Return a motion at equal steps (s), for no longer than a duration (s)."""
-    count = int(min(duration, float(tool.seconds[-1])) / period)
-    stamps = tool.stamps_ns[0] + np.round(np.arange(count) * period * NS_PER_S).astype(np.int64)
-    return resample(tool, stamps)
-
-
 def write_motion(
     path: str | os.PathLike[str], found: Excitation, csv: str = '', urscript: str = '',
     replace: bool = False,
@@ -235,15 +230,22 @@ def write_motion(
     frame = str(found.values['plan.frame']) or 'world'
     axes = str(found.values['tool_twist.frame'])
     motion = found.design.motion
+
+    def write(file: str | os.PathLike[str], each: Motion) -> None:
+        times, rows, first = _points(each, axes)
+        plan = PlanMessage(0, frame, ('tool',), times, rows[:, :7], rows[:, 7:])
+        write_bag(file, [Encoded('/tool_arm/plan', MULTI_DOF, first, [encode_multi_dof(plan)])],
+                  replace=replace)
+
     if found.series:
         if replace:
             _require_series(Path(path))
         with new_folder(path, replace) as folder:
             folder.mkdir()
             for name, (each, _) in found.series.items():
-                _write_plan(folder / name, each, frame, axes, False)
+                write(folder / name, each)
     else:
-        _write_plan(path, motion, frame, axes, replace)
+        write(path, motion)
     if csv:
         times, rows, _ = _points(motion, axes)
         write_euroc(csv, times, rows)
@@ -262,22 +264,9 @@ def _require_series(folder: Path) -> None:
         require_replaceable(each)
 
 
-def _write_plan(
-    path: str | os.PathLike[str], motion: Motion, frame: str, axes: str, replace: bool
-) -> None:
-    """Write a recording with a plan."""
-    times, rows, first = _points(motion, axes)
-    plan = PlanMessage(0, frame, ('tool',), times, rows[:, :7], rows[:, 7:])
-    write_bag(path, [Encoded('/tool_arm/plan', MULTI_DOF, first, [encode_multi_dof(plan)])],
-              replace=replace)
-
-
 def _points(motion: Motion, axes: str) -> tuple[Stamps, Array, Stamps]:
     """Return times (N,) in ns, rows (N, 13) of poses and twists, and the first stamp (1,)."""
     tool = motion.at_rate(POINT_RATE)
-    twist = np.array(tool.twist).reshape(-1, 2, 3)
-    if axes == 'world':
-        twist = np.einsum('nij,nkj->nki', tool.rotation, twist)
     return tool.stamps_ns - tool.stamps_ns[0], np.hstack([
-        tool.position, rotation_to_quaternion(tool.rotation), twist.reshape(-1, 6),
-    ]), tool.stamps_ns[:1]
+        tool.position, rotation_to_quaternion(tool.rotation),
+        in_axes(tool.rotation, np.asarray(tool.twist), axes)]), tool.stamps_ns[:1]

@@ -90,7 +90,7 @@ def test_the_world_may_be_any_frame(tmp_path):
 def test_what_is_missing_is_said(tmp_path):
     links = read_transforms(recording(tmp_path / 'tf', [(T0 + 5, 'elsewhere', 'lone', CAMERA)]))
     for frame, world, words in (
-        ('tol', '', "'tol' is not among the transforms of it: base"),
+        ('tol', '', "'tol' is not among the transforms of it. There are: base"),
         ('tool', 'elsewhere', "'hall', the other at 'elsewhere'"),
         ('camera', 'rail', 'does not move'),
     ):
