@@ -108,8 +108,8 @@ def _say(found: 'Excitation', console: Console) -> None:
     console.say()
     if found.beside:
         console.paragraph(
-            'Expected are standard errors, if the guess is right. The other columns are the '
-            'errors of other motions, as multiples of these.')
+            'The expected values are standard errors if the guess is right; the other columns '
+            'are the errors of other motions, as multiples of these.')
         console.say()
     _say_series(found, console)
     console.table([['limit', 'taken', 'share in limiting the motion']] + [
