@@ -152,7 +152,7 @@ def fits(
         stated.append(np.sqrt(np.diag(fit.covariance)) / expected)
         own, noise, white = segment(in_motion(measured[0]), measured[1]), none, none[0]
         for _ in range(3):  # about the likeliest motion, as a fit does
-            errors = own.equations(cup, noise, {}).errors
+            errors = own.errors(cup, noise, {}, smooth.package, smooth.tool)
             white = root.whitened(errors[:, :, None])[:, 0]
             noise = root.noise(white)[0]
         linear.append(estimate @ white)

@@ -176,13 +176,6 @@ NEAR = 1.0
 
 MOST_STEPS = 40
 
-LEAST_SIGNAL, SMALLEST_SIGNAL = 0.25, 0.05
-"""
-A direction whose information is signal to a smaller part is not searched along.
-
-The smaller one holds far from the minimum, and covariances take directions to have as much.
-"""
-
 HUBER_FROM = 3.0
 """Threshold of Huber's loss, standard deviations."""
 
@@ -212,17 +205,14 @@ class Found(NamedTuple):
     """
     Where the search ended.
 
-    Free numbers (m,), the segments and the noise of their poses, information (m, m), its
-    directions (m, m) of variance one and which part of the information on each is signal (m,),
-    and whether it is a minimum.
+    Free numbers (m,), the segments and the noise of their poses, information (m, m), and whether
+    it is a minimum.
     """
 
     theta: Array
     parts: list[Whitened]
     noise: list[Array]
     information: Array
-    directions: Array
-    signal: Array
     converged: bool
 
 
@@ -308,16 +298,10 @@ class Search:
                 measured.tool_noise._replace(kept=kept[1]))
 
     def found(self, note: Note) -> Found:
-        """
-        Go to the minimum.
-
-        Noise that is left in the motion looks like information, but tells nothing: steps are
-        longer where it is part of the information, and there are none where it is most.
-        """
-        theta, looks, before, judged = self.start, 0, np.inf, False
+        """Go to the minimum."""
+        theta, looks, before = self.start, 0, np.inf
         prior = np.full(len(theta), FURTHEST**-2)
         prior[:self.count] = WIDEST**-2
-        vectors, signal = np.eye(len(theta)), np.ones(len(theta))
         for number in range(MOST_STEPS):
             if number > 0:
                 self.estimate_noise(theta, number in ROBUST_STEPS)
@@ -329,48 +313,16 @@ class Search:
             H = sum(part.jacobian.T @ part.jacobian for part in parts) + np.diag(prior)
             g = sum(part.jacobian.T @ part.innovations for part in parts)
             g = g - prior * (theta - self.start)
-            note(theta, float(np.mean(np.concatenate([own.innovations for own in parts]) ** 2)))
-            if not np.isfinite(g).all():
+            r = np.concatenate([part.innovations for part in parts])
+            note(theta, float(np.mean(r**2)))
+            step = np.linalg.solve(H, g)
+            before = 0.5 * float(g @ step)
+            if before < TOLERANCE and looks and number >= ROBUST_STEPS[1]:
+                return Found(theta, parts, self.noise, H, True)
+            if not np.isfinite(before):
                 break
-            last = looks > 1 and number >= ROBUST_STEPS[1]
-            root = np.linalg.cholesky(H)
-            if number == 1 or (last and not judged):
-                vectors, signal = self.signal(theta, parts, H, root)
-                judged = last
-            directions = np.asarray(np.linalg.solve(root.T, vectors), dtype=np.float64)
-            least = LEAST_SIGNAL if judged else SMALLEST_SIGNAL
-            slope = np.where(signal > least, directions.T @ g, 0.0)
-            part = np.maximum(signal, LEAST_SIGNAL)
-            before = 0.5 * float(np.sum(slope**2 / part))
-            if before < TOLERANCE and judged:
-                return Found(theta, parts, self.noise, H, directions, signal, True)
-            theta = theta + directions @ (slope / part)
-        return Found(theta, parts, self.noise, H, directions, signal, False)
-
-    def signal(
-        self, theta: Array, parts: list[Whitened], information: Array, root: Array
-    ) -> tuple[Array, Array]:
-        """
-        Return directions (m, m) and which part of the information (m,) on each is signal.
-
-        They are of the numbers times the Cholesky factor of the information, transposed.
-
-        How much noise in the motion adds to it is seen by adding as much again.
-        """
-        rng = np.random.default_rng(0)
-        cup, total = self.cup(theta), information.copy()
-        for segment, part, noise in zip(self.segments, parts, self.noise, strict=True):
-            fresh = rng.standard_normal(noise.shape)
-            _, seen = part.root.noise(part.root.errors(fresh))
-            left = part.root.accumulated(fresh - seen)
-            total += part.jacobian.T @ part.jacobian
-            for side in (-1.0, 1.0):
-                shaken = segment.equations(cup, noise + side * left, self.free(theta, segment))
-                J = part.root.whitened(self.by_numbers(segment, shaken.jacobian))
-                total -= 0.5 * J.T @ J
-        ratio = np.linalg.solve(root, np.linalg.solve(root, total).T)
-        values, vectors = np.linalg.eigh(0.5 * (ratio + ratio.T))
-        return vectors, values
+            theta = theta + step
+        return Found(theta, parts, self.noise, H, False)
 
     def equations(self, theta: Array) -> list[Equations]:
         """Return the equations of all segments, about the motions without their noise."""

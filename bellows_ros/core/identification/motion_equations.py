@@ -31,7 +31,7 @@ from bellows_ros.core.jacobians import (
 )
 from bellows_ros.core.jit import kernel
 from bellows_ros.core.kernels import body_acceleration, ModelTuple, State
-from bellows_ros.core.lie import apply, exp_so3, hat, log_so3, rotation_to_quaternion, twist_cross
+from bellows_ros.core.lie import apply, exp_so3, hat, rotation_to_quaternion, twist_cross
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.resampling import resample, savgol, weights
 from bellows_ros.core.sensitivities import columns
@@ -47,9 +47,6 @@ SMOOTHED_OVER = 1 / 12
 """Half window (s) of the polynomials that smooth the motion of the linearisation."""
 
 SMOOTHED_ORDER = 6
-
-ENDS = (REACH, 2 * REACH, 4 * REACH)
-"""Shorter half windows (samples), towards the ends."""
 
 
 class Kind(NamedTuple):
@@ -155,18 +152,41 @@ class Segment:
             What is not as it was given; derivatives by these numbers follow those by K and P.
 
         """
+        jacobian, package, tool = self.linearised(cup, noise, free)
+        return Equations(self.errors(cup, noise, free, package, tool), jacobian, package, tool)
+
+    def _model(self, cup: Cup, free: Free) -> ModelTuple:
+        """Return the model with the free numbers in it."""
+        longer = float(free['length'][0]) if 'length' in free else 0.0
+        return model_tuple(
+            replace(cup, length=cup.length + longer), payload_of(self.measured.payload, free),
+            self.measured.gravity)
+
+    def errors(
+        self, cup: Cup, noise: Array, free: Free, package: Array, tool: Array
+    ) -> Array:
+        """Return the errors of `equations`, with effects of noise as they are there."""
+        parts = np.hsplit(noise, 2)
+        (body, rate), (of_tool, _) = (
+            _states(_changed_poses(poses, -own), REACH, 2 * REACH)
+            for poses, own in zip((self.package(free), self.tool(free)), parts, strict=True))
+        of_model: Array = np.empty((6, len(rate)))
+        _accelerations(self._model(cup, free), of_tool, body, of_model)
+        errors = rate - of_model.T
+        for A, own in zip((package, tool), parts, strict=True):
+            for j in range(STEPS):
+                errors += apply(A[:, :, j], own[j:j + len(errors)])
+        return errors
+
+    def linearised(self, cup: Cup, noise: Array, free: Free) -> tuple[Array, Array, Array]:
+        """Return the derivatives of `equations`: jacobian, package and tool, about a motion."""
         poses = self.package(free)
-        measured = poses, self.tool(free)
-        about = [self._smooth(_changed_poses(own, -part)) for own, part in zip(
-            measured, np.hsplit(noise, 2), strict=True)]
-        (body, rate), (tool, tool_rate) = map(_states, about)
-        model = self._model(cup, free)
-        errors: Array = np.empty((6, len(rate)))
-        _accelerations(model, tool, body, errors)
-        errors = rate - errors.T
+        (body, rate), (tool, tool_rate) = (
+            self._smooth(_changed_poses(own, -part)) for own, part in zip(
+                (poses, self.tool(free)), np.hsplit(noise, 2), strict=True))
         last = PARAMETERS if free.keys() - {'time_offset'} else DAMPING.stop
         out = np.zeros((6, 24 + last, len(rate)))
-        _derivatives(model, tool, body, 0, last, out)
+        _derivatives(self._model(cup, free), tool, body, 0, last, out)
         by_pose, by_twist, by_tool, by_tool_twist, parameters = (
             np.ascontiguousarray(part) for part in np.split(
                 np.moveaxis(out, 2, 0), (6, 12, 18, 24), axis=2))
@@ -178,10 +198,6 @@ class Segment:
             of_tool[:, :, j] = self.weights[1, j] * tool_slope
         package[:, :, REACH] += twist_cross(rate) - by_twist @ turning - by_pose
         of_tool[:, :, REACH] -= by_tool_twist @ tool_turning + by_tool
-        for A, own, there in zip((package, of_tool), measured, about, strict=True):
-            beside = _changes(there, own)
-            for j in range(STEPS):
-                errors += apply(A[:, :, j], beside[j:j + len(errors)])
         columns = [parameters[:, :, :DAMPING.stop]]
         for name in free:
             if name == 'time_offset':
@@ -194,32 +210,23 @@ class Segment:
                 column = column - sum(
                     package[:, :, j] @ changes[j:j + len(rate)] for j in range(STEPS))
             columns.append(column)
-        return Equations(errors, np.concatenate(columns, axis=2), package, of_tool)
+        return np.concatenate(columns, axis=2), package, of_tool
 
-    def _model(self, cup: Cup, free: Free) -> ModelTuple:
-        """Return the model with the free numbers in it."""
-        longer = float(free['length'][0]) if 'length' in free else 0.0
-        return model_tuple(
-            replace(cup, length=cup.length + longer), payload_of(self.measured.payload, free),
-            self.measured.gravity)
-
-    def _smooth(self, poses: Trajectory) -> Trajectory:
-        """Return the poses smoothed, towards the ends over less time."""
+    def _smooth(self, poses: Trajectory) -> tuple[Array, Array]:
+        """Return states and rates of twists as of `_states`, smoother away from the ends."""
         if not self.noisy:
-            return poses
-        position, rotation = poses.position.copy(), poses.rotation.copy()
-        longest = max(round(SMOOTHED_OVER / self.period), REACH)
-        for half in sorted({min(part, longest) for part in ENDS} | {longest}):
-            if len(poses) > 2 * half:
-                smooth = savgol(poses, half, SMOOTHED_ORDER)
-                position[half:len(poses) - half] = smooth.position
-                rotation[half:len(poses) - half] = smooth.rotation
-        return Trajectory(poses.stamps_ns, position, rotation)
+            return _states(poses, REACH, 2 * REACH)
+        states, rate = _states(poses, REACH, SMOOTHED_ORDER)
+        half = max(round(SMOOTHED_OVER / self.period), REACH)
+        if len(poses) > 2 * half:
+            inner = slice(half - REACH, len(poses) - half - REACH)
+            states[:, inner], rate[inner] = _states(poses, half, SMOOTHED_ORDER)
+        return states, rate
 
 
-def _states(poses: Trajectory) -> tuple[Array, Array]:
+def _states(poses: Trajectory, half_window: int, order: int) -> tuple[Array, Array]:
     """Return states (13, N), one in each column, and the rates of their twists (N, 6)."""
-    found = savgol(poses, REACH, 2 * REACH)
+    found = savgol(poses, half_window, order)
     rows = np.hstack([found.position, rotation_to_quaternion(found.rotation), found.twist])
     return np.ascontiguousarray(rows.T), np.array(found.acceleration)
 
@@ -229,13 +236,6 @@ def _changed_poses(poses: Trajectory, change: Array) -> Trajectory:
     return Trajectory(
         poses.stamps_ns, poses.position + apply(poses.rotation, change[:, :3]),
         poses.rotation @ exp_so3(change[:, 3:]))
-
-
-def _changes(first: Trajectory, second: Trajectory) -> Array:
-    """Return the small changes (N, 6) in the first poses' own axes that make the second."""
-    inverse = np.swapaxes(first.rotation, 1, 2)
-    return np.hstack([
-        apply(inverse, second.position - first.position), log_so3(inverse @ second.rotation)])
 
 
 @kernel

@@ -19,14 +19,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.identification.equations import without
-from bellows_ros.core.identification.minimum import (
-    Found,
-    LEAST_SIGNAL,
-    Root,
-    Search,
-    SMALLEST_SIGNAL,
-    Whitened,
-)
+from bellows_ros.core.identification.minimum import Found, Root, Search, Whitened
 from bellows_ros.core.identification.motion_equations import KINDS, Segment
 from bellows_ros.core.identification.result import (
     definiteness_warnings,
@@ -286,11 +279,11 @@ COMMON = 10.0
 LEAST_EXCESS = 0.25
 """Scatter below this fraction of the noise model's belongs to directions without information."""
 
-LARGEST_UNKNOWN = 0.5
-"""With more of its variance from directions without signal a number is not identifiable."""
-
 LARGEST_LEVERAGE = 0.999
 """Largest leverage of one second: something must remain when it is left out."""
+
+LEAST_SIGNAL = 0.05
+"""Smallest share of the information on a direction that is taken to be signal."""
 
 MEDIAN_OF_NORMAL = 0.6744897501960817
 """Median of the absolute value of a standard normal variable."""
@@ -298,9 +291,7 @@ MEDIAN_OF_NORMAL = 0.6744897501960817
 
 def certainty(search: Search, found: Found) -> Certainty:
     """Return how sure the end of a search is."""
-    directions, unknown = found.directions, found.signal <= LEAST_SIGNAL
-    weights = directions**2 / np.maximum(found.signal, SMALLEST_SIGNAL)
-    inverse = (directions / np.maximum(found.signal, SMALLEST_SIGNAL)) @ directions.T
+    inverse = _inverse(found.information, _signal(search, found))
     without_one = np.array([
         change for segment, part in zip(search.segments, found.parts, strict=True)
         for change in _left_out(found.information, part, segment.period)])
@@ -316,11 +307,38 @@ def certainty(search: Search, found: Found) -> Certainty:
             own.errors[:, :, None]) ** 2))
         for segment, own, missing in zip(
             search.segments, search.equations(found.theta), search.missing, strict=True))
-    identifiable = (np.sqrt(np.diag(covariance)) <= _largest_errors(search, found.theta)) & (
-        weights[:, unknown].sum(axis=1) < LARGEST_UNKNOWN * weights.sum(axis=1))
+    identifiable = np.sqrt(np.diag(covariance)) <= _largest_errors(search, found.theta)
     return Certainty(
         covariance, identifiable, untrimmed / degrees,
         float((np.median(np.abs(r)) / MEDIAN_OF_NORMAL) ** 2))
+
+
+def _signal(search: Search, found: Found) -> Array:
+    """Return the information (m, m) without the contribution of noise in the motion."""
+    rng = np.random.default_rng(0)
+    cup = search.cup(found.theta)
+    total = found.information.copy()
+    for segment, part, noise in zip(search.segments, found.parts, found.noise, strict=True):
+        fresh = rng.standard_normal(noise.shape)
+        _, seen = part.root.noise(part.root.errors(fresh))
+        left = part.root.accumulated(fresh - seen)
+        added = -(part.jacobian.T @ part.jacobian)
+        for side in (-1.0, 1.0):
+            jacobian, _, _ = segment.linearised(
+                cup, noise + side * left, search.free(found.theta, segment))
+            J = part.root.whitened(search.by_numbers(segment, jacobian))
+            added += 0.5 * J.T @ J
+        total -= added
+    return total
+
+
+def _inverse(information: Array, signal: Array) -> Array:
+    """Return the inverse of the signal, which is at least a part of the information."""
+    root = np.linalg.cholesky(information)
+    part = np.linalg.solve(root, np.linalg.solve(root, signal).T)
+    values, vectors = np.linalg.eigh(0.5 * (part + part.T))
+    half = np.linalg.solve(root.T, vectors)
+    return np.asarray((half / np.maximum(values, LEAST_SIGNAL)) @ half.T)
 
 
 def _left_out(information: Array, part: Whitened, period: float) -> Iterator[Array]:

@@ -86,7 +86,7 @@ def estimates(mover, duration, draws):
                       noisy(body, TRACKING.package, rng))
         noise = none
         for _ in range(2):  # as a fit does: about the likeliest motion
-            c = own.equations(cup, noise, {}).errors
+            c = own.errors(cup, noise, {}, equations.package, equations.tool)
             r = root.whitened(c[:, :, None])[:, 0]
             noise = root.noise(r)[0]
         yield inverse @ r / usual
