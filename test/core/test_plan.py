@@ -195,11 +195,14 @@ def test_a_thousand_random_plans():
 
 
 @pytest.mark.skipif(not COMPILED, reason='the limit is for compiled kernels')
-def test_a_second_at_1_khz_takes_a_millisecond():
-    """Of the processor, so that it is so beside other tests, too."""
-    run = Run(MODEL, GRIP, Move([0.6, 0, 0], [0, 0, 0], 1.0).plan(), tail=0.0)
-    run.at(1.0)
-    assert min(repeat(lambda: run.at(1.0), number=5, repeat=10, timer=process_time)) < 5e-3
+def test_predicting_a_plan_takes_no_longer_than_simulating_its_motion():
+    """Take 0.7 ms for 1 s at 1 kHz where a simulation takes 0.9 ms: both share the load."""
+    plan = Move([0.6, 0, 0], [0, 0, 0], 1.0).plan()
+    run = Run(MODEL, GRIP, plan, tail=0.0)
+    predicted, simulated = (
+        min(repeat(work, setup=work, number=5, repeat=10, timer=process_time))
+        for work in (lambda: run.at(1.0), lambda: simulate(CUP, PACKAGE, plan)))
+    assert predicted < simulated
 
 
 def test_settling_is_waited_for():

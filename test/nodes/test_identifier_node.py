@@ -154,7 +154,7 @@ def test_a_forgotten_length_is_among_the_reasons(
         topics__package_pose='/package/pose',
         output__parameters=str(tmp_path / written) if written else '')
     assert ros.spin_until(node.finished.done, LONGEST)
-    with pytest.raises(BellowsError, match='cup.length is not set.* not positive definite'):
+    with pytest.raises(BellowsError, match='wrong by about 2.1 mm.* cup.length is not set'):
         node.finished.result()
     assert not (tmp_path / 'cup.yaml').exists()
 
@@ -165,6 +165,6 @@ def test_a_cup_that_cannot_be_ends_the_node_with_the_reason(ros: Any, root: Path
         ros, bags=[str(root / 'bags/validation')], topics__tool_pose='/tool_arm/pose',
         topics__package_pose='/package/pose', cup__length=0.049)
     assert ros.spin_until(node.finished.done, LONGEST)
-    with pytest.raises(BellowsError, match='not positive definite'):
+    with pytest.raises(BellowsError, match='cup.length .* is wrong by about 3.0 mm'):
         node.finished.result()
     assert not node.has_parameter('cup.stiffness')
