@@ -16,6 +16,7 @@ from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.release import flight_path, Held, release_of, Toss, toss
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import with_chosen_cup
 from bellows_ros.files.results import provenance
 from bellows_ros.workflows.plan import read_plan
 import numpy as np
@@ -54,7 +55,8 @@ class TossResult:
     """With a target, the toss at the given time."""
     target: tuple[float, float] | None
     drawn: Drawn | None
-    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    """On reading the plan."""
 
     @property
     def covariance(self) -> Array:
@@ -121,6 +123,29 @@ class TossResult:
             return None
         return float(np.linalg.norm(np.subtract(self.asked.landing[0][:2], self.target)))
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings for the user."""
+        found = [*self.notes]
+        lost = self.held.lost_before(self.case.switched)
+        if lost is not None:
+            found.append(
+                f'The grip is lost {lost:.3f} s after the beginning, before the valve is switched '
+                f'at {self.case.switched:.3f} s. Move slower, or raise the vacuum.')
+        if self.held.mode == 'delay':
+            found.append(
+                'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after '
+                'the valve, whatever the load; release.tau has no effect.')
+        if self.aim is not None and self.target is not None and not part_inside(
+                self.covariance + TOLERANCE**2 * np.eye(6),
+                np.subtract([self.toss.landing[0][:2]], self.target)):
+            turned = ' in this orientation' if self.aim.angle else ''
+            found.append(
+                f'No release of this plan lands at the target{turned}: the best one is '
+                f'{self.aim.distance:.3g} m away, and the target is outside its 95 % ellipse. '
+                'Change the plan or the target.')
+        return tuple(found)
+
     def path(self) -> Array:
         """Return states of B (N, 13) from letting go to landing."""
         return flight_path(self.case.model, self.toss, PATH_POINTS)
@@ -175,20 +200,21 @@ def toss_plan(
         If the plan, the parameters or the time are not usable.
 
     """
-    values = resolve(parameters, PACKAGE_PARAMETERS)
+    if target is None and target_rotation is not None:
+        raise BellowsError(
+            'An orientation is wanted, but no target. Give --target X Y beside '
+            '--target-rotation, or leave it out.')
+    if target is None and switched is None:
+        raise BellowsError('Neither a time nor a target is given. Give --release T or --target.')
+    values = with_chosen_cup(resolve(parameters, PACKAGE_PARAMETERS))
     release, grip = release_of(values), grip_of(values)
     progress('reading the plan')
-    tool, _, gravity, notes, _ = read_plan(path, values, urdf, topic)
+    source = read_plan(path, values, urdf, topic)
+    tool, gravity = source.tool, source.gravity
     if target is not None and np.linalg.norm(gravity[:2]) > 1e-6 * np.linalg.norm(gravity):
         raise BellowsError(
             'A target is x and y on the floor, but gravity.direction is not along -z. Give the '
             'plan in a world with z up.')
-    if target_rotation is not None and target is None:
-        raise BellowsError(
-            'An orientation is wanted, but no target. Give --target X Y beside '
-            '--target-rotation, or leave it out.')
-    if switched is None and target is None:
-        raise BellowsError('Neither a time nor a target is given. Give --release T or --target.')
     model = model_tuple(cup_of(values), package_of(values), gravity)
     progress('following the plan')
     held = Held(model, grip, tool)
@@ -203,33 +229,9 @@ def toss_plan(
     case = Case(values, model, grip, tool, release, switched)
     progress('working out how sure the landing is')
     parts = parts_of(case, held, nominal)
-    warnings = [*notes, *_warnings(case, held)]
-    if found is not None and target is not None and not part_inside(
-            parts.covariance + TOLERANCE**2 * np.eye(6),
-            np.subtract([nominal.landing[0][:2]], target)):
-        turned = '' if target_rotation is None else ' in this orientation'
-        warnings.append(
-            f'No release of this plan lands at the target{turned}: the best one is '
-            f'{found.distance:.3g} m away, and the target is outside its 95 % ellipse. Change the '
-            'plan or the target.')
     if monte_carlo:
         progress(f'drawing {monte_carlo} tosses')
     drawn = draw(case, nominal, monte_carlo) if monte_carlo else None
     return TossResult(
         os.fspath(path), case, held, nominal, parts, found, asked if found else None, target,
-        drawn, tuple(warnings))
-
-
-def _warnings(case: Case, held: Held) -> list[str]:
-    """Return warnings for the user."""
-    found = []
-    lost = held.lost_before(case.switched)
-    if lost is not None:
-        found.append(
-            f'The grip is lost {lost:.3f} s after the beginning, before the valve is switched at '
-            f'{case.switched:.3f} s. Move slower, or raise the vacuum.')
-    if held.mode == 'delay':
-        found.append(
-            'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after the '
-            'valve, whatever the load; release.tau has no effect.')
-    return found
+        drawn, source.notes)
