@@ -34,6 +34,7 @@ from bellows_ros.core.tuples import (
     apply_transposed,
     cross,
     log_quaternion,
+    norm,
     Quaternion,
     quaternion_conjugate,
     quaternion_product,
@@ -335,12 +336,6 @@ def rigid_moment(model: ModelTuple, tool: State, acceleration: Vector) -> float:
     mass, com, _, _ = model[1]
     return mass * norm(
         cross(apply(rotation_matrix(tool[1]), com), subtract(acceleration, model[2])))
-
-
-@kernel
-def norm(a: Vector) -> float:
-    """Return the length of a vector."""
-    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
 @kernel

@@ -181,7 +181,7 @@ MEAN_WITHIN = (0.8, 2.5)
 LARGEST_GRID = 1_000_000
 LARGEST_GRID_PER_MESSAGE = 10
 # Standard deviation of a normal distribution per median absolute deviation.
-DEVIATION_PER_MAD = 1.4826
+MAD_TO_STD = 1.4826
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ def timing(stamps_ns: Stamps) -> Timing:
         )
     steps = np.diff(stamps_ns)
     period = _period(steps)
-    jitter = DEVIATION_PER_MAD * float(np.median(np.abs(steps - period)))
+    jitter = MAD_TO_STD * float(np.median(np.abs(steps - period)))
     slots = np.maximum(np.rint(steps / period), 1.0)
     uniform = bool(np.all(np.abs(steps / (slots * period) - 1.0) <= COPIED_WITHIN))
     long = np.flatnonzero(steps > _longest_step(period, jitter))

@@ -58,6 +58,18 @@ def dot(a: Vector, b: Vector) -> float:
 
 
 @kernel
+def norm(a: Vector) -> float:
+    """Return the length of a vector."""
+    return math.sqrt(dot(a, a))
+
+
+@kernel
+def norms(a: Vector, b: Vector) -> tuple[float, float]:
+    """Return the lengths of two vectors."""
+    return norm(a), norm(b)
+
+
+@kernel
 def cross(a: Vector, b: Vector) -> Vector:
     """Return a x b."""
     return (

@@ -24,7 +24,7 @@ from bellows_ros.core.identification.motion_equations import (
 )
 from bellows_ros.core.identification.segments import PoseNoise
 from bellows_ros.core.model import Cup
-from bellows_ros.core.recording.recording import MAD_TO_STD
+from bellows_ros.core.resampling import MAD_TO_STD
 from bellows_ros.core.structure import Structure
 from bellows_ros.errors import BellowsError
 import numpy as np

@@ -9,12 +9,11 @@ from bellows_ros.core.lie import apply, log_so3
 from bellows_ros.core.model import Package
 from bellows_ros.core.recording.recording import (
     HALF_WINDOW,
-    MAD_TO_STD,
     ORDER,
     TOOL_HALF_WINDOW,
     TOOL_ORDER,
 )
-from bellows_ros.core.resampling import resample, savgol, weights
+from bellows_ros.core.resampling import MAD_TO_STD, resample, savgol, weights
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz, valid_windows
 from bellows_ros.errors import BellowsError
 import numpy as np

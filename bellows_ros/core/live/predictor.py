@@ -17,13 +17,13 @@ from bellows_ros.core.live.load import deflection
 from bellows_ros.core.live.pairing import Pairing
 from bellows_ros.core.live.payload import LivePayload
 from bellows_ros.core.live.samples import ORIGIN, PoseSample, Prediction, TwistSample
-from bellows_ros.core.live.screening import FrameChange, lengths, Screen
+from bellows_ros.core.live.screening import FrameChange, Screen
 from bellows_ros.core.live.twist_check import measured, TwistCheck
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.observer import Observer
 from bellows_ros.core.screening import LARGEST_RATE, LARGEST_SPEED, LONGEST_GAP_NS
 from bellows_ros.core.tool_twist import PoseHistory
-from bellows_ros.core.tuples import normalised, Quaternion, Vector
+from bellows_ros.core.tuples import normalised, norms, Quaternion, Vector
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -321,7 +321,7 @@ class LivePredictor:
         while.
         """
         self.twists_in += 1
-        speed, rate = lengths(linear, angular)
+        speed, rate = norms(linear, angular)
         if not (speed <= LARGEST_SPEED and rate <= LARGEST_RATE):  # nor where one is NaN
             finite = all(map(math.isfinite, (*linear, *angular)))
             self._counts['twist_too_fast' if finite else 'twist_nan'] += 1

@@ -10,7 +10,6 @@ came first is followed.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from bellows_ros.core.jit import kernel
@@ -27,6 +26,7 @@ from bellows_ros.core.screening import (
 from bellows_ros.core.tuples import (
     dot,
     log_quaternion,
+    norm,
     Quaternion,
     quaternion_conjugate,
     quaternion_product,
@@ -108,21 +108,9 @@ REST = Step(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, ZERO, ZERO)
 
 
 @kernel
-def length(a: Vector) -> float:
-    """Return the length of a vector."""
-    return math.sqrt(dot(a, a))
-
-
-@kernel
-def lengths(a: Vector, b: Vector) -> tuple[float, float]:
-    """Return the lengths of two vectors."""
-    return length(a), length(b)
-
-
-@kernel
 def change(a: Vector, b: Vector) -> tuple[float, float]:
     """Return the length of b - a, and the smaller of both lengths where they agree."""
-    return length(subtract(b, a)), min(length(a), length(b)) if dot(a, b) > 0.0 else 0.0
+    return norm(subtract(b, a)), min(norm(a), norm(b)) if dot(a, b) > 0.0 else 0.0
 
 
 @kernel
@@ -146,8 +134,8 @@ def step_between(
     jitter, turn_jitter = JITTER * speed, JITTER * turn_speed
     squared = 0.5 * (seconds + shorter) * shorter
     excess = max(
-        length(shift) / (SPEED_SLACK + LARGEST_SPEED * seconds),
-        length(turn) / (RATE_SLACK + LARGEST_RATE * seconds),
+        norm(shift) / (SPEED_SLACK + LARGEST_SPEED * seconds),
+        norm(turn) / (RATE_SLACK + LARGEST_RATE * seconds),
     )
     doubt = 0.0
     if period != UNKNOWN:

@@ -17,8 +17,8 @@ from bellows_ros.core.kernels import State
 from bellows_ros.core.live.samples import Unsettled
 from bellows_ros.core.tuples import (
     add_scaled,
-    dot,
     log_quaternion,
+    norms,
     quaternion_conjugate,
     quaternion_product,
     scale,
@@ -153,12 +153,6 @@ class Settling:
 
 
 @kernel
-def speeds(v: Vector, w: Vector) -> tuple[float, float]:
-    """Return the lengths of two vectors."""
-    return math.sqrt(dot(v, v)), math.sqrt(dot(w, w))
-
-
-@kernel
 def motion_through(
     start: State, middle: State, end: State, s: float, t: float
 ) -> tuple[float, float, float, float]:
@@ -173,7 +167,7 @@ def motion_through(
     w, b = quadratic(
         log_quaternion(quaternion_product(back, middle[1])),
         log_quaternion(quaternion_product(back, end[1])), s, t)
-    return (*speeds(v, w), *speeds(a, b))
+    return (*norms(v, w), *norms(a, b))
 
 
 @kernel

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.lie import apply, exp_so3, log_so3
-from bellows_ros.core.resampling import DEVIATION_PER_MAD
+from bellows_ros.core.resampling import MAD_TO_STD
 from bellows_ros.core.trajectory import frozen, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -401,7 +401,7 @@ def _robust_mean(poses: Trajectory) -> tuple[Array, Array]:
 
 def _near(deviation: Array) -> Mask:
     """Return where no axis deviates by more than its usual deviation times a factor."""
-    usual = DEVIATION_PER_MAD * np.median(np.abs(deviation), axis=0)
+    usual = MAD_TO_STD * np.median(np.abs(deviation), axis=0)
     # Without noise the median is nothing but rounding: then all that is tiny is near.
     result: Mask = np.all(np.abs(deviation) <= TRIMMED_BEYOND * usual + 1e-6, axis=1)
     return result

@@ -17,7 +17,7 @@ from bellows_ros.core.parameter_table import short
 from bellows_ros.core.parameters import ESTIMATE
 from bellows_ros.core.recording.alignment import Alignment, BodyStandstill, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
-from bellows_ros.core.resampling import Timing, weights
+from bellows_ros.core.resampling import MAD_TO_STD, Timing, weights
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
@@ -39,9 +39,6 @@ products with the noise of the poses (not seen by linearised noise models) then 
 
 PLACES = 8
 """Interpolation points between two tool poses that represent all others."""
-
-MAD_TO_STD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 WIDE_WINDOW, COLOURED = 0.06, 1.15
