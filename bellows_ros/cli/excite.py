@@ -93,14 +93,16 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(found: 'Excitation', console: Console) -> None:
     """Print the expected errors and the active limits."""
+    from bellows_ros.core.identification.result import parameter_units
+
     motion = found.design.motion
     console.say(f'A motion of {motion.duration:g} s', 'bold')
     console.say(f'(up to {motion.highest_frequency:.3g} Hz; {found.structure.name})', 'dim')
     console.say()
     rows = [['entry', 'expected', '', *(f'{Path(name).stem}' for name in found.beside)]]
     for i, (label, unit, value, error) in enumerate(zip(
-            found.structure.labels, found.units, found.guess.tolist(), found.errors.tolist(),
-            strict=True)):
+            found.structure.labels, parameter_units(found.structure), found.guess.tolist(),
+            found.errors.tolist(), strict=True)):
         part = f'{100.0 * error / abs(value):.2g} %' if value else ''
         rows.append([label, with_error(value, error, unit), part, *(
             f'{errors[i] / error:.3g} times' for errors in found.beside.values())])

@@ -56,21 +56,21 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         arguments, console, work, draw, _say,
         lambda report: write_prediction(
             arguments.out, report.source, report.source.tool, report.prediction.states,
-            report.values, arguments.force))
+            arguments.force))
 
 
 def _say(report: 'PlanReport', console: Console) -> None:
     """Print the figures and their meaning."""
     source = report.source
     where = f", in frame '{source.frame_id}'" if source.frame_id else ''
-    console.say(f'Plan {report.path}', 'bold')
-    console.say(f'({len(source.tool)} points, {report.duration:.3f} s{where})', 'dim')
+    console.say(f'Plan {source.path}', 'bold')
+    console.say(f'({len(source.tool)} points, {source.duration:.3f} s{where})', 'dim')
     console.say()
     console.table(figure_rows(report))
     console.say()
     console.warn(*report.warnings)
     if not report.warnings:
-        known = any(report.values['envelope.rates'])
+        known = any(source.values['envelope.rates'])
         console.say('The grip holds' + (
             ', within the validity range.' if known else
             '. The validity range of the cup is unknown.'), 'green')
@@ -103,9 +103,9 @@ def figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
             'swing left at the end', value('swing_left', degrees, 'degrees'),
             still if math.isfinite(after) else 'not below 0.5 degrees within 30 s'))
     if report.sought:
-        found = report.fastest
+        found, duration = report.fastest, report.source.duration
         rows.append((
             'shortest safe time', 'none' if found is None else
-            with_error(found.scale * report.duration, found.scale_std * report.duration, 's'),
+            with_error(found.scale * duration, found.scale_std * duration, 's'),
             '' if found is None else f"{found.scale:.3f} of the plan's"))
     return rows

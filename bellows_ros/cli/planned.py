@@ -46,7 +46,7 @@ def carry_out(
     arguments, console
         Of the command.
     work : callable
-        From parameters by name and a progress to a result, which has `as_json(parameter_files)`.
+        From parameters by name and a progress to a result, which has `as_json()`.
     draw : callable
         Returns the figure of a result to write as `plot`, or writes a film and returns None.
     write : callable
@@ -68,7 +68,14 @@ def carry_out(
         result = work(values, progress)
         if arguments.plot and (figure := draw(result)):
             write_figure(arguments.plot, figure)
-    options.put_json(arguments.json, result.as_json(arguments.params))
+    if arguments.json:
+        from bellows_ros import __version__
+        from bellows_ros.files.results import provenance
+
+        plans = [arguments.plan] if 'plan' in arguments else []
+        options.put_json(arguments.json, {
+            **result.as_json(), 'version': __version__,
+            'provenance': provenance(plans, arguments.params)})
     if write is not None and arguments.out:
         write(result)
     options.warn_of_thesis_cup(values, console)

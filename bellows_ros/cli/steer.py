@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     def write(report: 'SteerReport') -> None:
         motion = report.motions[report.method]
         write_prediction(
-            arguments.out, report.source, motion.tool, motion.prediction.states, report.values,
+            arguments.out, report.source, motion.tool, motion.prediction.states,
             arguments.force)
 
     return carry_out(arguments, console, work, draw, _say, write, FILMS)
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(report: 'SteerReport', console: Console) -> None:
     """Print the effects of the motions, and which one to use."""
-    console.say(f'Plan {report.path}, steered by {report.method}', 'bold')
+    console.say(f'Plan {report.source.path}, steered by {report.method}', 'bold')
     console.say()
     rows = [(
         'motion of the tool', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'safety')]

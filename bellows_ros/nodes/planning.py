@@ -20,10 +20,8 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from .conversions import stamp_to_ns, write_odometry
 from .outputs import Topic
 from .tool_inputs import OVERRIDABLE
-from ..core.arrays import Array
 from ..core.envelope import known_envelope
 from ..core.holding import grip_of
-from ..core.lie import rotation_to_quaternion
 from ..core.live import LivePredictor, Prediction
 from ..core.live.ahead import Ahead, future, thin_out
 from ..core.live.health import Level, number, Status
@@ -34,10 +32,10 @@ from ..core.plan import Prediction as Predicted
 from ..core.plan_points import rows_of
 from ..core.simulation import Rows, state_row
 from ..core.steering import steer
-from ..core.trajectory import NS_PER_S, Trajectory
+from ..core.trajectory import NS_PER_S
 from ..errors import BellowsError
 from ..files.plan_messages import decode_multi_dof, encode_multi_dof, encode_path, PlanMessage
-from ..workflows.plan import in_axes, require_frame, safety_sentence
+from ..workflows.plan import plan_message, require_frame, safety_sentence
 
 LONGEST_REQUEST = 10.0
 """How far ahead (s) package/predict_at may ask."""
@@ -294,13 +292,6 @@ class Planning:
         except BellowsError as error:
             self._refuse('motion to be steered', error)
             return
-        self._steered.publish(encode_multi_dof(PlanMessage(
-            message.stamp_ns, message.frame_id, ('tool',),
-            found.tool.stamps_ns - found.tool.stamps_ns[0], _poses(found.tool),
-            in_axes(found.tool.rotation, np.asarray(found.tool.twist),
-                    self._values['tool_twist.frame']))))
-
-
-def _poses(motion: Trajectory) -> Array:
-    """Return positions and quaternions (N, 7)."""
-    return np.hstack([motion.position, rotation_to_quaternion(motion.rotation)])
+        self._steered.publish(encode_multi_dof(plan_message(
+            found.tool, message.stamp_ns, message.frame_id, 'tool',
+            self._values['tool_twist.frame'])))

@@ -84,7 +84,7 @@ def write_steering(
     progress: Progress | None = None, speed: float = 1.0,
 ) -> None:
     """Write a motion as planned and as steered, side by side; see `write_animation`."""
-    values = report.values
+    values = report.source.values
     com, box = np.array(values['package.com']), np.array(equivalent_box(values))
     views = []
     last = max(float(motion.tool.seconds[-1]) for motion in report.motions.values()) + AFTER

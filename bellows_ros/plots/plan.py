@@ -71,7 +71,8 @@ def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
                 'package seen from the tool tip (mm)', 'force at the lip (N)',
                 'bending of the cup (degrees)', 'moment at the lip (N m)'), strict=True):
             name_panel(panel, name)
-            panel.axvline(report.duration, color=colours.quiet, linewidth=0.8, linestyle=':')
+            panel.axvline(
+                report.source.duration, color=colours.quiet, linewidth=0.8, linestyle=':')
             panel.set_xlim(0.0, curves.seconds[-1])
         for panel in panels[2]:
             panel.set_xlabel('time (s); dotted: end of the plan')

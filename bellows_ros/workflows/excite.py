@@ -6,9 +6,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-from bellows_ros import __version__
 from bellows_ros.core.arm_limits import limits_from
-from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.commissioning import everyday, standstills
 from bellows_ros.core.excitation import cups_near, Design, design, LOADS, RAMP, REST
 from bellows_ros.core.holding import grip_of
@@ -17,8 +16,8 @@ from bellows_ros.core.identification.fisher import (
     standard_errors,
     Tracking,
 )
-from bellows_ros.core.identification.result import UNITS
-from bellows_ros.core.lie import log_so3, rotation_to_quaternion
+from bellows_ros.core.identification.result import parameter_units
+from bellows_ros.core.lie import log_so3
 from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Noise
@@ -33,9 +32,8 @@ from bellows_ros.files.atomic import new_folder
 from bellows_ros.files.bag_writer import Encoded, require_replaceable, write_bag
 from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, PlanMessage
 from bellows_ros.files.plans import arm_of
-from bellows_ros.files.results import provenance
 from bellows_ros.files.trajectory_files import write_euroc, write_urscript
-from bellows_ros.workflows.plan import in_axes, read_plan
+from bellows_ros.workflows.plan import plan_message, read_plan
 import numpy as np
 
 Progress = Callable[[str, float], None]
@@ -89,18 +87,14 @@ class Excitation:
         return standard_errors(self.design.information)
 
     @property
-    def units(self) -> list[str]:
-        """Return the unit of every entry."""
-        return [UNITS[kind][(i > 2) + (j > 2)] for kind in 'KP' for i, j in self.structure.leads]
-
-    @property
     def warnings(self) -> tuple[str, ...]:
         """Return warnings before the motion."""
         return () if LOADS[-1] in self.design.ratios else (NO_GRIP,)
 
-    def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file, SI units."""
-        rows = zip(self.structure.labels, self.units, self.guess, self.errors, strict=True)
+        rows = zip(self.structure.labels, parameter_units(self.structure), self.guess,
+                   self.errors, strict=True)
         return {
             'duration_s': self.design.motion.duration,
             'structure': self.structure.name,
@@ -108,12 +102,11 @@ class Excitation:
                 {'name': name, 'unit': unit, 'guess': float(value), 'expected_std': float(std),
                  'beside': {other: float(errors[i]) for other, errors in self.beside.items()}}
                 for i, (name, unit, value, std) in enumerate(rows)],
-            'parts_of_limits': dict(self.design.ratios),
+            'parts_of_limits': self.design.ratios,
             'series': {name: {'duration_s': motion.duration, 'expected_std': errors.tolist()}
                        for name, (motion, errors) in self.series.items()},
-            'limited_by': dict(self.design.shares),
-            'warnings': list(self.warnings),
-            'version': __version__, 'provenance': provenance([], parameter_files),
+            'limited_by': self.design.shares,
+            'warnings': self.warnings,
         }
 
 
@@ -228,14 +221,15 @@ def write_motion(
 
     """
     frame = str(found.values['plan.frame']) or 'world'
-    axes = str(found.values['tool_twist.frame'])
     motion = found.design.motion
 
+    def plan_of(each: Motion) -> PlanMessage:
+        return plan_message(
+            each.at_rate(POINT_RATE), 0, frame, 'tool', found.values['tool_twist.frame'])
+
     def write(file: str | os.PathLike[str], each: Motion) -> None:
-        times, rows, first = _points(each, axes)
-        plan = PlanMessage(0, frame, ('tool',), times, rows[:, :7], rows[:, 7:])
-        write_bag(file, [Encoded('/tool_arm/plan', MULTI_DOF, first, [encode_multi_dof(plan)])],
-                  replace=replace)
+        write_bag(file, [Encoded('/tool_arm/plan', MULTI_DOF, np.array([NS_PER_S]),
+                                 [encode_multi_dof(plan_of(each))])], replace=replace)
 
     if found.series:
         if replace:
@@ -247,8 +241,8 @@ def write_motion(
     else:
         write(path, motion)
     if csv:
-        times, rows, _ = _points(motion, axes)
-        write_euroc(csv, times, rows)
+        plan = plan_of(motion)
+        write_euroc(csv, plan.times_ns, np.hstack([plan.poses, np.asarray(plan.twists)]))
     if urscript:
         slow = motion.at_rate(UR_RATE)
         write_urscript(urscript, slow.seconds, slow.position, log_so3(slow.rotation), frame)
@@ -262,11 +256,3 @@ def _require_series(folder: Path) -> None:
                 f"Folder '{folder}' is not replaced because it is not just a series: it holds "
                 f"'{each.name}'. Give another name, or remove it first.")
         require_replaceable(each)
-
-
-def _points(motion: Motion, axes: str) -> tuple[Stamps, Array, Stamps]:
-    """Return times (N,) in ns, rows (N, 13) of poses and twists, and the first stamp (1,)."""
-    tool = motion.at_rate(POINT_RATE)
-    return tool.stamps_ns - tool.stamps_ns[0], np.hstack([
-        tool.position, rotation_to_quaternion(tool.rotation),
-        in_axes(tool.rotation, np.asarray(tool.twist), axes)]), tool.stamps_ns[:1]

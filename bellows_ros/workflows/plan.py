@@ -1,18 +1,17 @@
 """Predict a planned motion: read the plan, predict the package, and the uncertainty."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 import math
 import os
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from bellows_ros import __version__
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.envelope import known_envelope
 from bellows_ros.core.fastest import Fastest, fastest
-from bellows_ros.core.holding import grip_of
+from bellows_ros.core.holding import Grip, grip_of
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.lie import apply, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import cup_of, model_tuple, package_of
@@ -24,6 +23,7 @@ from bellows_ros.core.plan_points import plan_of, plan_of_joints
 from bellows_ros.core.recording.alignment import levelling, world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
 from bellows_ros.core.resampling import on_grid, savgol, timing
+from bellows_ros.core.simulation import Rows
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
@@ -45,7 +45,6 @@ from bellows_ros.files.plans import (
     plans_in,
     read_yaml,
 )
-from bellows_ros.files.results import provenance
 from bellows_ros.files.trajectory_files import read_trajectory
 from bellows_ros.workflows.recordings import inside
 import numpy as np
@@ -70,17 +69,51 @@ ENDS_IN_MOTION = (
     'The plan ends in motion, so the swing after its end is unknown.')
 
 
-class Source(NamedTuple):
-    """A plan as read from its file."""
+@dataclass(frozen=True, eq=False)
+class Source:
+    """
+    A plan as read from its file, and the parameters of what it moves.
+
+    Parameters
+    ----------
+    tool : Trajectory
+        E in the plan's frame with body twists.
+    frame_id : str
+    gravity : array (3,)
+        Acceleration in that frame, m/s^2.
+    notes : tuple of str
+        On reading it.
+    moves : str
+        Name of the moved body in the message.
+    path : str
+        The file.
+    values : mapping
+        All parameters.
+
+    """
 
     tool: Trajectory
-    """E in the plan's frame with body twists."""
     frame_id: str
     gravity: Array
-    """Acceleration (3,) in that frame, m/s^2."""
     notes: tuple[str, ...] = ()
     moves: str = ''
-    """Name of the moved body in the message."""
+    path: str = ''
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def duration(self) -> float:
+        """Of the plan, s."""
+        return float(self.tool.seconds[-1])
+
+    @cached_property
+    def model(self) -> ModelTuple:
+        """Cup, package and gravity, as the kernels take them."""
+        return model_tuple(cup_of(self.values), package_of(self.values), self.gravity)
+
+    @cached_property
+    def grip(self) -> Grip | None:
+        """Of the cup, where it is known."""
+        return grip_of(self.values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +146,6 @@ class PlanReport:
 
     Parameters
     ----------
-    path : str
-        Where the plan was read.
     source : Source
         The plan.
     prediction : Prediction
@@ -127,27 +158,20 @@ class PlanReport:
         The shortest time scale that is safe, where it was sought and there is one.
     sought : bool
         Whether it was sought.
-    least : float
-        Safety factor that is needed.
-    values : mapping
-        All parameters.
 
     """
 
-    path: str
     source: Source
     prediction: Prediction
     std: Mapping[str, float]
     outside: tuple[str, ...]
     fastest: Fastest | None
     sought: bool
-    least: float
-    values: Mapping[str, Any]
 
     @property
-    def duration(self) -> float:
-        """Of the plan, s."""
-        return float(self.source.tool.seconds[-1])
+    def least(self) -> float:
+        """Safety factor that is needed."""
+        return float(self.source.values['safety.least'])
 
     @cached_property
     def curves(self) -> Curves:
@@ -155,8 +179,7 @@ class PlanReport:
         found = self.prediction
         after = min(AFTER, found.settled_after + 0.2) if found.ends_at_rest else 0.0
         longer = standing(self.source.tool, after)
-        model = model_tuple(cup_of(self.values), package_of(self.values), self.source.gravity)
-        run = Run(model, grip_of(self.values), longer)
+        run = Run(self.source.model, self.source.grip, longer)
 
         def compute(changed: ModelTuple) -> Array:
             found = run.of(changed).at(1.0)
@@ -164,8 +187,8 @@ class PlanReport:
             factors = 1.0 / np.maximum(found.loads, 1.0 / LARGEST_FACTOR)
             return np.hstack([found.states[:, :3], angle[:, None], factors, found.wrench])
 
-        return Curves(longer.seconds, longer.position, compute(model),
-                      _deviations(self.values, model, compute))
+        return Curves(longer.seconds, longer.position, compute(self.source.model),
+                      _deviations(self.source.values, self.source.model, compute))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -182,9 +205,9 @@ class PlanReport:
             found.append(f'Outside the validity range: {"; ".join(self.outside)}.')
         return tuple(found)
 
-    def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
-        figures: dict[str, Any] = {'duration': self.duration, 'duration_std': 0.0}
+        figures: dict[str, Any] = {'duration': self.source.duration, 'duration_std': 0.0}
         for name, value in self.prediction.figures().items():
             figures |= {name: value, f'{name}_std': self.std[name]}
             if name == 'smallest_safety_factor':
@@ -197,9 +220,9 @@ class PlanReport:
             figures |= {'fastest_scale': found and found.scale,
                         'fastest_scale_std': found and found.scale_std}
         return figures | {
-            'plan': self.path, 'frame_id': self.source.frame_id, 'points': len(self.source.tool),
-            'least_safety_factor': self.least, 'warnings': list(self.warnings),
-            'version': __version__, 'provenance': provenance([self.path], parameter_files),
+            'plan': self.source.path, 'frame_id': self.source.frame_id,
+            'points': len(self.source.tool), 'least_safety_factor': self.least,
+            'warnings': self.warnings,
         }
 
 
@@ -242,16 +265,13 @@ def plan(
         If the plan cannot be read, or no arm moves so, or the package cannot be held.
 
     """
-    values: dict[str, Any] = with_chosen_cup(resolve(settings, PACKAGE_PARAMETERS))
-    source = read_plan(path, values, urdf, topic)
-    model = model_tuple(cup_of(values), package_of(values), source.gravity)
-    grip = grip_of(values)
+    source = plan_with_cup(path, settings, urdf, topic)
+    values, model, grip = source.values, source.model, source.grip
     run = Run(model, grip, source.tool)
     prediction = run.at(1.0)
     names = tuple(prediction.figures())
     std = _deviations(values, model, lambda changed: np.array(
         list(run.of(changed).at(1.0).figures().values())))
-    least = float(values['safety.least'])
     found = None
     if seek_fastest:
         if grip is None:
@@ -260,12 +280,11 @@ def plan(
             raise BellowsError(
                 'The shortest safe time cannot be found, because the plan ends in motion. Give '
                 'a plan that ends at rest.')
-        found = fastest(values, model, grip, source.tool, least)
+        found = fastest(values, model, grip, source.tool, float(values['safety.least']))
     return PlanReport(
-        os.fspath(path), source, prediction, dict(zip(names, std.tolist(), strict=True)),
+        source, prediction, dict(zip(names, std.tolist(), strict=True)),
         prediction.outside(known_envelope(values), float(values['package.mass'])), found,
-        seek_fastest, least, values,
-    )
+        seek_fastest)
 
 
 def _deviations(
@@ -318,6 +337,14 @@ def standing(tool: Trajectory, seconds: float) -> Trajectory:
 # -------------------------------------------------------------------------------------- reading
 
 
+def plan_with_cup(
+    path: str | os.PathLike[str], settings: Mapping[str, object], urdf: str = '', topic: str = ''
+) -> Source:
+    """Return a plan, with the chosen cup and a package in the parameters; see `plan`."""
+    return read_plan(
+        path, with_chosen_cup(resolve(settings, PACKAGE_PARAMETERS)), urdf, topic)
+
+
 def read_plan(
     path: str | os.PathLike[str], values: Mapping[str, Any], urdf: str = '', topic: str = ''
 ) -> Source:
@@ -336,7 +363,8 @@ def read_plan(
         raise BellowsError(
             f'The plan has {points} points from recording.start to recording.end; expected 2 or '
             'more. Select a longer part.')
-    return source._replace(tool=source.tool.select(chosen))
+    return replace(
+        source, tool=source.tool.select(chosen), path=os.fspath(path), values=values)
 
 
 def _read_plan(
@@ -359,7 +387,7 @@ def _read_plan(
         notes = ([f"'{file}' has {len(plans)} plans; using the first, on {plans[0][0]}."]
                  if len(plans) > 1 else [])
         source = _checked(plans[0][1], values, urdf, file, gravity)
-        return source._replace(notes=tuple(notes)), undated
+        return replace(source, notes=tuple(notes)), undated
     return _recorded(file, values, urdf, topic)
 
 
@@ -479,7 +507,7 @@ def _measured(
 
 def write_prediction(
     path: str | os.PathLike[str], source: Source, tool: Trajectory, states: Array,
-    values: Mapping[str, Any], replace_bag: bool = False,
+    replace_bag: bool = False,
 ) -> None:
     """
     Write a motion of the tool, and the package along it, as a recording.
@@ -492,13 +520,11 @@ def write_prediction(
     path : path
         Folder to make.
     source : Source
-        The plan, whose frame is that of the motion.
+        The plan, whose frame and parameters are those of the motion.
     tool : Trajectory
         Of E, with body twists.
     states : array (N, 13)
         Of B in the same frame: position, quaternion, body twist.
-    values : mapping
-        All parameters.
     replace_bag : bool
         Whether a recording that is there may be replaced.
 
@@ -508,23 +534,31 @@ def write_prediction(
         If something is in the way, or it cannot be written.
 
     """
-    frame, axes = source.frame_id or 'world', values['tool_twist.frame']
-    stamps, child = tool.stamps_ns, str(values['frames.package'])
-    times, start = stamps - stamps[0], stamps[:1]
-    rows = np.hstack([tool.position, rotation_to_quaternion(tool.rotation)])
-    twist = in_axes(tool.rotation, np.asarray(tool.twist), axes)
-    body = in_axes(quaternion_to_rotation(states[:, 3:7]), states[:, 7:], axes)
+    frame, axes = source.frame_id or 'world', source.values['tool_twist.frame']
+    stamps, start = tool.stamps_ns, int(tool.stamps_ns[0])
+    plan = plan_message(tool, 0, frame, 'tool', axes)
+    package = plan_message(Rows(stamps, states).trajectory(), start, frame,
+                           source.values['frames.package'], axes)
     write_bag(path, [
-        Encoded('/tool_arm/plan', MULTI_DOF, start, [encode_multi_dof(
-            PlanMessage(0, frame, ('tool',), times, rows, twist))]),
-        Encoded('/package/plan', MULTI_DOF, start, [encode_multi_dof(
-            PlanMessage(int(start[0]), frame, (child,), times, states[:, :7], body))]),
-        Encoded('/package/plan_path', PATH, start, [encode_path(
-            int(start[0]), frame, times, states[:, :7])]),
-        Recorded('/tool_arm/pose', POSE, stamps, rows, frame),
-        Recorded('/tool_arm/twist', TWIST, stamps, twist, frame),
-        Recorded('/package/pose', POSE, stamps, states[:, :7], frame),
+        *(Encoded(topic, kind, stamps[:1], [data]) for topic, kind, data in (
+            ('/tool_arm/plan', MULTI_DOF, encode_multi_dof(plan)),
+            ('/package/plan', MULTI_DOF, encode_multi_dof(package)),
+            ('/package/plan_path', PATH,
+             encode_path(start, frame, package.times_ns, package.poses)))),
+        Recorded('/tool_arm/pose', POSE, stamps, plan.poses, frame),
+        Recorded('/tool_arm/twist', TWIST, stamps, np.asarray(plan.twists), frame),
+        Recorded('/package/pose', POSE, stamps, package.poses, frame),
     ], replace=replace_bag)
+
+
+def plan_message(
+    motion: Trajectory, stamp_ns: int, frame_id: str, name: str, axes: str
+) -> PlanMessage:
+    """Return a motion as the plan of a body, with twists in axes of the 'world' or its own."""
+    return PlanMessage(
+        stamp_ns, frame_id, (name,), motion.stamps_ns - motion.stamps_ns[0],
+        np.hstack([motion.position, rotation_to_quaternion(motion.rotation)]),
+        in_axes(motion.rotation, np.asarray(motion.twist), axes))
 
 
 def in_axes(rotation: Array, twist: Array, axes: str) -> Array:

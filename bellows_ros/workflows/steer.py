@@ -7,15 +7,10 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bellows_ros import __version__
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.holding import grip_of
-from bellows_ros.core.kernels import ModelTuple
 from bellows_ros.core.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.core.motion_limits import demands, Limits, NONE, read_rates, stretched
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.perturbed import mean_square, perturbed
+from bellows_ros.core.perturbed import deviations_of, mean_square
 from bellows_ros.core.plan import Prediction, Run, SETTLED
 from bellows_ros.core.plan_points import timed
 from bellows_ros.core.settings import Settings
@@ -23,9 +18,7 @@ from bellows_ros.core.steering import hanging, steer, Steered, tool_above
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import safe_yaml
-from bellows_ros.files.parameter_files import with_chosen_cup
-from bellows_ros.files.results import provenance
-from bellows_ros.workflows.plan import NO_GRIP, read_plan, Source, standing
+from bellows_ros.workflows.plan import NO_GRIP, plan_with_cup, Source, standing
 import numpy as np
 
 TAIL = 2.0
@@ -84,8 +77,6 @@ class SteerReport:
 
     Parameters
     ----------
-    path : str
-        Where the plan was read.
     source : Source
         The plan.
     method : str
@@ -100,12 +91,9 @@ class SteerReport:
         The limit that required this.
     uncertain : bool
         Whether the uncertainty of any parameter is known.
-    values : mapping
-        All parameters.
 
     """
 
-    path: str
     source: Source
     method: str
     motions: Mapping[str, Motion]
@@ -113,7 +101,6 @@ class SteerReport:
     time_scale: float
     limit: str
     uncertain: bool
-    values: Mapping[str, Any]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -152,7 +139,7 @@ class SteerReport:
             return f'{finding} Take the inverse.'
         return f'{finding} Use zvd, or identify cup and package better.'
 
-    def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
         return {
             'method': self.method, **self.motions[self.method].figures(),
@@ -162,9 +149,8 @@ class SteerReport:
             'smoothed': self.steered.smoothed,
             'modes': [{'frequency': mode.frequency, 'damping_ratio': mode.damping,
                        'swing': mode.tilt} for mode in self.steered.modes],
-            'advice': self.advice, 'notes': list(self.notes),
-            'plan': self.path, 'frame_id': self.source.frame_id,
-            'version': __version__, 'provenance': provenance([self.path], parameter_files),
+            'advice': self.advice, 'notes': self.notes,
+            'plan': self.source.path, 'frame_id': self.source.frame_id,
         }
 
 
@@ -190,29 +176,27 @@ def steer_plan(
         If the plan cannot be read or steered, or the limits cannot be kept to.
 
     """
-    values: dict[str, Any] = with_chosen_cup(resolve(settings, PACKAGE_PARAMETERS))
     kept = read_limits(safe_yaml.load(Path(limits)) if limits else {})
-    source = read_plan(path, values, urdf, topic)
-    of_package = source.moves == values['frames.package']
-    model = model_tuple(cup_of(values), package_of(values), source.gravity)
-    scale, limit = _scale(model, source.tool, method, of_package, kept, values)
+    source = plan_with_cup(path, settings, urdf, topic)
+    model, of_package = source.model, source.moves == source.values['frames.package']
+    scale, limit = _scale(source, method, of_package, kept)
     wanted = timed(source.tool, scale)
     steered = steer(model, wanted, method, of_package)
-    duration = float(source.tool.seconds[-1])
     arrival = float((wanted if method == 'inverse' else steered.tool).seconds[-1])
-    motions = {method: _motion(values, model, steered.tool, steered.package, arrival - duration)}
+    motions = {method: _motion(source, steered.tool, steered.package, arrival)}
     try:
         planned = tool_above(model, source.tool) if of_package else source.tool
-        motions['as planned'] = _motion(values, model, planned, hanging(model, planned), 0.0)
+        motions['as planned'] = _motion(
+            source, planned, hanging(model, planned), source.duration)
         if method == 'inverse':
             other = steer(model, wanted, 'zvd', of_package)
-            motions['zvd'] = _motion(values, model, other.tool, other.package,
-                                     float(other.tool.seconds[-1]) - duration)
+            motions['zvd'] = _motion(
+                source, other.tool, other.package, float(other.tool.seconds[-1]))
     except UnstableError:  # as planned the package falls over: the method stands alone
         pass
     return SteerReport(
-        os.fspath(path), source, method, motions, steered, scale, limit,
-        any(True for _ in perturbed(values, model)), values)
+        source, method, motions, steered, scale, limit,
+        bool(deviations_of(source.values).any()))
 
 
 def read_limits(content: object) -> Limits:
@@ -243,33 +227,32 @@ def read_limits(content: object) -> Limits:
 
 
 def _scale(
-    model: ModelTuple, plan: Trajectory, method: str, of_package: bool, limits: Limits,
-    values: Mapping[str, Any],
+    source: Source, method: str, of_package: bool, limits: Limits
 ) -> tuple[float, str]:
     """Return how many times as long the motion takes within limits, and which one needs that."""
-    grip = grip_of(values)
+    grip = source.grip
     if grip is None and limits.safety_factor > 0.0:
         raise BellowsError(f'The limit safety_factor cannot be met. {NO_GRIP}')
 
     def motion(scale: float) -> tuple[Trajectory, float]:
-        tool = steer(model, timed(plan, scale), method, of_package).tool
+        tool = steer(source.model, timed(source.tool, scale), method, of_package).tool
         factor = math.inf
         if grip is not None and limits.safety_factor > 0.0:
-            factor = 1.0 / Run(model, grip, tool, tail=TAIL).load(1.0)
+            factor = 1.0 / Run(source.model, grip, tool, tail=TAIL).load(1.0)
         return tool, factor
 
     return stretched(limits, motion)
 
 
-def _motion(
-    values: Mapping[str, Any], model: ModelTuple, tool: Trajectory, wanted: Trajectory,
-    added_time: float,
-) -> Motion:
-    """Return the effect of a motion of the tool on the package."""
-    run = Run(model, grip_of(values), tool, tail=TAIL)
+def _motion(source: Source, tool: Trajectory, wanted: Trajectory, arrival: float) -> Motion:
+    """Return the effect of a motion of the tool on the package, which arrives then (s)."""
+    model = source.model
+    run = Run(model, source.grip, tool, tail=TAIL)
     longer = standing(tool, TAIL)
     square = mean_square(
-        values, model, lambda changed: float(run.of(changed).at(1.0).figures()['swing_left']))
+        source.values, model,
+        lambda changed: float(run.of(changed).at(1.0).figures()['swing_left']))
     return Motion(
-        tool, run.at(1.0), added_time, longer, Run(model, None, longer, tail=0.0).at(1.0).states,
-        standing(wanted, TAIL), math.sqrt(square))
+        tool, run.at(1.0), arrival - source.duration, longer,
+        Run(model, None, longer, tail=0.0).at(1.0).states, standing(wanted, TAIL),
+        math.sqrt(square))

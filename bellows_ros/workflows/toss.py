@@ -6,19 +6,13 @@ import math
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros import __version__
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.holding import grip_of
 from bellows_ros.core.kernels import State
 from bellows_ros.core.landing import Aim, aim, Case, draw, Drawn, part_inside, Parts, parts_of
 from bellows_ros.core.lie import quaternion_to_rotation
-from bellows_ros.core.model import cup_of, model_tuple, package_of
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.release import flight_path, Held, release_of, Toss, toss
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.parameter_files import with_chosen_cup
-from bellows_ros.files.results import provenance
-from bellows_ros.workflows.plan import read_plan
+from bellows_ros.workflows.plan import plan_with_cup, Source
 import numpy as np
 
 MILLI = 1e3
@@ -45,7 +39,7 @@ class Share(NamedTuple):
 class TossResult:
     """A toss of a plan, with all that was asked of it."""
 
-    plan: str
+    source: Source
     case: Case
     held: Held
     toss: Toss
@@ -55,8 +49,6 @@ class TossResult:
     """With a target, the toss at the given time."""
     target: tuple[float, float] | None
     drawn: Drawn | None
-    notes: tuple[str, ...]
-    """On reading the plan."""
 
     @property
     def covariance(self) -> Array:
@@ -83,7 +75,7 @@ class TossResult:
                     math.hypot(*(s.metres for s in own)), math.hypot(*(s.radians for s in own))))
         return sorted(found, key=lambda share: -share.metres)
 
-    def as_json(self, parameter_files: Any = ()) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return all numbers, SI units, twists and quaternions (x, y, z, w) of B in the world."""
         found = self.toss
         content: dict[str, Any] = {
@@ -101,8 +93,7 @@ class TossResult:
             'budget': [{
                 'name': s.name, 'std': s.std, 'contribution_mm': MILLI * s.metres,
                 'contribution_deg': float(np.degrees(s.radians))} for s in self.shares()],
-            'warnings': list(self.warnings), 'plan': self.plan, 'version': __version__,
-            'provenance': provenance([self.plan], parameter_files),
+            'warnings': self.warnings, 'plan': self.source.path,
         }
         if self.aim is not None and self.target is not None:
             content['target'] = {
@@ -126,7 +117,7 @@ class TossResult:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
-        found = [*self.notes]
+        found = list(self.source.notes)
         lost = self.held.lost_before(self.case.switched)
         if lost is not None:
             found.append(
@@ -206,18 +197,15 @@ def toss_plan(
             '--target-rotation, or leave it out.')
     if target is None and switched is None:
         raise BellowsError('Neither a time nor a target is given. Give --release T or --target.')
-    values = with_chosen_cup(resolve(parameters, PACKAGE_PARAMETERS))
-    release, grip = release_of(values), grip_of(values)
     progress('reading the plan')
-    source = read_plan(path, values, urdf, topic)
-    tool, gravity = source.tool, source.gravity
+    source = plan_with_cup(path, parameters, urdf, topic)
+    release, gravity = release_of(source.values), source.gravity
     if target is not None and np.linalg.norm(gravity[:2]) > 1e-6 * np.linalg.norm(gravity):
         raise BellowsError(
             'A target is x and y on the floor, but gravity.direction is not along -z. Give the '
             'plan in a world with z up.')
-    model = model_tuple(cup_of(values), package_of(values), gravity)
     progress('following the plan')
-    held = Held(model, grip, tool)
+    held = Held(source.model, source.grip, source.tool)
     asked = None if switched is None else toss(held, release, switched)
     found = None
     if target is not None:
@@ -226,12 +214,11 @@ def toss_plan(
         switched = found.switched
     assert switched is not None
     nominal = toss(held, release, switched)
-    case = Case(values, model, grip, tool, release, switched)
+    case = Case(source.values, source.model, source.grip, source.tool, release, switched)
     progress('working out how sure the landing is')
     parts = parts_of(case, held, nominal)
     if monte_carlo:
         progress(f'drawing {monte_carlo} tosses')
     drawn = draw(case, nominal, monte_carlo) if monte_carlo else None
     return TossResult(
-        os.fspath(path), case, held, nominal, parts, found, asked if found else None, target,
-        drawn, source.notes)
+        source, case, held, nominal, parts, found, asked if found else None, target, drawn)

@@ -281,7 +281,7 @@ def test_what_is_predicted_can_be_read_again(truth, tmp_path):
     source = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
     report = plan(source, VALUES)
     write_prediction(tmp_path / 'out', report.source, report.source.tool,
-                     report.prediction.states, report.values)
+                     report.prediction.states)
     again = figures(tmp_path / 'out', topic='/tool_arm/plan')
     for name in FIGURES:
         assert_allclose(again[name], truth[name], rtol=1e-9)
