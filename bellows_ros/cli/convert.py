@@ -69,34 +69,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Convert and report."""
-    from bellows_ros.workflows.convert import (
-        TEXT_ENDINGS,
-        to_bag,
-        to_tum,
-        tool_to_bag,
-        transforms_to_bag,
-    )
+    from bellows_ros.workflows import convert
 
     span = options.given_span(arguments)
-    text = arguments.out.lower().endswith(TEXT_ENDINGS)
+    text = arguments.out.lower().endswith(convert.TEXT_ENDINGS)
     frames = bool(arguments.tool_frame or arguments.package_frame) and not text
     _require_possible(arguments, text, frames)
-    source, out, force = arguments.sources[0], arguments.out, arguments.force
-    topic = arguments.topic[0] if arguments.topic else ''
+    source, topics = arguments.sources[0], arguments.topic
+    topic = topics[0] if topics else ''
     with console.progress() as progress:
         progress('converting')
         if text:
-            done = to_tum(source, out, topic, span)
-        elif frames:
-            done = transforms_to_bag(
-                source, out, arguments.tool_frame, arguments.package_frame, arguments.world_frame,
-                arguments.topic, arguments.storage, force, span)
-        elif arguments.tool_link:
-            done = tool_to_bag(source, out, arguments.tool_link, str(arguments.urdf or ''), topic,
-                               arguments.storage, force, span)
+            done = convert.to_tum(source, arguments.out, topic, span)
         else:
-            done = to_bag(arguments.sources, out, arguments.topic, arguments.storage,
-                          arguments.markers, force, span)
+            bodies = convert.bodies_in_transforms(
+                source, arguments.tool_frame, arguments.package_frame, arguments.world_frame,
+                topics) if frames else convert.tool_of_joints(
+                source, arguments.tool_link, str(arguments.urdf or ''), topic,
+            ) if arguments.tool_link else convert.bodies_in_files(
+                arguments.sources, topics, arguments.markers)
+            done = convert.to_bag(
+                bodies, arguments.out, arguments.storage, arguments.force, span)
     options.put_json(arguments.json, done.as_json())
     _say(done, console)
     if not text:

@@ -1,7 +1,7 @@
 """Poses of files, joints or transforms to recordings, and from recordings to TUM."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import compress
 import os
 from pathlib import Path
@@ -25,7 +25,6 @@ import numpy as np
 POSE = 'geometry_msgs/msg/PoseStamped'
 TOOL_POSE, PACKAGE_POSE = '/tool_arm/pose', '/package/pose'
 MOTIVE_FRAME = 'motive'
-WORLD_FRAME = 'world'
 TEXT_ENDINGS = ('.tum', '.txt')
 EARLIEST_NS = 86_400 * 10**9  # a stamp in the first day of 1970 is no date
 
@@ -48,7 +47,12 @@ class Body:
 
     messages: Recorded | Encoded
     source: str
-    left_out: Mapping[str, int]
+    left_out: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Keep the reasons that there are."""
+        some = {reason: count for reason, count in self.left_out.items() if count}
+        object.__setattr__(self, 'left_out', some)
 
     @property
     def topic(self) -> str:
@@ -59,10 +63,6 @@ class Body:
     def poses(self) -> int:
         """How many they are."""
         return len(self.messages.stamps_ns)
-
-    def on(self, topic: str) -> 'Body':
-        """Return the same under another topic."""
-        return replace(self, messages=replace(self.messages, topic=f'/{topic.lstrip("/")}'))
 
     def at(self, chosen: Mask) -> 'Body':
         """Return some of the messages."""
@@ -101,34 +101,22 @@ class Conversion:
         return {**vars(self), 'bodies': bodies, 'version': __version__}
 
 
-def to_bag(
-    sources: Sequence[str | os.PathLike[str]],
-    out: str | os.PathLike[str],
-    names: Sequence[str] = (),
-    storage: str = 'mcap',
+def bodies_in_files(
+    sources: Sequence[str | os.PathLike[str]], names: Sequence[str] = (),
     fewest_markers: int = FEWEST_MARKERS,
-    replace: bool = False, span: Mapping[str, Any] = WHOLE,
-) -> Conversion:
+) -> list[Body]:
     """
-    Write a recording of PoseStamped from trajectory files.
+    Return the bodies in trajectory files.
 
     Parameters
     ----------
     sources : sequence of path
         Motive CSV exports, whose every rigid body becomes a topic, or TUM, KITTI or EuRoC
         files, each a topic.
-    out : path
-        Folder to make.
     names : sequence of str, optional
         Topics, in the order of files and bodies; by default '/NAME/pose'.
-    storage : str
-        'mcap' or 'sqlite3'.
     fewest_markers : int
         Poses of Motive with fewer markers seen are left out.
-    replace : bool
-        Whether a recording that is there may be replaced.
-    span : mapping
-        Parameters 'recording.start' and 'recording.end', s, where only a part is wanted.
 
     Raises
     ------
@@ -142,51 +130,33 @@ def to_bag(
             f'{len(names)} topics are given for {len(found)} bodies: '
             f'{", ".join(body.source for body in found)}. Give one for each, in this order.')
     if names:
-        found = [body.on(name) for body, name in zip(found, names, strict=True)]
+        found = [
+            replace(body, messages=replace(body.messages, topic=f'/{name.lstrip("/")}'))
+            for body, name in zip(found, names, strict=True)]
     chosen = [body.topic for body in found]
     if len(set(chosen)) < len(chosen):
         raise BellowsError(
             f'Several bodies have the same topic, among {", ".join(chosen)}. Give a topic for '
             'each.')
-    notes = [f'{body.source} was never tracked; its topic is empty.'
-             for body in found if not body.poses]
-    undated = [body.source for body in found
-               if body.poses and body.messages.stamps_ns[0] < EARLIEST_NS]
-    if undated:
-        notes.append(f'{", ".join(undated)}: the file has no date; the stamps start near zero.')
-    motive = any(getattr(body.messages, 'frame_id', '') == MOTIVE_FRAME for body in found)
-    return Conversion(os.fspath(out), _written(out, found, storage, replace, span),
-                      'motive_y_up' if motive else 'z_up', tuple(notes))
+    return found
 
 
-def tool_to_bag(
-    bag: str | os.PathLike[str], out: str | os.PathLike[str], tool_link: str, urdf: str = '',
-    topic: str = '', storage: str = 'mcap', replace: bool = False,
-    span: Mapping[str, Any] = WHOLE,
-) -> Conversion:
+def tool_of_joints(
+    bag: str | os.PathLike[str], tool_link: str, urdf: str = '', topic: str = ''
+) -> list[Body]:
     """
-    Write a recording with poses of the tool from one that has joint states or transforms.
-
-    All other poses and twists are copied.
+    Return the tool of a recording with joint states or transforms, and its poses and twists.
 
     Parameters
     ----------
     bag : path
         rosbag2 folder, or a bare .mcap or .db3 file.
-    out : path
-        Folder to make.
     tool_link : str
         Link or frame at the tool tip E.
     urdf : str, optional
         File with the arm; without it that on /robot_description, or else the transforms count.
     topic : str, optional
         For the tool's poses; '/tool_arm/pose' when left out.
-    storage : str
-        'mcap' or 'sqlite3'.
-    replace : bool
-        Whether a recording that is there may be replaced.
-    span : mapping
-        Parameters 'recording.start' and 'recording.end', s, where only a part is wanted.
 
     Raises
     ------
@@ -196,7 +166,6 @@ def tool_to_bag(
     """
     read = joints_or_tf(bag, urdf, tool_link)
     name = f'/{(topic or TOOL_POSE).lstrip("/")}'
-    stamps = read.stamp_ns + read.times_ns
     others: dict[tuple[str, str], list[tuple[int, bytes]]] = {}
     types = {*accepted_types('pose'), *accepted_types('twist')}
     for there, kind, log_ns, data in messages_of(bag, types):
@@ -205,41 +174,33 @@ def tool_to_bag(
         raise BellowsError(
             f"Topic '{name}' is already in recording '{bag}'. Choose another for the tool with "
             '--topic.')
-    found = [Body(Recorded(name, POSE, stamps, read.poses, read.frame_id),
-                  f"{tool_link} in '{read.frame_id}' of {bag}", {})]
+    found = [Body(
+        Recorded(name, POSE, read.stamp_ns + read.times_ns, read.poses, read.frame_id),
+        f"{tool_link} in '{read.frame_id}' of {bag}")]
     for (there, kind), messages in others.items():
         times, contents = zip(*messages, strict=True)
         found.append(Body(
-            Encoded(there, kind, np.array(times, dtype=np.int64), contents), os.fspath(bag), {}))
-    return Conversion(os.fspath(out), _written(out, found, storage, replace, span))
+            Encoded(there, kind, np.array(times, dtype=np.int64), contents), os.fspath(bag)))
+    return found
 
 
-def transforms_to_bag(
-    bag: str | os.PathLike[str], out: str | os.PathLike[str], tool_frame: str, package_frame: str,
-    world_frame: str = '', names: Sequence[str] = (), storage: str = 'mcap',
-    replace: bool = False, span: Mapping[str, Any] = WHOLE,
-) -> Conversion:
+def bodies_in_transforms(
+    bag: str | os.PathLike[str], tool_frame: str, package_frame: str, world_frame: str = '',
+    names: Sequence[str] = (),
+) -> list[Body]:
     """
-    Write a recording with poses of tool and package from one with transforms.
+    Return tool and package of a recording with transforms.
 
     Parameters
     ----------
     bag : path
         rosbag2 folder, or a bare .mcap or .db3 file, with /tf and perhaps /tf_static.
-    out : path
-        Folder to make.
     tool_frame, package_frame : str
         Frames of the tool tip E and of the package.
     world_frame : str
         In which the poses are wanted; the farthest one above the tool when left out.
     names : sequence of str, optional
         Topics of both; '/tool_arm/pose' and '/package/pose' when left out.
-    storage : str
-        'mcap' or 'sqlite3'.
-    replace : bool
-        Whether a recording that is there may be replaced.
-    span : mapping
-        Parameters 'recording.start' and 'recording.end', s, where only a part is wanted.
 
     Raises
     ------
@@ -259,16 +220,43 @@ def transforms_to_bag(
         rows = np.hstack([T[:, :3, 3], rotation_to_quaternion(T[:, :3, :3])])
         found.append(Body(
             Recorded(f'/{topic.lstrip("/")}', POSE, stamps, rows, world_frame),
-            f"{frame} in '{world_frame}' of {bag}",
-            {'transforms that are no poses': bad} if bad else {}))
-    return Conversion(os.fspath(out), _written(out, found, storage, replace, span))
+            f"{frame} in '{world_frame}' of {bag}", {'transforms that are no poses': bad}))
+    return found
 
 
-def _written(
-    out: str | os.PathLike[str], bodies: Sequence[Body], storage: str, replace: bool,
-    span: Mapping[str, Any],
-) -> tuple[Body, ...]:
-    """Write what lies between recording.start and recording.end as a recording; return that."""
+def to_bag(
+    bodies: Sequence[Body], out: str | os.PathLike[str], storage: str = 'mcap',
+    replace: bool = False, span: Mapping[str, Any] = WHOLE,
+) -> Conversion:
+    """
+    Write bodies as a recording.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+        What to write.
+    out : path
+        Folder to make.
+    storage : str
+        'mcap' or 'sqlite3'.
+    replace : bool
+        Whether a recording that is there may be replaced.
+    span : mapping
+        Parameters 'recording.start' and 'recording.end', s, where only a part is wanted.
+
+    Raises
+    ------
+    BellowsError
+        If no pose is left, something is in the way, or it cannot be written.
+
+    """
+    notes = [f'{body.source} was never tracked; its topic is empty.'
+             for body in bodies if not body.poses]
+    undated = [body.source for body in bodies
+               if body.poses and body.messages.stamps_ns[0] < EARLIEST_NS]
+    if undated:
+        notes.append(f'{", ".join(undated)}: the file has no date; the stamps start near zero.')
+    motive = any(getattr(body.messages, 'frame_id', '') == MOTIVE_FRAME for body in bodies)
     stamps = [body.messages.stamps_ns for body in bodies]
     kept = tuple(body.at(here) for body, here in zip(bodies, inside(stamps, span), strict=True))
     if not any(body.poses for body in kept):
@@ -278,7 +266,8 @@ def _written(
         raise BellowsError(
             f'No pose can be used: {lost}. Fewer markers are enough with --markers N.')
     write_bag(out, [body.messages for body in kept], storage, replace=replace)
-    return kept
+    return Conversion(
+        os.fspath(out), kept, 'motive_y_up' if motive else 'z_up', tuple(notes))
 
 
 def _read(source: Path, fewest_markers: int) -> list[Body]:
@@ -288,23 +277,17 @@ def _read(source: Path, fewest_markers: int) -> list[Body]:
             f"'{source}' is not a file. Give a Motive CSV export, or a TUM, KITTI or EuRoC file."
         )
     if source.suffix.lower() == '.csv' and is_motive(source):
-        return [
-            _body(body.name, f'{source} ({body.name})', body.stamps_ns, body.values, MOTIVE_FRAME,
-                  {'not tracked': body.missing, 'too few markers': body.unseen})
-            for body in read_motive(source, fewest_markers)
-        ]
-    stamps, values = read_trajectory(source)
-    return [_body(source.stem, str(source), stamps, values, WORLD_FRAME, {})]
+        return [Body(
+            Recorded(_topic_of(own.name), POSE, own.stamps_ns, own.values, MOTIVE_FRAME),
+            f'{source} ({own.name})', {'not tracked': own.missing, 'too few markers': own.unseen})
+            for own in read_motive(source, fewest_markers)]
+    return [Body(Recorded(_topic_of(source.stem), POSE, *read_trajectory(source)), str(source))]
 
 
-def _body(
-    name: str, source: str, stamps: Any, values: Any, frame: str, left_out: Mapping[str, int]
-) -> Body:
-    """Return a body on a topic named after it."""
+def _topic_of(name: str) -> str:
+    """Return a topic for the poses of a body."""
     word = re.sub(r'[^A-Za-z0-9_]+', '_', name).strip('_').lower() or 'body'
-    topic = f'/{word}/pose' if not word[0].isdigit() else f'/body_{word}/pose'
-    some = {reason: count for reason, count in left_out.items() if count}
-    return Body(Recorded(topic, POSE, stamps, values, frame), source, some)
+    return f'/{word}/pose' if not word[0].isdigit() else f'/body_{word}/pose'
 
 
 def to_tum(
@@ -345,6 +328,6 @@ def to_tum(
         raise BellowsError(f"Topic '{topic}' has no poses.")
     values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
     write_tum(out, stream.stamps_ns, values)
-    left_out = {reason: len(where) for reason, where in stream.refused.items() if where}
+    left_out = {reason: len(where) for reason, where in stream.refused.items()}
     read = Recorded(stream.name, POSE, stream.stamps_ns, values, stream.frame_id)
     return Conversion(os.fspath(out), (Body(read, os.fspath(bag), left_out),))

@@ -5,7 +5,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.transforms import poses_in, read_transforms, TF
-from bellows_ros.workflows.convert import transforms_to_bag
+from bellows_ros.workflows.convert import bodies_in_transforms, to_bag
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -62,7 +62,8 @@ def recording(folder, more=()):
 
 
 def test_both_bodies_are_found_in_the_world(tmp_path):
-    done = transforms_to_bag(recording(tmp_path / 'tf'), tmp_path / 'out', 'tool', 'box')
+    found = bodies_in_transforms(recording(tmp_path / 'tf'), 'tool', 'box')
+    done = to_bag(found, tmp_path / 'out')
     assert [(b.topic, b.poses) for b in done.bodies] == [
         ('/tool_arm/pose', 201), ('/package/pose', 121)]
     found = read_streams(tmp_path / 'out', {'a': '/tool_arm/pose', 'b': '/package/pose'})
@@ -99,7 +100,7 @@ def test_what_is_missing_is_said(tmp_path):
     with pytest.raises(BellowsError, match="'box' has two parents"):
         read_transforms(recording(tmp_path / 'two', [(T0 + 5, 'tool', 'box', CAMERA)]))
     with pytest.raises(BellowsError, match="'tool' is named as the frame of the tool and of"):
-        transforms_to_bag(tmp_path / 'tf', tmp_path / 'out', 'tool', '/tool')
+        bodies_in_transforms(tmp_path / 'tf', 'tool', '/tool')
 
 
 def test_circles_and_numbers_that_are_no_poses_are_said(tmp_path):
@@ -113,7 +114,7 @@ def test_circles_and_numbers_that_are_no_poses_are_said(tmp_path):
         poses_in(links, 'a', '', 'it')
     with pytest.raises(BellowsError, match="No transform of 'lost' in 'hall' of it is a pose"):
         poses_in(links, 'tool', 'lost', 'it')
-    done = transforms_to_bag(folder, tmp_path / 'out', 'tool', 'box')
+    done = to_bag(bodies_in_transforms(folder, 'tool', 'box'), tmp_path / 'out')
     assert [b.left_out for b in done.bodies] == [{}, {'transforms that are no poses': 1}]
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams, topics
 from bellows_ros.files.trajectory_files import read_tum, write_tum
-from bellows_ros.workflows.convert import to_bag, to_tum
+from bellows_ros.workflows.convert import bodies_in_files, to_bag, to_tum
 import numpy as np
 import pytest
 
@@ -18,7 +18,7 @@ VALUES = np.hstack([np.arange(60.0).reshape(20, 3), np.tile([0.0, 0.0, 0.6, 0.8]
 
 def test_a_take_becomes_topics_of_its_bodies(tmp_path: Path) -> None:
     """Write what can be used, and say what was not and how the world lies."""
-    done = to_bag([export(tmp_path / 'take.csv')], tmp_path / 'bag')
+    done = to_bag(bodies_in_files([export(tmp_path / 'take.csv')]), tmp_path / 'bag')
     assert [body.topic for body in done.bodies] == ['/tool/pose', '/plate/pose']
     assert done.bodies[0].left_out == {'too few markers': 1}
     assert done.bodies[1].left_out == {'not tracked': 1}
@@ -32,20 +32,21 @@ def test_what_is_odd_about_a_take_is_said(tmp_path: Path) -> None:
     never = [replace(column, cells=('', '')) for column in pose('Plate')]
     undated = V24.replace('Capture Start Time', 'Started')
     file = layout(tmp_path / 'take.csv', pose('Tool') + never, undated)
-    done = to_bag([file], tmp_path / 'bag')
+    done = to_bag(bodies_in_files([file]), tmp_path / 'bag')
     assert [body.poses for body in done.bodies] == [2, 0]
     assert done.notes == (
         f'{file} (Plate) was never tracked; its topic is empty.',
         f'{file} (Tool): the file has no date; the stamps start near zero.',
     )
     with pytest.raises(BellowsError, match=r'take.csv \(Plate\): 2 not tracked'):
-        to_bag([layout(file, never, V24)], tmp_path / 'other')
+        to_bag(bodies_in_files([layout(file, never, V24)]), tmp_path / 'other')
 
 
 def test_tum_to_bag_to_tum_changes_nothing(tmp_path: Path) -> None:
     """Keep stamps exactly, and numbers to the digits of a TUM file."""
     write_tum(tmp_path / 'tool.tum', STAMPS, VALUES)
-    to_bag([tmp_path / 'tool.tum'], tmp_path / 'bag', ['tool_arm/pose'], 'sqlite3')
+    to_bag(
+        bodies_in_files([tmp_path / 'tool.tum'], ['tool_arm/pose']), tmp_path / 'bag', 'sqlite3')
     done = to_tum(tmp_path / 'bag', tmp_path / 'again.tum')
     assert done.bodies[0].topic == '/tool_arm/pose'
     stamps, values = read_tum(tmp_path / 'again.tum')
@@ -59,7 +60,8 @@ def test_a_part_is_cut_of_all_alike(tmp_path: Path) -> None:
     for name, stamps in (('tool', STAMPS), ('plate', later)):
         write_tum(tmp_path / f'{name}.tum', stamps, VALUES)
     span = {'recording.start': 0.01, 'recording.end': 0.03}
-    done = to_bag([tmp_path / 'tool.tum', tmp_path / 'plate.tum'], tmp_path / 'bag', span=span)
+    done = to_bag(bodies_in_files([tmp_path / 'tool.tum', tmp_path / 'plate.tum']),
+                  tmp_path / 'bag', span=span)
     assert [body.poses for body in done.bodies] == [11, 11]
     streams = read_streams(tmp_path / 'bag', {
         'tool_pose': '/tool/pose', 'package_pose': '/plate/pose'})
@@ -76,28 +78,27 @@ def test_a_part_is_cut_of_all_alike(tmp_path: Path) -> None:
 def test_euroc_is_distinguished_from_motive(tmp_path: Path) -> None:
     """Look into a .csv, not at its name."""
     (tmp_path / 'data.csv').write_text('#t\n1000000000,1,2,3,1,0,0,0\n2000000000,1,2,3,1,0,0,0\n')
-    to_bag([tmp_path / 'data.csv'], tmp_path / 'bag')
+    to_bag(bodies_in_files([tmp_path / 'data.csv']), tmp_path / 'bag')
     stream = read_streams(tmp_path / 'bag', {'tool_pose': '/data/pose'})['tool_pose']
     np.testing.assert_array_equal(stream.stamps_ns, [10**9, 2 * 10**9])
 
 
 def test_topics_must_differ_and_be_as_many_as_bodies(tmp_path: Path) -> None:
-    """Refuse both before anything is written."""
+    """Refuse both."""
     for folder in ('a', 'b'):
         (tmp_path / folder).mkdir()
         write_tum(tmp_path / folder / 'x.tum', STAMPS, VALUES)
     sources = [tmp_path / 'a' / 'x.tum', tmp_path / 'b' / 'x.tum']
     with pytest.raises(BellowsError, match='same topic'):
-        to_bag(sources, tmp_path / 'bag')
+        bodies_in_files(sources)
     with pytest.raises(BellowsError, match='1 topics are given for 2 bodies'):
-        to_bag(sources, tmp_path / 'bag', ['/one'])
-    assert not (tmp_path / 'bag').exists()
+        bodies_in_files(sources, ['/one'])
 
 
 def test_which_topic_must_be_clear(tmp_path: Path) -> None:
     """List those that could be meant."""
-    to_bag([export(tmp_path / 'take.csv')], tmp_path / 'bag')
+    to_bag(bodies_in_files([export(tmp_path / 'take.csv')]), tmp_path / 'bag')
     with pytest.raises(BellowsError, match='/plate/pose, /tool/pose. Name one'):
         to_tum(tmp_path / 'bag', tmp_path / 'a.tum')
     with pytest.raises(BellowsError, match='is not a file'):
-        to_bag([tmp_path / 'none.csv'], tmp_path / 'other')
+        bodies_in_files([tmp_path / 'none.csv'])

@@ -18,7 +18,7 @@ from bellows_ros.files.plan_messages import (
 from bellows_ros.files.plans import DESCRIPTION, JOINTS, STATES
 from bellows_ros.files.trajectory_files import write_tum
 from bellows_ros.files.transforms import TF
-from bellows_ros.workflows.convert import tool_to_bag
+from bellows_ros.workflows.convert import to_bag, tool_of_joints
 from bellows_ros.workflows.plan import plan, read_plan, standing, write_prediction
 import numpy as np
 from numpy.testing import assert_allclose
@@ -217,7 +217,7 @@ def tf_recording(folder):
 
 def test_transforms_and_joint_states_become_tool_poses(tmp_path):
     times, poses, _ = samples()
-    done = tool_to_bag(tf_recording(tmp_path / 'tf'), tmp_path / 'poses', 'tool')
+    done = to_bag(tool_of_joints(tf_recording(tmp_path / 'tf'), 'tool'), tmp_path / 'poses')
     assert [(body.topic, body.poses) for body in done.bodies] == [('/tool_arm/pose', len(times))]
     source = read_plan(tmp_path / 'poses', resolve(VALUES))
     assert source.frame_id == 'base'
@@ -225,14 +225,13 @@ def test_transforms_and_joint_states_become_tool_poses(tmp_path):
     inside = np.searchsorted(T0 + times, source.tool.stamps_ns)
     expected = poses[:, :3] + R @ [0, 0, 0.1]
     assert_allclose(source.tool.position, expected[inside], atol=2e-5)  # smoothed by the filter
-    done = tool_to_bag(joint_recording(tmp_path / 'arm'), tmp_path / 'arm_poses', 'tool',
-                       topic='left/pose')
+    found = tool_of_joints(joint_recording(tmp_path / 'arm'), 'tool', topic='left/pose')
+    done = to_bag(found, tmp_path / 'arm_poses')
     assert [body.topic for body in done.bodies] == ['/left/pose', '/package/pose']
     with pytest.raises(BellowsError, match="Frame 'tol' is not"):
-        tool_to_bag(tmp_path / 'tf', tmp_path / 'no', 'tol')
+        tool_of_joints(tmp_path / 'tf', 'tol')
     with pytest.raises(BellowsError, match='already'):
-        tool_to_bag(tmp_path / 'arm', tmp_path / 'no', 'tool', topic='package/pose')
-    assert not (tmp_path / 'no').exists()
+        tool_of_joints(tmp_path / 'arm', 'tool', topic='package/pose')
 
 
 def test_recorded_poses_are_a_plan(truth, tmp_path):
