@@ -214,15 +214,16 @@ class Identification:
         """Return the content of the JSON file."""
         from bellows_ros.files.results import versions
         from bellows_ros.workflows.result_json import (
-            consistency_json,
+            attributes,
             excitation_json,
             fit_json,
             selection_json,
+            with_units,
         )
 
         read: list[Reduced | Recording] = [
             *self.parts, *(self.static.recordings if self.static else ())]
-        return {
+        return with_units({
             **fit_json(self.fit),
             'typical': self.typical and self.typical.as_json(),
             'warnings': self.warnings,
@@ -236,7 +237,9 @@ class Identification:
             'verdict': self.verdict and self.verdict.as_json(),
             'recordings': [part.report for part in self.parts],
             'static': self.static and self.static.as_json(),
-            'one_cup': self.consistency and consistency_json(self.consistency),
+            'one_cup': self.consistency and attributes(
+                self.consistency, 'probability', 'probability_stiffness', 'probability_damping',
+                'verdict', 'deviations'),
             'excitation': excitation_json(self.excitation),
             'structures': self.selection and selection_json(self.selection),
             'validations': [replayed.as_json() for replayed in self.validations],
@@ -249,7 +252,7 @@ class Identification:
             },
             'failed': [{'bag': f.bag, 'error': f.reason} for f in self.failed],
             'version': __version__,
-        }
+        })
 
     @property
     def refusals(self) -> tuple[str, ...]:

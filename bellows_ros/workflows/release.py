@@ -20,6 +20,7 @@ from bellows_ros.files.messages import BOOL, decode_bool
 from bellows_ros.files.results import provenance
 from bellows_ros.workflows.identify import resolved
 from bellows_ros.workflows.recordings import load, values_of_each
+from bellows_ros.workflows.result_json import with_units
 import numpy as np
 
 CHI2_WARNED = 2.0
@@ -100,19 +101,17 @@ class ReleaseResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        units = {'late': 's', 'late_std': 's', 'load': 'N', 'impulse': 'N s',
-                 'impulse_std': 'N s', 'speed': 'm/s', 'chi2': '1'}
-        return {
+        return with_units({
             **vars(self.fit),
             'units': {name: 'N s' if 'impulse' in name else 's' for name in vars(self.fit)},
             'largest_speed': {'value': self.speed, 'unit': 'm/s'},
-            'chi2': {'value': self.chi2, 'unit': '1'},
-            'tosses': [{'bag': bag, **vars(toss), 'units': units} for bag, toss in self.tosses],
+            'chi2': self.chi2,
+            'tosses': [{'bag': bag, **vars(toss)} for bag, toss in self.tosses],
             'left_out': self.left_out,
             'warnings': self.warnings,
             'settings': dict(self.values),
             'provenance': provenance(self.bags, self.parameter_files),
-        }
+        })
 
 
 def identify_release(

@@ -10,7 +10,6 @@ from bellows_ros.core.arrays import Array
 from bellows_ros.core.envelope import beyond, known_envelope
 from bellows_ros.core.holding import grip_of, Margin, margin
 from bellows_ros.core.identification.reduction import envelope_of
-from bellows_ros.core.identification.result import POSE_UNITS
 from bellows_ros.core.identification.validation import LIMIT, SEED, validate, Validation
 from bellows_ros.core.lie import apply, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor, warm_up
@@ -26,9 +25,8 @@ from bellows_ros.files.results import provenance
 from bellows_ros.workflows.observe import Observed, observed
 from bellows_ros.workflows.plan import factors_along, NO_GRIP
 from bellows_ros.workflows.recordings import load
+from bellows_ros.workflows.result_json import with_units
 import numpy as np
-
-SCORE_UNITS = {**dict.fromkeys(('rms', 'largest', 'motion'), POSE_UNITS), 'nrmse': '1'}
 
 Progress = Callable[[str, float], None]
 
@@ -61,7 +59,6 @@ class Live(Comparison):
         return {
             **vars(self.scores), 'nrmse': self.scores.nrmse, 'counts': dict(self.counts),
             'real_time_factor': self.real_time_factor, 'took': self.took,
-            'units': {**SCORE_UNITS, 'real_time_factor': '1', 'took': 's'},
         }
 
 
@@ -176,10 +173,9 @@ class Replay:
     ) -> dict[str, Any]:
         """Return the content of the JSON file."""
         found = self.validation
-        return {
+        return with_units({
             'bag': self.bag,
             'axes': AXES,
-            'units': {**SCORE_UNITS, 'noise_rms': POSE_UNITS, 'model_error': '1', 'limit': '1'},
             **vars(found.scores),
             'nrmse': found.scores.nrmse,
             'noise_rms': found.noise,
@@ -201,7 +197,7 @@ class Replay:
             'warnings': self.warnings,
             'settings': dict(self.values),
             'provenance': provenance([self.bag], parameter_files),
-        }
+        })
 
 
 def replay(
@@ -333,6 +329,4 @@ def _coloured_json(whiteness: Whiteness, spectrum: Spectrum) -> dict[str, Any]:
         'largest_autocorrelation': whiteness.largest,
         'verdict': whiteness.verdicts,
         'spectrum_peak_hz': spectrum.peak,
-        'units': dict.fromkeys(
-            ('portmanteau', 'p_value', 'largest_autocorrelation', 'chi2'), '1'),
     }

@@ -15,27 +15,61 @@ from bellows_ros.core.structure import structure_named
 NORMAL_95 = 1.959963984540054
 """Half width of a 95 % interval in standard errors."""
 
-MATRIX_UNITS = {
-    name: [[UNITS[matrix][(row > 2) + (column > 2)] for column in range(6)] for row in range(6)]
-    for name, matrix in (('stiffness', 'K'), ('damping', 'P'))
+UNIT_OF: Mapping[str, Any] = {
+    **{
+        name: [[UNITS[matrix][(row > 2) + (column > 2)] for column in range(6)]
+               for row in range(6)]
+        for name, matrix in (('stiffness', 'K'), ('damping', 'P'))
+    },
+    **dict.fromkeys((
+        'rms', 'largest', 'motion', 'noise', 'noise_rms', 'lip', 'measured', 'predicted',
+    ), POSE_UNITS),
+    **dict.fromkeys((
+        'chi2', 'robust_chi2', 'condition_number', 'narrowed', 'noise_share', 'signal_to_noise',
+        'bias', 'pairs', 'aic', 'bic', 'held_out_wrench', 'held_out', 'simulated',
+        'effective_samples', 'probability', 'probability_stiffness', 'probability_damping',
+        'deviations', 'excess', 'left', 'moved', 'nrmse', 'model_error', 'limit', 'p_value',
+        'portmanteau', 'largest_autocorrelation', 'real_time_factor',
+    ), '1'),
+    **dict.fromkeys(('cup_length', 'length', 'linear_length', 'lengths'), 'm'),
+    **dict.fromkeys(('time_offsets', 'duration', 'late', 'took'), 's'),
+    **dict.fromkeys(('load', 'loads', 'linear_load'), 'N'),
+    'impulse': 'N s', 'speed': 'm/s', 'tilt': 'rad',
 }
+"""Units of numbers by their keys, and of their standard errors."""
+
+WITHOUT = ('settings', 'provenance', 'units')
+"""Mappings whose numbers have their units in their names, or none."""
+
+
+def with_units(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return content with the units of its numbers beside them, at all depths."""
+    units = {key: UNIT_OF[key.removesuffix('_std')] for key, value in content.items()
+             if key.removesuffix('_std') in UNIT_OF and value is not None}
+    found = {
+        key: value if key in WITHOUT else _inside(value) for key, value in content.items()}
+    return {**found, 'units': {**units, **content.get('units', {})}} if units else found
+
+
+def _inside(value: Any) -> Any:
+    """Return a value with units in all mappings in it."""
+    if isinstance(value, list | tuple):
+        return [_inside(item) for item in value]
+    return with_units(value) if isinstance(value, Mapping) else value
 
 
 def fit_json(fit: Fit) -> dict[str, Any]:
     """Return the JSON content on a fit."""
     units, found = parameter_units(structure_named(fit.structure)), fit.standstills
-    residual = list(fit.residual_units)
     return {
         **attributes(
             fit, 'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std',
             'samples_used', 'samples_rejected', 'condition_number', 'usable', 'weight',
             'residual_rms', 'noise_rms', 'chi2', 'robust_chi2', 'converged'),
         'intervals_95': {
-            **{name: {'low': value - half, 'high': value + half} for name, value, half in (
+            name: {'low': value - half, 'high': value + half} for name, value, half in (
                 ('stiffness', fit.stiffness, NORMAL_95 * fit.stiffness_std),
                 ('damping', fit.damping, NORMAL_95 * fit.damping_std))},
-            'units': MATRIX_UNITS,
-        },
         'parameters': {
             'labels': fit.labels, 'covariance': fit.covariance, 'noise_bias': fit.bias,
             'units': {'covariance': _products(units), 'noise_bias': units},
@@ -43,28 +77,17 @@ def fit_json(fit: Fit) -> dict[str, Any]:
         'time_offsets': fit.delays,
         'time_offsets_std': fit.delays_std,
         'iterations': [
-            {**attributes(i, 'stage', 'chi2', 'stiffness', 'damping'),
-             'units': {'chi2': '1', **MATRIX_UNITS}} for i in fit.iterations
-        ],
+            attributes(i, 'stage', 'chi2', 'stiffness', 'damping') for i in fit.iterations],
         'with_standstills': found and {
             'standstills': found.count,
             'chi2': found.chi2,
             'cup_length': found.length,
             'cup_length_std': found.length_std,
             'narrowed': dict(zip(fit.labels, found.narrowed.tolist(), strict=True)),
-            'units': {
-                'chi2': '1', 'cup_length': 'm', 'cup_length_std': 'm', 'narrowed': '1'},
         },
         'units': {
-            **MATRIX_UNITS,
-            **{f'{name}_std': unit for name, unit in MATRIX_UNITS.items()},
-            'condition_number': '1',
-            'weight': _products([f'1/({unit})' for unit in residual]),
-            'residual_rms': residual,
-            'noise_rms': residual,
-            **dict.fromkeys(('chi2', 'robust_chi2'), '1'),
-            **dict.fromkeys(('time_offsets', 'time_offsets_std'), 's'),
-            'cup_length': 'm',
+            'weight': _products([f'1/({unit})' for unit in fit.residual_units]),
+            **dict.fromkeys(('residual_rms', 'noise_rms'), fit.residual_units),
         },
     }
 
@@ -97,43 +120,20 @@ def excitation_json(excitation: Excitation) -> dict[str, Any]:
             own.label: {
                 **attributes(
                     own, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable'),
-                'units': {'value': units[own.label], 'noise_share': '1', 'signal_to_noise': '1',
-                          'bias': '1'},
+                'units': {'value': units[own.label]},
             }
             for own in excitation.parameters
         },
-        **attributes(excitation, 'rank', 'size', 'condition_number'),
-        'pairs': [list(pair) for pair in excitation.pairs],
-        'warnings': excitation.warnings,
-        'units': {'condition_number': '1', 'pairs': '1'},
+        **attributes(excitation, 'rank', 'size', 'condition_number', 'pairs', 'warnings'),
     }
 
 
 def selection_json(selection: Any) -> dict[str, Any]:
     """Return a `StructureSelection` for the JSON file."""
-    marks: Mapping[str, str] = dict.fromkeys(
-        ('aic', 'bic', 'held_out_wrench', 'held_out', 'simulated'), '1')
     return {
         'candidates': [
-            {
-                **attributes(candidate, 'structure', 'parameters', 'usable', 'refused', *marks),
-                'units': marks,
-            }
-            for candidate in selection.candidates
-        ],
+            attributes(candidate, 'structure', 'parameters', 'usable', 'refused', 'aic', 'bic',
+                       'held_out_wrench', 'held_out', 'simulated')
+            for candidate in selection.candidates],
         **attributes(selection, 'samples', 'effective_samples', 'advised', 'advice', 'fits'),
-        'units': {'effective_samples': '1'},
-    }
-
-
-def consistency_json(found: Any) -> dict[str, Any]:
-    """Return a `Consistency`, whether recordings are of one cup, for the JSON file."""
-    return {
-        'probability': found.probability,
-        'probability_stiffness': found.of_stiffness,
-        'probability_damping': found.of_damping,
-        'verdict': found.verdict,
-        'deviations': found.deviations,
-        'units': dict.fromkeys(
-            ('probability', 'probability_stiffness', 'probability_damping', 'deviations'), '1'),
     }

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from bellows_ros import __version__
-from bellows_ros.core.identification.result import POSE_UNITS
 from bellows_ros.core.identification.statics.static import (
     check_spring,
     nominal_length,
@@ -23,7 +22,7 @@ from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.workflows.recordings import load, NO_INERTIA, values_of_static
-from bellows_ros.workflows.result_json import attributes
+from bellows_ros.workflows.result_json import attributes, with_units
 import numpy as np
 
 Progress = Callable[[str, float], None]
@@ -89,7 +88,7 @@ class StaticResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of a JSON file, in SI units."""
-        return {
+        return with_units({
             'nominal_length': self.length and {
                 **attributes(
                     self.length, 'length', 'length_std', 'text', 'chi2', 'linear_length',
@@ -97,33 +96,29 @@ class StaticResult:
                     'coefficients'),
                 'degrees_of_freedom': self.length.freedom,
                 'units': {
-                    **dict.fromkeys(('length', 'length_std', 'linear_length', 'linear_length_std',
-                                     'lengths'), 'm'),
-                    'stiffness': 'N/m', 'linear_load': 'N', 'loads': 'N',
+                    'stiffness': 'N/m',
                     'coefficients': ['m', 'm/N', 'm/N^2', 'm/N^3'][:len(self.length.coefficients)],
                 },
             },
             'no_nominal_length': self.no_length,
-            'cup_length': {'value': self.cup_length, 'unit': 'm'},
+            'cup_length': self.cup_length,
             'spring': self.spring and {
                 'passed': self.spring.passed,
                 'verdict': self.spring.sentence,
                 'poses': [
                     {'tilt': pose.standstill.tilt,
-                     **attributes(pose, 'measured', 'predicted', 'verdict', 'sentence'),
-                     'units': {'tilt': 'rad', 'measured': POSE_UNITS, 'predicted': POSE_UNITS}}
+                     **attributes(pose, 'measured', 'predicted', 'verdict', 'sentence')}
                     for pose in self.spring.poses
                 ],
             },
             'recordings': [
                 {**recording.as_json(), 'unsettled': failed, 'standstills': [
-                    {**attributes(still, 'start_ns', 'duration', 'tilt', 'samples', 'lip'),
-                     'units': {'duration': 's', 'tilt': 'rad', 'lip': POSE_UNITS}}
+                    attributes(still, 'start_ns', 'duration', 'tilt', 'samples', 'lip')
                     for still in found]}
                 for recording in self.recordings
                 for found, failed in [standstills_in(recording)]],
             'warnings': self.warnings,
-        }
+        })
 
 
 def standstills_in(recording: Recording) -> tuple[tuple[Standstill, ...], int]:

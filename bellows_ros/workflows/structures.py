@@ -11,7 +11,7 @@ from bellows_ros.core.identification.structure_selection import StructureSelecti
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.structure import structure_named
 from bellows_ros.workflows.identify import read_here, resolved, selection
-from bellows_ros.workflows.result_json import excitation_json, selection_json
+from bellows_ros.workflows.result_json import excitation_json, selection_json, with_units
 
 Progress = Callable[[str, float], None]
 
@@ -47,14 +47,14 @@ class StructureAdvice:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file, in SI units."""
-        return {
+        return with_units({
             'excitation': excitation_json(self.excitation),
             'structures': selection_json(self.selection),
             'recordings': [recording.as_json() for recording in self.recordings],
             'warnings': self.warnings,
             'settings': dict(self.values),
             'version': __version__,
-        }
+        })
 
 
 def structures(

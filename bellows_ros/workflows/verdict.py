@@ -53,8 +53,7 @@ class Simulated(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Return it for a JSON file."""
-        units = dict.fromkeys(('rms', 'noise', 'motion'), POSE_UNITS)
-        return {**self._asdict(), 'axes': AXES, 'units': units}
+        return {**self._asdict(), 'axes': AXES}
 
 
 class Verdict(NamedTuple):
@@ -108,10 +107,8 @@ class Verdict(NamedTuple):
             'hypotheses': [
                 {**found._asdict(), 'material': found.material, 'setting': setting_of(found),
                  'sentence': finding_sentence(found, self.given),
-                 'units': {'theta': UNITS.get(found.name, '1'),
-                           'std': UNITS.get(found.name, '1'), 'left': '1', 'moved': '1'}}
+                 'units': dict.fromkeys(('theta', 'std'), UNITS.get(found.name, '1'))}
                 for found in self.diagnosis.findings],
-            'units': {'excess': '1'},
         }
 
 

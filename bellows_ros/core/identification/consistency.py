@@ -36,7 +36,7 @@ class Consistency:
         Weighted mean of the parameters.
     deviations : ndarray (n, p)
         Of each fit from the mean, in its own standard errors; 0 where it does not know.
-    of_stiffness, of_damping : float
+    probability_stiffness, probability_damping : float
         The same probability for K alone, and for P alone; NaN where nothing can be compared.
     verdict : str
         In words.
@@ -48,8 +48,8 @@ class Consistency:
     degrees: int
     mean: Array
     deviations: Array
-    of_stiffness: float
-    of_damping: float
+    probability_stiffness: float
+    probability_damping: float
     verdict: str
 
     @property

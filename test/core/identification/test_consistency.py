@@ -30,8 +30,8 @@ def scattered(seed, count=2, relative=0.01):
 
 def test_probabilities_of_one_cup_are_uniform():
     found = [same_cup(scattered(seed, 3), NAMES) for seed in range(300)]
-    for p in ([f.probability for f in found], [f.of_stiffness for f in found],
-              [f.of_damping for f in found]):
+    for p in ([f.probability for f in found], [f.probability_stiffness for f in found],
+              [f.probability_damping for f in found]):
         # 300 draws: a tenth of them below 0.1, with a spread of 0.017
         assert abs(np.mean(np.array(p) < 0.1) - 0.1) < 0.06
         assert abs(np.mean(p) - 0.5) < 0.06
