@@ -37,7 +37,7 @@ def test_the_files_make_the_recording_again(bags: Path, name: str, tmp_path: Pat
     report = simulate_recording(read_parameters(bags / 'cup.yaml'), motion, tmp_path / name)
 
     assert report.warnings == ()
-    assert np.radians(3.0) < report.largest_bending < np.radians(25.0)
+    assert np.radians(3.0) < report.largest_bending_rad < np.radians(25.0)
     assert topics(bags / name) == topics(tmp_path / name)
     kept, made = read_streams(bags / name, ROLES), read_streams(tmp_path / name, ROLES)
     for role, stream in kept.items():

@@ -65,15 +65,15 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(report: 'SimulationReport', console: Console) -> None:
     """Print what was recorded."""
-    console.say(f'Recorded {report.duration:g} s to {report.bag}', 'bold')
+    console.say(f'Recorded {report.duration_s:g} s to {report.bag}', 'bold')
     width = max(map(len, report.messages))
     for topic, count in report.messages.items():
         kinds = Counter(event.kind for event in report.events if event.topic == topic)
         put_in = [many(count, kind, f'{kind}s') for kind, count in kinds.items()]
         console.say(f'  {topic:{width}}  {count:6} messages'
                     + (f', with {" and ".join(put_in)}' if put_in else ''))
-    console.say(f'The cup bends by up to {math.degrees(report.largest_bending):.1f} degrees, '
-                f'at {report.largest_bending_time:.2f} s.')
+    console.say(f'The cup bends by up to {math.degrees(report.largest_bending_rad):.1f} degrees, '
+                f'at {report.largest_bending_time_s:.2f} s.')
     if report.margin:
         console.paragraph(report.margin.sentence)
     if report.tosses:

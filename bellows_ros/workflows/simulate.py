@@ -65,7 +65,7 @@ class Event(NamedTuple):
 
     topic: str
     kind: str
-    start: float
+    start_s: float
 
 
 @dataclass(frozen=True)
@@ -79,15 +79,14 @@ class SimulationReport:
         The recording.
     truth : Path or None
         File with the true motion, where asked for.
-    duration : float
-        s.
+    duration_s : float
     messages : mapping of topic to int
         Messages on each topic.
     events : tuple of Event
         Outliers and dropouts, by topic and time.
-    largest_bending : float
+    largest_bending_rad : float
         Largest angle between the z axes of tool and lip, rad.
-    largest_bending_time : float
+    largest_bending_time_s : float
         When it was reached, s after the beginning.
     warnings : tuple of str
         What to know before using the recording.
@@ -100,11 +99,11 @@ class SimulationReport:
 
     bag: Path
     truth: Path | None
-    duration: float
+    duration_s: float
     messages: Mapping[str, int]
     events: tuple[Event, ...]
-    largest_bending: float
-    largest_bending_time: float
+    largest_bending_rad: float
+    largest_bending_time_s: float
     warnings: tuple[str, ...]
     margin: Margin | None
     tosses: tuple[Thrown, ...] = ()
@@ -112,17 +111,10 @@ class SimulationReport:
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         return {
-            'bag': str(self.bag),
-            'truth': str(self.truth) if self.truth else None,
-            'duration_s': self.duration,
-            'messages': self.messages,
-            'events': [{'topic': e.topic, 'kind': e.kind, 'start_s': e.start}
-                       for e in self.events],
-            'largest_bending_rad': self.largest_bending,
-            'largest_bending_time_s': self.largest_bending_time,
+            **vars(self), 'bag': str(self.bag), 'truth': self.truth and str(self.truth),
+            'events': [event._asdict() for event in self.events],
             'margin': self.margin and self.margin._asdict(),
             'tosses': [toss._asdict() for toss in self.tosses],
-            'warnings': self.warnings,
         }
 
 
@@ -198,7 +190,12 @@ def simulate_recording(
             tool, position=tool.position @ R_world_level,
             rotation=R_world_level.T @ tool.rotation)))
     bag = Path(out)
-    truth_file = _output_files(bag, recipe.truth, replace)
+    if not os.path.lexists(bag):
+        atomic.require_file_target(bag)  # its folder exists
+    elif not replace:
+        raise BellowsError(f"Output '{bag}' exists. Give another name, or remove it first.")
+    truth_file = None if not recipe.truth else atomic.require_file_target(
+        bag.with_name(f'{bag.name}_truth.npz'))
     plans = {
         name: schedule(
             sensor, recipe.motion.duration, recipe.motion.rest_duration, recipe.start_ns,
@@ -211,16 +208,22 @@ def simulate_recording(
     write_bag(bag, recorded, recipe.storage, recipe.compression, replace)
     if truth_file:
         atomic.write_bytes(truth_file, _truth_bytes(cup, recipe, plans, truth, R_world_level))
-    return _report(values, bag, truth_file, recipe, plans, recorded, truth)
-
-
-def _output_files(bag: Path, truth: bool, replace: bool) -> Path | None:
-    """Refuse to overwrite a recording, before any work; return the file for the truth."""
-    if os.path.lexists(bag) and not replace:
-        raise BellowsError(f"Output '{bag}' exists. Give another name, or remove it first.")
-    if not os.path.lexists(bag):
-        atomic.require_file_target(bag)  # its folder exists
-    return atomic.require_file_target(bag.with_name(f'{bag.name}_truth.npz')) if truth else None
+    angle, worst, warnings = _bending(truth)
+    events = [
+        Event(recipe.topics[f'{name}_pose'], kind, (int(ns) - recipe.start_ns) / NS_PER_S)
+        for name, own in plans.items()
+        for kind, starts in (('outlier', own.jumps), ('dropout', own.dropouts))
+        for ns in own.sampled_ns[list(starts)]]
+    grip, smallest = grip_of(values), None
+    if grip is not None:
+        model = model_tuple(cup, package, values['gravity.magnitude'])
+        wrench = lip_wrenches(model, truth.tool, truth.package)
+        smallest = margin(grip, wrench[truth.held], truth.tool.seconds[truth.held])
+    return SimulationReport(
+        bag, truth_file, recipe.motion.duration,
+        {own.topic: len(own.stamps_ns) for own in recorded},
+        tuple(sorted(events, key=lambda event: (event.topic, event.start_s))),
+        angle, worst, warnings, smallest, truth.tosses)
 
 
 def _simulated(
@@ -276,19 +279,15 @@ def _recorded(
                 recipe.topics['tool_twist'], TWIST, twists.stamps_ns,
                 np.hstack([twists.linear, twists.angular]), recipe.frame_id,
                 log_times_ns=twists.stamps_ns + late_ns))
-    if recipe.releases:
-        recorded.append(_valve(recipe))
+    if recipe.releases:  # on, off at each release, and on again at each pick-up
+        off = np.array(recipe.releases)
+        on = off + recipe.pickup
+        times = np.sort(np.concatenate([[0.0], off, on[on <= recipe.motion.duration]]))
+        recorded.append(Encoded(
+            recipe.topics['valve'], BOOL,
+            recipe.start_ns + np.round(times * NS_PER_S).astype(np.int64),
+            [encode_bool(k % 2 == 0) for k in range(len(times))]))
     return recorded
-
-
-def _valve(recipe: Recipe) -> Encoded:
-    """Return the valve's messages: on, off at each release, and on again at each pick-up."""
-    off = np.array(recipe.releases)
-    on = off + recipe.pickup
-    times = np.sort(np.concatenate([[0.0], off, on[on <= recipe.motion.duration]]))
-    stamps_ns = recipe.start_ns + np.round(times * NS_PER_S).astype(np.int64)
-    data = [encode_bool(k % 2 == 0) for k in range(len(times))]
-    return Encoded(recipe.topics['valve'], BOOL, stamps_ns, data)
 
 
 def _truth_bytes(
@@ -316,38 +315,16 @@ def _truth_bytes(
     return file.getvalue()
 
 
-def _report(
-    values: Mapping[str, Any],
-    bag: Path,
-    truth_file: Path | None,
-    recipe: Recipe,
-    plans: Mapping[str, Schedule],
-    recorded: list[Recorded | Encoded],
-    truth: Truth,
-) -> SimulationReport:
-    """Return the summary of a recording."""
-    seconds, held = truth.tool.seconds, truth.held
-    angle = np.where(held, bending(truth.tool.rotation, truth.package.rotation), 0.0)
+def _bending(truth: Truth) -> tuple[float, float, tuple[str, ...]]:
+    """Return the largest bending (rad), when that is (s), and what to know of it."""
+    seconds = truth.tool.seconds
+    angle = np.where(
+        truth.held, bending(truth.tool.rotation, truth.package.rotation), 0.0)
     worst = int(np.argmax(angle))
-    events = [
-        Event(recipe.topics[f'{name}_pose'], kind, (int(ns) - recipe.start_ns) / NS_PER_S)
-        for name, plan in plans.items()
-        for kind, starts in (('outlier', plan.jumps), ('dropout', plan.dropouts))
-        for ns in plan.sampled_ns[list(starts)]]
-    warnings: tuple[str, ...] = ()
-    if angle[worst] > BENDING_LIMIT:
-        warnings = (
-            f'The cup bends by up to {math.degrees(angle[worst]):.0f} degrees, and by more than '
-            f'{math.degrees(BENDING_LIMIT):.0f} from {seconds[angle > BENDING_LIMIT][0]:.3f} s '
-            'on. Beyond that the modelled restoring moment falls and the package may flip. Real '
-            'cups bend some 20 degrees; use smaller or slower motions.',)
-    grip, smallest = grip_of(values), None
-    if grip is not None:
-        model = model_tuple(cup_of(values), package_of(values), values['gravity.magnitude'])
-        wrench = lip_wrenches(model, truth.tool, truth.package)
-        smallest = margin(grip, wrench[held], seconds[held])
-    return SimulationReport(
-        bag, truth_file, recipe.motion.duration,
-        {own.topic: len(own.stamps_ns) for own in recorded},
-        tuple(sorted(events, key=lambda event: (event.topic, event.start))),
-        float(angle[worst]), float(seconds[worst]), warnings, smallest, truth.tosses)
+    beyond = seconds[angle > BENDING_LIMIT]
+    warnings = () if not len(beyond) else (
+        f'The cup bends by up to {math.degrees(angle[worst]):.0f} degrees, and by more than '
+        f'{math.degrees(BENDING_LIMIT):.0f} from {beyond[0]:.3f} s on. Beyond that the modelled '
+        'restoring moment falls and the package may flip. Real cups bend some 20 degrees; use '
+        'smaller or slower motions.',)
+    return float(angle[worst]), float(seconds[worst]), warnings

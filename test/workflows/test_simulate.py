@@ -189,7 +189,7 @@ def test_streams_have_their_own_rates_and_are_the_truth_without_noise(tmp_path):
     spatial_rate = np.einsum('nij,nj->ni', rotation, body_rate)
     assert_allclose(streams['tool_twist'].angular, spatial_rate, atol=1e-14)
     assert {s.frame_id for s in streams.values()} == {'world'}
-    assert report.duration == 2.0 and report.events == () and report.warnings == ()
+    assert report.duration_s == 2.0 and report.events == () and report.warnings == ()
 
 
 def test_the_lip_is_recorded_where_the_lip_is(tmp_path):
@@ -261,12 +261,12 @@ def test_events_of_the_report_are_where_they_are_in_the_recording(tmp_path):
     assert report.messages['/package/pose'] == 241 - 12
     t = (streams['pose'].stamps_ns - START_NS) * 1e-9
     for event in report.events:
-        assert event.topic == '/package/pose' and event.start > 0.3
+        assert event.topic == '/package/pose' and event.start_s > 0.3
         if event.kind == 'dropout':
             gap = int(np.argmax(np.diff(t)))
-            assert t[gap] < event.start < t[gap + 1]
+            assert t[gap] < event.start_s < t[gap + 1]
         else:
-            at = int(np.argmin(np.abs(t - event.start)))
+            at = int(np.argmin(np.abs(t - event.start_s)))
             step = streams['pose'].position[at] - streams['pose'].position[at - 1]
             assert np.linalg.norm(step) > 0.04
 
@@ -288,9 +288,9 @@ def test_bending_beyond_45_degrees_is_warned_about_with_its_time(tmp_path):
     with np.load(tmp_path / 'bag_truth.npz') as truth:
         cosine = np.einsum('ni,ni->n', truth['tool'][:, :3, 2], truth['package'][:, :3, 2])
         passed = truth['t'][np.argmax(cosine < np.cos(np.radians(45.0)))]
-    assert report.largest_bending > np.radians(45.0)
+    assert report.largest_bending_rad > np.radians(45.0)
     # The file has the package's 120 Hz, between which it turns by up to 0.1 rad more.
-    assert 0.0 <= report.largest_bending - np.arccos(cosine.min()) < 0.1
+    assert 0.0 <= report.largest_bending_rad - np.arccos(cosine.min()) < 0.1
     (warning,) = report.warnings
     said = float(warning.split(' from ')[1].split(' s')[0])
     assert passed - 1.0 / 120.0 <= said <= passed
@@ -493,7 +493,7 @@ def test_a_plan_takes_the_place_of_the_motion(tmp_path, down):
     report = simulate_recording(
         {**PARAMETERS, 'gravity.direction': down}, other, tmp_path / 'planned',
         plan=tmp_path / 'plan.yaml')
-    assert report.duration == 2.0
+    assert report.duration_s == 2.0
     planned = read_streams(tmp_path / 'planned', ROLES)
     simulate_recording(
         {**PARAMETERS, 'gravity.direction': down}, motion(), tmp_path / 'direct')
