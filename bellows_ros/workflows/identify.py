@@ -91,13 +91,7 @@ def identify(
     static = _static(values, tell)
     effective = {**values, 'cup.length': static.cup_length} if static else values
     keep = bool(needing_recordings(values))
-
-    def read(using: Mapping[str, Any]) -> tuple[list[Part], list[Failed]]:
-        """Return the recordings that could be used, and the others."""
-        if jobs is None and not dask:
-            return read_here(using, keep, tell), []
-        return _read_by_others(using, keep, jobs or 1, dask, tell)
-
+    read = partial(read_all, keep=keep, tell=tell, jobs=jobs, dask=dask)
     parts, failed = read(effective)
     if guess := first_guess([part for part in parts if isinstance(part, Recording)], effective):
         values, effective = (with_freed(own, guess) for own in (values, effective))
@@ -314,33 +308,32 @@ def read_part(
     return recording if bag in keep else part
 
 
-def read_here(values: Mapping[str, Any], keep: bool, tell: Progress) -> list[Any]:
-    """Return the recordings, read one after the other; all must be usable."""
-    bags, parts = values['bags'], list[Any]()
-    for number, (bag, own) in enumerate(zip(bags, values_of_each(values), strict=True)):
-        tell(f'reading {os.fspath(bag)}', FIT_BEGINS * number / len(bags))
-        name = os.fspath(bag)
-        wanted = [name] if keep or number < LOOKED_AT else []
-        parts.append(read_part(name, own, keep=wanted))
-        for _, sentence in repeats((part.name, part.digest) for part in parts):
-            raise BellowsError(sentence)
-    return parts
+def read_all(
+    values: Mapping[str, Any], keep: bool, tell: Progress, jobs: int | None = None, dask: str = ''
+) -> tuple[list[Any], list[Failed]]:
+    """
+    Return the recordings, and those that cannot be used.
 
-
-def _read_by_others(
-    values: Mapping[str, Any], keep: bool, jobs: int, dask: str, tell: Progress
-) -> tuple[list[Part], list[Failed]]:
-    """Return the recordings that could be used, read by processes or a cluster, and the others."""
-    from bellows_ros.workflows.workers import on_cores, on_dask
-
+    They are read by processes or a cluster, or one after the other: then all must be usable.
+    """
     bags = [os.fspath(bag) for bag in values['bags']]
-    words = f'reading {len(bags)} recordings'
-    tell(words, 0.0)
+    task = partial(read_part, keep=frozenset(bags if keep else bags[:LOOKED_AT]))
     work = [(n, bag, dict(own)) for n, (bag, own) in
             enumerate(zip(bags, values_of_each(values), strict=True))]
-    task = partial(read_part, keep=frozenset(bags if keep else bags[:LOOKED_AT]))
+    parts = list[Any]()
+    if jobs is None and not dask:
+        for number, bag, own in work:
+            tell(f'reading {bag}', FIT_BEGINS * number / len(bags))
+            parts.append(task(bag, own))
+            for _, sentence in repeats((part.name, part.digest) for part in parts):
+                raise BellowsError(sentence)
+        return parts, []
+    from bellows_ros.workflows.workers import on_cores, on_dask
+
+    words = f'reading {len(bags)} recordings'
+    tell(words, 0.0)
     results: dict[int, Any] = {}
-    for number, result in on_dask(work, dask, task) if dask else on_cores(work, jobs, task):
+    for number, result in on_dask(work, dask, task) if dask else on_cores(work, jobs or 1, task):
         results[number] = result
         tell(words, FIT_BEGINS * len(results) / len(bags))
     done = [n for n, result in sorted(results.items()) if not isinstance(result, Failed)]

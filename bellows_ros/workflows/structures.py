@@ -10,7 +10,7 @@ from bellows_ros.core.identification.reduction import reduced
 from bellows_ros.core.identification.structure_selection import StructureSelection
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.structure import structure_named
-from bellows_ros.workflows.identify import read_here, resolved, selection
+from bellows_ros.workflows.identify import read_all, resolved, selection
 from bellows_ros.workflows.result_json import excitation_json, selection_json, with_units
 
 Progress = Callable[[str, float], None]
@@ -77,7 +77,7 @@ def structures(
 
     """
     tell, values = progress or (lambda what, part: None), resolved(settings)
-    recordings = read_here(values, True, tell)
+    recordings, _ = read_all(values, True, tell)
     found = excitation_of(
         [reduced(recording, values).information for recording in recordings],
         structure_named(values['fit.structure']))
