@@ -110,31 +110,27 @@ def typical(
     fit, structure = found.fit, structure_named(found.fit.structure)
     x = structure.parameters(fit.stiffness, fit.damping)
     diagonal = structure.sizes(fit.stiffness, np.maximum(fit.damping, 0.0))
-    std = np.sqrt(np.diag(fit.covariance))
-    known = np.isfinite(std)
-    std = np.where(known, std, diagonal)
-    step = np.minimum(std, 0.5 * diagonal)  # so that K stays definite where little is known
-    correlation = np.eye(len(x))
-    both = np.outer(known, known)
-    correlation[both] = (fit.covariance[both].reshape(known.sum(), -1)
-                         / np.outer(std[known], std[known])).ravel()
+    known = np.isfinite(np.diag(fit.covariance))
+    covariance = np.where(known & known[:, None], fit.covariance, np.diag(diagonal**2))
+    std = np.sqrt(np.diag(covariance))
 
     def states(parameters: Array) -> Array:
         cup = Cup(*structure.matrices(parameters), found.cup_length)
         model = model_tuple(cup, package_of(values), source.gravity)
         return Run(model, None, source.tool).at(1.0).states
 
-    changes: Any = []
-    for i, size in enumerate(STEP * step):
-        unit = size * np.eye(len(x))[i]
-        up, down = states(x + unit), states(x - unit) if size else states(x)
+    slopes: Any = []
+    # so short that K stays definite where little is known
+    for i, step in enumerate(STEP * np.minimum(std, 0.5 * diagonal)):
+        unit = step * np.eye(len(x))[i]
+        up, down = states(x + unit), states(x - unit)
         R = [quaternion_to_rotation(rows[:, 3:7]) for rows in (down, up)]
         turn = log_so3(np.swapaxes(R[0], -1, -2) @ R[1])
-        change = np.hstack([up[:, :3] - down[:, :3], turn])
-        changes.append(change * (std[i] / (2.0 * size) if size else 0.0))
-    changes = np.array(changes)
-    variance = np.einsum('ink,ij,jnk->nk', changes, correlation, changes)
-    alone = np.sum(changes**2 / np.maximum(np.mean(variance, axis=0), 1e-300), axis=(1, 2))
+        slopes.append(np.hstack([up[:, :3] - down[:, :3], turn]) / (2.0 * step or 1.0))
+    slopes = np.array(slopes)
+    variance = np.einsum('ink,ij,jnk->nk', slopes, covariance, slopes)
+    alone = std**2 * np.sum(
+        slopes**2 / np.maximum(np.mean(variance, axis=0), 1e-300), axis=(1, 2))
     order = np.argsort(-alone, kind='stable').tolist()
     parts = [np.sqrt(np.maximum(variance[:, part].sum(axis=1), 0.0))
              for part in (slice(0, 3), slice(3, 6))]
