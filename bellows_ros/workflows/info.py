@@ -1,7 +1,7 @@
 """Contents and quality of a recording: topics, rates, gaps, and their probable roles."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 import os
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +19,7 @@ from bellows_ros.core.recording.alignment import (
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.preparation import stream_warnings
 from bellows_ros.core.resampling import timing
-from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
+from bellows_ros.core.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, topics
 from bellows_ros.workflows.recordings import part_of
 from bellows_ros.workflows.roles import (
@@ -35,23 +35,6 @@ import numpy as np
 Stream = PoseStream | TwistStream
 
 REST_USED = 0.9  # of the standstill that was found
-
-
-@dataclass(frozen=True)
-class Motion:
-    """
-    How far a body moves.
-
-    Parameters
-    ----------
-    position, rotation : tuple of 3 floats
-        Largest minus smallest coordinate, m, and largest minus smallest rotation vector from the
-        start, rad, in recorded axes.
-
-    """
-
-    position: tuple[float, ...]
-    rotation: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -81,8 +64,9 @@ class TopicInfo:
     noise : mapping of str to list of 3 floats
         Standard deviation of 'position' (m) along the world's axes and of 'rotation' (rad) about
         the body's.
-    motion : Motion or None
-        Of poses.
+    motion : mapping of str to list of 3 floats
+        Largest minus smallest coordinate of 'position' (m) and of 'rotation', the rotation vector
+        (rad) from the start, in recorded axes.
     warnings : tuple of str
         What to know before identifying from these poses.
 
@@ -102,7 +86,7 @@ class TopicInfo:
     refused: Mapping[str, int] = field(default_factory=dict)
     outliers: int = 0
     noise: Mapping[str, list[float]] = field(default_factory=dict)
-    motion: Motion | None = None
+    motion: Mapping[str, list[float]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
 
@@ -138,9 +122,7 @@ class Info:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        content = asdict(self)
-        content['settings'] = dict(self.settings)
-        return content | {'version': __version__}
+        return {**asdict(self), 'version': __version__}
 
 
 def info(
@@ -181,9 +163,7 @@ def info(
     )
     poses = {s.name: s for s in streams.values() if isinstance(s, PoseStream) and len(s) > 2}
     twists = {s.name: s for s in streams.values() if isinstance(s, TwistStream) and len(s) > 2}
-    assigned = _assigned(path, described, poses, twists)
-    return replace(
-        assigned, notes=(*notes, *assigned.notes), settings={**assigned.settings, **span})
+    return _assigned(path, described, poses, twists, span, notes)
 
 
 def _topic(
@@ -216,36 +196,41 @@ def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
     if isinstance(stream, PoseStream):
         poses = stream.trajectory()
         outliers = find_outliers(poses, time.longest_step_ns)
-        quality['outliers'] = int(np.count_nonzero(~outliers.good))
-        quality['noise'] = {name: x.tolist() for name, x in outliers.noise.items()}
-        quality['motion'] = _motion(poses.select(outliers.good))
-        quality['warnings'] = tuple(stream_warnings(stream, time, outliers))
+        moved, turned = (part[outliers.good] for part in (poses.position, poses.rotation))
+        quality |= {
+            'outliers': int(np.count_nonzero(~outliers.good)),
+            'noise': {name: x.tolist() for name, x in outliers.noise.items()},
+            'motion': {name: np.ptp(x, axis=0).tolist() for name, x in (
+                ('position', moved), ('rotation', log_so3(np.swapaxes(turned[:1], 1, 2) @ turned)))
+                if len(x)},
+            'warnings': tuple(stream_warnings(stream, time, outliers)),
+        }
     return quality
-
-
-def _motion(poses: Trajectory) -> Motion | None:
-    """Return how far a body moves."""
-    if not len(poses):
-        return None
-    turned = log_so3(poses.rotation[0].T @ poses.rotation)
-    return Motion(*(tuple(np.ptp(x, axis=0).tolist()) for x in (poses.position, turned)))
 
 
 def _assigned(
     path: str | os.PathLike[str], described: tuple[TopicInfo, ...],
-    poses: Mapping[str, PoseStream], twists: Mapping[str, TwistStream],
+    poses: Mapping[str, PoseStream], twists: Mapping[str, TwistStream], span: Mapping[str, Any],
+    notes: list[str],
 ) -> Info:
     """Return the recording with roles, settings and notes."""
     pair = likely_pair(poses)
     tool, package = (pair.tool, pair.package) if pair else likely_alone(poses)
     twist = likely_twist(poses[tool.topic], twists) if tool else None
-    settings: dict[str, Any] = {'bags': (os.fspath(path),)}
+    settings: dict[str, Any] = {'bags': (os.fspath(path),), **span}
     settings |= {f'topics.{role}': guess.topic for role, guess in
                  (('tool_pose', tool), ('package_pose', package)) if guess}
     settings['topics.tool_twist'] = twist.topic if twist else ''
     if twist:
         settings['tool_twist.frame'] = twist.frame
-    notes = [*_quality_notes(described, tool, package, twist)]
+    used = {guess.topic for guess in (tool, package, twist) if guess}
+    notes += [f'{topic.name} cannot be used: {topic.problem}' for topic in described
+              if topic.problem]
+    notes += [text for topic in described if topic.name in used for text in topic.warnings]
+    if not (tool and package):
+        notes.append(
+            'An identification needs the poses of tool and package; the tool alone is enough '
+            'only for a simulation or a prediction.')
     rest_s = None
     frames = [short(poses[guess.topic].frame_id) for guess in (tool, package) if guess]
     apart = all(frames) and len(set(frames)) == 2
@@ -263,22 +248,6 @@ def _assigned(
     return Info(
         str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes)
     )
-
-
-def _quality_notes(
-    described: tuple[TopicInfo, ...], *guesses: Guess | None
-) -> list[str]:
-    """Return remarks on the topics that would be used."""
-    used = {guess.topic for guess in guesses if guess}
-    notes = [f'{topic.name} cannot be used: {topic.problem}' for topic in described
-             if topic.problem]
-    notes += [text for topic in described if topic.name in used for text in topic.warnings]
-    if len([guess for guess in guesses[:2] if guess]) < 2:
-        notes.append(
-            'An identification needs the poses of tool and package; the tool alone is enough '
-            'only for a simulation or a prediction.'
-        )
-    return notes
 
 
 def _at_rest(
