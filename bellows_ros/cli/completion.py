@@ -1,6 +1,7 @@
 """`bellows completion`: print a script that completes commands, options and parameters."""
 
 import argparse
+from collections.abc import Mapping
 import importlib
 import os
 from pathlib import Path
@@ -20,69 +21,33 @@ EXAMPLES = (
      'complete in every zsh; needs fpath+=~/.zfunc before compinit in ~/.zshrc'),
 )
 
-BASH = """# Completion of bellows {version} for bash; made by 'bellows completion bash'.
-_bellows() {{
-    local word=${{COMP_WORDS[COMP_CWORD]}} before=${{COMP_WORDS[COMP_CWORD-1]}} words=
-    local before2=${{COMP_WORDS[COMP_CWORD-2]}}
-    compopt +o nospace 2>/dev/null
-    if [ "$COMP_CWORD" -eq 1 ]; then
-        COMPREPLY=($(compgen -W "{commands} --help --version" -- "$word"))
-        return
-    fi
-    case $before in
-        --set)
-            compopt -o nospace 2>/dev/null
-            COMPREPLY=($(compgen -S = -W "{parameters}" -- "$word"))
-            return ;;
-    esac
-    case "${{COMP_WORDS[1]}} $before" in
-{choices}    esac
-    case ${{COMP_WORDS[1]}} in
-{options}    esac
-    case $word in
-        -*) COMPREPLY=($(compgen -W "$words" -- "$word")) ;;
-        *) [ "$before2" != --set ] && COMPREPLY=($(compgen -f -- "$word")) ;;
-    esac
-}}
+SHELLS = {
+    'bash': """# Completion of bellows for bash; made by 'bellows completion bash'.
+_bellows() {
+    local word=${COMP_WORDS[COMP_CWORD]} IFS=$'\\n'
+    COMPREPLY=($("$1" completion bash "${COMP_WORDS[@]:1:COMP_CWORD}" 2>/dev/null))
+    COMPREPLY=("${COMPREPLY[@]%%:*}")
+    if [[ ${COMPREPLY[0]} == *= ]]; then compopt -o nospace 2>/dev/null; fi
+    if [[ ! ${COMPREPLY[0]} ]]; then COMPREPLY=($(compgen -f -- "$word")); fi
+}
 complete -o filenames -F _bellows bellows
-"""
-BASH_OPTIONS = '        {name}) words="{options}" ;;\n'
-BASH_CHOICES = """        "{name} {before}") if [[ $word != -* ]]; then
-            COMPREPLY=($(compgen -W "{words}" -- "$word")); return; fi ;;
-"""
-
-ZSH = """#compdef bellows
-# Completion of bellows {version} for zsh; made by 'bellows completion zsh'.
-_bellows() {{
-    local word=$words[CURRENT] before=$words[CURRENT-1]
+""",
+    'zsh': """#compdef bellows
+# Completion of bellows for zsh; made by 'bellows completion zsh'.
+_bellows() {
     local -a found
-    if (( CURRENT == 2 )); then
-        found=({described})
-        _describe command found
-        return
-    fi
-    if [[ $before == --set ]]; then
-        compadd -S = -- {parameters}
-        return
-    fi
-    case "$words[2] $before" in
-{choices}    esac
-    case $words[2] in
-{options}    esac
-    if [[ $word == -* ]]; then
-        _describe -o option found
-    elif [[ $words[CURRENT-2] != --set ]]; then
+    found=(${(f)"$($words[1] completion zsh "${(@)words[2,CURRENT]}" 2>/dev/null)"})
+    if [[ ${found[1]%%:*} == *= ]]; then
+        _describe parameter found -S ''
+    elif (( $#found )); then
+        _describe bellows found
+    else
         _files
     fi
-}}
+}
 if [[ $funcstack[1] == _bellows ]]; then _bellows "$@"; else compdef _bellows bellows; fi
-"""
-ZSH_OPTIONS = '        {name}) found=({described}) ;;\n'
-ZSH_CHOICES = """        "{name} {before}") if [[ $word != -* ]]; then
-            compadd -- {words}; return; fi ;;
-"""
-
-SHELLS = {'bash': (BASH, BASH_OPTIONS, BASH_CHOICES), 'zsh': (ZSH, ZSH_OPTIONS, ZSH_CHOICES)}
+""",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,41 +55,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'shell', nargs='?', choices=SHELLS,
         help='which shell (default: that of $SHELL, or bash)')
+    parser.add_argument(
+        'words', metavar='WORD', nargs=argparse.REMAINDER,
+        help='print what can follow on a command line, as the scripts ask')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Print the script."""
+    """Print the script, or what it asks for."""
+    if arguments.words:
+        for name, text in offers(arguments.words).items():
+            if name.startswith(arguments.words[-1]):
+                console.say(f'{name}:{text.replace("%%", "%")}')
+        return OK
     own = Path(os.environ.get('SHELL', '')).name
-    console.raw(script(arguments.shell or (own if own in SHELLS else 'bash')))
+    console.raw(SHELLS[arguments.shell or (own if own in SHELLS else 'bash')])
     return OK
 
 
-def script(shell: str) -> str:
-    """Return the script for a shell."""
-    from bellows_ros import __version__
-    from bellows_ros.core.parameters import PARAMETERS
+def offers(words: list[str]) -> Mapping[str, str]:
+    """Return what can stand for the last of some words, with descriptions; {} for files."""
+    command, *between, word = ['', *words] if len(words) == 1 else words
+    if not command:
+        return {**COMMANDS, '--help': 'show the help', '--version': 'show the version'}
+    if command not in COMMANDS:
+        return {}
+    if '--set' in between[-1:]:
+        from bellows_ros.core.parameters import PARAMETERS
 
-    whole, of_command, of_choice = SHELLS[shell]
-    options, choices = [], []
-    for name in COMMANDS:
-        parser = argparse.ArgumentParser()
-        importlib.import_module(f'{__package__}.{name}').add_arguments(parser)
-        found = [(option, action.help or '') for action in parser._actions
-                 for option in action.option_strings if option.startswith('--')]
-        options.append(of_command.format(
-            name=name, options=' '.join(option for option, _ in found),
-            described=' '.join(_described(*each) for each in found)))
-        for action in parser._actions:
-            words = ' '.join(map(str, action.choices or ()))
-            for before in (action.option_strings or [name]) if words else ():
-                choices.append(of_choice.format(name=name, before=before, words=words))
-    return whole.format(
-        version=__version__, commands=' '.join(COMMANDS), parameters=' '.join(PARAMETERS),
-        described=' '.join(_described(name, text) for name, text in COMMANDS.items()),
-        options=''.join(options), choices=''.join(choices))
-
-
-def _described(name: str, text: str) -> str:
-    """Return a word and its description, quoted for zsh."""
-    quoted = f'{name}:{text}'.replace('%%', '%').replace("'", "'\\''")
-    return f"'{quoted}'"
+        return {f'{name}=': each.description for name, each in PARAMETERS.items()}
+    parser = argparse.ArgumentParser()
+    importlib.import_module(f'{__package__}.{command}').add_arguments(parser)
+    if word.startswith('-'):
+        return {name: action.help or '' for action in parser._actions
+                for name in action.option_strings if name.startswith('--')}
+    asked = parser._option_string_actions.get(between[-1] if between else '')
+    return {str(choice): '' for action in ([asked] if asked else parser._actions)
+            if action.choices and (asked or not action.option_strings)
+            for choice in action.choices}

@@ -1,31 +1,24 @@
 """`bellows completion`, as bash and zsh use it."""
 
+import os
+from pathlib import Path
 import shutil
 import subprocess
+import sys
 from typing import Any
 
 from bellows_ros.cli.app import COMMANDS
-from bellows_ros.cli.completion import script
+from bellows_ros.cli.completion import offers, SHELLS
 import pytest
 
 BASH = """{script}
-COMP_WORDS=({line}); COMP_CWORD={last}; _bellows; printf "%s\\n" "${{COMPREPLY[@]}}"
+COMP_WORDS=({line}); COMP_CWORD={last}; _bellows bellows; printf "%s\\n" "${{COMPREPLY[@]}}"
 """
-# What zsh's own functions do with the words they get, without a terminal: those that begin so.
+# What zsh's own functions do with the words they get, without a terminal.
 ZSH = """
 compdef() {{ }}
-offer() {{
-    local word
-    for word in "$@"; do [[ $word == $words[CURRENT]* ]] && print -r -- $word; done
-}}
-compadd() {{
-    local suffix
-    [[ $1 == -S ]] && {{ suffix=$2; shift 2 }}
-    shift
-    offer ${{^@}}$suffix
-}}
-_describe() {{ [[ $1 == -o ]] && shift; offer "${{(@)${{(@P)2}}%%:*}}" }}
-_files() {{ offer *(N) }}
+_describe() {{ print -rl -- ${{(P)2%%:*}} }}
+_files() {{ print -rl -- $words[CURRENT]*(N) }}
 {script}
 words=({line}); CURRENT={count}; _bellows; true
 """
@@ -37,9 +30,11 @@ def complete(shell: str, *words: str) -> list[str]:
         pytest.skip(f'no {shell} here')
     line = ' '.join(f"'{word}'" for word in words)
     code = {'bash': BASH, 'zsh': ZSH}[shell].format(
-        script=script(shell), line=line, last=len(words) - 1, count=len(words))
+        script=SHELLS[shell], line=line, last=len(words) - 1, count=len(words))
     plain = {'bash': ['--norc'], 'zsh': ['-f']}[shell]
-    done = subprocess.run([shell, *plain, '-c', code], capture_output=True, text=True)
+    path = f'{Path(sys.executable).parent}{os.pathsep}{os.environ["PATH"]}'
+    done = subprocess.run([shell, *plain, '-c', code], capture_output=True, text=True,
+                          env={**os.environ, 'PATH': path})
     assert done.stderr == ''
     return done.stdout.split()
 
@@ -55,11 +50,17 @@ def test_commands_are_offered(shell: str) -> None:
 
 
 @shells
+def test_options_are_offered(shell: str) -> None:
+    """List those of the command."""
+    offered = complete(shell, 'bellows', 'simulate', '--seed', '1', '--')
+    assert {'--help', '--motion', '--params'} <= set(offered)
+
+
 @pytest.mark.parametrize('name', COMMANDS)
-def test_options_of_every_command_are_offered(name: str, shell: str) -> None:
-    """Know --help everywhere, and what belongs to one command only there."""
-    offered = complete(shell, 'bellows', name, '--')
-    assert '--help' in offered
+def test_options_of_every_command_are_offered(name: str) -> None:
+    """Know --help everywhere, and what belongs to one command only there; all with a sentence."""
+    offered = offers([name, '--'])
+    assert '--help' in offered and all(offered.values())
     assert ('--motion' in offered) == (name == 'simulate')
 
 
@@ -81,9 +82,11 @@ def test_files_are_offered_elsewhere(
     shell: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Complete recordings and parameter files."""
-    (tmp_path / 'my_cell.yaml').touch()
+    for name in ('my_cell.yaml', 'my_arm.yaml'):
+        (tmp_path / name).touch()
     monkeypatch.chdir(tmp_path)
-    assert complete(shell, 'bellows', 'identify', '--params', 'my') == ['my_cell.yaml']
+    offered = complete(shell, 'bellows', 'identify', '--params', 'my')
+    assert set(offered) == {'my_cell.yaml', 'my_arm.yaml'}
 
 
 def test_the_shell_in_use_is_the_default(bellows: Any) -> None:
