@@ -3,7 +3,7 @@ Find the command, run it, and turn errors into a message and an exit code.
 
 A command is a module of this package with its name, which has
 
-- `DESCRIPTION`: what it does, in a sentence or two;
+- a docstring: what it does, as `--help` shows it;
 - `EXAMPLES`: pairs of a command line and what it is for;
 - `FOUND`, where it can end with 1: what it has found then;
 - `add_arguments(parser)`: its arguments;
@@ -19,7 +19,7 @@ import importlib
 import os
 import sys
 import textwrap
-from types import MappingProxyType, ModuleType
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 from bellows_ros import __version__
@@ -31,7 +31,6 @@ from .console import (
     Console,
     Ended,
     ended_in_order,
-    EXIT_CODE,
     EXIT_CODES,
     INTERRUPTED,
     PIPE_CLOSED,
@@ -76,6 +75,15 @@ WIDTH = 79
 
 class Parser(argparse.ArgumentParser):
     """A parser with short errors: what is wrong, and where to find help."""
+
+    def __init__(
+        self, prog: str, text: str, more: str, epilog: str, usage: str | None = None
+    ) -> None:
+        """Wrap the description; what follows it, and the epilog, stay as they are."""
+        super().__init__(
+            prog=prog, usage=usage, epilog=epilog, allow_abbrev=False,
+            description=textwrap.fill(' '.join(text.split()), WIDTH) + more,
+            formatter_class=argparse.RawDescriptionHelpFormatter)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Keep the words, to find the option that was meant."""
@@ -137,13 +145,12 @@ def _run(arguments: list[str], console: Console) -> int:
         _refuse(arguments)
     name, *rest = arguments
     keep_linear_algebra_single()
-    module = importlib.import_module(f'{__package__}.{name}')
-    parsed = _command_parser(name, module).parse_args(rest)
+    parsed = command_parser(name).parse_args(rest)
     options.require_named_outputs(parsed)
     to_stdout = any(isinstance(value, options.Output) and value == options.STDOUT
                     for value in vars(parsed).values())
     with console.results_to_stderr(to_stdout):  # which is left to the file's content
-        code: int = module.run(parsed, console)
+        code: int = parsed.run(parsed, console)
     console.flush()
     return code
 
@@ -166,32 +173,22 @@ def _top_parser() -> Parser:
     width = max(map(len, COMMANDS))
     commands = '\n'.join(f'  {name:{width}}  {text}' for name, text in COMMANDS.items())
     parser = Parser(
-        prog='bellows',
-        usage='bellows COMMAND [ARGUMENTS]',
-        description=f'{textwrap.fill(DESCRIPTION, WIDTH)}\n\ncommands:\n{commands}',
-        epilog=f'Each has its own help: bellows COMMAND --help\n\n{TRY}\n{EXIT_CODES}',
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+        'bellows', DESCRIPTION, f'\n\ncommands:\n{commands}',
+        f'Each has its own help: bellows COMMAND --help\n\n{TRY}\n{EXIT_CODES}',
+        'bellows COMMAND [ARGUMENTS]')
     parser.add_argument('--version', action='version', version=f'bellows {__version__}')
     return parser
 
 
-def _command_parser(name: str, module: ModuleType) -> Parser:
+def command_parser(name: str) -> Parser:
     """Return the parser of a command."""
+    module = importlib.import_module(f'{__package__}.{name}')
     examples = '\n'.join(f'  {line}\n      {what}' for line, what in module.EXAMPLES)
+    found = f'1 if {module.FOUND}, ' if hasattr(module, 'FOUND') else ''
     parser = Parser(
-        prog=f'bellows {name}',
-        description=textwrap.fill(module.DESCRIPTION, WIDTH),
-        epilog=f'examples:\n{examples}\n\n{exit_code(module)}',
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+        f'bellows {name}', str(module.__doc__), '',
+        f'examples:\n{examples}\n\nEnds with 0 when done, {found}2 if something must be put '
+        'right.')
     module.add_arguments(parser)
+    parser.set_defaults(run=module.run)
     return parser
-
-
-def exit_code(module: ModuleType) -> str:
-    """Return a line on the exit codes of a command."""
-    found = getattr(module, 'FOUND', '')
-    return EXIT_CODE.format(f'1 if {found}, ' if found else '')

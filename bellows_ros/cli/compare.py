@@ -1,4 +1,9 @@
-"""`bellows compare`: differences between two fits, and whether they matter."""
+"""
+Compare two results of bellows identify.
+
+Report the change of each parameter, in percent and in standard errors, whether it is significant,
+and its effect on the predicted motion.
+"""
 
 import argparse
 from collections.abc import Iterator
@@ -13,10 +18,6 @@ if TYPE_CHECKING:
     from bellows_ros.core.identification.comparison import Change
     from bellows_ros.workflows.compare import Comparison
 
-DESCRIPTION = (
-    'Compare two results of bellows identify: the change of each parameter, in percent and in '
-    'standard errors, whether it is significant, and its effect on the predicted motion.'
-)
 EXAMPLES = (
     ('bellows compare monday.json friday.json', 'check whether the cup has aged'),
     ('bellows compare small.json large.json --json comparison.json',

@@ -1,18 +1,17 @@
-"""`bellows completion`: print a script that completes commands, options and parameters."""
+"""
+Print a script for bash or zsh that completes what is typed after bellows.
+
+It completes commands, options, files, and the names of parameters after --set.
+"""
 
 import argparse
 from collections.abc import Mapping
-import importlib
 import os
 from pathlib import Path
 
-from .app import COMMANDS
+from .app import command_parser, COMMANDS
 from .console import Console, OK
 
-DESCRIPTION = (
-    'Print a script for bash or zsh that completes commands, options, files, and the names of '
-    'parameters after --set.'
-)
 EXAMPLES = (
     ('source <(bellows completion)', 'complete in this shell'),
     ('bellows completion bash > ~/.local/share/bash-completion/completions/bellows',
@@ -83,8 +82,7 @@ def offers(words: list[str]) -> Mapping[str, str]:
         from bellows_ros.core.parameters import PARAMETERS
 
         return {f'{name}=': each.description for name, each in PARAMETERS.items()}
-    parser = argparse.ArgumentParser()
-    importlib.import_module(f'{__package__}.{command}').add_arguments(parser)
+    parser = command_parser(command)
     if word.startswith('-'):
         return {name: action.help or '' for action in parser._actions
                 for name in action.option_strings if name.startswith('--')}

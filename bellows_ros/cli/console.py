@@ -26,7 +26,6 @@ USER_ERROR = 2
 INTERRUPTED = 130
 PIPE_CLOSED = 141
 
-EXIT_CODE = 'Ends with 0 when done, {}2 if something must be put right.'
 EXIT_CODES = """exit codes:
   0    done
   1    done, with a finding that scripts want to know; see the command

@@ -1,4 +1,10 @@
-"""`bellows convert`: trajectory files to recordings, and recordings to trajectory files."""
+"""
+Make a recording (rosbag2) with poses, or write poses of a recording to a text file.
+
+Recordings are made from Motive CSV exports, from TUM, KITTI or EuRoC files, or from a recording
+with joint states or transforms. The text file (TUM) has the poses of one topic, for evo and other
+tools.
+"""
 
 import argparse
 import os
@@ -13,11 +19,6 @@ from .console import Console, OK
 if TYPE_CHECKING:
     from bellows_ros.workflows.convert import Conversion
 
-DESCRIPTION = (
-    'Make a recording (rosbag2) with poses from Motive CSV exports, from TUM, KITTI or EuRoC '
-    'files, or from a recording with joint states or transforms. Or write the poses of one '
-    'topic of a recording to a TUM file, for evo and other tools.'
-)
 EXAMPLES = (
     ('bellows convert take.csv --out my_recording',
      'a Motive export: every rigid body becomes a topic'),

@@ -1,4 +1,9 @@
-"""`bellows excite`: design the motion that identifies a cup best."""
+"""
+Design the motion of the tool that identifies stiffness and damping best.
+
+It stays within the limits of the arm, the cup and the grip. Report the standard errors to expect
+from a recording of it.
+"""
 
 import argparse
 from collections.abc import Callable, Mapping
@@ -12,11 +17,6 @@ from .planned import carry_out
 if TYPE_CHECKING:
     from bellows_ros.workflows.excite import Excitation
 
-DESCRIPTION = (
-    'Design the motion of the tool that identifies stiffness and damping best, within the '
-    'limits of the arm, the cup and the grip. Report the standard errors to expect from a '
-    'recording of it.'
-)
 EXAMPLES = (
     ('bellows excite --params bags/cup.yaml --limits config/limits_example.yaml --time 20 \\\n'
      '      --out motion', 'a motion of 20 s, based on a guess of the cup, written as a plan in '

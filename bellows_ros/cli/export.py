@@ -1,4 +1,9 @@
-"""`bellows export`: a cup for a simulator, and what the format cannot express."""
+"""
+Write a cup and its package as a model for a simulator, or as a header in C.
+
+For MuJoCo (MJCF), Drake, OpenPLX and any simulator that reads SDF. List what the format cannot
+express.
+"""
 
 import argparse
 from pathlib import Path
@@ -6,10 +11,6 @@ from pathlib import Path
 from . import options
 from .console import Console, OK
 
-DESCRIPTION = (
-    'Write a cup and its package as a model for MuJoCo (MJCF), Drake, OpenPLX or any simulator '
-    'that reads SDF, or as a header in C, and list what the format cannot express.'
-)
 EXAMPLES = (
     ('bellows export cup.yaml --to mjcf --out cup.xml', 'six joints for MuJoCo'),
     ('bellows export cup.yaml --to drake --out cup.sdf', 'a roll-pitch-yaw bushing for Drake'),

@@ -1,4 +1,12 @@
-"""`bellows identify`: identify a cup's stiffness and damping from recordings."""
+"""
+Identify the stiffness K and damping P of a cup from recordings of the tool arm and the package.
+
+The parameter file gives the known quantities (the package, the cup's length, the topics), the
+method, and optional inputs: standstills, recordings for validation, a comparison of structures.
+--summary-out only reduces one recording to its sufficient statistics for least squares, anywhere
+and with any scheduler; --summaries fits all of them by least squares. --release takes the cup as
+known and identifies the valve from recordings of tosses.
+"""
 
 import argparse
 import math
@@ -22,15 +30,6 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.identification import Identification
     from bellows_ros.workflows.release import ReleaseResult
 
-DESCRIPTION = (
-    'Identify the stiffness K and damping P of a cup from recordings of the tool arm and the '
-    "package. The parameter file gives the known quantities (the package, the cup's length, the "
-    'topics), the method, and optional inputs: standstills, recordings for validation, a '
-    'comparison of structures. --summary-out only reduces one recording to its sufficient '
-    'statistics for least squares, anywhere and with any scheduler; --summaries fits all of '
-    'them by least squares. --release takes the cup as known and identifies the valve from '
-    'recordings of tosses.'
-)
 EXAMPLES = (
     ('bellows identify bags/identification --params bags/package.yaml \\\n'
      '      --out cup.yaml --json fit.json',

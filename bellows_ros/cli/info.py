@@ -1,4 +1,9 @@
-"""`bellows info`: list the contents of a recording, and how to read it."""
+"""
+List the topics of a recording with their rates, gaps and jitter.
+
+Guess which is the tool and which the package, and explain why. Write a parameter file for the
+recording.
+"""
 
 import argparse
 from collections.abc import Iterator
@@ -13,10 +18,6 @@ from .console import Console, many, OK
 if TYPE_CHECKING:
     from bellows_ros.workflows.info import Info, TopicInfo
 
-DESCRIPTION = (
-    'List the topics of a recording with their rates, gaps and jitter. Guess which is the tool '
-    'and which the package, and explain why. Write a parameter file for the recording.'
-)
 EXAMPLES = (
     ('bellows info bags/identification', 'list and check the contents of a recording'),
     ('bellows info recording --write-params my_cell.yaml',

@@ -1,4 +1,8 @@
-"""`bellows parameters`: list all parameters with unit, default and meaning."""
+"""
+List the parameters of the nodes identifier and predictor.
+
+Parameter files and '--set' of the other commands take them too.
+"""
 
 import argparse
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,10 +16,6 @@ from .console import Console, OK, WIDTH
 if TYPE_CHECKING:
     from bellows_ros.core.parameters import Parameter
 
-DESCRIPTION = (
-    "List the parameters of the nodes identifier and predictor. Parameter files and '--set' of "
-    'the other commands take them too.'
-)
 EXAMPLES = (
     ('bellows parameters', 'all of them'),
     ('bellows parameters filter fit', 'parameters whose names begin with these words'),

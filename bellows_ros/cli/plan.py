@@ -1,4 +1,9 @@
-"""`bellows plan`: predict what a planned motion does to the package."""
+"""
+Predict, before it moves, what a planned motion of the tool does to the package.
+
+Report how firmly the cup holds, how far it bends, how long the package swings afterwards, and the
+uncertainty of all these. With --fastest, find how short the motion can be.
+"""
 
 import argparse
 from collections.abc import Mapping
@@ -11,11 +16,6 @@ from .planned import add_plan_options, carry_out
 if TYPE_CHECKING:
     from bellows_ros.workflows.plan import PlanReport
 
-DESCRIPTION = (
-    'Predict, before it moves, what a planned motion of the tool does to the package: how '
-    'firmly the cup holds, how far it bends, how long the package swings afterwards, and the '
-    'uncertainty of all these. With --fastest, find how short the motion can be.'
-)
 EXAMPLES = (
     ('bellows plan bags/transport.yaml --params bags/tossing.yaml --fastest',
      'the effect of a motion for bellows simulate, and its shortest safe time'),

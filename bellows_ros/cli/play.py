@@ -1,4 +1,8 @@
-"""`bellows play`: play the poses and twists of a recording to ROS."""
+"""
+Play the poses and twists of a recording to ROS, unchanged and at recorded speed.
+
+As ros2 bag play does, where ROS comes from wheels only. Needs rclpy.
+"""
 
 import argparse
 import math
@@ -12,10 +16,6 @@ from .console import Console, OK
 if TYPE_CHECKING:
     from bellows_ros.nodes.bag_player import Played
 
-DESCRIPTION = (
-    'Play the poses and twists of a recording to ROS, unchanged and at recorded speed, like '
-    'ros2 bag play where ROS comes from wheels only. Needs rclpy.'
-)
 EXAMPLES = (
     ('bellows play bags/validation --topic /tool_arm/pose --topic /tool_arm/twist',
      "the tool's messages, for a predictor that runs beside it"),

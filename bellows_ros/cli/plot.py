@@ -1,4 +1,9 @@
-"""`bellows plot`: draw pictures of recordings, fits and replays."""
+"""
+Draw a picture of a recording, of the fit of a cup, or of its prediction.
+
+Of a recording: motion, spectra, path; of a fit: deflection, residuals; of a prediction: margin,
+prediction, animation.
+"""
 
 import argparse
 from collections.abc import Callable, Mapping
@@ -9,10 +14,6 @@ from bellows_ros.errors import BellowsError
 from . import options
 from .console import Console, OK, Progress
 
-DESCRIPTION = (
-    'Draw a picture of a recording (motion, spectra, path), of the fit of a cup (deflection, '
-    'residuals), or of its prediction (margin, prediction, animation).'
-)
 EXAMPLES = (
     ('bellows plot motion bags/identification --params bags/package.yaml --out motion.png',
      'tool and package on all axes against time'),

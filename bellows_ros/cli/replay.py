@@ -1,4 +1,10 @@
-"""`bellows replay`: predict a recording with a cup, and report how well it does."""
+"""
+Predict a recording with a cup, from start to end, from the motion of the tool alone.
+
+Report the error of the package on each axis, the part due to measurement noise, whether the
+residual is white, and the error of the live predictor on the recorded messages. Use a recording
+that the cup was not identified from.
+"""
 
 import argparse
 from collections.abc import Iterator, Mapping
@@ -11,12 +17,6 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.observe import Observed
     from bellows_ros.workflows.replay import Replay
 
-DESCRIPTION = (
-    'Predict a recording with a cup, from start to end, from the motion of the tool alone. '
-    'Report the error of the package on each axis, the part due to measurement noise, whether '
-    'the residual is white, and the error of the live predictor on the recorded messages. Use a '
-    'recording that the cup was not identified from.'
-)
 EXAMPLES = (
     ('bellows replay bags/validation --params cup.yaml',
      'check the cup identified before'),

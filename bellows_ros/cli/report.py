@@ -1,4 +1,10 @@
-"""`bellows report`: write a page with plots of an existing fit."""
+"""
+Write a page on a fit: one HTML file that needs no network.
+
+It shows the cup with its intervals, measured and simulated motion, residuals and their spectra,
+excitation, lost samples, and the provenance of all numbers. The recordings of the fit are read
+again.
+"""
 
 import argparse
 from pathlib import Path
@@ -8,11 +14,6 @@ from bellows_ros.errors import BellowsError
 from . import options
 from .console import Console, OK
 
-DESCRIPTION = (
-    'Write one HTML file that needs no network: the cup with its intervals, measured and '
-    'simulated motion, residuals and their spectra, excitation, lost samples, and the '
-    'provenance of all numbers. The recordings of the fit are read again.'
-)
 EXAMPLES = (
     ('bellows report fit.json --out report.html', 'a page on a fit written with --json fit.json'),
     ('bellows report fit.json --validation bags/validation --out report.html',

@@ -1,4 +1,8 @@
-"""`bellows simulate`: simulate a recording of a known cup."""
+"""
+Simulate a package held by a known cup while the tool moves.
+
+Write what a robot driver and a tracking system would record, with noise, outliers and dropouts.
+"""
 
 import argparse
 from collections import Counter
@@ -12,10 +16,6 @@ from .console import Console, many, OK
 if TYPE_CHECKING:
     from bellows_ros.workflows.simulate import SimulationReport
 
-DESCRIPTION = (
-    'Simulate a package held by a known cup while the tool moves, and write what a robot driver '
-    'and a tracking system would record, with noise, outliers and dropouts.'
-)
 EXAMPLES = (
     ('bellows simulate --params bags/cup.yaml --motion bags/static.yaml --out recording',
      'a recording of a cup and a motion from files'),

@@ -1,4 +1,10 @@
-"""`bellows static`: find the cup's nominal length, and check its spring alone."""
+"""
+Find the standstills in recordings.
+
+From two or more known masses held vertically, find the cup's nominal length: its length without
+load. With a stiffness in the parameter file, check in every pose whether the package hangs where
+the spring model predicts.
+"""
 
 import argparse
 import math
@@ -16,11 +22,6 @@ if TYPE_CHECKING:
     from bellows_ros.core.parameters import Value
     from bellows_ros.workflows.static import StaticBag, StaticResult
 
-DESCRIPTION = (
-    'Find the standstills in recordings. From two or more known masses held vertically, find '
-    "the cup's nominal length: its length without load. With a stiffness in the parameter file, "
-    'check in every pose whether the package hangs where the spring model predicts.'
-)
 EXAMPLES = (
     ('bellows static m05 m10 m15 m20 --params my_cell.yaml \\\n'
      '      --mass 0.5 --mass 1.0 --mass 1.5 --mass 2.0 --out my_cell_l0.yaml',

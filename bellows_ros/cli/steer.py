@@ -1,4 +1,9 @@
-"""`bellows steer`: change a motion of the tool so that the package does not swing."""
+"""
+Change a planned motion of the tool so that the package does not swing.
+
+The inverse moves the package as planned, in no more time. ZV and ZVD shape the motion; they take
+longer and are less sensitive to errors in cup and package.
+"""
 
 import argparse
 from collections.abc import Mapping
@@ -12,11 +17,6 @@ from .planned import add_plan_options, carry_out
 if TYPE_CHECKING:
     from bellows_ros.workflows.steer import SteerReport
 
-DESCRIPTION = (
-    'Change a planned motion of the tool so that the package does not swing. The inverse moves '
-    'the package as planned, in no more time. ZV and ZVD shape the motion; they take longer and '
-    'are less sensitive to errors in cup and package.'
-)
 EXAMPLES = (
     ('bellows steer bags/transport.yaml --method inverse --params bags/tossing.yaml --out steered',
      'the tool motion with which the package moves as planned'),

@@ -1,4 +1,9 @@
-"""`bellows structures`: report what is identifiable from recordings, and recommend a structure."""
+"""
+Report, before a fit, what of K and P is identifiable, and which motion is missing.
+
+Then compare the structures of K and P (fit.structure) by AIC, BIC and the held-out error: how well
+a cup fitted without a part of the recordings simulates that part. Recommend one.
+"""
 
 import argparse
 import math
@@ -10,12 +15,6 @@ from .console import Console, NOT_USABLE, OK
 if TYPE_CHECKING:
     from bellows_ros.workflows.structures import StructureAdvice
 
-DESCRIPTION = (
-    "Report, before a fit, which parts of a cup's stiffness and damping are identifiable, and "
-    'which motion is missing. Then compare the structures of K and P (fit.structure) by AIC, '
-    'BIC and the held-out error: how well a cup fitted without a part of the recordings '
-    'simulates that part. Recommend one.'
-)
 EXAMPLES = (
     ('bellows structures bags/identification --params bags/package.yaml',
      'what is identifiable from a recording, and which fit.structure to take'),

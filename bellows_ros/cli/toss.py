@@ -1,4 +1,9 @@
-"""`bellows toss`: where a planned toss lands, and what limits its accuracy."""
+"""
+Predict a toss: the valve is switched, the cup lets go, the package flies and lands.
+
+Report the uncertainty of the landing and the largest contribution to it; or find the time of
+release for a target.
+"""
 
 import argparse
 from collections.abc import Mapping
@@ -13,11 +18,6 @@ from .planned import add_plan_options, carry_out
 if TYPE_CHECKING:
     from bellows_ros.workflows.toss import Share, TossResult
 
-DESCRIPTION = (
-    'Predict a toss: the valve is switched at a time of the plan, the cup lets go, the package '
-    'flies and lands. Report the uncertainty of the landing and the largest contribution to it; '
-    'or find the time of release for a target.'
-)
 EXAMPLES = (
     ('bellows toss bags/throw.yaml --params bags/tossing.yaml --release 3.0',
      'the landing if the valve is switched 3.0 s after the beginning of the plan'),

@@ -1,4 +1,9 @@
-"""`bellows view`: show a replay in the viewer Rerun."""
+"""
+Replay a recording and show it in the viewer Rerun, or write a file for the viewer.
+
+It shows tool, cup and package (predicted, and measured as an outline), the deflection of the cup,
+and the errors. Needs no RViz; needs the extra view.
+"""
 
 import argparse
 
@@ -7,11 +12,6 @@ from bellows_ros.errors import BellowsError
 from . import options
 from .console import Console, OK
 
-DESCRIPTION = (
-    'Replay a recording and show it in the viewer Rerun, or write a file for the viewer: tool, '
-    'cup and package (predicted, and measured as an outline), the deflection of the cup, and '
-    'the errors. Needs no RViz; needs the extra view.'
-)
 EXAMPLES = (
     ('bellows view bags/validation --params cup.yaml', 'open the viewer'),
     ('bellows view bags/validation --params cup.yaml --out replay.rrd',

@@ -11,7 +11,7 @@ import importlib
 from pathlib import Path
 import re
 
-from bellows_ros.cli.app import COMMANDS
+from bellows_ros.cli.app import command_parser, COMMANDS
 from bellows_ros.cli.console import EXIT_CODES
 from bellows_ros.core.parameters import Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
@@ -129,11 +129,9 @@ def commands() -> Iterator[str]:
                 'parameters in bash.', '')
     for name, text in COMMANDS.items():
         module = importlib.import_module(f'bellows_ros.cli.{name}')
-        parser = argparse.ArgumentParser(add_help=False)
-        module.add_arguments(parser)
         yield from (f'## bellows {name}', '', f'{text[0].upper()}{text[1:]}.', '',
-                    module.DESCRIPTION, '')
-        rows = [_argument(action) for action in parser._actions]
+                    ' '.join(str(module.__doc__).split()), '')
+        rows = [_argument(action) for action in command_parser(name)._actions[1:]]  # not --help
         if rows:
             yield from ('| argument | meaning |', '|---|---|', *rows, '')
         for line, what in module.EXAMPLES:

@@ -1,6 +1,5 @@
 """What holds for all commands: help, versions, exit codes, streams, start-up."""
 
-import importlib
 import os
 from pathlib import Path
 import signal
@@ -8,7 +7,7 @@ import subprocess
 import sys
 
 import bellows_ros
-from bellows_ros.cli.app import _command_parser, COMMANDS
+from bellows_ros.cli.app import command_parser, COMMANDS
 import pytest
 
 from .conftest import contents, MOTION, Run, write_yaml
@@ -64,8 +63,7 @@ READ_RECORDINGS = ('convert', 'excite', 'identify', 'info', 'plan', 'play', 'plo
 @pytest.mark.parametrize('name', READ_RECORDINGS)
 def test_every_command_that_reads_recordings_takes_a_part(name: str) -> None:
     """Have --from and --to."""
-    module = importlib.import_module(f'bellows_ros.cli.{name}')
-    options = _command_parser(name, module).format_help()
+    options = command_parser(name).format_help()
     assert '--from S' in options and '--to S' in options
 
 
