@@ -9,25 +9,28 @@ import tempfile
 import time
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.cli.console import Console, INTERRUPTED, NOT_USABLE, OK
+from bellows_ros.cli.console import Console, INTERRUPTED, NOT_USABLE, OK, percent
+from bellows_ros.cli.identify import cup_table
+from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.live.replay import compare_recorded
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.residuals import AXES, Comparison, Scores
+from bellows_ros.core.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
 from bellows_ros.files import safe_yaml
+from bellows_ros.files.bags import read_messages
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.plots.prediction import prediction_figure
 from bellows_ros.plots.style import write_figure
-from bellows_ros.workflows.identification import Identification, save
+from bellows_ros.workflows.identification import save
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.recordings import load as load_recording
 import numpy as np
 
 from .domain import isolate
 from .predictor_process import predictor
-from .summary import Outcome, summary
 
 if TYPE_CHECKING:
     from bellows_ros.nodes.demo_player import Exchange
@@ -39,6 +42,7 @@ NEEDS = {
 IDENTIFICATION, VALIDATION = 'identification', 'validation'
 KNOWN = 'package.yaml'
 MOTION = f'{VALIDATION}.yaml'
+MILLI, MICRO = 1e3, 1e6
 PICTURES = {'light': 'demo.png', 'dark': 'demo_dark.png'}
 
 Settings = Mapping[str, Any]
@@ -49,8 +53,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the demonstration and return the exit code; 0 only if all went well."""
     parser = argparse.ArgumentParser(
         prog='python -m bellows_ros.demo',
-        description='Identify a cup from one recording, predict another one live over DDS with '
-        'the node predictor, and compare with what was measured.',
+        description='Identify a cup, predict another recording live over DDS, and compare.',
     )
     parser.add_argument(
         '--bags', metavar='FOLDER', type=Path, default=Path('bags'),
@@ -82,22 +85,32 @@ def run(bags: Path, out: Path, console: Console) -> int:
         raise BellowsError(
             f"Output folder '{out}' cannot be made: {error.strerror}. Give another with --out."
         ) from None
-    known = read_parameters(bags / KNOWN)
-    found = _identify(bags / IDENTIFICATION, known, out, console)
+    known, bag = read_parameters(bags / KNOWN), bags / IDENTIFICATION
+    console.say(f'1. Identify the cup from {bag}', 'bold')
+    with console.progress() as progress:
+        found = identify(resolve({**known, 'bags': [str(bag)]}, PACKAGE_PARAMETERS), progress)
     if not found.fit.usable:
         for warning in found.fit.warnings:
             console.warn(warning)
         return NOT_USABLE
+    save(found, out / 'cup.yaml', out / 'fit.json')
     settings = resolve({**known, **found.parameters()}, PACKAGE_PARAMETERS)
-    outcome = _predict_and_compare(bags, settings, found, out, console)
-    console.say()
-    for line in summary(outcome):
-        console.say(line)
+    bag, motion = bags / VALIDATION, bags / MOTION
+    console.say(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
+    recorded = load_recording(bag, settings)
+    with console.progress() as progress:
+        exchange = _predict_live(bag, settings, out, progress)
+    console.say('3. Compare its poses with the measured ones', 'bold')
+    comparison = compare_recorded(
+        exchange.predicted, recorded.measured_tool, recorded.measured_package)
+    _draw(recorded, comparison, out)
+    noise = safe_yaml.load(motion).get('package', {}).get('noise', {}) if motion.exists() else {}
+    lost = _say(found.fit, comparison.scores, exchange, noise, console)
     console.say()
     names = [*PICTURES.values(), 'cup.yaml', 'fit.json']
     console.say(f'Wrote {", ".join(names)} to {out}, after {time.monotonic() - start:.0f} s.')
     console.say('Next, look at a recording of yours: bellows info BAG')
-    return OK if outcome.lost == 0 else NOT_USABLE
+    return NOT_USABLE if lost else OK
 
 
 def _require_all(bags: Path) -> None:
@@ -113,44 +126,9 @@ def _require_all(bags: Path) -> None:
             )
 
 
-def _identify(bag: Path, known: Settings, out: Path, console: Console) -> Identification:
-    """Identify the cup, and write its file."""
-    console.say(f'1. Identify the cup from {bag}', 'bold')
-    settings = resolve({**known, 'bags': [str(bag)]}, PACKAGE_PARAMETERS)
-    with console.progress() as progress:
-        found = identify(settings, progress)
-    if found.fit.usable:
-        save(found, out / 'cup.yaml', out / 'fit.json')
-    return found
-
-
-def _predict_and_compare(
-    bags: Path, settings: Settings, found: Identification, out: Path, console: Console
-) -> Outcome:
-    """Play the other recording to the node, compare its predictions, and draw them."""
-    bag = bags / VALIDATION
-    console.say(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
-    recorded = load_recording(bag, settings)
-    with console.progress() as progress:
-        exchange = _predict_live(recorded, out, progress)
-    console.say('3. Compare its poses with the measured ones', 'bold')
-    if not len(exchange.stamps_ns):
-        raise BellowsError('The predictor did not answer. See its log, predictor.log.')
-    stamps, first = np.unique(exchange.stamps_ns, return_index=True)
-    live = Trajectory(stamps, exchange.position[first], exchange.rotation[first])
-    comparison = compare_recorded(live, recorded.measured_tool, recorded.measured_package)
-    seconds = recorded.since_start(comparison.stamps_ns)
-    title = 'Package: predicted live, and measured'
-    note = 'relative to the tool; the cup was identified from another recording'
-    for theme, name in PICTURES.items():
-        write_figure(out / name, prediction_figure(seconds, comparison, title, note, theme))
-    duration = float(np.ptp(recorded.tool_pose.stamps_ns)) / NS_PER_S
-    motion = bags / MOTION
-    noise = safe_yaml.load(motion).get('package', {}).get('noise', {}) if motion.exists() else {}
-    return Outcome(found.fit, comparison.scores, exchange, duration, noise)
-
-
-def _predict_live(recorded: Recording, out: Path, progress: Progress) -> 'Exchange':
+def _predict_live(
+    bag: Path, settings: Settings, out: Path, progress: Progress
+) -> 'Exchange':
     """
     Play a recording's tool-arm messages to the node predictor at recorded speed.
 
@@ -158,8 +136,51 @@ def _predict_live(recorded: Recording, out: Path, progress: Progress) -> 'Exchan
     """
     with tempfile.TemporaryDirectory(prefix='bellows_log_') as logs:
         isolate(logs)
-        from bellows_ros.nodes.demo_player import Player
+        from bellows_ros.nodes.demo_player import converse, POSES, TWISTS
 
+        names = {settings['topics.tool_pose']: POSES, settings['topics.tool_twist']: TWISTS}
+        messages, _ = read_messages(bag, names)
         with predictor(out / 'cup.yaml', out / 'predictor.log') as require_alive:
-            player = Player(recorded.tool_pose, recorded.tool_twist, require_alive)
-            return player.play(progress)
+            return converse(messages, names, require_alive, progress)
+
+
+def _draw(recorded: Recording, comparison: Comparison, out: Path) -> None:
+    """Draw measured and predicted poses, in both themes."""
+    seconds = recorded.since_start(comparison.stamps_ns)
+    title = 'Package: predicted live, and measured'
+    note = 'relative to the tool; the cup was identified from another recording'
+    for theme, name in PICTURES.items():
+        write_figure(out / name, prediction_figure(seconds, comparison, title, note, theme))
+
+
+def _say(
+    fit: Fit, scores: Scores, exchange: 'Exchange', noise: Mapping[str, float], console: Console
+) -> int:
+    """Print the cup, the errors, the latency and the messages; return how many were lost."""
+    console.say()
+    console.say('The cup, with standard errors:')
+    for line in cup_table(fit):
+        console.say(f'  {line}'.rstrip())
+    console.say()
+    console.say('The package relative to the tool, predicted live minus measured (RMS):')
+    rows = [('axis', 'error', 'of the motion', 'axis', 'error', 'of the motion')]
+    rms, nrmse = scores.rms * MILLI, scores.nrmse
+    for i in range(3):
+        rows.append((
+            AXES[i], f'{rms[i]:.3f} mm', percent(nrmse[i]),
+            f'  {AXES[i + 3]}', f'{rms[i + 3]:.3f} mrad', percent(nrmse[i + 3])))
+    console.table(rows, right=True)
+    if noise:
+        position, rotation = (noise.get(part, 0.0) * MILLI for part in ('position', 'rotation'))
+        console.say(
+            f'  (the measured poses themselves have noise: {position:g} mm, {rotation:g} mrad)')
+    console.say()
+    median, high = np.percentile(exchange.latency, (50, 99)) * MICRO
+    console.say(f'Latency, from sending a pose to receiving its prediction: p50 {median:.0f} us, '
+                f'p99 {high:.0f} us')
+    poses, twists = (exchange.sent[name] for name in ('tool_arm/pose', 'tool_arm/twist'))
+    answers = exchange.predicted.stamps_ns
+    lost = poses - len(answers)
+    console.say(f'Messages in {np.ptp(answers) / NS_PER_S:.0f} s: {poses} poses and {twists} '
+                f'twists to the node, {len(answers)} predictions back, {lost or "none"} lost')
+    return lost

@@ -1,19 +1,19 @@
 """Play a recording's tool-arm messages to a running predictor, and keep its answers."""
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 import time
 
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
-from bellows_ros.core.trajectory import PoseStream, TwistStream
+from bellows_ros.core.arrays import Array
+from bellows_ros.core.lie import quaternion_to_rotation
+from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_folder import Message, Topic
-from bellows_ros.files.messages import decode, encode, LAYOUTS
+from bellows_ros.files.bag_folder import Message
+from bellows_ros.files.messages import decode, LAYOUTS
 from geometry_msgs.msg import PoseStamped
 import numpy as np
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
@@ -31,8 +31,7 @@ ANSWER_TIMEOUT = 5.0
 PROBE_LEAD_NS = 3_600_000_000_000
 """Probes are stamped an hour before the recording, so that they can be recognised."""
 
-TWISTS = Topic('tool_arm/twist', 'geometry_msgs/msg/TwistStamped', 'cdr')
-POSES = Topic('tool_arm/pose', 'geometry_msgs/msg/PoseStamped', 'cdr')
+POSES, TWISTS = 'tool_arm/pose', 'tool_arm/twist'
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,115 +41,59 @@ class Exchange:
 
     Parameters
     ----------
-    sent_poses, sent_twists : int
-    stamps_ns : int array (N,)
-        Stamps of the predictions, in the order in which they came.
-    position : array (N, 3)
-        Predicted origin of B in the world, m.
-    rotation : array (N, 3, 3)
-        Predicted R_world_B.
+    sent : mapping of str to int
+        How many on `POSES` and `TWISTS`.
+    predicted : Trajectory
+        Of the package B in the world, by the stamps that were answered.
     latency : array (N,)
         From the moment before the tool's pose was handed to ROS until the prediction was here, s.
 
     """
 
-    sent_poses: int
-    sent_twists: int
-    stamps_ns: Stamps
-    position: Array
-    rotation: Array
+    sent: Mapping[str, int]
+    predicted: Trajectory
     latency: Array
 
 
-class Player:
+def converse(
+    messages: Sequence[Message], names: Mapping[str, str], require_alive: Callable[[], None],
+    say: Say = lambda stage, fraction: None,
+) -> Exchange:
     """
-    A partner of the predictor: sends the tool arm's messages, receives the package's poses.
+    Wait for the predictor, play at recorded speed, and wait for its last answer.
+
+    The first answer to a probe shows that messages go all the way. Twists are announced before
+    poses, and announcements arrive in order: then the predictor has heard of both. The reset
+    makes it forget the probes.
 
     Parameters
     ----------
-    poses : PoseStream
-        Of the tool.
-    twists : TwistStream or None
-        Of the tool.
-    alive : callable
+    messages : sequence of Message
+        Poses and twists of the tool in the order they were recorded in.
+    names : mapping of str to str
+        `POSES` or `TWISTS`, by the topic of a message.
+    require_alive : callable
         Raises BellowsError when the predictor has ended; asked while it is waited for.
+    say : callable
+        As `send_all` takes it.
+
+    Raises
+    ------
+    BellowsError
+        If the predictor ends, does not appear or does not answer.
 
     """
+    sent_ns: dict[bytes, int] = {}
+    answers: list[tuple[int, bytes]] = []
+    to_probes: list[tuple[int, bytes]] = []
+    firsts = {names[message.topic.name]: message for message in reversed(messages)}
 
-    def __init__(
-        self, poses: PoseStream, twists: TwistStream | None, alive: Callable[[], None]
+    def wait(
+        timeout: float, failure: str, done: Callable[[], bool],
+        meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
-        """Encode all messages, so that nothing but sending is left for later."""
-        self._alive = alive
-        rows = np.hstack([poses.position, rotation_to_quaternion(poses.rotation)])
-        self._poses = _messages(POSES, poses.stamps_ns, rows, poses.frame_id)
-        self._twists = [] if twists is None else _messages(
-            TWISTS, twists.stamps_ns, np.hstack([twists.linear, twists.angular]), twists.frame_id)
-        self._sent_ns: dict[bytes, int] = {}
-        self._received: list[tuple[int, bytes]] = []
-        self._is_answered = False
-
-    def play(self, say: Say = lambda stage, fraction: None) -> Exchange:
-        """
-        Wait for the predictor, play at recorded speed, and wait for its last answer.
-
-        Raises
-        ------
-        BellowsError
-            If the predictor ends, does not appear or does not answer.
-
-        """
-        messages = sorted([*self._poses, *self._twists], key=lambda m: m.log_time_ns)  # stable
-        with playing('demo_player') as (node, executor):
-            self._connect(node, executor)
-            send_all(executor, messages, self._send, say)
-            spin_until(
-                executor, lambda: len(self._received) >= len(self._sent_ns), ANSWER_TIMEOUT)
-        answers = decode(
-            [data for _, data in self._received], LAYOUTS[POSES.type_name], slice(0, 7))
-        latency = [came_ns - self._sent_ns[data[STAMP]] for came_ns, data in self._received]
-        return Exchange(
-            len(self._poses), len(self._twists), answers.stamps_ns, answers.values[:, :3],
-            quaternion_to_rotation(answers.values[:, 3:]), 1e-9 * np.array(latency))
-
-    def _connect(self, node: Node, executor: SingleThreadedExecutor) -> None:
-        """
-        Make the topics and wait until the predictor listens to both and has answered.
-
-        The first answer to a probe shows that messages go all the way. Twists are announced
-        before poses, and announcements arrive in order: then it has heard of both. The reset
-        makes it forget the probes.
-        """
-        qos = QoSProfile(depth=QUEUE)
-        node.create_subscription(PoseStamped, 'package/pose', self._receive, qos, raw=True)
-        self._out = {topic: publisher(node, topic, topic.name, qos) for topic in (TWISTS, POSES)}
-        reset = node.create_client(Trigger, 'predictor/reset')
-        firsts = [*self._twists[:1], *self._poses[:1]]
-        self._wait(
-            executor, DISCOVERY_TIMEOUT, 'does not appear',
-            lambda: reset.service_is_ready()
-            and all(self._out[m.topic].get_subscription_count() for m in firsts))
-        probed_ns = firsts[-1].log_time_ns - PROBE_LEAD_NS
-
-        def probe() -> None:
-            """Send the first twist and pose with the next stamp from long ago."""
-            nonlocal probed_ns
-            probed_ns += round(LOOK_EVERY * 1e9)
-            for message in firsts:
-                self._out[message.topic].publish(stamped(message.data, lambda _: probed_ns))
-
-        self._wait(
-            executor, ANSWER_TIMEOUT, 'does not answer', lambda: self._is_answered, probe)
-        future = reset.call_async(Trigger.Request())
-        self._wait(executor, ANSWER_TIMEOUT, 'does not answer its reset', future.done)
-
-    def _wait(
-        self, executor: SingleThreadedExecutor, timeout: float, failure: str,
-        done: Callable[[], bool], meanwhile: Callable[[], None] = lambda: None,
-    ) -> None:
-        """Receive until something is done; raise BellowsError when it takes too long."""
         def is_done() -> bool:
-            self._alive()
+            require_alive()
             return done()
 
         if not spin_until(executor, is_done, timeout, meanwhile):
@@ -158,21 +101,42 @@ class Player:
                 f'The predictor {failure} ({timeout:g} s waited). See its log, and whether '
                 'DDS may use the loopback interface of this machine.')
 
-    def _send(self, message: Message) -> None:
-        """Send a message; note when each pose was sent."""
-        if message.topic == POSES:
-            self._sent_ns[message.data[STAMP]] = time.monotonic_ns()
-        self._out[message.topic].publish(message.data)
+    def send(message: Message) -> None:
+        name = names[message.topic.name]
+        if name == POSES:
+            sent_ns[message.data[STAMP]] = time.monotonic_ns()
+        out[name].publish(message.data)
 
-    def _receive(self, data: bytes) -> None:
-        """Keep a prediction and when it came, unless it answers a probe, however late."""
+    def receive(data: bytes) -> None:
         came_ns = time.monotonic_ns()
-        self._is_answered = True
-        if data[STAMP] in self._sent_ns:
-            self._received.append((came_ns, data))
+        (answers if data[STAMP] in sent_ns else to_probes).append((came_ns, data))
 
+    def probe() -> None:
+        stamp_ns = next(stamps)
+        for name, message in firsts.items():
+            out[name].publish(stamped(message.data, lambda _: stamp_ns))
 
-def _messages(topic: Topic, stamps_ns: Stamps, values: Array, frame_id: str) -> Sequence[Message]:
-    """Return a stream's messages as ROS sends them."""
-    encoded = encode(stamps_ns, values, [frame_id], LAYOUTS[topic.type_name])
-    return [Message(topic, *each) for each in zip(stamps_ns.tolist(), encoded, strict=True)]
+    with playing('demo_player') as (node, executor):
+        qos = QoSProfile(depth=QUEUE)
+        node.create_subscription(PoseStamped, 'package/pose', receive, qos, raw=True)
+        out = {name: publisher(node, firsts[name].topic, name, qos)
+               for name in (TWISTS, POSES) if name in firsts}
+        reset = node.create_client(Trigger, 'predictor/reset')
+        wait(DISCOVERY_TIMEOUT, 'does not appear', lambda: reset.service_is_ready() and all(
+            topic.get_subscription_count() for topic in out.values()))
+        stamps = count(messages[0].log_time_ns - PROBE_LEAD_NS, round(LOOK_EVERY * 1e9))
+        wait(ANSWER_TIMEOUT, 'does not answer', lambda: bool(to_probes), probe)
+        future = reset.call_async(Trigger.Request())
+        wait(ANSWER_TIMEOUT, 'does not answer its reset', future.done)
+        send_all(executor, messages, send, say)
+        spin_until(executor, lambda: len(answers) >= len(sent_ns), ANSWER_TIMEOUT)
+    if not answers:
+        raise BellowsError('The predictor did not answer. See its log.')
+    found = decode(
+        [data for _, data in answers], LAYOUTS['geometry_msgs/msg/PoseStamped'], slice(0, 7))
+    stamps_ns, first = np.unique(found.stamps_ns, return_index=True)
+    values = found.values[first]
+    return Exchange(
+        Counter(names[message.topic.name] for message in messages),
+        Trajectory(stamps_ns, values[:, :3], quaternion_to_rotation(values[:, 3:])),
+        1e-9 * np.array([came_ns - sent_ns[data[STAMP]] for came_ns, data in answers]))

@@ -4,10 +4,11 @@ from collections.abc import Iterator
 from threading import Event, Thread
 from typing import Any
 
-from bellows_ros.core.trajectory import PoseStream
+from bellows_ros.files.bag_folder import Message, Topic
+from bellows_ros.files.messages import encode, LAYOUTS
 from bellows_ros.nodes import demo_player
 from bellows_ros.nodes.conversions import stamp_to_ns
-from bellows_ros.nodes.demo_player import Player
+from bellows_ros.nodes.demo_player import converse, POSES
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
@@ -72,9 +73,11 @@ def test_late_answers_to_probes_are_no_predictions(
     """Wait for the answers to the recording, however many to probes come during it."""
     monkeypatch.setattr(demo_player, 'ANSWER_TIMEOUT', 60.0)
     stamps = START + 20 * MS * np.arange(COUNT)
-    poses = PoseStream(
-        'tool', 'world', stamps, np.zeros((COUNT, 3)), np.tile(np.eye(3), (COUNT, 1, 1)))
-    exchange = Player(poses, None, lambda: None).play()
+    topic = Topic('/arm', 'geometry_msgs/msg/PoseStamped', 'cdr')
+    rows = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (COUNT, 1))
+    poses = [Message(topic, *each) for each in zip(
+        stamps.tolist(), encode(stamps, rows, ['world'], LAYOUTS[topic.type_name]), strict=True)]
+    exchange = converse(poses, {'/arm': POSES}, lambda: None)
 
-    assert_array_equal(exchange.stamps_ns, stamps)
-    assert exchange.sent_poses == COUNT and (exchange.latency > 0.0).all()
+    assert_array_equal(exchange.predicted.stamps_ns, stamps)
+    assert exchange.sent == {POSES: COUNT} and (exchange.latency > 0.0).all()
