@@ -135,14 +135,16 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
     if given:
         raise BellowsError(f'--release cannot be combined with {", ".join(given)}. Leave it out.')
     from bellows_ros.files.parameter_files import write_parameters
+    from bellows_ros.files.results import provenance
     from bellows_ros.workflows.release import identify_release
 
     with console.progress() as progress:
-        result = identify_release(settings, progress, arguments.params)
+        result = identify_release(settings, progress)
     with uninterrupted():
         if arguments.out:
             write_parameters(arguments.out, result.parameters())
-        options.put_json(str(arguments.json), result.as_json())
+        options.put_json(str(arguments.json), {
+            **result.as_json(), 'provenance': provenance(result.bags, arguments.params)})
     options.warn_of_thesis_cup(settings, console)
     _say_release(result, console)
     console.wrote(arguments.out, arguments.json)

@@ -1,6 +1,6 @@
 """Identify a valve from recordings of tosses: delay, tau, blow-off, and their scatter."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import math
 import os
@@ -17,7 +17,6 @@ from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.errors import UndeterminedError
 from bellows_ros.files.bags import messages_of
 from bellows_ros.files.messages import BOOL, decode_bool
-from bellows_ros.files.results import provenance
 from bellows_ros.workflows.identify import resolved
 from bellows_ros.workflows.recordings import load, values_of_each
 from bellows_ros.workflows.result_json import with_units
@@ -51,8 +50,6 @@ class ReleaseResult:
         Why others were not.
     values : mapping
         All parameters.
-    parameter_files : tuple of path
-        Files that they are from.
 
     """
 
@@ -61,7 +58,6 @@ class ReleaseResult:
     tosses: tuple[tuple[str, LettingGo], ...]
     left_out: tuple[str, ...]
     values: Mapping[str, Any]
-    parameter_files: tuple[str | os.PathLike[str], ...] = ()
 
     @property
     def speed(self) -> float:
@@ -109,15 +105,13 @@ class ReleaseResult:
             'tosses': [{'bag': bag, **vars(toss)} for bag, toss in self.tosses],
             'left_out': self.left_out,
             'warnings': self.warnings,
-            'settings': dict(self.values),
-            'provenance': provenance(self.bags, self.parameter_files),
+            'settings': self.values,
         })
 
 
 def identify_release(
     settings: Mapping[str, object],
     progress: Callable[[str, float], None] = lambda what, part: None,
-    parameter_files: Sequence[str | os.PathLike[str]] = (),
 ) -> ReleaseResult:
     """
     Identify the valve from the tosses in the recordings that the parameter `bags` names.
@@ -128,8 +122,6 @@ def identify_release(
         Parameters by name; cup and package are known.
     progress : callable
         Called with what is being done and the part (0 to 1) that is done.
-    parameter_files : sequence of path
-        Files that the settings are from, for the provenance.
 
     Raises
     ------
@@ -153,18 +145,16 @@ def identify_release(
     except UndeterminedError as error:
         reasons = (f'Left out: {text}.' for text in left_out)
         raise UndeterminedError(' '.join([str(error), *reasons])) from None
-    return ReleaseResult(
-        fit, bags, tuple(tosses), tuple(left_out), values, tuple(parameter_files))
+    return ReleaseResult(fit, bags, tuple(tosses), tuple(left_out), values)
 
 
 def _valves(bag: str, values: Mapping[str, Any]) -> list[int] | None:
     """Return when the valve is switched off, ns as received; None without a recording of it."""
     if not values['topics.valve']:
         return None
-    messages = [
-        (log_ns, decode_bool(data))
-        for _, _, log_ns, data in messages_of(bag, (BOOL,), values['topics.valve'])]
-    if not messages:
+    said = sorted(
+        (log_ns, on) for _, _, log_ns, data in messages_of(bag, (BOOL,), values['topics.valve'])
+        if (on := decode_bool(data)) is not None)
+    if not said:
         return None
-    said = sorted((log_ns, on) for log_ns, on in messages if on is not None)
     return [log_ns for k, (log_ns, on) in enumerate(said) if not on and (not k or said[k - 1][1])]

@@ -14,7 +14,7 @@ from bellows_ros.core.identification.statics.static import (
     SpringCheck,
 )
 from bellows_ros.core.model import Cup, cup_of
-from bellows_ros.core.parameters import ESTIMATE, PACKAGE_PARAMETERS, resolve, validate
+from bellows_ros.core.parameters import ESTIMATE, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.settings import Settings
@@ -148,8 +148,7 @@ def read_standstills(values: Mapping[str, Any], tell: Progress) -> StaticResult:
         If a recording is not usable, or static.length asks for one that they do not determine.
 
     """
-    own = zip(values['static.bags'], values_of_static(values), strict=True)
-    found = _read(list(own), values, lambda what, part: tell(what, 0.0))
+    found = _read(static_bags(values), values, lambda what, part: tell(what, 0.0))
     if not values['static.length']:
         return found
     if found.length is None:
@@ -160,11 +159,9 @@ def read_standstills(values: Mapping[str, Any], tell: Progress) -> StaticResult:
 
 
 def static_bags(values: Mapping[str, Any]) -> list[StaticBag]:
-    """Return the recordings of the parameter `static.bags`, each with its package."""
-    return [
-        (os.fspath(bag), {name: own[name] for name in PACKAGE_PARAMETERS})
-        for bag, own in zip(values['static.bags'], values_of_static(values), strict=True)
-    ]
+    """Return the recordings of the parameter `static.bags`, each with its parameters."""
+    return list(zip(
+        map(os.fspath, values['static.bags']), values_of_static(values), strict=True))
 
 
 def static_check(
@@ -194,13 +191,10 @@ def static_check(
     """
     if not bags:
         raise BellowsError('No static recording is given. Name one or more rosbag2 folders.')
-    filled = {'package.inertia': NO_INERTIA, **settings}
-    for name in ('package.mass', 'package.com'):  # need not be there if each has its own
-        if name not in filled and all(name in own for _, own in bags):
-            filled[name] = bags[0][1][name]
-    values: dict[str, Any] = resolve(filled, PACKAGE_PARAMETERS)
-    each = [(bag, {**values, **{name: validate(name, value) for name, value in own.items()}})
-            for bag, own in bags]
+    each: list[StaticBag] = [
+        (bag, resolve({'package.inertia': NO_INERTIA, **settings, **own}, PACKAGE_PARAMETERS))
+        for bag, own in bags]
+    values = each[0][1]
     found = _read(each, values, progress or (lambda what, part: None))
     if found.length is None and 'cup.stiffness' not in settings:
         raise BellowsError(
@@ -220,16 +214,15 @@ def with_spring(found: StaticResult, cup: Cup, gravity: float) -> StaticResult:
 
 
 def _read(
-    each: Sequence[tuple[str | os.PathLike[str], Mapping[str, Any]]], values: Mapping[str, Any],
-    tell: Progress,
+    each: Sequence[StaticBag], values: Mapping[str, Any], tell: Progress
 ) -> StaticResult:
     """Return the result of recordings, each with its parameters; twists do not matter at rest."""
     recordings = []
     for number, (bag, own) in enumerate(each):
-        tell(f'reading {os.fspath(bag)}', number / len(each))
+        tell(f'reading {bag}', number / len(each))
         if own['recording.package_world'] == ESTIMATE:
             raise BellowsError(
-                f"'{os.fspath(bag)}' has only standstills, which do not give "
+                f"'{bag}' has only standstills, which do not give "
                 'recording.package_world. Set its seven numbers: they are in the cup file of an '
                 'identification with a motion.')
         recordings.append(
@@ -263,20 +256,15 @@ def read_list(path: str | os.PathLike[str]) -> list[StaticBag]:
             f"'{file}' must hold recordings: a list of blocks with bag and mass, got "
             f'{type(content).__name__}.'
         )
-    settings = Settings(content)
-    bags = [_listed(block, file.parent) for block in settings.blocks('recordings')]
+    settings, bags = Settings(content), list[StaticBag]()
+    for block in settings.blocks('recordings'):
+        own: dict[str, Any] = {'package.mass': block.number('mass', unit='kg', above=0.0)}
+        if 'com' in block:
+            own['package.com'] = tuple(block.vector('com', 3, unit='m').tolist())
+        bags.append((str(file.parent / block.text('bag')), own))
+        block.done()
     settings.done()
     return bags
-
-
-def _listed(block: Settings, folder: Path) -> StaticBag:
-    """Return one entry of a list."""
-    bag = str(folder / block.text('bag'))
-    own: dict[str, Any] = {'package.mass': block.number('mass', unit='kg', above=0.0)}
-    if 'com' in block:
-        own['package.com'] = tuple(block.vector('com', 3, unit='m').tolist())
-    block.done()
-    return bag, own
 
 
 def save_length(
