@@ -45,6 +45,8 @@ class PoseStream:
     refused : mapping of str to tuple of int
         Reason to the indices, in the recording's order for this topic, of the messages that were
         left out.
+    covariance : array (N, 6, 6), optional
+        Of position (m) and rotation (rad) about axes of the frame, as the messages have it.
 
     Raises
     ------
@@ -60,6 +62,7 @@ class PoseStream:
     position: Array
     rotation: Array
     refused: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    covariance: Array | None = None
 
     def __post_init__(self) -> None:
         """Check and freeze the arrays."""

@@ -216,7 +216,8 @@ def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Co
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     wanted : mapping of role to topic
-        A role ending in 'twist' is read as twists, any other as poses. Topics are those of the
+        A role ending in 'twist' is read as twists, any other as poses, and 'measured' as poses
+        with their covariances where messages have them. Topics are those of the
         recording; a leading '/' may be left out. A role whose topic is '' is left out of the
         result.
 
@@ -355,6 +356,8 @@ class _Collector:
         """Decode the messages collected so far."""
         layout = messages.LAYOUTS[self._type_name]
         part = layout.twist if self._twists else layout.pose
+        if part and self.role == 'measured':
+            part = slice(part.start, part.stop + layout.pose_covariance)
         if self._batch and part:
             self._decoded.append(messages.decode(self._batch, layout, part, self._frames))
             self._batch = []

@@ -9,7 +9,7 @@ What cannot be used is left out of a stream, and counted by reason.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import struct
 from types import MappingProxyType
 
@@ -47,6 +47,8 @@ class Layout:
         Where among the doubles x, y, z and the quaternion (x, y, z, w) are.
     twist : slice or None
         Where among the doubles the linear and the angular velocity are.
+    pose_covariance : int
+        Doubles after the pose that are its covariance.
 
     """
 
@@ -54,6 +56,7 @@ class Layout:
     doubles: int
     pose: slice | None = None
     twist: slice | None = None
+    pose_covariance: int = 0
 
 
 _POSE, _TWIST, _COVARIANCE = 7, 6, 36
@@ -61,12 +64,13 @@ _SECOND = _POSE + _COVARIANCE
 
 LAYOUTS: Mapping[str, Layout] = MappingProxyType({
     'geometry_msgs/msg/PoseStamped': Layout(1, _POSE, pose=slice(0, 7)),
-    'geometry_msgs/msg/PoseWithCovarianceStamped': Layout(1, _SECOND, pose=slice(0, 7)),
+    'geometry_msgs/msg/PoseWithCovarianceStamped': Layout(
+        1, _SECOND, pose=slice(0, 7), pose_covariance=_COVARIANCE),
     'geometry_msgs/msg/TransformStamped': Layout(2, _POSE, pose=slice(0, 7)),
     'geometry_msgs/msg/TwistStamped': Layout(1, _TWIST, twist=slice(0, 6)),
     'nav_msgs/msg/Odometry': Layout(
         2, _SECOND + _TWIST + _COVARIANCE, pose=slice(0, 7),
-        twist=slice(_SECOND, _SECOND + _TWIST)),
+        twist=slice(_SECOND, _SECOND + _TWIST), pose_covariance=_COVARIANCE),
 })
 
 
@@ -303,7 +307,8 @@ def pose_stream(name: str, decoded: Decoded) -> PoseStream:
     name : str
         Topic.
     decoded : Decoded
-        In the recording's order; values are x, y, z and the quaternion (x, y, z, w).
+        In the recording's order; values are x, y, z, the quaternion (x, y, z, w), and the
+        covariance where that is wanted.
 
     Returns
     -------
@@ -312,6 +317,7 @@ def pose_stream(name: str, decoded: Decoded) -> PoseStream:
         first that applies.
 
     """
+    covariance, decoded = decoded.values[:, 7:], replace(decoded, values=decoded.values[:, :7])
     with np.errstate(over='ignore', invalid='ignore'):  # infinite where the square overflows
         norm = np.linalg.norm(decoded.values[:, 3:], axis=1)
     unusable = {
@@ -321,7 +327,8 @@ def pose_stream(name: str, decoded: Decoded) -> PoseStream:
     used, frame_id, refused = _sift(decoded, decoded.values[:, :3], unusable)
     return PoseStream(
         name, frame_id, decoded.stamps_ns[used], decoded.values[used, :3],
-        _rotations(decoded.values[used, 3:]), refused)
+        _rotations(decoded.values[used, 3:]), refused,
+        covariance[used].reshape(-1, 6, 6) if covariance.size else None)
 
 
 def twist_stream(name: str, decoded: Decoded, in_child_frame: bool) -> TwistStream:

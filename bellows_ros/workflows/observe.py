@@ -11,14 +11,18 @@ from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
 from bellows_ros.core.model import cup_of, package_of
 from bellows_ros.core.observer import Alarm, Observer, Payload
-from bellows_ros.core.recording.alignment import in_world, world_rotation
-from bellows_ros.core.recording.package_world import in_tool_world, pose_of
+from bellows_ros.core.parameters import pose_text
+from bellows_ros.core.recording.alignment import world_rotation
+from bellows_ros.core.recording.package_world import pose_of
 from bellows_ros.core.recording.recording import Recording, require_one_frame
 from bellows_ros.core.residuals import compare, Comparison
 from bellows_ros.core.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams
 import numpy as np
+
+ONE_WORLD = np.array([0.0] * 6 + [1.0])
+"""Pose of the package's world in that of the tool where both are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,22 +136,23 @@ def observed(
     """
     stream = read_streams(bag, {'measured': topic})['measured']
     assert isinstance(stream, PoseStream)
+    found, pose = recording.report.package_world, ONE_WORLD
     if world := values['recording.package_world']:
-        found = recording.report.package_world
-        stream = in_tool_world(stream, found.pose if found else pose_of(world), '')
+        pose = found.pose if found else pose_of(world)
     else:
         require_one_frame(recording.tool_pose, stream)
-    values = {**values, 'recording.package_world': ''}  # as they are brought into one world here
     turn = world_rotation(values['recording.world'], values['gravity.direction'])
-    poses = in_world(stream.trajectory(), turn)
+    q = rotation_to_quaternion(turn @ quaternion_to_rotation(pose[3:]))
+    values = {**values, 'recording.package_world': pose_text(np.append(turn @ pose[:3], q))}
     alone, corrected = (_predictor(values) for _ in range(2))
     observer = Observer(values)
     corrected.observe(observer)
+    covariances = [None] * len(stream) if stream.covariance is None else stream.covariance
     seen = list(zip(
-        poses.stamps_ns.tolist(), map(tuple, poses.position.tolist()),
-        map(tuple, rotation_to_quaternion(poses.rotation).tolist()), strict=True))
+        stream.stamps_ns.tolist(), map(tuple, stream.position.tolist()),
+        map(tuple, rotation_to_quaternion(stream.rotation).tolist()), covariances, strict=True))
     ways = predictions(alone, messages), predictions(corrected, messages, seen=seen)
-    held = _held(observer, poses, recording.measured_package, package_of(values).com)
+    held = _held(observer, stream, recording.measured_package, package_of(values).com)
     package = recording.measured_package
     known = (package.stamps_ns >= held.stamps_ns[0]) & (
         package.stamps_ns <= ways[0].stamps_ns[-1]) & (package.stamps_ns >= ways[0].stamps_ns[0])
@@ -171,7 +176,7 @@ def _predictor(values: Mapping[str, Any]) -> LivePredictor:
         values['tool_twist.frame'])
 
 
-def _held(observer: Observer, poses: Trajectory, at: Trajectory, com: Array) -> Trajectory:
+def _held(observer: Observer, poses: PoseStream, at: Trajectory, com: Array) -> Trajectory:
     """Return the poses of B as they were measured last before each stamp."""
     newest = np.searchsorted(poses.stamps_ns, at.stamps_ns) - 1
     inside = newest >= 0

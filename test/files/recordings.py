@@ -33,7 +33,8 @@ def twist_values(count, seed=1):
     return np.random.default_rng(seed).normal(size=(count, 6))
 
 
-def message(kind, stamp_ns, pose=None, twist=None, frame_id='world', child_frame_id='body'):
+def message(kind, stamp_ns, pose=None, twist=None, frame_id='world', child_frame_id='body',
+            covariance=None):
     """Return the object rosbags makes of a message, and its name."""
     t = TYPES.types
     sec, nanosec = divmod(int(stamp_ns), 10**9)
@@ -43,7 +44,7 @@ def message(kind, stamp_ns, pose=None, twist=None, frame_id='world', child_frame
     def point(name, xyz):
         return t[f'geometry_msgs/msg/{name}'](*(float(x) for x in xyz))
 
-    covariance = np.arange(36.0)
+    covariance = np.arange(36.0) if covariance is None else covariance
     if pose is not None:
         rotation = t['geometry_msgs/msg/Quaternion'](*(float(x) for x in pose[3:]))
         body = t['geometry_msgs/msg/Pose'](

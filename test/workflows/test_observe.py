@@ -1,14 +1,19 @@
 """A recording with a camera: what it adds to the prediction."""
 
 from bellows_ros.core.lie import exp_so3, inverse_transform, rotation_to_quaternion, transform
+from bellows_ros.core.parameters import resolve
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.report.build import replay_report
-from bellows_ros.workflows.replay import replay
+from bellows_ros.workflows.observe import observed
+from bellows_ros.workflows.recordings import load
+from bellows_ros.workflows.replay import replay, tool_messages
 import numpy as np
 import pytest
+
+from ..files.recordings import encoded, POSE_COVARIANCE
 
 NOISE = 2e-3, 1e-2
 ROLES = {'tool': 'tool_arm/pose', 'twist': 'tool_arm/twist', 'package': 'package/pose'}
@@ -126,3 +131,46 @@ def test_poses_of_no_use_are_counted_with_what_to_check(filmed, tmp_path):
     assert 'Check that one clock stamps tool and camera' in early.sentence
     with pytest.raises(BellowsError, match="in frame 'world', those of '/camera/box' in 'cam'"):
         seen('framed', frame_id='cam')
+
+
+def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
+    """Correct by them in whichever axes they come, not by measured.noise, and refuse a bad one."""
+    bag, values = filmed
+    streams = read_streams(bag, {**ROLES, 'camera': 'camera/box'})
+    values = {**values, 'topics.tool_twist': '', 'recording.start': 2.0, 'recording.end': 6.0}
+
+    def seen(name, sizes, T=None, **changes):
+        T = np.eye(4) if T is None else T
+        o, R = T[:3, 3], T[:3, :3]
+        tool, package, camera = (
+            rows(own.position, own.rotation) if role == 'tool' else
+            rows(o + own.position @ R.T, R @ own.rotation)
+            for role, own in streams.items() if role != 'twist')
+        both = np.kron(np.eye(2), R)
+        noise = (both @ np.diag(np.square(sizes)) @ both.T).ravel()
+        stamps = streams['camera'].stamps_ns
+        data = [encoded(POSE_COVARIANCE, ns, row, covariance=noise if i != 100 else np.nan * noise)
+                for i, (ns, row) in enumerate(zip(stamps, camera, strict=True))]
+        write_bag(tmp_path / name, [
+            *(Recorded('/' + ROLES[role], 'geometry_msgs/msg/PoseStamped',
+                       streams[role].stamps_ns, own)
+              for role, own in (('tool', tool), ('package', package))),
+            Encoded('/camera/box', POSE_COVARIANCE, stamps, data)])
+        settings = resolve({**values, **changes})
+        recording = load(tmp_path / name, settings)
+        found = observed(tmp_path / name, recording, tool_messages(recording, settings), settings,
+                         'camera/box')
+        assert found.counts['covariance'] == 1
+        return found.both.scores.rms
+
+    known = np.repeat(NOISE, 3)
+    even = seen('even', known, **{'measured.noise': (1.0, 1.0)})
+    by_values = seen('none', 0.0 * known, **{'measured.noise': NOISE})
+    np.testing.assert_allclose(even, by_values, rtol=1e-9)
+    uneven = seen('uneven', known * [1, 5, 1, 1, 1, 1])
+    assert np.abs(uneven / even - 1.0).max() > 0.05
+    T = transform(exp_so3(np.array([0.1, -0.2, 2.5])), np.array([1.2, -0.7, 0.3]))
+    pose = [*T[:3, 3], *rotation_to_quaternion(T[:3, :3])]
+    apart = seen('apart', known * [1, 5, 1, 1, 1, 1], inverse_transform(T), **{
+        'recording.package_world': ' '.join(map(str, pose))})
+    np.testing.assert_allclose(apart, uneven, rtol=1e-3)

@@ -59,13 +59,13 @@ class Messages:
 def predictions(
     live: LivePredictor, messages: Messages,
     tell: Callable[[str, float], None] = lambda what, part: None,
-    seen: Sequence[tuple[int, Any, Any]] = (),
+    seen: Sequence[tuple[Any, ...]] = (),
 ) -> Trajectory:
     """
     Return the live predictions for messages in order: B in the world with body twists.
 
-    Measured poses of the package (stamp, position, quaternion), in order, are given to it before
-    the first message after their stamp.
+    Measured poses of the package (stamp, position, quaternion, covariance or None), in order, are
+    given to it before the first message after their stamp.
 
     Raises
     ------
@@ -86,8 +86,8 @@ def predictions(
         if number % REPORT_EVERY == 0:
             tell('predicting', number / len(messages))
         while measured and measured[0][0] < stamp_ns:
-            when_ns, position, quaternion_xyzw = measured.popleft()
-            live.on_measured(when_ns, 'world', position, quaternion_xyzw)
+            when_ns, *pose = measured.popleft()
+            live.on_measured(when_ns, 'world', *pose)
         if is_twist:
             keep(live.on_twist(stamp_ns, first, second))
         else:
