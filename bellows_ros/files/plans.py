@@ -79,12 +79,13 @@ def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPl
     try:
         if 'poses' in content:
             return path_points(message)
-        points = content['points']
+        points = content['points'] or []
+        require_count(len(points), 'The plan')
         return multi_dof(message) if 'transforms' in points[0] else joint_plan(message)
     except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
         missing = error.name if isinstance(error, AttributeError) else (
             error.args[0] if isinstance(error, KeyError) else '')
-        why = f"'{missing}' is missing" if missing else str(error)
+        why = f"'{missing}' is missing" if missing else 'a part of it has another form'
         raise BellowsError(
             f"'{name}' holds no plan: {why}. Expected a {MULTI_DOF}, {PATH} or {JOINTS} as 'ros2 "
             "topic echo --once --full-length' prints it, or a motion of 'bellows simulate'."
