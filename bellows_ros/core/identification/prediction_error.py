@@ -291,15 +291,13 @@ MEDIAN_OF_NORMAL = 0.6744897501960817
 
 def certainty(search: Search, found: Found) -> Certainty:
     """Return how sure the end of a search is."""
-    inverse = _inverse(found.information, _signal(search, found))
-    without_one = np.array([
-        change for segment, part in zip(search.segments, found.parts, strict=True)
-        for change in _left_out(found.information, part, segment.period)])
-    claimed = np.diag(inverse @ found.information @ inverse)
-    excess = _excess(without_one @ found.information @ inverse, claimed)
+    directions, signal = _directions(found.information, _signal(search, found))
+    excess = _excess(np.array([
+        directions.T @ gradient for segment, part in zip(search.segments, found.parts, strict=True)
+        for gradient in _left_out(found.information, part, segment.period)]))
     if all(np.all(own.measured.package_noise.ripple <= SMALLEST) for own in search.segments):
         excess = np.maximum(excess, 1.0)  # what is left is no noise: rounding, interpolation
-    covariance = inverse @ found.information @ inverse * np.sqrt(np.outer(excess, excess))
+    covariance = (directions * excess / signal**2) @ directions.T
     r = np.concatenate([part.innovations for part in found.parts])
     degrees = max(len(r) - len(found.theta), 1)
     untrimmed = sum(
@@ -332,35 +330,38 @@ def _signal(search: Search, found: Found) -> Array:
     return total
 
 
-def _inverse(information: Array, signal: Array) -> Array:
-    """Return the inverse of the signal, which is at least a part of the information."""
+def _directions(information: Array, signal: Array) -> tuple[Array, Array]:
+    """
+    Return directions (m, m), uncorrelated and of unit variance by the information.
+
+    With them comes the part of the information on each that is signal (m,).
+    """
     root = np.linalg.cholesky(information)
     part = np.linalg.solve(root, np.linalg.solve(root, signal).T)
     values, vectors = np.linalg.eigh(0.5 * (part + part.T))
-    half = np.linalg.solve(root.T, vectors)
-    return np.asarray((half / np.maximum(values, LEAST_SIGNAL)) @ half.T)
+    return np.linalg.solve(root.T, vectors), np.maximum(values, LEAST_SIGNAL)
 
 
 def _left_out(information: Array, part: Whitened, period: float) -> Iterator[Array]:
-    """Yield the change of the estimates (m,) when each second of a segment is left out."""
+    """Yield the gradient (m,) of each second of a segment, as it is for the fit without it."""
     length = 6 * max(round(CLUSTER / period), 1)
     for first in range(0, len(part.innovations), length):
         J, r = part.jacobian[first:first + length], part.innovations[first:first + length]
         rest = information - LARGEST_LEVERAGE * (J.T @ J)
-        yield np.asarray(np.linalg.solve(rest, J.T @ r), dtype=np.float64)
+        yield np.asarray(information @ np.linalg.solve(rest, J.T @ r), dtype=np.float64)
 
 
-def _excess(influences: Array, variances: Array) -> Array:
+def _excess(influences: Array) -> Array:
     """
-    Return the variance (m,) of the estimates over that of the noise model.
+    Return the variances (m,) along directions over those of the noise model.
 
-    Influences (c, m) are by how much each part of the recordings moves the estimates.
+    Influences (c, m) are by how much each part of the recordings moves the estimates along them,
+    in standard deviations.
     """
     count = len(influences)
     if count < 2:
-        return np.ones(len(variances))
-    own = np.sum(influences**2, axis=0) / variances * count / (count - 1)
-    own = np.maximum(own, LEAST_EXCESS)
+        return np.ones(influences.shape[1])
+    own = np.maximum(np.sum(influences**2, axis=0) * count / (count - 1), LEAST_EXCESS)
     common = float(np.median(own))
     return np.asarray((COMMON * common + count * own) / (COMMON + count))
 

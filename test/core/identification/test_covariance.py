@@ -12,6 +12,7 @@ from bellows_ros.core.trajectory import Trajectory
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import chi2
 
 from .recordings import GRAVITY, PLATE, segments, Shake
 from ..cases import random_cup
@@ -116,26 +117,32 @@ def test_what_is_not_excited_is_infinitely_uncertain():
 
 
 @pytest.mark.parametrize('seed', [
-    0, *(pytest.param(seed, marks=pytest.mark.stress) for seed in range(1, 8))])
+    2, *(pytest.param(seed, marks=pytest.mark.stress) for seed in (0, 1, 3, 4, 5, 6, 7))])
 def test_full_matrices_from_a_diagonal_start(seed):
+    short = seed == 2
     cup = random_cup(np.random.default_rng(40 + seed))
     noise = (0.0, 0.0) if seed == 1 else ((1e-4, 5e-4), (3e-4, 1e-3))[seed % 2]
     recordings = segments(
-        seed, 30.0 if seed else 12.0, tool_noise=noise, package_noise=noise, cup=cup,
-        rate_hz=360.0 if seed else 200.0)
+        seed, 12.0 if short else 30.0, tool_noise=noise, package_noise=noise, cup=cup,
+        rate_hz=200.0 if short else 360.0)
     start = Cup(0.7 * np.diag(np.diag(cup.stiffness)), 1.5 * np.diag(np.diag(cup.damping)),
                 cup.length)
     structure = STRUCTURES['full']
     fit = prediction_error(recordings, structure, start)
     assert fit.converged and fit.usable
     away = np.linalg.norm(fit.stiffness - cup.stiffness) / np.linalg.norm(cup.stiffness)
-    assert away < (0.01 if seed else 0.03)
+    assert away < (0.03 if short else 0.01)
     true = structure.parameters(cup.stiffness, cup.damping)
     known = np.isfinite(np.diag(fit.covariance))
-    z = (structure.parameters(fit.stiffness, fit.damping) - true)[known] / np.sqrt(
-        np.diag(fit.covariance))[known]
+    std = np.sqrt(np.diag(fit.covariance))[known]
+    z = (structure.parameters(fit.stiffness, fit.damping) - true)[known] / std
     assert np.mean(np.abs(z) < 1.96) > 0.83
     assert np.all(np.abs(z) < 5.0)
+    # jointly, too: entries of a full K are correlated by up to 0.9999
+    correlation = fit.covariance[np.ix_(known, known)] / np.outer(std, std)
+    joint = z @ np.linalg.solve(correlation, z)
+    least, most = chi2.ppf([1e-3, 0.999], len(z))
+    assert joint < most and (joint > least or not any(noise))
 
 
 def test_a_search_that_does_not_end_has_no_standard_errors(monkeypatch):
