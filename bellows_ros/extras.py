@@ -1,5 +1,9 @@
 """Messages for missing optional dependencies: the extras of setup.py."""
 
+from importlib.util import find_spec
+
+from bellows_ros.errors import BellowsError
+
 PACKAGES = {
     'ros': "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces",
     'plot': 'matplotlib',
@@ -13,3 +17,10 @@ PACKAGES = {
 def install(extra: str) -> str:
     """Return the command that installs an extra."""
     return f'pip install {PACKAGES[extra]}'
+
+
+def require_pictures() -> None:
+    """Raise BellowsError where matplotlib is missing: before long work, not after it."""
+    if find_spec('matplotlib') is None:
+        raise BellowsError(
+            f'matplotlib is not installed, but pictures need it: {install("plot")}')

@@ -10,7 +10,7 @@ import sys
 ALLOWED = {
     '': {'library'},
     'errors': set(),
-    'extras': set(),
+    'extras': {'errors'},
     'library': {'errors', 'core', 'files', 'workflows'},
     'core': {'errors'},
     'files': {'errors', 'core'},
@@ -18,7 +18,7 @@ ALLOWED = {
     'nodes': {'errors', 'extras', 'core', 'files', 'workflows', 'report'},
     'plots': {'errors', 'extras', 'core', 'files', 'workflows'},
     'report': {'errors', 'core', 'files', 'workflows', 'plots'},
-    'cli': {'errors', 'core', 'files', 'workflows', 'plots', 'report', 'nodes'},
+    'cli': {'errors', 'extras', 'core', 'files', 'workflows', 'plots', 'report', 'nodes'},
     'demo': {
         'errors', 'extras', 'core', 'files', 'workflows', 'nodes', 'cli', 'plots'},
 }

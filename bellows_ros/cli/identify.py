@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_output(
         parser, '--out', 'write the cup as a parameter file, for the predictor and bellows replay')
     options.add_json_option(parser, 'the result with its uncertainties')
-    options.add_output(parser, '--report', 'write a page with plots (HTML)')
+    options.add_output(parser, '--report', 'write a page with plots (HTML; extra plot)')
     parser.add_argument(
         '--typical', metavar='PLAN', default=None, type=Path,
         help='report first how well the cup predicts this motion of yours, a plan as for '

@@ -10,6 +10,8 @@ import argparse
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
+from bellows_ros.extras import require_pictures
+
 from . import options
 from .console import Console, listed, many, NOT_USABLE, OK, percent, short
 
@@ -47,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_parameter_options(parser)
     options.add_span_options(parser)
     options.add_json_option(parser, 'all figures')
-    options.add_output(parser, '--report', 'write a page with plots (HTML)')
+    options.add_output(parser, '--report', 'write a page with plots (HTML; extra plot)')
     parser.add_argument(
         '--observe', metavar='TOPIC', default='',
         help='poses of the package from a camera, which correct a second live prediction; see '
@@ -68,6 +70,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.core.identification.validation import LIMIT
     from bellows_ros.workflows.replay import replay
 
+    if arguments.report:
+        require_pictures()
     with console.progress() as progress:
         result = replay(arguments.bag, settings, progress, arguments.observe)
     limit = LIMIT if arguments.limit is None else arguments.limit / PERCENT

@@ -3,13 +3,14 @@ Write a page on a fit: one HTML file that needs no network.
 
 It shows the cup with its intervals, measured and simulated motion, residuals and their spectra,
 excitation, lost samples, and the provenance of all numbers. The recordings of the fit are read
-again.
+again. Needs matplotlib (extra plot).
 """
 
 import argparse
 from pathlib import Path
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.extras import require_pictures
 
 from . import options
 from .console import Console, OK
@@ -41,6 +42,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.report.build import identification_report
     from bellows_ros.workflows.report import changed_recordings, read_again
 
+    require_pictures()
     content = read_result(arguments.fit)
     settings = content.get('settings')
     if not isinstance(settings, dict) or not settings.get('bags'):

@@ -430,7 +430,8 @@ _TABLE = (
     Parameter('output.json', 'string', '', '', _IDENTIFIER,
               description="File to write the result of the fit to, as JSON; '' for none."),
     Parameter('output.report', 'string', '', '', _IDENTIFIER,
-              description="File to write a page with plots to, as HTML; '' for none."),
+              description="File to write a page with plots to, as HTML; '' for none. Needs "
+              'matplotlib.'),
     Parameter('predictor', 'string', '', '', _IDENTIFIER,
               description="Name of a running predictor node that receives the identified cup; '' "
               'for none.'),

@@ -35,10 +35,9 @@ def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
     hertz = np.arange(1, len(lines) + 1) / motion.period
     with picture('Motion for identifying stiffness and damping', note, theme) as (figure, colours):
         grid = figure.add_gridspec(3, 2, **BELOW_HEAD, hspace=0.42, wspace=0.2)
-        three = (colours.predicted, colours.error, colours.measured)
         for row, (part, factor, unit) in enumerate(PARTS):
             of_time, of_frequency = (figure.add_subplot(grid[row, i]) for i in (0, 1))
-            for i, colour in enumerate(three):
+            for i, colour in enumerate(colours.three):
                 axis = part.start + i
                 name = ('', 'r')[row] + 'xyz'[i]
                 of_time.plot(t, factor * u[:, axis], color=colour, linewidth=0.7, label=name)

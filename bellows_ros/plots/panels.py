@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.residuals import AXES, MILLI_UNITS
@@ -16,6 +16,8 @@ LEFT = 0.095  # of the panels, in parts of the width
 BELOW_HEAD: Mapping[str, float] = MappingProxyType(
     {'left': LEFT, 'right': 0.985, 'top': 0.87, 'bottom': 0.075})
 """Edges of the panels of a figure of `SIZE`."""
+
+HEAD, FOOT = 0.9, 0.52  # inches above and below the panels
 
 TITLE, NOTE = 0.31, 0.52  # inches from the top
 MILLI = 1e3
@@ -36,7 +38,7 @@ def picture(
     """
     colours = THEMES[theme]
     with drawing(colours) as figures:
-        figure = figures.Figure(figsize=size, dpi=dpi)
+        figure = figures.Figure(figsize=size, dpi=dpi, label=title)
         figure.text(LEFT, 1.0 - TITLE / size[1], title, fontsize=13.5, fontweight='bold')
         figure.text(LEFT, 1.0 - NOTE / size[1], note, color=colours.quiet)
         yield figure, colours
@@ -51,6 +53,70 @@ def six(figure: Any, units: Sequence[str] = MILLI_UNITS) -> list[Any]:
         panel.yaxis.set_label_coords(-0.145, 0.5)
         panel.tick_params(length=2.5, width=0.6)
     return panels
+
+
+def row(
+    figure: Any, count: int = 1, left: float = LEFT, between: float = 0.2
+) -> list[Any]:
+    """Return panels side by side below the head."""
+    height = figure.get_figheight()
+    panels = figure.subplots(1, count, squeeze=False, gridspec_kw={
+        'left': left, 'right': 0.985, 'top': 1.0 - HEAD / height, 'bottom': FOOT / height,
+        'wspace': between})
+    return list(panels[0])
+
+
+class Line(NamedTuple):
+    """Six coordinates (N, 6) over x (N,), in a colour of the theme: see `six_lines`."""
+
+    name: str
+    colour: str
+    width: float
+    x: Array
+    values: Array
+
+
+def six_lines(
+    title: str, note: str, theme: str, lines: Sequence[Line], abscissa: str,
+    units: Sequence[str] = MILLI_UNITS, log: bool = False,
+) -> Any:
+    """
+    Draw lines into six panels, one per axis.
+
+    Parameters
+    ----------
+    title, note : str
+        What is shown, and under which conditions.
+    theme : {'light', 'dark'}
+        Colours for a light or a dark background.
+    lines : sequence of Line
+        Drawn in this order, in their units. A line without a name is not in the legend.
+    abscissa : str
+        Label, with its unit.
+    units : sequence of str
+        Of each axis.
+    log : bool
+        Whether both scales are logarithmic.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    with picture(title, note, theme) as (figure, colours):
+        legend(figure, [(line.name, getattr(colours, line.colour), line.width)
+                        for line in lines if line.name])
+        for axis, panel in enumerate(six(figure, units)):
+            for _, colour, width, x, values in lines:
+                panel.plot(x, values[:, axis], color=getattr(colours, colour), linewidth=width)
+            if log:
+                panel.set(xscale='log', yscale='log')
+                panel.minorticks_off()
+            else:
+                panel.xaxis.get_major_locator().set_params(integer=True)
+            panel.margins(x=0.0)
+            label_abscissa(panel, axis, abscissa)
+    return figure
 
 
 def name_panel(panel: Any, title: str) -> None:

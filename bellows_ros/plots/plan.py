@@ -9,7 +9,7 @@ from bellows_ros.core.holding import Margin, MODES
 from bellows_ros.workflows.plan import Curves, PlanReport
 from bellows_ros.workflows.replay import Margins
 
-from .panels import BELOW_HEAD, LEFT, MILLI, name_panel, picture
+from .panels import BELOW_HEAD, MILLI, name_panel, picture, row
 from .style import Theme
 
 WIDE = (9.4, 4.2)  # inches
@@ -83,8 +83,8 @@ def _draw_bands(
     panel: Any, seconds: Array, values: Array, std: Array, names: Sequence[str], colours: Theme
 ) -> None:
     """Draw a line with its band for each column."""
-    three = (colours.predicted, colours.error, colours.measured)
-    for value, reach, name, colour in zip(values.T, SIGMAS * std.T, names, three, strict=False):
+    for value, reach, name, colour in zip(
+            values.T, SIGMAS * std.T, names, colours.three, strict=False):
         panel.fill_between(seconds, value - reach, value + reach, color=colour, alpha=0.25,
                            linewidth=0.0)
         panel.plot(seconds, value, color=colour, linewidth=1.2, label=name)
@@ -129,7 +129,7 @@ def margin_figure(margins: Margins, note: str, theme: str = 'light') -> Any:
     """
     note = f'{note}; bands: two standard deviations'
     with picture('How firmly the grip holds', note, theme, WIDE) as (figure, colours):
-        panel = figure.add_axes((LEFT, 0.13, 0.985 - LEFT, 0.7))
+        panel, = row(figure)
         _draw_margins(panel, margins, colours)
         panel.set_xlim(margins.seconds[0], margins.seconds[-1])
         panel.set_xlabel('time (s)')

@@ -5,13 +5,24 @@ The content of Figs. 4.16 and 4.17 of the thesis on one page, with what is left 
 axis, to its own scale.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.residuals import Comparison, MILLI_UNITS
+from bellows_ros.core.residuals import Comparison, MILLI_UNITS, Whiteness
 import numpy as np
 
-from .panels import arrange_pair, draw_strip, LEFT, legend, MILLI, pairs, picture
+from .panels import (
+    arrange_pair,
+    draw_strip,
+    LEFT,
+    legend,
+    Line,
+    MILLI,
+    pairs,
+    picture,
+    six_lines,
+)
 from .style import Theme
 
 SIZE = (11.0, 8.4)  # inches
@@ -81,6 +92,57 @@ def _draw_axis(
         f'{percent(scores.nrmse[axis])} of the motion',
         loc='right', fontsize=8.5, color=colours.quiet, pad=4.0,
     )
+
+
+def errors_figure(ways: Mapping[str, Comparison], note: str, theme: str = 'light') -> Any:
+    """
+    Draw the errors of up to three estimates over time, each from the first stamp of all.
+
+    Parameters
+    ----------
+    ways : mapping of str to Comparison
+        By name.
+    note : str
+        Of which recording.
+    theme : {'light', 'dark'}
+        Colours for a light or a dark background.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    start_ns = min(way.stamps_ns[0] for way in ways.values())
+    styles = (('predicted', 1.2), ('quiet', 0.9), ('error', 0.9))
+    return six_lines('Predicted minus measured', note, theme, [
+        Line(name, colour, width, (way.stamps_ns - start_ns) * 1e-9, MILLI * way.error)
+        for (name, way), (colour, width) in zip(ways.items(), styles, strict=False)], 'time (s)')
+
+
+def whiteness_figure(test: Whiteness, note: str, theme: str = 'light') -> Any:
+    """
+    Draw the autocorrelation of errors, and the band in which that of white noise stays.
+
+    Parameters
+    ----------
+    test : Whiteness
+        What is drawn.
+    note : str
+        Of which errors.
+    theme : {'light', 'dark'}
+        Colours for a light or a dark background.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    lags = np.arange(1.0, test.lags + 1.0)
+    band = np.full((test.lags, 6), 1.96 / np.sqrt(test.samples))
+    return six_lines('Autocorrelation of the errors', note, theme, (
+        Line('95 % of white noise', 'quiet', 0.9, lags, band), Line('', 'quiet', 0.9, lags, -band),
+        Line('autocorrelation', 'error', 1.2, lags, test.autocorrelation),
+    ), 'lag (samples)', ('1',) * 6)
 
 
 def figures(value: float) -> str:

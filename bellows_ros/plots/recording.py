@@ -1,15 +1,16 @@
-"""Pictures of a recording: motion on all axes, spectra, and the path in space."""
+"""Pictures of a recording: motion on all axes, spectra, samples, and the path in space."""
 
 from typing import Any
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.lie import log_so3
-from bellows_ros.core.residuals import MILLI_UNITS
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.residuals import MILLI_UNITS, Spectrum
 from bellows_ros.workflows.plot import Motion, Spectra
 import numpy as np
 
-from .panels import broken, label_abscissa, legend, MILLI, picture, six
-from .style import Theme
+from .panels import broken, legend, Line, MILLI, picture, row, six_lines
+from .style import Theme, THEMES
 
 
 def motion_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
@@ -31,27 +32,27 @@ def motion_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
 
     """
     start = int(np.argmax(motion.valid))
-    with picture('Motion in the world, from the start', note, theme) as (figure, colours):
-        panels = six(figure)
-        legend(figure, (('tool', colours.measured, 3.0), ('package', colours.predicted, 1.0)))
-        for position, rotation, colour, width in (
-            (motion.tool_position, motion.tool_rotation, colours.measured, 3.0),
-            (motion.package_position, motion.package_rotation, colours.predicted, 0.9),
-        ):
-            turned = log_so3(rotation @ rotation[start].T)
-            values = MILLI * broken(np.hstack([position - position[start], turned]), motion.valid)
-            for axis, panel in enumerate(panels):
-                panel.plot(motion.seconds, values[:, axis], color=colour, linewidth=width)
-        unusable = motion.seconds[~motion.valid]  # marked at the foot of each panel
-        for axis, panel in enumerate(panels):
-            panel.plot(unusable, np.zeros_like(unusable), '|', color=colours.error,
-                       markersize=7.0, transform=panel.get_xaxis_transform(), clip_on=False)
-            panel.set_xlim(motion.seconds[0], motion.seconds[-1])
-            label_abscissa(panel, axis, 'time (s)')
+
+    def line(name: str, colour: str, width: float, position: Array, rotation: Array) -> Line:
+        turned = log_so3(rotation @ rotation[start].T)
+        moved = broken(np.hstack([position - position[start], turned]), motion.valid)
+        return Line(name, colour, width, motion.seconds, MILLI * moved)
+
+    figure = six_lines('Motion in the world, from the start', note, theme, (
+        line('tool', 'measured', 3.0, motion.tool_position, motion.tool_rotation),
+        line('package', 'predicted', 0.9, motion.package_position, motion.package_rotation),
+    ), 'time (s)')
+    unusable = motion.seconds[~motion.valid]  # marked at the foot of each panel
+    for panel in figure.axes:
+        panel.plot(unusable, np.zeros_like(unusable), '|', color=THEMES[theme].error,
+                   markersize=7.0, transform=panel.get_xaxis_transform(), clip_on=False)
+        panel.set_xlim(motion.seconds[0], motion.seconds[-1])
     return figure
 
 
-def spectra_figure(spectra: Spectra, note: str, theme: str = 'light') -> Any:
+def spectra_figure(
+    spectra: Spectra, note: str, theme: str = 'light', one_step: Spectrum | None = None
+) -> Any:
     """
     Draw the spectra of the package's motion seen from the tool, and of a prediction's error.
 
@@ -63,25 +64,66 @@ def spectra_figure(spectra: Spectra, note: str, theme: str = 'light') -> Any:
         Which recording.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
+    one_step : Spectrum, optional
+        Of one-step prediction errors, as a third line.
 
     Returns
     -------
     matplotlib.figure.Figure
 
     """
-    keep = spectra.frequency_hz > 0.0
-    hertz = spectra.frequency_hz[keep]
-    with picture('Spectra of the package relative to the tool', note, theme) as (figure, colours):
-        shown = [('measured', spectra.measured, colours.measured, 3.0, 2.2)]
-        if spectra.error is not None:
-            shown.append(('predicted minus measured', spectra.error, colours.error, 1.2, 1.1))
-        legend(figure, [(name, colour, width) for name, _, colour, width, _ in shown])
-        for axis, panel in enumerate(six(figure, [f'{unit}/√Hz' for unit in MILLI_UNITS])):
-            for _, density, colour, _, width in shown:
-                panel.loglog(hertz, MILLI * density[keep, axis], color=colour, linewidth=width)
-            panel.set_xlim(hertz[0], hertz[-1])
-            label_abscissa(panel, axis, 'frequency (Hz)')
+    hertz = spectra.frequency_hz[1:]
+    lines = [Line('measured', 'measured', 2.2, hertz, MILLI * spectra.measured[1:])]
+    if spectra.error is not None:
+        lines.append(Line(
+            'predicted minus measured', 'error', 1.1, hertz, MILLI * spectra.error[1:]))
+    if one_step:
+        lines.append(Line('one-step error', 'predicted', 0.9, one_step.frequency[1:],
+                          MILLI * np.sqrt(one_step.density[1:])))
+    return six_lines(
+        'Spectra of the package', f'{note}; relative to the tool', theme, lines, 'frequency (Hz)',
+        [f'{unit}/√Hz' for unit in MILLI_UNITS], log=True)
+
+
+def samples_figure(recording: Recording, note: str, theme: str = 'light') -> Any:
+    """
+    Draw which samples of a recording are used, and where poses are lost.
+
+    Parameters
+    ----------
+    recording : Recording
+        What is drawn.
+    note : str
+        How many samples are used.
+    theme : {'light', 'dark'}
+        Colours for a light or a dark background.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    seconds = recording.since_start(recording.package.stamps_ns)
+    step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
+    with picture('Used and lost samples', note, theme, (9.4, 2.1)) as (figure, colours):
+        panel, = row(figure, left=0.14)
+        rows = ((recording.valid, colours.measured),
+                (~recording.measured_tool.valid, colours.predicted),
+                (~recording.measured_package.valid, colours.predicted))
+        for height, (mask, colour) in enumerate(rows):
+            panel.broken_barh(spans(mask, seconds, step), (height - 0.35, 0.7), facecolor=colour,
+                              edgecolor=colour, linewidth=0.5)
+        panel.set(xlim=(0.0, seconds[-1] + step), ylim=(2.6, -0.6), xlabel='time (s)')
+        panel.set_yticks(range(3), ['used', 'tool poses lost', 'package poses lost'])
+        panel.grid(visible=False, axis='y')
     return figure
+
+
+def spans(mask: Mask, seconds: Array, step: float) -> list[tuple[float, float]]:
+    """Return start and length (s) of the runs of samples in a mask; each lasts a step."""
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    return [(float(seconds[first]), float(seconds[end - 1] - seconds[first]) + step)
+            for first, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def path_figure(motion: Motion, note: str, theme: str = 'light') -> Any:

@@ -8,19 +8,23 @@ colour vision.
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from html import escape
 import io
 import os
 from pathlib import Path
+import re
 from types import MappingProxyType
 from typing import Any
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.extras import install
+from bellows_ros.extras import require_pictures
 from bellows_ros.files.atomic import write_bytes
 
-NO_MATPLOTLIB = f'matplotlib is not installed, but pictures need it: {install("plot")}'
 DPI = 150
+SAME_BYTES: dict[Any, Any] = {'svg.hashsalt': 'bellows_ros'}
+INLINE: dict[Any, Any] = {**SAME_BYTES, 'svg.fonttype': 'none', 'path.simplify_threshold': 0.5}
+"""Text of a page stays text, and points of a line closer than half a point (1/72 in) merge."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,6 @@ class Theme:
     """Colours of a picture by purpose, as matplotlib names them."""
 
     background: str
-    panel: str
     text: str
     quiet: str
     grid: str
@@ -36,15 +39,20 @@ class Theme:
     predicted: str
     error: str
 
+    @property
+    def three(self) -> tuple[str, str, str]:
+        """Colours of x, y, z."""
+        return self.predicted, self.error, self.measured
+
 
 THEMES: Mapping[str, Theme] = MappingProxyType(
     {
         'light': Theme(
-            background='#ffffff', panel='#ffffff', text='#1b1f24', quiet='#57606a',
+            background='#ffffff', text='#1b1f24', quiet='#57606a',
             grid='#e3e6ea', measured='#9fb4c9', predicted='#b3261e', error='#5b4a9e',
         ),
         'dark': Theme(
-            background='#0d1117', panel='#0d1117', text='#e6edf3', quiet='#9198a1',
+            background='#0d1117', text='#e6edf3', quiet='#9198a1',
             grid='#262c36', measured='#5b7fa6', predicted='#ffb454', error='#b7a8ff',
         ),
     }
@@ -62,11 +70,10 @@ def drawing(theme: Theme) -> Iterator[Any]:
         Without matplotlib.
 
     """
-    try:
-        import matplotlib
-        import matplotlib.figure
-    except ImportError:
-        raise BellowsError(NO_MATPLOTLIB) from None
+    require_pictures()
+    import matplotlib
+    import matplotlib.figure
+
     with matplotlib.rc_context(_settings(theme)):
         yield matplotlib.figure
 
@@ -80,7 +87,7 @@ def _settings(theme: Theme) -> dict[Any, Any]:
         'text.color': theme.text,
         'figure.facecolor': theme.background,
         'savefig.facecolor': theme.background,
-        'axes.facecolor': theme.panel,
+        'axes.facecolor': theme.background,
         'axes.edgecolor': theme.quiet,
         'axes.labelcolor': theme.text,
         'axes.linewidth': 0.6,
@@ -116,6 +123,34 @@ def write_figure(path: str | os.PathLike[str], figure: Any) -> None:
     metadata = {'png': {'Software': None}, 'svg': {'Date': None}, 'pdf': {'CreationDate': None}}
     import matplotlib
 
-    with matplotlib.rc_context({'svg.hashsalt': 'bellows_ros'}):  # the same bytes every time
+    with matplotlib.rc_context(SAME_BYTES):
         figure.savefig(data, format=ending, dpi=DPI, metadata=metadata[ending])
     write_bytes(path, data.getvalue())
+
+
+def inline_svg(figure: Any) -> str:
+    """
+    Return a figure of the light theme as SVG for a page, which gives its colours their values.
+
+    The colours become CSS variables with the names of a `Theme`. The figure's label is read out.
+    """
+    import matplotlib
+
+    data = io.StringIO()
+    with matplotlib.rc_context(INLINE):
+        figure.savefig(data, format='svg', metadata=dict.fromkeys(
+            ('Creator', 'Date', 'Format', 'Type')))
+    svg = re.sub(
+        r'.*?<svg [^>]*?(viewBox="[^"]*")[^>]*>',
+        rf'<svg \1 role="img" aria-label="{escape(figure.get_label())}">',
+        data.getvalue(), count=1, flags=re.DOTALL)
+    svg = re.sub(r'<g id="[^"]*"', '<g', svg)
+    svg = re.sub(r' d="[^"]*"', _shortened, svg)
+    for name, colour in asdict(THEMES['light']).items():
+        svg = svg.replace(colour, f'var(--{name})')
+    return svg
+
+
+def _shortened(path: re.Match[str]) -> str:
+    """Return a path with a tenth of a point and without line ends."""
+    return re.sub(r'(\.\d)\d+', r'\1', path[0]).replace(' \n', '')

@@ -7,19 +7,13 @@ from typing import Any
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.result import UNITS
 from bellows_ros.core.identification.samples import Spectra
-from bellows_ros.core.residuals import MILLI_UNITS, Spectrum
+from bellows_ros.core.residuals import MILLI_UNITS
 from bellows_ros.core.structure import AXES, structure_named
+from bellows_ros.plots.fit import excitation_figure, interval_figure, iteration_figure
 from bellows_ros.workflows.result_json import NORMAL_95
 import numpy as np
 
-from .page import bullets, figures, folded, heading, paragraph, table
-from .svg import Curve, interval_chart, line_chart
-
-LOWEST_HZ = 0.2
-"""Lower end of spectra on a logarithmic axis."""
-
-WIDE = 3.0
-"""Ratio of values from which an axis is logarithmic."""
+from .page import bullets, figure, folded, paragraph, table
 
 NAMES = {'K': ('stiffness', 'Stiffness K'), 'P': ('damping', 'Damping P')}
 
@@ -31,10 +25,10 @@ def cup_content(content: Mapping[str, Any]) -> list[str]:
         table(
             ('entry', 'value', 'standard error', '95 % interval', 'unit'),
             [_shown(label, value, error, unit) for label, value, error, _, unit in rows], (0, 4)),
-        figures([(NAMES[m][1], _intervals(m, rows)) for m in 'KP']),
-        paragraph(
-            '95 % intervals, in percent of the entry; off the diagonal in percent of the root '
-            'of the product of the two diagonal entries. Dashed if not identifiable.', 'quiet'),
+        figure(interval_figure(
+            [_interval(label, value, error, scale) for label, value, error, scale, _ in rows],
+            'in percent of the entry; off the diagonal in percent of the root of the product of '
+            'the two diagonal entries')),
         bullets(_facts(content)),
     ]
     for matrix, (key, title) in NAMES.items():
@@ -71,20 +65,10 @@ def _shown(label: str, value: float, error: float, unit: str) -> tuple[str, ...]
     return label, numbers[0], numbers[1], f'{numbers[2]} to {numbers[3]}', unit
 
 
-def _intervals(
-    matrix: str, rows: Sequence[tuple[str, float, float, float, str]]
-) -> str:
-    """Return the intervals of one matrix."""
-    items = []
-    for label, value, error, scale, _ in rows:
-        if not label.startswith(matrix):
-            continue
-        half = 100.0 * NORMAL_95 * error / scale if scale else math.nan
-        diagonal = '-' not in label
-        centre = 0.0 if diagonal else 100.0 * value / scale if scale else math.nan
-        text = f'±{half:.2g} %' if math.isfinite(half) else 'not identifiable'
-        items.append((label, centre, half, text))
-    return interval_chart(items, '% of the entry', f'Intervals of {NAMES[matrix][1]}')
+def _interval(label: str, value: float, error: float, scale: float) -> tuple[str, float, float]:
+    """Return label, middle and half length (percent) of the interval of a parameter."""
+    half, centre = 100.0 * NORMAL_95 * error, 100.0 * value if '-' in label else 0.0
+    return (label, centre / scale, half / scale) if scale else (label, 0.0, math.nan)
 
 
 def _facts(content: Mapping[str, Any]) -> list[str]:
@@ -152,39 +136,12 @@ def excitation_content(found: Excitation, spectra: Mapping[str, Spectra]) -> lis
         table(head, rows),
         folded(
             'Each parameter', table(('parameter', 'noise', 'identifiable'), parameters, (0, 2))),
-        *(part for name, own in spectra.items()
-          for part in (heading(name), figures([
-              ('Rate of the shift', _rates(own.twist, 0, 'm²/s²/Hz')),
-              ('Rate of the rotation', _rates(own.twist, 3, 'rad²/s²/Hz'))]))),
+        *(figure(excitation_figure(own.twist, name)) for name, own in spectra.items()),
     ]
-
-
-def _rates(spectrum: Spectrum, first: int, unit: str) -> str:
-    """Return the spectra of three rates."""
-    shown = spectrum.frequency >= LOWEST_HZ
-    curves = [
-        Curve(spectrum.frequency[shown], spectrum.density[shown, i], kind, AXES[i])
-        for i, kind in enumerate(('predicted', 'error', 'other'), first)]
-    return line_chart(curves, 'frequency (Hz)', unit, log=(True, True),
-                      description='Spectra of the excitation')
 
 
 def iteration_content(iterations: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return how the minimum was found."""
-    number = np.arange(1.0, len(iterations) + 1.0)
-    chi2 = np.array([float(step['chi2']) for step in iterations])
-    charts = [('Chi² per degree of freedom', line_chart(
-        [Curve(number, chi2, 'predicted')], 'step', 'chi²',
-        log=(False, bool(chi2.max() > WIDE * chi2.min() > 0.0)),
-        description='Chi squared over the steps'))]
-    for key in ('stiffness', 'damping'):
-        diagonals = np.array([np.diag(np.array(step[key], dtype=float)) for step in iterations])
-        last = np.where(diagonals[-1] != 0.0, diagonals[-1], 1.0)
-        kinds = ('predicted', 'error', 'other', 'measured', 'quiet', 'other dashed')
-        curves = [
-            Curve(number, diagonals[:, i] / last[i], kind, AXES[i]) for i, kind in enumerate(kinds)
-            if i not in (1, 4) or (diagonals[:, i] != diagonals[:, i - 1]).any()]  # else tied
-        charts.append((f'{key.capitalize()}, diagonal over its final value', line_chart(
-            curves, 'step', 'ratio', description=f'{key} over the steps')))
-    stages = [int(step.get('stage', 0)) for step in iterations]
-    return [paragraph(f'{len(iterations)} steps in {len(set(stages))} stages.'), figures(charts)]
+    stages = {int(step.get('stage', 0)) for step in iterations}
+    return [figure(iteration_figure(
+        iterations, f'{len(iterations)} steps in {len(stages)} stages'))]

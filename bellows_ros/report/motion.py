@@ -1,33 +1,26 @@
 """The section on a free simulation: motion, residuals, spectra, whiteness."""
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.holding import MODES
 from bellows_ros.core.identification.validation import LIMIT, Validation
-from bellows_ros.core.residuals import AXES, CONFIDENT, MILLI_UNITS, SMALL, Whiteness
-from bellows_ros.workflows.replay import Margins, Replay
+from bellows_ros.core.residuals import AXES, CONFIDENT, MILLI_UNITS, SMALL
+from bellows_ros.plots.plan import margin_figure
+from bellows_ros.plots.prediction import prediction_figure, whiteness_figure
+from bellows_ros.plots.recording import spectra_figure
+from bellows_ros.workflows.plot import Spectra
+from bellows_ros.workflows.replay import Replay
 import numpy as np
 
-from .page import figures, heading, paragraph, percent, table, warnings
-from .svg import Curve, line_chart
+from .page import figure, heading, paragraph, percent, table, warnings
 
 MILLI = 1e3
-LEAST_SPAN = 2.0
-"""Smallest range of an axis, mm or mrad."""
-
-ERROR_SIZE, MARGIN_SIZE = (540.0, 110.0), (1080.0, 220.0)
-LARGEST_SHOWN = 4.0
-"""Safety factors are drawn up to this multiple of the required one."""
-LOWEST_HZ = 0.4
-"""Lower end of spectra on a logarithmic axis."""
 
 
 def motion_content(replayed: Replay) -> list[str]:
     """Return tables and figures of a recording that was simulated freely."""
-    found = replayed.validation
+    found, bag = replayed.validation, replayed.bag
     start = 'static equilibrium' if found.start == 'equilibrium' else 'the measured state'
     return [
         paragraph(_verdict(found)),
-        *([paragraph(replayed.margin.sentence), figures([('', _margins(replayed.margins))])]
+        *([paragraph(replayed.margin.sentence), figure(margin_figure(replayed.margins, bag))]
           if replayed.margin else []),
         warnings(replayed.warnings),
         paragraph(
@@ -38,35 +31,22 @@ def motion_content(replayed: Replay) -> list[str]:
             'without the noise.'
         ),
         _score_table(found),
-        heading('Measured and simulated, and the difference'),
-        figures(_motion_figures(found, replayed.recording.since_start(found.stamps_ns))),
+        figure(prediction_figure(
+            replayed.recording.since_start(found.stamps_ns), found, 'Measured and simulated',
+            f'{bag}, relative to the tool')),
         heading('Spectra'),
         paragraph(
             'Amplitude spectral densities of the motion, of the error of the free simulation, '
             'and of the one-step prediction errors, for which every sample corrects the model: '
             'their spectrum is flat if only noise remains. Lost samples of motion and error are '
             'interpolated.', 'quiet'),
-        figures([(AXES[i], _spectrum(found, i)) for i in range(6)]),
+        figure(spectra_figure(
+            Spectra(found.motion.frequency, np.sqrt(found.motion.density),
+                    np.sqrt(found.spectrum.density)),
+            bag, one_step=found.one_step.spectrum if found.one_step else None)),
         heading('Whiteness'),
-        *_whiteness(found),
+        *_whiteness(found, bag),
     ]
-
-
-def _margins(found: Margins) -> str:
-    """Return the safety factors over time, with bands of two standard deviations."""
-    most = LARGEST_SHOWN * found.least
-    curves = [
-        Curve(found.seconds, np.minimum(found.factors[:, i] + side * found.std[:, i], most), kind,
-              label)
-        for i, mode in enumerate(MODES)
-        for side, kind, label in (
-            (-2.0, 'quiet', ''), (2.0, 'quiet', ''), (0.0, ('predicted', 'error')[i], mode))]
-    return line_chart(
-        [*curves, Curve(found.seconds[[0, -1]], np.full(2, found.least), 'measured',
-                        'safety.least')],
-        'time (s)', 'safety factor', MARGIN_SIZE,
-        description='Safety factors of the grip over time, with two standard deviations',
-    )
 
 
 def _score_table(found: Validation) -> str:
@@ -95,41 +75,8 @@ def _verdict(found: Validation) -> str:
     return f'All axes that move are predicted within {100 * LIMIT:g} % of their motion.'
 
 
-def _motion_figures(found: Validation, seconds: Array) -> list[tuple[str, str]]:
-    """Return two charts per axis, both of an axis below each other."""
-    items = []
-    for i in (0, 3, 1, 4, 2, 5):
-        measured, predicted = (MILLI * part[:, i] for part in (found.measured, found.predicted))
-        motion = line_chart(
-            [Curve(seconds, measured, 'measured', 'measured'),
-             Curve(seconds, predicted, 'predicted', 'simulated')],
-            '', f'{AXES[i]} ({MILLI_UNITS[i]})', least_span=LEAST_SPAN,
-            description=f'Measured and simulated {AXES[i]} over time')
-        error = line_chart(
-            [Curve(seconds, predicted - measured, 'error', 'simulated minus measured')],
-            'time (s)', f'error ({MILLI_UNITS[i]})', ERROR_SIZE,
-            description=f'Error of {AXES[i]} over time')
-        items.append(('', motion + error))
-    return items
-
-
-def _spectrum(found: Validation, axis: int) -> str:
-    """Return the spectra of an axis."""
-    spectra = [('measured', 'motion', found.motion), ('error', 'error', found.spectrum)]
-    if found.one_step:
-        spectra.append(('predicted', 'one-step error', found.one_step.spectrum))
-    curves = []
-    for kind, label, own in spectra:
-        shown = own.frequency >= LOWEST_HZ
-        density = MILLI * np.sqrt(own.density[shown, axis])
-        curves.append(Curve(own.frequency[shown], density, kind, label))
-    return line_chart(
-        curves, 'frequency (Hz)', f'{MILLI_UNITS[axis]}/√Hz', log=(True, True),
-        description=f'Spectra of {AXES[axis]}')
-
-
-def _whiteness(found: Validation) -> list[str]:
-    """Return table and figures of the portmanteau tests."""
+def _whiteness(found: Validation, bag: str) -> list[str]:
+    """Return table and figure of the portmanteau tests."""
     tests = [('free run', found.whiteness)]
     if found.one_step:
         tests.append(('one step', found.one_step.whiteness))
@@ -152,17 +99,5 @@ def _whiteness(found: Validation) -> list[str]:
             f'Chi² per degree of freedom of the one-step errors: {found.one_step.chi2:.4f} (1 if '
             'model and noise explain everything).'))
     shown = found.one_step.whiteness if found.one_step else found.whiteness
-    content.append(figures([(AXES[i], _correlation(shown, i)) for i in range(6)]))
+    content.append(figure(whiteness_figure(shown, bag)))
     return content
-
-
-def _correlation(test: Whiteness, axis: int) -> str:
-    """Return the autocorrelation of an axis with the band in which white noise stays."""
-    lags = np.arange(1.0, test.lags + 1.0)
-    band = np.full(test.lags, 1.96 / np.sqrt(test.samples))
-    return line_chart(
-        [Curve(lags, band, 'quiet', '95 % of white noise'), Curve(lags, -band, 'quiet'),
-         Curve(lags, test.autocorrelation[:, axis], 'error')],
-        'lag (samples)', 'autocorrelation', ERROR_SIZE,
-        description=f'Autocorrelation of {AXES[axis]}',
-    )

@@ -1,10 +1,12 @@
-"""Pages: headings, tables and figures as HTML, with all style inside."""
+"""Pages: headings, tables and pictures as HTML, with all style inside."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from html import escape
 import math
+from typing import Any
 
-from bellows_ros.plots.style import Theme, THEMES
+from bellows_ros.plots.style import inline_svg, Theme, THEMES
 
 
 def page(title: str, subtitle: str, sections: Iterable[str]) -> str:
@@ -56,13 +58,9 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], words: Sequence[in
     return f'<div class="wide"><table>\n{"".join(lines)}</table></div>'
 
 
-def figures(items: Sequence[tuple[str, str]]) -> str:
-    """Return figures side by side: pairs of a caption and a picture."""
-    inside = ''.join(
-        f'<figure>{f"<figcaption>{escape(words)}</figcaption>" if words else ""}{svg}</figure>\n'
-        for words, svg in items
-    )
-    return f'<div class="figures">\n{inside}</div>'
+def figure(drawn: Any) -> str:
+    """Return a figure of `plots` as a picture of the page."""
+    return f'<figure>{inline_svg(drawn)}</figure>'
 
 
 def percent(ratio: float) -> str:
@@ -85,8 +83,7 @@ def _row(tag: str, cells: Sequence[str], kinds: Sequence[str]) -> str:
 
 def _variables(theme: Theme) -> str:
     """Return a theme's colours as variables."""
-    names = ('background', 'text', 'quiet', 'grid', 'measured', 'predicted', 'error')
-    return ''.join(f'--{name}:{getattr(theme, name)};' for name in names)
+    return ''.join(f'--{name}:{colour};' for name, colour in asdict(theme).items())
 
 
 def _style() -> str:
@@ -106,7 +103,7 @@ h1{font-size:1.6em;margin:0}
 h2{font-size:1.2em;margin:2em 0 .4em;padding-bottom:.2em;border-bottom:1px solid var(--grid)}
 h3{font-size:1em;margin:1.4em 0 .3em}
 p{margin:.4em 0;max-width:50em}
-.quiet,figcaption{color:var(--quiet)}
+.quiet{color:var(--quiet)}
 ul{margin:.4em 0;padding-left:1.3em;max-width:52em}
 ul.warning{color:var(--warn)}
 .wide{overflow-x:auto}
@@ -118,27 +115,8 @@ th{font-weight:600;color:var(--quiet)}
 td{white-space:nowrap}
 details td{white-space:normal;overflow-wrap:anywhere}
 details td:first-child{white-space:nowrap}
-.figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,480px),1fr));
-gap:8px 20px}
-figure{margin:.4em 0}
-figcaption{font-size:.9em}
-svg{display:block;width:100%;height:auto}
-svg text{font-size:11px;fill:var(--quiet)}
-svg text.label{fill:var(--text)}
-svg path{fill:none}
-.grid{stroke:var(--grid);stroke-width:1}
-.line{stroke-width:1.2;stroke-linejoin:round}
-.line.measured{stroke:var(--measured);stroke-width:3.6}
-.line.predicted{stroke:var(--predicted)}
-.line.error{stroke:var(--error);stroke-width:.9}
-.line.other{stroke:var(--text)}
-.line.quiet{stroke:var(--quiet);stroke-dasharray:4 3}
-.line.dashed{stroke-dasharray:4 3}
-.interval{stroke:var(--text);stroke-width:1.4}
-.endless{stroke:var(--predicted);stroke-width:1.4;stroke-dasharray:2 4}
-.dot{fill:var(--predicted)}
-rect.used{fill:var(--measured)}
-rect.lost{fill:var(--predicted)}
+figure{margin:1em 0;overflow-x:auto}
+svg{display:block;width:100%;min-width:640px;max-width:1000px;height:auto}
 details{margin:.6em 0}
 summary{cursor:pointer;color:var(--quiet)}
 @media print{details>*{display:block}body{max-width:none}}

@@ -215,11 +215,15 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
             'static.length is set, but static.bags is empty: the length comes from standstills '
             'with two or more masses. Name their recordings in static.bags.'
         )
-    if values['output.report'] and len(values['bags']) > MOST_ON_A_PAGE:
-        raise BellowsError(
-            f'A report shows at most {MOST_ON_A_PAGE} recordings, got {len(values["bags"])}. '
-            'Leave the report out.'
-        )
+    if values['output.report']:
+        from bellows_ros.extras import require_pictures
+
+        require_pictures()
+        if len(values['bags']) > MOST_ON_A_PAGE:
+            raise BellowsError(
+                f'A report shows at most {MOST_ON_A_PAGE} recordings, got {len(values["bags"])}. '
+                'Leave the report out.'
+            )
     used = {os.path.realpath(bag) for bag in values['bags']}
     seen = [bag for bag in values['validation.bags'] if os.path.realpath(bag) in used]
     if seen:

@@ -68,6 +68,16 @@ def test_a_page_shows_the_recordings_of_a_batch_too(call, tmp_path):
     assert page.read_text().count('<svg') > 3
 
 
+def test_a_page_without_matplotlib_is_refused_before_any_work(call, capsys, monkeypatch):
+    """Say how to install it, before the recording is found to be missing."""
+    monkeypatch.setattr('bellows_ros.extras.find_spec', lambda name: None)
+    for command in (('identify', 'none', '--params', 'bags/package.yaml', '--report', 'x.html'),
+                    ('replay', 'none', '--params', 'bags/cup.yaml', '--report', 'x.html'),
+                    ('report', 'none.json', '--out', 'x.html')):
+        assert call(*command) == 2
+        assert 'pip install matplotlib' in ' '.join(capsys.readouterr().err.split())
+
+
 def test_a_page_of_very_many_recordings_is_refused(call, tmp_path, capsys):
     bags = [f'bags/identification_{i}' for i in range(21)]
     assert call('identify', *bags, '--params', 'bags/package.yaml', '--jobs', 1,

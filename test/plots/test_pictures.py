@@ -8,9 +8,11 @@ from typing import Any
 
 from bellows_ros.core.holding import Margin
 from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.residuals import Spectrum
 from bellows_ros.errors import BellowsError
 from bellows_ros.plots.animation import _ffmpeg as ffmpeg
 from bellows_ros.plots.animation import FRAMES_PER_SECOND, write_animation
+from bellows_ros.plots.fit import interval_figure
 from bellows_ros.plots.loads import deflection_figure, residual_figure
 from bellows_ros.plots.plan import margin_figure
 from bellows_ros.plots.recording import motion_figure, path_figure, spectra_figure
@@ -62,7 +64,10 @@ def draw_all(motion: Any, loads: Any, theme: str) -> dict[str, Any]:
         'margin': margin_figure(margins, 'note', theme),
         'motion': motion_figure(motion, 'note', theme),
         'path': path_figure(motion, 'note', theme),
-        'spectra': spectra_figure(spectra, 'note', theme),
+        'spectra': spectra_figure(
+            spectra, 'note', theme, Spectrum(frequency, np.full((40, 6), 1e-12))),
+        'intervals': interval_figure(
+            [('K x-ry', 0.0, 1.0), ('K x', 0.0, np.nan), ('P x', 0.0, 2.0)], 'note', theme),
         'deflection': deflection_figure(loads, 'note', theme),
         'residual': residual_figure(loads, 'note', theme),
     }

@@ -1,12 +1,14 @@
 """The picture of measured against predicted poses."""
 
 from pathlib import Path
+import re
 from typing import Any
+import xml.etree.ElementTree as ET
 
 from bellows_ros.core.residuals import Comparison, score
 from bellows_ros.errors import BellowsError
 from bellows_ros.plots.prediction import figures, percent, prediction_figure, with_gaps
-from bellows_ros.plots.style import THEMES, write_figure
+from bellows_ros.plots.style import drawing, inline_svg, THEMES, write_figure
 import numpy as np
 import pytest
 
@@ -123,3 +125,36 @@ def test_numbers_have_two_figures() -> None:
     """Round for reading."""
     assert [figures(x) for x in (0.0996, 0.1, 1.234, 16.4)] == ['0.10', '0.10', '1.2', '16']
     assert (percent(0.1634), percent(float('nan'))) == ('16 %', '-')
+
+
+def inlined(x: Any, y: Any) -> list[Any]:
+    """Return the points of a line in a picture of a page, a list for each of its parts."""
+    with drawing(THEMES['light']) as figures:
+        figure = figures.Figure(label='<a> "b"')
+        figure.add_axes((0.0, 0.0, 1.0, 1.0)).plot(x, y, color=THEMES['light'].error)
+    svg = ET.fromstring(inline_svg(figure).replace('xlink:href', 'href'))
+    assert svg.get('aria-label') == '<a> "b"'
+    line, = (path.get('d') for path in svg.iter('path')
+             if 'stroke: var(--error)' in path.get('style', ''))
+    return [np.array(re.findall(r'-?[\d.]+', part), float).reshape(-1, 2)
+            for part in line.split('M')[1:]]
+
+
+def test_pictures_of_a_page_keep_spikes_and_lose_points() -> None:
+    """Keep the extremes of a hundred thousand points in a few thousand."""
+    x = np.linspace(0.0, 500.0, 100_000)
+    y = np.sin(x)
+    y[54_321], y[77_777] = 50.0, -50.0
+    (points,) = inlined(x, y)
+    assert len(points) < 5000
+    level = np.median(points[:, 1])
+    for number, sign in ((54_321, -1.0), (77_777, 1.0)):  # up is less in an SVG
+        near = np.abs(points[:, 0] - points[0, 0] - number / 1e5 * np.ptp(points[:, 0])) < 1.0
+        assert np.max(sign * (points[near, 1] - level)) > 0.45 * np.ptp(points[:, 1])
+
+
+def test_a_gap_interrupts_the_line_of_a_page() -> None:
+    """Draw two parts around a NaN."""
+    first, second = inlined(np.arange(5.0), np.array([1.0, 2, np.nan, 2, 1]))
+    assert len(first) == len(second) == 2
+    np.testing.assert_allclose(first[1, 1], second[0, 1])
