@@ -9,9 +9,9 @@ files/bellows_cup.h), so that both give the same bits; so its derivatives are di
 import math
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.jacobians import body_jacobians, Square, tool_jacobians
-from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.kernels import body_acceleration, ModelTuple, State
 from bellows_ros.core.tuples import (
     add,
@@ -23,6 +23,7 @@ from bellows_ros.core.tuples import (
     rotation_matrix,
     scale,
     subtract,
+    unit,
     Vector,
 )
 from bellows_ros.errors import UnstableError
@@ -107,6 +108,11 @@ def substeps_for(duration: float, longest_step: float) -> int:
     return max(1, math.ceil(duration / longest_step - 1e-9))
 
 
+def substeps_of(durations: Array, longest_step: float) -> Stamps:
+    """Return `substeps_for` each of some durations."""
+    return np.maximum(1, np.ceil(durations / longest_step - 1e-9)).astype(np.int64)
+
+
 _LOADS = 8
 _ITERATIONS = 50
 _LARGEST_MOVE = 0.3  # m or rad, of one iteration
@@ -139,9 +145,8 @@ def static_equilibrium(
         shift = apply_transposed(R_world_tool, subtract(near[0], tool[0]))
         turn = quaternion_product(quaternion_conjugate(tool[1]), near[1])
         body, loads = (shift, turn, _ORIGIN[2], _ORIGIN[3]), 1
-    work: Any = np.zeros((6, 6)), np.zeros(6)
-    rest, found = _loaded(model, gravity, body, loads, *(
-        work if COMPILED else (each.tolist() for each in work)))
+    rest, found = _loaded(
+        model, gravity, body, loads, *as_inputs(np.zeros((6, 6)), np.zeros(6)))
     if not found:
         raise _no_equilibrium(model)
     position = add(tool[0], apply(R_world_tool, rest[0]))
@@ -167,8 +172,9 @@ def _newton(model: ModelTuple, body: State, A: Any, x: Any) -> tuple[State, bool
     size, stable = math.inf, False
     for _ in range(_ITERATIONS):
         for j in range(6):
-            up = _unbalance(model, _moved(body, j, _DIFFERENCE))
-            down = _unbalance(model, _moved(body, j, -_DIFFERENCE))
+            turn, back = unit(j - 3, _DIFFERENCE), unit(j - 3, -_DIFFERENCE)
+            up = _unbalance(model, displaced(body, unit(j, _DIFFERENCE), turn))
+            down = _unbalance(model, displaced(body, unit(j, -_DIFFERENCE), back))
             for i in range(6):
                 A[i][j] = (down[i] - up[i]) / (2.0 * _DIFFERENCE)
         force = _unbalance(model, body)
@@ -218,15 +224,6 @@ def _unbalance(model: ModelTuple, body: State) -> tuple[float, float, float, flo
     dv, dw = body_acceleration(model, _ORIGIN, body)
     f, m = scale(package[0], dv), apply(package[2], dw)
     return f[0], f[1], f[2], m[0], m[1], m[2]
-
-
-@kernel
-def _moved(body: State, axis: int, by: float) -> State:
-    """Return the body moved or turned along one of its six axes."""
-    return displaced(
-        body,
-        (by if axis == 0 else 0.0, by if axis == 1 else 0.0, by if axis == 2 else 0.0),
-        (by if axis == 3 else 0.0, by if axis == 4 else 0.0, by if axis == 5 else 0.0))
 
 
 def _no_equilibrium(model: ModelTuple) -> UnstableError:

@@ -263,6 +263,18 @@ def tool_at(segment: Segment, s: float) -> State:
 
 
 @kernel
+def extrapolated(tool: State, duration: float) -> State:
+    """Return the tool a time later, its tip going on straight and its rotation steadily."""
+    o, q, v, w = tool
+    velocity = apply(rotation_matrix(q), v)
+    q_later = quaternion_product(q, exp_quaternion(scale(duration, w)))
+    return (
+        add_scaled(o, duration, velocity), q_later,
+        apply_transposed(rotation_matrix(q_later), velocity), w,
+    )
+
+
+@kernel
 def stage_state(body: State, h: float, do: Vector, sigma: Vector, dv: Vector, dw: Vector) -> State:
     """Return the state moved by h along the rates of position, rotation vector and twist."""
     return (

@@ -24,16 +24,8 @@ from bellows_ros.core.perturbed import (
     numbers_of,
     STEP,
 )
-from bellows_ros.core.release import COARSE_STRIDE, Held, Release, Toss, toss, upward
+from bellows_ros.core.release import figures, Held, Release, Toss, toss
 from bellows_ros.core.trajectory import Trajectory
-from bellows_ros.core.tuples import (
-    add_scaled,
-    dot,
-    log_quaternion,
-    quaternion_conjugate,
-    quaternion_product,
-    subtract,
-)
 from bellows_ros.errors import NoLandingError, UnstableError
 import numpy as np
 
@@ -82,12 +74,9 @@ class Case(NamedTuple):
         """Return the toss with another model and release, up to a time (s)."""
         return toss(Held(model, self.grip, self.tool, until=until), release, self.switched)
 
-
-def figures(found: Toss, nominal: Toss, gravity: tuple[float, float, float]) -> Array:
-    """Return the six figures of a landing, from a nominal one."""
-    up, moved = upward(gravity), subtract(found.landing[0], nominal.landing[0])
-    turn = quaternion_product(found.landing[1], quaternion_conjugate(nominal.landing[1]))
-    return np.array([*add_scaled(moved, -dot(up, moved), up), *log_quaternion(turn)])
+    def figures(self, found: Toss, nominal: Toss) -> Array:
+        """Return the six figures of a landing, from a nominal one."""
+        return np.concatenate(figures(found.landing, nominal.landing, self.model[2]))
 
 
 def changed(release: Release, by: Array) -> Release:
@@ -104,19 +93,17 @@ def release_deviations(values: Mapping[str, Any]) -> Array:
 
 def parts_of(case: Case, held: Held, nominal: Toss) -> Parts:
     """Return what cup, package and release contribute, by differences as in `perturbed`."""
-    gravity, until = case.model[2], nominal.release_time + MARGIN
-
-    def landing(model: ModelTuple) -> Array:
-        return figures(case.with_numbers(model, case.release, until), nominal, gravity)
-
-    names, parts = contributions(case.values, case.model, landing)
+    until = nominal.release_time + MARGIN
+    names, parts = contributions(case.values, case.model, lambda model: case.figures(
+        case.with_numbers(model, case.release, until), nominal))
     std, rows = list(deviations_of(case.values)[[NAMES.index(name) for name in names]]), []
     for name, sigma, unit in zip(
             RELEASE_NAMES, release_deviations(case.values), np.eye(3), strict=True):
         if sigma > 0.0:
             up, down = (
-                figures(toss(held, changed(case.release, side * sigma * unit), case.switched),
-                        nominal, gravity) for side in (STEP, -STEP))
+                case.figures(
+                    toss(held, changed(case.release, side * sigma * unit), case.switched), nominal)
+                for side in (STEP, -STEP))
             names.append(name)
             std.append(sigma)
             rows.append((up - down) / (2.0 * STEP))
@@ -152,7 +139,7 @@ def draw(case: Case, nominal: Toss, count: int, seed: int = 0) -> Drawn:
         except (NoLandingError, UnstableError):
             failed += 1
         else:
-            rows.append(figures(found, nominal, case.model[2]))
+            rows.append(case.figures(found, nominal))
     return Drawn(np.array(rows).reshape(-1, 6), failed)
 
 
@@ -216,7 +203,7 @@ def aim(
 
     def miss(switched: float) -> Array:
         try:
-            found = toss(held, release, switched, COARSE_STRIDE)
+            found = toss(held, release, switched)
         except (NoLandingError, UnstableError):
             return np.full(5, np.nan)
         turn = np.zeros(3)

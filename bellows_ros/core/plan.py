@@ -14,9 +14,9 @@ from typing import Any
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.envelope import beyond, Envelope
-from bellows_ros.core.equilibrium import largest_step, static_equilibrium
+from bellows_ros.core.equilibrium import largest_step, static_equilibrium, substeps_for
 from bellows_ros.core.holding import Grip, MODES, safety_factors
-from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.kernels import (
     cup_wrench,
     lip_relative_to_tool,
@@ -26,7 +26,15 @@ from bellows_ros.core.kernels import (
     tool_at,
     tool_segment,
 )
-from bellows_ros.core.simulation import row_state, Rows, state_row, tool_rows, write_row
+from bellows_ros.core.simulation import (
+    diverged,
+    row_state,
+    Rows,
+    stands,
+    state_row,
+    tool_rows,
+    write_row,
+)
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import (
     add,
@@ -59,9 +67,6 @@ TAIL_STEP = 4e-3
 
 COARSE = 3.0
 """... or this multiple of the normal step, if shorter: still accurate to 1e-4."""
-
-STILL = (1e-3, 1e-2)
-"""A plan whose last point is faster (m/s, rad/s) ends in motion."""
 
 PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_moment', 'swing')
 """Quantities whose peaks are kept: loads, rad, m, N, N m, N m, rad."""
@@ -194,16 +199,12 @@ class Run:
         self._rows = rows = tool_rows(tool)
         self._rests = start is None
         self._start = start or rest(model, rows[0])
-        speed, rate = np.linalg.norm(rows[-1, 7:10]), np.linalg.norm(rows[-1, 10:])
-        self._tail = tail if speed <= STILL[0] and rate <= STILL[1] else 0.0
+        self._tail = tail if stands(rows[-1]) else 0.0
         self._end = self._start
         if self._tail:
             self._end = rest_after(model, rows[0], self._start, rows[-1], self._rests)
         self._longest = longest or largest_step(model)
-        durations = np.diff(tool.stamps_ns) / NS_PER_S
-        self._inputs: tuple[Any, Any] = rows, durations
-        if not COMPILED:
-            self._inputs = rows.tolist(), durations.tolist()
+        self._inputs = as_inputs(rows, np.diff(tool.stamps_ns) / NS_PER_S)
         self._make_room()
 
     def _make_room(self) -> None:
@@ -241,7 +242,7 @@ class Run:
         self._follow(duration_scale, math.inf)
         states = self._out[0].copy()
         if not np.isfinite(states).all():
-            raise _not_finite()
+            raise diverged()
         return states
 
     def prediction(self) -> Prediction:
@@ -261,7 +262,7 @@ class Run:
                 self._model, self._grip or UNKNOWN_GRIP, self._start, *self._inputs,
                 duration_scale, self._longest, ceiling, *self._out, self._past)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
-            raise _not_finite() from None
+            raise diverged() from None
         return bool(below)
 
     def _swing_out(self, ceiling: float) -> float:
@@ -274,15 +275,7 @@ class Run:
                 row_state(self._inputs[0][-1]), self._body, self._seconds, h,
                 math.ceil(self._tail / h), ceiling, peaks, self._past, lip))
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
-            raise _not_finite() from None
-
-
-def _not_finite() -> UnstableError:
-    """Return the error for states that are not finite."""
-    return UnstableError(
-        'The prediction along the plan diverges. Check the plan for jumps, and cup.stiffness, '
-        'cup.damping, package.mass and their units.'
-    )
+            raise diverged() from None
 
 
 def rest(model: ModelTuple, row: Array, near: State | None = None) -> State:
@@ -420,7 +413,7 @@ def _follow(
         duration = durations[k] * duration_scale
         after = slowed(row_state(rows[k + 1]), duration_scale)
         segment = tool_segment(tool, after, duration)
-        n = max(1, math.ceil(duration / longest - 1e-9))
+        n = substeps_for(duration, longest)
         h = duration / n
         for i in range(n):
             middle = tool_at(segment, (i + 0.5) / n)

@@ -7,7 +7,7 @@ from typing import Any
 from bellows_ros.core import tuples
 from bellows_ros.core.arm import Arm
 from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.lie import (
     apply,
     d2exp,
@@ -87,10 +87,8 @@ def rows_of(
     durations = np.diff(stamps_ns) / NS_PER_S
     rows, sizes, fit = np.empty((len(poses), 13)), np.empty((len(poses), 5)), np.zeros(4)
     given_twist = np.zeros((len(poses), 6)) if twist is None else np.array(twist)
-    inputs: tuple[Any, Any, Any] = poses, given_twist, durations
-    if not COMPILED:  # plain floats are several times faster than NumPy's in plain Python
-        inputs = poses.tolist(), given_twist.tolist(), durations.tolist()
-    _write_motion(*inputs, twist_frame == 'world', rows, sizes, fit)
+    _write_motion(
+        *as_inputs(poses, given_twist, durations), twist_frame == 'world', rows, sizes, fit)
     _refuse(np.abs(sizes[:, 0] - 1.0) > UNIT_WITHIN, name,
             'has a quaternion that is not of unit length', f'length 1 to {UNIT_WITHIN:g}',
             'Are its numbers x, y, z, w in this order?')

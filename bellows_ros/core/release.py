@@ -16,10 +16,17 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import largest_step, static_equilibrium
+from bellows_ros.core.equilibrium import (
+    displaced,
+    largest_step,
+    static_equilibrium,
+    substeps_for,
+    substeps_of,
+)
 from bellows_ros.core.holding import Grip, peel_load
-from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.kernels import (
+    extrapolated,
     lip_wrench,
     ModelTuple,
     PackageTuple,
@@ -32,7 +39,15 @@ from bellows_ros.core.kernels import (
     weighted,
     wrench_at_com,
 )
-from bellows_ros.core.simulation import row_state, Rows, state_row, tool_rows, write_row
+from bellows_ros.core.simulation import (
+    diverged,
+    row_state,
+    Rows,
+    stands,
+    state_row,
+    tool_rows,
+    write_row,
+)
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.core.tuples import (
     add,
@@ -41,20 +56,24 @@ from bellows_ros.core.tuples import (
     apply_transposed,
     dot,
     exp_quaternion,
+    log_quaternion,
     normalised,
     Quaternion,
+    quaternion_conjugate,
     quaternion_product,
     rotation_matrix,
     scale,
+    subtract,
+    unit,
     Vector,
 )
-from bellows_ros.errors import BellowsError, NoLandingError, UnstableError
+from bellows_ros.errors import BellowsError, NoLandingError
 import numpy as np
 
 STRIDE, LONGEST_STRIDE = 0.01, 0.02
 """Rotation (rad) per integration step of the flight, and the longest step (s)."""
 COARSE_STRIDE = 0.1
-"""As `STRIDE`, if 0.01 mrad is accurate enough."""
+"""As `STRIDE`, where 0.01 mrad is accurate enough, as of a landing."""
 
 INSTANT = 1e-10
 """Accuracy (s) of the instants of letting go and landing."""
@@ -62,8 +81,9 @@ INSTANT = 1e-10
 LONGEST_WAIT, LONGEST_FLIGHT = 2.0, 10.0
 """Longest time (s) from the valve to letting go, and from there to landing."""
 
-STILL = (1e-3, 1e-2)
-"""A plan whose last point is faster (m/s, rad/s) ends in motion."""
+PUSHES = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (1.0,) * 3
+"""Steps of differences by shift (m), turn (rad), linear and angular twist (m/s, rad/s), and by
+delay, tau and impulse (standard deviations)."""
 
 NO_GRIP: Grip = (1.0, 0.0, 0.0)
 """Stands for an unknown radius or vacuum: the cup lets go after the delay."""
@@ -188,10 +208,10 @@ def lowest(box: Box, up: Vector, body: State) -> float:
 
 @kernel
 def land(
-    package: PackageTuple, gravity: Vector, box: Box, height: float, body: State, stride: float
+    package: PackageTuple, gravity: Vector, box: Box, height: float, body: State
 ) -> tuple[float, State]:
     """Return after which time (s) the first corner is at a height, and the state; -1 if never."""
-    t, up, h = 0.0, upward(gravity), stride_of(body, stride)
+    t, up, h = 0.0, upward(gravity), stride_of(body, COARSE_STRIDE)
     low, high, landed = 0.0, math.inf, body  # the step in which it lands is narrowed (Illinois)
     above, below, side = lowest(box, up, body) - height, 0.0, 0
     while t < LONGEST_FLIGHT:
@@ -205,7 +225,7 @@ def land(
             below, side = below * 0.5 if side > 0 else below, 1
         else:
             t, body, above = t + h, after, left
-            h = stride_of(body, stride)
+            h = stride_of(body, COARSE_STRIDE)
             continue
         if high - low <= INSTANT:
             return t + high, landed
@@ -216,27 +236,21 @@ def land(
 @kernel
 def _hold(
     model: ModelTuple, grip: Grip, body: State, rows: Any, durations: Any, counts: Any,
-    states: Any, loads: Any,
+    tools: Array, states: Array, loads: Array,
 ) -> None:
-    """Write state and load at the beginning of every integration step along the tool's rows."""
-    tool, k, i = row_state(rows[0]), 0, 0
-    after = row_state(rows[1])
-    segment = tool_segment(tool, after, durations[0])
-    for j in range(len(states)):
-        write_row(states[j], body)
-        loads[j] = load_at(model, grip, tool, body)
-        if k == len(durations):
-            return
-        n = counts[k]
-        middle = tool_at(segment, (i + 0.5) / n)
-        end = after if i == n - 1 else tool_at(segment, (i + 1.0) / n)
-        body = step(model, body, tool, middle, end, durations[k] / n)
-        tool, i = end, i + 1
-        if i == n:
-            k, i = k + 1, 0
-            if k < len(durations):
-                after = row_state(rows[k + 1])
-                segment = tool_segment(tool, after, durations[k])
+    """Write tool, package and load at both ends of all integration steps along rows."""
+    tool, j = row_state(rows[0]), 0
+    write_row(tools[j], tool)
+    write_row(states[j], body)
+    loads[j] = load_at(model, grip, tool, body)
+    for k in range(len(durations)):
+        segment = tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
+        for i in range(counts[k]):
+            j += 1
+            tool, body = _within(model, segment, body, i / counts[k], (i + 1.0) / counts[k])
+            write_row(tools[j], tool)
+            write_row(states[j], body)
+            loads[j] = load_at(model, grip, tool, body)
 
 
 @kernel
@@ -251,91 +265,50 @@ def _within(
 
 
 @kernel
-def _let_go(
-    model: ModelTuple, grip: Grip, valve: Valve, switched: float, first: int,
-    rows: Any, durations: Any, starts: Any, places: Any, times: Any, states: Any, loads: Any,
+def let_go(
+    model: ModelTuple, grip: Grip, valve: Valve, start: float, tool: State, body: State,
+    rows: Any, seconds: Any, switched: float, until: float, longest: float,
 ) -> tuple[float, State]:
-    """Return when it is let go, and the state then; -1 if not before the end."""
-    freed = row_state(states[first])
-    for j in range(first, len(times) - 1):
-        low, high, side = max(times[j], switched), times[j + 1], 0
-        below = spare(grip, valve, high - switched, loads[j + 1])
-        if j > first and below > 0.0:
-            continue
-        k = places[j]
-        segment = tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
-        before, freed = row_state(states[j]), row_state(states[j + 1])
-        since = (times[j] - starts[k]) / durations[k]
-        above = spare(grip, valve, low - switched, loads[j])
-        t = between(low, high, above, below, 0.5 * INSTANT) if j > first else low
-        while True:  # narrowed by the method of Illinois
-            tool, body = _within(
-                model, segment, before, since, since + (t - times[j]) / durations[k])
-            left = spare(grip, valve, t - switched, load_at(model, grip, tool, body))
-            if left <= 0.0:
-                high, below, freed = t, left, body
-                above, side = above * 0.5 if side < 0 else above, -1
-            elif below > 0.0:
-                break
-            else:
-                low, above = t, left
-                below, side = below * 0.5 if side > 0 else below, 1
-            if high - low <= INSTANT:
-                return high, freed
-            t = between(low, high, above, below, 0.5 * INSTANT)
-    return -1.0, freed
-
-
-@kernel
-def toss_along(
-    model: ModelTuple, grip: Grip, valve: Valve, impulse: float, box: Box, height: float,
-    body: State, rows: Any, seconds: Any, switched: float, longest: float, instant: float,
-) -> tuple[float, State, float, State]:
-    """
-    Return when it is let go (s), the state after that, when it lands (s), and the state then.
-
-    The tool moves along rows at seconds, the package begins as `body`, and the valve is switched
-    at a time, or was before. Times are -1 where it is not let go by the end, or lands never; below
-    the floor it lands at once. Nothing is kept on the way: for one toss this is the quicker way.
-    """
-    _, package, gravity = model
-    above, freed = -1.0, body  # by how much it holds, not known before the valve
-    for k in range(len(seconds) - 1):
-        duration = seconds[k + 1] - seconds[k]
-        segment = tool_segment(row_state(rows[k]), row_state(rows[k + 1]), duration)
-        n = max(1, math.ceil(duration / longest - 1e-9))
+    """Return when the cup lets go (s) and the package then, or -1 and the package at the end."""
+    above = -1.0  # by how much it holds, not known before the valve
+    for k in range(len(seconds) + 1):
+        if start >= until:
+            break
+        end, after = until, tool
+        if k < len(seconds):
+            end, after = seconds[k], row_state(rows[k])
+        else:
+            after = extrapolated(tool, until - start)
+        duration = end - start
+        segment = tool_segment(tool, after, duration)
+        part = min(1.0, (until - start) / duration)
+        n = substeps_for(part * duration, longest)
         for i in range(n):
-            start, end, caught, below, side = i / n, (i + 1.0) / n, False, 0.0, 0
-            low, high = max(start, (switched - seconds[k]) / duration), end
-            s = end if above > 0.0 or low >= end else low
+            before, last, caught, below, side = part * i / n, part * (i + 1.0) / n, False, 0.0, 0
+            low, high, freed = max(before, (switched - start) / duration), last, body
+            s = last if above > 0.0 or low >= last else low
             while True:  # until it lets go: the step in which it does is narrowed (Illinois)
-                tool, after = _within(model, segment, body, start, s)
-                t = seconds[k] + s * duration
-                left = math.inf
-                if s >= low:
-                    left = spare(grip, valve, t - switched, load_at(model, grip, tool, after))
+                there, moved = _within(model, segment, body, before, s)
+                load, late = load_at(model, grip, there, moved), start + s * duration - switched
+                left = spare(grip, valve, late, load) if s >= low else math.inf
                 if left <= 0.0:
-                    high, below, freed, caught = s, left, after, True
+                    high, below, freed, caught = s, left, moved, True
                     above, side = above * 0.5 if side < 0 else above, -1
                 elif caught:
                     low, above = s, left
                     below, side = below * 0.5 if side > 0 else below, 1
-                elif s == end:
+                elif s == last:
                     above = left if s >= low else -1.0
                     break
                 else:
-                    above, s = left, end
+                    above, s = left, last
                     continue
-                if (high - low) * duration <= instant:
-                    t = seconds[k] + high * duration
-                    body = pushed_off(package, freed, impulse)
-                    if lowest(box, upward(gravity), body) <= height:
-                        return t, body, t, body
-                    later, landed = land(package, gravity, box, height, body, COARSE_STRIDE)
-                    return t, body, t + later if later >= 0.0 else -1.0, landed
-                s = between(low, high, above, below, 0.5 * instant / duration)
-            body = after
-    return -1.0, body, -1.0, body
+                if (high - low) * duration <= INSTANT:
+                    return start + high * duration, freed
+                s = between(low, high, above, below, 0.5 * INSTANT / duration)
+            body = moved
+        tool, start = after, end
+    return -1.0, body
 
 
 class Release(NamedTuple):
@@ -347,6 +320,99 @@ class Release(NamedTuple):
     box: Box
     height: float
     """Of the floor, from the world's origin against gravity, m."""
+
+
+NO_FLIGHT = Release((0.0, 0.0), 0.0, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
+"""Of a package whose flight does not count."""
+
+
+@kernel
+def toss_along(
+    model: ModelTuple, grip: Grip, release: Release, start: float, tool: State, body: State,
+    rows: Any, seconds: Any, switched: float, until: float, longest: float,
+) -> tuple[float, State, float, State]:
+    """
+    Return when it is let go (s), the state after that, when it lands (s), and the state then.
+
+    Tool and package are those at the start (s). The tool moves along rows (N, 13) at seconds (N,),
+    and steadily after them; the valve is switched at a time, or was before. Times are -1 where it
+    is not let go before `until`, and the first state is that of then, or where it never lands;
+    below the floor it lands at once. Integration steps are at most `longest` (s).
+    """
+    _, package, gravity = model
+    released, body = let_go(
+        model, grip, release.valve, start, tool, body, rows, seconds, switched, until, longest)
+    if released < 0.0:
+        return released, body, -1.0, body
+    body = pushed_off(package, body, release.impulse)
+    if lowest(release.box, upward(gravity), body) <= release.height:
+        return released, body, released, body
+    later, landed = land(package, gravity, release.box, release.height, body)
+    return released, body, released + later if later >= 0.0 else -1.0, landed
+
+
+@kernel
+def figures(landed: State, nominal: State, gravity: Vector) -> tuple[Vector, Vector]:
+    """
+    Return by how much a landing differs from a nominal one.
+
+    By position in the plane of the floor (m), with no part along gravity, and by rotation vector
+    in world axes (rad). Each lands at its own instant: the shift along the flight is projected
+    out.
+    """
+    up, moved = upward(gravity), subtract(landed[0], nominal[0])
+    turn = quaternion_product(landed[1], quaternion_conjugate(nominal[1]))
+    return add_scaled(moved, -dot(up, moved), up), log_quaternion(turn)
+
+
+@kernel
+def sure_toss(
+    model: ModelTuple, grip: Grip, release: Release, deviations: Vector, tool: State, body: State,
+    rows: Any, seconds: Any, until: float, longest: float, first: int, last: int,
+    of_state: Array, by: Array, covariance: Array,
+) -> tuple[bool, tuple[float, State, float, State]]:
+    """
+    Write the covariance (6, 6) of a landing; return if it is known, and `toss_along` from 0.
+
+    It is that of the `figures`: with their derivatives `by` (6, 15) from the covariance `of_state`
+    (12, 12) of the package's shift, turn and twist, in its own axes, and from the deviations of
+    delay (s), tau (s) and impulse (N s), by a standard deviation of each. The derivatives from
+    the first to before the last are renewed.
+    """
+    nominal = -1.0, body, -1.0, body
+    for i in range(first - 1, last):
+        j = i if i >= first else -1  # the first is the toss itself
+        size = PUSHES[max(j, 0)]
+        o, q, v, w = displaced(body, unit(j, size), unit(j - 3, size))
+        delay, tau, impulse = unit(j - 12, deviations[max(j - 12, 0)])
+        changed = Release(
+            (release.valve[0] + delay, release.valve[1] + tau), release.impulse + impulse,
+            release.box, release.height)
+        found = toss_along(
+            model, grip, changed, 0.0, tool,
+            (o, q, add(v, unit(j - 6, size)), add(w, unit(j - 9, size))),
+            rows, seconds, 0.0, until, longest)
+        if found[2] <= found[0]:
+            return False, found
+        if j < 0:
+            nominal = found
+        else:
+            moved, turned = figures(found[3], nominal[3], model[2])
+            for k in range(3):
+                by[k, j], by[k + 3, j] = moved[k] / size, turned[k] / size
+    covariance[:] = 0.0
+    total = 0.0
+    for i in range(6):
+        for k in range(15):
+            part = by[i, k]
+            if k < 12:
+                part = 0.0
+                for m in range(12):
+                    part += by[i, m] * of_state[m, k]
+            for j in range(6):
+                covariance[i, j] += part * by[j, k]
+            total += covariance[i, i]
+    return total - total == 0.0, nominal
 
 
 class Toss(NamedTuple):
@@ -381,8 +447,6 @@ class Held:
         Of B in the world at the first point; at rest there when left out.
     until : float
         Time (s since the first point) up to which it is looked at.
-    longest : float
-        Longest step of the integration (s); that of the model when left out.
 
     Attributes
     ----------
@@ -401,49 +465,42 @@ class Held:
 
     def __init__(
         self, model: ModelTuple, grip: Grip | None, tool: Trajectory | Rows,
-        start: State | None = None, until: float = math.inf, longest: float = 0.0,
+        start: State | None = None, until: float = math.inf,
     ) -> None:
         """Follow the plan."""
         self.model, self.grip, self.mode = model, grip or NO_GRIP, 'peel' if grip else 'delay'
         rows, starts = tool_rows(tool), tool.seconds
         self.duration = float(starts[-1])
-        speed, rate = np.linalg.norm(rows[-1, 7:10]), np.linalg.norm(rows[-1, 10:])
-        self.ends_at_rest = bool(speed <= STILL[0] and rate <= STILL[1])
+        self.ends_at_rest = stands(rows[-1])
         if self.ends_at_rest:
             still = np.concatenate([rows[-1, :7], np.zeros(6)])
             rows = np.vstack([rows[:-1], still, still])
             starts = np.append(starts, self.duration + LONGEST_WAIT)
         count = min(max(2, int(np.searchsorted(starts, until)) + 1), len(starts))
-        rows, starts = rows[:count], starts[:count]
-        durations = np.diff(starts)
-        if start is None:
-            start = static_equilibrium(model, state_row(rows[0, :3], rows[0, 3:7], np.zeros(6)))
-        longest = longest or largest_step(model)
-        counts = np.maximum(1, np.ceil(durations / longest - 1e-9)).astype(np.int64)
+        self._longest = largest_step(model)
+        durations = np.diff(starts[:count])
+        counts = substeps_of(durations, self._longest)
         places = np.repeat(np.arange(len(counts)), counts)
         parts = np.arange(len(places)) - np.repeat(np.cumsum(counts) - counts, counts)
-        self.times = np.append(starts[places] + parts * (durations / counts)[places], starts[-1])
-        inputs: list[Any] = [rows, durations, starts, places, self.times]
-        if not COMPILED:  # plain floats are several times faster than NumPy's in plain Python
-            inputs = [a.tolist() for a in inputs]
-        self._fixed, self._counts = inputs, counts
+        self.times = np.append(
+            starts[places] + parts * (durations / counts)[places], starts[count - 1])
+        self._plan = as_inputs(rows[:count], durations, counts)
+        if start is None:
+            start = static_equilibrium(model, state_row(rows[0, :3], rows[0, 3:7], np.zeros(6)))
         self._follow(start)
 
     def _follow(self, start: State) -> None:
         """Fill in states and loads."""
-        self.start, fixed = start, self._fixed
-        self.states, self.loads = np.empty((len(self.times), 13)), np.empty(len(self.times))
+        self.start = start
+        tools, self.states = np.empty((2, len(self.times), 13))
+        self.loads = np.empty(len(self.times))
         try:
-            _hold(self.model, self.grip, start, fixed[0], fixed[1], self._counts, self.states,
-                  self.loads)
+            _hold(self.model, self.grip, start, *self._plan, tools, self.states, self.loads)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             self.states[-1] = math.nan
         if not np.isfinite(self.states[-1]).all():
-            raise UnstableError(
-                'The prediction along the plan diverges. Check the plan for jumps, and '
-                'cup.stiffness, cup.damping, package.mass and their units.')
-        out: list[Any] = [self.states, self.loads]
-        self._inputs = [*fixed, *(out if COMPILED else [a.tolist() for a in out])]
+            raise diverged()
+        self._inputs = as_inputs(self.times, tools, self.states)
 
     def again(self, start: State) -> Held:
         """Return the same from another initial state."""
@@ -451,13 +508,13 @@ class Held:
         other._follow(start)
         return other
 
-    def let_go(self, valve: Valve, switched: float) -> tuple[float, State]:
-        """Return when (s) it is let go, the valve being switched at a time; -1 if not in time."""
-        first = max(0, int(np.searchsorted(self.times, switched, 'right')) - 1)
-        released, body = _let_go(
-            self.model, self.grip, valve, switched, min(first, len(self.times) - 2),
-            *self._inputs)
-        return released, body
+    def let_go(self, release: Release, switched: float) -> tuple[float, State, float, State]:
+        """Return what `toss_along` does, the valve being switched at a time (s)."""
+        times, tools, states = self._inputs
+        i = max(0, int(np.searchsorted(self.times, switched, 'right')) - 1)
+        return toss_along(
+            self.model, self.grip, release, times[i], row_state(tools[i]), row_state(states[i]),
+            tools[i + 1:], times[i + 1:], switched, times[-1], self._longest)
 
     def lost_before(self, switched: float) -> float | None:
         """Return the first time (s) before the valve at which the grip is lost already."""
@@ -467,7 +524,7 @@ class Held:
         return float(self.times[early[0]]) if len(early) else None
 
 
-def toss(held: Held, release: Release, switched: float, stride: float = STRIDE) -> Toss:
+def toss(held: Held, release: Release, switched: float) -> Toss:
     """
     Return the toss when the valve is switched at a time of the plan.
 
@@ -479,8 +536,6 @@ def toss(held: Held, release: Release, switched: float, stride: float = STRIDE) 
         Valve, package and floor.
     switched : float
         s since the first point of the plan.
-    stride : float
-        Accuracy of the flight: `STRIDE` or `COARSE_STRIDE`.
 
     Raises
     ------
@@ -493,7 +548,7 @@ def toss(held: Held, release: Release, switched: float, stride: float = STRIDE) 
         raise NoLandingError(
             f'The valve is switched at {switched:g} s, outside the plan; expected 0 to '
             f'{held.duration:g} s. Release earlier, or make the plan longer.')
-    released, body = held.let_go(release.valve, switched)
+    released, body, landing, landed = held.let_go(release, switched)
     if released < 0.0:
         raise NoLandingError(
             f'The cup does not let go within {held.times[-1] - switched:.3g} s after the valve is '
@@ -501,21 +556,18 @@ def toss(held: Held, release: Release, switched: float, stride: float = STRIDE) 
                 'Check release.delay, release.tau and whether the package hangs from the cup.'
                 if held.ends_at_rest else
                 'The plan ends earlier, in motion. Make it longer, or release earlier.'))
-    _, package, gravity = held.model
-    body = pushed_off(package, body, release.impulse)
-    height = lowest(release.box, upward(gravity), body)
-    if height <= release.height:
+    if landing == released:
+        height = lowest(release.box, upward(held.model[2]), body)
         raise NoLandingError(
             f'The lowest corner of the package is at {height:.4g} m at its release at '
             f'{released:.4g} s, but landing.height is {release.height:g} m: the floor is above '
             'it. Check landing.height, package.size, package.size_center and the frame of the '
             'plan.')
-    after, landed = land(package, gravity, release.box, release.height, body, stride)
-    if after < 0.0:
+    if landing < 0.0:
         raise NoLandingError(
             f'The package does not land within {LONGEST_FLIGHT:g} s. Check gravity, '
             'landing.height and release.impulse.')
-    return Toss(released, body, released + after, landed, held.mode)
+    return Toss(released, body, landing, landed, held.mode)
 
 
 def release_of(values: Mapping[str, Any]) -> Release:

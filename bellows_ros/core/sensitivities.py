@@ -20,7 +20,7 @@ from bellows_ros.core.jacobians import (
     parameter_jacobian,
     tool_jacobians,
 )
-from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.jit import as_inputs, COMPILED, kernel
 from bellows_ros.core.kernels import (
     cubic,
     cubic_slope,
@@ -446,10 +446,8 @@ def sensitivities(
     n = 12 + last - first + m
     states, out = np.empty((len(tool), 13)), np.zeros((len(tool), 12, n))
     out[0, :, :12] = np.eye(12)
-    inputs: tuple[Any, Any, Any] = (tool, durations, substeps)
-    if not COMPILED:  # plain floats are several times faster than NumPy's in plain Python
-        inputs = (tool.tolist(), durations.tolist(), substeps.tolist())
-    _sensitivities(model, start, *inputs, (first, last), changes, states, out, *workspace(n, m))
+    _sensitivities(model, start, *as_inputs(tool, durations, substeps), (first, last), changes,
+                   states, out, *workspace(n, m))
     return states, out
 
 

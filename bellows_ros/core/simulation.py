@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.equilibrium import largest_step, static_equilibrium
-from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.equilibrium import largest_step, static_equilibrium, substeps_of
+from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.kernels import (
     advance,
     lip_relative_to_tool,
@@ -20,11 +20,7 @@ from bellows_ros.core.kernels import (
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package, STANDARD_GRAVITY
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
-from bellows_ros.core.tuples import (
-    apply,
-    dot,
-    rotation_matrix,
-)
+from bellows_ros.core.tuples import apply, dot, rotation_matrix
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,6 +32,23 @@ def state_row(position: ArrayLike, quaternion_xyzw: ArrayLike, twist: ArrayLike)
     q = [float(value) for value in np.asarray(quaternion_xyzw)]
     v = [float(value) for value in np.asarray(twist)]
     return (o[0], o[1], o[2]), (q[0], q[1], q[2], q[3]), (v[0], v[1], v[2]), (v[3], v[4], v[5])
+
+
+STILL = (1e-3, 1e-2)
+"""A tool that is faster (m/s, rad/s) moves."""
+
+
+def stands(row: Array) -> bool:
+    """Return whether the tool of a row (13,) stands still."""
+    speed, rate = np.linalg.norm(row[7:10]), np.linalg.norm(row[10:])
+    return bool(speed <= STILL[0] and rate <= STILL[1])
+
+
+def diverged() -> UnstableError:
+    """Return the error for a prediction that is not finite."""
+    return UnstableError(
+        'The prediction along the plan diverges. Check the plan for jumps, and cup.stiffness, '
+        'cup.damping, package.mass and their units.')
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -136,7 +149,8 @@ def simulate(
     model = model_tuple(cup, package, gravity)
     rows = tool_rows(tool)
     durations = np.diff(tool.stamps_ns) * 1e-9
-    steps = _substeps(model, durations, substeps)
+    steps = (substeps_of(durations, largest_step(model)) if substeps is None
+             else np.full(len(durations), substeps, dtype=np.int64))
     if start is None:
         start = static_equilibrium(model, state_row(rows[0, :3], rows[0, 3:7], np.zeros(6)))
     try:
@@ -156,25 +170,12 @@ def simulate(
     )
 
 
-def _substeps(
-    model: ModelTuple, durations: Array, substeps: int | None
-) -> Stamps:
-    """Return the number of integration steps for each time between tool samples."""
-    if substeps is not None:
-        return np.full(len(durations), substeps, dtype=np.int64)
-    longest = largest_step(model)
-    return np.maximum(1, np.ceil(durations / longest - 1e-9)).astype(np.int64)
-
-
 def simulate_rows(
     model: ModelTuple, start: State, tool: Array, durations: Array, substeps: Stamps
 ) -> Array:
     """Return the package's state rows (N, 13) for as many tool rows and the times between."""
     out = np.empty((len(tool), 13))
-    inputs: tuple[Any, Any, Any] = (tool, durations, substeps)
-    if not COMPILED:  # plain floats are several times faster than NumPy's in plain Python
-        inputs = (tool.tolist(), durations.tolist(), substeps.tolist())
-    _simulate(model, start, *inputs, out)
+    _simulate(model, start, *as_inputs(tool, durations, substeps), out)
     return out
 
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import linearise, resting_on_tool
 from bellows_ros.core.jacobians import damper_jacobians
-from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.kernels import (
     lip_relative_to_tool,
     ModelTuple,
@@ -40,9 +40,9 @@ from bellows_ros.core.lie import (
 from bellows_ros.core.lie import (
     apply as apply_all,
 )
-from bellows_ros.core.plan import predict, Prediction, rest, rest_after, SETTLED, STILL
+from bellows_ros.core.plan import predict, Prediction, rest, rest_after, SETTLED
 from bellows_ros.core.plan_points import body_twists, curve_of
-from bellows_ros.core.simulation import state_row, tool_rows, write_row
+from bellows_ros.core.simulation import state_row, STILL, tool_rows, write_row
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import (
     add,
@@ -335,10 +335,10 @@ def _led(
     arrived: Array, out: Array, package: Array,
 ) -> int:
     """Fill in the states of tool and package; return how many there are."""
-    inputs: Any = pieces if COMPILED else pieces.tolist()
     way, turn = arrived.tolist()
     try:
-        found = int(_lead(model, tool, inputs, spacing, count, h, way, turn, out, package))
+        found = int(_lead(
+            model, tool, *as_inputs(pieces), spacing, count, h, way, turn, out, package))
     except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
         found = 0
     if not found or not np.isfinite(out[:found]).all():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.kernels import State
 from bellows_ros.core.tuples import (
     add,
@@ -38,8 +38,8 @@ class PoseHistory:
 
     def __init__(self, size: int) -> None:
         """Keep the given number of poses, at least two."""
-        rows = np.zeros((size, 8))  # stamp (s, from the first), position, quaternion xyzw
-        self._rows: Any = rows if COMPILED else rows.tolist()  # plain floats are faster there
+        # stamp (s, from the first), position, quaternion xyzw
+        self._rows, = as_inputs(np.zeros((size, 8)))
         self._count = 0
         self._origin_ns = 0
 

@@ -58,6 +58,13 @@ def dot(a: Vector, b: Vector) -> float:
 
 
 @kernel
+def unit(axis: int, size: float) -> Vector:
+    """Return a vector of a size along one of the axes 0 to 2; of others, zero."""
+    return (
+        size if axis == 0 else 0.0, size if axis == 1 else 0.0, size if axis == 2 else 0.0)
+
+
+@kernel
 def norm(a: Vector) -> float:
     """Return the length of a vector."""
     return math.sqrt(dot(a, a))

@@ -23,14 +23,14 @@ from .tool_inputs import OVERRIDABLE
 from ..core.envelope import known_envelope
 from ..core.holding import grip_of
 from ..core.live import LivePredictor, Prediction
-from ..core.live.ahead import Ahead, future, thin_out
+from ..core.live.ahead import Ahead, thin_out
 from ..core.live.health import Level, number, Status
 from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import UNKNOWN_ROOT
 from ..core.plan import COARSE, predict, Run
 from ..core.plan import Prediction as Predicted
 from ..core.plan_points import rows_of
-from ..core.simulation import Rows, state_row
+from ..core.simulation import Rows
 from ..core.steering import steer
 from ..core.trajectory import NS_PER_S
 from ..errors import BellowsError
@@ -146,9 +146,10 @@ class Planning:
         gc.freeze()  # the collector need not look through what numba has made
         self._is_warm = True
 
-    def future(self, now: Prediction, duration: float) -> Rows:
-        """Return the tool going on for a time (s), by its plan or steadily."""
-        return future(self._ahead, now, duration)
+    def rest(self, now: Prediction) -> Rows | None:
+        """Return the tool from a prediction on, by its plan, or None where it drives none."""
+        ahead = self._ahead
+        return None if ahead is None or ahead.done or ahead.off else ahead.rest(now)
 
     # --------------------------------------------------------------- messages
 
@@ -265,11 +266,8 @@ class Planning:
                     f'above 0 and up to {LONGEST_REQUEST:g} s.')
             if self._ahead is not None and not now.flies:
                 self._ahead.follow(now)
-            body = live.flight.later(live.model, now, duration) if live.flight else None
-            if body is None:
-                states = predict(
-                    live.model, None, self.future(now, duration), now.body, 0.0).states
-                body = state_row(*np.split(states[-1], [3, 7]))
+            assert live.flight is not None  # set with the values
+            body = live.flight.later(live.model, now, duration)
         except BellowsError as error:
             self._node.get_logger().warning(
                 f'A request on package/predict_at was refused. {error}',

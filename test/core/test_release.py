@@ -6,7 +6,6 @@ from bellows_ros.core.lie import exp_so3, log_so3, quaternion_to_rotation
 from bellows_ros.core.model import model_tuple, Package
 from bellows_ros.core.parameters import resolve
 from bellows_ros.core.release import (
-    COARSE_STRIDE,
     flight,
     flight_path,
     Held,
@@ -56,9 +55,6 @@ def test_is_let_go_and_lands_where_an_independent_integrator_says(held, switched
     assert np.abs(found.landing[0] - landed[1]).max() < 1e-6
     assert turned(landed[2], found.landing) < 1e-5
     assert np.abs(np.concatenate(found.landing[2:]) - landed[3]).max() < 1e-5
-    coarse = toss(held, RELEASE, switched, COARSE_STRIDE)
-    assert np.abs(coarse.landing[0] - landed[1]).max() < 1e-6
-    assert turned(landed[2], coarse.landing) < 1e-5
 
 
 def test_without_a_grip_it_is_let_go_after_the_delay():

@@ -12,9 +12,15 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.equilibrium import displaced, largest_step, static_equilibrium, substeps_for
+from bellows_ros.core.equilibrium import (
+    displaced,
+    largest_step,
+    static_equilibrium,
+    substeps_for,
+    substeps_of,
+)
 from bellows_ros.core.identification.segments import in_motion
-from bellows_ros.core.jit import COMPILED, kernel
+from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.kernels import advance, ModelTuple, State
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.recording.recording import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
@@ -237,10 +243,8 @@ def innovations(
     """
     out: Array = np.zeros((len(tool), 6))
     limit = CLIPPED_AT * np.sqrt(np.diag(filtering.covariance))
-    inputs: list[Any] = [tool, package, valid, durations, substeps, filtering.gain, limit]
-    if not COMPILED:  # plain floats are several times faster than NumPy's in plain Python
-        inputs = [part.tolist() for part in inputs]
-    _innovations(model, start, *inputs, out)  # type: ignore[call-arg]
+    _innovations(model, start, *as_inputs(
+        tool, package, valid, durations, substeps, filtering.gain, limit), out)
     return out
 
 
@@ -380,12 +384,11 @@ def one_step_errors(
     except np.linalg.LinAlgError:
         return None
     durations = np.diff(tool.stamps_ns) / NS_PER_S
-    longest = largest_step(model)
     errors = innovations(
         model, start, rows,
         np.hstack([package.position, rotation_to_quaternion(package.rotation)]),
         package.valid, durations,
-        np.array([substeps_for(duration, longest) for duration in durations.tolist()]),
+        substeps_of(durations, largest_step(model)),
         filtering,
     )
     white = np.linalg.solve(np.linalg.cholesky(filtering.covariance), errors[package.valid].T)

@@ -18,7 +18,7 @@ from bellows_ros.core.holding import Grip
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.lie import apply, exp_so3, log_so3, quaternion_to_rotation
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.release import flight, Held, pushed_off, STRIDE
+from bellows_ros.core.release import flight, Held, NO_FLIGHT, STRIDE
 from bellows_ros.core.simulation import state_row, tool_rows
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import add
@@ -140,8 +140,8 @@ def letting_go(
             moved[0], moved[1], add(start[2], tuple(push[6:9].tolist())),
             add(start[3], tuple(push[9:].tolist()))))
         time = min(max(valve + float(x[12]) * 1e-3, valve), end - 1e-3)
-        _, body = begun.let_go((0.0, 0.0), time)
-        return begun, pushed_off(model[1], body, float(x[13]) * 1e-2), time
+        release = NO_FLIGHT._replace(impulse=float(x[13]) * 1e-2)
+        return begun, begun.let_go(release, time)[1], time
 
     def residuals(x: Array, held: Held = given) -> Array:
         begun, body, time = run(x, held)

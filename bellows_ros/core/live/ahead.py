@@ -11,10 +11,8 @@ import math
 from typing import Any
 
 from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.jit import COMPILED, kernel
-from bellows_ros.core.kernels import State, tool_at, tool_segment
-from bellows_ros.core.live.flight import steadily
-from bellows_ros.core.live.payload import extrapolated
+from bellows_ros.core.jit import as_inputs, kernel
+from bellows_ros.core.kernels import State
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.simulation import row_state, Rows, tool_rows, write_row
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
@@ -192,10 +190,8 @@ class Ahead:
         speed = np.linalg.norm(self._rows[:, 7:] * np.repeat([1.0, LEVER], 3), axis=1)
         gaps = np.diff(self._seconds)
         reach = 0.5 * speed * np.maximum(np.append(gaps, 0.0), np.append(0.0, gaps))
-        inputs: tuple[Any, Any, Any] = self._rows, self._seconds, reach
-        if not COMPILED:  # plain floats are several times faster than NumPy's in plain Python
-            inputs = self._rows.tolist(), self._seconds.tolist(), reach.tolist()
-        self._inputs, self._slow = inputs, MOVING * float(speed.max())
+        self._inputs = as_inputs(self._rows, self._seconds, reach)
+        self._slow = MOVING * float(speed.max())
         self.progress, self.rate = 0.0, 1.0
         self.done = self.off = False
         self._seen_ns = -1
@@ -227,24 +223,3 @@ class Ahead:
         count = left(*self._inputs[:2], now.tool, self.progress, self.rate, wait, spacing,
                      stamps_ns, rows)
         return Rows(stamps_ns[:count], rows[:count])
-
-
-@kernel
-def tool_within(before: Any, after: Any, duration: float, s: float) -> State:
-    """Return the tool at a fraction s of the time (s) between two rows."""
-    return tool_at(tool_segment(row_state(before), row_state(after), duration), s)
-
-
-def future(ahead: Ahead | None, now: Prediction, duration: float) -> Rows:
-    """Return the tool going on for a time (s) from a prediction, by its plan or steadily."""
-    if ahead is None or ahead.done or ahead.off:
-        return steadily(now, duration)
-    rest, end_ns = ahead.rest(now), round(duration * NS_PER_S)
-    k = int(np.searchsorted(rest.stamps_ns, end_ns))
-    since = (end_ns - int(rest.stamps_ns[k - 1])) / NS_PER_S
-    if k < len(rest):
-        gap = float(rest.stamps_ns[k] - rest.stamps_ns[k - 1]) / NS_PER_S
-        end = tool_within(rest.rows[k - 1], rest.rows[k], gap, since / gap)
-    else:
-        end = extrapolated(row_state(rest.rows[-1]), since)
-    return Rows(np.append(rest.stamps_ns[:k], end_ns), np.vstack([rest.rows[:k], np.hstack(end)]))

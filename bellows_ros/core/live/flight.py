@@ -7,26 +7,27 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import displaced, largest_step
+from bellows_ros.core.equilibrium import largest_step
 from bellows_ros.core.holding import grip_of
-from bellows_ros.core.kernels import ModelTuple, State
-from bellows_ros.core.landing import aim, changed, figures, release_deviations
-from bellows_ros.core.live.payload import extrapolated, MOST_SUBSTEPS
+from bellows_ros.core.kernels import extrapolated, ModelTuple, State
+from bellows_ros.core.landing import aim, release_deviations
+from bellows_ros.core.live.payload import MOST_SUBSTEPS
 from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
 from bellows_ros.core.release import (
     COARSE_STRIDE,
     flight,
     flight_path,
     Held,
+    NO_FLIGHT,
     NO_GRIP,
-    Release,
     release_of,
+    sure_toss,
     Toss,
     toss_along,
     upward,
 )
-from bellows_ros.core.simulation import Rows
-from bellows_ros.core.tuples import add, scale
+from bellows_ros.core.simulation import diverged, row_state, Rows
+from bellows_ros.core.tuples import scale
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -38,13 +39,11 @@ AIMED_SCAN, AIMED_CLOSELY = 0.01, 1
 """Spacing (s) of that scan, and how many of its times are refined."""
 COARSE = 2.0
 """Steps are so many times as long as elsewhere: the landing is within 0.02 mm, 0.2 mrad."""
-INSTANT = 1e-7
-"""Accuracy (s) of the instant of letting go."""
-PUSHES = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3
-"""Steps of differences by shift (m), turn (rad), linear and angular twist (m/s, rad/s)."""
 RENEWED = 10
 """The covariance of the package's state is renewed once in this many landings."""
 PATH_POINTS = 24
+NOTHING = np.empty((0, 13)), np.empty(0)
+"""Rows and seconds of a tool of which only the present is known."""
 
 
 class Landing(NamedTuple):
@@ -53,22 +52,19 @@ class Landing(NamedTuple):
     toss: Toss
     """Times are s since the prediction."""
     covariance: Array
-    """Of position on the floor and rotation vector, in world axes (6, 6)."""
+    """Of position on the floor and rotation vector, in world axes (6, 6); written over by the next
+    landing."""
 
 
-def motion(times_ns: tuple[int, int], start: State, end: State) -> Rows:
-    """Return the tool between two states."""
-    return Rows(np.array(times_ns), np.array([
-        (*o, *q, *v, *w) for o, q, v, w in (start, end)]))
-
-
-def steadily(prediction: Prediction, duration: float) -> Rows:
-    """Return the tool going on from a prediction, its tip straight and its rotation steadily."""
-    tool = prediction.tool
-    return motion((0, round(duration * 1e9)), tool, extrapolated(tool, duration))
-
-
-Future = Callable[[Prediction, float], Rows]
+def steadily(now: Prediction, tool: Rows | None, duration: float) -> Rows:
+    """Return the tool for a time (s) at least: as known, then straight on and turning steadily."""
+    tool = tool or Rows(np.zeros(1, np.int64), np.array([np.concatenate(now.tool)]))
+    left_ns = round(duration * 1e9) - int(tool.stamps_ns[-1])
+    if left_ns <= 0:
+        return tool
+    last = np.concatenate(extrapolated(row_state(tool.rows[-1]), left_ns * 1e-9))
+    return Rows(
+        np.append(tool.stamps_ns, tool.stamps_ns[-1] + left_ns), np.vstack([tool.rows, last]))
 
 
 class Flight:
@@ -80,7 +76,8 @@ class Flight:
     values : mapping
         Parameters by name.
     future : callable
-        From a prediction and a time (s) to the tool's motion from then on.
+        From a prediction to the tool's motion from then on, which begins at 0 ns, or None where it
+        is not known. After it the tool goes on steadily.
 
     Attributes
     ----------
@@ -94,26 +91,32 @@ class Flight:
 
     """
 
-    def __init__(self, values: Mapping[str, Any], future: Future = steadily) -> None:
+    def __init__(
+        self, values: Mapping[str, Any],
+        future: Callable[[Prediction], Rows | None] = lambda now: None,
+    ) -> None:
         """Set the data of release and landing."""
         self._values, self._future = values, future
         self.known = min(values['package.size']) > 0.0
-        self._release = release_of(values) if self.known else None
+        self._release = release_of(values) if self.known else NO_FLIGHT
         self.grip = grip_of(values)
         self._ahead = values['release.delay'] + TAUS * values['release.tau'] + AHEAD
-        self._deviations = release_deviations(values)
-        self._uncertain = [*range(12), *(12 + np.flatnonzero(self._deviations)).tolist()]
+        delay, tau, impulse = release_deviations(values).tolist()
+        self._deviations = delay, tau, impulse
         self._longest: tuple[ModelTuple | None, float] = None, 0.0
+        self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, 15))
+        self._covariance = np.zeros((6, 6))
         self.forget()
 
     def warm_up(self, model: ModelTuple) -> None:
         """Compile all that a toss needs."""
-        if self._release is None:
+        if not self.known:
             return
         high = scale(self._release.height + 1.0 + 2.0 * max(self._values['package.size']),
                      upward(model[2]))
         still = Prediction(1, high, *ORIGIN[1:], ZERO, ZERO, (high, *ORIGIN[1:]))
         found = self.landing(model, still, lambda _: np.zeros((12, 12)))
+        self.later(model, still, 0.1)
         self.time_to_target(model, still)
         if found is not None:
             flight_path(model, found.toss, 2)
@@ -125,14 +128,12 @@ class Flight:
         self._switched_ns = self._stamp_ns = 0
         self._landing_ns: int | None = None
         self._body: State | None = None
-        self._by: Array | None = None  # (6, 15), derivatives by state and release
-        self._covariance = np.zeros((12, 12))
-        self._count = 0
+        self._count = 0  # of landings in a row
         self._before: Prediction | None = None
 
     def switch(self, stamp_ns: int) -> None:
         """Note that the valve is switched at a stamp."""
-        if self._release is not None and not self.state:
+        if self.known and not self.state:
             self.state, self._switched_ns = 'released', stamp_ns
 
     @property
@@ -143,15 +144,15 @@ class Flight:
     def follow(self, model: ModelTuple, now: Prediction) -> Prediction:
         """Return a prediction of the held package, or of the flight once it is released."""
         before, self._before = self._before, now
-        if self.state != 'released' or before is None or self._release is None:
+        if self.state != 'released' or before is None:
             return now
         duration = (now.stamp_ns - before.stamp_ns) * 1e-9
         if not 0.0 < duration < 1.0:
             return now
-        tool = motion((before.stamp_ns, now.stamp_ns), before.tool, now.tool)
-        switched = (self._switched_ns - before.stamp_ns) * 1e-9
+        tool = Rows(np.array([0, now.stamp_ns - before.stamp_ns]), np.array([
+            np.concatenate(each.tool) for each in (before, now)]))
         released, body, landed, _ = self._toss(
-            model, self._release, before.body, tool, switched)
+            model, before, tool, (self._switched_ns - before.stamp_ns) * 1e-9, duration)
         if released < 0.0:
             return now
         self._body = body
@@ -172,27 +173,28 @@ class Flight:
         self._stamp_ns = max(stamp_ns, self._stamp_ns)
         return Prediction(stamp_ns, *self._body, ZERO, ZERO, tool)
 
-    def later(self, model: ModelTuple, now: Prediction, seconds: float) -> State | None:
+    def later(self, model: ModelTuple, now: Prediction, seconds: float) -> State:
         """
         Return the package some time (s) after a prediction, the tool going on as planned.
-
-        None where the cup still holds it then.
 
         Raises
         ------
         BellowsError
-            If it has landed by then.
+            If it has landed by then, or the prediction does not stay finite.
 
         """
-        if self._release is None or not self.state:
-            return None
         released, body, landed = 0.0, now.body, math.inf
         if not now.flies:
-            tool = self._future(now, self._ahead)
-            switched = (self._switched_ns - now.stamp_ns) * 1e-9
-            released, body, landed, _ = self._toss(model, self._release, body, tool, switched)
-            if not 0.0 <= released <= seconds:
-                return None
+            switched = (self._switched_ns - now.stamp_ns) * 1e-9 if self.state else math.inf
+            try:
+                released, body, landed, _ = self._toss(
+                    model, now, self._future(now), switched, seconds)
+            except (ArithmeticError, ValueError):  # interpreted kernels raise
+                raise diverged() from None
+            if not math.isfinite(sum(map(sum, body))):
+                raise diverged()
+            if released < 0.0:
+                return body
         elif self._landing_ns is not None:
             landed = (self._landing_ns - now.stamp_ns) * 1e-9
         if self.state == 'landed' or 0.0 <= landed < seconds:
@@ -202,16 +204,19 @@ class Flight:
         return flight(model[1], model[2], body, seconds - released, COARSE_STRIDE)
 
     def _toss(
-        self, model: ModelTuple, release: Release, body: State, tool: Rows, switched: float = 0.0,
+        self, model: ModelTuple, now: Prediction, tool: Rows | None, switched: float, until: float,
     ) -> tuple[float, State, float, State]:
-        """Return when it is let go and the state then, when it lands and the state then."""
-        if self._longest[0] is not model:
-            self._longest = model, COARSE * largest_step(model)
-        if float(tool.seconds[-1]) > MOST_SUBSTEPS * self._longest[1]:  # would hold up the poses
-            return -1.0, body, -1.0, body
+        """Return what `toss_along` does, of a package that is held up to a time (s)."""
+        rows, seconds = NOTHING if tool is None else (tool.rows[1:], tool.seconds[1:])
         return toss_along(
-            model, self.grip or NO_GRIP, release.valve, release.impulse, release.box,
-            release.height, body, tool.rows, tool.seconds, switched, self._longest[1], INSTANT)
+            model, self.grip or NO_GRIP, self._release, 0.0, now.tool, now.body, rows, seconds,
+            switched, until, self._longest_step(model))
+
+    def _longest_step(self, model: ModelTuple) -> float:
+        """Return the longest integration step (s) of a model."""
+        if self._longest[0] is not model:
+            self._longest = model, largest_step(model)
+        return self._longest[1]
 
     def landing(
         self, model: ModelTuple, prediction: Prediction,
@@ -233,64 +238,34 @@ class Flight:
             From it to the covariance (12, 12) of its state, in its own axes.
 
         """
-        release = self._release
-        if release is None or self.state:
-            return None
+        longest = COARSE * self._longest_step(model)
+        if not self.known or self.state or self._ahead > MOST_SUBSTEPS * longest:
+            return None  # so many steps would hold up the poses
+        if self._count % RENEWED == 0:
+            self._of_state[:] = covariance(prediction)
+        k = self._count % 15
         try:
-            tool = self._future(prediction, self._ahead)
-            nominal = Toss(*self._toss(model, release, prediction.body, tool))
-            if nominal.landing_time <= nominal.release_time:
-                return None
-            if self._count % RENEWED == 0:
-                self._covariance = covariance(prediction)
-            due = self._uncertain
-            if self._by is None:
-                self._by = np.zeros((6, 15))
-            else:
-                due = [due[self._count % len(due)]]
-            for i in due:
-                self._by[:, i] = self._derivative(model, release, prediction, tool, nominal, i)
-            self._count += 1
+            tool = self._future(prediction)
+            rows, seconds = NOTHING if tool is None else (tool.rows[1:], tool.seconds[1:])
+            sound, found = sure_toss(
+                model, self.grip or NO_GRIP, self._release, self._deviations, prediction.tool,
+                prediction.body, rows, seconds, self._ahead, longest,
+                *((k, k + 1) if self._count else (0, 15)), self._of_state, self._by,
+                self._covariance)
         except (BellowsError, ArithmeticError, ValueError):
-            self._by = None
-            return None
-        of_state, of_release = self._by[:, :12], self._by[:, 12:]
-        total = of_state @ self._covariance @ of_state.T + of_release @ of_release.T
-        return Landing(nominal, total) if np.isfinite(total).all() else None
-
-    def _derivative(
-        self, model: ModelTuple, release: Release, prediction: Prediction, tool: Rows,
-        nominal: Toss, i: int,
-    ) -> Array:
-        """
-        Return the change (6,) of a landing by its i-th parameter.
-
-        By shift, turn, linear and angular twist of B in its own axes, for a unit of each, and by
-        delay, tau and impulse, for a standard deviation.
-        """
-        body, size = prediction.body, 1.0
-        push = np.zeros(15)
-        if i < 12:
-            push[i] = size = PUSHES[i]
-            x = push.tolist()
-            o, q, v, w = displaced(body, (x[0], x[1], x[2]), (x[3], x[4], x[5]))
-            body = o, q, add(v, (x[6], x[7], x[8])), add(w, (x[9], x[10], x[11]))
-        else:
-            push[i] = 1.0
-            release = changed(release, push[12:] * self._deviations)
-        found = Toss(*self._toss(model, release, body, tool))
-        if found.landing_time <= found.release_time:
-            raise BellowsError('A toss that differs a little does not land.')
-        return figures(found, nominal, model[2]) / size
+            sound = False
+        self._count = self._count + 1 if sound else 0
+        return Landing(Toss(*found), self._covariance) if sound else None
 
     def time_to_target(self, model: ModelTuple, prediction: Prediction) -> float | None:
         """Return the time (s) until the valve should be switched for the target, or None."""
-        if self._release is None or self.state or not self._values['landing.aim']:
+        if not self.known or self.state or not self._values['landing.aim']:
             return None
         x, y = self._values['landing.target']
         try:
             held = Held(
-                model, self.grip, self._future(prediction, 2.0 * AIMED_AHEAD),
+                model, self.grip,
+                steadily(prediction, self._future(prediction), 2.0 * AIMED_AHEAD),
                 prediction.body, 2.0 * AIMED_AHEAD)
             found = aim(held, self._release, (x, y), None, AIMED_AHEAD, AIMED_SCAN, AIMED_CLOSELY)
         except (BellowsError, ArithmeticError, ValueError):

@@ -16,6 +16,7 @@ from bellows_ros.core.jit import kernel
 from bellows_ros.core.kernels import (
     advance,
     cup_wrench,
+    extrapolated,
     lip_relative_to_tool,
     lip_wrench,
     ModelTuple,
@@ -26,16 +27,7 @@ from bellows_ros.core.live.samples import Prediction, ZERO
 from bellows_ros.core.live.settling import Modes, modes_of, Settling
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.observer import Measurement, Observer
-from bellows_ros.core.tuples import (
-    add_scaled,
-    apply,
-    apply_transposed,
-    dot,
-    exp_quaternion,
-    quaternion_product,
-    rotation_matrix,
-    scale,
-)
+from bellows_ros.core.tuples import dot, rotation_matrix
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,18 +72,6 @@ def hold(model: ModelTuple, body: State, now: State, reach: float) -> tuple[Wren
     total = dot(v, v) + dot(w, w) + dot(f, f) + dot(m, m) + body[1][0] + body[1][3]
     shift = (o_lip[0], o_lip[1], o_lip[2] + cup[1])
     return wrench, total - total == 0.0 and dot(shift, shift) <= reach * reach
-
-
-@kernel
-def extrapolated(tool: State, duration: float) -> State:
-    """Return the tool a time later, its tip going on straight and its rotation steadily."""
-    o, q, v, w = tool
-    velocity = apply(rotation_matrix(q), v)
-    q_later = quaternion_product(q, exp_quaternion(scale(duration, w)))
-    return (
-        add_scaled(o, duration, velocity), q_later,
-        apply_transposed(rotation_matrix(q_later), velocity), w,
-    )
 
 
 class Prepared(NamedTuple):

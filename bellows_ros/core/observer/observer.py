@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import resting_on_tool, substeps_for
-from bellows_ros.core.jit import COMPILED
+from bellows_ros.core.jit import as_inputs
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.observer.alarms import Alarm, Alarms
 from bellows_ros.core.observer.filter import (
@@ -89,9 +89,7 @@ class Track:
         """Make room for samples."""
         self.count = 0
         stamps, (starts, ends, bodies) = np.zeros(room, np.int64), np.zeros((3, room, 13))
-        self.rows: tuple[Any, Any, Any, Any] = stamps, starts, ends, bodies
-        if not COMPILED:  # plain floats are several times faster than NumPy's in plain Python
-            self.rows = stamps.tolist(), starts.tolist(), ends.tolist(), bodies.tolist()
+        self.rows = as_inputs(stamps, starts, ends, bodies)
 
     def begin(self, stamp_ns: int) -> None:
         """Discard all but the start of a motion."""

@@ -9,8 +9,8 @@ from bellows_ros.core.holding import Grip
 from bellows_ros.core.kernels import ModelTuple
 from bellows_ros.core.landing import changed
 from bellows_ros.core.lie import quaternion_to_rotation
-from bellows_ros.core.release import flight, Held, LONGEST_WAIT, Release, STILL, STRIDE, toss
-from bellows_ros.core.simulation import write_row
+from bellows_ros.core.release import flight, Held, LONGEST_WAIT, Release, STRIDE, toss
+from bellows_ros.core.simulation import STILL, write_row
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np

@@ -4,7 +4,7 @@ from bellows_ros.core.identification.release_fit import letting_go, LettingGo, v
 from bellows_ros.core.jit import COMPILED
 from bellows_ros.core.lie import exp_so3, quaternion_to_rotation
 from bellows_ros.core.model import model_tuple
-from bellows_ros.core.release import flight, Held, pushed_off, STRIDE
+from bellows_ros.core.release import flight, Held, NO_FLIGHT, pushed_off, STRIDE
 from bellows_ros.core.simulation import state_row
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
@@ -25,7 +25,7 @@ def held_at(held, time):
 
 def tossed(held, plan, rng, switched, delay):
     """Return tool and package, 0.15 s before the valve to 0.25 s after, and the state there."""
-    time, body = held.let_go((delay, TAU), switched)
+    time, body = held.let_go(NO_FLIGHT._replace(valve=(delay, TAU)), switched)[:2]
     body = pushed_off(MODEL[1], body, IMPULSE)
     t = plan.seconds
     part = plan.select((t >= switched - 0.15) & (t <= switched + 0.3))
