@@ -23,6 +23,10 @@ class UnstableError(BellowsError):
     """The package does not stay on its cup: it has no rest, or a prediction is not finite."""
 
 
+class NoTopicError(BellowsError):
+    """A recording lacks a topic, or it has another type."""
+
+
 class UndeterminedError(BellowsError):
     """The recordings do not determine what is to be estimated."""
 

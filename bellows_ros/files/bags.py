@@ -15,7 +15,7 @@ import shutil
 from typing import Any, BinaryIO, NamedTuple
 
 from bellows_ros.core.trajectory import PoseStream, TwistStream
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files import mcap, messages
 from bellows_ros.files.bag_folder import (
     DamagedError,
@@ -407,10 +407,10 @@ class _Collector:
         meant = f'topics of a fitting type there: {", ".join(fitting)}' if fitting else (
             f'no topic there is of a fitting type; there are: {", ".join(others) or "none"}')
         if not here:
-            raise BellowsError(
+            raise NoTopicError(
                 f"Topic '{self._name}' is not in recording '{bag.path}'; {meant}. Set {given_by}.")
         got = ', '.join(sorted({f'{t.type_name} in {t.encoding}' for t in here}))
-        raise BellowsError(
+        raise NoTopicError(
             f'Topic {where} is of type {got}; accepted are {", ".join(self._types)}, in cdr. '
             f'For {given_by}, {meant}.')
 

@@ -52,6 +52,13 @@ class PlanMessage:
     twists: Array | None = None
     accelerations: Array | None = None
 
+    def __post_init__(self) -> None:
+        """Refuse several names for the one transform of each point."""
+        if len(self.names) > 1:
+            raise BellowsError(
+                f"The plan has the joint names {', '.join(self.names)}, but points with 1 "
+                'transform; expected 1 name. Send a plan of the tool alone.')
+
 
 class Reader:
     """Reads a message field by field; positions count from its body."""
@@ -112,7 +119,7 @@ def decode_multi_dof(data: bytes) -> PlanMessage:
     Raises
     ------
     BellowsError
-        If it is damaged, has several joints, or points that differ in what they have.
+        If it is damaged, has several joints or names, or points that differ in what they have.
 
     """
     reader = Reader(data)

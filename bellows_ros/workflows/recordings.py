@@ -24,7 +24,7 @@ from bellows_ros.core.recording.recording import (
 )
 from bellows_ros.core.structure import structure_named
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, TwistStream
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files.bag_folder import digests, recording_digest
 from bellows_ros.files.bags import read_contents
 from bellows_ros.files.parameter_files import read_parameters
@@ -36,6 +36,9 @@ NO_OFFSET = (
     'that differ by less than 100 ms.'
 )
 """Used if a time offset is wanted and not identifiable."""
+
+OWN_TOPICS = ' If only some recordings have other topics, give each its own file in package.files.'
+"""Remedy for a topic that is missing in one of several recordings."""
 
 WHOLE = {'recording.start': 0.0, 'recording.end': 0.0}
 """For what is read whole: plans, standstills, and recordings for validation."""
@@ -86,7 +89,11 @@ def load(
     settings = prepare_settings(values)  # before anything is read
     roles = ('tool_pose', 'package_pose', 'tool_twist')
     contents = read_contents(path, {role: values[f'topics.{role}'] for role in roles})
-    streams = part_of(contents.all_streams(), values)
+    for problem in contents.problems.values():
+        several = values['bags'][1:] and (name or os.fspath(path)) in map(str, values['bags'])
+        raise type(problem)(
+            f'{problem}{OWN_TOPICS if several and isinstance(problem, NoTopicError) else ""}')
+    streams = part_of(contents.streams, values)
     empty = [own.name for own in streams.values() if not len(own)]
     if empty:
         raise BellowsError(

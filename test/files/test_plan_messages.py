@@ -100,6 +100,10 @@ def test_damaged_messages_are_refused(spoil, words):
 
 
 def test_other_than_one_thing_is_refused():
+    _, twice = message()
+    twice.joint_names *= 2
+    with pytest.raises(BellowsError, match='names tool, tool, but points with 1 transform'):
+        decode_multi_dof(bytes(TYPES.serialize_cdr(twice, MULTI_DOF)))
     _, two = message()
     for point in two.points:
         point.transforms *= 2

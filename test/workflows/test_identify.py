@@ -270,6 +270,10 @@ def test_each_recording_may_have_its_own_topics(two_packages, root, tmp_path):
     assert [part.report['tool_pose']['topic'] for part in result.parts] == [
         '/tool_arm/pose', '/arm']
     assert result.consistency.probability > 1e-3
+    with pytest.raises(BellowsError, match='Set topics.tool_pose. If only some .* package.files'):
+        identify({**own, 'bags': [bags[0], str(tmp_path / 'other')],
+                  'topics.tool_pose': '/tool_arm/pose', 'topics.package_pose': '/package/pose',
+                  'recording.package_frame': 'com', 'cup.length': truth['cup.length']})
 
 
 def test_pages_of_several_packages(two_packages, root, tmp_path):
