@@ -4,13 +4,14 @@ from typing import Any
 
 from bellows_ros.core.landing import ellipse
 from bellows_ros.core.lie import quaternion_to_rotation
+from bellows_ros.core.release import flight_path
 import numpy as np
 
 from .panels import BELOW_HEAD, picture
 from .shapes import box_corners, BOX_EDGES
 
 SIZE = (11.0, 7.2)
-GHOSTS = 6
+GHOSTS, PATH_POINTS = 6, 60
 
 
 def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
@@ -32,7 +33,8 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
 
     """
     found, tool = result.toss, result.case.tool
-    path, (half, middle) = result.path(), map(np.array, result.case.release.box)
+    path = flight_path(result.case.model, found, PATH_POINTS)
+    half, middle = map(np.array, result.case.release.box)
     held = result.held.states[result.held.times <= found.release_time]
     spread = 1e3 * np.sqrt(np.diag(result.covariance))
     x, y, _ = found.landing[0]

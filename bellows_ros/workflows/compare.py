@@ -1,11 +1,11 @@
 """Compare two fits of a cup by their result files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros.core.identification.comparison import Change, compare_fits, FitComparison, Fitted
+from bellows_ros.core.identification.comparison import compare_fits, FitComparison, Fitted
 from bellows_ros.core.model import Cup, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.structure import structure_named
@@ -54,25 +54,17 @@ class Comparison:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        fits = self.fits
+        derived = ('percent', 'standard_errors', 'p_value', 'significant')
         return {
             'before': self.paths[0],
             'after': self.paths[1],
-            'matters': fits.matters,
-            'significant': fits.significant,
-            'p_value': fits.p_value,
-            'parameters': _changes_json(fits.parameters),
-            'effects': _changes_json(fits.effects),
-            'shake_rms': fits.shake_rms,
+            **attributes(self.fits, 'matters', 'significant', 'p_value', 'shake_rms'),
+            **{name: [{**vars(change), **attributes(change, *derived)} for change in changes]
+               for name, changes in (
+                   ('parameters', self.fits.parameters), ('effects', self.fits.effects))},
             'settings': [difference._asdict() for difference in self.settings],
             'shared_recordings': self.shared,
         }
-
-
-def _changes_json(changes: Sequence[Change]) -> list[dict[str, Any]]:
-    """Return changes with the figures derived from them."""
-    derived = ('percent', 'standard_errors', 'p_value', 'significant')
-    return [{**vars(change), **attributes(change, *derived)} for change in changes]
 
 
 def compare_files(before: Path, after: Path) -> Comparison:
@@ -138,24 +130,19 @@ def _differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Di
 
 def _described(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return, by name, how a fit was made: settings, versions, content of recordings."""
-    settings = content.get('settings') or {}
-    found = {k: v for k, v in settings.items() if not k.startswith(NOT_COMPARED)}
-    found |= {name: content.get(name) for name in ('method', 'structure', 'samples_used')}
-    origin = content.get('provenance') or {}
-    versions = origin.get('versions') or {'bellows_ros': content.get('version')}
-    found |= {f'version of {name}': version for name, version in versions.items()}
-    for recording in origin.get('recordings') or ():
-        digests = [file['sha256'][:12] for file in recording['files']]
-        found[f'content of {recording["path"]}'] = ' '.join(digests)
-    return found
-
-
-def _contents(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the digests of a fit's recordings by name; the names if there are no digests."""
-    origin = (content.get('provenance') or {}).get('recordings')
-    if origin is None:
-        return {bag: bag for bag in (content.get('settings') or {}).get('bags', ())}
+    settings, versions = content['settings'], content['provenance']['versions']
     return {
-        recording['path']: tuple(sorted(file['sha256'] for file in recording['files']))
-        for recording in origin
+        **{name: v for name, v in settings.items() if not name.startswith(NOT_COMPARED)},
+        **{name: content.get(name) for name in ('method', 'structure', 'samples_used')},
+        **{f'version of {name}': version for name, version in versions.items()},
+        **{f'content of {path}': ' '.join(digest[:12] for digest in digests)
+           for path, digests in _contents(content).items()},
+    }
+
+
+def _contents(content: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+    """Return the digests of the files of a fit's recordings, by name."""
+    return {
+        recording['path']: tuple(file['sha256'] for file in recording['files'])
+        for recording in content['provenance']['recordings']
     }

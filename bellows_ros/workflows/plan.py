@@ -119,12 +119,12 @@ class Source:
 @dataclass(frozen=True, eq=False)
 class Curves:
     """
-    Curves for a picture, until the package has settled or `AFTER` the end.
+    What a motion does to the package, over time.
 
     Parameters
     ----------
     seconds : array (N,)
-        Since the plan's first point.
+        Since its first point.
     tool : array (N, 3)
         Position of E, m.
     values, std : array (N, 12)
@@ -176,19 +176,10 @@ class PlanReport:
     @cached_property
     def curves(self) -> Curves:
         """What a picture shows, with what follows a plan that ends at rest."""
-        found = self.prediction
+        found, source = self.prediction, self.source
         after = min(AFTER, found.settled_after + 0.2) if found.ends_at_rest else 0.0
-        longer = standing(self.source.tool, after)
-        run = Run(self.source.model, self.source.grip, longer)
-
-        def compute(changed: ModelTuple) -> Array:
-            found = run.of(changed).at(1.0)
-            angle = bending(longer.rotation, quaternion_to_rotation(found.states[:, 3:7]))
-            factors = 1.0 / np.maximum(found.loads, 1.0 / LARGEST_FACTOR)
-            return np.hstack([found.states[:, :3], angle[:, None], factors, found.wrench])
-
-        return Curves(longer.seconds, longer.position, compute(self.source.model),
-                      _deviations(self.source.values, self.source.model, compute))
+        longer = standing(source.tool, after)
+        return curves(source.values, source.model, source.grip, longer)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -305,20 +296,21 @@ def bending(R_world_tool: Array, R_world_lip: Array) -> Array:
     return np.asarray(np.arctan2(sine, np.sum(z_tool * z_lip, axis=1)))
 
 
-def factors_along(
-    values: Mapping[str, Any], model: ModelTuple, tool: Trajectory, start: State | None = None
-) -> tuple[Array, Array]:
-    """
-    Return the safety factors (N, 2) along a motion, as in `MODES`, and their standard deviations.
-
-    They are cut off at `LARGEST_FACTOR`. The package rests at the start when that is left out.
-    """
-    run = Run(model, grip_of(values), tool, start, tail=0.0)
+def curves(
+    values: Mapping[str, Any], model: ModelTuple, grip: Grip | None, tool: Trajectory,
+    start: State | None = None,
+) -> Curves:
+    """Return the curves of a motion; the package rests at its start when that is left out."""
+    run = Run(model, grip, tool, start, tail=0.0)
 
     def compute(changed: ModelTuple) -> Array:
-        return 1.0 / np.maximum(run.of(changed).at(1.0).loads, 1.0 / LARGEST_FACTOR)
+        found = run.of(changed).at(1.0)
+        angle = bending(tool.rotation, quaternion_to_rotation(found.states[:, 3:7]))
+        factors = 1.0 / np.maximum(found.loads, 1.0 / LARGEST_FACTOR)
+        return np.hstack([found.states[:, :3], angle[:, None], factors, found.wrench])
 
-    return compute(model), _deviations(values, model, compute)
+    return Curves(
+        tool.seconds, tool.position, compute(model), _deviations(values, model, compute))
 
 
 def standing(tool: Trajectory, seconds: float) -> Trajectory:

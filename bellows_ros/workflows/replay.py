@@ -23,7 +23,7 @@ from bellows_ros.core.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import provenance
 from bellows_ros.workflows.observe import Observed, observed
-from bellows_ros.workflows.plan import factors_along, NO_GRIP
+from bellows_ros.workflows.plan import curves, NO_GRIP
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.result_json import with_units
 import numpy as np
@@ -147,12 +147,12 @@ class Replay:
             raise BellowsError(NO_GRIP)
         model = model_tuple(
             cup_of(self.values), self.recording.payload, self.recording.settings.gravity)
-        factors, std = factors_along(
-            self.values, model, found.tool,
+        along = curves(
+            self.values, model, grip_of(self.values), found.tool,
             None if found.start == 'equilibrium' else found.state)
         return Margins(
-            self.recording.since_start(found.stamps_ns), factors, std, smallest,
-            float(self.values['safety.least']))
+            self.recording.since_start(found.stamps_ns), along.values[:, 4:6], along.std[:, 4:6],
+            smallest, float(self.values['safety.least']))
 
     @property
     def sentence(self) -> str:

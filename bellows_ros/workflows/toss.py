@@ -7,16 +7,14 @@ import os
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.kernels import State
 from bellows_ros.core.landing import Aim, aim, Case, draw, Drawn, part_inside, Parts, parts_of
 from bellows_ros.core.lie import quaternion_to_rotation
-from bellows_ros.core.release import flight_path, Held, release_of, Toss, toss
+from bellows_ros.core.release import Held, release_of, Toss, toss
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.plan import plan_with_cup, Source
 import numpy as np
 
 MILLI = 1e3
-PATH_POINTS = 60
 
 TOLERANCE = 1e-3
 """A target so far (m) outside the ellipse of a landing still counts as reached."""
@@ -82,13 +80,13 @@ class TossResult:
             'valve_time': self.case.switched,
             'release_time': found.release_time,
             'release_mode': found.release_mode,
-            'release_pose': _pose(found.release),
-            'release_twist': _twist(found.release),
+            'release_pose': [*found.release[0], *found.release[1]],
+            'release_twist': [*found.release[2], *found.release[3]],
             'landing_time': found.landing_time,
-            'landing_position': list(found.landing[0]),
-            'landing_rotation': list(found.landing[1]),
-            'landing_twist': _twist(found.landing),
-            'landing_covariance': self.covariance.tolist(),
+            'landing_position': found.landing[0],
+            'landing_rotation': found.landing[1],
+            'landing_twist': [*found.landing[2], *found.landing[3]],
+            'landing_covariance': self.covariance,
             'tumbling': found.tumbling,
             'budget': [{
                 'name': s.name, 'std': s.std, 'contribution_mm': MILLI * s.metres,
@@ -136,20 +134,6 @@ class TossResult:
                 f'{self.aim.distance:.3g} m away, and the target is outside its 95 % ellipse. '
                 'Change the plan or the target.')
         return tuple(found)
-
-    def path(self) -> Array:
-        """Return states of B (N, 13) from letting go to landing."""
-        return flight_path(self.case.model, self.toss, PATH_POINTS)
-
-
-def _pose(state: State) -> list[float]:
-    """Return position and quaternion."""
-    return [*state[0], *state[1]]
-
-
-def _twist(state: State) -> list[float]:
-    """Return the body twist."""
-    return [*state[2], *state[3]]
 
 
 def toss_plan(
