@@ -52,14 +52,14 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with content_of(arguments.fit), console.progress() as progress:
         bags = [str(recording['bag']) for recording in content['recordings']]
         options.require_named_outputs(arguments, bags)
-        found = read_again(content, arguments.validation, progress)
-        write_text(arguments.out, identification_report(content, *found))
+        recordings, validations = read_again(content, arguments.validation, progress)
+        write_text(arguments.out, identification_report(content, recordings, validations))
         others = changed_recordings(content)
     options.put_json(arguments.json, {
         'file': arguments.out, 'changed_recordings': others,
-        'validations': [validation.as_json() for validation in found.validations]})
+        'validations': [validation.as_json() for validation in validations]})
     console.warn(*(f'{bag} has changed since the cup was identified from it.' for bag in others))
-    console.warn(*(f'{validation.bag}: {warning}' for validation in found.validations
+    console.warn(*(f'{validation.bag}: {warning}' for validation in validations
                    for warning in validation.warnings))
     console.wrote(arguments.out)
     return OK

@@ -52,10 +52,10 @@ def _say(result: 'StructureAdvice', console: Console) -> None:
     """Print the excitation, the candidates and the advice."""
     from bellows_ros.report.cup import excitation_rows
     from bellows_ros.report.standstills import structure_rows
-    from bellows_ros.workflows.result_json import selection_json
+    from bellows_ros.workflows.result_json import excitation_json, selection_json
 
     excitation, selection = result.excitation, result.selection
-    console.table(excitation_rows(excitation), right=True,
+    console.table(excitation_rows(excitation_json(excitation)), right=True,
                   title='Excitation of the lip, relative to the tool')
     console.say()
     console.table(_parameter_rows(result), right=True, title='Identifiability, by least squares')

@@ -5,7 +5,6 @@ import json
 import os
 from typing import Any
 
-from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.reduction import spectra_of
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import UnstableError
@@ -28,7 +27,6 @@ from .standstills import selection_content, standstill_content
 def identification_report(
     content: Mapping[str, Any],
     recordings: Sequence[Recording],
-    excitation: Excitation,
     validations: Sequence[Replay] = (),
 ) -> str:
     """
@@ -40,8 +38,6 @@ def identification_report(
         The result as its JSON file holds it (plain lists and numbers, None for not known).
     recordings : sequence of Recording
         The recordings of the fit, in their order in the result.
-    excitation : Excitation
-        What is identifiable from them.
     validations : sequence of Replay
         Recordings that the fit has not seen, simulated with its cup.
 
@@ -70,7 +66,7 @@ def identification_report(
         *(section(f'Not used in the fit: {v.bag}', *motion_content(v)) for v in validations),
         *(section(f'Used in the fit: {recording.name}', *_simulated(own, recording))
           for own, recording in zip(values_of_recordings(content), recordings, strict=True)),
-        section('Excitation', *excitation_content(excitation, dict(zip(
+        section('Excitation', *excitation_content(content['excitation'], dict(zip(
             bags, spectra, strict=True)))),
         *([section('Iteration', *iteration_content(content['iterations']))]
           if content.get('iterations') else []),
@@ -114,8 +110,7 @@ def write_page(result: Identification, path: str | os.PathLike[str]) -> None:
 
     """
     content = json.loads(format_json(result.as_json()))
-    write_text(path, identification_report(
-        content, result.recordings, result.excitation, result.validations))
+    write_text(path, identification_report(content, result.recordings, result.validations))
 
 
 def _simulated(values: Mapping[str, Any], recording: Recording) -> list[str]:

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 import math
 from typing import Any
 
-from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.result import UNITS
 from bellows_ros.core.identification.samples import Spectra
 from bellows_ros.core.residuals import MILLI_UNITS
@@ -104,35 +103,43 @@ def envelope_content(content: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def excitation_rows(found: Excitation) -> list[tuple[str, ...]]:
+def excitation_rows(found: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return a table, with its head, of the motion of the lip in each axis of the tool."""
-    def milli(value: float, unit: str) -> str:
-        return f'{1e3 * value:.3g} {unit}' if math.isfinite(value) else '-'
+    def milli(value: Any, unit: str) -> str:
+        return f'{1e3 * value:.3g} {unit}' if _known(value) else '-'
 
     rows: list[tuple[str, ...]] = [
         ('axis', 'deflection', 'moving', 'noise', 'velocity', 'noise', 'main band')]
-    for axis, unit in zip(found.axes, MILLI_UNITS, strict=True):
-        low, high = axis.band_hz
+    for (name, axis), unit in zip(found['axes'].items(), MILLI_UNITS, strict=True):
+        low, high = axis['band_hz']
         rows.append((
-            axis.name, milli(axis.strain, unit), milli(axis.motion, unit),
-            milli(axis.strain_noise, unit), milli(axis.twist, f'{unit}/s'),
-            milli(axis.twist_noise, f'{unit}/s'),
-            f'{low:.1f}-{high:.1f} Hz' if math.isfinite(low) else '-'))
+            name, *(milli(axis[key], unit) for key in ('strain', 'motion', 'strain_noise')),
+            *(milli(axis[key], f'{unit}/s') for key in ('twist', 'twist_noise')),
+            f'{low:.1f}-{high:.1f} Hz' if _known(low) else '-'))
     return rows
 
 
-def excitation_content(found: Excitation, spectra: Mapping[str, Spectra]) -> list[str]:
+def _known(value: float | None) -> bool:
+    """Return whether a number of a result is known."""
+    return value is not None and math.isfinite(value)
+
+
+def excitation_content(
+    found: Mapping[str, Any], spectra: Mapping[str, Spectra]
+) -> list[str]:
     """Return what is identifiable from the recordings."""
     head, *rows = excitation_rows(found)
     parameters = [
-        (p.label, f'{100.0 * p.noise_share:.2g} %' if math.isfinite(p.noise_share) else '-',
-         'not identifiable' if not p.identifiable else 'weakly' if p.weak else 'well')
-        for p in found.parameters
+        (label, f'{100.0 * p["noise_share"]:.2g} %' if _known(p['noise_share']) else '-',
+         'not identifiable' if not p['identifiable'] else 'weakly' if p['weak'] else 'well')
+        for label, p in found['parameters'].items()
     ]
+    condition = found['condition_number']
     return [
-        paragraph(f'{found.rank} of {found.size} combinations of parameters are identifiable; '
-                  f'scaled condition number {found.condition_number:.3g}.'),
-        bullets(found.warnings, 'warning'),
+        paragraph(f'{found["rank"]} of {found["size"]} combinations of parameters are '
+                  'identifiable; scaled condition number '
+                  f'{f"{condition:.3g}" if _known(condition) else "not finite"}.'),
+        bullets(found['warnings'], 'warning'),
         table(head, rows),
         folded(
             'Each parameter', table(('parameter', 'noise', 'identifiable'), parameters, (0, 2))),

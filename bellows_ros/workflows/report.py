@@ -2,37 +2,25 @@
 
 from collections.abc import Callable, Mapping, Sequence
 import os
-from typing import Any, NamedTuple
+from typing import Any
 
 from bellows_ros.core.envelope import Envelope, FIELDS
-from bellows_ros.core.identification.identifiability import Excitation, excitation_of
-from bellows_ros.core.identification.reduction import reduced
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.structure import structure_named
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.workflows.recordings import load, values_of_each
 from bellows_ros.workflows.replay import Replay, validated
-import numpy as np
 
 INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Entries of package.inertia in the tensor."""
 
 
-class ReadAgain(NamedTuple):
-    """Recordings of a fit, their identifiability, and validations of its cup."""
-
-    recordings: list[Recording]
-    excitation: Excitation
-    validations: list[Replay]
-
-
 def read_again(
     content: Mapping[str, Any], validation: Sequence[str | os.PathLike[str]],
     progress: Callable[[str, float], None],
-) -> ReadAgain:
+) -> tuple[list[Recording], list[Replay]]:
     """
-    Read the recordings of a fit again, and simulate others with its cup.
+    Return the recordings of a fit, read again, and others simulated with its cup.
 
     Parameters
     ----------
@@ -51,25 +39,16 @@ def read_again(
     """
     bags = [str(recording['bag']) for recording in content['recordings']]
     steps = len(bags) + len(validation) + 1
-    recordings, parts = [], []
+    recordings = []
     for number, (bag, own) in enumerate(zip(bags, values_of_recordings(content), strict=True)):
         progress(f'reading {bag}', number / steps)
-        each = resolve(own)
-        recordings.append(load(bag, each))
-        parts.append(reduced(recordings[-1], each).information)
+        recordings.append(load(bag, resolve(own)))
     values = resolve(cup_values(content), PACKAGE_PARAMETERS if validation else ())
     validations = []
     for number, other in enumerate(validation, len(bags)):
         progress(f'simulating {other}', number / steps)
         validations.append(validated(values, load(other, values)))
-    structure = structure_named(content['structure'])
-    found = structure.parameters(
-        *(np.array(content[name]) for name in ('stiffness', 'damping')))
-    covariance = np.array([
-        [np.inf if x is None else x for x in row] for row in content['parameters']['covariance']])
-    return ReadAgain(
-        recordings, excitation_of(parts, structure, content['method'], (found, covariance)),
-        validations)
+    return recordings, validations
 
 
 def changed_recordings(content: Mapping[str, Any]) -> list[str]:

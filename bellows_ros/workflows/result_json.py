@@ -119,7 +119,8 @@ def excitation_json(excitation: Excitation) -> dict[str, Any]:
         'parameters': {
             own.label: {
                 **attributes(
-                    own, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable'),
+                    own, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable',
+                    'weak'),
                 'units': {'value': units[own.label]},
             }
             for own in excitation.parameters

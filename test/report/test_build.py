@@ -74,7 +74,7 @@ def content(result):
 @pytest.fixture(scope='module')
 def html(content, result):
     """Return its page."""
-    return identification_report(content, result.recordings, result.excitation)
+    return identification_report(content, result.recordings)
 
 
 @pytest.fixture
@@ -98,7 +98,7 @@ def test_the_same_numbers_give_the_same_bytes(html, content, result, root):
     """Have no time of making in it; make all numbers again from the file."""
     again = identify(result.values, None, [root / 'bags/package.yaml'])
     assert json.loads(format_json(again.as_json())) == content
-    assert identification_report(content, again.recordings, again.excitation) == html
+    assert identification_report(content, again.recordings) == html
 
 
 def test_every_part_is_there(html):
@@ -134,7 +134,7 @@ def test_light_and_dark(html):
 def test_a_validation_is_shown_before_the_fit(content, result, root, words_only):
     """Put what the fit has not seen first."""
     other = replay(root / 'bags/static', cup_values(content))
-    html = identification_report(content, result.recordings, result.excitation, [other])
+    html = identification_report(content, result.recordings, [other])
     assert html.index('Not used in the fit') < html.index('Used in the fit')
     for file in digests(root / 'bags/static'):
         assert file['sha256'] in html
@@ -154,7 +154,7 @@ def test_a_replay_has_a_page_of_its_own(content, root):
 def test_a_cup_that_cannot_be_simulated_still_has_its_page(content, result, words_only):
     """Say why there is no simulation."""
     soft = {**content, 'stiffness': np.diag([50.0, 50, 50, 0.01, 0.01, 0.01]).tolist()}
-    html = identification_report(soft, result.recordings, result.excitation)
+    html = identification_report(soft, result.recordings)
     assert 'cannot be simulated' in html
 
 
@@ -163,7 +163,7 @@ def test_parameters_that_are_not_identifiable_are_named(content, result):
     std = [row[:] for row in content['damping_std']]
     std[2][2] = None
     html = identification_report(
-        {**content, 'damping_std': std}, result.recordings, result.excitation)
+        {**content, 'damping_std': std}, result.recordings)
     assert 'P z, not identifiable' in html
 
 
@@ -194,10 +194,10 @@ def test_pages_open_with_their_verdict(content, result, root, words_only):
     """Say in the first sentence whether the cup can be used, or how it has predicted."""
     found = replay(root / 'bags/validation', cup_values(content))
     for html, verdict in (
-        (identification_report(content, result.recordings, result.excitation),
+        (identification_report(content, result.recordings),
          'The fit can be used.'),
         (identification_report(
-            {**content, 'usable': False}, result.recordings, result.excitation),
+            {**content, 'usable': False}, result.recordings),
          'The fit cannot be used'),
         (replay_report(found), 'All axes that move are predicted within 5 %'),
     ):
