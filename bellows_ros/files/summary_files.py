@@ -16,7 +16,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import zipfile
 import zlib
 
-from bellows_ros.core.identification.reduction import DRAWS, Reduced
+from bellows_ros.core.identification.reduction import Reduced
 from bellows_ros.core.parameters import resolve
 from bellows_ros.core.structure import Structure, structure_named
 from bellows_ros.errors import BellowsError
@@ -24,7 +24,7 @@ from bellows_ros.files import atomic
 from bellows_ros.files.results import format_json
 import numpy as np
 
-FORMAT = 'bellows_ros summary 6'
+FORMAT = 'bellows_ros summary 7'
 LARGEST_HEADER = 64 * 2**20
 
 LARGEST_RATIO = 30
@@ -172,23 +172,19 @@ def _is(value: Any, kind: type) -> Any:
 
 def _require_whole(part: Reduced) -> None:
     """Raise ValueError if an array does not fit the structure."""
-    sums, rows, world = part.statistics, part.information, part.package_world
+    sums, seen, world = part.statistics, part.movement, part.package_world
     size = 2 * sums.structure.size + 1
-    few = (6 if sums.structure.couples else 1) * size
-    moments = (sums.moments, rows.wrench, rows.strain, rows.twist, rows.strain_noise,
-               rows.twist_noise)
+    moments = (sums.moments, seen.strain, seen.twist, seen.strain_noise, seen.twist_noise)
     wanted: list[tuple[Any, tuple[int, ...]]] = [
         (sums.r_factors, (len(sums.r_factors), 6, size, size)),
-        (rows.rows, (1 + DRAWS, few, 6, size)),
-        (rows.added, (size - 1, 6, 6)),
-        (np.nan_to_num(rows.bands_hz), (2, 6)),
+        (np.nan_to_num(seen.bands_hz), (2, 6)),
         *((own.mean, (6,)) for own in moments),
         *((own.scatter, (6, 6)) for own in moments),
     ]
-    if rows.passed is not None:
-        wanted += [(rows.passed.power, (6,)), (rows.passed.lost, (6,)),
-                   (rows.passed.floor, (6,)), (rows.passed.of_noise, (6,)),
-                   (np.array(rows.passed.end_hz), ())]
+    if seen.passed is not None:
+        wanted += [(seen.passed.power, (6,)), (seen.passed.lost, (6,)),
+                   (seen.passed.floor, (6,)), (seen.passed.of_noise, (6,)),
+                   (np.array(seen.passed.end_hz), ())]
     if world is not None:
         wanted += [(world.pose, (7,)), (world.std, (6,))]
     if sums.noise is not None:

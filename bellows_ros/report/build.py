@@ -5,7 +5,7 @@ import json
 import os
 from typing import Any
 
-from bellows_ros.core.identification.reduction import spectra_of
+from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import UnstableError
 from bellows_ros.files.atomic import write_text
@@ -49,7 +49,7 @@ def identification_report(
     """
     settings = content['settings']
     bags = [recording.name for recording in recordings]
-    spectra = [spectra_of(recording, content['cup_length']) for recording in recordings]
+    spectra = {own.name: samples_of(own).twist_spectrum for own in recordings}
     typical, refusals = content.get('typical'), ' '.join(content.get('refusals', ()))
     method = str(content['method']).replace('_', ' ')
     origin = dict(content['provenance'])  # and of what the fit has not seen
@@ -66,8 +66,7 @@ def identification_report(
         *(section(f'Not used in the fit: {v.bag}', *motion_content(v)) for v in validations),
         *(section(f'Used in the fit: {recording.name}', *_simulated(own, recording))
           for own, recording in zip(values_of_recordings(content), recordings, strict=True)),
-        section('Excitation', *excitation_content(content['excitation'], dict(zip(
-            bags, spectra, strict=True)))),
+        section('Excitation', *excitation_content(content['excitation'], spectra)),
         *([section('Iteration', *iteration_content(content['iterations']))]
           if content.get('iterations') else []),
         *(section(f'Samples of {bag}', *samples_content(recording))

@@ -5,8 +5,7 @@ import math
 from typing import Any
 
 from bellows_ros.core.identification.result import UNITS
-from bellows_ros.core.identification.samples import Spectra
-from bellows_ros.core.residuals import MILLI_UNITS
+from bellows_ros.core.residuals import MILLI_UNITS, Spectrum
 from bellows_ros.core.structure import AXES, structure_named
 from bellows_ros.plots.fit import excitation_figure, interval_figure, iteration_figure
 from bellows_ros.workflows.result_json import NORMAL_95
@@ -125,7 +124,7 @@ def _known(value: float | None) -> bool:
 
 
 def excitation_content(
-    found: Mapping[str, Any], spectra: Mapping[str, Spectra]
+    found: Mapping[str, Any], spectra: Mapping[str, Spectrum]
 ) -> list[str]:
     """Return what is identifiable from the recordings."""
     head, *rows = excitation_rows(found)
@@ -143,7 +142,7 @@ def excitation_content(
         table(head, rows),
         folded(
             'Each parameter', table(('parameter', 'noise', 'identifiable'), parameters, (0, 2))),
-        *(figure(excitation_figure(own.twist, name)) for name, own in spectra.items()),
+        *(figure(excitation_figure(own, name)) for name, own in spectra.items()),
     ]
 
 

@@ -9,7 +9,6 @@ from bellows_ros.core.identification.identifiability import Excitation, excitati
 from bellows_ros.core.identification.reduction import reduced
 from bellows_ros.core.identification.structure_selection import StructureSelection
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.structure import structure_named
 from bellows_ros.workflows.identify import read_all, resolved, selection
 from bellows_ros.workflows.result_json import excitation_json, selection_json, with_units
 
@@ -78,10 +77,8 @@ def structures(
     """
     tell, values = progress or (lambda what, part: None), resolved(settings)
     recordings, _ = read_all(values, True, tell)
-    found = excitation_of(
-        [reduced(recording, values).information for recording in recordings],
-        structure_named(values['fit.structure']))
     advice = StructureAdvice(
-        found, selection(recordings, values, tell), tuple(recordings), values)
+        excitation_of([reduced(recording, values) for recording in recordings]),
+        selection(recordings, values, tell), tuple(recordings), values)
     tell('done', 1.0)
     return advice

@@ -3,28 +3,18 @@ Which parts of a cup are identifiable from recordings, before anything is fitted
 
 What the motion changes in the direction of a parameter is information on it. What the sensors add
 there looks like motion, too, but is none, and makes least squares find too little (errors in
-variables). Its part in the equations, and the bias that it causes, are computed by adding noise of
-the same kind once more.
+variables), by as much as it takes off again where the noise is known.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.equations import (
-    joined,
-    Moments,
-    r_factor,
-    regular,
-    Solution,
-    solution,
-    whitening_of,
-    without,
-)
-from bellows_ros.core.identification.reduction import Information
+from bellows_ros.core.identification.equations import joined, Moments, Solution, without
+from bellows_ros.core.identification.least_squares import common_structure, noise_bias, weighted
+from bellows_ros.core.identification.reduction import Movement, Reduced
 from bellows_ros.core.identification.samples import PassBand
 from bellows_ros.core.structure import AXES, Structure
-from bellows_ros.errors import BellowsError
 import numpy as np
 
 LARGEST_SHARE, SHARE_WEAK = 0.5, 0.05
@@ -233,9 +223,6 @@ def _sentence(axis: Axis, passed: PassBand) -> str:
     )
 
 
-SMALLEST_RATIO = 0.5
-"""An estimate that equal additional noise shrinks below this fraction is off by its own size."""
-
 CORRELATED = 0.95
 """Correlation of two estimates above which they can hardly be separated."""
 
@@ -280,21 +267,19 @@ class Excitation:
 
 
 def excitation_of(
-    parts: Sequence[Information], structure: Structure, method: str = 'least_squares',
+    parts: Sequence[Reduced], method: str = 'least_squares',
     fit: tuple[Array, Array] | None = None,
 ) -> Excitation:
     """
-    Return the identifiability of K and P from the information of each recording.
+    Return the identifiability of K and P from recordings.
 
     Where there is a fit its own standard errors say what is. Before, it is what has less
     information from noise than from motion.
 
     Parameters
     ----------
-    parts : sequence of Information
-        Of each recording.
-    structure : Structure
-        Which entries are to be found.
+    parts : sequence of Reduced
+        What each recording was reduced to.
     method : str
         Of the fit: of what biases least squares of filtered motion, noise and what is too fast
         for the filter, is said nothing where it is another.
@@ -307,15 +292,13 @@ def excitation_of(
         If there is no valid sample.
 
     """
-    wrench = joined(part.wrench for part in parts)
-    if not wrench.count:
-        raise BellowsError('No valid sample is left, so nothing is identifiable.')
-    whitening = whitening_of(regular(wrench.covariance(structure)))
-    found = solution(_r_factor(parts, 0, whitening), structure)
-    axes, filtered = _axes(parts), method == 'least_squares'
+    statistics, movements = [own.statistics for own in parts], [own.movement for own in parts]
+    structure = common_structure(statistics)
+    whitening, found, noise = weighted(statistics)
+    axes, filtered = _axes(movements), method == 'least_squares'
     shares = bias = np.full(len(found.x), np.nan)
-    if filtered:
-        shares, bias = _noise_effects(parts, structure, whitening, found)
+    if filtered and noise is not None:
+        shares, bias = _noise_effects(noise, whitening, found)
     if fit is None:
         values, covariance = found.x, found.inverse @ found.inverse.T
         known = found.identifiable & ~(shares > LARGEST_SHARE)
@@ -332,7 +315,7 @@ def excitation_of(
     pairs = tuple(_correlated(
         without(covariance, ~known) / np.outer(spread, spread), structure.labels))
     source = 'this recording' if len(parts) == 1 else 'these recordings'
-    fast = too_fast(axes, [part.passed for part in parts if part.passed]) if filtered else ()
+    fast = too_fast(axes, [own.passed for own in movements if own.passed]) if filtered else ()
     rank = found.rank if fit is None else int(np.count_nonzero(known))
     return Excitation(
         structure.name, axes, parameters, rank, len(values), found.condition_number, pairs,
@@ -340,36 +323,22 @@ def excitation_of(
                  filtered), *fast))
 
 
-def _r_factor(parts: Sequence[Information], draw: int, whitening: Array) -> Array:
-    """Return the R factor of the whitened equations, as they are (0) or with noise once more."""
-    size = parts[0].rows.shape[-1]
-    return r_factor(((whitening @ part.rows[draw]).reshape(-1, size) for part in parts), size)
-
-
-def _noise_effects(
-    parts: Sequence[Information], structure: Structure, whitening: Array, found: Solution
-) -> tuple[Array, Array]:
+def _noise_effects(noise: Array, whitening: Array, found: Solution) -> tuple[Array, Array]:
     """
-    Return the share of noise in the information on each parameter, and its bias.
+    Return the share of noise (6, q, 6, q) in the information on each parameter, and its bias.
 
-    Noise that is added once more shrinks the estimates again. An estimate that goes as 1 / (1 + n)
-    with the noise's variance n, as that of one parameter does, was off before by 1 - x / x', where
-    x' is the one with more noise. The share is the noise's energy in a parameter's own column,
-    over the energy of the part of that column that no other parameter explains.
+    The share is the noise's energy in a parameter's own column, over the energy of the part of
+    that column that no other parameter explains. The bias is at most the parameter's own size.
     """
-    draws = range(1, min(len(part.rows) for part in parts))
-    if not draws:
-        return np.full(2 * structure.size, np.nan), np.full(2 * structure.size, np.nan)
-    added = np.sum([part.added for part in parts], axis=0)
-    energy = np.einsum('ab,pbc,ac->p', whitening, added, whitening)
-    again = [solution(_r_factor(parts, draw, whitening), structure) for draw in draws]
-    later = np.mean([np.where(noisy.identifiable, noisy.x, np.nan) for noisy in again], axis=0)
+    energy = np.einsum('ij,ipjp->p', whitening.T @ whitening, noise)[:-1]
+    bias, *_ = noise_bias(noise, whitening, found.x, found.inverse)
     with np.errstate(divide='ignore', invalid='ignore'):
-        share = np.minimum(energy * np.sum(found.inverse**2, axis=1), 1.0)
-        return share, 1.0 - 1.0 / np.maximum(later / found.x, SMALLEST_RATIO)
+        relative = np.clip(bias / (found.x - bias), -1.0, 1.0)
+    return (np.minimum(energy * np.sum(found.inverse**2, axis=1), 1.0),
+            np.where(found.identifiable, relative, np.nan))
 
 
-def _axes(parts: Sequence[Information]) -> tuple[Axis, ...]:
+def _axes(parts: Sequence[Movement]) -> tuple[Axis, ...]:
     """Return how the six directions are excited."""
     strain, twist, strain_noise, twist_noise = (
         joined(getattr(part, kind) for part in parts)
@@ -385,7 +354,7 @@ def _axes(parts: Sequence[Information]) -> tuple[Axis, ...]:
     )
 
 
-def _bands(parts: Sequence[Information]) -> Array:
+def _bands(parts: Sequence[Movement]) -> Array:
     """Return the frequencies (2, 6) in Hz between which most of the velocities' power lies."""
     ends = np.array([part.bands_hz for part in parts])
     known = np.isfinite(ends[:, 0])

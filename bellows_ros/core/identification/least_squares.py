@@ -6,7 +6,7 @@ equations of the raw data are never formed. Noise in the equations adds M to A^T
 on average; where it is known both are taken off again (compensated least squares).
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.identification.equations import (
@@ -16,6 +16,7 @@ from bellows_ros.core.identification.equations import (
     r_factor,
     regular,
     Rows,
+    Solution,
     solution,
     whitening_of,
     without,
@@ -82,16 +83,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
             f'{used} valid samples are too few for {2 * structure.size} parameters. Record '
             'longer, or check in the report why samples were rejected.'
         )
-    whitening = whitening_of(regular(joined(part.moments for part in parts).covariance(structure)))
-    known = [part.noise for part in parts if part.noise is not None]
-    noise = np.sum(known, axis=0) if len(known) == len(parts) else None
-
-    def rows() -> Iterator[Rows]:
-        """Yield the whitened rows of all parts."""
-        return (own.whitened(whitening) for part in parts for own in part.rows())
-
-    R = r_factor((own.stacked for own in rows()), 2 * structure.size + 1)
-    x, inverse, identifiable, _, condition = solution(R, structure)
+    whitening, (x, inverse, identifiable, _, condition), noise = weighted(parts)
     if not identifiable.any():
         raise UndeterminedError(
             f'{", ".join(structure.labels[:SHOWN])} and all others are not identifiable from '
@@ -100,10 +92,10 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     bias = noise_rms = None
     gain = inverse
     if noise is not None:
-        bias, gain, separable = _bias(noise, whitening, x, inverse)
+        bias, gain, separable = noise_bias(noise, whitening, x, inverse)
         x, identifiable = x - bias, identifiable & separable
         noise_rms = _noise_rms(noise, x, used)
-    covariance, squares = _uncertainty(rows, whitening, x, inverse, gain)
+    covariance, squares = _uncertainty(parts, whitening, x, inverse, gain)
     stiffness, damping = structure.matrices(x)
     std = np.sqrt(np.diag(covariance))
     identifiable &= np.isinf(std) | (std <= LARGEST_ERROR * structure.sizes(stiffness, damping))
@@ -148,14 +140,35 @@ def common_structure(parts: Sequence[Statistics]) -> Structure:
     return parts[0].structure
 
 
+def weighted(parts: Sequence[Statistics]) -> tuple[Array, Solution, Array | None]:
+    """
+    Return the whitening (6, 6), the solution as it is with noise, and what this adds to products.
+
+    The last (6, q, 6, q) is that of all parts (see `noise_products`), None where one lacks it.
+    """
+    structure = common_structure(parts)
+    whitening = whitening_of(regular(joined(part.moments for part in parts).covariance(structure)))
+    known = [part.noise for part in parts if part.noise is not None]
+    R = r_factor((own.stacked for own in _rows(parts, whitening)), 2 * structure.size + 1)
+    return (whitening, solution(R, structure),
+            np.sum(known, axis=0) if len(known) == len(parts) else None)
+
+
+def _rows(parts: Sequence[Statistics], whitening: Array) -> Iterator[Rows]:
+    """Return the whitened rows of all parts."""
+    return (own.whitened(whitening) for part in parts for own in part.rows())
+
+
 def _uncertainty(
-    rows: Callable[[], Iterable[Rows]], whitening: Array, x: Array, inverse: Array, gain: Array
+    parts: Sequence[Statistics], whitening: Array, x: Array, inverse: Array, gain: Array
 ) -> tuple[Array, Array]:
     """Return the covariance (p, p) of x, however few clusters, and the residual squares (6,)."""
-    covariance, squares, clusters = _cluster_robust(rows(), whitening, x, inverse, gain)
+    covariance, squares, clusters = _cluster_robust(
+        _rows(parts, whitening), whitening, x, inverse, gain)
     if clusters < ENOUGH_CLUSTERS:
         variances = np.maximum(
-            np.diag(covariance), _least_variances(rows(), x, inverse, gain, clusters))
+            np.diag(covariance), _least_variances(
+                _rows(parts, whitening), x, inverse, gain, clusters))
         covariance = _with_correlations_of(gain @ gain.T, variances)
     return covariance, squares
 
@@ -214,11 +227,11 @@ def _least_variances(
     return np.asarray(np.diag(gain @ meat @ gain.T))
 
 
-def _bias(
+def noise_bias(
     noise: Array, whitening: Array, x: Array, inverse: Array
 ) -> tuple[Array, Array, Mask]:
     """
-    Return the expected error (p,) of x by noise in the equations, and the gain without it.
+    Return the expected error (p,) of x by noise (6, q, 6, q), and the gain without it.
 
     With noise that adds M to A^T A and m to A^T b on average, the truth is near
     (A^T A - M)^-1 (A^T b - m), and the estimate off it by -(A^T A - M)^-1 (M x - m). The gain

@@ -75,7 +75,7 @@ def fit(
     parts = [_reduced(own, values) for own in recordings]
     structure = common_structure([part.statistics for part in parts])
     found = fitted(recordings, values, progress)
-    excitation = excitation_of([part.information for part in parts], structure, found.method, (
+    excitation = excitation_of(parts, found.method, (
         structure.parameters(found.stiffness, found.damping), found.covariance))
     if found.converged and not any(
             own.identifiable for own in excitation.parameters if own.label.startswith('P')):
@@ -266,7 +266,7 @@ def start_cup(parts: Sequence[Statistics], known: Cup) -> Cup:
 
     What is not identifiable, or below zero, is that of a known cup.
     """
-    found = least_squares(parts)
+    found = least_squares([replace(part, noise=None) for part in parts])
     stiffness, damping = (
         np.where(np.isfinite(error) & (value >= 0.0), value, instead)
         for value, error, instead in (

@@ -5,10 +5,9 @@ The weight W of (4.66) comes from the wrenches of all recordings, so it is not k
 reduced; what is kept can be weighted later. For a fit that are sufficient statistics: cluster by
 cluster the rows [L c] of each wrench component, reduced by QR to an R factor with the same inner
 products. Where W couples the components six R factors would not do and those of all products would
-be larger than the samples, so that these themselves are kept. For findings it is the information
-on the cup: a few rows with the inner products of all, and of samples as they would be if the
-sensors had added their noise once more. Both are added up over recordings, wherever they were
-made.
+be larger than the samples, so that these themselves are kept. With them is kept what noise adds to
+the products on average, seen by adding it once more, and how the lip moved. All is added up over
+recordings, wherever they were made.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,10 +21,8 @@ from bellows_ros.core.identification.samples import (
     envelope,
     filtered_samples,
     PassBand,
-    relative_spectra,
     Samples,
     samples_of,
-    Spectra,
 )
 from bellows_ros.core.lie import apply, exp_so3
 from bellows_ros.core.model import Package
@@ -38,7 +35,7 @@ from bellows_ros.core.recording.recording import (
     TimeOffset,
 )
 from bellows_ros.core.structure import Structure, structure_named
-from bellows_ros.core.trajectory import Trajectory, uniform_rate_hz
+from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -198,59 +195,41 @@ def _component_r_factors(rows: Array) -> Array:
     return np.asarray(np.linalg.qr(np.concatenate([rows, few], axis=1), mode='r'))
 
 
-DRAWS = 4
-"""Number of noise draws."""
-
 BAND = 0.9
 """Fraction of a velocity's power inside its frequency band."""
 
 
 @dataclass(frozen=True, eq=False)
-class Information:
+class Movement:
     """
-    The information of one recording.
+    How the lip moved in one recording, as seen from the tool.
 
     Parameters
     ----------
-    wrench : Moments
-        Of the needed wrenches, N and N m.
     strain, twist : Moments
-        Of the lip's displacement from nominal (m, rad) and of its twist (m/s, rad/s), in the tool.
+        Of its displacement from nominal (m, rad) and of its twist (m/s, rad/s).
     strain_noise, twist_noise : Moments
         Of the noise in them; of nothing where the noise is not known.
     bands_hz : ndarray (2, 6)
         Frequencies between which most of the twist's power lies; nan where nothing moves.
-    rows : ndarray (1 or 1 + DRAWS, M, 6, q)
-        Rows [L c], q = p + 1, with the inner products of all samples' rows; then those of samples
-        with noise once more, where it is known. Products of different components of the wrench
-        are right only where the structure couples these.
-    added : ndarray (p, 6, 6)
-        Products of what such noise changes in each column, of each two components; mean of draws.
     passed : PassBand or None
         What the filter leaves of the twist; None where its noise is not known.
 
     """
 
-    wrench: Moments
     strain: Moments
     twist: Moments
     strain_noise: Moments
     twist_noise: Moments
     bands_hz: Array
-    rows: Array
-    added: Array
     passed: PassBand | None
 
 
-def information_of(
-    samples: Samples,
-    cup_length: float,
-    structure: Structure,
-    noise: FilterNoise | None = None,
-    spectra: Spectra | None = None,
-) -> Information:
+def movement_of(
+    samples: Samples, cup_length: float, noise: FilterNoise | None = None
+) -> Movement:
     """
-    Return the information of a recording.
+    Return how the lip moved in a recording.
 
     Parameters
     ----------
@@ -258,12 +237,8 @@ def information_of(
         Of the recording.
     cup_length : float
         Nominal length l0, m.
-    structure : Structure
-        Which entries of K and P are free.
     noise : FilterNoise, optional
         Of the recording; without it nothing is known of what noise adds.
-    spectra : Spectra, optional
-        Those of `relative_spectra`, where they are known already.
 
     Raises
     ------
@@ -271,55 +246,16 @@ def information_of(
         Without valid samples.
 
     """
-    twists = (spectra or relative_spectra(samples, cup_length)).twist
-    rate_hz = uniform_rate_hz(samples.package.stamps_ns)
-    samples = samples.thinned(ENOUGH)
-    lip = samples.lip
-    first, added = _rows(lip, None, cup_length, structure)
-    rows = [first]
-    moved = np.array([lip.displacement(cup_length), lip.twist])
-    noise_moved, passed = np.empty((2, 0, 6)), None
+    some = samples.thinned(ENOUGH)
+    seen = np.array([some.lip.displacement(cup_length), some.lip.twist])
+    noise_seen, passed = np.empty((2, 0, 6)), None
     if noise is not None:
-        for draw in draws(DRAWS):
-            noisy = with_noise(samples, noise, draw).lip
-            again, changed = _rows(lip, noisy, cup_length, structure)
-            rows.append(again)
-            added += changed / DRAWS
-        noisy = with_noise(samples, noise, np.random.default_rng(SEED)).lip
-        noise_moved = np.array([noisy.displacement(cup_length), noisy.twist]) - moved
-        passed = PassBand.of(twists, rate_hz, noise)
-    return Information(
-        Moments.of(lip.wrench), Moments.of(moved[0]), Moments.of(moved[1]),
-        Moments.of(noise_moved[0]), Moments.of(noise_moved[1]),
-        np.array(twists.band(BAND)), np.array(rows), added, passed,
-    )
-
-
-def _rows(
-    lip: LipMotion, noisy: LipMotion | None, cup_length: float, structure: Structure
-) -> tuple[Array, Array]:
-    """Return the reduced rows of (noisy) samples, and products of the changes due to noise."""
-    rows = np.zeros((1, 6, 2 * structure.size + 1))
-    added = np.zeros((2 * structure.size, 6, 6))
-    others = noisy and noisy.equations(cup_length, structure, keep=False)
-    for here in lip.equations(cup_length, structure):
-        there = next(others) if others else here
-        rows = _few(np.concatenate([rows, np.dstack([there.A, there.b])]), structure)
-        change = (there.A - here.A).transpose(2, 1, 0)
-        added += change @ change.swapaxes(1, 2)
-    return _few(rows, structure), added
-
-
-def _few(rows: Array, structure: Structure) -> Array:
-    """Return few rows (M, 6, q) with the inner products of many (N, 6, q)."""
-    count, _, size = rows.shape
-    # One R factor of all components side by side, or one of each component.
-    groups = 1 if structure.couples else 6
-    columns = 6 // groups * size
-    stacked = np.zeros((groups, max(count, columns), columns))
-    stacked[:, :count] = rows.reshape(count, groups, columns).swapaxes(0, 1)
-    r_factors = np.asarray(np.linalg.qr(stacked, mode='r'))
-    return r_factors.swapaxes(0, 1).reshape(columns, 6, size)
+        noisy = with_noise(some, noise, np.random.default_rng(SEED)).lip
+        noise_seen = np.array([noisy.displacement(cup_length), noisy.twist]) - seen
+        passed = PassBand.of(samples, noise)
+    return Movement(
+        Moments.of(seen[0]), Moments.of(seen[1]), Moments.of(noise_seen[0]),
+        Moments.of(noise_seen[1]), np.array(samples.twist_spectrum.band(BAND)), passed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,8 +279,8 @@ class Reduced:
         The transform between two worlds, where it was to be found.
     statistics : Statistics
         What least squares needs.
-    information : Information
-        What is identifiable.
+    movement : Movement
+        How the lip moved.
     envelope : Envelope
         Its validity range.
 
@@ -357,7 +293,7 @@ class Reduced:
     time_offset: TimeOffset | None
     package_world: PackageWorld | None
     statistics: Statistics
-    information: Information
+    movement: Movement
     envelope: Envelope
 
     @property
@@ -377,35 +313,22 @@ def reduced(recording: Recording, values: Mapping[str, Any]) -> Reduced:
 
     """
     length, structure = values['cup.length'], structure_named(values['fit.structure'])
-    with_bias = values['fit.method'] == 'least_squares'
     return recording.once(
-        ('reduced', length, structure.name, with_bias),
-        lambda: _reduced(recording, length, structure, with_bias))
-
-
-def spectra_of(recording: Recording, cup_length: float) -> Spectra:
-    """Return the spectra of a recording's relative motion."""
-    return recording.once(
-        ('spectra', cup_length), lambda: relative_spectra(samples_of(recording), cup_length))
+        ('reduced', length, structure.name), lambda: _reduced(recording, length, structure))
 
 
 def envelope_of(recording: Recording, cup_length: float) -> Envelope:
     """Return the validity range of a recording."""
-    filtered = filtered_samples(recording)
-    spectra = None if recording.settings.relative else spectra_of(recording, cup_length)
     return recording.once(
-        ('envelope', cup_length), lambda: envelope(filtered, cup_length, spectra))
+        ('envelope', cup_length), lambda: envelope(filtered_samples(recording), cup_length))
 
 
-def _reduced(
-    recording: Recording, length: float, structure: Structure, with_bias: bool
-) -> Reduced:
+def _reduced(recording: Recording, length: float, structure: Structure) -> Reduced:
     """Return a recording reduced."""
     samples, noise = samples_of(recording), recording.noise
     seen = envelope_of(recording, length)
     return Reduced(
         recording.as_json(), recording.digest, recording.files, recording.payload,
         recording.report.time_offset, recording.report.package_world,
-        statistics(samples, length, structure, noise if with_bias else None),
-        information_of(samples, length, structure, noise, spectra_of(recording, length)), seen,
+        statistics(samples, length, structure, noise), movement_of(samples, length, noise), seen,
     )

@@ -84,6 +84,17 @@ class Samples:
             index, self.tool.stamps_ns[index], self.window,
             *(np.concatenate(part) for part in zip(*parts, strict=True)))
 
+    @cached_property
+    def twist_spectrum(self) -> Spectrum:
+        """Of the lip's twist in the tool, m/s and rad/s."""
+        return self.spectrum_of(self.lip.twist)
+
+    def spectrum_of(self, values: Array) -> Spectrum:
+        """Return the spectrum of numbers (N, 6) at the valid samples; others are interpolated."""
+        every = np.full((len(self.tool), 6), np.nan)
+        every[self.lip.index] = values
+        return spectrum(interpolated(every), uniform_rate_hz(self.package.stamps_ns))
+
     def select(self, index: slice | Mask | Stamps) -> 'Samples':
         """Return the samples that a slice, a mask or increasing indices pick."""
         return replace(self, tool=self.tool.select(index), package=self.package.select(index))
@@ -261,42 +272,7 @@ BAND = 0.95
 """Fraction of the deflection's power inside the frequency bands."""
 
 
-@dataclass(frozen=True, eq=False)
-class Spectra:
-    """
-    Spectra of one recording's relative motion, six channels each.
-
-    Parameters
-    ----------
-    strain, twist : Spectrum
-        Of the lip's displacement from nominal (m, rad) and of its twist (m/s, rad/s), in the tool.
-
-    """
-
-    strain: Spectrum
-    twist: Spectrum
-
-
-def relative_spectra(samples: Samples, cup_length: float) -> Spectra:
-    """
-    Return the spectra of a recording's relative motion.
-
-    Raises
-    ------
-    BellowsError
-        Without valid samples.
-
-    """
-    rate_hz = uniform_rate_hz(samples.package.stamps_ns)
-    found = []
-    for values in (samples.lip.displacement(cup_length), samples.lip.twist):
-        every = np.full((len(samples.tool), 6), np.nan)
-        every[samples.lip.index] = values
-        found.append(spectrum(interpolated(every), rate_hz))
-    return Spectra(*found)
-
-
-def envelope(samples: Samples, cup_length: float, spectra: Spectra | None = None) -> Envelope:
+def envelope(samples: Samples, cup_length: float) -> Envelope:
     """
     Return the validity range of a recording.
 
@@ -306,8 +282,6 @@ def envelope(samples: Samples, cup_length: float, spectra: Spectra | None = None
         As they go into the fit; samples that are not valid are left out.
     cup_length : float
         Nominal length l0, m.
-    spectra : Spectra, optional
-        Those of `relative_spectra`, where they are known already.
 
     Raises
     ------
@@ -317,11 +291,10 @@ def envelope(samples: Samples, cup_length: float, spectra: Spectra | None = None
     """
     if not samples.count:
         raise BellowsError('The recording has no valid samples, hence no validity range.')
-    strain = (spectra or relative_spectra(samples, cup_length)).strain
     deflection, mass = samples.lip.displacement(cup_length), samples.payload.mass
     return Envelope(
         deflection.min(axis=0), deflection.max(axis=0), np.abs(samples.lip.twist).max(axis=0),
-        _bands(strain), np.array([mass, mass]))
+        _bands(samples.spectrum_of(deflection)), np.array([mass, mass]))
 
 
 def _bands(densities: Spectrum) -> Array:
@@ -364,8 +337,9 @@ class PassBand(NamedTuple):
     floor: Array
 
     @classmethod
-    def of(cls, twist: Spectrum, rate_hz: float, noise: FilterNoise) -> 'PassBand':
-        """Return that of a recording by the spectrum of its twist, at a rate of samples."""
+    def of(cls, samples: Samples, noise: FilterNoise) -> 'PassBand':
+        """Return that of a recording, of all samples, by the spectrum of its twist."""
+        twist, rate_hz = samples.twist_spectrum, uniform_rate_hz(samples.package.stamps_ns)
         part = left(noise.package_weights, rate_hz, twist.frequency)
         white = (part * twist.frequency) ** 2
         end = pass_band(noise.package_weights, rate_hz)

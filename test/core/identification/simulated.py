@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 import functools
+from types import SimpleNamespace
 
 from bellows_ros.core.identification import equations
 from bellows_ros.core.identification.equations import Moments
 from bellows_ros.core.identification.identifiability import excitation_of
 from bellows_ros.core.identification.least_squares import least_squares as fit_statistics
-from bellows_ros.core.identification.reduction import information_of, statistics
+from bellows_ros.core.identification.reduction import movement_of, statistics
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.recording.preparation import prepare
@@ -117,9 +118,10 @@ def without(fit, labels):
 def excitation(recordings, cup_length, structure, noises=()):
     """Return what samples can tell, with their noises where they are known."""
     known = noises or [None] * len(recordings)
-    return excitation_of([information_of(samples, cup_length, structure, noise)
-                          for samples, noise in zip(recordings, known, strict=True)],
-                         structure)
+    return excitation_of([SimpleNamespace(
+        statistics=statistics(samples, cup_length, structure, noise),
+        movement=movement_of(samples, cup_length, noise))
+        for samples, noise in zip(recordings, known, strict=True)])
 
 
 def wrench_covariance(samples, structure):

@@ -2,13 +2,12 @@
 
 from bellows_ros.core.identification.equations import whitening_of
 from bellows_ros.core.identification.reduction import with_noise
-from bellows_ros.core.identification.samples import relative_spectra, Samples, samples_of
+from bellows_ros.core.identification.samples import Samples, samples_of
 from bellows_ros.core.lie import exp_so3
 from bellows_ros.core.recording.recording import FilterNoise, Noise
 from bellows_ros.core.resampling import savgol
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.trajectory import Trajectory
-from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -56,7 +55,7 @@ def test_axes_are_described_as_they_move(rich):
     # Torsion follows the lines of 0.4 and 1.9 Hz that the tool turns with.
     low, high = found.axes[5].band_hz
     assert 0.3 <= low < high < 2.6
-    assert_allclose(relative_spectra(samples, L0).twist.peak[5], 1.9, atol=0.5)
+    assert_allclose(samples.twist_spectrum.peak[5], 1.9, atol=0.5)
 
 
 def test_missing_torsion_is_said_in_plain_words():
@@ -166,8 +165,3 @@ def test_without_noises_nothing_is_said_about_noise(rich):
 def test_the_same_recording_gets_the_same_answer(rich):
     one, other = (described(rich)[1] for _ in range(2))
     assert [p.bias for p in one.parameters] == [p.bias for p in other.parameters]
-
-
-def test_mistakes_are_named():
-    with pytest.raises(BellowsError, match='No valid sample'):
-        simulated.excitation([], L0, ROUND)
