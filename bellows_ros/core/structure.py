@@ -132,6 +132,11 @@ class Structure:
             ]
         )
 
+    def within(self, other: 'Structure') -> Array:
+        """Return T (2 m, 2 n) with which parameters x of this structure are T x of another."""
+        return np.column_stack([
+            other.parameters(*self.matrices(unit)) for unit in np.eye(2 * self.size)])
+
     def sizes(self, stiffness: Array, damping: Array) -> Array:
         """Return the scale of each parameter (2 n,): the root of its two diagonal entries."""
         i, j = np.array(self.leads).T

@@ -134,7 +134,7 @@ def selection_json(selection: Any) -> dict[str, Any]:
     return {
         'candidates': [
             attributes(candidate, 'structure', 'parameters', 'usable', 'refused', 'aic', 'bic',
-                       'held_out_wrench', 'held_out', 'simulated')
+                       'held_out', 'simulated')
             for candidate in selection.candidates],
         **attributes(selection, 'samples', 'effective_samples', 'advised', 'advice', 'fits'),
     }

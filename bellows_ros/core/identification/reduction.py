@@ -71,6 +71,39 @@ def _noisy(
         sigma * np.einsum('ij,jnk->ink', root, draw.standard_normal((3, len(motion), 3)))
         for sigma in noise
     )
+    return _disturbed(motion, o, phi)
+
+
+def shaken(
+    motion: Trajectory, noise: Noise, weights: Array, period: float, draw: np.random.Generator
+) -> Trajectory:
+    """
+    Return a filtered motion as it would be with white noise of its poses once more.
+
+    Parameters
+    ----------
+    motion : Trajectory
+        Of a body, with twists.
+    noise : Noise
+        Of the poses that were filtered, m and rad per axis.
+    weights : ndarray (3, 2n+1)
+        Of the filter.
+    period : float
+        Between these poses, s.
+    draw : Generator
+        Of random numbers.
+
+    """
+    at = period * np.arange(int(motion.seconds[-1] / period) + 2)
+    white = np.repeat(noise, 3) * draw.standard_normal((len(at) + weights.shape[1] - 1, 6))
+    filtered = np.array([
+        np.column_stack([np.interp(motion.seconds, at, np.correlate(column, row))
+                         for column in white.T]) for row in weights])
+    return _disturbed(motion, filtered[..., :3], filtered[..., 3:])
+
+
+def _disturbed(motion: Trajectory, o: Array, phi: Array) -> Trajectory:
+    """Return a motion with a shift and a turn and their derivatives (3, N, 3), in world axes."""
     if motion.twist is None:
         raise BellowsError('Samples need twists; filter the recording first.')
     R, v, w = motion.rotation, motion.twist[:, :3], motion.twist[:, 3:]
@@ -90,7 +123,8 @@ def _noisy(
 
 
 def noise_products(
-    recording: Samples, noise: FilterNoise, cup_length: float, structure: Structure
+    recording: Samples, noise: FilterNoise, cup_length: float, structure: Structure,
+    seed: int = SEED,
 ) -> Array:
     """
     Return the expected contribution of noise to the products of [L c] (6, q, 6, q), q = p + 1.
@@ -100,7 +134,7 @@ def noise_products(
     """
     size = 2 * structure.size + 1
     products = np.zeros((6 * size, 6 * size))
-    draw = np.random.default_rng(SEED)
+    draw = np.random.default_rng(seed)
     some = recording.thinned(ENOUGH)
     for block, own in zip(some.blocks(), some.lip.equations(cup_length, structure), strict=False):
         noisy = with_noise(block, noise, draw).lip.equations(cup_length, structure, keep=False)

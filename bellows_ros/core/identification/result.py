@@ -159,6 +159,11 @@ class Fit:
     bias: Array | None = None
 
     @property
+    def parameters(self) -> Array:
+        """Values (2 n,) of the labels, SI units."""
+        return structure_named(self.structure).parameters(self.stiffness, self.damping)
+
+    @property
     def usable(self) -> bool:
         """Whether it is a minimum that the predictor can take: K definite, P semidefinite."""
         return self.converged and not definiteness_warnings(

@@ -3,30 +3,27 @@ Selection of the structure of K and P: candidates compared on held-out data.
 
 More parameters always explain the recordings better. Whether they do so because the cup is like
 that, AIC and BIC guess from the number of independent samples, and held-out parts of the
-recordings show: a cup found without them has to explain their wrenches, and to simulate their
-motion.
+recordings show: a cup found without them has to simulate their motion.
 
 Noise biases least squares, and a rich structure can mend with couplings that are not there what
-the bias spoils. Where the noise is known, the cups that simulate are therefore corrected for it
-first, by simulation and extrapolation: noise is added once and twice more, and what that changes
-is extrapolated to no noise at all.
+the bias spoils. Where the noise is known, its bias is therefore taken off before cups simulate.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.identification.equations import (
     joined,
-    LARGEST_CONDITION,
-    LipMotion,
     Moments,
     r_factor,
+    solution,
     whitening_of,
 )
 from bellows_ros.core.identification.hypotheses import Diagnosis, DOUBTED
-from bellows_ros.core.identification.least_squares import least_squares
-from bellows_ros.core.identification.reduction import draws, statistics, with_noise
+from bellows_ros.core.identification.least_squares import least_squares, noise_bias
+from bellows_ros.core.identification.reduction import noise_products, SEED, statistics
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.lie import rotation_to_quaternion
@@ -35,21 +32,19 @@ from bellows_ros.core.recording.recording import FilterNoise
 from bellows_ros.core.residuals import relative_coordinates
 from bellows_ros.core.simulation import simulate, state_row
 from bellows_ros.core.structure import Structure, STRUCTURES
-from bellows_ros.core.trajectory import NS_PER_S
+from bellows_ros.core.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError, UndeterminedError, UnstableError
 import numpy as np
+from scipy.linalg import block_diag
 
 FOLDS = 5
 """Folds of each recording; each is held out once."""
 
-DRAWS = 2
-"""Draws of added noise of each size."""
-
-EXTRAPOLATED = (3.0, -3.0, 1.0)
-"""Weights that extrapolate estimates at noise variance 1, 2 and 3 to 0 along a parabola."""
-
 SHORTEST_RUN = 1.0
 """Shortest simulated segment, s."""
+
+FAR_AWAY = 1e3
+"""A simulated package that is farther from where it was has gone astray, m."""
 
 UNEXPLAINED = 0.2
 """Error of held-out motion, in its size, with which no structure fits, whatever the cause."""
@@ -78,9 +73,6 @@ class Candidate:
         Why there is no fit, or ''.
     aic, bic : float
         Akaike's and the Bayesian criterion, less those of the best candidate: 0 is the best.
-    held_out_wrench : float
-        RMS of the whitened wrenches of held-out parts that are not explained; 1 is as good as the
-        richest structure on its own samples.
     simulated : ndarray (F,)
         Error of simulated held-out parts over the size of their motion, fold by fold; infinite
         where there is no simulation.
@@ -93,7 +85,6 @@ class Candidate:
     refused: str
     aic: float
     bic: float
-    held_out_wrench: float
     simulated: Array
 
     @property
@@ -150,49 +141,8 @@ class StructureSelection:
             ' '.join([f'No structure fits{residuals}{size}.', *causes]), *self.advice))
 
 
-Folds = list[list[LipMotion]]
-"""The lip's motion in every fold, segment by segment."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """Recordings cut into folds, as they are and noisier, and the weight of all structures."""
-
-    runs: list[list[Samples]]
-    folds: Folds
-    noisier: list[list[Folds]]
-    count: int
-    cup_length: float
-    whitening: Array
-
-    def r_factors(self, folds: Folds, structure: Structure) -> list[Array]:
-        """Return the R factor of every fold's equations."""
-        return [
-            r_factor(
-                (rows.whitened(self.whitening).stacked for lip in fold
-                 for rows in lip.equations(self.cup_length, structure, keep=False)),
-                2 * structure.size + 1)
-            for fold in folds
-        ]
-
-    def corrected(self, structure: Structure, plain: list[Array]) -> list[Array]:
-        """Return the solutions (p,) without each fold, extrapolated to no noise."""
-        if not self.noisier:
-            return plain
-        sizes = [np.array(plain)]
-        for drawn in self.noisier:
-            found = [_solutions(self.r_factors(folds, structure)) for folds in drawn]
-            sizes.append(np.mean(found, axis=0))
-        extrapolated = np.tensordot(np.array(EXTRAPOLATED), np.array(sizes), axes=1)
-        return list(extrapolated)
-
-
 def select_structure(
-    recordings: Sequence[Samples],
-    cup_length: float,
-    noises: Sequence[FilterNoise] = (),
-    names: Sequence[str] = tuple(STRUCTURES),
-    folds: int = FOLDS,
+    recordings: Sequence[Samples], cup_length: float, noises: Sequence[FilterNoise] = ()
 ) -> StructureSelection:
     """
     Compare structures of K and P.
@@ -205,10 +155,6 @@ def select_structure(
         Nominal length l0, m.
     noises : sequence of FilterNoise, optional
         Of each recording; without them nothing is corrected for noise.
-    names : sequence of str
-        Structures, from the simplest to the richest.
-    folds : int
-        Parts that every recording is cut into.
 
     Raises
     ------
@@ -216,26 +162,49 @@ def select_structure(
         If no structure can be fitted.
 
     """
-    recordings = list(recordings)
-    structures = [STRUCTURES[name] for name in names]
+    structures = list(STRUCTURES.values())
     fits = [_fit(recordings, cup_length, structure) for structure in structures]
     fitted = [(s, fit) for s, (fit, _) in zip(structures, fits, strict=True) if fit is not None]
     if not fitted:
         raise BellowsError(f'No structure can be fitted. {fits[0][1]}')
+    if noises and len(noises) != len(recordings):
+        raise BellowsError(f'{len(recordings)} recordings need as many noise estimates, got '
+                           f'{len(noises)}.')
     whitening, effective = _common_weight(recordings, cup_length, *fitted[-1])
-    count = sum(samples.count for samples in recordings)
-    runs = [[samples.select(part) for samples, part in zip(recordings, fold, strict=True)]
-            for fold in _folds(recordings, folds)]
     problem = _Problem(
-        runs, _cut(recordings, folds), _noisier(recordings, noises, folds), count, cup_length,
-        whitening)
-    part = effective / count
-    marked = [
-        _candidate(problem, s, *fit, part) for s, fit in zip(structures, fits, strict=True)]
+        recordings, cup_length, whitening, effective, sum(own.count for own in recordings),
+        # With other draws than those of the fit, which takes off what it sees in its own.
+        np.sum([noise_products(samples, noise, cup_length, structures[-1], SEED + 1)
+                for samples, noise in zip(recordings, noises, strict=True)], axis=0)
+        if noises else None)
+    marked = [_candidate(problem, s, *fit) for s, fit in zip(structures, fits, strict=True)]
     aic, bic = min(own.aic for own in marked), min(own.bic for own in marked)
     candidates = [replace(own, aic=own.aic - aic, bic=own.bic - bic) for own in marked]
     advised, advice = _advice(candidates)
-    return StructureSelection(tuple(candidates), count, effective, advised, advice)
+    return StructureSelection(tuple(candidates), problem.used, effective, advised, advice)
+
+
+class _Problem(NamedTuple):
+    """
+    What all structures have in common.
+
+    Recordings; length (m); whitening (6, 6); effective and all samples; what noise adds to the
+    products of the richest structure's rows (see `noise_products`), where it is known.
+    """
+
+    recordings: Sequence[Samples]
+    cup_length: float
+    whitening: Array
+    effective: float
+    used: int
+    noise: Array | None
+
+    def folds(self) -> Iterator[list[tuple[Samples, slice]]]:
+        """Yield each recording with its samples that are in a fold, fold by fold."""
+        ends = [np.linspace(0, len(own.tool), FOLDS + 1).astype(int) for own in self.recordings]
+        for fold in range(FOLDS):
+            yield [(samples, slice(int(own[fold]), int(own[fold + 1])))
+                   for samples, own in zip(self.recordings, ends, strict=True)]
 
 
 def effective_samples(residuals: Sequence[tuple[Array, Mask]], longest_lag: int) -> float:
@@ -268,7 +237,7 @@ def effective_samples(residuals: Sequence[tuple[Array, Mask]], longest_lag: int)
 
 
 def _fit(
-    recordings: list[Samples], cup_length: float, structure: Structure
+    recordings: Sequence[Samples], cup_length: float, structure: Structure
 ) -> tuple[Fit | None, str]:
     """Return the least-squares fit, or why it failed."""
     try:
@@ -278,15 +247,14 @@ def _fit(
 
 
 def _common_weight(
-    recordings: list[Samples], cup_length: float, structure: Structure, fit: Fit
+    recordings: Sequence[Samples], cup_length: float, structure: Structure, fit: Fit
 ) -> tuple[Array, float]:
     """Return the whitening by the richest fit's residuals, and the effective samples."""
-    x = structure.parameters(fit.stiffness, fit.damping)
     residuals = []
     for samples in recordings:
         every = np.zeros((len(samples.tool), 6))
         every[samples.lip.index] = np.concatenate(
-            [c - L @ x for L, c, _ in samples.lip.equations(cup_length, structure)])
+            [c - L @ fit.parameters for L, c, _ in samples.lip.equations(cup_length, structure)])
         residuals.append((every, samples.valid))
     used = np.concatenate([values[valid] for values, valid in residuals])
     covariance = used.T @ used / len(used)
@@ -294,143 +262,80 @@ def _common_weight(
     moments = joined(Moments.of(samples.lip.wrench) for samples in recordings)
     whitening = whitening_of(covariance + 1e-18 * np.diag(np.diag(moments.covariance(structure))))
     white = [(values @ whitening.T, valid) for values, valid in residuals]
-    return whitening, effective_samples(white, _longest_lag(recordings))
-
-
-def _longest_lag(recordings: list[Samples]) -> int:
-    """Return the samples in two filter windows, within which residuals are correlated."""
-    steps = [float(np.median(np.diff(s.package.stamps_ns))) / NS_PER_S for s in recordings]
-    return max(round(2.0 * s.window / step) for s, step in zip(recordings, steps, strict=True))
-
-
-def _folds(recordings: Sequence[Samples], folds: int) -> Iterator[list[slice]]:
-    """Yield the samples of each recording that are in a fold, fold by fold."""
-    ends = [np.linspace(0, len(samples.tool), folds + 1).astype(int) for samples in recordings]
-    for fold in range(folds):
-        yield [slice(int(own[fold]), int(own[fold + 1])) for own in ends]
-
-
-def _cut(recordings: Sequence[Samples], folds: int) -> Folds:
-    """Return the lip's motion in each fold."""
-    return [
-        [samples.lip.select(slice(*np.searchsorted(samples.lip.index, [part.start, part.stop])))
-         for samples, part in zip(recordings, fold, strict=True)]
-        for fold in _folds(recordings, folds)
-    ]
-
-
-def _noisier(
-    recordings: list[Samples], noises: Sequence[FilterNoise], folds: int
-) -> list[list[Folds]]:
-    """Return the folds with noise added, once and twice its variance, several times each."""
-    if not noises:
-        return []
-    if len(noises) != len(recordings):
-        raise BellowsError(f'{len(recordings)} recordings need as many noise estimates, got '
-                           f'{len(noises)}.')
-    generators = draws(DRAWS)
-    return [
-        [
-            _cut([with_noise(s, n.times(np.sqrt(variance)), draw)
-                  for s, n in zip(recordings, noises, strict=True)], folds)
-            for draw in generators
-        ]
-        for variance in (1.0, 2.0)
-    ]
+    windows = [own.window * uniform_rate_hz(own.package.stamps_ns) for own in recordings]
+    return whitening, effective_samples(white, round(2.0 * max(windows)))
 
 
 def _candidate(
-    problem: _Problem, structure: Structure, fit: Fit | None, refused: str, part: float
+    problem: _Problem, structure: Structure, fit: Fit | None, refused: str
 ) -> Candidate:
-    """Return a structure with its marks, absolute ones; `part` is that of effective samples."""
-    parts = problem.r_factors(problem.folds, structure)
-    size = 2 * structure.size
-    squares = float(r_factor(parts, size + 1)[-1, -1] ** 2)
-    plain = _solutions(parts)
-    left = sum(
-        float(np.sum((held_out @ np.append(x, -1.0)) ** 2))
-        for held_out, x in zip(parts, plain, strict=True)
-    )
-    simulated = [
-        _simulated_error(problem, number, structure, x)
-        for number, x in enumerate(problem.corrected(structure, plain))
-    ]
+    """Return a structure with its marks; AIC and BIC are absolute."""
+    size, parts, counts = 2 * structure.size, [], []
+    for fold in problem.folds():
+        lips = [samples.lip.select(slice(*np.searchsorted(
+            samples.lip.index, [part.start, part.stop]))) for samples, part in fold]
+        counts.append(sum(len(lip.index) for lip in lips))
+        parts.append(r_factor(
+            (rows.whitened(problem.whitening).stacked for lip in lips
+             for rows in lip.equations(problem.cup_length, structure, keep=False)), size + 1))
+    T = block_diag(structure.within(list(STRUCTURES.values())[-1]), np.eye(1))
+    noise = None if problem.noise is None else np.einsum(
+        'ipjq,pa,qb->iajb', problem.noise, T, T, optimize=True)
+    simulated = []
+    for number, fold in enumerate(problem.folds()):
+        others = r_factor(parts[:number] + parts[number + 1:], size + 1)
+        x, inverse, *_ = solution(others, structure)
+        if noise is not None:
+            part_of_it = (1.0 - counts[number] / problem.used) * noise
+            x = x - noise_bias(part_of_it, problem.whitening, x, inverse)[0]
+        simulated.append(_simulated_error(
+            Cup(*structure.matrices(x), problem.cup_length),
+            [run for samples, part in fold for run in _runs(samples.select(part))]))
+    part = problem.effective / problem.used
+    squares = part * float(r_factor(parts, size + 1)[-1, -1] ** 2)
     return Candidate(
-        structure.name, size, fit, refused, part * squares + 2.0 * size,
-        part * squares + size * float(np.log(part * problem.count)),
-        float(np.sqrt(left / (6.0 * problem.count))), np.array(simulated),
-    )
+        structure.name, size, fit, refused, squares + 2.0 * size,
+        squares + size * float(np.log(problem.effective)),
+        np.array(simulated))
 
 
-def _solutions(parts: list[Array]) -> list[Array]:
-    """Return the solution (p,) without each of the folds with these R factors."""
-    columns = parts[0].shape[1]
-    return [
-        _solution(r_factor(parts[:i] + parts[i + 1:], columns)) for i in range(len(parts))
-    ]
-
-
-def _solution(R: Array) -> Array:
-    """Return the least-squares solution (p,) of an R factor, the smallest if there are many."""
-    scale = np.linalg.norm(R[:-1, :-1], axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    x, *_ = np.linalg.lstsq(R[:-1, :-1] / scale, R[:-1, -1], rcond=1.0 / LARGEST_CONDITION)
-    solution: Array = x / scale
-    return solution
-
-
-def _simulated_error(problem: _Problem, fold: int, structure: Structure, x: Array) -> float:
+def _simulated_error(cup: Cup, runs: Sequence[Samples]) -> float:
     """
-    Return the error of the simulated motion of a fold over the size of that motion.
+    Return the error of simulated segments over the size of their motion, inf where one diverges.
 
     Both are RMS values of three positions and of three rotations in the tool, taken together as
     the mean of the two ratios' squares.
     """
-    stiffness, damping = structure.matrices(x)
-    cup = Cup(stiffness, damping, problem.cup_length)
     squares, sizes = np.zeros(6), np.zeros(6)
-    for samples in problem.runs[fold]:
-        for run in _runs(samples):
-            try:
-                error, motion = _simulated_run(cup, run)
-            except UnstableError:
-                return np.inf
-            squares += np.sum(error**2, axis=0)
-            sizes += np.sum(motion**2, axis=0)
+    for run in runs:
+        first = run.package.select(slice(0, 1))
+        assert first.twist is not None
+        start = state_row(
+            first.position[0], rotation_to_quaternion(first.rotation[0]), first.twist[0])
+        try:
+            moved = simulate(cup, run.payload, run.tool, start, run.gravity)
+        except UnstableError:
+            return np.inf
+        if float(np.abs(moved.position).max()) > FAR_AWAY:
+            return np.inf
+        predicted, measured = (relative_coordinates(run.tool, body)[run.package.valid]
+                               for body in (moved, run.package))
+        squares += np.sum((predicted - measured) ** 2, axis=0)
+        sizes += np.sum((measured - measured.mean(axis=0)) ** 2, axis=0)
     kinds = [(squares[kind].sum(), sizes[kind].sum()) for kind in (slice(0, 3), slice(3, 6))]
     ratios = [square / size for square, size in kinds if size > 0.0]
     return float(np.sqrt(np.mean(ratios))) if ratios else np.nan
 
 
-def _runs(samples: Samples) -> list[Samples]:
-    """Return the segments with a known tool, from a package pose on."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], samples.tool.valid, [0]])))
-    runs = []
-    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+def _runs(samples: Samples) -> Iterator[Samples]:
+    """Yield the segments with a known tool, from a package pose on."""
+    edges = np.flatnonzero(np.diff(samples.tool.valid, prepend=False, append=False))
+    for first, last in edges.reshape(-1, 2).tolist():
         known = np.flatnonzero(samples.package.valid[first:last])
-        if not len(known):
-            continue
-        run = samples.select(slice(first + int(known[0]), last))
-        if run.tool.seconds[-1] >= SHORTEST_RUN:
-            runs.append(run)
-    return runs
-
-
-def _simulated_run(cup: Cup, run: Samples) -> tuple[Array, Array]:
-    """Return errors of a simulation and deviations from the mean of the measurement (N, 6)."""
-    start = run.package
-    if start.twist is None:
-        raise BellowsError('The package needs twists; filter the recording first.')
-    state = state_row(
-        start.position[0], rotation_to_quaternion(start.rotation[0]), start.twist[0]
-    )
-    moved = simulate(cup, run.payload, run.tool, state, run.gravity)
-    if float(np.abs(moved.position).max()) > 1e3:
-        raise BellowsError('The simulation went astray.')
-    valid = run.package.valid
-    predicted = relative_coordinates(run.tool, moved)[valid]
-    measured = relative_coordinates(run.tool, run.package)[valid]
-    return predicted - measured, measured - measured.mean(axis=0)
+        if len(known):
+            run = samples.select(slice(first + int(known[0]), last))
+            if run.tool.seconds[-1] >= SHORTEST_RUN:
+                yield run
 
 
 def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:
