@@ -15,8 +15,9 @@ import math
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import displaced
 from bellows_ros.core.holding import Grip
+from bellows_ros.core.identification.reduction import shaken
 from bellows_ros.core.kernels import ModelTuple, State
-from bellows_ros.core.lie import apply, exp_so3, log_so3, quaternion_to_rotation
+from bellows_ros.core.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.release import flight, Held, NO_FLIGHT, STRIDE
 from bellows_ros.core.simulation import state_row, tool_rows
@@ -192,6 +193,7 @@ def tosses_of(
     """
     package, tool = recording.package, recording.tool
     stamps_ns, noise = package.stamps_ns, recording.measured_noise[1]
+    step = float(np.median(np.diff(recording.aligned_tool.seconds)))
     used, found, left_out = set(), list[LettingGo](), list[str]()
     for first, last in flights(package, recording.settings.gravity):
         flies_ns = int(stamps_ns[first])
@@ -213,12 +215,14 @@ def tosses_of(
             continue
         start = state_row(*(row[0] for row in np.split(
             tool_rows(package.select(slice(part.start, part.start + 1))), [3, 7], axis=1)))
-        since = int(stamps_ns[part.start])
+        since, draw = int(stamps_ns[part.start]), np.random.default_rng(0)
+        replicas = [
+            shaken(tool.select(part), recording.noise.tool, recording.tool_weights, step, draw)
+            for _ in range(REPLICAS)]
         try:
             one = letting_go(
                 model, grip, tool.select(part), poses.select(poses.valid), start,
-                (valve_ns - since) / NS_PER_S, (flies_ns - since) / NS_PER_S, noise,
-                _replicas(recording, tool.select(part)))
+                (valve_ns - since) / NS_PER_S, (flies_ns - since) / NS_PER_S, noise, replicas)
         except (UndeterminedError, UnstableError) as error:
             left_out.append(f'{where}: {error}')
             continue
@@ -227,27 +231,6 @@ def tosses_of(
         seconds = (valve_ns - recording.start_ns) / NS_PER_S
         left_out.append(f'the valve at {seconds:.2f} s: no tracked flight follows')
     return found, left_out
-
-
-def _replicas(recording: Recording, tool: Trajectory) -> list[Trajectory]:
-    """Return a part of the tool's motion with its filtered noise once more, `REPLICAS` times."""
-    assert tool.twist is not None
-    noise, weights, rng = recording.noise.tool, recording.tool_weights, np.random.default_rng(0)
-    step = float(np.median(np.diff(recording.aligned_tool.seconds)))
-    count = int(tool.seconds[-1] / step) + 2
-    at, sizes = step * np.arange(count), np.repeat(noise, 3)
-    found = []
-    for _ in range(REPLICAS):
-        white = sizes * rng.standard_normal((count + weights.shape[1] - 1, 6))
-        value, rate = (
-            np.column_stack([
-                np.interp(tool.seconds, at, np.correlate(column, w)) for column in white.T])
-            for w in weights[:2])
-        linear = apply(np.swapaxes(tool.rotation, -1, -2), rate[:, :3])
-        found.append(Trajectory(
-            tool.stamps_ns, tool.position + value[:, :3],
-            tool.rotation @ exp_so3(value[:, 3:]), tool.twist + np.hstack([linear, rate[:, 3:]])))
-    return found
 
 
 @dataclass(frozen=True)

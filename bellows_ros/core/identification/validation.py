@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.identification.reduction import shaken
 from bellows_ros.core.kernels import ModelTuple, State
-from bellows_ros.core.lie import apply, exp_so3, rotation_to_quaternion
+from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.recording.recording import Noise, Recording
 from bellows_ros.core.resampling import resample, savgol, weights
@@ -176,7 +177,10 @@ def _validated(cup: Cup, recording: Recording) -> Validation:
         tool=tool,
         state=start,
         start=kind,
-        warnings=_warnings(bridges),
+        warnings=tuple(
+            f'The tool is unknown for {duration:.2f} s from {since:.2f} s on. The simulation '
+            'bridges this gap by interpolation, and its error is larger for a while afterwards.'
+            for since, duration in bridges.tolist() if duration > LONGEST_BRIDGE_S),
     )
 
 
@@ -207,32 +211,23 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
 
     """
     filtered = savgol(measured, half_window, LIGHT_ORDER)
-    known = np.flatnonzero(filtered.valid)
-    if len(known) < 2:
+    usable = np.flatnonzero(filtered.valid)
+    if len(usable) < 2:
         raise BellowsError(
             f'The tool has fewer than {2 * half_window + 1} usable poses in a row, so nothing '
             'can be simulated.'
         )
-    wanted = slice(int(known[0]), int(known[-1]) + 1)
+    wanted = slice(int(usable[0]), int(usable[-1]) + 1)
     stamps = filtered.stamps_ns[wanted]
     there = measured.valid[half_window:][wanted]
-    tool = _bridged(filtered, filtered.valid, stamps)
+    tool = resample(filtered.select(filtered.valid), stamps)
     if not there.all():
         for _ in range(BRIDGE_PASSES):
-            tool = _bridged(*_refiltered(measured, tool, half_window), stamps)
+            again, known = _refiltered(measured, tool, half_window)
+            tool = resample(again.select(known), stamps)
     gaps = np.flatnonzero(np.diff(np.flatnonzero(there)) > 1)
-    edges = stamps[np.flatnonzero(there)]
-    bridges = np.column_stack(
-        [edges[gaps] - measured.stamps_ns[0], edges[gaps + 1] - edges[gaps]]
-    ) / NS_PER_S
-    return tool, bridges
-
-
-def _bridged(filtered: Trajectory, known: Mask, stamps: Stamps) -> Trajectory:
-    """Return the tool at all stamps from the valid samples of a filter."""
-    usable = filtered.select(known)
-    poses = Trajectory(usable.stamps_ns, usable.position, usable.rotation, usable.twist)
-    return resample(poses, stamps)
+    edges = (stamps[there] - measured.stamps_ns[0]) / NS_PER_S
+    return tool, np.column_stack([edges[gaps], edges[gaps + 1] - edges[gaps]])
 
 
 def _refiltered(
@@ -242,11 +237,11 @@ def _refiltered(
     span = _span(measured, bridged)
     position, rotation = np.array(measured.position), np.array(measured.rotation)
     valid = np.array(measured.valid)
-    lost = np.flatnonzero(~valid[span])
+    lost = ~valid[span]
     position[span][lost], rotation[span][lost] = bridged.position[lost], bridged.rotation[lost]
     valid[span] = True
-    filled = Trajectory(measured.stamps_ns, position, rotation, valid=valid)
-    filtered = savgol(filled, half_window, LIGHT_ORDER)
+    filtered = savgol(
+        Trajectory(measured.stamps_ns, position, rotation, valid=valid), half_window, LIGHT_ORDER)
     return filtered, filtered.valid & measured.valid[half_window:len(measured) - half_window]
 
 
@@ -289,13 +284,8 @@ def _at_rest(filtered: Trajectory, weights: Array, noise: Noise) -> bool:
     if filtered.twist is None or not seen.any():
         return True
     speed = np.sqrt(np.mean(filtered.twist[seen] ** 2, axis=0))
-    blur = NOISE_WIDTHS * float(np.linalg.norm(weights[1])) * _six(noise)
+    blur = NOISE_WIDTHS * float(np.linalg.norm(weights[1])) * np.repeat(noise, 3)
     return bool(np.all(speed <= REST_SPEED + blur))
-
-
-def _six(noise: Noise) -> Array:
-    """Return the standard deviations of the six coordinates of a pose."""
-    return np.repeat([noise.position, noise.rotation], 3)
 
 
 def _noise_of_errors(
@@ -307,41 +297,11 @@ def _noise_of_errors(
 ) -> Array:
     """Return the RMS error (6,) due to noise of the package and of the tool."""
     cup, package, gravity = payload
-    rng = np.random.default_rng(SEED)
-    squares = []
+    rate_hz, rng = uniform_rate_hz(tool.stamps_ns), np.random.default_rng(SEED)
+    W, squares = weights(half_window_of(tool), LIGHT_ORDER, rate_hz), []
     for _ in range(NOISE_RUNS):
-        shaken = simulate(cup, package, _shaken(tool, noises[0], rng), start, gravity)
-        moved = relative_coordinates(tool, shaken) - relative_coordinates(tool, body)
+        noisy = shaken(tool, noises[0], W, 1.0 / rate_hz, rng)
+        moved = (relative_coordinates(tool, simulate(cup, package, noisy, start, gravity))
+                 - relative_coordinates(tool, body))
         squares.append(np.mean(moved**2, axis=0))
-    return np.asarray(np.sqrt(np.mean(squares, axis=0) + _six(noises[1]) ** 2))
-
-
-def _shaken(tool: Trajectory, noise: Noise, rng: np.random.Generator) -> Trajectory:
-    """Return the tool as smoothed from poses with added white noise."""
-    n = half_window_of(tool)
-    added = rng.normal(size=(len(tool) + 2 * n, 6)) * _six(noise)
-    W = weights(n, LIGHT_ORDER, uniform_rate_hz(tool.stamps_ns))
-    value, slope = (
-        np.column_stack([np.correlate(column, row, 'valid') for column in added.T])
-        for row in W[:2]
-    )
-    R_old_new = exp_so3(value[:, 3:])
-    R_new_old = np.swapaxes(R_old_new, 1, 2)
-    rows = tool_rows(tool)
-    v, w = rows[:, 7:10], rows[:, 10:]
-    twist = np.hstack([apply(R_new_old, v + slope[:, :3]), apply(R_new_old, w) + slope[:, 3:]])
-    return Trajectory(
-        tool.stamps_ns,
-        tool.position + apply(tool.rotation, value[:, :3]),
-        tool.rotation @ R_old_new,
-        twist,
-    )
-
-
-def _warnings(bridges: Array) -> tuple[str, ...]:
-    """Return what the user should know."""
-    return tuple(
-        f'The tool is unknown for {duration:.2f} s from {start:.2f} s on. The simulation bridges '
-        'this gap by interpolation, and its error is larger for a while afterwards.'
-        for start, duration in bridges.tolist() if duration > LONGEST_BRIDGE_S
-    )
+    return np.asarray(np.sqrt(np.mean(squares, axis=0) + np.repeat(noises[1], 3) ** 2))
