@@ -1,34 +1,40 @@
 """
 Standstills as equations for K, to be solved together with those of a motion.
 
-At rest the spring alone balances gravity (3.9): c(q) = L(q) k, with k the entries of K and q the
-lip's pose. Near a guess k0, whose equilibrium is q0, a measured pose is
+At rest the spring alone balances gravity (3.9): the acceleration a(q, k) is zero, with k the
+entries of K and q the lip's pose. Near a guess k0, whose equilibrium is q0, a measured pose is
 
-    q = q0 + G^-1 L(q0) (k - k0) + error,  G = d(c - L k0) / dq,
+    q = q0 - (da/dq)^-1 da/dk (k - k0) + error,
 
-six equations that are linear in K. L is that of the equilibrium and not of the measured pose,
-whose noise would look like strain where there is no load. The errors of the mean pose, and of the
-cup's length, whiten the equations.
+six equations that are linear in K. The derivatives are those at the equilibrium and not at the
+measured pose, whose noise would look like strain where there is no load. The errors of the mean
+pose, and of the cup's length, whiten the equations.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array
+from bellows_ros.core.equilibrium import displaced, linearise
 from bellows_ros.core.identification.equations import covariance_of, information_of
 from bellows_ros.core.identification.result import definiteness_warnings, Fit, StandstillPart
-from bellows_ros.core.identification.samples import lip_relative, needed_wrench
-from bellows_ros.core.lie import apply, exp_so3
-from bellows_ros.core.model import regressor
+from bellows_ros.core.jacobians import parameter_jacobian
+from bellows_ros.core.kernels import body_acceleration
+from bellows_ros.core.lie import (
+    adjoint,
+    dexp_inverse,
+    log_so3,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+    transform,
+)
+from bellows_ros.core.model import Cup, model_tuple
 from bellows_ros.core.recording.standstills import Standstill
+from bellows_ros.core.simulation import state_row
 from bellows_ros.core.structure import Structure, structure_named
-from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
-
-STEP = 1e-6
-"""Step of numerical derivatives of the balance, m and rad."""
 
 NEWTON_STEPS, LARGEST_MOVE = 6, 0.05
 """Newton steps to an equilibrium near a measured pose, and the longest one (m, rad)."""
@@ -76,9 +82,7 @@ def static_equations(
     """
     if not standstills:
         raise BellowsError('Static equations need at least one standstill.')
-    k = structure.parameters(stiffness, stiffness)[:structure.size]
-    poses = [_Balance(still, structure, gravity) for still in standstills]
-    parts = [pose.equations(cup_length, k) for pose in poses]
+    parts = [_equations(still, cup_length, structure, gravity, stiffness) for still in standstills]
     A, b, by_length = (np.concatenate(part) for part in zip(*parts, strict=True))
     errors = np.array([still.error for still in standstills])
     error = np.repeat(np.maximum(errors, SMALLEST_ERROR), 3, axis=1).ravel()
@@ -126,24 +130,29 @@ def joined_with_standstills(
 
     """
     structure = structure_named(fit.structure)
-    x0 = structure.parameters(fit.stiffness, fit.damping)
+    x0 = fit.parameters
     moving = np.hstack([np.eye(len(x0)), -length.std * length.jacobian[:, None]])
     J = information_of(fit.covariance)
     prior = moving.T @ J @ moving
     prior[-1, -1] += 1.0
-    weight, z, covariance = 1.0, np.append(x0, 0.0), fit.covariance
+    start = np.append(x0, 0.0)
+    weight, z, covariance = 1.0, start, fit.covariance
     for _ in range(ROUNDS):
         guess = _guess(structure, z[:-1], covariance, typical)
         of_K, b, by_length = static_equations(
             standstills, length.value, structure, gravity, guess)
         A = np.hstack([of_K, np.zeros_like(of_K), length.std * by_length[:, None]])
         whole = covariance_of(prior + weight * A.T @ A)
-        z = _minimum(np.append(x0, 0.0), prior, weight, A, b, whole)
-        chi2 = _chi2(A, b - A @ z, weight, whole)
+        known = np.where(np.isfinite(whole), whole, 0.0)  # what is not stays as it is
+        z = start + known @ (weight * A.T @ (b - A @ start))
+        degrees = len(b) - weight * float(np.trace(A @ known @ A.T))
+        chi2 = float(np.sum((b - A @ z) ** 2)) / max(degrees, 1.0)
         weight, covariance = 1.0 / max(chi2, 1.0), whole[:-1, :-1]
     before = fit.covariance + length.std**2 * np.outer(length.jacobian, length.jacobian)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        narrowed = np.sqrt(np.diag(covariance) / np.diag(before))
     found = StandstillPart(
-        len(standstills), chi2, _narrowed(before, covariance),
+        len(standstills), chi2, np.nan_to_num(narrowed, nan=1.0, posinf=1.0),
         length.value + length.std * float(z[-1]), length.std * float(np.sqrt(whole[-1, -1])),
     )
     return _with(fit, structure, z[:-1], covariance, found)
@@ -157,14 +166,6 @@ def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) ->
     return structure.matrices(np.where(known, x, structure.parameters(typical, typical)))[0]
 
 
-def _chi2(A: Array, left: Array, weight: float, covariance: Array) -> float:
-    """Return the residual squares of the equations per degree of freedom."""
-    known = np.isfinite(np.diag(covariance))
-    finite = np.where(np.outer(known, known), covariance, 0.0)
-    used = weight * float(np.trace(A @ finite @ A.T))
-    return float(left @ left) / max(len(left) - used, 1.0)
-
-
 def _disagreement(chi2: float) -> tuple[str, ...]:
     """Return a sentence where standstills do not agree with the motions or among themselves."""
     if chi2 <= LARGEST_CHI2:
@@ -175,20 +176,6 @@ def _disagreement(chi2: float) -> tuple[str, ...]:
         'cup.length, the masses in static.files, package.com and the alignment. The noise bias '
         'of least squares may also be the cause: use fit.method: prediction_error.',
     )
-
-
-def _minimum(
-    x0: Array, J: Array, weight: float, A: Array, b: Array, covariance: Array
-) -> Array:
-    """Return the parameters at the minimum, unchanged in directions without information."""
-    index = np.flatnonzero(np.isfinite(np.diag(covariance)))
-    part = (J + weight * A.T @ A)[np.ix_(index, index)]
-    scale = np.sqrt(np.diag(part))
-    slope = weight * A[:, index].T @ (b - A @ x0)
-    step = np.linalg.solve(part / np.outer(scale, scale), slope / scale) / scale
-    x = x0.copy()
-    x[index] += step
-    return x
 
 
 def _with(
@@ -208,57 +195,29 @@ def _with(
     )
 
 
-def _narrowed(before: Array, after: Array) -> Array:
-    """Return new standard errors over old ones."""
-    old, new = (np.sqrt(np.diag(covariance)) for covariance in (before, after))
-    ratio = np.ones(len(old))
-    some = np.isfinite(new) & (old > 0.0)
-    ratio[some] = np.where(np.isfinite(old[some]), new[some] / old[some], 0.0)
-    return ratio
-
-
-@dataclass(frozen=True, eq=False)
-class _Balance:
-    """The balance of a standstill."""
-
-    standstill: Standstill
-    structure: Structure
-    gravity: float
-
-    def equations(self, cup_length: float, k: Array) -> tuple[Array, Array, Array]:
-        """Return A (6, n) and b (6,) in pose coordinates, and the effect of the length (6,)."""
-        moved = self._equilibrium(cup_length, k)
-        L, c, G = self._balance(cup_length, k, moved)
-        jacobian = np.asarray(np.linalg.solve(G, L), dtype=np.float64)
-        ends = [self._equilibrium(cup_length + side, k) for side in (STEP, -STEP)]
-        by_length = np.asarray((ends[0] - ends[1]) / (2.0 * STEP), dtype=np.float64)
-        return jacobian, jacobian @ k - moved, by_length
-
-    def _equilibrium(self, cup_length: float, k: Array) -> Array:
-        """Return shift and rotation (6,) from the measured lip to the equilibrium."""
-        moved = np.zeros(6)
-        for _ in range(NEWTON_STEPS):
-            L, c, G = self._balance(cup_length, k, moved)
-            step = np.linalg.solve(G, L @ k - c)
-            moved = moved + step * min(1.0, LARGEST_MOVE / max(float(np.abs(step).max()), 1e-12))
-        return moved
-
-    def _balance(self, cup_length: float, k: Array, moved: Array) -> tuple[Array, Array, Array]:
-        """Return L (6, n), c (6,) and the slope G (6, 6) of c - L k at a displaced lip."""
-        moves = moved + STEP * np.concatenate([np.zeros((1, 6)), np.eye(6), -np.eye(6)])
-        found, com = self.standstill, self.standstill.payload.com
-        R = found.package.rotation[0]
-        lip = found.package.position[0] - R @ com
-        turned = R @ exp_so3(moves[:, 3:])
-        position = lip + moves[:, :3] @ R.T + apply(turned, com)
-        stamps, still = np.arange(len(moves)), np.zeros((len(moves), 6))
-        at, turn = (np.repeat(part, len(moves), axis=0)
-                    for part in (found.tool.position, found.tool.rotation))
-        package = Trajectory(stamps, position, turned, still, still)
-        o, R_E_S, twist = lip_relative(Trajectory(stamps, at, turn, still), package, com)
-        L = regressor(cup_length, self.structure.basis, o, R_E_S, twist)
-        L = L[:, :, :self.structure.size]
-        c = needed_wrench(found.payload, package, self.gravity)
-        residual = c - L @ k
-        G = np.asarray((residual[1:7] - residual[7:]).T / (2.0 * STEP))
-        return L[0], c[0], G
+def _equations(
+    still: Standstill, cup_length: float, structure: Structure, gravity: float, stiffness: Array
+) -> tuple[Array, Array, Array]:
+    """Return A (6, n) and b (6,) in coordinates of the lip, and the effect of the length (6,)."""
+    x = structure.parameters(stiffness, stiffness)
+    cup = Cup(structure.matrices(x)[0], np.zeros((6, 6)), cup_length)
+    model = model_tuple(cup, still.payload, gravity)
+    tool, body = (
+        state_row(own.position[0], rotation_to_quaternion(own.rotation[0]), np.zeros(6))
+        for own in (still.tool, still.package))
+    for _ in range(NEWTON_STEPS):
+        step = -np.linalg.solve(linearise(model, tool, body).body_pose,
+                                np.concatenate(body_acceleration(model, tool, body)))
+        step *= min(1.0, LARGEST_MOVE / max(float(np.abs(step).max()), 1e-12))
+        body = displaced(body, tuple(step[:3].tolist()), tuple(step[3:].tolist()))
+    changes: Array = np.empty((6, 43))  # by the entries of K and P, and by the length
+    parameter_jacobian(model, tool, body, 0, 43, changes, 0)
+    of_body = np.linalg.solve(linearise(model, tool, body).body_pose, -changes)
+    of_lip = adjoint(transform(np.eye(3), still.payload.com)) @ of_body
+    R, R_there = still.package.rotation[0], quaternion_to_rotation(np.array(body[1]))
+    turn = log_so3(R.T @ R_there)
+    way = (body[0] - R_there @ still.payload.com
+           - still.package.position[0] + R @ still.payload.com)
+    changes = np.vstack([R.T @ R_there @ of_lip[:3], dexp_inverse(-turn) @ of_lip[3:]])
+    A = changes[:, :21] @ np.transpose([unit[np.triu_indices(6)] for unit in structure.basis])
+    return A, A @ x[:structure.size] - np.concatenate([R.T @ way, turn]), changes[:, 42]
