@@ -26,7 +26,7 @@ UNIT_OF: Mapping[str, Any] = {
     ), POSE_UNITS),
     **dict.fromkeys((
         'chi2', 'robust_chi2', 'condition_number', 'narrowed', 'noise_share', 'signal_to_noise',
-        'bias', 'pairs', 'aic', 'bic', 'held_out_wrench', 'held_out', 'simulated',
+        'bias', 'pairs', 'aic', 'bic', 'held_out', 'simulated',
         'effective_samples', 'probability', 'probability_stiffness', 'probability_damping',
         'deviations', 'excess', 'left', 'moved', 'nrmse', 'model_error', 'limit', 'p_value',
         'portmanteau', 'largest_autocorrelation', 'real_time_factor',

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import linearise, static_equilibrium
 from bellows_ros.core.identification.result import parameter_units
-from bellows_ros.core.kernels import ModelTuple
-from bellows_ros.core.lie import adjoint, exp_so3, quaternion_to_rotation, transform
+from bellows_ros.core.lie import adjoint, log_so3, quaternion_to_rotation, transform
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.residuals import relative_coordinates
 from bellows_ros.core.simulation import simulate
 from bellows_ros.core.structure import common_structure, Structure
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.core.synthetic.motion import Oscillation, Pose
+from bellows_ros.core.trajectory import Trajectory
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import chdtrc, ndtr
@@ -30,7 +29,8 @@ SIGNIFICANT = 0.05
 TILT = 0.35
 """Tilt of the tool for the second rest pose, rad: 20 degrees."""
 
-SHAKE_HZ, SHAKE_M, SHAKE_RAD, SHAKE_S, SHAKE_RATE_HZ = 3.0, 5e-3, 0.05, 2.0, 240.0
+SHAKE_HZ, SHAKE_M, SHAKE_RAD, SHAKE_RATE_HZ = 3.0, 5e-3, 0.05, 240.0
+SHAKE_RAMP_S, SHAKE_S = 0.5, 2.0
 """A motion like that of the thesis, 3 Hz in all directions at once, to compare both cups on."""
 
 MATTERS_SHIFT, MATTERS_TURN = 1e-4, 1e-3
@@ -74,24 +74,10 @@ class Fitted:
     cup: Cup
     covariance: Array
 
-    def __post_init__(self) -> None:
-        """Check the covariance's shape."""
-        size = 2 * self.structure.size
-        if np.shape(self.covariance) != (size, size):
-            raise BellowsError(
-                f'The covariance of a fit with the structure {self.structure.name} must have the '
-                f'shape {(size, size)}, got {np.shape(self.covariance)}.'
-            )
-
     def entries(self, other: Structure) -> tuple[Array, Array]:
         """Return the parameters of another structure (2 m,) and their covariance (2 m, 2 m)."""
-        x = self.structure.parameters(self.cup.stiffness, self.cup.damping)
-        size = len(x)
-        jacobian = np.column_stack(
-            [other.parameters(*self.structure.matrices(row)) for row in np.eye(size)]
-        )
         return other.parameters(self.cup.stiffness, self.cup.damping), _spread(
-            jacobian, self.covariance)
+            self.structure.within(other), self.covariance)
 
 
 @dataclass(frozen=True)
@@ -221,10 +207,13 @@ def compare_fits(
             sides[1][0].tolist(), stds[0].tolist(), stds[1].tolist(), strict=True,
         )
     )
+    tool = shake()
+    seen = [relative_coordinates(tool, simulate(fit.cup, package, tool, gravity=gravity))
+            for fit in (before, after)]
     return FitComparison(
         parameters=changes,
         effects=_effects(before, after, package, gravity),
-        shake_rms=_shaken_apart(before.cup, after.cup, package, gravity),
+        shake_rms=np.sqrt(np.mean((seen[1] - seen[0]) ** 2, axis=0)),
         p_value=_together(sides[1][0] - sides[0][0], sides[0][1] + sides[1][1]),
     )
 
@@ -284,7 +273,12 @@ def modes(
         energy = np.abs(middle * (cup.stiffness @ middle))
         direction = GROUP_NAMES[int(np.argmax([energy[list(group)].sum() for group in GROUPS]))]
         found.append(Mode(direction, omega / (2.0 * np.pi), ratio, shape))
-    return _in_order_of(like, found) if like else found
+    if not like:
+        return found
+    from scipy.optimize import linear_sum_assignment  # late: slow to load
+
+    return [found[i] for i in linear_sum_assignment(
+        [[-abs(float(a.shape @ b.shape)) for b in found] for a in like])[1]]
 
 
 def _shapes(stiffness: Array, damping: Array) -> Array:
@@ -296,17 +290,6 @@ def _shapes(stiffness: Array, damping: Array) -> Array:
         inside = vectors[:, group]
         vectors[:, group] = inside @ np.linalg.eigh(inside.T @ (damping + axes) @ inside)[1]
     return np.asarray(vectors)
-
-
-def _in_order_of(like: Sequence[Mode], found: Sequence[Mode]) -> list[Mode]:
-    """Return modes in the order of others, those with the most similar shapes first."""
-    overlap = np.array([[abs(float(a.shape @ b.shape)) for b in found] for a in like])
-    ordered = list(found)
-    for _ in like:
-        i, j = divmod(int(np.argmax(overlap)), len(found))
-        ordered[i] = found[j]
-        overlap[i, :] = overlap[:, j] = -1.0
-    return ordered
 
 
 def _spread(jacobian: Array, covariance: Array) -> Array:
@@ -377,12 +360,11 @@ def _rest(cup: Cup, package: Package, gravity: float, angle: float) -> tuple[flo
     zero = (0.0, 0.0, 0.0)
     half = 0.5 * angle
     tool = (zero, (float(np.sin(half)), 0.0, 0.0, float(np.cos(half))), zero, zero)
-    model: ModelTuple = model_tuple(cup, package, gravity)
-    body = static_equilibrium(model, tool)
+    body = static_equilibrium(model_tuple(cup, package, gravity), tool)
     R_world_tool, R = quaternion_to_rotation(np.array([tool[1], body[1]]))
     o_E_S = R_world_tool.T @ (np.array(body[0]) - R @ package.com)
-    turn = np.arccos(np.clip(0.5 * (np.trace(R_world_tool.T @ R) - 1.0), -1.0, 1.0))
-    return float(np.linalg.norm(o_E_S + [0.0, 0.0, cup.length])), float(turn)
+    return (float(np.linalg.norm(o_E_S + [0.0, 0.0, cup.length])),
+            float(np.linalg.norm(log_so3(R_world_tool.T @ R))))
 
 
 def _predicted_std(
@@ -407,29 +389,11 @@ def _predicted_std(
     return [float(std) for std in _deviations(_spread(jacobian, fit.covariance))]
 
 
-def _shaken_apart(before: Cup, after: Cup, package: Package, gravity: float) -> Array:
-    """Return the RMS difference (6,) of the motion relative to the tool under the same shake."""
-    tool = shake()
-    seen: Sequence[Array] = [
-        relative_coordinates(tool, simulate(cup, package, tool, gravity=gravity))
-        for cup in (before, after)
-    ]
-    return np.asarray(np.sqrt(np.mean((seen[1] - seen[0]) ** 2, axis=0)))
-
-
 def shake() -> Trajectory:
     """Return a tool that swings at 3 Hz in all six directions, out of step, from standstill."""
-    stamps = np.arange(int(SHAKE_S * SHAKE_RATE_HZ) + 1) * round(NS_PER_S / SHAKE_RATE_HZ)
-    t = stamps / NS_PER_S
-    omega = 2.0 * np.pi * SHAKE_HZ
-    grown, rate = 1.0 - np.exp(-(4.0 * t) ** 2), 32.0 * t * np.exp(-(4.0 * t) ** 2)
-    phases = np.arange(3) * 2.0 * np.pi / 3.0
-    wave, slope = np.sin(omega * t[:, None] + phases), np.cos(omega * t[:, None] + phases)
-    position = SHAKE_M * grown[:, None] * wave
-    velocity = SHAKE_M * (rate[:, None] * wave + omega * grown[:, None] * slope)
-    angle = SHAKE_RAD * grown * wave[:, 0]
-    spin = SHAKE_RAD * (rate * wave[:, 0] + omega * grown * slope[:, 0])
-    axis = np.array([1.0, 1.0, 1.0]) / np.sqrt(3.0)
-    R = exp_so3(angle[:, None] * axis)
-    body = np.einsum('nji,nj->ni', R, velocity)
-    return Trajectory(stamps, position, R, np.hstack([body, spin[:, None] * axis]))
+    third = 2.0 * np.pi / 3.0
+    return Oscillation(
+        Pose(np.zeros(3), np.eye(3)), 0.0, SHAKE_RAMP_S, SHAKE_S,
+        np.repeat([SHAKE_M, SHAKE_RAD / np.sqrt(3.0)], 3), np.arange(6),
+        np.full((6, 2), SHAKE_HZ), np.array([0.0, third, 2.0 * third, 0.0, 0.0, 0.0]),
+    ).at_rate(SHAKE_RATE_HZ)

@@ -28,14 +28,10 @@ class Consistency:
 
     Parameters
     ----------
-    statistic, probability : float
-        Wald's chi^2, and the probability of a larger one if all cups are the same.
-    degrees : int
-        Degrees of freedom.
-    mean : ndarray (p,)
-        Weighted mean of the parameters.
+    probability : float
+        Of a larger Wald's chi^2 if all cups are the same.
     deviations : ndarray (n, p)
-        Of each fit from the mean, in its own standard errors; 0 where it does not know.
+        Of each fit from the weighted mean, in its own standard errors; 0 where it does not know.
     probability_stiffness, probability_damping : float
         The same probability for K alone, and for P alone; NaN where nothing can be compared.
     verdict : str
@@ -43,10 +39,7 @@ class Consistency:
 
     """
 
-    statistic: float
     probability: float
-    degrees: int
-    mean: Array
     deviations: Array
     probability_stiffness: float
     probability_damping: float
@@ -79,14 +72,13 @@ def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
         raise BellowsError(
             'Whether cups are the same needs at least two fits of the same structure.'
         )
-    x = np.array([parameters_of(fit) for fit in fits])
     structure = structure_named(fits[0].structure)
     sizes = structure.sizes(fits[0].stiffness, fits[0].damping)
     sizes[sizes == 0.0] = 1.0
-    relative = x / sizes
+    relative = np.array([fit.parameters for fit in fits]) / sizes
     covariances = [fit.covariance / np.outer(sizes, sizes) for fit in fits]
-    mean, statistic, degrees, probability = _compared(relative, covariances)
-    half = x.shape[1] // 2
+    mean, probability = _compared(relative, covariances)
+    half = structure.size
     parts = [
         _compared(relative[:, part], [c[part, part] for c in covariances])[-1]
         for part in (slice(0, half), slice(half, None))
@@ -96,17 +88,11 @@ def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
     deviations = away / np.where(std > 0.0, std, np.inf)
     relative_size = np.divide(away, mean, out=np.zeros_like(away), where=mean != 0.0)
     verdict = _verdict(fits[0].labels, names, relative_size, deviations, probability, parts)
-    return Consistency(
-        statistic, probability, degrees, mean * sizes, deviations, parts[0], parts[1], verdict
-    )
+    return Consistency(probability, deviations, parts[0], parts[1], verdict)
 
 
-def _compared(x: Array, covariances: Sequence[Array]) -> tuple[Array, float, int, float]:
-    """
-    Return the weighted mean (p,), Wald's chi^2 about it, its degrees of freedom, and its chance.
-
-    The chance of a larger one is NaN where nothing can be compared.
-    """
+def _compared(x: Array, covariances: Sequence[Array]) -> tuple[Array, float]:
+    """Return the weighted mean (p,), and the chance of more scatter, NaN without a comparison."""
     weights = [information_of(covariance) for covariance in covariances]
     total = np.sum(weights, axis=0)
     together = covariance_of(total)
@@ -116,13 +102,7 @@ def _compared(x: Array, covariances: Sequence[Array]) -> tuple[Array, float, int
     statistic = float(sum((r - mean) @ W @ (r - mean) for r, W in zip(x, weights, strict=True)))
     known_alone = [np.isfinite(np.diag(covariance)) for covariance in covariances]
     degrees = int(np.sum(known_alone) - np.sum(known))
-    probability = float(chdtrc(degrees, statistic)) if degrees else float('nan')
-    return mean, statistic, degrees, probability
-
-
-def parameters_of(fit: Fit) -> Array:
-    """Return the values of a fit's labels."""
-    return structure_named(fit.structure).parameters(fit.stiffness, fit.damping)
+    return mean, float(chdtrc(degrees, statistic)) if degrees else np.nan
 
 
 def _verdict(
@@ -135,8 +115,8 @@ def _verdict(
                 'compared.')
     if p >= SIGNIFICANT:
         return (
-            f'The fits are consistent with one cup: K and P are the same for {_listed(names)} '
-            f'(probability of larger differences by chance: {p:.2g}).'
+            'The fits are consistent with one cup: K and P are the same for '
+            f'{" and ".join(names)} (probability of larger differences by chance: {p:.2g}).'
         )
     row, column = divmod(int(np.argmax(np.abs(deviations))), deviations.shape[1])
     size = float(relative[row, column])
@@ -144,7 +124,7 @@ def _verdict(
     which = f'{differ[0]} is' if len(differ) == 1 else 'K and P are'
     said = (
         f'The fits are not of one cup (chance {p:.1g}): {which} not the same for '
-        f'{_listed(names)}; {labels[column]} of {names[row]} is '
+        f'{" and ".join(names)}; {labels[column]} of {names[row]} is '
         f'{abs(size) * 100:.2g} % {"above" if size > 0 else "below"} the common value, '
         f'{abs(deviations[row, column]):.1f} standard errors.'
     )
@@ -153,8 +133,3 @@ def _verdict(
         return (f'{said} The significant differences are below {MATERIAL * 100:g} %, which hardly '
                 'matters.')
     return f'{said} The model of stiffness and damping may not hold over this range.'
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return names as in a sentence."""
-    return ' and '.join(filter(None, [', '.join(names[:-1]), names[-1]]))

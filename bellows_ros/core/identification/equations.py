@@ -254,33 +254,20 @@ def covariance_of(information: Array) -> Array:
 
     What is not known has inf on the diagonal and 0 beside it; the rest is as if it were left out.
     """
-    known = identifiable_by(information)
+    diagonal = np.diag(information)
+    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    unit = np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(information / unit)
+    null = vectors[:, values <= ROUNDING * values[-1]]
+    known = (diagonal > 0.0) & ~np.any(np.abs(null) > IN_NULL_SPACE, axis=1)
     covariance = np.diag(np.where(known, 0.0, np.inf))
     index = np.flatnonzero(known)
     if len(index):
-        part = information[np.ix_(index, index)]
-        scale = np.sqrt(np.diag(part))
-        unit = np.outer(scale, scale)
-        values, vectors = np.linalg.eigh(part / unit)
+        part = np.ix_(index, index)
+        values, vectors = np.linalg.eigh(information[part] / unit[part])
         kept = values > ROUNDING * values[-1]
-        inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-        covariance[np.ix_(index, index)] = inverse / unit
+        covariance[part] = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T / unit[part]
     return covariance
-
-
-def identifiable_by(information: Array) -> Mask:
-    """Return which of n parameters an information matrix (n, n) determines."""
-    diagonal = np.diag(information)
-    seen = diagonal > 0.0
-    known: Mask = np.zeros(len(diagonal), dtype=bool)
-    index = np.flatnonzero(seen)
-    if not len(index):
-        return known
-    scale = np.sqrt(diagonal[index])
-    values, vectors = np.linalg.eigh(information[np.ix_(index, index)] / np.outer(scale, scale))
-    null = vectors[:, values <= ROUNDING * values[-1]]
-    known[index] = ~np.any(np.abs(null) > IN_NULL_SPACE, axis=1)
-    return known
 
 
 def information_of(covariance: Array) -> Array:

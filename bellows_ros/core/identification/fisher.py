@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import linearise, static_equilibrium
+from bellows_ros.core.identification.equations import covariance_of
 from bellows_ros.core.identification.innovations import between
 from bellows_ros.core.identification.minimum import Root
 from bellows_ros.core.identification.motion_equations import Segment
@@ -79,12 +80,7 @@ def motion_information(
 
 def standard_errors(information: Array) -> Array:
     """Return the standard errors (n,) of unbiased estimates; infinite without information."""
-    scale = np.sqrt(np.diag(information))
-    if not scale.all():
-        return np.full(len(scale), np.inf)
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    with np.errstate(divide='ignore'):
-        return np.asarray(np.sqrt(vectors**2 @ (1.0 / np.maximum(values, 0.0))) / scale)
+    return np.asarray(np.sqrt(np.diag(covariance_of(information))))
 
 
 class Response(NamedTuple):

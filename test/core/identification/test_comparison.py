@@ -1,13 +1,10 @@
 """Comparison of fits against hand calculation, and the cup's modes against textbook formulas."""
 
-from bellows_ros.core.identification.comparison import Change, compare_fits, Fitted, modes, shake
-from bellows_ros.core.lie import log_so3
+from bellows_ros.core.identification.comparison import Change, compare_fits, Fitted, modes
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.structure import structure_named
-from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
-import pytest
 from scipy.stats import chi2, norm
 
 PACKAGE = Package(2.0, np.diag([0.008, 0.009, 0.016]), np.array([0.0, 0.0, -0.03]))
@@ -174,22 +171,3 @@ def test_a_cup_that_only_bends_is_a_pendulum_with_a_spring():
     found = sorted(
         mode.frequency for mode in modes(stiff, PACKAGE, G) if mode.direction == 'bending')
     assert_allclose(found, sorted(expected), rtol=1e-4)
-
-
-def test_the_shake_moves_as_its_twist_says():
-    """Differentiate the poses; central differences at 240 Hz are off by (omega h)^2 / 6."""
-    tool = shake()
-    h = 2 / 240.0
-    velocity = (tool.position[2:] - tool.position[:-2]) / h
-    body = np.einsum('nji,nj->ni', tool.rotation[1:-1], velocity)
-    turn = log_so3(np.swapaxes(tool.rotation[:-2], 1, 2) @ tool.rotation[2:]) / h
-    largest = np.abs(tool.twist).max(axis=0)
-    off = (6 * np.pi / 240.0) ** 2 / 6
-    assert_allclose(body, tool.twist[1:-1, :3], atol=3 * off * largest[:3].max())
-    assert_allclose(turn, tool.twist[1:-1, 3:], atol=3 * off * largest[3:].max())
-
-
-def test_a_covariance_of_another_size_is_refused():
-    """Name the shape it must have."""
-    with pytest.raises(BellowsError, match=r'\(8, 8\)'):
-        Fitted(AXISYMMETRIC, fitted().cup, np.eye(12))

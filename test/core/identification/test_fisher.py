@@ -102,4 +102,4 @@ def test_estimates_scatter_as_expected(draws, within):
 
 
 def test_without_information_there_is_no_standard_error():
-    assert np.isinf(standard_errors(np.diag([1.0, 0.0]))).all()
+    assert standard_errors(np.diag([1.0, 0.0])).tolist() == [1.0, np.inf]

@@ -1,11 +1,6 @@
 """Covariances with unknown directions: inversion forth and back, and what is identifiable."""
 
-from bellows_ros.core.identification.equations import (
-    covariance_of,
-    identifiable_by,
-    information_of,
-    without,
-)
+from bellows_ros.core.identification.equations import covariance_of, information_of, without
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -23,7 +18,7 @@ def definite(seed, size=5):
 def test_a_covariance_is_the_inverse_where_all_is_known(seed):
     information = definite(seed)
     covariance = covariance_of(information)
-    assert identifiable_by(information).all()
+    assert np.isfinite(covariance).all()
     size = np.sqrt(np.diag(information))
     assert_allclose(covariance * np.outer(size, size), np.linalg.inv(
         information / np.outer(size, size)), rtol=1e-8, atol=1e-10)
