@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.identification.equations import joined, Moments, Solution, without
+from bellows_ros.core.identification.equations import joined, Solution, without
 from bellows_ros.core.identification.least_squares import common_structure, noise_bias, weighted
 from bellows_ros.core.identification.reduction import Movement, Reduced
 from bellows_ros.core.identification.samples import PassBand
@@ -149,9 +149,8 @@ def _direction_warnings(
     axes: list[str], own: tuple[Identifiability, Identifiability], source: str, biased: bool
 ) -> Iterator[str]:
     """Yield warnings about a direction's stiffness and damping."""
-    what = ('stiffness', 'damping')
-    unknown = [name for name, each in zip(what, own, strict=True) if not each.identifiable]
-    weak = [(name, each) for name, each in zip(what, own, strict=True) if each.weak and biased]
+    both = list(zip(('stiffness', 'damping'), own, strict=True))
+    unknown = [name for name, each in both if not each.identifiable]
     title, advice = DIRECTIONS[axes[0]]
     if len(axes) > 1:
         title += f' and {axes[1][-1]}'
@@ -161,7 +160,9 @@ def _direction_warnings(
             f'{title} is hardly excited: its {" and ".join(unknown)} {verb} not identifiable from '
             f'{source}; {advice}.'
         )
-    for name, each in weak:
+    for name, each in both if biased else ():
+        if not each.weak:
+            continue
         share = (f'{each.noise_share:.0%} of the information on its {name} is noise:'
                  if each.noise_share > SHARE_WEAK else f'noise disturbs its {name}:')
         yield (
@@ -177,7 +178,6 @@ A direction is too fast if the filter takes more than this part of its velocitie
 
 Velocities count as so many times the power of the noise at least, which is known to some percent.
 """
-
 
 SHORTEST = 4
 """Shortest half window (samples) for polynomials of order 6."""
@@ -197,30 +197,25 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
     """
     if not passed:
         return
-    power = np.mean([own.power for own in passed], axis=0)
-    lost = np.mean([own.lost for own in passed], axis=0)
-    of_noise = np.mean([own.of_noise for own in passed], axis=0)
-    floor = np.mean([own.floor for own in passed], axis=0)
+    power, lost, of_noise, floor = (
+        np.mean([getattr(own, name) for own in passed], axis=0)
+        for name in ('power', 'lost', 'of_noise', 'floor'))
     variance = np.maximum(np.array([axis.twist_noise for axis in axes]) ** 2, floor)
     moving, lost = power - variance, lost - of_noise * variance
     least = LOST * np.maximum(moving, STANDS_OUT * variance)
     first = min(passed, key=lambda own: own.end_hz)
     for axis, is_lost in zip(axes, lost > least, strict=True):
-        if is_lost:
-            yield _sentence(axis, first)
-
-
-def _sentence(axis: Axis, passed: PassBand) -> str:
-    """Return the warning about a direction that is too fast for the filter, with the remedy."""
-    end, fastest = passed.end_hz, axis.band_hz[1]
-    tool, package = (max(int(n * end / fastest), SHORTEST) for n in passed.half_windows)
-    shorter = (f', or shorter windows (filter.tool.half_window: {tool}, '
-               f'filter.package.half_window: {package})' if fastest > end else '')
-    return (
-        f'{DIRECTIONS[axis.name][0]} of up to {fastest:.1f} Hz is too fast for the filter, which '
-        f'follows up to {end:.1f} Hz: least squares may get its stiffness and damping wrong by '
-        f'more than the standard errors. Use fit.method: prediction_error{shorter}.'
-    )
+        if not is_lost:
+            continue
+        end, fastest = first.end_hz, axis.band_hz[1]
+        tool, package = (max(int(n * end / fastest), SHORTEST) for n in first.half_windows)
+        shorter = (f', or shorter windows (filter.tool.half_window: {tool}, '
+                   f'filter.package.half_window: {package})' if fastest > end else '')
+        yield (
+            f'{DIRECTIONS[axis.name][0]} of up to {fastest:.1f} Hz is too fast for the filter, '
+            f'which follows up to {end:.1f} Hz: least squares may get its stiffness and damping '
+            f'wrong by more than the standard errors. Use fit.method: prediction_error{shorter}.'
+        )
 
 
 CORRELATED = 0.95
@@ -344,28 +339,14 @@ def _axes(parts: Sequence[Movement]) -> tuple[Axis, ...]:
         joined(getattr(part, kind) for part in parts)
         for kind in ('strain', 'twist', 'strain_noise', 'twist_noise')
     )
-    columns = (
-        _rms(strain), strain.std, _rms(twist), _bands(parts).T.tolist(), strain_noise.std,
-        twist_noise.std,
-    )
+    low, high = np.array([part.bands_hz for part in parts]).swapaxes(0, 1)
+    columns = np.array([
+        np.hypot(strain.mean, strain.std), strain.std, np.hypot(twist.mean, twist.std),
+        np.fmin.reduce(low), np.fmax.reduce(high), strain_noise.std, twist_noise.std])
     return tuple(
-        Axis(name, float(lip), float(motion), float(rate), (low, high), float(shake), float(hum))
-        for name, lip, motion, rate, (low, high), shake, hum in zip(AXES, *columns, strict=True)
-    )
-
-
-def _bands(parts: Sequence[Movement]) -> Array:
-    """Return the frequencies (2, 6) in Hz between which most of the velocities' power lies."""
-    ends = np.array([part.bands_hz for part in parts])
-    known = np.isfinite(ends[:, 0])
-    low = np.where(known, ends[:, 0], np.inf).min(axis=0)
-    high = np.where(known, ends[:, 1], -np.inf).max(axis=0)
-    return np.where(known.any(axis=0), np.array([low, high]), np.nan)
-
-
-def _rms(moments: Moments) -> Array:
-    """Return the root mean squares (6,)."""
-    return np.asarray(np.hypot(moments.mean, moments.std))
+        Axis(name, lip, motion, rate, (lowest, highest), lip_noise, rate_noise)
+        for name, (lip, motion, rate, lowest, highest, lip_noise, rate_noise)
+        in zip(AXES, columns.T.tolist(), strict=True))
 
 
 def _correlated(

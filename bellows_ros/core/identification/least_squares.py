@@ -121,7 +121,6 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         bias=bias,
         warnings=(
             *definiteness_warnings(stiffness, damping, structure.name),
-            *identifiability_warnings(structure.labels, identifiable),
             *_short_warnings(covariance),
         ),
         misfit=_misfit(residual_rms, noise_rms, whitening),
@@ -259,20 +258,6 @@ def _with_correlations_of(covariance: Array, variances: Array) -> Array:
     """Return a covariance with the correlations of one and with other variances (p,)."""
     size = np.sqrt(variances / np.maximum(np.diag(covariance), np.finfo(float).tiny))
     return np.asarray(covariance * np.outer(size, size))
-
-
-def identifiability_warnings(labels: Sequence[str], identifiable: Mask) -> tuple[str, ...]:
-    """Return a sentence naming the parameters that are not identifiable, if any."""
-    names = [label for label, known in zip(labels, identifiable, strict=True) if not known]
-    if not names:
-        return ()
-    more = f' and {len(names) - SHOWN} more' if len(names) > SHOWN else ''
-    one = len(names) == 1
-    return (
-        f'{", ".join(names[:SHOWN])}{more} {"is" if one else "are"} not identifiable from these '
-        f'recordings; {"its estimate is" if one else "their estimates are"} meaningless. Excite '
-        'all six directions, or use a simpler fit.structure.',
-    )
 
 
 def _short_warnings(covariance: Array) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
-from bellows_ros.core.identification.least_squares import common_structure, least_squares
+from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
 from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
@@ -73,10 +73,8 @@ def fit(
 
     """
     parts = [_reduced(own, values) for own in recordings]
-    structure = common_structure([part.statistics for part in parts])
     found = fitted(recordings, values, progress)
-    excitation = excitation_of(parts, found.method, (
-        structure.parameters(found.stiffness, found.damping), found.covariance))
+    excitation = excitation_of(parts, found.method, (found.parameters, found.covariance))
     if found.converged and not any(
             own.identifiable for own in excitation.parameters if own.label.startswith('P')):
         raise BellowsError(
@@ -160,9 +158,8 @@ def _length_jacobian(recordings: Sequence[Recording], values: Mapping[str, Any])
     structure = structure_named(values['fit.structure'])
     ends = []
     for length in (values['cup.length'] + LENGTH_STEP, values['cup.length'] - LENGTH_STEP):
-        found = least_squares(
-            [statistics(samples_of(recording), length, structure) for recording in recordings])
-        ends.append(structure.parameters(found.stiffness, found.damping))
+        ends.append(least_squares([statistics(samples_of(recording), length, structure)
+                                   for recording in recordings]).parameters)
     return np.asarray((ends[0] - ends[1]) / (2.0 * LENGTH_STEP))
 
 

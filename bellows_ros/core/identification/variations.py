@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from copy import copy
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.lie import adjoint, apply, exp_so3, inverse_transform, transform
-from bellows_ros.core.model import Package
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.structure import Structure
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
@@ -72,7 +72,7 @@ def time_offset(given: Given, theta: Array) -> Given:
 def com(given: Given, theta: Array) -> Given:
     """Return it with the centre of mass moved (3,) in axes of the lip, m."""
     held = given.samples.payload
-    there = Package(held.mass, held.inertia, held.com + theta)
+    there = replace(held, com=held.com + theta)
     fixed = np.array([given.aligned, given.aligned, False]) | given.lip_recorded  # then B moves
     return _body_moved(_with(given, payload=there), np.zeros(3), np.where(fixed, theta, 0.0))
 
@@ -85,8 +85,7 @@ def length(given: Given, theta: Array) -> Given:
 def mass(given: Given, theta: Array) -> Given:
     """Return it with the mass multiplied by exp(theta), at the same inertia."""
     held = given.samples.payload
-    return _with(given, payload=Package(
-        held.mass * float(np.exp(theta[0])), held.inertia, held.com))
+    return _with(given, payload=replace(held, mass=held.mass * float(np.exp(theta[0]))))
 
 
 def inertia(given: Given, theta: Array) -> Given:
@@ -159,12 +158,9 @@ def extra(name: str) -> Variation:
     return lambda given, theta: given._replace(extra=name)
 
 
-def _with(given: Given, **changes: object) -> Given:
+def _with(given: Given, **changes: Any) -> Given:
     """Return it with other samples."""
-    own = given.samples
-    parts = {'tool': own.tool, 'package': own.package, 'payload': own.payload, **changes}
-    return given._replace(samples=Samples(
-        gravity=own.gravity, window=own.window, **parts))  # type: ignore[arg-type]
+    return given._replace(samples=replace(given.samples, **changes))
 
 
 def _in_world(R: Array, body: Trajectory) -> Trajectory:
