@@ -256,6 +256,17 @@ def rotation_to_quaternion(R: ArrayLike) -> Array:
     return result
 
 
+def nearest_rotation(M: Array) -> Array:
+    """Return the rotation nearest to a matrix (3, 3), by the sum of squares of the entries."""
+    U, _, Vt = np.linalg.svd(M)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
+
+
+def mean_rotation(R: Array) -> Array:
+    """Return the mean of rotations (N, 3, 3), by the sum of squares of the entries."""
+    return nearest_rotation(R.sum(axis=0))
+
+
 def rpy_rotation(rpy: Array) -> Array:
     """Return R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) of roll, pitch, yaw in rad, as URDF has it."""
     roll, pitch, yaw = exp_so3(np.diag(rpy))

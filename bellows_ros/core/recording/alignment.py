@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
-from bellows_ros.core.lie import apply, exp_so3, log_so3
+from bellows_ros.core.lie import apply, exp_so3, log_so3, mean_rotation
 from bellows_ros.core.resampling import MAD_TO_STD
 from bellows_ros.core.trajectory import frozen, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -30,11 +30,6 @@ PACKAGE_FRAMES = ('com', 'lip')
 # The rotation part of A_H_M (4.1): Motive's y is up, and its x points the other way.
 R_WORLD_MOTIVE = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
-# Medians over this time, s, are what a standstill is judged by: shorter than a body sways, long
-# enough to average noise. Their spread may be this large, and this many times what noise explains.
-BLOCK_SECONDS = 0.1
-REST_WITHIN = {'position': 2e-3, 'rotation': 10e-3}
-REST_DEVIATIONS = 6.0
 # Fewer valid samples than this, or a smaller part of what the rate gives, make no standstill.
 FEWEST_AT_REST = 10
 SMALLEST_PART_AT_REST = 0.5
@@ -42,10 +37,11 @@ SMALLEST_PART_AT_REST = 0.5
 # standard deviations.
 TRIMMED_BEYOND = 5.0
 # A beginning at rest: over how long (s) poses are averaged, how far (m, rad) and how many times
-# the noise a body moves at least, and how long (s) it stands still for an alignment.
+# the noise's second differences a body moves at least, and how long (s) it stands still for an
+# alignment.
 START_SECONDS = 0.2
 STILL_POSITION, STILL_ROTATION = 1e-3, 5e-3
-STILL_DEVIATIONS = 6.0
+STILL_DEVIATIONS = 3.0
 SHORTEST_REST = 0.5
 # Marker frames are turned against each other if by more than this (rad), and by more than this
 # part of the tool's tilt, with which a package bends the cup.
@@ -69,8 +65,6 @@ class Alignment:
     lateral_offset : array (3,)
         What was taken out of the position of the lip (4.10), in axes of S, which at rest are
         those of E, m; z is 0. `origin_to_com` has it in.
-    distance_at_rest : float or None
-        How far the lip is below the tool tip at rest, m; None where rest was not looked at.
 
     """
 
@@ -78,7 +72,6 @@ class Alignment:
     R_package_markers_lip: Array
     origin_to_com: Array
     lateral_offset: Array
-    distance_at_rest: float | None = None
 
     def tool(self, markers: Trajectory) -> Trajectory:
         """
@@ -123,29 +116,11 @@ class Alignment:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class BodyStandstill:
-    """
-    Mean pose of a body during a standstill.
-
-    Parameters
-    ----------
-    position : array (3,)
-        Mean, m.
-    rotation : array (3, 3)
-        Mean.
-    samples : int
-        How many the means are of.
-    spread : dict of str to float
-        Largest distance of medians over short times from the mean: 'position' in m, 'rotation' in
-        rad.
-
-    """
+class MeanPose(NamedTuple):
+    """Mean position (3,), m, and rotation (3, 3) of a body during a standstill."""
 
     position: Array
     rotation: Array
-    samples: int
-    spread: dict[str, float]
 
 
 def world_rotation(world: str, gravity_direction: ArrayLike = DOWN) -> Array:
@@ -198,14 +173,14 @@ def as_recorded(package_frame: str, com: ArrayLike) -> Alignment:
 
 
 def aligned_at_rest(
-    tool: BodyStandstill, package: BodyStandstill, package_frame: str, com: ArrayLike
+    tool: MeanPose, package: MeanPose, package_frame: str, com: ArrayLike
 ) -> Alignment:
     """
     Return the alignment that makes a standstill the nominal one (4.2-4.13).
 
     Parameters
     ----------
-    tool, package : BodyStandstill
+    tool, package : MeanPose
         Of the recorded frames in the world, z up, at the same time.
     package_frame : str
         What the package's poses are poses of: 'com' or 'lip'. Only the origin counts.
@@ -240,13 +215,12 @@ def aligned_at_rest(
         np.array([E_o_S[0], E_o_S[1], 0.0]),
         package_frame,
         com,
-        -float(E_o_S[2]),
     )
 
 
 def standstill(
-    poses: Trajectory, start_ns: int, duration_s: float, noise: dict[str, Array], body: str
-) -> BodyStandstill:
+    poses: Trajectory, start_ns: int, duration_s: float, body: str
+) -> MeanPose:
     """
     Return the pose of a body during a standstill, after checking that it stands still.
 
@@ -258,14 +232,13 @@ def standstill(
         When the standstill begins, ns.
     duration_s : float
         How long it lasts, s.
-    noise : dict of str to array (3,)
-        Standard deviation along each axis (or one for all) of 'position' (m) and 'rotation' (rad).
     body : str
         Name for messages.
 
     Returns
     -------
-    BodyStandstill
+    MeanPose
+        Without the samples that are far from the median.
 
     Raises
     ------
@@ -283,12 +256,17 @@ def standstill(
             f'least {FEWEST_AT_REST} and half of them. Set recording.rest_duration to the actual '
             'standstill, or recording.align_at_rest to false.'
         )
-    position, rotation = _robust_mean(rest)
-    spread = _spread(rest, position, rotation)
-    _require_rest(rest, spread, noise, duration_s, body)
-    return BodyStandstill(
-        position, rotation, len(rest), {q: float(np.max(part)) for q, part in spread.items()}
-    )
+    still_s = _beginning(rest)[1]
+    if still_s < rest.seconds[-1]:
+        raise BellowsError(
+            f'Alignment needs the {body} at rest in the first {duration_s:g} s, but it stands '
+            f'still only for the first {still_s:.1f} s or so. Set recording.rest_duration below '
+            'that, record a longer standstill, or set recording.align_at_rest to false.'
+        )
+    reference = _median_rotation(rest.rotation)
+    near = _near(rest.position - np.median(rest.position, axis=0)) & _near(
+        log_so3(reference.T @ rest.rotation))
+    return MeanPose(rest.position[near].mean(axis=0), mean_rotation(rest.rotation[near]))
 
 
 class Rest(NamedTuple):
@@ -335,8 +313,7 @@ def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
 def _beginning(body: Trajectory) -> tuple[Array, float]:
     """Return the median orientation (3, 3) of the first moments, and how long it stays, s."""
     start = body.select(body.seconds <= START_SECONDS)
-    some = start.rotation[len(start) // 2]
-    reference = some @ exp_so3(np.median(log_so3(some.T @ start.rotation), axis=0))
+    reference = _median_rotation(start.rotation)
     way = np.linalg.norm(body.position - np.median(start.position, axis=0), axis=1)
     turn = np.linalg.norm(log_so3(reference.T @ body.rotation), axis=1)
     moves = np.zeros(len(body), dtype=bool)
@@ -348,6 +325,12 @@ def _beginning(body: Trajectory) -> tuple[Array, float]:
     lasting = moves & np.roll(moves, -max(1, len(start) // 4))
     return reference, float(
         body.seconds[int(np.argmax(lasting))] if lasting.any() else body.seconds[-1])
+
+
+def _median_rotation(rotation: Array) -> Array:
+    """Return the rotation (3, 3) that is the median, axis by axis, of rotations (N, 3, 3)."""
+    some = rotation[len(rotation) // 2]
+    return np.asarray(some @ exp_so3(np.median(log_so3(some.T @ rotation), axis=0)))
 
 
 def require_choice(parameter: str, value: str, choices: tuple[str, ...]) -> None:
@@ -362,11 +345,10 @@ def _alignment(
     lateral_offset: Array,
     package_frame: str,
     com: ArrayLike,
-    distance: float | None = None,
 ) -> Alignment:
     """Return an alignment whose package pose is moved to S, and from there to B (4.64)."""
     origin_to_com = _origin_of_lip(package_frame, com) - lateral_offset + np.asarray(com, float)
-    return Alignment(R_tool, R_package, origin_to_com, lateral_offset, distance)
+    return Alignment(R_tool, R_package, origin_to_com, lateral_offset)
 
 
 def _origin_of_lip(package_frame: str, com: ArrayLike) -> Array:
@@ -385,69 +367,12 @@ def _turned(rotation: Array, turn: Array) -> Array:
     return rotation if np.array_equal(turn, np.eye(3)) else rotation @ turn
 
 
-def _robust_mean(poses: Trajectory) -> tuple[Array, Array]:
-    """Return the mean position and rotation of the samples that are not far from the median."""
-    middle = np.median(poses.position, axis=0)
-    some = poses.rotation[len(poses) // 2]
-    turned = log_so3(some.T @ poses.rotation)
-    reference = some @ exp_so3(np.median(turned, axis=0))
-    near = _near(poses.position - middle) & _near(log_so3(reference.T @ poses.rotation))
-    used = poses.select(near)
-    rotation = reference
-    for _ in range(3):  # the mean in the logarithm converges cubically near itself
-        rotation = rotation @ exp_so3(np.mean(log_so3(rotation.T @ used.rotation), axis=0))
-    return np.mean(used.position, axis=0), rotation
-
-
 def _near(deviation: Array) -> Mask:
     """Return where no axis deviates by more than its usual deviation times a factor."""
     usual = MAD_TO_STD * np.median(np.abs(deviation), axis=0)
     # Without noise the median is nothing but rounding: then all that is tiny is near.
     result: Mask = np.all(np.abs(deviation) <= TRIMMED_BEYOND * usual + 1e-6, axis=1)
     return result
-
-
-def _spread(rest: Trajectory, position: Array, rotation: Array) -> dict[str, Array]:
-    """Return the distances of the medians over short blocks from the mean, block by block."""
-    block = (rest.stamps_ns - rest.stamps_ns[0]) // int(BLOCK_SECONDS * NS_PER_S)
-    first = np.flatnonzero(np.diff(block))
-    deviation = {
-        'position': rest.position - position,
-        'rotation': log_so3(rotation.T @ rest.rotation),
-    }
-    return {
-        q: np.array(
-            [np.linalg.norm(np.median(values, axis=0)) for values in np.split(part, first + 1)]
-        )
-        for q, part in deviation.items()
-    }
-
-
-def _require_rest(
-    rest: Trajectory,
-    spread: dict[str, Array],
-    noise: dict[str, Array],
-    duration_s: float,
-    body: str,
-) -> None:
-    """Refuse a standstill in which the body moves more than noise explains."""
-    per_block = len(rest) / len(spread['position'])
-    limit = {q: REST_WITHIN[q] + REST_DEVIATIONS * float(np.max(noise[q])) / np.sqrt(per_block)
-             for q in spread}
-    if all(np.max(part) <= limit[q] for q, part in spread.items()):
-        return
-    start = rest.select(rest.stamps_ns < rest.stamps_ns[0] + int(BLOCK_SECONDS * NS_PER_S))
-    from_start = _spread(rest, *_robust_mean(start))
-    moves = np.any([part > limit[q] for q, part in from_start.items()], axis=0)
-    still_s = BLOCK_SECONDS * float(np.argmax(moves))
-    position, rotation = (1e3 * float(np.max(part)) for part in spread.values())
-    raise BellowsError(
-        f'Alignment needs the {body} at rest in the first {duration_s:g} s, but there it is up '
-        f'to {position:.2g} mm and {rotation:.2g} mrad from its mean; expected at most '
-        f"{limit['position'] * 1e3:.2g} mm and {limit['rotation'] * 1e3:.2g} mrad. It stands "
-        f'still for the first {still_s:.1f} s or so: set recording.rest_duration below that, '
-        'record a longer standstill, or set recording.align_at_rest to false.'
-    )
 
 
 def levelling(direction: ArrayLike) -> Array:

@@ -12,6 +12,8 @@ from bellows_ros.core.lie import (
     exp_so3,
     inverse_transform,
     log_so3,
+    mean_rotation,
+    nearest_rotation,
     quaternion_to_rotation,
     rotation_to_quaternion,
     transform,
@@ -81,7 +83,7 @@ def closed_form(
         b = hand.position + apply(R_tool, below - origin_to_lip) - apply(R, eye.position)
         position = np.linalg.lstsq(A.reshape(-1, 5), b.ravel(), rcond=1e-6)[0][:3]
     else:
-        R = _mean(R_tool @ np.swapaxes(R_package, 1, 2))
+        R = mean_rotation(R_tool @ np.swapaxes(R_package, 1, 2))
         position = np.mean(hand.position + apply(R_tool, below - origin_to_lip)
                            - apply(R, eye.position), axis=0)
     return np.concatenate([position, rotation_to_quaternion(R)])
@@ -152,11 +154,4 @@ def _turn(R_tool: Array, R_package: Array) -> Array:
             'recording. Tilt and turn it, best with standstills in between, or give the seven '
             'numbers.'
         )
-    U, _, Vt = np.linalg.svd(a.T @ b)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
-
-
-def _mean(rotations: Array) -> Array:
-    """Return the mean of rotations."""
-    U, _, Vt = np.linalg.svd(rotations.sum(axis=0))
-    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
+    return nearest_rotation(a.T @ b)

@@ -15,7 +15,6 @@ from bellows_ros.core.recording.alignment import (
     aligned_at_rest,
     Alignment,
     as_recorded,
-    BodyStandstill,
     in_world,
     rest_of,
     standstill,
@@ -65,7 +64,6 @@ class _Stream:
     timing: Timing
     outliers: Outliers
     poses: Trajectory
-    missing: int  # samples put in where the stream has a gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +74,6 @@ class FilteredStreams:
     settings: PrepareSettings
     streams: tuple[_Stream, _Stream]
     alignment: Alignment
-    stills: tuple[BodyStandstill | None, BodyStandstill | None]
     aligned: tuple[Trajectory, Trajectory]
     filtered: tuple[Filtered, Filtered]
 
@@ -110,7 +107,7 @@ class FilteredStreams:
         package_there = _at(self.filtered[1], common)
         reports = [
             _stream_report(*parts)
-            for parts in zip(self.streams, self.filtered, self.stills, strict=True)]
+            for parts in zip(self.streams, self.filtered, strict=True)]
         measured_tool = resample(self.aligned[0], common, longest_ns)
         if tool_twist is not None:
             measured_tool = _with_twist(
@@ -171,26 +168,26 @@ def filter_streams(
     _require_overlap(tool, package)
     turn = settings.R_world_recorded
     streams = _clean(tool, turn), _clean(package, turn)
-    alignment, stills = _aligned(streams, settings, alignment)
+    alignment = alignment or _alignment(streams, settings)
     aligned = alignment.tool(streams[0].poses), alignment.package(streams[1].poses)
     filtered = (
         _filtered(aligned[0], settings.tool_half_window, settings.tool_order, tool.name),
         _filtered(aligned[1], settings.package_half_window, settings.package_order, package.name),
     )
     return FilteredStreams(
-        (tool, package, tool_twist), settings, streams, alignment, stills, aligned, filtered)
+        (tool, package, tool_twist), settings, streams, alignment, aligned, filtered)
 
 
-def _aligned(
-    streams: tuple[_Stream, _Stream], settings: PrepareSettings, given: Alignment | None
-) -> tuple[Alignment, tuple[BodyStandstill | None, BodyStandstill | None]]:
-    """Return the given or estimated alignment, and the standstills behind it."""
-    if given is not None:
-        return given, (None, None)
+def _alignment(streams: tuple[_Stream, _Stream], settings: PrepareSettings) -> Alignment:
+    """Return the alignment at the standstill from where both streams have begun, or none."""
+    given = settings.package_frame, settings.payload.com
     if not settings.align_at_rest:
-        return as_recorded(settings.package_frame, settings.payload.com), (None, None)
-    rest = _standstills(*streams, settings.rest_duration)
-    return aligned_at_rest(*rest, settings.package_frame, settings.payload.com), rest
+        return as_recorded(*given)
+    start = max(int(stream.poses.stamps_ns[0]) for stream in streams)
+    tool, package = (
+        standstill(stream.poses, start, settings.rest_duration, body)
+        for stream, body in zip(streams, ('tool', 'package'), strict=True))
+    return aligned_at_rest(tool, package, *given)
 
 
 def _clean(recorded: PoseStream, R_world_recorded: Array) -> _Stream:
@@ -206,26 +203,13 @@ def _clean(recorded: PoseStream, R_world_recorded: Array) -> _Stream:
     marked = Trajectory(poses.stamps_ns, poses.position, poses.rotation, valid=outliers.good)
     used = _between_good_ones(outliers.good)
     filled = on_grid(marked.select(used), found_timing)
-    missing = len(filled) - (used.stop - used.start) if found_timing.uniform else 0
-    return _Stream(recorded, found_timing, outliers, filled, missing)
+    return _Stream(recorded, found_timing, outliers, filled)
 
 
 def _between_good_ones(good: Mask) -> slice:
     """Return the samples from the first to the last good one: a stray pose may be hours away."""
     at = np.flatnonzero(good)
     return slice(int(at[0]), int(at[-1]) + 1) if len(at) > 2 else slice(0, len(good))
-
-
-def _standstills(
-    tool: _Stream, package: _Stream, duration_s: float
-) -> tuple[BodyStandstill, BodyStandstill]:
-    """Return the standstills of both bodies, from where both streams have begun."""
-    start = int(max(tool.poses.stamps_ns[0], package.poses.stamps_ns[0]))
-    first, second = (
-        standstill(stream.poses, start, duration_s, stream.outliers.noise, body)
-        for stream, body in ((tool, 'tool'), (package, 'package'))
-    )
-    return first, second
 
 
 def _filtered(poses: Trajectory, half_window: int, order: int, name: str) -> Filtered:
@@ -312,9 +296,7 @@ def _covered(stamps_ns: Stamps, wanted_ns: Stamps) -> Mask:
     return result
 
 
-def _stream_report(
-    stream: _Stream, filtered: Filtered, still: BodyStandstill | None
-) -> StreamReport:
+def _stream_report(stream: _Stream, filtered: Filtered) -> StreamReport:
     """Return the report on a topic's poses."""
     at_centres = _at(stream.poses, filtered.stamps_ns).valid
     return StreamReport(
@@ -323,9 +305,7 @@ def _stream_report(
         stream.recorded.refused,
         stream.timing,
         stream.outliers,
-        stream.missing,
         int(np.count_nonzero(at_centres & ~filtered.valid)),
-        still,
     )
 
 

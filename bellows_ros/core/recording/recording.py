@@ -15,7 +15,7 @@ from bellows_ros.core.lie import log_so3
 from bellows_ros.core.model import Package, STANDARD_GRAVITY
 from bellows_ros.core.parameter_table import short
 from bellows_ros.core.parameters import ESTIMATE
-from bellows_ros.core.recording.alignment import Alignment, BodyStandstill, world_rotation
+from bellows_ros.core.recording.alignment import Alignment, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.resampling import MAD_TO_STD, Timing, weights
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
@@ -270,12 +270,8 @@ class StreamReport:
         Rate, jitter, and gaps by sample.
     outliers : Outliers
         Excursions, frozen poses and steps, by sample, and the noise.
-    filled : int
-        Samples missing in gaps, put in as invalid.
     touched : int
         Filtered samples left out because their windows touch invalid ones.
-    standstill : BodyStandstill or None
-        What alignment found, in the world, of the recorded frame.
 
     """
 
@@ -284,9 +280,7 @@ class StreamReport:
     refused: Mapping[str, tuple[int, ...]]
     timing: Timing
     outliers: Outliers
-    filled: int
     touched: int
-    standstill: BodyStandstill | None
 
     @property
     def marked(self) -> int:

@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.envelope import Envelope
-from bellows_ros.core.lie import exp_so3, log_so3
+from bellows_ros.core.lie import log_so3, mean_rotation
 from bellows_ros.core.model import Package
-from bellows_ros.core.recording.alignment import BLOCK_SECONDS
 from bellows_ros.core.recording.recording import Noise, Recording
 from bellows_ros.core.residuals import relative_coordinates
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
@@ -28,7 +27,8 @@ STILL_WITHIN = Noise(1.5e-4, 1.5e-3)
 NOISE_DEVIATIONS = 5.0
 """... and by this many standard deviations of their noise."""
 
-FEWEST_IN_BLOCK = 3
+BLOCK_SECONDS, FEWEST_IN_BLOCK = 0.1, 3
+"""Time (s) that block means are of, shorter than a body sways, and their fewest samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,11 +175,8 @@ def _joins(
 
 
 def _mean(body: Trajectory, index: Stamps) -> tuple[Array, Array]:
-    """Return the mean position and rotation of poses that are near each other."""
-    rotation: Array = body.rotation[index[len(index) // 2]]
-    for _ in range(2):  # the mean in the logarithm converges cubically near itself
-        rotation = rotation @ exp_so3(np.mean(log_so3(rotation.T @ body.rotation[index]), axis=0))
-    return body.position[index].mean(axis=0), rotation
+    """Return the mean position and rotation of some poses."""
+    return body.position[index].mean(axis=0), mean_rotation(body.rotation[index])
 
 
 def _seconds(stamps_ns: Stamps, span: Stamps) -> float:

@@ -127,8 +127,6 @@ def test_marker_frames_and_motive_axes_are_undone():
         position, turn = difference(poses, at(expected, poses.stamps_ns), found.valid)
         assert_allclose(position, 0.0, atol=1e-12)
         assert_allclose(turn, 0.0, atol=1e-12)
-    assert found.report.tool.standstill.samples == 541
-    assert_allclose(found.alignment.distance_at_rest, 0.05, atol=1e-12)
 
 
 def test_what_a_window_touches_is_dropped_and_counted():
@@ -143,8 +141,8 @@ def test_what_a_window_touches_is_dropped_and_counted():
         np.flatnonzero(~found.measured) + 25,
         np.concatenate([np.arange(3000, 3005), np.arange(5000, 5010)]))
     report = found.report
-    assert (report.tool.marked, report.tool.filled, report.tool.touched) == (5, 0, 50)
-    assert (report.package.marked, report.package.filled, report.package.touched) == (0, 10, 50)
+    assert (report.tool.marked, report.tool.touched) == (5, 50)
+    assert (report.package.marked, report.package.touched) == (0, 50)
     (excursion,) = report.tool.outliers.excursions
     assert (excursion.first, excursion.last) == (3000, 3004)
     (hole,) = report.package.timing.gaps
@@ -326,5 +324,5 @@ def test_a_stray_pose_hours_away_costs_itself(at):
     tool = Trajectory(stamps, tool.position, tool.rotation)
     found = prepare(stream(tool), stream(package, '/package'), PLAIN)
     assert found.report.tool.marked == 1
-    assert found.report.tool.filled == 0
+    assert len(found.aligned_tool) == len(package) - 1
     assert found.report.valid >= len(package) - 52
