@@ -9,8 +9,10 @@ excursion that can be seen. Exact repeats of a pose are marked where the body mo
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.lie import log_so3
 from bellows_ros.core.recording.jumps import (
     any_within,
@@ -61,48 +63,17 @@ GAPS_TRIED = 2000
 FEWEST_GAPS_TRIED = 20
 
 
-@dataclass(frozen=True)
-class Excursion:
-    """
-    Samples that lie off the motion between a jump away and a jump back.
-
-    Parameters
-    ----------
-    first, last : int
-        Indices of the samples, both included.
-    start_ns, end_ns : int
-        Their stamps.
-    position, rotation : float
-        How far off: size of the jump, m and rad. For frozen poses, the step they end with.
-
-    """
+class Run(NamedTuple):
+    """The first and the last of some samples in a row."""
 
     first: int
     last: int
-    start_ns: int
-    end_ns: int
-    position: float
-    rotation: float
 
 
-@dataclass(frozen=True)
-class Step:
-    """
-    A jump without a return: the samples after it stay away from those before it.
+class Step(NamedTuple):
+    """A jump without a return: the sample before it, and its size, m and rad."""
 
-    Parameters
-    ----------
-    index : int
-        Sample before the jump.
-    stamp_ns : int
-        Its stamp.
-    position, rotation : float
-        Size of the jump, m and rad.
-
-    """
-
-    index: int
-    stamp_ns: int
+    before: int
     position: float
     rotation: float
 
@@ -199,11 +170,10 @@ def edges_over_gaps(
             thresholds_over[slots] = _thresholds_over(poses, increments, breaks, slots)
         around = np.array([[beside[0], beside[-1]]])
         jump = _jump_over(poses, increments, np.array([i]), np.array([i + 1]), around)
-        size = [float(np.linalg.norm(part)) for part in jump]
-        thresholds = tuple(map(max, thresholds_over[slots], SMALLEST_JUMP.values()))
-        strength = max(a / b for a, b in zip(size, thresholds, strict=True))
         forms = _forms(poses, int(i), jump[0][0], jump[1][0])
-        edges.append(Edge(int(i), int(i) + 1, strength, forms, (thresholds[0], thresholds[1])))
+        position, rotation = map(max, thresholds_over[slots], SMALLEST_JUMP.values())
+        strength = float(np.divide(_sizes(forms), (position, rotation)).max())
+        edges.append(Edge(int(i), int(i) + 1, strength, forms, (position, rotation)))
     return edges
 
 
@@ -243,11 +213,11 @@ def _thresholds_over(
     )
 
 
-def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Excursion], list[Step]]:
+def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Run], list[Step]]:
     """Return the excursions between jumps that cancel, and the remaining steps."""
     edges = sorted(edges, key=lambda edge: edge.before)
     flickers = _flicker(edges)
-    excursions: list[Excursion] = []
+    excursions: list[Run] = []
     used: set[int] = set()
     single = []
     for k, edge in enumerate(edges):
@@ -261,17 +231,16 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Excursion], list[
             continue
         first, last = min(ends, key=lambda end: edges[end[1]].before - edges[end[0]].before)
         used.update(range(first, last + 1))
-        excursions.append(_run(poses, edges[first].after, edges[last].before, edge))
+        excursions.append(Run(edges[first].after, edges[last].before))
     steps = []
     for edge, flickering in single:
-        run = _to_the_end(edge, poses) if not flickering and _lasts(edge) else _run(
-            poses, edge.before, edge.after, edge)
+        run = _to_the_end(edge, poses) if not flickering and _lasts(edge) else Run(
+            edge.before, edge.after)
         if run is None:
-            size = _size(edge)
-            steps.append(Step(edge.before, int(poses.stamps_ns[edge.before]), *size))
+            steps.append(Step(edge.before, *_sizes(edge.forms)))
         else:
             excursions.append(run)
-    return sorted(excursions, key=lambda run: run.first), steps
+    return sorted(excursions), steps
 
 
 def _flicker(edges: list[Edge]) -> Mask:
@@ -289,11 +258,11 @@ def _lasts(edge: Edge) -> bool:
     """Return whether a jump persists beyond the neighbouring samples, or this is undecidable."""
     if edge.lasting is None:
         return True
-    sizes = (float(np.linalg.norm(form[0])) for form in edge.forms)
     return any(
         size >= WEAKER * threshold
         and float(np.linalg.norm(lasting)) >= LASTS_FROM * size
-        for size, threshold, lasting in zip(sizes, edge.thresholds, edge.lasting, strict=True))
+        for size, threshold, lasting in zip(
+            _sizes(edge.forms), edge.thresholds, edge.lasting, strict=True))
 
 
 def _last_alike(one: Edge, other: Edge) -> bool:
@@ -301,8 +270,7 @@ def _last_alike(one: Edge, other: Edge) -> bool:
     if one.lasting is None or other.lasting is None:
         return _lasts(one) and _lasts(other)
     stronger = one if one.strength >= other.strength else other
-    q = int(np.argmax([np.linalg.norm(form[0]) / threshold for form, threshold in zip(
-        stronger.forms, stronger.thresholds, strict=True)]))
+    q = int(np.argmax(np.divide(_sizes(stronger.forms), stronger.thresholds)))
     sizes = sorted(float(np.linalg.norm(seen[q])) for seen in (one.lasting, other.lasting))
     return _lasts(stronger) and sizes[0] >= ALIKE_FROM * sizes[1]
 
@@ -345,7 +313,7 @@ def _sum(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array
 def _cancels(edge: Edge, summed: tuple[Array, Array], within: float = CANCELS_WITHIN) -> bool:
     """Return whether a jump and others cancel when summed, in the most suitable form."""
     for q in range(2):
-        size, threshold = float(np.linalg.norm(edge.forms[q][0])), edge.thresholds[q]
+        size, threshold = _sizes(edge.forms)[q], edge.thresholds[q]
         left = float(np.min(np.linalg.norm(summed[q], axis=1)))
         allowed = within * size + NOISE_WITHIN * threshold
         if left >= (allowed if size >= threshold else NOTHING_WITHIN * threshold):
@@ -353,27 +321,19 @@ def _cancels(edge: Edge, summed: tuple[Array, Array], within: float = CANCELS_WI
     return True
 
 
-def _size(edge: Edge) -> tuple[float, float]:
+def _sizes(forms: tuple[Array, Array]) -> tuple[float, float]:
     """Return the size of a jump, m and rad."""
-    return float(np.linalg.norm(edge.forms[0][0])), float(np.linalg.norm(edge.forms[1][0]))
+    return float(np.linalg.norm(forms[0][0])), float(np.linalg.norm(forms[1][0]))
 
 
-def _run(poses: Trajectory, first: int, last: int, edge: Edge) -> Excursion:
-    """Return the excursion of samples first to last, by the size of one jump of it."""
-    stamps = poses.stamps_ns
-    return Excursion(first, last, int(stamps[first]), int(stamps[last]), *_size(edge))
-
-
-def _to_the_end(edge: Edge, poses: Trajectory) -> Excursion | None:
+def _to_the_end(edge: Edge, poses: Trajectory) -> Run | None:
     """Return the part between a jump and an end of the recording, if short, else nothing."""
-    stamps = poses.stamps_ns
-    last = len(poses) - 1
-    before = float(stamps[edge.before] - stamps[0]) / NS_PER_S
-    after = float(stamps[last] - stamps[edge.after]) / NS_PER_S
+    seconds = poses.seconds
+    before, after = float(seconds[edge.before]), float(seconds[-1] - seconds[edge.after])
     if before < min(after, LONGEST_AT_END):
-        return _run(poses, 0, edge.before, edge)
+        return Run(0, edge.before)
     if after < min(before, LONGEST_AT_END):
-        return _run(poses, edge.after, last, edge)
+        return Run(edge.after, len(poses) - 1)
     return None
 
 
@@ -398,11 +358,11 @@ class Outliers:
     ----------
     good : bool array (N,)
         False for the samples marked.
-    excursions : tuple of Excursion
+    excursions : tuple of Run
         Jumps away and back.
-    frozen : tuple of Excursion
+    frozen : tuple of Run
         Exact repeats of a pose while the body moved.
-    isolated : tuple of Excursion
+    isolated : tuple of Run
         Single samples between others marked or missing.
     steps : tuple of Step
         Jumps without a return; only the samples beside one are marked.
@@ -414,9 +374,9 @@ class Outliers:
     """
 
     good: Mask
-    excursions: tuple[Excursion, ...]
-    frozen: tuple[Excursion, ...]
-    isolated: tuple[Excursion, ...]
+    excursions: tuple[Run, ...]
+    frozen: tuple[Run, ...]
+    isolated: tuple[Run, ...]
     steps: tuple[Step, ...]
     noise: dict[str, Array]
 
@@ -450,9 +410,9 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
         found,
         good=good,
         frozen=frozen,
-        excursions=tuple(_reindexed(run, kept) for run in found.excursions),
-        isolated=tuple(_reindexed(run, kept) for run in found.isolated),
-        steps=tuple(replace(step, index=int(kept[step.index])) for step in found.steps),
+        excursions=tuple(Run(*kept[list(run)].tolist()) for run in found.excursions),
+        isolated=tuple(Run(*kept[list(run)].tolist()) for run in found.isolated),
+        steps=tuple(step._replace(before=int(kept[step.before])) for step in found.steps),
     )
 
 
@@ -495,11 +455,6 @@ def _repeats(poses: PoseStream | Trajectory) -> Mask:
     return same
 
 
-def _reindexed(run: Excursion, kept: Indices) -> Excursion:
-    """Return a run of kept samples with their indices among all."""
-    return replace(run, first=int(kept[run.first]), last=int(kept[run.last]))
-
-
 def _find_jumps(poses: Trajectory, longest_step_ns: int) -> Outliers:
     """Find jumps between poses that are not frozen, and the parts between them."""
     steps_ns = np.diff(poses.stamps_ns)
@@ -513,40 +468,36 @@ def _find_jumps(poses: Trajectory, longest_step_ns: int) -> Outliers:
     good = np.full(len(poses), True)
     _mark(good, excursions)
     for step in steps:
-        good[step.index:step.index + 2] = False
-    isolated = _isolated(good, gap, poses.stamps_ns)
+        good[step.before:step.before + 2] = False
+    isolated = _isolated(good, gap)
     _mark(good, isolated)
     deviations = (jumps.usual / MEDIAN_PER_DEVIATION for jumps in short)
     noise = dict(zip(increments, deviations, strict=True))
     return Outliers(good, tuple(excursions), (), isolated, tuple(steps), noise)
 
 
-def _mark(good: Mask, runs: Iterable[Excursion]) -> None:
+def _mark(good: Mask, runs: Iterable[Run]) -> None:
     """Take the samples of runs out of the good ones."""
     for run in runs:
         good[run.first:run.last + 1] = False
 
 
-def _runs(mask: Mask) -> Iterator[tuple[int, int]]:
-    """Yield the first and last index of each run of set ones."""
+def _runs(mask: Mask) -> Iterator[Run]:
+    """Yield the runs of samples that are set."""
     change = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    for first, after in change.reshape(-1, 2):
-        yield int(first), int(after) - 1
+    for first, after in change.reshape(-1, 2).tolist():
+        yield Run(first, after - 1)
 
 
-def _isolated(good: Mask, gap: Mask, stamps_ns: Stamps) -> tuple[Excursion, ...]:
-    """Return the runs of good samples that are too short to be judged."""
-    group = np.concatenate([[0], np.cumsum(gap | (good[1:] != good[:-1]))])
-    first = np.searchsorted(group, np.arange(group[-1] + 1))
-    length = np.diff(np.append(first, len(good)))
-    return tuple(
-        Excursion(int(i), int(i + n - 1), int(stamps_ns[i]), int(stamps_ns[i + n - 1]), 0.0, 0.0)
-        for i, n in zip(first, length, strict=True)
-        if good[i] and n < SHORTEST_RUN
-    )
+def _isolated(good: Mask, gap: Mask) -> tuple[Run, ...]:
+    """Return the runs of good samples, without a gap in them, that are too short to be judged."""
+    begins = np.concatenate([[True], gap | (good[1:] != good[:-1])])
+    first = np.append(np.flatnonzero(begins), len(good)).tolist()
+    return tuple(Run(i, after - 1) for i, after in pairwise(first)
+                 if good[i] and after - i < SHORTEST_RUN)
 
 
-def _frozen(poses: Trajectory) -> tuple[Excursion, ...]:
+def _frozen(poses: Trajectory) -> tuple[Run, ...]:
     """
     Return the exact repeats that end with a step too large for the motion around.
 
@@ -564,33 +515,20 @@ def _frozen(poses: Trajectory) -> tuple[Excursion, ...]:
         if any(np.sum(~near) < MOVES_NEARBY for near in around if len(near) or not first):
             continue
         k = int(np.searchsorted(moves, last))
-        sizes, excess = _catch_up(lengths, moves, k, last - first + 1)
+        excess = [_catch_up(length, moves, k, last - first + 1) for length in lengths]
         if any(e > floor for e, floor in zip(excess, SMALLEST_JUMP.values(), strict=True)):
-            stamps = poses.stamps_ns
-            run = (first + 1, last + 1, int(stamps[first + 1]), int(stamps[last + 1]))
-            found.append(Excursion(*run, *sizes))
+            found.append(Run(first + 1, last + 1))
     return tuple(found)
 
 
-def _catch_up(
-    lengths: list[Array], moves: Indices, k: int, repeats: int
-) -> tuple[list[float], list[float]]:
-    """Return the lengths of the steps after repeated poses, and their excess."""
+def _catch_up(length: Array, moves: Indices, k: int, repeats: int) -> float:
+    """
+    Return by how much the step after repeated poses exceeds what is usual around.
+
+    A body that froze till the end would have gone on, unless it slowed down before.
+    """
     if k == len(moves):
-        sizes = _lost_by_the_end(lengths, moves, repeats)
-        return sizes, sizes
+        usual = float(np.median(length[moves[-1 - SMOOTH:]]))
+        return repeats * usual if float(length[moves[-1]]) * CATCHES_UP > usual else 0.0
     near = moves[max(k - SMOOTH // 2, 0):k + SMOOTH // 2 + 1]
-    sizes = [float(length[moves[k]]) for length in lengths]
-    usual = [float(np.median(length[near])) for length in lengths]
-    return sizes, [size - CATCHES_UP * u for size, u in zip(sizes, usual, strict=True)]
-
-
-def _lost_by_the_end(lengths: list[Array], moves: Indices, repeats: int) -> list[float]:
-    """Return how far a body that froze till the end would have gone; zero if it slowed down."""
-    last = moves[-1 - SMOOTH:]
-    gone = []
-    for length in lengths:
-        usual = float(np.median(length[last]))
-        stopped_at_once = float(length[last[-1]]) * CATCHES_UP > usual
-        gone.append(repeats * usual if stopped_at_once else 0.0)
-    return gone
+    return float(length[moves[k]] - CATCHES_UP * np.median(length[near]))

@@ -16,6 +16,7 @@ from bellows_ros.core.recording.alignment import (
     Alignment,
     as_recorded,
     in_world,
+    require_choice,
     rest_of,
     standstill,
 )
@@ -30,7 +31,6 @@ from bellows_ros.core.recording.recording import (
 from bellows_ros.core.resampling import on_grid, resample, savgol, Timing, timing
 from bellows_ros.core.trajectory import (
     Filtered,
-    frozen,
     NS_PER_S,
     PoseStream,
     Trajectory,
@@ -251,49 +251,25 @@ def _with_twist(
     tool: Trajectory, recorded: TwistStream, alignment: Alignment, settings: PrepareSettings
 ) -> Trajectory:
     """Return the tool with its recorded twists, interpolated, in axes of E."""
-    if settings.tool_twist_frame not in ('world', 'tool'):
-        raise BellowsError(
-            f"tool_twist.frame must be world or tool, not '{settings.tool_twist_frame}'."
-        )
+    require_choice('tool_twist.frame', settings.tool_twist_frame, ('world', 'tool'))
     if len(recorded) < 3:
         raise BellowsError(
             f"Topic '{recorded.name}' has {len(recorded)} usable twists, too few. Set "
             "topics.tool_twist to '' to estimate the twist from the poses."
         )
-    parts = []
-    for recorded_part in (recorded.linear, recorded.angular):
-        part = _interpolated(recorded.stamps_ns, recorded_part, tool.stamps_ns)
-        if settings.tool_twist_frame == 'tool':
-            part = apply(alignment.R_tool_markers_tool.T, part)
-        else:
-            part = apply(settings.R_world_recorded, part)
-            part = apply(np.swapaxes(tool.rotation, -1, -2), part)
-        parts.append(part)
-    known = _covered(recorded.stamps_ns, tool.stamps_ns)
-    twist = frozen(np.concatenate(parts, axis=1))
-    return Trajectory(
-        tool.stamps_ns, tool.position, tool.rotation, twist, valid=tool.valid & known
-    )
-
-
-def _interpolated(stamps_ns: Stamps, values: Array, wanted_ns: Stamps) -> Array:
-    """Return values (M, 3) between stamps, linearly; those at the ends beyond them."""
-    start = stamps_ns[0]
-    known, wanted = (stamps_ns - start) / NS_PER_S, (wanted_ns - start) / NS_PER_S
-    return np.stack([np.interp(wanted, known, column) for column in values.T], axis=1)
-
-
-def _covered(stamps_ns: Stamps, wanted_ns: Stamps) -> Mask:
-    """Return which wanted stamps are, or lie between, stamps without a gap."""
-    longest = timing(stamps_ns).longest_step_ns
-    after = np.searchsorted(stamps_ns, wanted_ns)
-    inside = after < len(stamps_ns)
-    after = np.minimum(after, len(stamps_ns) - 1)
-    exact = stamps_ns[after] == wanted_ns
-    before = np.maximum(after - 1, 0)
-    near = (after > 0) & (stamps_ns[after] - stamps_ns[before] <= longest)
-    result: Mask = inside & (exact | near)
-    return result
+    R = (alignment.R_tool_markers_tool.T if settings.tool_twist_frame == 'tool'
+         else np.swapaxes(tool.rotation, -1, -2) @ settings.R_world_recorded)
+    first, last = recorded.stamps_ns[[0, -1]]
+    inside = (tool.stamps_ns >= first) & (tool.stamps_ns <= last)
+    twist, known = np.zeros((len(tool), 2, 3)), np.zeros(len(tool), dtype=bool)
+    longest_ns = timing(recorded.stamps_ns).longest_step_ns
+    unturned = np.broadcast_to(np.eye(3), (len(recorded), 3, 3))
+    for i, part in enumerate((recorded.linear, recorded.angular)):
+        there = resample(Trajectory(recorded.stamps_ns, part, unturned),
+                         tool.stamps_ns[inside], longest_ns)  # linearly, as positions are
+        twist[inside, i], known[inside] = there.position, there.valid
+        twist[:, i] = apply(R, twist[:, i])
+    return replace(tool, twist=twist.reshape(-1, 6), valid=tool.valid & known)
 
 
 def _stream_report(stream: _Stream, filtered: Filtered) -> StreamReport:
@@ -369,10 +345,11 @@ def _warnings(
 
 def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> list[str]:
     """Return what the user should know about the poses of one topic, before or after a fit."""
-    name, start = recorded.name, int(recorded.stamps_ns[0])
+    name = recorded.name
     found = [
         f"Topic '{name}' jumps by {step.position * 1e3:.1f} mm and {step.rotation * 1e3:.1f} "
-        f'mrad {(step.stamp_ns - start) / NS_PER_S:.3f} s after its start and does not return, '
+        f'mrad {(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S:.3f} s '
+        'after its start and does not return, '
         'so all later poses are offset from the earlier ones. Use the recording up to there, or '
         'from there on.'
         for step in outliers.steps if not _is_of_jitter(recorded, time, step)
@@ -403,7 +380,7 @@ def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> l
 
 def _is_of_jitter(poses: PoseStream, time: Timing, step: Step) -> bool:
     """Return whether jitter of the stamps explains a step at the body's speed."""
-    near = slice(max(step.index - 5, 0), step.index + 6)
+    near = slice(max(step.before - 5, 0), step.before + 6)
     seconds = np.ptp(poses.stamps_ns[near]) / NS_PER_S
     R = poses.rotation[near]
     turns = log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
