@@ -160,7 +160,6 @@ def limits_from(
     else:
         block = settings.block('joints')
         joints = np.array([block.number(name, unit='rad or m') for name in arm.moving])
-        block.done()
         for joint, at in zip(_moving(arm), joints.tolist(), strict=True):
             if not joint.lower < at < joint.upper:
                 raise block.refuse(joint.name, f'in its range, {joint.lower:g} to '
@@ -170,7 +169,6 @@ def limits_from(
     space = settings.block('workspace')
     lower, upper, turn = (space.vector(name, 3, unit=unit) for name, unit in (
         ('lower', 'm'), ('upper', 'm'), ('rotation', 'rad')))
-    space.done()
     if not ((lower < start.position) & (start.position < upper)).all() or turn.min() <= 0.0:
         raise BellowsError(
             f"The start {start.position.tolist()} m is not inside of 'workspace' "
@@ -184,5 +182,5 @@ def limits_from(
         settings.number('highest_frequency', HIGHEST_FREQUENCY, 'Hz', above=0.0, most=50.0),
         arm, joints)
     tracking = settings.block('tracking')
-    settings.done()
+    settings.done(ignored=('tracking',))
     return found, tracking

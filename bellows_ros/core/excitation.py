@@ -24,12 +24,12 @@ from bellows_ros.core.identification.fisher import (
     Tracking,
 )
 from bellows_ros.core.kernels import ModelTuple
-from bellows_ros.core.lie import apply, dexp, exp_so3, hat, rotation_to_quaternion
+from bellows_ros.core.lie import hat, rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.plan import Run
 from bellows_ros.core.simulation import state_row
 from bellows_ros.core.structure import Structure
-from bellows_ros.core.synthetic.motion import Motion, Pose
+from bellows_ros.core.synthetic.motion import Motion, Pose, smooth_step, Vibration
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -62,26 +62,17 @@ LOADS = ('bending', 'torsion', 'safety factor (peel)', 'safety factor (slip)')
 Progress = Callable[[str, float], None]
 
 
-def ramp(s: Array) -> Array:
-    """Return the quintic step and its first three derivatives (4, N), outside of 0..1 constant."""
-    s = np.clip(s, 0.0, 1.0)
-    inside = (s > 0.0) & (s < 1.0)
-    return np.array([
-        s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s - s**2) ** 2,
-        60.0 * (s - s**2) * (1.0 - 2.0 * s), 60.0 * (1.0 - 6.0 * (s - s**2)) * inside])
-
-
 def window(t: Array, period: float) -> Array:
     """Return a window with ramps up and down over a period (s), and three derivatives (4, N)."""
     per_s = (1.0 / RAMP) ** np.arange(4)[:, None]
-    up, down = ramp(t / RAMP) * per_s, ramp((period - t) / RAMP) * per_s
+    up, down = smooth_step(t / RAMP) * per_s, smooth_step((period - t) / RAMP) * per_s
     return np.array([
         sum(math.comb(n, m) * up[m] * (-1.0) ** (n - m) * down[n - m] for m in range(n + 1))
         for n in range(4)])
 
 
 @dataclass(frozen=True, eq=False)
-class FourierMotion(Motion):
+class FourierMotion(Vibration):
     """
     A rest, and a Fourier series in each axis that swells and dies away.
 
@@ -130,13 +121,6 @@ class FourierMotion(Motion):
             out[0, part] = swell[0] * value
             out[1, part] = swell[1] * value + swell[0] * rate
         return out
-
-    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return where the tool is and how it moves; the body rate is dexp(-phi) dphi/dt."""
-        u, rate = self.displacement(t)
-        phi = u[:, 3:]
-        return (self.start.position + u[:, :3], rate[:, :3], self.start.rotation @ exp_so3(phi),
-                apply(dexp(-phi), rate[:, 3:]))
 
 
 class Search:

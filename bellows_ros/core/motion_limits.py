@@ -40,7 +40,6 @@ def read_rates(settings: Settings, default: float | None = None) -> dict[str, fl
         for name in names:
             found[name] = block.number(
                 name.removeprefix('angular_'), default, RATES[name], above=0.0)
-        block.done()
     return found
 
 

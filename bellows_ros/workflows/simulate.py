@@ -276,9 +276,8 @@ def _recorded(
             twists = measure_twists(tool, recipe.tool_twist, sensor.marker, plan, world,
                                     generator(seed, 'tool twist'))
             recorded.append(Recorded(
-                recipe.topics['tool_twist'], TWIST, twists.stamps_ns,
-                np.hstack([twists.linear, twists.angular]), recipe.frame_id,
-                log_times_ns=twists.stamps_ns + late_ns))
+                recipe.topics['tool_twist'], TWIST, poses.stamps_ns, twists, recipe.frame_id,
+                log_times_ns=poses.stamps_ns + late_ns))
     if recipe.releases:  # on, off at each release, and on again at each pick-up
         off = np.array(recipe.releases)
         on = off + recipe.pickup

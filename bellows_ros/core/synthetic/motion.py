@@ -114,18 +114,45 @@ class Motion(ABC):
         return self.trajectory(start_ns + stamps, start_ns)
 
 
-def smooth_step(s: Array) -> tuple[Array, Array]:
+def smooth_step(s: Array) -> Array:
     """
-    Return the quintic from 0 to 1 with zero velocity and acceleration at both ends, and its slope.
+    Return the quintic from 0 to 1 and its first three derivatives (4, N).
 
-    Of all steps it has the least integral of the squared jerk. Outside 0..1 it stands still.
+    Its velocity and acceleration are zero at both ends; of all such steps it has the least
+    integral of the squared jerk. Outside 0..1 it stands still.
     """
     s = np.clip(s, 0.0, 1.0)
-    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
+    inside = (s > 0.0) & (s < 1.0)
+    return np.array([
+        s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s - s**2) ** 2,
+        60.0 * (s - s**2) * (1.0 - 2.0 * s), 60.0 * (1.0 - 6.0 * (s - s**2)) * inside])
+
+
+class Vibration(Motion):
+    """A motion about the start, given by its displacement."""
+
+    @abstractmethod
+    def displacement(self, t: Array) -> Array:
+        """
+        Return the displacement since the start and its rate (2, N, 6).
+
+        In world axes (m, m/s), then the rotation vector in axes of the start (rad, rad/s).
+        """
+
+    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
+        """Return where the tool is and how it moves; the body rate is dexp(-phi) dphi/dt."""
+        value, rate = self.displacement(t)
+        phi = value[:, 3:]
+        return (
+            self.start.position + value[:, :3],
+            rate[:, :3],
+            self.start.rotation @ exp_so3(phi),
+            apply(dexp(-phi), rate[:, 3:]),
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Oscillation(Motion):
+class Oscillation(Vibration):
     """
     Oscillations that swell smoothly after the rest.
 
@@ -154,28 +181,17 @@ class Oscillation(Motion):
     frequency: Array
     phase: Array
 
-    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return where the tool is and how it moves; the body rate is dexp(-phi) dphi/dt."""
-        value, rate = self._displacement(t)
-        phi = value[:, 3:]
-        return (
-            self.start.position + value[:, :3],
-            rate[:, :3],
-            self.start.rotation @ exp_so3(phi),
-            apply(dexp(-phi), rate[:, 3:]),
-        )
-
-    def _displacement(self, t: Array) -> tuple[Array, Array]:
-        """Return displacement and rotation vector since the start (N, 6), and their rates."""
+    def displacement(self, t: Array) -> Array:
+        """Return displacement and rotation vector since the start, and their rates (2, N, 6)."""
         tau = t - self.rest_duration
-        ramp, slope = smooth_step(tau / self.ramp_duration)
+        ramp, slope = smooth_step(tau / self.ramp_duration)[:2]
         slope = slope / self.ramp_duration
-        value, rate = np.zeros((2, len(t), 6))
+        moved = np.zeros((2, len(t), 6))
         for i, axis in enumerate(self.axis):
             wave, wave_rate = self._wave(i, tau)
-            value[:, axis] += ramp * wave
-            rate[:, axis] += ramp * wave_rate + slope * wave
-        return value, rate
+            moved[0, :, axis] += ramp * wave
+            moved[1, :, axis] += ramp * wave_rate + slope * wave
+        return moved
 
     def _wave(self, i: int, tau: Array) -> tuple[Array, Array]:
         """Return component i without the ramp at times tau (N,) since the rest, and its rate."""
@@ -249,7 +265,7 @@ class Waypoints(Motion):
 
 def _motion_along(here: Pose, segment: Segment, tau: Array) -> tuple[Array, Array, Array, Array]:
     """Return the state at times tau (N,) after a segment began at a pose."""
-    step, slope = (x[:, None] for x in smooth_step(tau / segment.move))
+    step, slope = smooth_step(tau / segment.move)[:2, :, None]
     slope = slope / segment.move
     way = segment.goal.position - here.position
     turn = log_so3(here.rotation.T @ segment.goal.rotation)
@@ -341,7 +357,6 @@ def pose_from(settings: Settings) -> Pose:
     position = settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m')
     rpy = settings.vector('rpy', 3, (0.0, 0.0, 0.0), unit='rad')
     quaternion = settings.vector('quaternion_xyzw', 4, (0.0, 0.0, 0.0, 1.0))
-    settings.done()
     if 'rpy' in settings and 'quaternion_xyzw' in settings:
         raise BellowsError(
             f"Settings '{settings.name('rpy')}' and '{settings.name('quaternion_xyzw')}' are both "
@@ -363,13 +378,13 @@ def _oscillation(
     ramp = settings.number('ramp_duration', 1.0, 's', above=0.0, most=LONGEST)
     block = settings.block(kind)
     axis, amplitude, frequency = _sines(block) if kind == 'multi_sine' else _sweeps(block)
+    block.done()
     if not len(axis):
         raise BellowsError(
             f"Setting '{kind}' moves nothing. Give it an amplitude on one axis at least, of "
             'position or of rotation.'
         )
     phase = phases.uniform(0.0, 2.0 * np.pi, len(axis))
-    block.done()
     return Oscillation(start, rest, ramp, duration, amplitude, axis, frequency, phase)
 
 
@@ -379,32 +394,19 @@ def _sines(settings: Settings) -> tuple[Stamps, Array, Array]:
     for offset, name, unit in ((0, 'position', 'm'), (3, 'rotation', 'rad')):
         block = settings.block(name)
         for index, axis in enumerate(AXES):
-            if axis in block:
-                parts += [(offset + index, a, f) for a, f in _lines(block, axis, unit)]
-            else:
-                block.block(axis)
-        block.done()
+            lines, given = block.block(axis), () if axis not in block else None
+            amplitude = lines.numbers('amplitude', unit, default=given)
+            frequency = lines.numbers(
+                'frequency', 'Hz', least=0.0, most=LARGEST_FREQUENCY, default=given)
+            if len(amplitude) != len(frequency):
+                raise BellowsError(
+                    f"Settings '{lines.name('amplitude')}' and '.frequency' must be equally "
+                    f'long, got {len(amplitude)} and {len(frequency)} numbers.'
+                )
+            parts += [(offset + index, a, f) for a, f in zip(amplitude, frequency, strict=True)]
     axes = np.array([part[0] for part in parts], dtype=np.int64)
-    amplitude, frequency = np.array([part[1:] for part in parts]).reshape(-1, 2).T
-    return axes, amplitude, np.stack([frequency, frequency], axis=1)
-
-
-def _lines(block: Settings, axis: str, unit: str) -> list[tuple[float, float]]:
-    """Return the amplitudes and frequencies of one axis."""
-    settings = block.block(axis)
-    amplitude = settings.numbers('amplitude', unit)
-    frequency = settings.numbers('frequency', 'Hz', least=0.0)
-    settings.done()
-    if len(amplitude) != len(frequency):
-        raise BellowsError(
-            f"Settings '{block.name(axis)}.amplitude' and '.frequency' must be equally long, got "
-            f'{len(amplitude)} and {len(frequency)} numbers.'
-        )
-    if frequency.max() > LARGEST_FREQUENCY:
-        raise settings.refuse(
-            'frequency', f'at most {LARGEST_FREQUENCY:g} Hz each', frequency.tolist()
-        )
-    return list(zip(amplitude.tolist(), frequency.tolist(), strict=True))
+    amplitudes, frequencies = np.array([part[1:] for part in parts]).reshape(-1, 2).T
+    return axes, amplitudes, np.stack([frequencies, frequencies], axis=1)
 
 
 def _sweeps(settings: Settings) -> tuple[Stamps, Array, Array]:
@@ -425,22 +427,13 @@ def _sweeps(settings: Settings) -> tuple[Stamps, Array, Array]:
 
 def _segments(settings: Settings, kind: str) -> tuple[Segment, ...]:
     """Return the segments of waypoints, each with its times, or of static poses."""
-    common = None
-    if kind == 'static':
-        common = _times(settings)
-    segments = tuple(_segment(block, common) for block in settings.blocks('poses'))
-    repeat = 1 + settings.whole('repeat', 0, most=1000)
-    settings.done()
-    return repeat * segments
+    common = _times(settings) if kind == 'static' else None
+    segments = tuple(Segment(pose_from(block), *(common or _times(block)))
+                     for block in settings.blocks('poses'))
+    return (1 + settings.whole('repeat', 0, most=1000)) * segments
 
 
 def _times(settings: Settings) -> tuple[float, float]:
     """Return the durations of a move and of the hold after it, s."""
     move = settings.number('move', unit='s', least=SHORTEST_MOVE, most=LONGEST)
     return move, settings.number('hold', 0.0, 's', least=0.0, most=LONGEST)
-
-
-def _segment(settings: Settings, common: tuple[float, float] | None) -> Segment:
-    """Return one segment."""
-    move, hold = _times(settings) if common is None else common
-    return Segment(pose_from(settings), move, hold)

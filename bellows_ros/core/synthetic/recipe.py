@@ -101,19 +101,20 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
     seed = settings.whole('seed', 0)
     world = settings.choice('world', tuple(WORLDS), 'z_up')
     moving = motion_from(settings, generator(seed, 'phases'))
-    tool, tool_twist = _tool(settings.block('tool'))
+    tool = settings.block('tool')
     storage = settings.choice('storage', ('mcap', 'sqlite3'), 'mcap')
     releases, pickup = _releases(settings.block('release'), moving.duration)
     recipe = Recipe(
         motion=moving,
-        tool=tool,
-        tool_twist=tool_twist,
+        tool=sensor_from(tool),
+        tool_twist=twist_sensor_from(tool.block('twist')),
         package=_package(settings.block('package'), com),
         world=world,
         frame_id=settings.text('frame_id', FRAME_IDS[world]),
         topics=_topics(settings.block('topics')),
         storage=storage,
-        compression=_compression(settings, storage),
+        compression={'none': 'none', 'zstd': 'chunk' if storage == 'mcap' else 'message'}[
+            settings.choice('compression', ('none', 'zstd'), 'none')],
         seed=seed,
         start_ns=settings.whole('start_time_ns', START_NS, least=10**9, most=2**62),
         truth=settings.flag('truth', False),
@@ -134,16 +135,7 @@ def _releases(settings: Settings, duration: float) -> tuple[tuple[float, ...], f
             times.tolist())
     if (times >= duration).any():
         raise settings.refuse('times', f'before the end at {duration:g} s', times.tolist())
-    settings.done()
     return tuple(times.tolist()), pickup
-
-
-def _tool(settings: Settings) -> tuple[Sensor, TwistSensor | None]:
-    """Return how the tool is tracked."""
-    twist = twist_sensor_from(settings.block('twist'))
-    sensor = sensor_from(settings)
-    settings.done()
-    return sensor, twist
 
 
 def _package(settings: Settings, com: Array) -> Sensor:
@@ -151,9 +143,7 @@ def _package(settings: Settings, com: Array) -> Sensor:
     frame = settings.choice('frame', ('com', 'lip'), 'com')
     offset = settings.vector('pickup_offset', 2, (0.0, 0.0), unit='m')
     tracked = np.zeros(3) if frame == 'com' else -com  # S in B axes, which are those of S
-    sensor = sensor_from(settings, tracked + [*offset, 0.0])
-    settings.done()
-    return sensor
+    return sensor_from(settings, tracked + [*offset, 0.0])
 
 
 def _topics(settings: Settings) -> dict[str, str]:
@@ -166,16 +156,7 @@ def _topics(settings: Settings) -> dict[str, str]:
             raise settings.refuse(role, 'a topic name such as ' + default, name)
         if list(topics.values()).count(topics[role]) > 1:
             raise settings.refuse(role, 'a topic no other stream has', name)
-    settings.done()
     return topics
-
-
-def _compression(settings: Settings, storage: str) -> str:
-    """Return the form of compression that suits the storage."""
-    zstd = settings.choice('compression', ('none', 'zstd'), 'none') == 'zstd'
-    if not zstd:
-        return 'none'
-    return 'chunk' if storage == 'mcap' else 'message'
 
 
 def generator(seed: int, purpose: str) -> Generator:

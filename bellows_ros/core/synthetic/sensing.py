@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.lie import apply, exp_so3
+from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.core.settings import Settings
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -22,9 +23,7 @@ from numpy.random import Generator
 
 Indices = Stamps
 
-R_MOTIVE_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-"""From the world A (z up) to Motive's frame M (y up): the inverse of (4.1), which is (4.1)."""
-WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_MOTIVE_WORLD}
+WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_WORLD_MOTIVE.T}
 """R_recording_world of each possible world of a recording."""
 
 FASTEST = 10_000.0
@@ -34,21 +33,13 @@ LARGEST_JITTER = 0.45
 
 
 @dataclass(frozen=True)
-class Jumps:
-    """Tracking jumps: count, distance (m), rotation (rad), and duration (s)."""
+class Faults:
+    """Jumps or gaps: how many, how long each (s), and how far a jump goes (m, rad)."""
 
     count: int = 0
+    duration: float = 0.0
     position: float = 0.0
     rotation: float = 0.0
-    duration: float = 0.0
-
-
-@dataclass(frozen=True)
-class Dropouts:
-    """Gaps without messages: how many, and how long each (s)."""
-
-    count: int = 0
-    duration: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +59,8 @@ class Sensor:
         Where the marker frame's origin lies in the body's axes, m.
     marker : array (3,)
         Rotation vector of the marker frame in the body's axes, rad.
-    jumps : Jumps
-    dropouts : Dropouts
+    jumps, dropouts : Faults
+        Of tracking, and gaps without messages.
     jitter : float
         Standard deviation of a stamp about the time of its sample, s.
     latency : float
@@ -83,8 +74,8 @@ class Sensor:
     rotation_noise: float = 0.0
     origin: Array = field(default_factory=lambda: np.zeros(3))
     marker: Array = field(default_factory=lambda: np.zeros(3))
-    jumps: Jumps = field(default_factory=Jumps)
-    dropouts: Dropouts = field(default_factory=Dropouts)
+    jumps: Faults = Faults()
+    dropouts: Faults = Faults()
     jitter: float = 0.0
     latency: float = 0.0
 
@@ -124,24 +115,6 @@ class Schedule:
     kept: Mask
     jumps: tuple[int, ...]
     dropouts: tuple[int, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """Recorded poses in the recording's world: stamps (N,) ns, position (N, 3), R (N, 3, 3)."""
-
-    stamps_ns: Stamps
-    position: Array
-    rotation: Array
-
-
-@dataclass(frozen=True, eq=False)
-class MeasuredTwist:
-    """Recorded twists: stamps (N,) ns, linear and angular velocity (N, 3) in m/s and rad/s."""
-
-    stamps_ns: Stamps
-    linear: Array
-    angular: Array
 
 
 def sample_stamps(rate_hz: float, duration: float, start_ns: int) -> Stamps:
@@ -238,9 +211,9 @@ def _jitter_ns(sensor: Sensor, count: int, draw: Generator) -> Stamps:
 
 def measure_poses(
     truth: Trajectory, sensor: Sensor, plan: Schedule, world: Array, draw: Generator
-) -> Measured:
+) -> Trajectory:
     """
-    Return the recorded poses of a body.
+    Return the recorded poses of a body, in the recording's world.
 
     Parameters
     ----------
@@ -267,7 +240,7 @@ def measure_poses(
     rotation = truth.rotation @ exp_so3(sensor.marker) @ exp_so3(jumps[:, 1])
     rotation = rotation @ exp_so3(sensor.rotation_noise * noise[:, 3:])
     kept = plan.kept
-    return Measured(plan.stamps_ns[kept], position[kept] @ world.T, (world @ rotation)[kept])
+    return Trajectory(plan.stamps_ns[kept], position[kept] @ world.T, (world @ rotation)[kept])
 
 
 def measure_twists(
@@ -277,9 +250,9 @@ def measure_twists(
     plan: Schedule,
     world: Array,
     draw: Generator,
-) -> MeasuredTwist:
+) -> Array:
     """
-    Return the recorded twists of the tool tip.
+    Return the recorded twists (M, 6) of the tool tip, m/s and rad/s.
 
     Parameters
     ----------
@@ -296,19 +269,12 @@ def measure_twists(
     draw : Generator
         Random numbers.
 
-    Raises
-    ------
-    BellowsError
-        If the trajectory has no twists.
-
     """
-    if truth.twist is None:
-        raise BellowsError('The tool trajectory has no twists to measure.')
     axes = world @ truth.rotation if sensor.frame == 'world' else exp_so3(marker).T
-    noise = draw.normal(size=(len(truth), 6))
-    linear = apply(axes, truth.twist[:, :3]) + sensor.linear_noise * noise[:, :3]
-    angular = apply(axes, truth.twist[:, 3:]) + sensor.angular_noise * noise[:, 3:]
-    return MeasuredTwist(plan.stamps_ns[plan.kept], linear[plan.kept], angular[plan.kept])
+    noise = np.repeat([sensor.linear_noise, sensor.angular_noise], 3) * draw.normal(
+        size=(len(truth), 6))
+    twist = np.asarray(truth.twist)
+    return (np.hstack([apply(axes, twist[:, :3]), apply(axes, twist[:, 3:])]) + noise)[plan.kept]
 
 
 def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
@@ -324,54 +290,37 @@ def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
 
     """
     noise, marker, stamps = (settings.block(name) for name in ('noise', 'marker', 'stamps'))
-    sensor = Sensor(
+    return Sensor(
         settings.path,
         rate_hz=settings.number('rate_hz', unit='Hz', above=0.0, most=FASTEST),
         position_noise=noise.number('position', 0.0, 'm', least=0.0),
         rotation_noise=noise.number('rotation', 0.0, 'rad', least=0.0),
         origin=np.zeros(3) if origin is None else origin,
         marker=marker.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad'),
-        jumps=_jumps(settings.block('outliers')),
-        dropouts=_dropouts(settings.block('dropouts')),
+        jumps=_faults(settings.block('outliers'), True),
+        dropouts=_faults(settings.block('dropouts'), False),
         jitter=stamps.number('jitter', 0.0, 's', least=0.0),
         latency=stamps.number('latency', 0.0, 's', least=0.0, most=60.0),
     )
-    for block in (noise, marker, stamps):
-        block.done()
-    return sensor
 
 
-def _jumps(settings: Settings) -> Jumps:
-    """Return the tracking jumps; if there are any, their sizes must be given."""
+def _faults(settings: Settings, moved: bool) -> Faults:
+    """Return the jumps or gaps; if there are any, their sizes must be given."""
     count = settings.whole('count', 0, most=100_000)
-    needed = 0.0 if not count else None
-    jumps = Jumps(
-        count,
+    needed = None if count else 0.0
+    sizes = (
         settings.number('position', needed, 'm', least=0.0),
         settings.number('rotation', needed, 'rad', least=0.0, most=3.0),
-        settings.number('duration', needed, 's', least=0.0),
-    )
-    settings.done()
-    return jumps
-
-
-def _dropouts(settings: Settings) -> Dropouts:
-    """Return the gaps; if there are any, their duration must be given."""
-    count = settings.whole('count', 0, most=100_000)
-    duration = settings.number('duration', None if count else 0.0, 's', least=0.0)
-    settings.done()
-    return Dropouts(count, duration)
+    ) if moved else ()
+    return Faults(count, settings.number('duration', needed, 's', least=0.0), *sizes)
 
 
 def twist_sensor_from(settings: Settings) -> TwistSensor | None:
     """Return the twist sensor in the block 'tool.twist'; None if it is off."""
-    publish = settings.flag('publish', True)
     noise = settings.block('noise')
     sensor = TwistSensor(
         settings.choice('frame', ('world', 'tool'), 'world'),
         noise.number('linear', 0.0, 'm/s', least=0.0),
         noise.number('angular', 0.0, 'rad/s', least=0.0),
     )
-    noise.done()
-    settings.done()
-    return sensor if publish else None
+    return sensor if settings.flag('publish', True) else None
