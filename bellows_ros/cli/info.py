@@ -124,7 +124,7 @@ def parameter_file(found: 'Info') -> str:
 
     What the recording cannot tell stands there as a comment, to fill in.
     """
-    from bellows_ros.core.parameters import PARAMETERS
+    from bellows_ros.core.parameter_table import PARAMETERS
 
     from .parameters import template_with
 

@@ -13,7 +13,7 @@ from bellows_ros.errors import BellowsError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from bellows_ros.core.parameters import Parameter, Value
+    from bellows_ros.core.parameter_table import Parameter, Value
 
     from .console import Console
 
@@ -193,7 +193,8 @@ def parse_override(text: str) -> 'tuple[str, Value]':
         If there is no '=', or name or value are not allowed.
 
     """
-    from bellows_ros.core.parameters import lookup, validate
+    from bellows_ros.core.parameter_table import lookup
+    from bellows_ros.core.parameters import validate
 
     name, equals, value = (part.strip() for part in text.partition('='))
     if not (name and equals):

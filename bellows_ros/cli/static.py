@@ -19,7 +19,7 @@ from .console import Console, OK
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bellows_ros.core.parameters import Value
+    from bellows_ros.core.parameter_table import Value
     from bellows_ros.workflows.static import StaticBag, StaticResult
 
 EXAMPLES = (

@@ -448,12 +448,6 @@ NAMED_CUP = re.compile(r'cups\.([A-Za-z][A-Za-z0-9_]*)\.([a-z_]+)')
 SHORT_FORMS: Mapping[str, str] = MappingProxyType({'gravity': 'gravity.magnitude'})
 """Aliases; `lookup` returns the parameter with its full name."""
 
-# Required by both nodes, without a default.
-PACKAGE_PARAMETERS = ('package.mass', 'package.inertia', 'package.com')
-
-# Required to read a recording.
-RECORDING_PARAMETERS = ('recording.package_frame', *PACKAGE_PARAMETERS)
-
 
 def parameters_of(user: str) -> tuple[Parameter, ...]:
     """Return the parameters that 'identifier' or 'predictor' uses, in the table's order."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterable, Mapping
 import math
-from types import MappingProxyType
 from typing import Any
 
 from bellows_ros.core.arrays import Array
@@ -17,11 +16,8 @@ from bellows_ros.core.parameter_table import (
     Kind,
     lookup,
     NAMED_CUP,
-    PACKAGE_PARAMETERS,
     Parameter,
     PARAMETERS,
-    parameters_of,
-    RECORDING_PARAMETERS,
     short,
     Value,
 )
@@ -29,31 +25,17 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
+PACKAGE_PARAMETERS = ('package.mass', 'package.inertia', 'package.com')
+"""Required by both nodes, without a default."""
+
+RECORDING_PARAMETERS = ('recording.package_frame', *PACKAGE_PARAMETERS)
+"""Required to read a recording."""
+
 MOMENTS_WITHIN = 1e-3
 """How far (relative) the largest principal moment may be above the sum of the other two.
 
 The rounded figures of a thin plate's data sheet may be so.
 """
-
-__all__ = [
-    'lookup',
-    'NAMED_CUP',
-    'PACKAGE_PARAMETERS',
-    'Parameter',
-    'PARAMETERS',
-    'parameters_of',
-    'RECORDING_PARAMETERS',
-    'require',
-    'Value',
-    'inertia_matrix',
-    'matrix',
-    'require_damping',
-    'require_stiffness',
-    'resolve',
-    'short',
-    'validate',
-]
-
 
 SYMMETRIC_WITHIN = 1e-9
 """Relative difference of a matrix and its transpose that counts as rounding."""
@@ -206,18 +188,6 @@ def _to_bool(parameter: Parameter, value: object) -> Value:
     raise _refuse(parameter, short(value))
 
 
-def _to_integer(parameter: Parameter, value: object) -> Value:
-    """Return an integer in range."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise _refuse(parameter, short(value))
-    return int(_in_range(parameter, int(value), ''))
-
-
-def _to_double(parameter: Parameter, value: object) -> Value:
-    """Return a finite float in range."""
-    return _number(parameter, value, '')
-
-
 def _to_string(parameter: Parameter, value: object) -> Value:
     """Return a text, checked against the choices if there are any."""
     text = _text(parameter, value)
@@ -233,7 +203,7 @@ def _to_doubles(parameter: Parameter, value: object) -> Value:
     items = _items(parameter, value)
     if len(items) != parameter.length:
         raise _refuse(parameter, f'{len(items)} of them')
-    return tuple(_number(parameter, x, f' at index {i}') for i, x in enumerate(items))
+    return tuple(float(_number(parameter, x, f' at index {i}')) for i, x in enumerate(items))
 
 
 def _world_text(parameter: Parameter, value: object) -> str:
@@ -268,18 +238,6 @@ def _to_strings(parameter: Parameter, value: object) -> Value:
     return texts
 
 
-_CONVERTERS: Mapping[Kind, Callable[[Parameter, object], Value]] = MappingProxyType(
-    {
-        'bool': _to_bool,
-        'integer': _to_integer,
-        'double': _to_double,
-        'string': _to_string,
-        'double_array': _to_doubles,
-        'string_array': _to_strings,
-    }
-)
-
-
 def _items(parameter: Parameter, value: object) -> list[object]:
     """Return the items of a list, a tuple or a one-dimensional array."""
     if isinstance(value, np.ndarray) and value.ndim == 1:
@@ -302,16 +260,12 @@ def _text(parameter: Parameter, value: object) -> str:
     return value
 
 
-def _number(parameter: Parameter, value: object, where: str) -> float:
-    """Return a finite float in range; a truth value is no number."""
-    is_number = isinstance(value, int | float | np.integer | np.floating)
-    if isinstance(value, bool) or not is_number:
+def _number(parameter: Parameter, value: object, where: str = '') -> int | float:
+    """Return a finite number in range, a whole one if it must be; a truth value is no number."""
+    whole = parameter.kind == 'integer'
+    kinds = (int, np.integer) if whole else (int, float, np.integer, np.floating)
+    if isinstance(value, bool) or not isinstance(value, kinds):
         raise _refuse(parameter, f'{short(value)} ({type(value).__name__}){where}')
-    return float(_in_range(parameter, value, where))  # type: ignore[arg-type]
-
-
-def _in_range(parameter: Parameter, value: float, where: str) -> float:
-    """Return a finite number in the parameter's range."""
     low = -math.inf if parameter.minimum is None else parameter.minimum
     high = math.inf if parameter.maximum is None else parameter.maximum
     above = -math.inf if parameter.above is None else parameter.above
@@ -321,7 +275,13 @@ def _in_range(parameter: Parameter, value: float, where: str) -> float:
         fits = False
     if not fits:
         raise _refuse(parameter, f'{short(value)}{where}')
-    return value
+    return int(value) if whole else float(value)
+
+
+_CONVERTERS: Mapping[Kind, Callable[[Parameter, object], Value]] = {
+    'bool': _to_bool, 'integer': _number, 'double': _number, 'string': _to_string,
+    'double_array': _to_doubles, 'string_array': _to_strings,
+}
 
 
 def require(given: Mapping[str, object], required: Iterable[str]) -> None:
@@ -363,14 +323,12 @@ def _smallest_eigenvalue(name: str, values: Array) -> tuple[float, float]:
     return smallest, len(values) * float(np.finfo(np.float64).eps) * scale
 
 
-_PHYSICAL: Mapping[str, Callable[[Parameter, Value], None]] = MappingProxyType(
-    {
-        'package.inertia': lambda p, value: check_inertia(inertia_matrix(value)),
-        'cup.stiffness': lambda p, value: require_stiffness(matrix(value), p.name),
-        'cup.damping': lambda p, value: require_damping(matrix(value), p.name),
-        'gravity.direction': lambda p, value: require_direction(value),
-    }
-)
+_PHYSICAL: Mapping[str, Callable[[Parameter, Any], None]] = {
+    'package.inertia': lambda p, value: check_inertia(inertia_matrix(value)),
+    'cup.stiffness': lambda p, value: require_stiffness(matrix(value), p.name),
+    'cup.damping': lambda p, value: require_damping(matrix(value), p.name),
+    'gravity.direction': lambda p, value: require_direction(value),
+}
 
 
 def require_direction(direction: ArrayLike) -> None:

@@ -14,14 +14,8 @@ from pathlib import Path
 import textwrap
 from typing import Any
 
-from bellows_ros.core.parameters import (
-    lookup,
-    NAMED_CUP,
-    Parameter,
-    PARAMETERS,
-    validate,
-    Value,
-)
+from bellows_ros.core.parameter_table import lookup, NAMED_CUP, Parameter, PARAMETERS, Value
+from bellows_ros.core.parameters import validate
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
 

@@ -17,7 +17,7 @@ from ..core.arrays import Array
 from ..core.live import LivePredictor
 from ..core.live.health import input_status, Level, Status
 from ..core.observer import Alarm, Observer, VERDICTS, warm_up_observer
-from ..core.parameters import short
+from ..core.parameter_table import short
 
 KINDS = {
     'pose': PoseStamped, 'pose_with_covariance': PoseWithCovarianceStamped, 'odometry': Odometry,

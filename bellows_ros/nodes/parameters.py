@@ -15,7 +15,8 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
 
 from .guarding import GuardedNode
-from ..core import parameters as table
+from ..core import parameter_table as table
+from ..core.parameters import resolve, validate
 from ..errors import BellowsError
 
 Values = dict[str, Any]
@@ -173,7 +174,7 @@ class TableNode(GuardedNode):
         }
         self.given = frozenset(given)
         _require_package(given, user)
-        self.values: Values = table.resolve(given)
+        self.values: Values = resolve(given)
         self.check_values(self.values)
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -188,7 +189,7 @@ class TableNode(GuardedNode):
                         'A parameter without a name cannot be set. '
                         "'ros2 param list' shows the names.")
                 if _is_ours(parameter):
-                    table.validate(parameter.name, _as_double(parameter).value)
+                    validate(parameter.name, _as_double(parameter).value)
             return self.set_parameters_atomically(changing)
         except BellowsError as error:
             return _refused(str(error))
@@ -205,7 +206,7 @@ class TableNode(GuardedNode):
 
     def _checked(self, parameters: list[Parameter]) -> Values:
         """Return all values with some of them replaced, or raise BellowsError."""
-        new = {p.name: table.validate(p.name, p.value) for p in parameters if _is_ours(p)}
+        new = {p.name: validate(p.name, p.value) for p in parameters if _is_ours(p)}
         return {**self.values, **new}
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:

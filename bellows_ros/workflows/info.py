@@ -9,7 +9,8 @@ from typing import Any
 
 from bellows_ros import __version__
 from bellows_ros.core.lie import log_so3
-from bellows_ros.core.parameters import ESTIMATE, short
+from bellows_ros.core.parameter_table import short
+from bellows_ros.core.parameters import ESTIMATE
 from bellows_ros.core.recording.alignment import (
     in_world,
     rest_of,

@@ -4,13 +4,11 @@ from array import array
 
 from bellows_ros.core import parameters
 from bellows_ros.core.model import Cup
+from bellows_ros.core.parameter_table import lookup, PARAMETERS, parameters_of
 from bellows_ros.core.parameters import (
     inertia_matrix,
-    lookup,
     matrix,
     PACKAGE_PARAMETERS,
-    PARAMETERS,
-    parameters_of,
     RECORDING_PARAMETERS,
     resolve,
     validate,

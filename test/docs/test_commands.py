@@ -12,7 +12,7 @@ from typing import Any
 
 from bellows_ros.cli.app import COMMANDS
 from bellows_ros.core.jit import COMPILED
-from bellows_ros.core.parameters import PARAMETERS
+from bellows_ros.core.parameter_table import PARAMETERS
 import pytest
 
 from .conftest import load
