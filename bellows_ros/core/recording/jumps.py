@@ -232,20 +232,3 @@ def strength_of(look: list[Jumps]) -> Array:
     """Return how strong the stronger one of the jumps in position and rotation is (M,)."""
     result: Array = np.max([jumps.strength for jumps in look], axis=0)
     return result
-
-
-def overshadowed(strength: Array, short: list[Jumps], long: list[Jumps]) -> Mask:
-    """
-    Return where a stronger jump of like direction is near: the long look sees it there, too.
-
-    Jumps of opposite direction may follow each other at once, as at a spike of one sample.
-    """
-    directions = [
-        look[q].jump / look[q].threshold[:, None] for look in (short, long) for q in range(2)
-    ]
-    result = np.full(len(strength), False)
-    for apart in range(1, LONG_SIDE):
-        like = sum(np.sum(d[apart:] * d[:-apart], axis=1) for d in directions) > 0.0
-        result[apart:] |= like & (strength[:-apart] > strength[apart:])
-        result[:-apart] |= like & (strength[apart:] >= strength[:-apart])
-    return result

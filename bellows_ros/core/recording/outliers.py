@@ -21,7 +21,6 @@ from bellows_ros.core.recording.jumps import (
     Jumps,
     long_look,
     MEDIAN_PER_DEVIATION,
-    overshadowed,
     short_look,
     SMALLEST_JUMP,
     SMOOTH,
@@ -97,9 +96,8 @@ def edges_seen(
     """Return the jumps that may be ends of excursions, in both looks, but not those over gaps."""
     from_short, from_long = strength_of(short), strength_of(long)
     both = np.maximum(from_short, from_long)
-    peak = (both >= WEAKER) & ~overshadowed(both, short, long)
     edges = []
-    at = np.flatnonzero(certain | peak)
+    at = np.flatnonzero(certain | (both >= WEAKER))
     lasting = _lasting(poses, at)
     for k, i in enumerate(at):
         position, rotation = short if certain[i] or from_short[i] > from_long[i] else long
