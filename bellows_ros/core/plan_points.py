@@ -10,17 +10,12 @@ from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.lie import (
     apply,
-    d2exp,
-    dexp,
-    dexp_inverse,
-    exp_so3,
-    log_so3,
     quaternion_conjugate,
     quaternion_product,
     quaternion_to_rotation,
     rotation_to_quaternion,
 )
-from bellows_ros.core.resampling import resample
+from bellows_ros.core.resampling import resample, subdivided
 from bellows_ros.core.screening import LARGEST_RATE, LARGEST_SPEED, UNIT_WITHIN
 from bellows_ros.core.simulation import Rows, tool_rows, write_row
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
@@ -102,12 +97,13 @@ def rows_of(
     plan = Rows(stamps_ns, rows)
     if np.diff(stamps_ns).max() <= LONGEST_GAP_NS:
         return plan
-    if acceleration is not None and twist_frame == 'world':
-        # d/dt R^T v = R^T a - w x R^T v; the same of w is R^T alpha
-        acceleration = _in_tool_axes(quaternion_to_rotation(poses[:, 3:]), acceleration)
-    elif acceleration is not None:
-        acceleration = acceleration.copy()
-        acceleration[:, :3] += np.cross(rows[:, 10:], rows[:, 7:10])
+    if acceleration is not None:
+        R, (linear, angular) = quaternion_to_rotation(poses[:, 3:]), np.hsplit(acceleration, 2)
+        if twist_frame == 'world':
+            angular = apply(np.swapaxes(R, -1, -2), angular)
+        else:  # d/dt R v = R (dv/dt + w x v)
+            linear = apply(R, linear + np.cross(rows[:, 10:], rows[:, 7:10]))
+        acceleration = np.hstack([linear, angular])
     fine = refined(plan.trajectory(), acceleration)
     return Rows(fine.stamps_ns, tool_rows(fine))
 
@@ -154,32 +150,16 @@ def plan_of_joints(
         curve = CubicHermiteSpline(t, position, velocity)
     else:
         curve = BPoly.from_derivatives(t, np.stack([position, velocity, acceleration], axis=1))
-    index, number, parts = _inserted(stamps_ns)
-    fine = _fine_stamps(stamps_ns, index, number, parts)
+    fine, _ = _without_gaps(stamps_ns)
     at = np.clip((fine - stamps_ns[0]) / NS_PER_S, 0.0, t[-1])
-    T, twist = arm.tool(curve(at), curve(at, 1) if velocity is None or acceleration is None
-                        else curve.derivative()(at))
+    T, twist = arm.tool(curve(at), curve.derivative()(at))
     poses = rotation_to_quaternion(T[:, :3, :3])
     return plan_of(fine, T[:, :3, 3], poses, twist, twist_frame='tool', name=name)
 
 
-def _inserted(stamps_ns: Stamps) -> tuple[Stamps, Stamps, Stamps]:
-    """Return gap and number of each point when long gaps are cut, and parts of each gap."""
-    parts = -(-np.diff(stamps_ns) // LONGEST_GAP_NS)
-    index = np.repeat(np.arange(len(parts)), parts)
-    return index, np.arange(len(index)) - np.repeat(np.cumsum(parts) - parts, parts), parts
-
-
-def _fine_stamps(stamps_ns: Stamps, index: Stamps, number: Stamps, parts: Stamps) -> Stamps:
-    """Return the stamps of points with those put in."""
-    inside = stamps_ns[index] + np.diff(stamps_ns)[index] * number // parts[index]
-    return np.append(inside, stamps_ns[-1])
-
-
-def _in_tool_axes(rotation: Array, six: Array) -> Array:
-    """Return linear and angular parts (N, 6) in axes of the tool."""
-    turn = np.swapaxes(rotation, -1, -2)
-    return np.hstack([apply(turn, six[:, :3]), apply(turn, six[:, 3:])])
+def _without_gaps(stamps_ns: Stamps) -> tuple[Stamps, Stamps]:
+    """Return stamps at most `LONGEST_GAP_NS` apart, and the step that each lies in."""
+    return subdivided(stamps_ns, -(-np.diff(stamps_ns) // LONGEST_GAP_NS))
 
 
 def spline_twists(seconds: Array, position: Array, rotation: Array) -> Array:
@@ -199,6 +179,18 @@ def _near_quaternions(rotation: Array) -> Array:
     return q
 
 
+def _path(motion: Trajectory) -> tuple[Array, Array]:
+    """Return positions and quaternions (N, 7) of a motion, and their rates."""
+    q, twist = _near_quaternions(motion.rotation), np.asarray(motion.twist)
+    return np.hstack([motion.position, q]), np.hstack(
+        [apply(motion.rotation, twist[:, :3]), _spin(q, twist[:, 3:])])
+
+
+def _spin(q: Array, rate: Array) -> Array:
+    """Return the rates of quaternions (N, 4) that body rates (N, 3) make."""
+    return 0.5 * quaternion_product(q, np.pad(rate, ((0, 0), (0, 1))))
+
+
 def curve_of(motion: Trajectory) -> Any:
     """
     Return a motion as cubic Hermite polynomials in time, s since its first point.
@@ -207,11 +199,7 @@ def curve_of(motion: Trajectory) -> Any:
     """
     from scipy.interpolate import CubicHermiteSpline
 
-    q, twist = _near_quaternions(motion.rotation), np.asarray(motion.twist)
-    spin = 0.5 * quaternion_product(q, np.pad(twist[:, 3:], ((0, 0), (0, 1))))
-    return CubicHermiteSpline(
-        motion.seconds, np.hstack([motion.position, q]),
-        np.hstack([apply(motion.rotation, twist[:, :3]), spin]))
+    return CubicHermiteSpline(motion.seconds, *_path(motion))
 
 
 def body_twists(q: Array, rate: Array) -> tuple[Array, Array]:
@@ -230,48 +218,26 @@ def refined(plan: Trajectory, acceleration: Array | None = None) -> Trajectory:
     """
     Return a plan with points inserted where gaps exceed `LONGEST_GAP_NS`.
 
-    With accelerations of the tool tip and of rotation (N, 6), in tool axes, the points put in lie
-    on quintic polynomials, otherwise on cubic ones.
+    With accelerations (N, 6), of the tool tip in world axes and of rotation in its own, positions
+    and quaternions of the points put in lie on quintic polynomials, otherwise poses on cubic ones.
     """
-    index, number, parts = _inserted(plan.stamps_ns)
-    if parts.max(initial=1) == 1:
+    stamps, step = _without_gaps(plan.stamps_ns)
+    if len(stamps) == len(plan):
         return plan
-    stamps = _fine_stamps(plan.stamps_ns, index, number, parts)
     if acceleration is None:
         return resample(plan, stamps)
-    fraction = (stamps[:-1] - plan.stamps_ns[index]) / np.diff(plan.stamps_ns)[index]
-    parts_of = _quintic(plan, acceleration, index, fraction[:, None])
-    last = plan.select(slice(-1, None))
-    return Trajectory(
-        stamps, *(np.concatenate([part, end]) for part, end in zip(
-            parts_of, (last.position, last.rotation, last.twist), strict=True)))
+    path, rate = _path(plan)
+    q, squared = path[:, 3:], np.sum(np.asarray(plan.twist)[:, 3:] ** 2, axis=1)[:, None]
+    bend = np.hstack([acceleration[:, :3], _spin(q, acceleration[:, 3:]) - 0.25 * squared * q])
+    h = (np.diff(plan.stamps_ns) / NS_PER_S)[step, None]
+    s = ((stamps - plan.stamps_ns[step]) / NS_PER_S)[:, None] / h
+    value, slope = _quintic(s, *(
+        h**order * part[at] for at in (step, step + 1) for order, part in enumerate(
+            (path, rate, bend))))
+    return Trajectory(stamps, value[:, :3], *body_twists(value[:, 3:], slope / h))
 
 
 def _quintic(
-    plan: Trajectory, acceleration: Array, index: Stamps, s: Array
-) -> tuple[Array, Array, Array]:
-    """Return positions, rotations, body twists at fractions s (M, 1) of the gaps `index`."""
-    h = (np.diff(plan.stamps_ns) / NS_PER_S)[:, None]
-    R, v, w = plan.rotation, np.asarray(plan.twist)[:, :3], np.asarray(plan.twist)[:, 3:]
-    turn = log_so3(np.swapaxes(R[:-1], -1, -2) @ R[1:])
-    back = dexp_inverse(-turn)
-    rate = apply(back, w[1:])
-    bend = apply(back, acceleration[1:, 3:] + d2exp(-turn, rate, rate))
-    o_rate, o_bend = apply(R, v), apply(R, acceleration[:, :3])
-    start = np.hstack([plan.position[:-1], np.zeros_like(turn)])
-    end = np.hstack([plan.position[1:], turn])
-    value, slope = _polynomial(
-        s, start[index], (np.hstack([o_rate[:-1], w[:-1]]) * h)[index],
-        (np.hstack([o_bend[:-1], acceleration[:-1, 3:]]) * h ** 2)[index],
-        end[index], (np.hstack([o_rate[1:], rate]) * h)[index],
-        (np.hstack([o_bend[1:], bend]) * h ** 2)[index])
-    c, slope = value[:, 3:], slope / h[index]
-    rotation = R[index] @ exp_so3(c)
-    linear = apply(np.swapaxes(rotation, -1, -2), slope[:, :3])
-    return value[:, :3], rotation, np.hstack([linear, apply(dexp(-c), slope[:, 3:])])
-
-
-def _polynomial(
     s: Array, p: Array, v: Array, a: Array, p_end: Array, v_end: Array, a_end: Array
 ) -> tuple[Array, Array]:
     """Return the quintic over 0..1 with these values and derivatives, and its slope."""

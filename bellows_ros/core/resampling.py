@@ -303,9 +303,11 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
             f'{len(trajectory) / timing.rate_hz:.6g} s, but their stamps cover '
             f'{span / NS_PER_S:.6g} s. Cut the recording to the part with poses.'
         )
-    stamps = _filled(trajectory.stamps_ns, timing) if timing.uniform else _even(
-        trajectory.stamps_ns, timing
-    )
+    if timing.uniform:
+        slots = np.rint(np.diff(trajectory.stamps_ns) * (timing.rate_hz / NS_PER_S))
+        stamps = subdivided(trajectory.stamps_ns, np.maximum(slots, 1.0).astype(np.int64))[0]
+    else:
+        stamps = _even(trajectory.stamps_ns, timing)
     return resample(trajectory, stamps, timing.longest_step_ns)
 
 
@@ -336,14 +338,22 @@ def _longest_step(period: float, jitter: float) -> float:
     return GAP_PERIODS * period + GAP_DEVIATIONS * jitter
 
 
-def _filled(stamps_ns: Stamps, timing: Timing) -> Stamps:
-    """Return uniform stamps with the missing ones put in between."""
-    steps = np.diff(stamps_ns)
-    slots = np.maximum(np.rint(steps * (timing.rate_hz / NS_PER_S)), 1.0).astype(np.int64)
-    before = np.repeat(np.arange(len(steps)), slots)
-    within = np.arange(len(before)) - np.repeat(np.cumsum(slots) - slots, slots)
-    inserted = stamps_ns[before] + within * steps[before] // slots[before]
-    return np.append(inserted, stamps_ns[-1])
+def subdivided(stamps_ns: Stamps, parts: Stamps) -> tuple[Stamps, Stamps]:
+    """
+    Return stamps with more of them put in between, and the step that each lies in (M,).
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        ns.
+    parts : int array (N - 1,)
+        Into how many parts each step is cut.
+
+    """
+    last = len(parts) - 1
+    step = np.append(np.repeat(np.arange(len(parts)), parts), last)
+    number = np.arange(len(step)) - (np.cumsum(parts) - parts)[step]
+    return stamps_ns[step] + number * np.diff(stamps_ns)[step] // parts[step], step
 
 
 def _even(stamps_ns: Stamps, timing: Timing) -> Stamps:
