@@ -141,7 +141,7 @@ class Settings:
                 raise BellowsError(f"Unknown setting '{self.name(name)[:200]}'. {hint}")
         for name, block in self._blocks.items():
             if name not in ignored:
-                block.done()
+                block.done(ignored)
 
     def refuse(self, name: str, expected: str, got: object) -> BellowsError:
         """Return the error for a setting that is not what it must be."""

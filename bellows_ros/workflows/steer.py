@@ -66,7 +66,8 @@ class Motion(NamedTuple):
         }
 
 
-OF_EXCITE = ('start', 'joints', 'bending', 'torsion', 'highest_frequency', 'tracking')
+OF_EXCITE = (
+    'start', 'joints', 'rotation', 'bending', 'torsion', 'highest_frequency', 'tracking')
 """Settings in a limits file that only `bellows excite` reads."""
 
 
@@ -217,7 +218,6 @@ def read_limits(content: object) -> Limits:
     box = settings.block('workspace')
     lower, upper = (box.vector(name, 3, (size,) * 3, 'm')
                     for name, size in (('lower', -NONE), ('upper', NONE)))
-    box.done(ignored=('rotation',))
     settings.done(ignored=OF_EXCITE)
     if (lower >= upper).any():
         raise BellowsError(
