@@ -28,6 +28,7 @@ from bellows_ros.core.lie import (
     rotation_to_quaternion,
 )
 from bellows_ros.core.trajectory import (
+    any_within,
     checked_stamps,
     Filtered,
     frozen,
@@ -35,7 +36,6 @@ from bellows_ros.core.trajectory import (
     Trajectory,
     uniform_rate_hz,
     UNIFORM_WITHIN,
-    valid_windows,
 )
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -481,7 +481,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
         frozen(rotation),
         frozen(twist),
         frozen(acceleration),
-        trusted & valid_windows(trajectory.valid, half_window),
+        trusted & ~any_within(~trajectory.valid, 2 * half_window + 1),
         weights=W,
     )
 

@@ -66,11 +66,7 @@ class PoseStream:
 
     def __post_init__(self) -> None:
         """Check and freeze the arrays."""
-        of = f"Poses '{self.name}'"
-        count = _freeze_stamps(self, of)
-        _freeze(self, of, 'position', (count, 3))
-        _freeze(self, of, 'rotation', (count, 3, 3))
-        _require_rotations(self.rotation, of)
+        _freeze_arrays(self, f"Poses '{self.name}'", position=(3,), rotation=(3, 3))
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -116,10 +112,7 @@ class TwistStream:
 
     def __post_init__(self) -> None:
         """Check and freeze the arrays."""
-        of = f"Twists '{self.name}'"
-        count = _freeze_stamps(self, of)
-        _freeze(self, of, 'linear', (count, 3))
-        _freeze(self, of, 'angular', (count, 3))
+        _freeze_arrays(self, f"Twists '{self.name}'", linear=(3,), angular=(3,))
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -171,15 +164,17 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         """Check and freeze the arrays."""
-        of = 'Trajectory'
-        count = _freeze_stamps(self, of)
-        _freeze(self, of, 'position', (count, 3))
-        _freeze(self, of, 'rotation', (count, 3, 3))
-        _require_rotations(self.rotation, of)
-        for name in ('twist', 'acceleration'):
-            if getattr(self, name) is not None:
-                _freeze(self, of, name, (count, 6))
-        _freeze_mask(self, of, count)
+        _freeze_arrays(self, 'Trajectory', position=(3,), rotation=(3, 3), twist=(6,),
+                       acceleration=(6,))
+        mask = np.array(self.valid)
+        if mask.ndim == 0:
+            mask = np.full(len(self), mask)
+        if mask.shape != (len(self),) or mask.dtype != np.bool_:
+            raise BellowsError(
+                f'Trajectory: valid must be booleans of shape ({len(self)},), not {mask.dtype} '
+                f'of shape {mask.shape}.'
+            )
+        _store(self, 'valid', mask)
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -276,25 +271,10 @@ def uniform_rate_hz(stamps_ns: Stamps) -> float:
     return NS_PER_S / mean
 
 
-def valid_windows(valid: Mask, half_window: int) -> Mask:
-    """
-    Return where all samples of a full window are valid.
-
-    Parameters
-    ----------
-    valid : bool array (N,)
-        Which samples are valid.
-    half_window : int
-        Samples n on each side of the centre.
-
-    Returns
-    -------
-    bool array (N - 2n,)
-
-    """
-    invalid_before = np.concatenate([[0], np.cumsum(~valid)])
-    width = 2 * half_window + 1
-    result: Mask = invalid_before[width:] == invalid_before[:-width]
+def any_within(mask: Mask, width: int) -> Mask:
+    """Return whether any of each `width` neighbours is set (N - width + 1,)."""
+    total = np.concatenate([[0], np.cumsum(mask)])
+    result: Mask = total[width:] > total[:-width]
     return result
 
 
@@ -318,11 +298,14 @@ def checked_stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
     return stamps
 
 
-def _freeze_stamps(owner: PoseStream | TwistStream | Trajectory, of: str) -> int:
-    """Check and freeze the owner's stamps; return their number."""
-    stamps = checked_stamps(owner.stamps_ns, of)
-    _store(owner, 'stamps_ns', stamps)
-    return len(stamps)
+def _freeze_arrays(owner: Any, of: str, **shapes: tuple[int, ...]) -> None:
+    """Check and freeze the owner's stamps and arrays with so many numbers for each, if given."""
+    _store(owner, 'stamps_ns', checked_stamps(owner.stamps_ns, of))
+    for name, shape in shapes.items():
+        if getattr(owner, name) is not None:
+            _freeze(owner, of, name, (len(owner), *shape))
+    if 'rotation' in shapes:
+        _require_rotations(owner.rotation, of)
 
 
 def _freeze(owner: object, of: str, name: str, shape: tuple[int, ...]) -> None:
@@ -341,19 +324,6 @@ def _freeze(owner: object, of: str, name: str, shape: tuple[int, ...]) -> None:
             'Leave such samples out.'
         )
     _store(owner, name, array)
-
-
-def _freeze_mask(owner: Trajectory, of: str, count: int) -> None:
-    """Check the owner's mask, one value for all or for each, and store a read-only copy."""
-    mask = np.array(owner.valid)
-    if mask.ndim == 0:
-        mask = np.full(count, mask)
-    if mask.shape != (count,) or mask.dtype != np.bool_:
-        raise BellowsError(
-            f'{of}: valid must be booleans of shape ({count},), not {mask.dtype} '
-            f'of shape {mask.shape}.'
-        )
-    _store(owner, 'valid', mask)
 
 
 def frozen(array: Array | Stamps) -> Any:

@@ -1,12 +1,12 @@
 """Streams and trajectories: their checks, and what is derived from them."""
 
 from bellows_ros.core.trajectory import (
+    any_within,
     Filtered,
     PoseStream,
     Trajectory,
     TwistStream,
     uniform_rate_hz,
-    valid_windows,
 )
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -31,9 +31,8 @@ def test_a_dropout_is_no_uniform_rate():
         uniform_rate_hz(np.delete(stamps(100, 360.0), 40))
 
 
-def test_valid_windows():
-    valid = np.arange(10) != 4
-    assert_array_equal(valid_windows(valid, 1), np.abs(np.arange(1, 9) - 4) > 1)
+def test_neighbours_of_a_sample_are_found():
+    assert_array_equal(any_within(np.arange(10) == 4, 3), np.abs(np.arange(1, 9) - 4) <= 1)
 
 
 def test_seconds_and_select():

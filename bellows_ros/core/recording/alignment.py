@@ -8,7 +8,7 @@ constant rigid transformations of each body. Poses that need no such correction 
 same transformations, with the identity in them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
@@ -88,8 +88,7 @@ class Alignment:
             Without twists.
 
         """
-        rotation = _turned(markers.rotation, self.R_tool_markers_tool)
-        return _with_poses(markers, markers.position, rotation)
+        return replace(markers, rotation=frozen(markers.rotation @ self.R_tool_markers_tool))
 
     def package(self, markers: Trajectory) -> Trajectory:
         """
@@ -110,10 +109,9 @@ class Alignment:
             Without twists.
 
         """
-        rotation = _turned(markers.rotation, self.R_package_markers_lip)
-        return _with_poses(
-            markers, markers.position + apply(rotation, self.origin_to_com), rotation
-        )
+        rotation = markers.rotation @ self.R_package_markers_lip
+        position = markers.position + apply(rotation, self.origin_to_com)
+        return replace(markers, position=frozen(position), rotation=frozen(rotation))
 
 
 class MeanPose(NamedTuple):
@@ -149,8 +147,8 @@ def in_world(poses: Trajectory, R_world_recorded: Array) -> Trajectory:
     """Return recorded poses of any body in the world, by its `world_rotation`."""
     if np.array_equal(R_world_recorded, np.eye(3)):
         return poses
-    position = apply(R_world_recorded, poses.position)
-    return _with_poses(poses, position, R_world_recorded @ poses.rotation)
+    return replace(poses, position=frozen(apply(R_world_recorded, poses.position)),
+                   rotation=frozen(R_world_recorded @ poses.rotation))
 
 
 def as_recorded(package_frame: str, com: ArrayLike) -> Alignment:
@@ -169,7 +167,8 @@ def as_recorded(package_frame: str, com: ArrayLike) -> Alignment:
     Alignment
 
     """
-    return _alignment(np.eye(3), np.eye(3), np.zeros(3), package_frame, com)
+    origin_to_com = _origin_of_lip(package_frame, com) + np.asarray(com, dtype=np.float64)
+    return Alignment(np.eye(3), np.eye(3), origin_to_com, np.zeros(3))
 
 
 def aligned_at_rest(
@@ -209,13 +208,8 @@ def aligned_at_rest(
             'package topics are not exchanged.'
         )
     # (4.4) and (4.5) with A_R_E = A_R_S = I at rest (4.2), (4.3).
-    return _alignment(
-        tool.rotation.T,
-        package.rotation.T,
-        np.array([E_o_S[0], E_o_S[1], 0.0]),
-        package_frame,
-        com,
-    )
+    aside = np.array([E_o_S[0], E_o_S[1], 0.0])
+    return Alignment(tool.rotation.T, package.rotation.T, origin - aside + com, aside)  # (4.64)
 
 
 def standstill(
@@ -339,32 +333,10 @@ def require_choice(parameter: str, value: str, choices: tuple[str, ...]) -> None
         raise BellowsError(f"{parameter} must be one of {', '.join(choices)}, not '{value}'.")
 
 
-def _alignment(
-    R_tool: Array,
-    R_package: Array,
-    lateral_offset: Array,
-    package_frame: str,
-    com: ArrayLike,
-) -> Alignment:
-    """Return an alignment whose package pose is moved to S, and from there to B (4.64)."""
-    origin_to_com = _origin_of_lip(package_frame, com) - lateral_offset + np.asarray(com, float)
-    return Alignment(R_tool, R_package, origin_to_com, lateral_offset)
-
-
 def _origin_of_lip(package_frame: str, com: ArrayLike) -> Array:
     """Return where the lip's centre is, seen from the recorded origin, in axes of S."""
     require_choice('recording.package_frame', package_frame, PACKAGE_FRAMES)
     return np.zeros(3) if package_frame == 'lip' else -np.asarray(com, dtype=np.float64)
-
-
-def _with_poses(poses: Trajectory, position: Array, rotation: Array) -> Trajectory:
-    """Return other poses with the same stamps and validity."""
-    return Trajectory(poses.stamps_ns, frozen(position), frozen(rotation), valid=poses.valid)
-
-
-def _turned(rotation: Array, turn: Array) -> Array:
-    """Return rotations (N, 3, 3) times a rotation (3, 3); the same array for none."""
-    return rotation if np.array_equal(turn, np.eye(3)) else rotation @ turn
 
 
 def _near(deviation: Array) -> Mask:

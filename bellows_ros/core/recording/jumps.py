@@ -14,7 +14,7 @@ from math import sqrt
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.lie import log_so3
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.trajectory import any_within, NS_PER_S, Trajectory
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import median_filter
@@ -86,19 +86,9 @@ def short_look(increment: Array, step_ns: Stamps, gap: Mask, quantity: str) -> J
     start[-1], end[0] = -end[-1], -start[0]
     start, end = _without_acceleration(start, end, SMOOTH)
     start[-1], end[0] = end[-1], start[0]
-    jumps = _jumps(start, end, gap, SMALLEST_JUMP[quantity], _noise_gain(step_s[:, 0]))
+    jumps = _jumps(start, end, gap, SMALLEST_JUMP[quantity])
     jumps.jump[_bends(increment, jumps, gap)] = 0.0
     return jumps
-
-
-def _noise_gain(step_s: Array) -> Array:
-    """Return how noise enters the prediction over each interval, 1 where stamps are uniform."""
-    ratio = np.zeros((2, len(step_s)))  # to the interval before, to the one after
-    ratio[0, 1:] = step_s[1:] / step_s[:-1]
-    ratio[1, :-1] = step_s[:-1] / step_s[1:]
-    largest = np.max(ratio, axis=0)
-    result: Array = np.sqrt((1.0 + (1.0 + largest) ** 2 + largest**2) / 6.0)
-    return result
 
 
 def _bends(increment: Array, jumps: Jumps, gap: Mask) -> Indices:
@@ -120,18 +110,9 @@ def _bends(increment: Array, jumps: Jumps, gap: Mask) -> Indices:
 def _least_distance(before: Array, after: Array) -> Array:
     """Return the least distance between parabolas through three samples on each side (K, 3, 3)."""
     time = np.linspace(0.0, 1.0, 21)
-    ahead = _parabola(time)
-    behind = _parabola(1.0 - time)
-    apart = np.einsum('ts,ksi->kti', ahead, before) - np.einsum('ts,ksi->kti', behind, after)
-    result: Array = np.min(np.linalg.norm(apart, axis=2), axis=1)
-    return result
-
-
-def _parabola(time: Array) -> Array:
-    """Return how samples at -2, -1, 0 weigh in their parabola at other times (T, 3)."""
-    t = time[:, None]
-    first, second, third = t * (t + 1.0) / 2.0, -t * (t + 2.0), (t + 1.0) * (t + 2.0) / 2.0
-    return np.concatenate([first, second, third], axis=1)
+    through = np.linalg.inv(np.vander([-2.0, -1.0, 0.0]))  # from samples at these times
+    ahead, behind = (np.vander(t, 3) @ through for t in (time, 1.0 - time))
+    return np.asarray(np.linalg.norm(ahead @ before - behind @ after, axis=2).min(axis=1))
 
 
 def long_look(increment: Array, breaks: Mask, quantity: str) -> Jumps:
@@ -177,13 +158,6 @@ def _line_weights(count: int) -> tuple[Array, Array, Array]:
     return value, value + slope, basis[:, 2:]
 
 
-def any_within(mask: Mask, width: int) -> Mask:
-    """Return whether any of each `width` neighbours is set (N - width + 1,)."""
-    total = np.concatenate([[0], np.cumsum(mask)])
-    result: Mask = total[width:] > total[:-width]
-    return result
-
-
 def _without_acceleration(start: Array, end: Array, width: int) -> tuple[Array, Array]:
     """Subtract half the difference where it varies smoothly, since it is due to acceleration."""
     smooth = np.empty_like(start)
@@ -193,9 +167,7 @@ def _without_acceleration(start: Array, end: Array, width: int) -> tuple[Array, 
     return start + smooth, end - smooth
 
 
-def _jumps(
-    start: Array, end: Array, unseen: Mask, smallest: float, gain: Array | float = 1.0
-) -> Jumps:
+def _jumps(start: Array, end: Array, unseen: Mask, smallest: float) -> Jumps:
     """Return the least of the jumps from those at the start to those at the end of intervals."""
     change = end - start
     squared = np.sum(change**2, axis=1)
@@ -205,9 +177,8 @@ def _jumps(
     jump = start + np.clip(along, 0.0, 1.0)[:, None] * change
     jump[unseen] = 0.0
     middle = 0.5 * (start + end)
-    size = np.linalg.norm(middle, axis=1) / gain
-    threshold = np.maximum(STANDS_OUT * gain * _surroundings(size, unseen), smallest)
-    return Jumps(jump, threshold, np.median(np.abs(middle.T) / gain, axis=1))
+    usual = _surroundings(np.linalg.norm(middle, axis=1), unseen)
+    return Jumps(jump, np.maximum(STANDS_OUT * usual, smallest), np.median(np.abs(middle), axis=0))
 
 
 def _surroundings(values: Array, unseen: Mask) -> Array:

@@ -15,7 +15,6 @@ from typing import NamedTuple
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.lie import log_so3
 from bellows_ros.core.recording.jumps import (
-    any_within,
     increments_of,
     Indices,
     Jumps,
@@ -28,7 +27,7 @@ from bellows_ros.core.recording.jumps import (
     uneven,
     WEAKER,
 )
-from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory
+from bellows_ros.core.trajectory import any_within, NS_PER_S, PoseStream, Trajectory
 import numpy as np
 
 # Two jumps cancel when their sum is below this part of the larger one, ...

@@ -101,7 +101,8 @@ class FilteredStreams:
 
         """
         tool, package, tool_twist = self.recorded
-        common = _common(self.filtered, self.recorded)
+        common = _common(
+            self.filtered[0].stamps_ns, self.filtered[1].stamps_ns, (tool, package))
         longest_ns = self.streams[0].timing.longest_step_ns
         tool_there = resample(self.filtered[0], common, longest_ns)
         package_there = _at(self.filtered[1], common)
@@ -165,9 +166,9 @@ def filter_streams(
         where they should.
 
     """
-    _require_overlap(tool, package)
     turn = settings.R_world_recorded
     streams = _clean(tool, turn), _clean(package, turn)
+    _common(streams[0].poses.stamps_ns, streams[1].poses.stamps_ns, (tool, package))
     alignment = alignment or _alignment(streams, settings)
     aligned = alignment.tool(streams[0].poses), alignment.package(streams[1].poses)
     filtered = (
@@ -226,17 +227,16 @@ def _filtered(poses: Trajectory, half_window: int, order: int, name: str) -> Fil
     return savgol(poses, half_window, order)
 
 
-def _common(
-    filtered: tuple[Filtered, Filtered], recorded: tuple[PoseStream, PoseStream, Any]
-) -> Stamps:
-    """Return the package's stamps at which the filtered tool is available."""
-    tool, package = filtered
-    stamps = package.stamps_ns
-    common: Stamps = stamps[(stamps >= tool.stamps_ns[0]) & (stamps <= tool.stamps_ns[-1])]
+def _common(tool: Stamps, package: Stamps, recorded: tuple[PoseStream, PoseStream]) -> Stamps:
+    """Return the package's stamps at which the tool is known."""
+    common: Stamps = package[(package >= tool[0]) & (package <= tool[-1])]
     if not len(common):
+        covered = ', '.join(
+            f"'{stream.name}' covers {first:.3f} to {last:.3f} s" for stream in recorded
+            for first, last in (stream.stamps_ns[[0, -1]] / NS_PER_S,))
         raise BellowsError(
-            f"Topics '{recorded[0].name}' and '{recorded[1].name}' overlap by less than the "
-            'filter windows. Use smaller half windows or record longer.'
+            f'The two streams overlap by less than the filter windows: {covered}. Choose topics '
+            'of one recording, stamped by one clock, use smaller half windows, or record longer.'
         )
     return common
 
@@ -283,25 +283,6 @@ def _stream_report(stream: _Stream, filtered: Filtered) -> StreamReport:
         stream.outliers,
         int(np.count_nonzero(at_centres & ~filtered.valid)),
     )
-
-
-def _require_overlap(tool: PoseStream, package: PoseStream) -> None:
-    """Refuse streams without a common time."""
-    if not (len(tool) and len(package)):
-        return
-    first = max(tool.stamps_ns[0], package.stamps_ns[0])
-    last = min(tool.stamps_ns[-1], package.stamps_ns[-1])
-    if first >= last:
-        raise BellowsError(
-            f'The two streams do not overlap in time: {_covers(tool)}, {_covers(package)}. '
-            'Choose topics of one recording, stamped by one clock.'
-        )
-
-
-def _covers(stream: PoseStream) -> str:
-    """Return in words the time that a stream covers."""
-    first, last = (int(stamp) / NS_PER_S for stamp in stream.stamps_ns[[0, -1]])
-    return f"'{stream.name}' covers {first:.3f} to {last:.3f} s"
 
 
 def _require_some(valid: Mask, reports: list[StreamReport]) -> None:

@@ -6,12 +6,10 @@ package's motion in the world follows from both. Which of the two ways is better
 `benchmarks/relative.py`.
 """
 
-from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import adjoint, apply, inverse_transform, transform, twist_cross
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.resampling import savgol
 from bellows_ros.core.trajectory import Trajectory, uniform_rate_hz
-from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -57,11 +55,9 @@ def filtered_with_lip(
     Raises
     ------
     BellowsError
-        If the stamps differ or are not uniform, or the poses are fewer than a window.
+        If the stamps are not uniform, or the poses are fewer than a window.
 
     """
-    if not np.array_equal(tool.stamps_ns, package.stamps_ns):
-        raise BellowsError('Tool and package must have the same stamps; resample one of them.')
     lip = lip_poses(tool, package, com)
     filtered_tool, filtered_lip = savgol(tool, *tool_filter), savgol(lip, *package_filter)
     cut = max(tool_filter[0], package_filter[0])
@@ -102,8 +98,8 @@ def composed(tool: Trajectory, lip: Trajectory, com: ArrayLike) -> Trajectory:
         Centre of mass B in S, m.
 
     """
-    tool_twist, tool_rate = _derivatives(tool)
-    lip_twist, lip_rate = _derivatives(lip)
+    (tool_twist, tool_rate), (lip_twist, lip_rate) = (
+        (np.asarray(motion.twist), np.asarray(motion.acceleration)) for motion in (tool, lip))
     T_lip_com = transform(np.eye(3), np.asarray(com, dtype=float))
     T_tool_com = transform(lip.rotation, lip.position) @ T_lip_com
     T_world_com = transform(tool.rotation, tool.position) @ T_tool_com
@@ -124,10 +120,3 @@ def composed(tool: Trajectory, lip: Trajectory, com: ArrayLike) -> Trajectory:
         acceleration,
         tool.valid & lip.valid,
     )
-
-
-def _derivatives(motion: Trajectory) -> tuple[Array, Array]:
-    """Return twists and accelerations, or raise an error if there are none."""
-    if motion.twist is None or motion.acceleration is None:
-        raise BellowsError('Tool and lip need twists and accelerations; filter them first.')
-    return motion.twist, motion.acceleration

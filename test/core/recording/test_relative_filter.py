@@ -4,18 +4,12 @@ from dataclasses import replace
 
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.lie import log_so3
-from bellows_ros.core.recording.relative_filter import (
-    composed,
-    filtered_with_lip,
-    lip_poses,
-)
+from bellows_ros.core.recording.relative_filter import composed, filtered_with_lip
 from bellows_ros.core.resampling import savgol
 from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.trajectory import Trajectory
-from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
-import pytest
 
 from ..cases import ShakenTool
 from ..identification import simulated
@@ -101,13 +95,3 @@ def test_with_equal_windows_noise_does_the_same_to_both():
         one, other = (np.diag(getattr(fit, name)) for fit in (absolute, relative))
         std = np.diag(getattr(absolute, f'{name}_std'))
         assert np.all(np.abs(one - other) < 0.5 * std)
-
-
-def test_mistakes_are_named():
-    recording = simulated.record(simulated.shake(duration=2.0))
-    tool, package = recording.measured_tool, recording.measured_package
-    with pytest.raises(BellowsError, match='same stamps'):
-        filtered_with_lip(tool.select(slice(1, None)), package, COM, (3, 4), (3, 4))
-    lip = lip_poses(tool, package, COM)
-    with pytest.raises(BellowsError, match='filter them first'):
-        composed(tool, lip, COM)
