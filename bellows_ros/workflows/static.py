@@ -262,7 +262,6 @@ def read_list(path: str | os.PathLike[str]) -> list[StaticBag]:
         if 'com' in block:
             own['package.com'] = tuple(block.vector('com', 3, unit='m').tolist())
         bags.append((str(file.parent / block.text('bag')), own))
-        block.done()
     settings.done()
     return bags
 

@@ -14,7 +14,7 @@ from bellows_ros.core.recording.recording import (
     TOOL_ORDER,
 )
 from bellows_ros.core.resampling import MAD_TO_STD, resample, savgol, weights
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz, valid_windows
+from bellows_ros.core.trajectory import any_within, NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -62,7 +62,7 @@ def pose_noise(poses: Trajectory) -> PoseNoise:
         If there is no window of valid samples.
 
     """
-    good = valid_windows(poses.valid, HALF_WINDOW)
+    good = ~any_within(~poses.valid, 2 * HALF_WINDOW + 1)
     if not good.any():
         raise BellowsError(
             f'The measurement noise cannot be estimated: no {2 * HALF_WINDOW + 1} valid samples '
