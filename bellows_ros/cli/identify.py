@@ -214,7 +214,7 @@ def _identified(
 
     from bellows_ros.workflows.typical import typical
 
-    return replace(result, typical=typical(arguments.typical, plan, result))
+    return replace(result, typical=typical(plan, result))
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -90,11 +90,11 @@ def write_steering(
     last = max(float(motion.tool.seconds[-1]) for motion in report.motions.values()) + AFTER
     for name in ('as planned', report.method):
         if motion := report.motions.get(name):
-            shown = motion.seconds <= last
+            shown = motion.along.seconds <= last
             tool, wanted = motion.along.select(shown), motion.wanted.select(shown)
             states = motion.states[shown]
             views.append(View(name, Scene(
-                motion.seconds[shown], Bodies(tool.position, tool.rotation),
+                motion.along.seconds[shown], Bodies(tool.position, tool.rotation),
                 Bodies(states[:, :3], quaternion_to_rotation(states[:, 3:7])),
                 Bodies(wanted.position, wanted.rotation), com, box,
                 float(values['cup.length'])), WAY_ZOOM))

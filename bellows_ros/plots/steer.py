@@ -40,7 +40,7 @@ def steer_figure(motions: Mapping[str, Any], note: str, theme: str = 'light') ->
             z = np.clip(tool.rotation[:, :, 2] @ tool.rotation[0, :, 2], -1.0, 1.0)
             curves = (np.degrees(motion.tilt), way, np.degrees(np.arccos(z)))
             for panel, values in zip(panels, curves, strict=True):
-                seconds = motion.seconds if values is curves[0] else tool.seconds
+                seconds = motion.along.seconds if values is curves[0] else tool.seconds
                 panel.plot(seconds, values, color=colour, linewidth=1.4, label=name)
                 panel.axvline(end, color=colour, linewidth=0.8, linestyle=':')
         for panel, title in zip(panels, (

@@ -205,38 +205,32 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
     values: dict[str, Any] = resolve(settings, required)
     if values['fit.free']:
         values = _with_free(values)
-    if not values['bags']:
-        raise BellowsError(
-            'No recording is given: the parameter bags is empty. Name at least one rosbag2 '
-            'folder, or a .mcap or .db3 file.'
-        )
-    if values['static.length'] and not values['static.bags']:
-        raise BellowsError(
-            'static.length is set, but static.bags is empty: the length comes from standstills '
-            'with two or more masses. Name their recordings in static.bags.'
-        )
     if values['output.report']:
         from bellows_ros.extras import require_pictures
 
         require_pictures()
-        if len(values['bags']) > MOST_ON_A_PAGE:
-            raise BellowsError(
-                f'A report shows at most {MOST_ON_A_PAGE} recordings, got {len(values["bags"])}. '
-                'Leave the report out.'
-            )
     used = {os.path.realpath(bag) for bag in values['bags']}
     seen = [bag for bag in values['validation.bags'] if os.path.realpath(bag) in used]
-    if seen:
-        raise BellowsError(
-            f"'{seen[0]}' is both in bags and in validation.bags, but validation needs a "
-            'recording that was not used in the fit. Remove it from one.'
-        )
     missing = [name for name in PACKAGE_PARAMETERS if name not in values]
-    if values['validation.bags'] and missing:
-        raise BellowsError(
-            f'The package of validation.bags is unknown: set {", ".join(missing)} beside '
-            'package.files.'
-        )
+    for wrong, words in (
+        (not used,
+         'No recording is given: the parameter bags is empty. Name at least one rosbag2 '
+         'folder, or a .mcap or .db3 file.'),
+        (values['static.length'] and not values['static.bags'],
+         'static.length is set, but static.bags is empty: the length comes from standstills '
+         'with two or more masses. Name their recordings in static.bags.'),
+        (values['output.report'] and len(values['bags']) > MOST_ON_A_PAGE,
+         f'A report shows at most {MOST_ON_A_PAGE} recordings, got {len(values["bags"])}. '
+         'Leave the report out.'),
+        (seen,
+         f"'{', '.join(seen)}' is both in bags and in validation.bags, but validation needs a "
+         'recording that was not used in the fit. Remove it from one.'),
+        (values['validation.bags'] and missing,
+         f'The package of validation.bags is unknown: set {", ".join(missing)} beside '
+         'package.files.'),
+    ):
+        if wrong:
+            raise BellowsError(words)
     return values
 
 

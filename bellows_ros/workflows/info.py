@@ -23,14 +23,7 @@ from bellows_ros.core.resampling import timing
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, topics
 from bellows_ros.workflows.recordings import part_of
-from bellows_ros.workflows.roles import (
-    Guess,
-    likely_alone,
-    likely_pair,
-    likely_twist,
-    Pair,
-    TwistGuess,
-)
+from bellows_ros.workflows.roles import Guess, likely_alone, likely_pair, likely_twist, Pair
 import numpy as np
 
 Stream = PoseStream | TwistStream
@@ -101,8 +94,7 @@ class Info:
     path : str
     topics : tuple of TopicInfo
         By name.
-    tool, package : Guess or None
-    twist : TwistGuess or None
+    tool, package, twist : Guess or None
     rest_s : float or None
         How long both stand still at the beginning.
     settings : mapping
@@ -116,7 +108,7 @@ class Info:
     topics: tuple[TopicInfo, ...]
     tool: Guess | None
     package: Guess | None
-    twist: TwistGuess | None
+    twist: Guess | None
     rest_s: float | None
     settings: Mapping[str, Any]
     notes: tuple[str, ...]

@@ -144,7 +144,7 @@ def observed(
     turn = world_rotation(values['recording.world'], values['gravity.direction'])
     q = rotation_to_quaternion(turn @ quaternion_to_rotation(pose[3:]))
     values = {**values, 'recording.package_world': pose_text(np.append(turn @ pose[:3], q))}
-    alone, corrected = (_predictor(values) for _ in range(2))
+    alone, corrected = (live_predictor(values) for _ in range(2))
     observer = Observer(values)
     corrected.observe(observer)
     covariances = [None] * len(stream) if stream.covariance is None else stream.covariance
@@ -169,7 +169,7 @@ def observed(
         topic, prediction, compare(held, tool, package), both, counts, alarms, observer.payload)
 
 
-def _predictor(values: Mapping[str, Any]) -> LivePredictor:
+def live_predictor(values: Mapping[str, Any]) -> LivePredictor:
     """Return a predictor of the cup and the package."""
     return LivePredictor(
         cup_of(values), package_of(values), values['gravity.magnitude'],

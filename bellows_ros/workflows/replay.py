@@ -22,7 +22,7 @@ from bellows_ros.core.residuals import AXES, Comparison, Spectrum, Whiteness
 from bellows_ros.core.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import provenance
-from bellows_ros.workflows.observe import Observed, observed
+from bellows_ros.workflows.observe import live_predictor, Observed, observed
 from bellows_ros.workflows.plan import curves, NO_GRIP
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.result_json import with_units
@@ -272,10 +272,9 @@ def predicted_live(
 
     """
     messages = tool_messages(recording, values)
-    cup, package, gravity = cup_of(values), package_of(values), values['gravity.magnitude']
-    model = cup, package, gravity, values['tool_twist.frame']
-    warm_up(*model)
-    live = LivePredictor(*model)
+    warm_up(cup_of(values), package_of(values), values['gravity.magnitude'],
+            values['tool_twist.frame'])
+    live = live_predictor(values)
     start = time.perf_counter()
     predicted = predictions(live, messages, tell)
     took = time.perf_counter() - start

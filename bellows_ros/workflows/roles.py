@@ -41,11 +41,14 @@ class Guess:
     topic : str
     why : tuple of str
         What speaks for it.
+    frame : str
+        Of a twist the value of tool_twist.frame that agrees with the poses.
 
     """
 
     topic: str
     why: tuple[str, ...]
+    frame: str = ''
 
 
 @dataclass(frozen=True)
@@ -71,21 +74,6 @@ class Pair:
     world: str
     distance: float
     score: float
-
-
-@dataclass(frozen=True)
-class TwistGuess(Guess):
-    """
-    A topic with the tool's twist.
-
-    Parameters
-    ----------
-    frame : str
-        Value of tool_twist.frame that agrees with the poses.
-
-    """
-
-    frame: str
 
 
 def likely_pair(poses: Mapping[str, PoseStream]) -> Pair | None:
@@ -172,7 +160,7 @@ def _hanging(tool: PoseStream, apart: Array) -> tuple[str, bool]:
     return (world if below else 'z_up'), bool(below)
 
 
-def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> TwistGuess | None:
+def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> Guess | None:
     """
     Return the topic whose velocity matches the tool's poses; None without any.
 
@@ -183,11 +171,11 @@ def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> TwistGu
     error, frame, name = min(fitting, default=(np.inf, '', ''))
     if error < SAME_WITHIN:
         why = f'in {frame} axes it moves the tool as the poses do, to {100 * error:.1f} %'
-        return TwistGuess(name, (why,), frame)
+        return Guess(name, (why,), frame)
     for name, twist in twists.items():
         if compared[name] is None and np.mean(np.isin(twist.stamps_ns, tool.stamps_ns)) > 0.5:
             why = 'it has the stamps of the tool, which moves too little to determine its axes'
-            return TwistGuess(name, (why,), 'world')
+            return Guess(name, (why,), 'world')
     return None
 
 

@@ -42,11 +42,6 @@ class Motion(NamedTuple):
     """RMS of the remaining swing over the uncertainty of cup and package, rad."""
 
     @property
-    def seconds(self) -> Array:
-        """Times (N,), s."""
-        return self.along.seconds
-
-    @property
     def tilt(self) -> Array:
         """Turn of the package (N,) from the pose that is wanted, rad."""
         R = quaternion_to_rotation(self.states[:, 3:7])

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-import os
 from typing import Any
 
 from bellows_ros.core.arrays import Array
@@ -85,16 +84,12 @@ class Typical:
         }
 
 
-def typical(
-    path: str | os.PathLike[str], source: Source, found: Identification
-) -> Typical:
+def typical(source: Source, found: Identification) -> Typical:
     """
     Return the accuracy of predictions along a plan.
 
     Parameters
     ----------
-    path : path
-        Where the plan was read.
     source : Source
         The plan, as `workflows.plan.read_plan` returns it.
     found : Identification
@@ -138,6 +133,6 @@ def typical(
         lambda each: np.sqrt(np.mean(each**2)), np.max))
     total = float(alone.sum()) or 1.0
     return Typical(
-        os.fspath(path), (rms[0], most[0]), (rms[1], most[1]),
+        source.path, (rms[0], most[0]), (rms[1], most[1]),
         {fit.labels[i]: float(alone[i]) / total for i in order},
         tuple(label for label, sure in zip(fit.labels, known, strict=True) if not sure))

@@ -24,20 +24,18 @@ def found(root):
 
 @pytest.fixture(scope='module')
 def plan(root, found):
-    path = root / 'bags/transport.yaml'
-    return path, read_plan(path, resolve(found.cup_values()))
+    return read_plan(root / 'bags/transport.yaml', resolve(found.cup_values()))
 
 
 def test_is_the_spread_of_predictions_with_drawn_cups(found, plan):
     """Draw K and P with their correlations, and simulate plainly."""
-    path, source = plan
-    accuracy = typical(path, source, found)
+    accuracy = typical(plan, found)
     fit, structure = found.fit, structure_named(found.fit.structure)
     x = structure.parameters(fit.stiffness, fit.damping)
     package, rng = package_of(found.cup_values()), np.random.default_rng(3)
     draws = rng.multivariate_normal(x, fit.covariance, 150)
     positions = np.array([
-        simulate(Cup(*structure.matrices(each), found.cup_length), package, source.tool).position
+        simulate(Cup(*structure.matrices(each), found.cup_length), package, plan.tool).position
         for each in draws])
     spread = np.sqrt(np.var(positions, axis=0).sum(axis=1))
     # of 150 draws of mainly one number a standard deviation is known to 6 %
@@ -54,7 +52,7 @@ def test_says_what_to_record_again(found, plan):
     covariance[i], covariance[:, i] = 0.0, 0.0
     covariance[i, i] = np.inf
     less = replace(found, fit=replace(fit, covariance=covariance))
-    accuracy, before = typical(*plan, less), typical(*plan, found)
+    accuracy, before = typical(plan, less), typical(plan, found)
     assert accuracy.unknown == ('K rx',) and next(iter(accuracy.shares)) == 'K rx'
     assert accuracy.position[0] > 20.0 * before.position[0]
     assert 'record tilts of the tool at 1 to 4 Hz again' in accuracy.sentence
