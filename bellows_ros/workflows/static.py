@@ -90,13 +90,9 @@ class StaticResult:
         """Return the content of a JSON file, in SI units."""
         return with_units({
             'nominal_length': self.length and {
-                **attributes(
-                    self.length, 'length', 'length_std', 'text', 'chi2', 'linear_length',
-                    'linear_length_std', 'stiffness', 'linear_load', 'loads', 'lengths',
-                    'coefficients'),
-                'degrees_of_freedom': self.length.freedom,
+                **vars(self.length), **attributes(self.length, 'text'),
                 'units': {
-                    'stiffness': 'N/m',
+                    'stiffness': 'N/m', 'errors': 'm',
                     'coefficients': ['m', 'm/N', 'm/N^2', 'm/N^3'][:len(self.length.coefficients)],
                 },
             },

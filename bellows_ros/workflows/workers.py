@@ -48,8 +48,13 @@ def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
                     yield number, result
         except BrokenProcessPool:
             # One of those begun has ended its process; in a pool of its own it ends no other.
-            for number in (number for number in begun if number in left):
-                yield _alone(joblib, task, left.pop(number))
+            for item in (left.pop(number) for number in begun if number in left):
+                try:
+                    yield from _in_pool(joblib, 2, task, [item])
+                except BrokenProcessPool:
+                    yield item[0], Failed(
+                        item[1], 'the process that read it was ended from outside, twice. If '
+                        'memory was short, take fewer jobs, or a shorter recording.')
 
 
 def _in_pool(
@@ -97,19 +102,6 @@ def _noted(work: Iterable[Work], begun: list[int]) -> Iterator[Work]:
         yield item
 
 
-def _alone(joblib: Any, task: Task, item: Work) -> Outcome:
-    """Return the result of a process that has no other work."""
-    try:
-        (result,) = _in_pool(joblib, 2, task, [item])
-        return result
-    except BrokenProcessPool:
-        number, bag, _ = item
-        return number, Failed(
-            bag, 'the process that read it was ended from outside, twice. If memory was '
-            'short, take fewer jobs, or a shorter recording.'
-        )
-
-
 def _tried(task: Task, number: int, bag: str, values: Mapping[str, Any], **more: Any) -> Outcome:
     """Return the result of a task on a recording, or the reason of any failure."""
     try:
@@ -145,7 +137,15 @@ def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]
             for number, bag, own in work
         ]
         for future, (number, bag, _) in zip(futures, work, strict=True):
-            yield _result_of(future, number, bag, address)
+            try:
+                result: Outcome = future.result()
+            except Exception as error:  # noqa: BLE001 (a worker can raise whatever it likes)
+                if future.status != 'error':
+                    raise BellowsError(
+                        f"The Dask scheduler at '{address}' was lost during the work. See in its "
+                        'log why, start it again, and repeat the command.') from None
+                result = _broken(number, bag, error)
+            yield result
             future.release()
 
 
@@ -153,20 +153,6 @@ async def _reach(distributed: Any, address: str) -> None:
     """Connect to a scheduler, and close the connection."""
     comm = await distributed.comm.connect(address, timeout=ANSWER_WITHIN)
     await comm.close()
-
-
-def _result_of(future: Any, number: int, bag: str, address: str) -> Outcome:
-    """Return the result of a Dask worker, or the error; raise if Dask is gone."""
-    try:
-        result: Outcome = future.result()
-    except Exception as error:  # noqa: BLE001 (a worker can raise whatever it likes)
-        if future.status == 'error':
-            return _broken(number, bag, error)
-        raise BellowsError(
-            f"The Dask scheduler at '{address}' was lost during the work. See in its log why, "
-            'start it again, and repeat the command.'
-        ) from None
-    return result
 
 
 def _imported(module: str, extra: str, option: str) -> Any:
