@@ -1,6 +1,6 @@
 """Data of pictures of a recording: motion, spectra, loads against deflections, predictions."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 import os
 from typing import Any, TypeVar
@@ -16,11 +16,9 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.residuals import interpolated, relative_coordinates, score, spectrum
 from bellows_ros.core.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
-from bellows_ros.workflows.recordings import load, NO_INERTIA
+from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress
 from bellows_ros.workflows.replay import Live, Margins, predicted_live, validated
 import numpy as np
-
-Progress = Callable[[str, float], None]
 
 SPECTRUM_SECONDS = 4.0  # of a segment: lines of 0.25 Hz
 NOT_SAMPLES = {'smallest', 'least', 'stiffness', 'motion', 'live', 'cup_length', 'com', 'box',

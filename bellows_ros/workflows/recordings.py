@@ -1,6 +1,6 @@
 """Read a recording and prepare it according to its parameters."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 import os
@@ -29,6 +29,9 @@ from bellows_ros.files.bag_folder import digests, recording_digest
 from bellows_ros.files.bags import read_contents
 from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the part (0 to 1) that is done."""
 
 NO_OFFSET = (
     'The time offset between tool and package is not identifiable from this recording; its '

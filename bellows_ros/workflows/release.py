@@ -1,6 +1,6 @@
 """Identify a valve from recordings of tosses: delay, tau, blow-off, and their scatter."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 import os
@@ -18,7 +18,7 @@ from bellows_ros.errors import UndeterminedError
 from bellows_ros.files.bags import messages_of
 from bellows_ros.files.messages import BOOL, decode_bool
 from bellows_ros.workflows.identify import resolved
-from bellows_ros.workflows.recordings import load, values_of_each
+from bellows_ros.workflows.recordings import load, Progress, values_of_each
 from bellows_ros.workflows.result_json import with_units
 import numpy as np
 
@@ -111,7 +111,7 @@ class ReleaseResult:
 
 def identify_release(
     settings: Mapping[str, object],
-    progress: Callable[[str, float], None] = lambda what, part: None,
+    progress: Progress = lambda what, part: None,
 ) -> ReleaseResult:
     """
     Identify the valve from the tosses in the recordings that the parameter `bags` names.

@@ -1,6 +1,6 @@
 """Predict a recording with a cup, and rate the cup."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import os
 import time
@@ -24,11 +24,9 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import provenance
 from bellows_ros.workflows.observe import live_predictor, Observed, observed
 from bellows_ros.workflows.plan import curves, NO_GRIP
-from bellows_ros.workflows.recordings import load
+from bellows_ros.workflows.recordings import load, Progress
 from bellows_ros.workflows.result_json import with_units
 import numpy as np
-
-Progress = Callable[[str, float], None]
 
 SHOWN = 3
 """Validity ranges named in a warning."""

@@ -1,6 +1,6 @@
 """An existing fit, with its recordings read again for a page."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 import os
 from typing import Any
 
@@ -8,7 +8,7 @@ from bellows_ros.core.envelope import Envelope, FIELDS
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.files.bag_folder import digests
-from bellows_ros.workflows.recordings import load, values_of_each
+from bellows_ros.workflows.recordings import load, Progress, values_of_each
 from bellows_ros.workflows.replay import Replay, validated
 
 INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -16,8 +16,7 @@ INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def read_again(
-    content: Mapping[str, Any], validation: Sequence[str | os.PathLike[str]],
-    progress: Callable[[str, float], None],
+    content: Mapping[str, Any], validation: Sequence[str | os.PathLike[str]], progress: Progress
 ) -> tuple[list[Recording], list[Replay]]:
     """
     Return the recordings of a fit, read again, and others simulated with its cup.

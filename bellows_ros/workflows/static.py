@@ -1,6 +1,6 @@
 """Static recordings: the cup's nominal length, and a check of its spring."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path
@@ -21,11 +21,9 @@ from bellows_ros.core.settings import Settings
 from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import write_parameters
-from bellows_ros.workflows.recordings import load, NO_INERTIA, values_of_static
+from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress, values_of_static
 from bellows_ros.workflows.result_json import attributes, with_units
 import numpy as np
-
-Progress = Callable[[str, float], None]
 
 StaticBag = tuple[str, Mapping[str, Any]]
 """A recording, and the parameters that hold for it alone, such as its package."""

@@ -190,9 +190,9 @@ def toss_plan(
             'plan in a world with z up.')
     progress('following the plan')
     held = Held(source.model, source.grip, source.tool)
-    asked = None if switched is None else toss(held, release, switched)
-    found = None
+    asked = found = None
     if target is not None:
+        asked = None if switched is None else toss(held, release, switched)
         wanted = None if target_rotation is None else quaternion_to_rotation(target_rotation)
         found = aim(held, release, target, wanted)
         switched = found.switched
@@ -204,5 +204,4 @@ def toss_plan(
     if monte_carlo:
         progress(f'drawing {monte_carlo} tosses')
     drawn = draw(case, nominal, monte_carlo) if monte_carlo else None
-    return TossResult(
-        source, case, held, nominal, parts, found, asked if found else None, target, drawn)
+    return TossResult(source, case, held, nominal, parts, found, asked, target, drawn)
