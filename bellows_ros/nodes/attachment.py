@@ -14,7 +14,7 @@ from .conversions import stamp_to_ns
 from .guarding import GuardedNode
 from .tool_inputs import SensorInput
 from ..core.live.health import Status, vacuum_status
-from ..core.live.vacuum import PressureSwitch, why_no_pressure
+from ..core.live.vacuum import is_held, why_no_pressure
 
 
 class Attachment:
@@ -68,7 +68,7 @@ class Attachment:
 
     def set_values(self, values: Mapping[str, Any]) -> None:
         """Take other thresholds."""
-        self._switch = PressureSwitch(values['vacuum.attach_below'], values['vacuum.detach_above'])
+        self._values = values
 
     def _answer(
         self, held: bool, words: str, request: Trigger.Request, response: Trigger.Response
@@ -95,7 +95,7 @@ class Attachment:
             self._refused[reason] += 1
         else:
             self._hear(pressure)
-            self._follow(self._switch.held(pressure, bool(self._said)))
+            self._follow(is_held(pressure, bool(self._said), self._values))
 
     def _follow(self, held: bool) -> None:
         """Follow the vacuum when it changes; a node that is not active yet does so once it is."""

@@ -248,7 +248,7 @@ def test_safety_factor_is_published_and_follows_the_vacuum(
         assert heard[-1].header.frame_id == 'cup_lip'
         assert listener.sees('load', OK, 'Within all known limits.')
         breathe(25e3)
-        assert listener.sees('load', WARN, 'below safety.least, 1.5: move slower')
+        assert listener.sees('load', WARN, 'below safety.least, 1.5. Move slower')
         breathe(15e3)
         assert listener.sees('load', ERROR, 'below 1: the cup lets go')
         assert listener.value('load', 'limited by') in ('peel', 'slip')

@@ -84,8 +84,12 @@ def number(value: float) -> str:
 
 def input_status(name: str, seen: InputSeen, optional: bool = False) -> Status:
     """Return the line on an input; one that is optional may be absent."""
-    level, message = _judge_input(seen, optional)
-    values = {
+    return Status(name, *_judge_input(seen, optional), _values(seen))
+
+
+def _values(seen: InputSeen) -> dict[str, str]:
+    """Return the numbers of an input."""
+    return {
         'topic': seen.topic,
         'publishers': str(seen.publishers),
         'rate (Hz)': number(seen.rhythm.rate_hz),
@@ -96,7 +100,17 @@ def input_status(name: str, seen: InputSeen, optional: bool = False) -> Status:
         'silent for (s)': number(seen.silent),
         **{f'refused: {reason}': str(count) for reason, count in seen.total_refused.items()},
     }
-    return Status(name, level, message, values)
+
+
+def _listed(counts: Mapping[str, int]) -> str:
+    """Return what has been counted, as words."""
+    return ', '.join(f'{count} {reason}' for reason, count in counts.items() if count)
+
+
+def _refusals(seen: InputSeen) -> str:
+    """Return how many messages were refused since the last report, and why."""
+    refused, of = sum(seen.refused.values()), seen.rhythm.messages
+    return f'{refused} of {of} messages refused: {_listed(seen.refused)}'
 
 
 def _judge_input(seen: InputSeen, optional: bool) -> tuple[Level, str]:
@@ -104,15 +118,9 @@ def _judge_input(seen: InputSeen, optional: bool) -> tuple[Level, str]:
     lowest = Level.WARN if optional else Level.ERROR
     if seen.rhythm.messages == 0:
         return _judge_silence(seen, optional, lowest)
-    refused = {reason: count for reason, count in seen.refused.items() if count}
+    refused = sum(seen.refused.values())
     if refused:
-        total = sum(refused.values())
-        listed = ', '.join(f'{count} {reason}' for reason, count in refused.items())
-        all_of_them = total >= seen.rhythm.messages
-        return (
-            lowest if all_of_them else Level.WARN,
-            f'{total} of {seen.rhythm.messages} messages refused: {listed}.',
-        )
+        return lowest if refused >= seen.rhythm.messages else Level.WARN, f'{_refusals(seen)}.'
     if seen.mismatch:
         return Level.WARN, _mismatch_message(seen.topic, seen.mismatch)
     age = seen.rhythm.age.p50
@@ -173,11 +181,7 @@ def vacuum_status(name: str, seen: InputSeen, held: bool, speaks_once: bool) -> 
 
     One that speaks once, when it changes, may be silent from its first word on.
     """
-    values = {
-        'topic': seen.topic, 'publishers': str(seen.publishers), 'held': str(held).lower(),
-        'rate (Hz)': number(seen.rhythm.rate_hz), 'silent for (s)': number(seen.silent),
-        **{f'refused: {reason}': str(count) for reason, count in seen.total_refused.items()},
-    }
+    values = _values(seen) | {'held': str(held).lower()}
     return Status(name, *_judge_vacuum(seen, held, speaks_once), values)
 
 
@@ -192,13 +196,8 @@ def _judge_vacuum(seen: InputSeen, held: bool, speaks_once: bool) -> tuple[Level
             f'Nobody publishes {seen.topic}: {counts}. Start the driver, remap the topic, or set '
             'vacuum.signal to none.'
         )
-    refused = {reason: count for reason, count in seen.refused.items() if count}
-    if refused:
-        listed = ', '.join(f'{count} {reason}' for reason, count in refused.items())
-        return lost, (
-            f'{sum(refused.values())} of {seen.rhythm.messages} messages refused: {listed}; '
-            f'{counts}. Publish the absolute pressure, Pa.'
-        )
+    if any(seen.refused.values()):
+        return lost, f'{_refusals(seen)}; {counts}. Publish the absolute pressure, Pa.'
     if not math.isfinite(seen.silent):
         return Level.WARN, f'No word from {seen.topic} so far: {counts}.'
     if not (seen.rhythm.messages or speaks_once):
@@ -245,13 +244,12 @@ def _judge_prediction(seen: PredictionSeen) -> tuple[Level, str]:
     """Return level and words on the prediction."""
     if seen.state != 'active':
         return Level.OK, f'{seen.state.capitalize()}: nothing is published.'
-    restarts = {reason: count for reason, count in seen.restarts.items() if count}
-    if 'no_equilibrium' in restarts:
+    if seen.restarts.get('no_equilibrium'):
         return Level.ERROR, 'The cup cannot hold the package at rest: nothing is published.'
-    if 'failure' in restarts:
-        return Level.ERROR, f'{restarts["failure"]} callbacks failed: see the log, and report it.'
+    if failures := seen.restarts.get('failure'):
+        return Level.ERROR, f'{failures} callbacks failed: see the log, and report it.'
     if seen.phase == 'lost':
-        return Level.ERROR, PHASE_MESSAGES['lost']
+        return Level.ERROR, PHASE_MESSAGES[seen.phase]
     if seen.above:
         return Level.ERROR, (
             'The package is above the tool: z of the tool points down, but must point from the '
@@ -260,9 +258,8 @@ def _judge_prediction(seen: PredictionSeen) -> tuple[Level, str]:
         )
     if seen.phase in ('coasting', 'settling'):
         return Level.WARN, PHASE_MESSAGES[seen.phase]
-    if restarts:
-        listed = ', '.join(f'{count} {reason}' for reason, count in restarts.items())
-        return Level.WARN, f'Started afresh from rest: {listed}.'
+    if restarts := _listed(seen.restarts):
+        return Level.WARN, f'Started afresh from rest: {restarts}.'
     if seen.twist_verdict in TWIST_MESSAGES:
         return Level.WARN, TWIST_MESSAGES[seen.twist_verdict]
     if not seen.covariance_known:
@@ -287,33 +284,20 @@ def load_status(
             math.nan if away is None else away.value),
         'largest bending (rad)': number(bending),
     }
-    known = limits_known or envelope_known
-    return Status(name, *_judge_load(safety, least, away, bending, known), values)
-
-
-def _judge_load(
-    safety: Safety | None, least: float, away: Distance | None, bending: float, known: bool
-) -> tuple[Level, str]:
-    """Return level and words on the cup's load."""
+    level, message = Level.OK, 'Within all known limits.'
     if safety is not None and safety.factor < least:
-        finding = f'The safety factor of the grip is {safety.factor:.2f} ({safety.mode}), '
-        if safety.factor < 1.0:
-            return Level.ERROR, (
-                f'{finding}below 1: the cup lets go. Move slower, or raise the vacuum.'
-            )
-        return Level.WARN, (
-            f'{finding}below safety.least, {least:g}: move slower, or raise the vacuum.'
-        )
-    if bending > STRONGEST_BENDING:
-        return Level.WARN, (
-            f'The cup bends by {bending:.2g} rad, where its restoring moment hardly grows.'
-        )
-    if away is not None and away.outside:
-        return Level.WARN, away.text
-    if not known:
-        return Level.OK, (
-            'The limits of the cup are unknown. Set cup.lip_radius with vacuum.holding, '
-            'cup.max_force, cup.max_moment and envelope.*.'
-        )
-    seen = safety is not None or away is not None
-    return Level.OK, 'Within all known limits.' if seen else 'No load: no package is held.'
+        level = Level.ERROR if safety.factor < 1.0 else Level.WARN
+        below = '1: the cup lets go' if safety.factor < 1.0 else f'safety.least, {least:g}'
+        message = (f'The safety factor of the grip is {safety.factor:.2f} ({safety.mode}), below '
+                   f'{below}. Move slower, or raise the vacuum.')
+    elif bending > STRONGEST_BENDING:
+        level, message = Level.WARN, (
+            f'The cup bends by {bending:.2g} rad, where its restoring moment hardly grows.')
+    elif away is not None and away.outside:
+        level, message = Level.WARN, away.text
+    elif not (limits_known or envelope_known):
+        message = ('The limits of the cup are unknown. Set cup.lip_radius with vacuum.holding, '
+                   'cup.max_force, cup.max_moment and envelope.*.')
+    elif safety is None and away is None:
+        message = 'No load: no package is held.'
+    return Status(name, level, message, values)

@@ -140,12 +140,7 @@ class Load:
     @property
     def limits_known(self) -> bool:
         """Whether any limit of the cup is known."""
-        return self.grip_known or self._max_force > 0.0 or self._max_moment > 0.0
-
-    @property
-    def grip_known(self) -> bool:
-        """Whether lip radius and vacuum are known."""
-        return self.grip is not None
+        return self.grip is not None or self._max_force > 0.0 or self._max_moment > 0.0
 
     def hear(self, pressure: float | None) -> None:
         """Store the absolute pressure (Pa) in the cup, if it is measured."""

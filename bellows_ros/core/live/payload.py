@@ -99,19 +99,15 @@ def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
         with np.errstate(all='ignore'):
             model = model_tuple(cup, package, gravity)
             modes = modes_of(system_matrix(model))
-            return Prepared(model, largest_step(model), _reach(model), modes)
+            softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
+            sag = package.mass * math.hypot(*model[2]) / softest
+            reach = CUP_LENGTHS * cup.length + SAGS * sag
+            return Prepared(model, largest_step(model), reach, modes)
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(
             f'The prediction fails with this cup and package ({error}). Check package.mass, '
             'package.inertia, cup.stiffness, cup.damping and their units.'
         ) from None
-
-
-def _reach(model: ModelTuple) -> float:
-    """Return the largest plausible displacement (m) of the lip."""
-    cup, package, gravity = model
-    softest = float(np.linalg.eigvalsh(np.reshape(cup[2][0], (3, 3)))[0])
-    return CUP_LENGTHS * cup[1] + SAGS * package[0] * math.hypot(*gravity) / softest
 
 
 class Sample(NamedTuple):
@@ -136,6 +132,8 @@ class LivePayload:
     ----------
     outcome : str
         What went wrong in the last call: 'diverged', 'no_equilibrium', or nothing.
+    sample : Sample or None
+        The newest, from which the package can be advanced.
     observer : Observer or None
         Corrects it, once its pose has been measured.
 
@@ -146,7 +144,7 @@ class LivePayload:
         self._gravity = gravity
         self.settling = Settling()
         self.observer: Observer | None = None
-        self._sample: Sample | None = None
+        self.sample: Sample | None = None
         self._coasted: Sample | None = None
         self.set_model(cup, package)
         self.forget()
@@ -156,21 +154,11 @@ class LivePayload:
         """The model as the kernels take it."""
         return self._model if self.observer is None else self.observer.model
 
-    @property
-    def sample(self) -> Sample | None:
-        """The newest sample of tool and package."""
-        return self._sample
-
-    @property
-    def is_held(self) -> bool:
-        """Whether the package has a state from which it can be advanced."""
-        return self._sample is not None
-
     def set_model(self, cup: Cup, package: Package) -> None:
         """Go on with another cup or package; pose and motion stay as they are."""
         self._model, self._longest_step, self._reach, modes = prepared(
             cup, package, self._gravity)
-        self.settling.set_modes(modes)
+        self.settling.modes = modes
         self._retry_ns = -1
         if self.observer is not None:
             self.observe(self.observer)
@@ -179,21 +167,21 @@ class LivePayload:
         """Let an observer correct the package from now on."""
         self.observer = observer
         observer.set_model(self._model, self._longest_step, self._reach)
-        if self._sample is not None:
-            observer.start(*self._sample)
+        if self.sample is not None:
+            observer.start(*self.sample)
 
     def see(self, seen: Measurement) -> None:
         """Correct the package with a measured pose."""
-        observer, sample = self.observer, self._sample
+        observer, sample = self.observer, self.sample
         if observer is not None and not observer.see(seen) and sample is not None:
-            self._sample = Sample(sample.stamp_ns, sample.tool, observer.body)
+            self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
             self._coasted = None
 
     def forget(self, is_another: bool = True) -> None:
         """Restart from rest at the next tool sample, with the same or another package."""
         if self.observer is not None:
             self.observer.forget(is_another)
-        self._sample = self._coasted = None
+        self.sample = self._coasted = None
         self.settling.forget()
         self._retry_ns = -1
         self.outcome = ''
@@ -214,7 +202,7 @@ class LivePayload:
         """
         self._coasted = None
         self.outcome = ''
-        last = self._sample
+        last = self.sample
         if last is None:
             return self._start(stamp_ns, now)
         result = self._advanced(
@@ -223,7 +211,7 @@ class LivePayload:
             self.outcome = 'diverged'
             return self._start(stamp_ns, now)
         body, (force, moment) = result
-        self._sample = Sample(stamp_ns, now, body)
+        self.sample = Sample(stamp_ns, now, body)
         unsettled = self.settling.follow(stamp_ns, now)
         known = None if self.observer is None else partial(self.observer.covariance, stamp_ns)
         return Prediction(stamp_ns, *body, force, moment, now, False, unsettled, known)
@@ -234,7 +222,7 @@ class LivePayload:
 
         Returns None when there is nothing to go on from.
         """
-        base = self._coasted or self._sample
+        base = self._coasted or self.sample
         if base is None or stamp_ns <= base.stamp_ns:
             return None
         duration = (stamp_ns - base.stamp_ns) * 1e-9
@@ -271,26 +259,21 @@ class LivePayload:
 
     def _start(self, stamp_ns: int, tool: State) -> Prediction | None:
         """Let the package hang at rest from the tool, if it can."""
-        self._sample = None
-        is_due = stamp_ns >= self._retry_ns
-        body = self._rest(tool) if is_due else None
-        if body is None:
-            self._retry_ns = stamp_ns + RETRY_NS if is_due else self._retry_ns
-            self.outcome = 'no_equilibrium'
+        self.sample = None
+        outcome, self.outcome = self.outcome, 'no_equilibrium'
+        if stamp_ns < self._retry_ns:
             return None
-        force, moment = lip_wrench(self.model, (tool[0], tool[1], ZERO, ZERO), body)
-        self._sample = Sample(stamp_ns, tool, body)
-        if self.observer is not None:
-            self.observer.start(*self._sample)
-        self.settling.begin(stamp_ns, tool)
-        return Prediction(stamp_ns, *body, force, moment, tool, False, self.settling.now)
-
-    def _rest(self, tool: State) -> State | None:
-        """Return the package at rest, or None if there is no finite equilibrium."""
+        self._retry_ns = stamp_ns + RETRY_NS
         try:
             body = static_equilibrium(self.model, tool)
-            wrench = lip_wrench(self.model, (tool[0], tool[1], ZERO, ZERO), body)
+            force, moment = lip_wrench(self.model, (tool[0], tool[1], ZERO, ZERO), body)
         except (BellowsError, ArithmeticError, ValueError):
             return None
-        sound = all(map(math.isfinite, (*body[0], *body[1], *wrench[0], *wrench[1])))
-        return body if sound else None
+        if not all(map(math.isfinite, (*body[0], *body[1], *force, *moment))):
+            return None
+        self.outcome, self._retry_ns = outcome, -1
+        self.sample = Sample(stamp_ns, tool, body)
+        if self.observer is not None:
+            self.observer.start(*self.sample)
+        self.settling.begin(stamp_ns, tool)
+        return Prediction(stamp_ns, *body, force, moment, tool, False, self.settling.now)

@@ -76,6 +76,8 @@ class LivePredictor:
     ----------
     attached : bool
         Whether the cup holds the package; without it nothing is predicted.
+    arrival_ns : int or None
+        Arrival of the newest accepted pose; None before the first.
     flight : Flight or None
         Follows the package after the valve, where one is set.
     poses_in, twists_in, predictions, twists_estimated, coasted : int
@@ -123,7 +125,7 @@ class LivePredictor:
 
     def _forget_arrivals(self) -> None:
         """Forget when poses came."""
-        self._arrival_ns: int | None = None
+        self.arrival_ns: int | None = None
         self._period_ns = self._pause_ns = 0
 
     # ------------------------------------------------------------------ state
@@ -132,11 +134,6 @@ class LivePredictor:
     def model(self) -> ModelTuple:
         """The model as the kernels take it."""
         return self._package.model
-
-    @property
-    def arrival_ns(self) -> int | None:
-        """Arrival of the newest accepted pose; None before the first."""
-        return self._arrival_ns
 
     @property
     def frame_id(self) -> str:
@@ -197,25 +194,25 @@ class LivePredictor:
             return 'detached'
         if self.flight is not None and self.flight.state:
             return self.flight.state
-        if self._arrival_ns is None:
+        if self.arrival_ns is None:
             return 'waiting'
-        silent_ns = arrival_ns - self._arrival_ns
+        silent_ns = arrival_ns - self.arrival_ns
         patience_ns = max(
             COAST_AFTER_NS, COAST_PERIODS * self._period_ns, 3 * self._pause_ns // 2)
         if silent_ns <= patience_ns:
-            if not (self._package.is_held or self.waiting):
+            if not (self._package.sample or self.waiting):
                 return 'lost'
             return 'settling' if self._package.settling.now else 'predicting'
         return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
 
     def _note_arrival(self, arrival_ns: int | None) -> None:
         """Note when a pose came, and how long pauses are: quickly upwards, slowly downwards."""
-        if arrival_ns is not None and self._arrival_ns is not None:
-            pause_ns = arrival_ns - self._arrival_ns
+        if arrival_ns is not None and self.arrival_ns is not None:
+            pause_ns = arrival_ns - self.arrival_ns
             if pause_ns <= LONGEST_BURST_NS:
                 longer_ns = pause_ns - self._pause_ns
                 self._pause_ns += longer_ns // (2 if longer_ns > 0 else 256)
-        self._arrival_ns = arrival_ns
+        self.arrival_ns = arrival_ns
 
     # ---------------------------------------------------------------- control
 
@@ -377,9 +374,9 @@ class LivePredictor:
 
     def coast(self, arrival_ns: int) -> list[Prediction]:
         """Return a prediction for a moment at which no pose came, while that is safe."""
-        if self._arrival_ns is None or self.phase(arrival_ns) != 'coasting':
+        if self.arrival_ns is None or self.phase(arrival_ns) != 'coasting':
             return []
-        silent_ns = arrival_ns - self._arrival_ns
+        silent_ns = arrival_ns - self.arrival_ns
         prediction = self._package.coast(self._screen.newest_ns + silent_ns)
         if prediction is None:
             return []
@@ -405,7 +402,7 @@ class LivePredictor:
             self.twists_estimated += 1
             self.twist_check.skip()
             now = self._history.state()
-            if self._package.is_held:  # with a later pose known the slope before is known better
+            if self._package.sample:  # with a later pose known the slope before is known better
                 before = self._history.state(back=1)
         if not self.attached:
             return None

@@ -93,18 +93,14 @@ def predictions(
         else:
             keep(live.on_pose(stamp_ns, 'world', first, second))
     keep(live.flush())
-    return predicted_trajectory(np.array(stamps), np.array(numbers).reshape(-1, 13))
-
-
-def predicted_trajectory(stamps_ns: Stamps, rows: Array) -> Trajectory:
-    """Return predictions, rows (N, 13), as a trajectory of B in the world with body twists."""
-    if len(rows) < 2:
+    if len(stamps) < 2:
         raise BellowsError(
-            f'The predictor made {len(rows)} predictions, too few to compare. Check the '
+            f'The predictor made {len(stamps)} predictions, too few to compare. Check the '
             'recording, and whether the cup can hold the package.'
         )
+    rows = np.array(numbers).reshape(-1, 13)
     rotation = quaternion_to_rotation(rows[:, 3:7])
-    return Trajectory(stamps_ns, rows[:, :3], rotation, rows[:, 7:])
+    return Trajectory(np.array(stamps), rows[:, :3], rotation, rows[:, 7:])
 
 
 def compare_recorded(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Comparison:

@@ -240,7 +240,11 @@ class Screen(StampScreen):
             there = self._elsewhere if verdict.restart == 'moved' else None
             if verdict.restart:
                 self.forget_motion()
-            self._accept(stamp_ns, frame_id, position, quaternion_xyzw)
+            seconds = 0.0 if self._last is None else (stamp_ns - self.newest_ns) * 1e-9
+            self._last = Reference(stamp_ns, position, quaternion_xyzw, seconds, self._step)
+            self.frame_id = frame_id
+            self._change.clear()
+            self._elsewhere_run = 0
             if there is not None:  # where it has been seen to move
                 self._last = there
             self.accept_stamp(stamp_ns, arrival_ns, verdict.restart)
@@ -263,14 +267,6 @@ class Screen(StampScreen):
         if verdict is not GOOD:
             return verdict
         return self._judge_place(stamp_ns, o, q)
-
-    def _accept(self, stamp_ns: int, frame_id: str, o: Vector, q: Quaternion) -> None:
-        """Make this pose the reference."""
-        seconds = 0.0 if self._last is None else (stamp_ns - self.newest_ns) * 1e-9
-        self._last = Reference(stamp_ns, o, q, seconds, self._step)
-        self.frame_id = frame_id
-        self._change.clear()
-        self._elsewhere_run = 0
 
     # ------------------------------------------------------------------ places
 

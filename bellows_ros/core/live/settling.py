@@ -9,7 +9,7 @@ the package's modes. Until then it is said to settle, and its covariance shows b
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.jit import kernel
@@ -26,7 +26,6 @@ from bellows_ros.core.tuples import (
     Vector,
 )
 import numpy as np
-from numpy.typing import NDArray
 
 SPAN_NS = 100_000_000
 """Time (ns) after a start, in two halves, in which the tool's motion becomes known."""
@@ -52,23 +51,16 @@ class Modes(NamedTuple):
     """Shift (m) and turn (rad) by 1 m/s^2 of the tool, and turn by 1 rad/s^2 of it."""
 
 
-STIFF = Modes(SLOWEST_DECAY, SLOWEST_MODE, (0.0, 0.0, 0.0))
-
-
 def modes_of(system: Array) -> Modes:
     """Return the modes of the small motions with a system matrix (12, 12)."""
     eigenvalues = np.linalg.eigvals(system)
     give = np.linalg.inv(system[6:, :6])
+    by_shift, by_turn, turn_by_turn = (
+        float(np.linalg.norm(part, 2)) for part in (give[:3, :3], give[3:, :3], give[3:, 3:]))
     return Modes(
         max(SLOWEST_DECAY, -float(eigenvalues.real.max())),
         max(SLOWEST_MODE, float(np.abs(eigenvalues).min())),
-        (_size(give[:3, :3]), _size(give[3:, :3]), _size(give[3:, 3:])),
-    )
-
-
-def _size(matrix: NDArray[Any]) -> float:
-    """Return the largest factor by which a matrix (3, 3) lengthens a vector."""
-    return float(np.linalg.norm(matrix, 2))
+        (by_shift, by_turn, turn_by_turn))
 
 
 class Settling:
@@ -79,12 +71,14 @@ class Settling:
     ----------
     now : Unsettled or None
         None where nothing of it is left.
+    modes : Modes
+        Of the package, to be set first; with those of another one a running decay keeps its end.
 
     """
 
     def __init__(self) -> None:
         """Know of no package."""
-        self._modes = STIFF
+        self.modes: Modes
         self.forget()
 
     def forget(self) -> None:
@@ -92,10 +86,6 @@ class Settling:
         self.now: Unsettled | None = None
         self._seen: list[tuple[int, State]] = []  # after a start, until it shows how it moves
         self._until_ns = 0
-
-    def set_modes(self, modes: Modes) -> None:
-        """Use the modes of another cup or package; a running decay keeps its end."""
-        self._modes = modes
 
     def begin(self, stamp_ns: int, tool: State) -> None:
         """Note a start at rest below a tool whose motion is not yet known."""
@@ -138,18 +128,18 @@ class Settling:
         self, stamp_ns: int, speed: float, rate: float, acceleration: float, turning: float
     ) -> Unsettled:
         """Return the error of assuming rest below a moving tool."""
-        by_shift, by_turn, turn_by_turn = self._modes.give
+        by_shift, by_turn, turn_by_turn = self.modes.give
         turn = by_turn * acceleration + turn_by_turn * turning
         return Unsettled(stamp_ns, by_shift * acceleration, turn, speed, rate)
 
     def _duration_ns(self, left: Unsettled) -> int:
         """Return how long (ns) it takes until an error counts no more."""
-        swing = 1.0 / self._modes.frequency
+        swing = 1.0 / self.modes.frequency
         parts = (
             (left.shift + swing * left.speed) / SMALL,
             (left.turn + swing * left.rate) / SMALL_TURN,
         )
-        return round(1e9 * math.log(max(1.0, *parts)) / self._modes.decay)
+        return round(1e9 * math.log(max(1.0, *parts)) / self.modes.decay)
 
 
 @kernel

@@ -54,46 +54,44 @@ class Rhythm(NamedTuple):
 
 
 class Arrivals:
-    """Statistics of the arrivals of one topic since last taken."""
+    """
+    Statistics of the arrivals of one topic since last taken.
+
+    Attributes
+    ----------
+    last_ns : int
+        When the newest came, -1 before the first.
+
+    """
 
     def __init__(self) -> None:
         """Start without arrivals."""
-        self._last_ns = -1
+        self.last_ns = -1
         self._ages = Window()
-        self._clear()
-
-    def _clear(self) -> None:
-        """Start new statistics; keep the last arrival."""
-        self._count = self._intervals = 0
+        self._intervals = 0
         self._sum = self._squares = 0.0
-
-    @property
-    def last_ns(self) -> int:
-        """When the newest came, -1 before the first."""
-        return self._last_ns
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing has arrived since last taken."""
-        return self._count == 0
+        return self._ages.count == 0
 
     def add(self, arrival_ns: int, age: float) -> None:
         """Note a message and how old (s) it is."""
-        if self._last_ns >= 0:
-            interval = (arrival_ns - self._last_ns) * 1e-9
+        if self.last_ns >= 0:
+            interval = (arrival_ns - self.last_ns) * 1e-9
             self._intervals += 1
             self._sum += interval
             self._squares += interval * interval
-        self._last_ns = arrival_ns
-        self._count += 1
+        self.last_ns = arrival_ns
         self._ages.add(age)
 
     def take(self) -> Rhythm:
         """Return how messages came since the last call, and begin again."""
-        count, n = self._count, self._intervals
+        count, n = self._ages.count, self._intervals
         mean = self._sum / n if n else math.nan
         variance = self._squares / n - mean * mean if n else math.nan
-        self._clear()
+        self._intervals, self._sum, self._squares = 0, 0.0, 0.0
         rate = 1.0 / mean if n and mean > 0.0 else math.nan
         jitter = math.sqrt(variance) if variance > 0.0 else 0.0
         return Rhythm(count, rate, jitter, self._ages.take())

@@ -130,13 +130,6 @@ class TwistCheck:
 
 
 @kernel
-def in_tool_axes(q: Quaternion, linear: Vector, angular: Vector) -> tuple[Vector, Vector]:
-    """Return a twist given in world axes in tool axes."""
-    R = rotation_matrix(q)
-    return apply_transposed(R, linear), apply_transposed(R, angular)
-
-
-@kernel
 def misfit(
     before: State, now: State, seconds: float
 ) -> tuple[float, float, tuple[float, float]]:
@@ -169,7 +162,8 @@ def measured(
     """Return the tool with the measured twist, in tool axes, and its `misfit`."""
     v, w = linear, angular
     if in_world:
-        v, w = in_tool_axes(q, linear, angular)
+        R = rotation_matrix(q)
+        v, w = apply_transposed(R, linear), apply_transposed(R, angular)
     now = position, q, v, w
     excess, doubt, off = misfit(before, now, seconds)
     return now, excess, doubt, off

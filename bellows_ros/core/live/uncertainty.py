@@ -42,9 +42,8 @@ STEP_NS = 4_000_000
 DOUBLINGS = 15
 """Doublings of the horizon for the stationary covariance: 2^15 samples."""
 
-COASTING_ACCELERATION = 5.0
-COASTING_ANGULAR_ACCELERATION = 25.0
-"""Standard deviations (m/s^2, rad/s^2) of what an unobserved arm may do."""
+COASTING = np.tile(np.repeat([5.0, 25.0], 3), 2)
+"""Standard deviations (m/s^2, rad/s^2) of what an unobserved arm may do, for pose and twist."""
 
 UNKNOWN_ROOT = 1e3 * np.eye(12)
 UNKNOWN = UNKNOWN_ROOT @ UNKNOWN_ROOT.T
@@ -119,7 +118,8 @@ class Uncertainty:
         """Return the root of all parts, whether its numbers are finite or not."""
         parts = [self._sensitivity_at(prediction), self._noise_root()]
         if prediction.coasting:
-            parts.append(_coasting_root((prediction.stamp_ns - self._measured_ns) * 1e-9))
+            seconds = (prediction.stamp_ns - self._measured_ns) * 1e-9
+            parts.append(np.diag([0.5 * seconds ** 2] * 6 + [seconds] * 6) * COASTING)
         if prediction.unsettled is not None:
             parts.append(self._left_of(prediction.unsettled, prediction.stamp_ns))
         turn = np.eye(12)  # a twist's error follows the error phi of its axes: v x phi
@@ -141,10 +141,7 @@ class Uncertainty:
             [[np.zeros((6, 6)), np.eye(6)], [jacobian.body_pose, jacobian.body_twist]]
         )
         self._tool_pose, self._tool_twist = jacobian.tool_pose, jacobian.tool_twist
-        block = np.zeros((24, 24))
-        block[:12, :12], block[:12, 12:] = self._A, np.eye(12)
-        self._powers = [np.asarray(expm(block * 1e-4))]  # each the square of the one before
-        self._step_of = (0, np.eye(12), np.zeros((12, 12)))  # the one used last
+        self._steps: dict[int, tuple[Array, Array]] = {}
         self._noise_of: dict[int, Array] = {}
         self._left_since_ns = -1
 
@@ -183,15 +180,16 @@ class Uncertainty:
     def _step(self, duration_ns: int) -> tuple[Array, Array]:
         """Return exp(A h) and its integral, for a duration rounded to 0.1 ms."""
         key = max(1, round(duration_ns / 100_000))
-        if key != self._step_of[0]:
-            product, powers = np.eye(24), self._powers
-            for k in range(key.bit_length()):
-                if k == len(powers):
-                    powers.append(powers[-1] @ powers[-1])
-                if key >> k & 1:
-                    product = product @ powers[k]
-            self._step_of = key, product[:12, :12], product[:12, 12:]
-        return self._step_of[1:]
+        if key not in self._steps:
+            self._steps[key] = self._over(1e-4 * key)
+        return self._steps[key]
+
+    def _over(self, seconds: float) -> tuple[Array, Array]:
+        """Return exp(A h) and its integral."""
+        block = np.zeros((24, 24))
+        block[:12, :12], block[:12, 12:] = self._A, np.eye(12)
+        both = expm(block * seconds)
+        return both[:12, :12], both[:12, 12:]
 
     def _noise_root(self) -> Array:
         """Return the root of the covariance due to white noise of the tool's poses."""
@@ -208,11 +206,8 @@ class Uncertainty:
         """
         direct = np.vstack([np.zeros((6, 6)), self._tool_twist])
         drive = np.vstack([np.zeros((6, 6)), self._tool_pose]) + self._A @ direct
-        block = np.zeros((24, 24))
-        block[:12, :12], block[:12, 12:] = self._A, np.eye(12)
-        exponential = expm(block * period)
-        transition, gain = exponential[:12, :12], exponential[:12, 12:] @ drive
-        root: Array = gain * self._noise
+        transition, gain = self._over(period)
+        root: Array = gain @ drive * self._noise
         for _ in range(DOUBLINGS):
             _, R = np.linalg.qr(np.hstack([root, transition @ root]).T)
             root = R.T
@@ -240,13 +235,6 @@ def _at_most_whole(std: Array, blocks: Blocks) -> Array:
     """
     root = np.sqrt(np.concatenate([blocks[0][::4], blocks[2][::4]]))
     return np.minimum(std, np.outer(root, root))
-
-
-def _coasting_root(seconds: float) -> Array:
-    """Return the root of the covariance due to the unobserved motion of the tool."""
-    acceleration = np.repeat([COASTING_ACCELERATION, COASTING_ANGULAR_ACCELERATION], 3)
-    pose, twist = 0.5 * acceleration * seconds ** 2, acceleration * seconds
-    return np.diag(np.concatenate([pose, twist]))
 
 
 def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float]) -> Array:

@@ -9,27 +9,11 @@ from typing import Any
 from bellows_ros.errors import BellowsError
 
 
-class PressureSwitch:
-    """
-    A switch with hysteresis on the absolute pressure in the cup.
-
-    Parameters
-    ----------
-    attach_below, detach_above : float
-        Pa; between them nothing changes.
-
-    """
-
-    def __init__(self, attach_below: float, detach_above: float) -> None:
-        """Take the thresholds."""
-        self._attach_below = attach_below
-        self._detach_above = detach_above
-
-    def held(self, pressure: float, held: bool) -> bool:
-        """Return whether the package is held, from a pressure (Pa) and the previous state."""
-        if pressure < self._attach_below:
-            return True
-        return held and pressure <= self._detach_above
+def is_held(pressure: float, was_held: bool, values: Mapping[str, Any]) -> bool:
+    """Return whether the package is held, by absolute pressure (Pa), with hysteresis."""
+    if was_held:
+        return bool(pressure <= values['vacuum.detach_above'])
+    return bool(pressure < values['vacuum.attach_below'])
 
 
 def why_no_pressure(pressure: float) -> str:

@@ -7,7 +7,7 @@ from bellows_ros.core.live.health import InputSeen, Level, Mismatch, PredictionS
 from bellows_ros.core.live.load import deflection, equivalent_box, lip_position, Load, Safety
 from bellows_ros.core.live.samples import ORIGIN, Prediction
 from bellows_ros.core.live.timing import Arrivals, KEPT, Quantiles, Rhythm, Window
-from bellows_ros.core.live.vacuum import check_thresholds, PressureSwitch, why_no_pressure
+from bellows_ros.core.live.vacuum import check_thresholds, is_held, why_no_pressure
 from bellows_ros.core.model import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.parameters import resolve
 from bellows_ros.errors import BellowsError
@@ -49,9 +49,9 @@ def test_rate_jitter_and_age():
 
 
 def test_pressure_switch_has_hysteresis():
-    switch, held, seen = PressureSwitch(60e3, 80e3), False, []
+    values, held, seen = {'vacuum.attach_below': 60e3, 'vacuum.detach_above': 80e3}, False, []
     for pressure in (101e3, 70e3, 59e3, 70e3, 79e3, 81e3, 70e3):
-        held = switch.held(pressure, held)
+        held = is_held(pressure, held, values)
         seen.append(held)
     assert seen == [False, False, True, True, True, False, False]
     assert [why_no_pressure(p) for p in (math.nan, -70.0, 0.0)] == ['nan', 'negative', '']
@@ -185,14 +185,14 @@ def test_the_safety_factor_follows_the_vacuum_that_is_heard():
     values = resolve({**PACKAGE, 'cup.lip_radius': 0.02, 'cup.suction_area': 1e-3,
                       'cup.friction': 0.4, 'vacuum.holding': 6e4})
     load = Load(values)
-    assert load.grip_known
+    assert load.grip
     case = prediction(moment=(0.0, 0.1, 0.0))
     assert_allclose(load.watch_force(case), (60 / (20 + 2 * 0.1 / 0.02), 60 / 20))
     assert load.take()[0] == (2.0, 'peel')
     load.hear(101325.0 - 3e4)
     assert_allclose(load.watch_force(case), (1.0, 1.5))
     assert Load(values, load.pressure).watch_force(case) == load.watch_force(case)
-    assert not Load({**values, 'cup.lip_radius': 0.0}).grip_known
+    assert Load({**values, 'cup.lip_radius': 0.0}).grip is None
 
 
 @pytest.mark.parametrize(('factor', 'bending', 'level', 'words'), [
