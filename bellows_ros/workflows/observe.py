@@ -11,6 +11,7 @@ from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
 from bellows_ros.core.model import cup_of, package_of
 from bellows_ros.core.observer import Alarm, Observer, Payload
+from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.parameters import pose_text
 from bellows_ros.core.recording.alignment import world_rotation
 from bellows_ros.core.recording.package_world import pose_of
@@ -190,7 +191,7 @@ def _held(observer: Observer, poses: PoseStream, at: Trajectory, com: Array) -> 
             poses.position.tolist(), rotation_to_quaternion(poses.rotation).tolist(), strict=True):
         seen = observer.sight.measurement(1, tuple(position), tuple(q))
         assert not isinstance(seen, str)
-        found.append(np.concatenate(observer.sight.at_com(seen, (x, y, z))[:2]))
+        found.append(np.concatenate(at_com(*seen[1:], observer.sight.marker, (x, y, z))[:2]))
     rows = np.array(found)[newest[inside]]
     return Trajectory(
         at.stamps_ns[inside], rows[:, :3], quaternion_to_rotation(rows[:, 3:]))

@@ -18,7 +18,7 @@ from bellows_ros.core.live.pairing import Pairing
 from bellows_ros.core.live.payload import LivePayload
 from bellows_ros.core.live.samples import ORIGIN, PoseSample, Prediction, TwistSample
 from bellows_ros.core.live.screening import FrameChange, Screen
-from bellows_ros.core.live.twist_check import measured, TwistCheck
+from bellows_ros.core.live.twist_check import BACK, measured, TwistCheck
 from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.observer import Observer
 from bellows_ros.core.screening import LARGEST_RATE, LARGEST_SPEED, LONGEST_GAP_NS
@@ -423,7 +423,7 @@ class LivePredictor:
         """Return the tool's state with the twist in tool axes, or None if the twist is wrong."""
         q = pose.quaternion_xyzw
         if self.twist_check.is_due(pose.stamp_ns, q, twist.linear, twist.angular):
-            self.twist_check.compare(self._history.state(back=2))
+            self.twist_check.compare(self._history.state(BACK))
         last = self._package.sample
         before = ORIGIN if last is None else last.tool
         seconds = 0.0 if last is None else (pose.stamp_ns - last.stamp_ns) * 1e-9

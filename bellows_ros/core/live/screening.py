@@ -114,21 +114,19 @@ def change(a: Vector, b: Vector) -> tuple[float, float]:
 
 
 @kernel
-def step_between(
-    o: Vector, q: Quaternion, velocity: Vector, rate: Vector, period: float,
-    other_o: Vector, other_q: Quaternion, seconds: float,
-) -> tuple[float, float, float, float, float, float, Vector, Vector]:
+def step_between(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> Step:
     """
-    Return the `Step` from a pose to another after some seconds.
+    Return the step from a reference to a later pose.
 
     The change of velocity counts for the shorter of the two periods, and less in a steady motion,
     so that neither bursts nor stamps with jitter make jolts of it.
     """
-    shift = subtract(other_o, o)
-    turn = log_quaternion(quaternion_product(quaternion_conjugate(q), other_q))
+    seconds, period = (stamp_ns - last.stamp_ns) * 1e-9, last.period
+    shift = subtract(o, last.position)
+    turn = log_quaternion(quaternion_product(quaternion_conjugate(last.quaternion_xyzw), q))
     v, w = scale(1.0 / seconds, shift), scale(1.0 / seconds, turn)
-    kick, speed = change(velocity, v)
-    turn_kick, turn_speed = change(rate, w)
+    kick, speed = change(last.step.velocity, v)
+    turn_kick, turn_speed = change(last.step.rate, w)
     shorter = min(seconds, period) if period > 0.0 else seconds
     jolt, turn_jolt = kick * shorter, turn_kick * shorter
     jitter, turn_jitter = JITTER * speed, JITTER * turn_speed
@@ -146,7 +144,7 @@ def step_between(
         doubt = max(
             jolt / (DOUBTED_JOLT_SLACK + jitter + DOUBTED_JOLT * squared),
             turn_jolt / (DOUBTED_TURN_JOLT_SLACK + turn_jitter + DOUBTED_TURN_JOLT * squared))
-    return excess, doubt, jolt, turn_jolt, speed, turn_speed, v, w
+    return Step(excess, doubt, jolt, turn_jolt, speed, turn_speed, v, w)
 
 
 class FrameChange:
@@ -280,7 +278,7 @@ class Screen(StampScreen):
             return Verdict('repeated_pose', '') if _cannot_stop(last) else GOOD
         if self._elsewhere_run:  # then the time since the last one tells of no burst
             last = last._replace(period=(stamp_ns - last.stamp_ns) * 1e-9)
-        self._step = step = _step(last, stamp_ns, o, q)
+        self._step = step = step_between(last, stamp_ns, o, q)
         if step.excess <= 1.0 and not (
                 self._elsewhere_run and self._is_elsewhere(stamp_ns, o, q)):
             self.doubted = step.doubt > (AFTER_JUMPS if self._elsewhere_run else 1.0)
@@ -304,23 +302,16 @@ class Screen(StampScreen):
         self._elsewhere_run = 1
         if not run or before is None or stamp_ns <= before.stamp_ns:
             return
-        step = _step(before, stamp_ns, o, q)
+        step = step_between(before, stamp_ns, o, q)
         if step.excess <= 1.0:
             seconds = (stamp_ns - before.stamp_ns) * 1e-9
             self._elsewhere = Reference(stamp_ns, o, q, seconds, step)
             self._elsewhere_run = run + 1
 
 
-def _step(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> Step:
-    """Return the step from a reference to a later pose."""
-    return Step(*step_between(
-        last.position, last.quaternion_xyzw, last.step.velocity, last.step.rate, last.period,
-        o, q, (stamp_ns - last.stamp_ns) * 1e-9))
-
-
 def _beside(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> tuple[float, float]:
     """Return how far (m, rad) a pose is from where the motion at a reference leads."""
-    later = _step(last._replace(period=0.0), stamp_ns, o, q)
+    later = step_between(last._replace(period=0.0), stamp_ns, o, q)
     return later.jolt, later.turn_jolt
 
 

@@ -25,6 +25,9 @@ from bellows_ros.core.tuples import (
 PERIOD_NS = 20_000_000
 """Time (ns) between two comparisons."""
 
+BACK = 2
+"""So many poses lie behind the one whose slope is known well."""
+
 MEMORY = 0.98
 """Forgetting factor: about 50 comparisons count, 1 s."""
 
@@ -79,16 +82,13 @@ class TwistCheck:
     ----------
     in_world : bool
         True where the twists are said to be in world axes, False in tool axes.
-    back : int
-        How many poses lie behind the one whose slope is known well.
 
     """
 
-    def __init__(self, in_world: bool, back: int = 2) -> None:
+    def __init__(self, in_world: bool) -> None:
         """Start without comparisons."""
         self._in_world = in_world
-        self._back = back
-        self._recent: deque[tuple[int, Quaternion, Vector, Vector]] = deque(maxlen=back + 1)
+        self._recent: deque[tuple[int, Quaternion, Vector, Vector]] = deque(maxlen=BACK + 1)
         self.clear()
 
     def clear(self) -> None:
@@ -105,7 +105,7 @@ class TwistCheck:
     def is_due(self, stamp_ns: int, q: Quaternion, linear: Vector, angular: Vector) -> bool:
         """Store a measured twist; return whether an earlier one is due for comparison."""
         self._recent.append((stamp_ns, q, linear, angular))
-        return len(self._recent) > self._back and stamp_ns >= self._due_ns
+        return len(self._recent) > BACK and stamp_ns >= self._due_ns
 
     def compare(self, state: State) -> None:
         """Compare the twist of some poses before with the slope of the poses there."""

@@ -19,7 +19,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import linearise, substeps_for
+from bellows_ros.core.equilibrium import displaced, linearise, substeps_for
 from bellows_ros.core.jacobians import (
     acceleration_at,
     body_jacobians,
@@ -43,7 +43,6 @@ from bellows_ros.core.tuples import (
     add_scaled,
     apply,
     apply_transposed,
-    exp_quaternion,
     hat,
     log_quaternion,
     Matrix,
@@ -127,13 +126,11 @@ class Estimate(NamedTuple):
     """Transition since the previous measurement (13, 26), if it is computed."""
 
 
-class Driving(NamedTuple):
-    """The noise that drives the error."""
-
-    noise: Array
-    """Covariance of the state (12, 12) due to noise of the tool's pose, held for a second."""
-    walk: Array
-    """Variances of the random walk of the error (22,) per second."""
+Driving = tuple[Array, Array]
+"""
+What drives the error: the covariance of the state (12, 12) due to noise of the tool's pose, held
+for a second, and variances of the random walk of the error (22,) per second.
+"""
 
 
 @kernel
@@ -141,11 +138,8 @@ def moved(
     body: State, shift: Vector, turn: Vector, linear: Vector, angular: Vector
 ) -> State:
     """Return a state displaced in its own axes."""
-    return (
-        add(body[0], apply(rotation_matrix(body[1]), shift)),
-        normalised(quaternion_product(body[1], exp_quaternion(turn))),
-        add(body[2], linear), add(body[3], angular),
-    )
+    o, q, v, w = displaced(body, shift, turn)
+    return o, normalised(q), add(v, linear), add(w, angular)
 
 
 @kernel
@@ -190,7 +184,7 @@ def driving(model: ModelTuple, tool: State, body: State, noise: Array, walk: Arr
     """
     by = linearise(model, tool, body)
     drive = np.vstack([by.tool_twist, by.tool_pose + by.body_twist @ by.tool_twist]) * noise
-    return Driving(drive @ drive.T, walk)
+    return drive @ drive.T, walk
 
 
 @kernel
@@ -305,7 +299,7 @@ def spread(
     for n in (3.0, 2.0):
         _beside_unity(h / n, product(A, G, X), G)
     _beside_unity(h, product(A, G, X), F)
-    D = product(G, B, np.empty((12, 13)))
+    D = product(G[:, 6:], B[6:], np.empty((12, 13)))  # rows of poses are zero in B
     T, side = np.empty((12, 22)), np.empty((22, 12))
     for i in range(12):
         for j in range(13):
@@ -377,7 +371,7 @@ def is_coarse(stamp_ns: int, next_ns: int, longest: float) -> bool:
 def swept(
     model: ModelTuple, theta: Array, tool: State, body: State, P: Array, M: Array,
     stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
-    until_ns: int, longest: float, driven: tuple[Array, Array],
+    until_ns: int, longest: float, driven: Driving,
 ) -> tuple[State, State]:
     """
     Return tool and package at a later stamp, and carry covariance and passage there in place.
@@ -404,7 +398,7 @@ def swept(
     longest : float
         Longest step of the state, s.
     driven : tuple of ndarray
-        As `Driving`.
+        `Driving`.
 
     """
     push, follows, fresh, h, held = wrench_of(theta), P.shape[0] > 0, True, 0.0, 0.0

@@ -111,16 +111,16 @@ class Sight:
             noise = turn @ noise @ turn.T
         return Measurement(stamp_ns, position, q, noise)
 
-    def at_com(self, seen: Measurement, com: Vector) -> tuple[Vector, Quaternion, Array]:
-        """Return the pose of B, and its noise (6, 6) in B axes, with B at com (m) from the lip."""
-        return _at_com(seen.position, seen.quaternion_xyzw, seen.noise, self.marker, com)
-
 
 @kernel
-def _at_com(
+def at_com(
     position: Vector, quaternion_xyzw: Quaternion, noise: Array, marker: Marker, com: Vector
 ) -> tuple[Vector, Quaternion, Array]:
-    """Return the pose of B and its noise in B axes, measured by a marker."""
+    """
+    Return the pose of B, and its noise (6, 6) in B axes, as a marker has measured it.
+
+    With B at com (m) from the lip; the rest are those of a `Measurement` and of `Sight`.
+    """
     offset, turn, of_lip = marker
     arm = subtract(com if of_lip else ZERO, offset)
     q = quaternion_product(quaternion_xyzw, quaternion_conjugate(turn))
@@ -263,7 +263,7 @@ def taken(
 
     """
     com = add(com, (theta[1], theta[2], theta[3]))
-    position, q, noise = _at_com(position, quaternion_xyzw, noise, marker, com)
+    position, q, noise = at_com(position, quaternion_xyzw, noise, marker, com)
     y, W, distance, gain = compared(body, P, position, q, noise, H)
     spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
     verdict = USED

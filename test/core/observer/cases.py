@@ -61,12 +61,16 @@ def truth(tool, package=PACKAGE, cup=CUP, start=None, change=None, period_ns=PER
     """Give the package's true states; change (k, body, model) is made at sample k."""
     model = model_tuple(cup, package, 9.81)
     h = period_ns * 1e-9
+    substeps = substeps_for(h, largest_step(model))
     body = start or static_equilibrium(model, tool[0])
     out = [body]
     for k in range(1, len(tool)):
         if change is not None:
+            before = model
             body, model = change(k, body, model)
-        body = advance(model, body, tool[k - 1], tool[k], h, substeps_for(h, largest_step(model)))
+            if model != before:
+                substeps = substeps_for(h, largest_step(model))
+        body = advance(model, body, tool[k - 1], tool[k], h, substeps)
         out.append(body)
     return out
 

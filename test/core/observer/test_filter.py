@@ -7,7 +7,6 @@ from bellows_ros.core.kernels import tool_at, tool_segment
 from bellows_ros.core.model import model_tuple
 from bellows_ros.core.observer.filter import (
     changed,
-    Driving,
     driving,
     Estimate,
     NOT_FOLLOWED,
@@ -82,8 +81,8 @@ def test_filter_equals_a_dense_one_by_differences(theta):
     own = Estimate(int(stamps[60]), tool[60], body, theta, P)
     h, noise, H = 1e-3, np.diag(NOISE**2), np.eye(6, 22)
     H[:3, 13:16] = -np.eye(3)
-    half = h / 2 * np.diag(driven.walk)  # before and after each step
-    half[:12, :12] += h * h / 2 * driven.noise
+    half = h / 2 * np.diag(driven[1])  # before and after each step
+    half[:12, :12] += h * h / 2 * driven[0]
     for k in range(61, 66):
         segment = tool_segment(tool[k - 1], tool[k], 4 * h)
         tools = [tool_at(segment, part) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
@@ -117,7 +116,7 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     model = model_tuple(CUP, PACKAGE, 9.81)
     tool = ((0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     body = static_equilibrium(model, tool)
-    driven = Driving(np.zeros((12, 12)), np.r_[np.zeros(16), np.full(6, 1e-12)])
+    driven = np.zeros((12, 12)), np.r_[np.zeros(16), np.full(6, 1e-12)]
     own, H = Estimate(0, tool, body, np.zeros(10), np.diag(STD**2)), np.eye(6, 22)
     seen = [(noise, *with_noise(rng, body, NOISE * np.sqrt(noise))[:2])
             for noise in (1e-8, 1.0, 1e-4, 1.0, 1e-6) for _ in range(20)]
