@@ -6,6 +6,8 @@ SLAM tools take it. EuRoC has commas, ns, and the quaternion's w first. KITTI ha
 rows of a pose's matrix in a line, and the times (s) in another file.
 """
 
+from collections.abc import Sequence
+from decimal import Decimal
 import os
 from pathlib import Path
 
@@ -19,6 +21,9 @@ LARGEST_FILE = 2**31
 NS_PER_S = 10**9
 LATEST_NS = 9 * 10**18
 """Later stamps do not fit into 64 bits."""
+
+Lines = list[tuple[int, list[str]]]
+"""Numbers and cells of the lines of a file."""
 
 NO_ROTATION = 0.01
 """R^T R of a KITTI pose may differ from I by this much; R is then made a rotation."""
@@ -39,20 +44,18 @@ def read_kitti(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
     That is named NAME_times.txt, or times.txt. See `read_tum` for what is returned.
     """
     file = Path(path)
-    lines = _lines(path, None)
-    for number, cells in lines:
-        _require(path, number, len(cells) == 12, f'12 numbers, got {len(cells)}')
+    lines = _lines(path, None, 12, 12)
     beside = [file.with_name(f'{file.stem}_times.txt'), file.with_name('times.txt')]
     times = next((each for each in beside if each.is_file()), None)
     if times is None:
         raise BellowsError(
             f"'{path}' is of KITTI, without times. Put them into '{beside[0]}', one (s) per line.")
-    stamps = [_seconds_to_ns(times, number, cells[0]) for number, cells in _lines(times, None)]
+    stamps = _stamps(times, _lines(times, None), 's')
     if len(stamps) != len(lines):
         raise BellowsError(
             f"'{path}' has {len(lines)} poses, and '{times}' {len(stamps)} times; expected one "
             'for each.')
-    rows = np.array([_floats(path, number, cells) for number, cells in lines]).reshape(-1, 3, 4)
+    rows = _numbers(path, lines, range(12)).reshape(-1, 3, 4)
     R, unit = rows[:, :, :3], np.eye(3)
     off = np.abs(np.einsum('nji,njk->nik', R, R) - unit).max(axis=(1, 2))
     bad = np.flatnonzero(~(off < NO_ROTATION) | ~(np.linalg.det(R) > 0.0))
@@ -61,8 +64,7 @@ def read_kitti(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
             f"'{path}', line {lines[bad[0]][0]}: the first three columns are no rotation, by "
             f'{off[bad[0]]:.2g}. A KITTI line has the rows of [R t], row by row.')
     u, _, v = np.linalg.svd(R)
-    values = np.hstack([rows[:, :, 3], rotation_to_quaternion(u @ v)])
-    return _arrays(path, stamps, values.tolist())
+    return stamps, np.hstack([rows[:, :, 3], rotation_to_quaternion(u @ v)])
 
 
 def read_tum(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
@@ -81,25 +83,14 @@ def read_tum(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
         With the line, if it is no such file.
 
     """
-    stamps, rows = [], []
-    for number, cells in _lines(path, None):
-        _require(path, number, len(cells) == 8, f'8 numbers, got {len(cells)}')
-        stamps.append(_seconds_to_ns(path, number, cells[0]))
-        rows.append(_floats(path, number, cells[1:]))
-    return _arrays(path, stamps, rows)
+    lines = _lines(path, None, 8, 8)
+    return _stamps(path, lines, 's'), _numbers(path, lines, range(1, 8))
 
 
 def read_euroc(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
     """Read the poses of a EuRoC ground-truth or estimate file; see `read_tum`."""
-    stamps, rows = [], []
-    for number, cells in _lines(path, ','):
-        _require(path, number, len(cells) >= 8, f'at least 8 numbers, got {len(cells)}')
-        known = _digits(cells[0]) and len(cells[0]) < 20 and int(cells[0]) < LATEST_NS
-        _require(path, number, known, f"a time in ns, got '{cells[0][:40]}'")
-        stamps.append(int(cells[0]))
-        x, y, z, qw, qx, qy, qz = _floats(path, number, cells[1:8])
-        rows.append([x, y, z, qx, qy, qz, qw])
-    return _arrays(path, stamps, rows)
+    lines = _lines(path, ',', 8)
+    return _stamps(path, lines, 'ns'), _numbers(path, lines, (1, 2, 3, 5, 6, 7, 4))
 
 
 def write_tum(path: str | os.PathLike[str], stamps_ns: Stamps, values: Array) -> None:
@@ -196,7 +187,9 @@ def write_urscript(
     atomic.write_text(path, '\n'.join(lines) + '\n')
 
 
-def _lines(path: str | os.PathLike[str], separator: str | None) -> list[tuple[int, list[str]]]:
+def _lines(
+    path: str | os.PathLike[str], separator: str | None, fewest: int = 1, most: int = 10**6
+) -> Lines:
     """Return the numbers and cells of the lines that are no comments."""
     file = Path(path)
     try:
@@ -207,50 +200,51 @@ def _lines(path: str | os.PathLike[str], separator: str | None) -> list[tuple[in
         raise BellowsError(f"'{path}' cannot be read: {error.strerror}.") from None
     except UnicodeDecodeError:
         raise BellowsError(f"'{path}' is no text file.") from None
-    return [
+    lines = [
         (number, [cell.strip() for cell in line.split(separator)])
         for number, line in enumerate(text.splitlines(), 1)
         if line.strip() and not line.lstrip().startswith('#')
     ]
+    for number, cells in lines:
+        if not fewest <= len(cells) <= most:
+            wanted = f'{"" if fewest == most else "at least "}{fewest} numbers'
+            raise _unlike(path, number, f'{wanted}, got {len(cells)}')
+    return lines
 
 
-def _require(path: str | os.PathLike[str], number: int, good: bool, what: str) -> None:
-    """Refuse a line that does not hold what it must."""
-    if not good:
-        raise BellowsError(
-            f"'{path}', line {number}: expected {what}. A TUM line is 'time x y z qx qy qz qw'; "
-            "a EuRoC line is 'time_ns, x, y, z, qw, qx, qy, qz, ...'."
-        )
+def _unlike(path: str | os.PathLike[str], number: int, what: str) -> BellowsError:
+    """Return the error for a line that does not hold what it must."""
+    return BellowsError(
+        f"'{path}', line {number}: expected {what}. A TUM line is 'time x y z qx qy qz qw'; "
+        "a EuRoC line is 'time_ns, x, y, z, qw, qx, qy, qz, ...'.")
 
 
-def _floats(path: str | os.PathLike[str], number: int, cells: list[str]) -> list[float]:
-    """Return the numbers of a line."""
-    try:
-        return [float(cell) for cell in cells]
-    except ValueError as error:
-        raise BellowsError(f"'{path}', line {number}: {error}.") from None
+def _stamps(path: str | os.PathLike[str], lines: Lines, unit: str) -> Stamps:
+    """Return the times at the beginning of lines, in s or ns; none goes through a float."""
+    factor = {'s': NS_PER_S, 'ns': 1}[unit]
+    stamps = []
+    for number, (cell, *_) in lines:
+        try:
+            time = Decimal(cell)
+            known = 0 <= time < LATEST_NS // factor and (factor > 1 or time % 1 == 0)
+        except ArithmeticError:
+            known = False
+        if not known:
+            raise _unlike(path, number, f"a time in {unit}, got '{cell[:40]}'")
+        stamps.append(int(time * factor))
+    return np.array(stamps, dtype=np.int64)
 
 
-def _seconds_to_ns(path: str | os.PathLike[str], number: int, cell: str) -> int:
-    """Return a time in ns, without going through a float where the text is decimal."""
-    whole, _, rest = cell.partition('.')
-    if _digits(whole) and len(whole) < 10 + (whole < '9') and (_digits(rest) or not rest):
-        return int(whole) * NS_PER_S + int(rest[:9].ljust(9, '0'))
-    (seconds,) = _floats(path, number, [cell])
-    _require(path, number, 0.0 <= seconds < LATEST_NS / NS_PER_S,
-             f"a time in s, got '{cell[:40]}'")
-    return round(seconds * NS_PER_S)
-
-
-def _digits(text: str) -> bool:
-    """Return whether a text consists of digits from 0 to 9."""
-    return text.isascii() and text.isdigit()
-
-
-def _arrays(
-    path: str | os.PathLike[str], stamps: list[int], rows: list[list[float]]
-) -> tuple[Stamps, Array]:
-    """Return stamps and values as arrays."""
-    if not rows:
+def _numbers(
+    path: str | os.PathLike[str], lines: Lines, columns: Sequence[int]
+) -> Array:
+    """Return some columns (N, columns) of lines."""
+    if not lines:
         raise BellowsError(f"'{path}' has no poses.")
-    return np.array(stamps, dtype=np.int64), np.array(rows, dtype=np.float64)
+    rows = []
+    for number, cells in lines:
+        try:
+            rows.append([float(cells[i]) for i in columns])
+        except ValueError as error:
+            raise BellowsError(f"'{path}', line {number}: {error}.") from None
+    return np.array(rows)
