@@ -50,8 +50,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(result: 'StructureAdvice', console: Console) -> None:
     """Print the excitation, the candidates and the advice."""
-    from bellows_ros.report.cup import excitation_rows
-    from bellows_ros.report.standstills import structure_rows
+    from bellows_ros.report.cup import excitation_rows, structure_rows
     from bellows_ros.workflows.result_json import excitation_json, selection_json
 
     excitation, selection = result.excitation, result.selection

@@ -5,7 +5,9 @@ import json
 import os
 from typing import Any
 
+from bellows_ros.core.identification.reduction import SEED as EXCITATION_SEED
 from bellows_ros.core.identification.samples import samples_of
+from bellows_ros.core.identification.validation import SEED
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import UnstableError
 from bellows_ros.files.atomic import write_text
@@ -15,13 +17,16 @@ from bellows_ros.workflows.recordings import offset_sentence
 from bellows_ros.workflows.replay import Replay, validated
 from bellows_ros.workflows.report import values_of_recordings
 
-from .cup import cup_content, envelope_content, excitation_content, iteration_content
-from .motion import motion_content
-from .observed import observed_content
-from .origin import origin_content
-from .page import bullets, page, paragraph, section, warnings
-from .samples import samples_content
-from .standstills import selection_content, standstill_content
+from .cup import (
+    cup_content,
+    envelope_content,
+    excitation_content,
+    iteration_content,
+    selection_content,
+    standstill_content,
+)
+from .motion import motion_content, observed_content, samples_content
+from .page import bullets, folded, page, paragraph, section, table, warnings
 
 
 def identification_report(
@@ -75,7 +80,7 @@ def identification_report(
         *([section('Standstills', *standstill_content(content))] if content.get('static') else []),
         *([section('Structures', *selection_content(content['structures']))]
           if content.get('structures') else []),
-        section('Where this comes from', *origin_content(origin, settings)),
+        section('Where this comes from', *_origin(origin, settings)),
     ]
     title = f'Cup identified from {", ".join(bags)}'
     return page(title, f'{method}, {content["structure"]}', sections)
@@ -92,7 +97,7 @@ def replay_report(
         *([section(f'With {found.observed.topic}', *observed_content(found.observed))]
           if found.observed else []),
         section('Samples', *samples_content(found.recording)),
-        section('Where this comes from', *origin_content(
+        section('Where this comes from', *_origin(
             provenance([found.bag], parameter_files), found.values)),
     ]
     return page(f'Replay of {found.bag}', 'free simulation from start to end', sections)
@@ -118,3 +123,31 @@ def _simulated(values: Mapping[str, Any], recording: Recording) -> list[str]:
         return motion_content(validated(values, recording))
     except UnstableError as error:
         return [paragraph(f'This cup cannot be simulated: {error}', 'quiet')]
+
+
+def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> list[str]:
+    """Return tables of digests, versions and settings."""
+    files = [
+        (kind, entry['path'], file['name'], str(file['bytes']), file['sha256'])
+        for kind, key in (('recording', 'recordings'), ('parameters', 'parameter_files'))
+        for entry in provenance.get(key, ())
+        for file in entry['files']
+    ]
+    versions = [(name, version or 'not there') for name, version in provenance['versions'].items()]
+    seeds = f'{SEED} (validation), {EXCITATION_SEED} (excitation)'
+    versions.append(('seeds of made-up noise', seeds))
+    rows = [(name, _setting(value)) for name, value in settings.items()]
+    return [
+        table(('', 'path', 'file', 'bytes', 'SHA-256'), files, (0, 1, 2, 4)),
+        table(('', 'version or seed'), versions, (0, 1)),
+        folded('All settings', table(('parameter', 'value'), rows, (0, 1))),
+    ]
+
+
+def _setting(value: Any) -> str:
+    """Return a setting; of a matrix its rows."""
+    if isinstance(value, list | tuple):
+        return '[' + ', '.join(_setting(item) for item in value) + ']'
+    if isinstance(value, float):
+        return f'{value:.8g}'
+    return str(value).lower() if isinstance(value, bool) else str(value) or "''"

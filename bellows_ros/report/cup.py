@@ -1,4 +1,4 @@
-"""The section on a fit: K and P with their intervals, validity range, and method."""
+"""The sections on a fit: K and P, validity range, method, standstills, and structures."""
 
 from collections.abc import Mapping, Sequence
 import math
@@ -11,62 +11,49 @@ from bellows_ros.plots.fit import excitation_figure, interval_figure, iteration_
 from bellows_ros.workflows.result_json import NORMAL_95
 import numpy as np
 
-from .page import bullets, figure, folded, paragraph, table
+from .page import bullets, figure, folded, paragraph, percent, table
+
+NARROWED = 0.95
+"""A standard error is mentioned if standstills reduce it below this fraction."""
 
 NAMES = {'K': ('stiffness', 'Stiffness K'), 'P': ('damping', 'Damping P')}
 
 
 def cup_content(content: Mapping[str, Any]) -> list[str]:
     """Return table and intervals of K and P of a result."""
-    rows = entry_rows(content)
-    parts = [
-        table(
-            ('entry', 'value', 'standard error', '95 % interval', 'unit'),
-            [_shown(label, value, error, unit) for label, value, error, _, unit in rows], (0, 4)),
-        figure(interval_figure(
-            [_interval(label, value, error, scale) for label, value, error, scale, _ in rows],
-            'in percent of the entry; off the diagonal in percent of the root of the product of '
-            'the two diagonal entries')),
-        bullets(_facts(content)),
-    ]
-    for matrix, (key, title) in NAMES.items():
-        unit = ', '.join(UNITS[matrix])
-        cells = [[name, *(f'{x:.6g}' for x in row)]
-                 for name, row in zip(AXES, content[key], strict=True)]
-        parts.append(folded(f'{title} ({unit})', table(['', *AXES], cells)))
-    return parts
-
-
-def entry_rows(content: Mapping[str, Any]) -> list[tuple[str, float, float, float, str]]:
-    """Return label, value, standard error (NaN: unknown), scale and unit of each parameter."""
     structure = structure_named(content['structure'])
-    rows = []
-    for matrix, (key, _) in NAMES.items():
+    rows, intervals, folds = [], [], []
+    for matrix, (key, title) in NAMES.items():
         values = np.array(content[key], dtype=float)
-        errors = np.array(
-            [[math.nan if x is None else x for x in row] for row in content[f'{key}_std']])
+        errors = np.array(content[f'{key}_std'], dtype=float)  # NaN where not known
         labels = [label for label in structure.labels if label.startswith(matrix)]
         for label, (i, j) in zip(labels, structure.leads, strict=True):
-            scale = math.sqrt(abs(values[i, i] * values[j, j]))
-            unit = UNITS[matrix][(i > 2) + (j > 2)]
-            rows.append((label, float(values[i, j]), float(errors[i, j]), scale, unit))
-    return rows
+            value, error = float(values[i, j]), float(errors[i, j])
+            rows.append((label, *_shown(value, error), UNITS[matrix][(i > 2) + (j > 2)]))
+            scale = 0.01 * math.sqrt(abs(values[i, i] * values[j, j])) or math.nan
+            intervals.append((
+                label, value / scale if i != j else 0.0, NORMAL_95 * error / scale))
+        cells = [[name, *(f'{x:.6g}' for x in row)]
+                 for name, row in zip(AXES, content[key], strict=True)]
+        folds.append(folded(f'{title} ({", ".join(UNITS[matrix])})', table(['', *AXES], cells)))
+    return [
+        table(('entry', 'value', 'standard error', '95 % interval', 'unit'), rows, (0, 4)),
+        figure(interval_figure(
+            intervals, 'in percent of the entry; off the diagonal in percent of the root of the '
+            'product of the two diagonal entries')),
+        bullets(_facts(content)),
+        *folds,
+    ]
 
 
-def _shown(label: str, value: float, error: float, unit: str) -> tuple[str, ...]:
-    """Return a row of the table."""
+def _shown(value: float, error: float) -> tuple[str, str, str]:
+    """Return a value, its standard error and its interval for the table."""
     if not math.isfinite(error):
-        return label, '-', 'not identifiable', '', unit
+        return '-', 'not identifiable', ''
     low, high = value - NORMAL_95 * error, value + NORMAL_95 * error
     digits = max(0, 1 - math.floor(math.log10(error))) if error > 0.0 else 6
     numbers = [f'{number:.{digits}f}' for number in (value, error, low, high)]
-    return label, numbers[0], numbers[1], f'{numbers[2]} to {numbers[3]}', unit
-
-
-def _interval(label: str, value: float, error: float, scale: float) -> tuple[str, float, float]:
-    """Return label, middle and half length (percent) of the interval of a parameter."""
-    half, centre = 100.0 * NORMAL_95 * error, 100.0 * value if '-' in label else 0.0
-    return (label, centre / scale, half / scale) if scale else (label, 0.0, math.nan)
+    return numbers[0], numbers[1], f'{numbers[2]} to {numbers[3]}'
 
 
 def _facts(content: Mapping[str, Any]) -> list[str]:
@@ -151,3 +138,41 @@ def iteration_content(iterations: Sequence[Mapping[str, Any]]) -> list[str]:
     stages = {int(step.get('stage', 0)) for step in iterations}
     return [figure(iteration_figure(
         iterations, f'{len(iterations)} steps in {len(stages)} stages'))]
+
+
+def standstill_content(content: Mapping[str, Any]) -> list[str]:
+    """Return the standstills of a result, the nominal length, and the reduced errors."""
+    found, added = content['static'], content['with_standstills']
+    rows = [
+        (recording['bag'], f'{recording["package"]["mass"]:.4g} kg', f'{still["duration"]:.1f} s',
+         f'{math.degrees(still["tilt"]):.1f} deg', f'{-1e3 * still["lip"][2]:.3f} mm')
+        for recording in found['recordings'] for still in recording['standstills']
+    ]
+    length = found['nominal_length']
+    facts = [
+        f'Nominal length {length["text"]}.'
+        if length else f'No nominal length: {found["no_nominal_length"]}'
+    ]
+    if added:
+        facts.append(
+            f'{added["standstills"]} standstills are part of the fit; chi² per degree of freedom '
+            f'{added["chi2"]:.3g}.')
+        facts += [
+            f'{label}: standard error {100.0 * part:.0f} % of that without them.'
+            for label, part in added['narrowed'].items() if part < NARROWED
+        ]
+    return [table(('recording', 'mass', 'duration', 'tilt', 'length'), rows), bullets(facts)]
+
+
+def selection_content(selection: Mapping[str, Any]) -> list[str]:
+    """Return how the structures compare, and the advice."""
+    head, *rows = structure_rows(selection)
+    return [table(head, rows), bullets(selection['advice'])]
+
+
+def structure_rows(selection: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return a table, with its head, of the structures that were compared."""
+    return [('structure', 'parameters', 'AIC', 'BIC', 'held-out error', 'usable'), *(
+        (own['structure'], str(own['parameters']), f'+{own["aic"]:.1f}', f'+{own["bic"]:.1f}',
+         percent(math.nan if own['held_out'] is None else own['held_out']),
+         'yes' if own['usable'] else 'no') for own in selection['candidates'])]

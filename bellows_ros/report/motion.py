@@ -1,15 +1,17 @@
-"""The section on a free simulation: motion, residuals, spectra, whiteness."""
+"""The sections on a recording: free simulation, gain by measured poses, and samples."""
 
 from bellows_ros.core.identification.validation import LIMIT, Validation
+from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.residuals import AXES, CONFIDENT, MILLI_UNITS, SMALL
 from bellows_ros.plots.plan import margin_figure
-from bellows_ros.plots.prediction import prediction_figure, whiteness_figure
-from bellows_ros.plots.recording import spectra_figure
+from bellows_ros.plots.prediction import errors_figure, prediction_figure, whiteness_figure
+from bellows_ros.plots.recording import samples_figure, spectra_figure
+from bellows_ros.workflows.observe import Observed
 from bellows_ros.workflows.plot import Spectra
 from bellows_ros.workflows.replay import Replay
 import numpy as np
 
-from .page import figure, heading, paragraph, percent, table, warnings
+from .page import bullets, figure, heading, paragraph, percent, table, warnings
 
 MILLI = 1e3
 
@@ -101,3 +103,43 @@ def _whiteness(found: Validation, bag: str) -> list[str]:
     shown = found.one_step.whiteness if found.one_step else found.whiteness
     content.append(figure(whiteness_figure(shown, bag)))
     return content
+
+
+def observed_content(found: Observed) -> list[str]:
+    """Return table and figures of the errors of prediction and camera, each alone and both."""
+    rows = [
+        (f'{name} ({unit})', *(f'{MILLI * w.scores.rms[i]:.3g}' for w in found.ways.values()))
+        for i, (name, unit) in enumerate(zip(AXES, MILLI_UNITS, strict=True))
+    ]
+    return [
+        paragraph(
+            'RMS error at each instant of three causal estimates: the prediction from the tool '
+            'alone, the newest measured pose alone, and the corrected prediction. '
+            + found.sentence),
+        warnings([f'Alarm at {line}' for line in found.alarm_lines]),
+        table(('axis', *found.ways), rows),
+        figure(errors_figure(found.ways, f'relative to the tool, with {found.topic}')),
+    ]
+
+
+def samples_content(recording: Recording) -> list[str]:
+    """Return a strip of time and a table."""
+    report = recording.report
+    rows = []
+    for stream in (report.tool, report.package):
+        refused = [f'{len(where)} {reason.replace("_", " ")}'
+                   for reason, where in stream.refused.items() if where]
+        longest = max((gap.duration_s for gap in stream.timing.gaps), default=0.0)
+        gaps = f'{len(stream.timing.gaps)}, longest {longest:.3g} s' if longest else '0'
+        rows.append((
+            stream.name, str(stream.samples), f'{stream.timing.rate_hz:.6g} Hz',
+            ', '.join(refused) or '0', str(stream.marked), gaps, str(stream.touched)))
+    return [
+        figure(samples_figure(
+            recording, f'{report.valid} of {report.samples} samples are used; a lost pose rejects '
+            'all samples whose filter window contains it')),
+        table(
+            ('topic', 'poses', 'rate', 'refused', 'outliers', 'gaps', 'left out by the filter'),
+            rows),
+        bullets(report.warnings, 'warning'),
+    ]
