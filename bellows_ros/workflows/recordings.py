@@ -52,6 +52,8 @@ ARRAYS = ('stamps_ns', 'position', 'rotation', 'linear', 'angular')
 NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 """Placeholder for the inertia (kg m^2) of a package at rest, which does not matter."""
 
+FILES_OF = {'bags': 'package.files', 'static.bags': 'static.files'}
+"""Where the parameter files of recordings are named."""
 
 OF_A_RECORDING = ('topics.', 'recording.', 'tool_twist.', 'gravity.direction')
 """Parameters, besides the package's, in which recordings of one cup may differ."""
@@ -250,57 +252,36 @@ def repeats(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
         first.setdefault(digest, name)
 
 
-def values_of_each(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """
-    Return the parameters for each of `bags`, with the package that it held and its topics.
-
-    Raises
-    ------
-    BellowsError
-        If there are not as many package.files, or one of them lacks something.
-
-    """
-    return _each(values, 'bags', 'package.files', RECORDING_PARAMETERS)
-
-
-def values_of_static(values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """
-    Return the parameters for each of `static.bags`, with its own package.
-
-    Raises
-    ------
-    BellowsError
-        If there are not as many static.files, or a mass or a centre of mass is not known.
-
-    """
-    filled = {'package.inertia': NO_INERTIA, **values}
-    each = _each(filled, 'static.bags', 'static.files', ('package.mass',))
-    missing = [n for n in PACKAGE_PARAMETERS if any(n not in own for own in each)]
-    if missing:
-        raise BellowsError(f'Not set for the recordings in static.bags: {", ".join(missing)}.')
-    return each
-
-
-def _each(
-    values: Mapping[str, Any], bags_in: str, files_in: str, needed: Sequence[str]
+def values_of_each(
+    values: Mapping[str, Any], bags_in: str = 'bags'
 ) -> list[Mapping[str, Any]]:
-    """Return the parameters for each recording, with those of its own file."""
-    files, bags = values[files_in], values[bags_in]
-    if not files:
-        return [values] * len(bags)
-    if len(files) != len(bags):
+    """
+    Return the parameters for each recording in a parameter of `FILES_OF`, with its own package.
+
+    Raises
+    ------
+    BellowsError
+        If there are not as many files, or something is not set for a recording.
+
+    """
+    files, bags = values[FILES_OF[bags_in]], values[bags_in]
+    if files and len(files) != len(bags):
         raise BellowsError(
-            f'{files_in} has {len(files)} files for {len(bags)} recordings. Name one for each '
-            f'recording in {bags_in}, in the same order, or none.'
+            f'{FILES_OF[bags_in]} has {len(files)} files for {len(bags)} recordings. Name one for '
+            f'each recording in {bags_in}, in the same order, or none.'
         )
-    each: list[Mapping[str, Any]] = []
-    for file in files:
-        own = {n: v for n, v in read_parameters(file).items()
-               if n in PACKAGE_PARAMETERS or n.startswith(OF_A_RECORDING)}
-        missing = [name for name in needed if name not in own and name not in values]
+    if bags_in == 'static.bags':
+        values = {'package.inertia': NO_INERTIA, **values}
+    each: list[Mapping[str, Any]] = [
+        {**values, **{name: value for name, value in read_parameters(file).items()
+                      if name in PACKAGE_PARAMETERS or name.startswith(OF_A_RECORDING)}}
+        for file in files] or [values for _ in bags]
+    for bag, own in zip(bags, each, strict=True):
+        missing = [name for name in RECORDING_PARAMETERS if name not in own]
         if missing:
-            raise BellowsError(f"Parameter file '{file}' lacks {', '.join(missing)}.")
-        each.append({**values, **own})
+            raise BellowsError(
+                f"For '{bag}' these are not set: {', '.join(missing)}. Set them, or name a "
+                f'parameter file for each recording in {FILES_OF[bags_in]}.')
     return each
 
 

@@ -21,7 +21,7 @@ from bellows_ros.core.settings import Settings
 from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import write_parameters
-from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress, values_of_static
+from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress, values_of_each
 from bellows_ros.workflows.result_json import attributes, with_units
 import numpy as np
 
@@ -154,8 +154,8 @@ def read_standstills(values: Mapping[str, Any], tell: Progress) -> StaticResult:
 
 def static_bags(values: Mapping[str, Any]) -> list[StaticBag]:
     """Return the recordings of the parameter `static.bags`, each with its parameters."""
-    return list(zip(
-        map(os.fspath, values['static.bags']), values_of_static(values), strict=True))
+    each = values_of_each(values, 'static.bags')
+    return list(zip(map(os.fspath, values['static.bags']), each, strict=True))
 
 
 def static_check(
