@@ -198,19 +198,14 @@ class PlanReport:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
-        figures: dict[str, Any] = {'duration': self.source.duration, 'duration_std': 0.0}
-        for name, value in self.prediction.figures().items():
-            figures |= {name: value, f'{name}_std': self.std[name]}
-            if name == 'smallest_safety_factor':
-                known = self.prediction.grip_known
-                figures['smallest_safety_mode'] = (
-                    self.prediction.smallest_safety[1] if known else None)
-        figures['outside_validity'] = list(self.outside)
-        if self.sought:
-            found = self.fastest
-            figures |= {'fastest_scale': found and found.scale,
-                        'fastest_scale_std': found and found.scale_std}
-        return figures | {
+        found, fastest = self.prediction, self.fastest
+        return {
+            'duration': self.source.duration, **found.figures(),
+            'smallest_safety_mode': found.smallest_safety[1] if found.grip_known else None,
+            'duration_std': 0.0, **{f'{name}_std': std for name, std in self.std.items()},
+            'outside_validity': list(self.outside),
+            **({'fastest_scale': fastest and fastest.scale,
+                'fastest_scale_std': fastest and fastest.scale_std} if self.sought else {}),
             'plan': self.source.path, 'frame_id': self.source.frame_id,
             'points': len(self.source.tool), 'least_safety_factor': self.least,
             'warnings': self.warnings,
