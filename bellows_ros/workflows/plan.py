@@ -16,7 +16,7 @@ from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.lie import apply, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.core.parameter_table import short
-from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.perturbed import contributions
 from bellows_ros.core.plan import Prediction, Run
 from bellows_ros.core.plan_points import plan_of, plan_of_joints
@@ -79,12 +79,12 @@ class Source:
     tool : Trajectory
         E in the plan's frame with body twists.
     frame_id : str
-    gravity : array (3,)
-        Acceleration in that frame, m/s^2.
     notes : tuple of str
         On reading it.
     moves : str
         Name of the moved body in the message.
+    recorded_ns : int array or None
+        Stamps of recorded poses of which it is made, ns; None where it was planned.
     path : str
         The file.
     values : mapping
@@ -94,9 +94,9 @@ class Source:
 
     tool: Trajectory
     frame_id: str
-    gravity: Array
     notes: tuple[str, ...] = ()
     moves: str = ''
+    recorded_ns: Stamps | None = None
     path: str = ''
     values: Mapping[str, Any] = field(default_factory=dict)
 
@@ -104,6 +104,13 @@ class Source:
     def duration(self) -> float:
         """Of the plan, s."""
         return float(self.tool.seconds[-1])
+
+    @cached_property
+    def gravity(self) -> Array:
+        """Acceleration (3,) in the frame of the plan, m/s^2."""
+        world = 'z_up' if self.recorded_ns is None else self.values['recording.world']
+        turn = world_rotation(world, self.values['gravity.direction'])
+        return np.asarray(turn.T @ [0.0, 0.0, -self.values['gravity.magnitude']])
 
     @cached_property
     def model(self) -> ModelTuple:
@@ -344,8 +351,10 @@ def read_plan(
         If there is none, or no arm moves so.
 
     """
-    source, stamps = _read_plan(Path(path), values, urdf, topic)
-    chosen = inside([source.tool.stamps_ns, stamps], values)[0]
+    source = _read_plan(Path(path), values, urdf, topic)
+    require_frame(source.frame_id, values)
+    recorded = [] if source.recorded_ns is None else [source.recorded_ns]
+    chosen = inside([source.tool.stamps_ns, *recorded], values)[0]
     if (points := np.count_nonzero(chosen)) < 2:
         raise BellowsError(
             f'The plan has {points} points from recording.start to recording.end; expected 2 or '
@@ -354,48 +363,39 @@ def read_plan(
         source, tool=source.tool.select(chosen), path=os.fspath(path), values=values)
 
 
-def _read_plan(
-    file: Path, values: Mapping[str, Any], urdf: str, topic: str
-) -> tuple[Source, Stamps]:
-    """Return the whole plan in a file, and the stamps of a recording."""
-    gravity, undated = gravity_of(values), np.empty(0, dtype=np.int64)
+def _read_plan(file: Path, values: Mapping[str, Any], urdf: str, topic: str) -> Source:
+    """Return the whole plan in a file."""
     if file.suffix.lower() in YAML:
         content = read_yaml(file)
         if 'kind' in content:
-            return _motion(content, values, gravity), undated
-        return _checked(
-            plan_in_yaml(content, os.fspath(file)), values, urdf, '', gravity), undated
+            return _motion(content, values)
+        return _checked(plan_in_yaml(content, os.fspath(file)), values, urdf, '')
     if file.suffix.lower() in TEXT:
         stamps, poses = read_trajectory(file)
-        tool = plan_of(stamps, poses[:, :3], poses[:, 3:], name=f"'{file}'")
-        return Source(tool, '', gravity), undated
+        return Source(plan_of(stamps, poses[:, :3], poses[:, 3:], name=f"'{file}'"), '')
     plans = plans_in(file, topic)
     if plans:
         notes = ([f"'{file}' has {len(plans)} plans; using the first, on {plans[0][0]}."]
                  if len(plans) > 1 else [])
-        source = _checked(plans[0][1], values, urdf, file, gravity)
-        return replace(source, notes=tuple(notes)), undated
+        return replace(_checked(plans[0][1], values, urdf, file), notes=tuple(notes))
     return _recorded(file, values, urdf, topic)
 
 
 def _checked(
-    read: PlanMessage | JointPlan, values: Mapping[str, Any], urdf: str, recording: Any,
-    gravity: Array,
+    read: PlanMessage | JointPlan, values: Mapping[str, Any], urdf: str, recording: Any
 ) -> Source:
     """Return a plan of points of the tool or of an arm's joints."""
+    stamps = read.times_ns + (read.stamp_ns or START_NS)
     if isinstance(read, JointPlan):
         arm = arm_of(urdf, values['tool_link'], recording)
         columns = arm.columns(read.names, 'The plan')
         parts = [None if part is None else part[:, columns]
                  for part in (read.position, read.velocity, read.acceleration)]
-        require_frame(arm.root, values)
-        tool = plan_of_joints(arm, _dated(read.stamp_ns, read.times_ns), *parts)  # type: ignore
-        return Source(tool, arm.root, gravity)
-    require_frame(read.frame_id, values)
+        return Source(plan_of_joints(arm, stamps, *parts), arm.root)  # type: ignore[arg-type]
     tool = plan_of(
-        _dated(read.stamp_ns, read.times_ns), read.poses[:, :3], read.poses[:, 3:], read.twists,
-        read.accelerations, values['tool_twist.frame'])
-    return Source(tool, read.frame_id, gravity, (), (*read.names, '')[0])
+        stamps, read.poses[:, :3], read.poses[:, 3:], read.twists, read.accelerations,
+        values['tool_twist.frame'])
+    return Source(tool, read.frame_id, moves=(*read.names, '')[0])
 
 
 def require_frame(frame_id: str, values: Mapping[str, Any]) -> None:
@@ -415,15 +415,9 @@ def require_frame(frame_id: str, values: Mapping[str, Any]) -> None:
             'Transform the plan, or set plan.frame.')
 
 
-def _dated(stamp_ns: int, times_ns: Stamps) -> Stamps:
-    """Return stamps from a header and times from the start."""
-    return times_ns + (stamp_ns or START_NS)
-
-
-def _motion(content: Mapping[str, Any], values: Mapping[str, Any], gravity: Array) -> Source:
+def _motion(content: Mapping[str, Any], values: Mapping[str, Any]) -> Source:
     """Return the tool's motion in a motion file."""
     recipe = read_recipe(content, np.array(values['package.com']))
-    require_frame(recipe.frame_id, values)
     R_world_level = levelling(values['gravity.direction']).T  # z of a motion file is up
     motion = recipe.motion
     count = max(2, math.ceil(motion.duration * MOTION_RATE))
@@ -434,18 +428,14 @@ def _motion(content: Mapping[str, Any], values: Mapping[str, Any], gravity: Arra
         stamps, apply(R_world_level, tool.position),
         rotation_to_quaternion(R_world_level @ tool.rotation), np.asarray(tool.twist),
         twist_frame='tool', name='The motion')
-    return Source(checked, recipe.frame_id, gravity)
+    return Source(checked, recipe.frame_id)
 
 
-def _recorded(
-    path: Path, values: Mapping[str, Any], urdf: str, topic: str
-) -> tuple[Source, Stamps]:
-    """Return the tool's motion in a recording, of poses, joints or transforms, and stamps."""
+def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> Source:
+    """Return the tool's motion in a recording, of poses, joints or transforms."""
     wanted = {'tool_pose': topic or values['topics.tool_pose'],
               'tool_twist': values['topics.tool_twist']}
     contents = read_contents(path, wanted)
-    turn = world_rotation(values['recording.world'], values['gravity.direction'])
-    gravity = turn.T @ [0.0, 0.0, -values['gravity.magnitude']]
     poses, twists = (contents.streams.get(role) for role in ('tool_pose', 'tool_twist'))
     rates = None
     if not isinstance(poses, PoseStream):
@@ -456,14 +446,13 @@ def _recorded(
         poses = PoseStream(
             'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.poses[:, :3],
             quaternion_to_rotation(read.poses[:, 3:]))
-    require_frame(poses.frame_id, values)
     if rates is None:
         tool = _measured(poses, twists if isinstance(twists, TwistStream) else None, values)
     else:
         tool = plan_of(
             poses.stamps_ns, poses.position, rotation_to_quaternion(poses.rotation), rates,
             twist_frame='tool', name='The motion')
-    return Source(tool, poses.frame_id, gravity, contents.notes), poses.stamps_ns
+    return Source(tool, poses.frame_id, contents.notes, recorded_ns=poses.stamps_ns)
 
 
 def _measured(
