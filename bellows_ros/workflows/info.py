@@ -21,7 +21,7 @@ from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.preparation import stream_warnings
 from bellows_ros.core.resampling import timing
 from bellows_ros.core.trajectory import NS_PER_S, PoseStream, TwistStream
-from bellows_ros.files.bags import accepted_types, Contents, read_contents, topics
+from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.workflows.recordings import part_of
 from bellows_ros.workflows.roles import Guess, likely_alone, likely_pair, likely_twist, Pair
 import numpy as np
@@ -150,28 +150,24 @@ def info(
     problems = {wanted[role]: str(error) for role, error in contents.problems.items()}
     streams = {role: own for role, own in part_of(contents.streams, span).items() if len(own)}
     start_ns = min((int(s.stamps_ns[0]) for s in streams.values()), default=0)
-    described = tuple(
-        _topic(topic.name, topic.type_name, topic.messages, streams, problems, start_ns)
-        for topic in found
-    )
+    described = tuple(_topic(topic, streams, problems, start_ns) for topic in found)
     poses = {s.name: s for s in streams.values() if isinstance(s, PoseStream) and len(s) > 2}
     twists = {s.name: s for s in streams.values() if isinstance(s, TwistStream) and len(s) > 2}
     return _assigned(path, described, poses, twists, span, notes)
 
 
 def _topic(
-    name: str, type_name: str, messages: int, streams: Mapping[str, Stream],
-    problems: Mapping[str, str], start_ns: int,
+    topic: TopicCount, streams: Mapping[str, Stream], problems: Mapping[str, str], start_ns: int
 ) -> TopicInfo:
     """Return the description of a topic."""
-    mine = {kind: streams[f'{name} {kind}'] for kind in ('pose', 'twist')
-            if f'{name} {kind}' in streams}
+    mine = {kind: streams[f'{topic.name} {kind}'] for kind in ('pose', 'twist')
+            if f'{topic.name} {kind}' in streams}
     if not mine:
-        return TopicInfo(name, type_name, messages, problem=problems.get(name, ''))
+        return TopicInfo(*topic, problem=problems.get(topic.name, ''))
     stream = next(iter(mine.values()))
     quality = _quality(stream, start_ns) if len(stream) > 2 else {}
     return TopicInfo(
-        name, type_name, messages, ' and '.join(mine), frame_id=stream.frame_id,
+        *topic, ' and '.join(mine), frame_id=stream.frame_id,
         start_ns=int(stream.stamps_ns[0]),
         duration_s=float(stream.stamps_ns[-1] - stream.stamps_ns[0]) / NS_PER_S,
         refused={reason: len(where) for reason, where in stream.refused.items()}, **quality,
