@@ -10,7 +10,7 @@ from bellows_ros.core.identification.samples import lip_relative, needed_wrench
 from bellows_ros.core.kernels import spring_frames
 from bellows_ros.core.lie import apply, exp_so3, log_so3, wrench_transform
 from bellows_ros.core.live.load import equivalent_box
-from bellows_ros.core.model import Cup, cup_of, package_of, regressor
+from bellows_ros.core.model import cup_of, package_of, regressor
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.residuals import interpolated, relative_coordinates, score, spectrum
@@ -202,12 +202,18 @@ def loads(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Loads:
     to_middle = wrench_transform(T_middle_lip)
     bending = log_so3(R)
     halfway = exp_so3(0.5 * bending)
-    moved = apply(np.swapaxes(halfway, 1, 2), _middle(cup, o, R))
+    flat: Any = R.reshape(len(R), 9).tolist()
+    middle = np.array([  # of S1 in S2 (3.13)
+        spring_frames(cup.as_tuple, tuple(position), tuple(rotation))
+        for position, rotation in zip(o.tolist(), flat, strict=True)])
+    moved = apply(np.swapaxes(halfway, 1, 2), middle)
+    columns = regressor(cup.length, [cup.stiffness, cup.damping], o, R, v)
+    given = columns[:, :, 0] + columns[:, :, 3]  # K as stiffness, P as damping
     return Loads(
         seconds=recording.since_start(recording.package.stamps_ns),
         deflection=np.hstack([moved, bending]),
         load=_turned(halfway, -at_lip @ to_middle.T),
-        residual=_turned(halfway, (_given(cup, o, R, v) - at_lip) @ to_middle.T),
+        residual=_turned(halfway, (given - at_lip) @ to_middle.T),
         stiffness=np.diag(cup.stiffness),
         valid=recording.valid,
     )
@@ -216,22 +222,6 @@ def loads(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Loads:
 def _turned(R: Array, wrenches: Array) -> Array:
     """Return wrenches (N, 6) in turned axes."""
     return np.hstack([apply(R, wrenches[:, :3]), apply(R, wrenches[:, 3:])])
-
-
-def _middle(cup: Cup, o: Array, R: Array) -> Array:
-    """Return the position of S1 in S2 (N, 3) (3.13)."""
-    flat: Any = R.reshape(len(R), 9).tolist()
-    return np.array([
-        spring_frames(cup.as_tuple, tuple(position), tuple(rotation))
-        for position, rotation in zip(o.tolist(), flat, strict=True)
-    ])
-
-
-def _given(cup: Cup, o: Array, R: Array, v: Array) -> Array:
-    """Return the wrenches (N, 6) of a cup at the lip: two columns of the regressor."""
-    columns = regressor(cup.length, [cup.stiffness, cup.damping], o, R, v)
-    wrench: Array = columns[:, :, 0] + columns[:, :, 3]  # K as stiffness, P as damping
-    return wrench
 
 
 def replayed(
@@ -282,10 +272,8 @@ def within(shown: Timed, first: float, last: float) -> Timed:
     """
     seconds = shown.seconds
     part = (seconds >= first) & (seconds <= last)
-    valid = np.ones(len(seconds), dtype=bool)
-    if not isinstance(shown, Margins):
-        valid = shown.motion.valid if isinstance(shown, Replayed) else shown.valid
-    if np.count_nonzero(part & valid) < 2:
+    poses = shown.motion if isinstance(shown, Replayed) else shown
+    if np.count_nonzero(part & getattr(poses, 'valid', True)) < 2:
         raise BellowsError(
             f'There are fewer than two usable samples from {first:g} to {last:g} s; the '
             f'recording covers {seconds[0]:.2f} to {seconds[-1]:.2f} s.'

@@ -22,7 +22,7 @@ UNIT_OF: Mapping[str, Any] = {
         for name, matrix in (('stiffness', 'K'), ('damping', 'P'))
     },
     **dict.fromkeys((
-        'rms', 'largest', 'motion', 'noise', 'noise_rms', 'lip', 'measured', 'predicted',
+        'rms', 'largest', 'motion', 'noise_rms', 'lip', 'measured', 'predicted',
     ), POSE_UNITS),
     **dict.fromkeys((
         'chi2', 'robust_chi2', 'condition_number', 'narrowed', 'noise_share', 'signal_to_noise',

@@ -53,7 +53,7 @@ class Simulated(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Return it for a JSON file."""
-        return {**self._asdict(), 'axes': AXES}
+        return {**self._asdict(), 'axes': AXES, 'units': {'noise': POSE_UNITS}}
 
 
 class Verdict(NamedTuple):
