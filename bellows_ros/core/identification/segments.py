@@ -5,16 +5,16 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
-from bellows_ros.core.lie import apply, log_so3
+from bellows_ros.core.lie import apply
 from bellows_ros.core.model import Package
 from bellows_ros.core.recording.recording import (
-    HALF_WINDOW,
-    ORDER,
+    ripple,
+    ripple_part,
     TOOL_HALF_WINDOW,
     TOOL_ORDER,
 )
-from bellows_ros.core.resampling import MAD_TO_STD, resample, savgol, weights
-from bellows_ros.core.trajectory import any_within, NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.core.resampling import MAD_TO_STD, resample, savgol
+from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -44,12 +44,12 @@ class PoseNoise(NamedTuple):
     @property
     def fresh(self) -> Array:
         """Standard deviations (6,) of e."""
-        return np.asarray(self.ripple * np.sqrt(_ripple_part(0.0) / _ripple_part(self.kept)))
+        return self.std * float(np.sqrt(1.0 - self.kept**2))
 
     @property
     def std(self) -> Array:
         """Standard deviations (6,) of n."""
-        return np.asarray(self.fresh / np.sqrt(1.0 - self.kept**2))
+        return np.asarray(self.ripple * np.sqrt(ripple_part(0.0) / ripple_part(self.kept)))
 
 
 def pose_noise(poses: Trajectory) -> PoseNoise:
@@ -62,39 +62,11 @@ def pose_noise(poses: Trajectory) -> PoseNoise:
         If there is no window of valid samples.
 
     """
-    good = ~any_within(~poses.valid, 2 * HALF_WINDOW + 1)
-    if not good.any():
-        raise BellowsError(
-            f'The measurement noise cannot be estimated: no {2 * HALF_WINDOW + 1} valid samples '
-            'in a row. Check the gaps and outliers in the report.')
-    ripple = _ripple(poses)[good]
-    typical = MAD_TO_STD * np.median(np.abs(ripple), axis=0)
-    squares = np.mean(np.minimum(ripple**2, (CUT_AT * typical) ** 2), axis=0)
-    return PoseNoise(np.maximum(np.sqrt(squares / _ripple_part(0.0)), SMALLEST))
-
-
-def _ripple(poses: Trajectory) -> Array:
-    """Return the residual of the middle one of nine poses from a quartic (N - 8, 6), own axes."""
-    n = HALF_WINDOW
-    count = len(poses) - 2 * n
-    centre = slice(n, n + count)
-    R_inverse = np.swapaxes(poses.rotation[centre], 1, 2)
-    total = np.zeros((count, 6))
-    for j, weight in enumerate(weights(n, ORDER, 1.0)[0].tolist()):
-        part = slice(j, j + count)
-        total[:, :3] += weight * (poses.position[part] - poses.position[centre])
-        total[:, 3:] += weight * log_so3(R_inverse @ poses.rotation[part])
-    total[:, :3] = apply(R_inverse, total[:, :3])
-    return total
-
-
-def _ripple_part(kept: float) -> float:
-    """Return the variance of the ripple of first-order noise over that of its e."""
-    residue = weights(HALF_WINDOW, ORDER, 1.0)[0].copy()
-    residue[HALF_WINDOW] -= 1.0
-    steps = np.arange(len(residue))
-    lags = np.abs(np.subtract.outer(steps, steps))
-    return float(residue @ kept**lags @ residue) / (1.0 - kept**2)
+    left, rotation = ripple(poses)
+    left[:, :3] = apply(np.swapaxes(rotation, 1, 2), left[:, :3])
+    typical = MAD_TO_STD * np.median(np.abs(left), axis=0)
+    squares = np.mean(np.minimum(left**2, (CUT_AT * typical) ** 2), axis=0)
+    return PoseNoise(np.maximum(np.sqrt(squares / ripple_part(0.0)), SMALLEST))
 
 
 LONGEST_GAP = 0.15

@@ -18,7 +18,13 @@ from bellows_ros.core.parameters import ESTIMATE
 from bellows_ros.core.recording.alignment import Alignment, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.resampling import MAD_TO_STD, Timing, weights
-from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
+from bellows_ros.core.trajectory import (
+    any_within,
+    NS_PER_S,
+    PoseStream,
+    Trajectory,
+    TwistStream,
+)
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 from scipy.signal import lfilter
@@ -52,41 +58,64 @@ class Noise(NamedTuple):
     rotation: float
 
 
+def ripple(poses: Trajectory, enough: float = np.inf) -> tuple[Array, Array]:
+    """
+    Return what quartics through nine poses leave of the middle ones, and these rotations.
+
+    Parameters
+    ----------
+    poses : Trajectory
+        At a uniform rate, some of them not valid.
+    enough : float
+        Where there are more windows than that, every second is enough, or every third, ...
+
+    Returns
+    -------
+    array (M, 6), array (M, 3, 3)
+        Position in the world (m) and rotation vector in own axes (rad); of valid windows.
+
+    Raises
+    ------
+    UndeterminedError
+        If there is no window of valid samples.
+
+    """
+    n = HALF_WINDOW
+    whole = ~any_within(~poses.valid, 2 * n + 1)
+    step = int(max(len(whole) // enough, 1))
+    centres = n + step * np.flatnonzero(whole[::step])
+    if not len(centres):
+        raise UndeterminedError(
+            f'The measurement noise cannot be estimated: no {2 * n + 1} valid samples in a row. '
+            'Check the gaps and outliers in the report.')
+    rotation = poses.rotation[centres]
+    R_centre = np.swapaxes(rotation, 1, 2)
+    total = np.zeros((len(centres), 6))
+    for j, weight in enumerate(weights(n, ORDER, 1.0)[0].tolist(), start=-n):
+        total[:, :3] += weight * (poses.position[centres + j] - poses.position[centres])
+        total[:, 3:] += weight * log_so3(R_centre @ poses.rotation[centres + j])
+    return total, rotation
+
+
+def ripple_part(kept: Array | float) -> Array:
+    """Return the variance of the ripple of first-order noise over that of the noise."""
+    residue = -weights(HALF_WINDOW, ORDER, 1.0)[0]
+    residue[HALF_WINDOW] += 1.0
+    steps = np.arange(len(residue))
+    lags = np.abs(np.subtract.outer(steps, steps))
+    return np.asarray(np.asarray(kept)[..., None, None] ** lags @ residue @ residue)
+
+
 def noise_of(poses: Trajectory) -> Noise:
     """
     Estimate the white noise of poses at a uniform rate.
 
     It is the median size of what a local polynomial leaves of each sample, so that outliers do
-    not count. Noise-free recordings give what rounding leaves.
-
-    Raises
-    ------
-    BellowsError
-        If there is no window of valid samples.
-
+    not count. Noise-free recordings give what rounding leaves. Errors as those of `ripple`.
     """
-    n = HALF_WINDOW
-    W = weights(n, ORDER, 1.0)[0]
-    count = max(len(poses) - 2 * n, 0)
-    centres = np.arange(n, n + count, max(count // ENOUGH, 1))
-    windows = np.ones(len(centres), dtype=bool)
-    position = np.zeros((len(centres), 3))
-    rotation = np.zeros_like(position)
-    R_centre = np.swapaxes(poses.rotation[centres], 1, 2)
-    for j in range(2 * n + 1):
-        part = centres + (j - n)
-        windows &= poses.valid[part]
-        position += W[j] * (poses.position[part] - poses.position[centres])
-        rotation += W[j] * log_so3(R_centre @ poses.rotation[part])
-    if not windows.any():
-        raise UndeterminedError(
-            f'The measurement noise cannot be estimated: no {2 * n + 1} valid samples in a row.'
-        )
-    scale = MAD_TO_STD / np.sqrt(1.0 - W[n])  # the centre is part of its own fit
-    return Noise(
-        float(scale * np.median(np.abs(position[windows]))),
-        float(scale * np.median(np.abs(rotation[windows]))),
-    )
+    left = np.abs(ripple(poses, ENOUGH)[0])
+    scale = MAD_TO_STD / np.sqrt(ripple_part(0.0))  # the centre is part of its own fit
+    return Noise(*(float(scale * np.median(part)) for part in np.hsplit(left, 2)))
 
 
 class Colour(NamedTuple):
@@ -115,26 +144,15 @@ def colours_of(poses: Trajectory, noise: Noise) -> tuple[Colour, Colour]:
         wide = noise_of(poses.select(slice(None, None, stride))) if stride > 1 else noise
     except UndeterminedError:
         wide = noise
-    times = np.array([0.0, *np.geomspace(1.0, 200.0, 24)]) / 1e3
-    seen = np.array([[_seen(time * rate_hz / step) for step in (1, stride)] for time in times])
+    times = np.array([1e-12, *np.geomspace(1.0, 200.0, 24)]) / 1e3  # as good as white, first
+    kept = np.exp(-1.0 / (times * rate_hz))
+    seen = np.sqrt(ripple_part(np.stack([kept, kept**stride], axis=1)) / ripple_part(0.0))
     parts = []
     for one, other in zip(noise, wide, strict=True):
         ratio = other / one if one > 0.0 else 1.0
         at = int(np.argmin(np.abs(seen[:, 1] / seen[:, 0] - ratio))) if ratio > COLOURED else 0
-        parts.append(Colour(
-            one / float(seen[at, 0]), float(np.exp(-1.0 / (times[at] * rate_hz))) if at else 0.0))
+        parts.append(Colour(one / float(seen[at, 0]), float(kept[at])))
     return parts[0], parts[1]
-
-
-def _seen(samples: float) -> float:
-    """Return the estimate of `noise_of` for correlated noise of size 1."""
-    n = HALF_WINDOW
-    left = -weights(n, ORDER, 1.0)[0]
-    scale = np.sqrt(1.0 + left[n])
-    left[n] += 1.0
-    apart = np.abs(np.subtract.outer(np.arange(2 * n + 1), np.arange(2 * n + 1)))
-    correlation = np.exp(-apart / samples) if samples > 0.0 else np.eye(2 * n + 1)
-    return float(np.sqrt(left @ correlation @ left) / scale)
 
 
 @dataclass(frozen=True, eq=False)
