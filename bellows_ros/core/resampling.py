@@ -307,7 +307,9 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
         slots = np.rint(np.diff(trajectory.stamps_ns) * (timing.rate_hz / NS_PER_S))
         stamps = subdivided(trajectory.stamps_ns, np.maximum(slots, 1.0).astype(np.int64))[0]
     else:
-        stamps = _even(trajectory.stamps_ns, timing)
+        period = NS_PER_S / timing.rate_hz
+        stamps = trajectory.stamps_ns[0] + np.rint(
+            np.arange(int(span / period) + 1) * period).astype(np.int64)
     return resample(trajectory, stamps, timing.longest_step_ns)
 
 
@@ -354,14 +356,6 @@ def subdivided(stamps_ns: Stamps, parts: Stamps) -> tuple[Stamps, Stamps]:
     step = np.append(np.repeat(np.arange(len(parts)), parts), last)
     number = np.arange(len(step)) - (np.cumsum(parts) - parts)[step]
     return stamps_ns[step] + number * np.diff(stamps_ns)[step] // parts[step], step
-
-
-def _even(stamps_ns: Stamps, timing: Timing) -> Stamps:
-    """Return stamps at the rate, from the first on."""
-    period = NS_PER_S / timing.rate_hz
-    count = int((stamps_ns[-1] - stamps_ns[0]) / period) + 1
-    stamps: Stamps = stamps_ns[0] + np.rint(np.arange(count) * period).astype(np.int64)
-    return stamps
 
 
 # The polynomial must have a second derivative, for the accelerations.
@@ -464,7 +458,11 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
 
     """
     _require_fit(half_window, order)
-    _require_length(trajectory, half_window)
+    if len(trajectory) < 2 * half_window + 1:
+        raise BellowsError(
+            f'A filter with half window {half_window} needs at least {2 * half_window + 1} '
+            f'samples, got {len(trajectory)}. Use a smaller half window or a longer recording.'
+        )
     W = weights(half_window, order, uniform_rate_hz(trajectory.stamps_ns))
     count = len(trajectory) - 2 * half_window
     position, rotation = np.empty((count, 3)), np.empty((count, 3, 3))
@@ -562,13 +560,4 @@ def _require_fit(half_window: int, order: int) -> None:
             f'{LOWEST_ORDER} (accelerations need a second derivative) to {2 * half_window} '
             f'(a window has {2 * half_window + 1} samples), not {order}. '
             'Change the order or the half window.'
-        )
-
-
-def _require_length(trajectory: Trajectory, half_window: int) -> None:
-    """Refuse a trajectory that is shorter than one window."""
-    if len(trajectory) < 2 * half_window + 1:
-        raise BellowsError(
-            f'A filter with half window {half_window} needs at least {2 * half_window + 1} '
-            f'samples, got {len(trajectory)}. Use a smaller half window or a longer recording.'
         )

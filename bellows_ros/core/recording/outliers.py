@@ -29,6 +29,7 @@ from bellows_ros.core.recording.jumps import (
 )
 from bellows_ros.core.trajectory import any_within, NS_PER_S, PoseStream, Trajectory
 import numpy as np
+from scipy.ndimage import find_objects, label
 
 # Two jumps cancel when their sum is below this part of the larger one, ...
 CANCELS_WITHIN = 0.5
@@ -479,13 +480,6 @@ def _mark(good: Mask, runs: Iterable[Run]) -> None:
         good[run.first:run.last + 1] = False
 
 
-def _runs(mask: Mask) -> Iterator[Run]:
-    """Yield the runs of samples that are set."""
-    change = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    for first, after in change.reshape(-1, 2).tolist():
-        yield Run(first, after - 1)
-
-
 def _isolated(good: Mask, gap: Mask) -> tuple[Run, ...]:
     """Return the runs of good samples, without a gap in them, that are too short to be judged."""
     begins = np.concatenate([[True], gap | (good[1:] != good[:-1])])
@@ -507,7 +501,8 @@ def _frozen(poses: Trajectory) -> tuple[Run, ...]:
         return ()
     lengths = [np.linalg.norm(increment, axis=1) for increment in increments_of(poses).values()]
     found = []
-    for first, last in _runs(repeats):
+    for (run,) in find_objects(label(repeats)[0]):
+        first, last = run.start, run.stop - 1
         around = (repeats[max(first - NEARBY, 0):first], repeats[last + 1:last + 1 + NEARBY])
         if any(np.sum(~near) < MOVES_NEARBY for near in around if len(near) or not first):
             continue

@@ -107,8 +107,11 @@ class FilteredStreams:
         tool_there = resample(self.filtered[0], common, longest_ns)
         package_there = _at(self.filtered[1], common)
         reports = [
-            _stream_report(*parts)
-            for parts in zip(self.streams, self.filtered, strict=True)]
+            StreamReport(
+                own.recorded.name, len(own.recorded), own.recorded.refused, own.timing,
+                own.outliers, int(np.count_nonzero(
+                    _at(own.poses, filtered.stamps_ns).valid & ~filtered.valid)))
+            for own, filtered in zip(self.streams, self.filtered, strict=True)]
         measured_tool = resample(self.aligned[0], common, longest_ns)
         if tool_twist is not None:
             measured_tool = _with_twist(
@@ -202,15 +205,9 @@ def _clean(recorded: PoseStream, R_world_recorded: Array) -> _Stream:
     found_timing = timing(poses.stamps_ns)
     outliers = find_outliers(poses, found_timing.longest_step_ns)
     marked = Trajectory(poses.stamps_ns, poses.position, poses.rotation, valid=outliers.good)
-    used = _between_good_ones(outliers.good)
-    filled = on_grid(marked.select(used), found_timing)
-    return _Stream(recorded, found_timing, outliers, filled)
-
-
-def _between_good_ones(good: Mask) -> slice:
-    """Return the samples from the first to the last good one: a stray pose may be hours away."""
-    at = np.flatnonzero(good)
-    return slice(int(at[0]), int(at[-1]) + 1) if len(at) > 2 else slice(0, len(good))
+    at = np.flatnonzero(outliers.good)  # a stray pose before or after may be hours away
+    used = slice(at[0], at[-1] + 1) if len(at) > 2 else slice(None)
+    return _Stream(recorded, found_timing, outliers, on_grid(marked.select(used), found_timing))
 
 
 def _filtered(poses: Trajectory, half_window: int, order: int, name: str) -> Filtered:
@@ -270,19 +267,6 @@ def _with_twist(
         twist[inside, i], known[inside] = there.position, there.valid
         twist[:, i] = apply(R, twist[:, i])
     return replace(tool, twist=twist.reshape(-1, 6), valid=tool.valid & known)
-
-
-def _stream_report(stream: _Stream, filtered: Filtered) -> StreamReport:
-    """Return the report on a topic's poses."""
-    at_centres = _at(stream.poses, filtered.stamps_ns).valid
-    return StreamReport(
-        stream.recorded.name,
-        len(stream.recorded),
-        stream.recorded.refused,
-        stream.timing,
-        stream.outliers,
-        int(np.count_nonzero(at_centres & ~filtered.valid)),
-    )
 
 
 def _require_some(valid: Mask, reports: list[StreamReport]) -> None:

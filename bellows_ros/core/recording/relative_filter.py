@@ -58,7 +58,11 @@ def filtered_with_lip(
         If the stamps are not uniform, or the poses are fewer than a window.
 
     """
-    lip = lip_poses(tool, package, com)
+    R_tool_world = np.swapaxes(tool.rotation, -1, -2)
+    origin = package.position - apply(package.rotation, np.asarray(com, dtype=float))
+    lip = Trajectory(
+        tool.stamps_ns, apply(R_tool_world, origin - tool.position),
+        R_tool_world @ package.rotation, valid=tool.valid & package.valid)  # S in E
     filtered_tool, filtered_lip = savgol(tool, *tool_filter), savgol(lip, *package_filter)
     cut = max(tool_filter[0], package_filter[0])
     inner_tool, inner_lip = (
@@ -66,18 +70,6 @@ def filtered_with_lip(
         for filtered, n in ((filtered_tool, tool_filter[0]), (filtered_lip, package_filter[0]))
     )
     return inner_tool, composed(inner_tool, inner_lip, com)
-
-
-def lip_poses(tool: Trajectory, package: Trajectory, com: ArrayLike) -> Trajectory:
-    """Return the poses of S in E, from those of E and B in the world at the same stamps."""
-    R_tool_world = np.swapaxes(tool.rotation, -1, -2)
-    lip = package.position - apply(package.rotation, np.asarray(com, dtype=float))
-    return Trajectory(
-        tool.stamps_ns,
-        apply(R_tool_world, lip - tool.position),
-        R_tool_world @ package.rotation,
-        valid=tool.valid & package.valid,
-    )
 
 
 def composed(tool: Trajectory, lip: Trajectory, com: ArrayLike) -> Trajectory:

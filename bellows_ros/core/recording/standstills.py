@@ -115,8 +115,9 @@ def _still(
 ) -> list[Stamps]:
     """Return the samples of every standstill of all bodies, in the order of time."""
     stamps = bodies[0].stamps_ns
-    means = [_block_means(body, spans) for body in bodies]
-    limits = [_limits(n, int(np.median([len(span) for span in spans]))) for n in noise]
+    means = [_means(body, spans) for body in bodies]
+    factor = NOISE_DEVIATIONS / np.sqrt(np.median([len(span) for span in spans]))
+    limits = [Noise(*np.add(STILL_WITHIN, np.multiply(factor, n))) for n in noise]
     ends = stamps[[span[-1] for span in spans]]
     found, last = [], len(spans) - 1
     while last >= 0:
@@ -143,19 +144,12 @@ def _blocks(tool: Trajectory, package: Trajectory) -> list[Stamps]:
     return [part for part in parts if len(part) >= FEWEST_IN_BLOCK] or [valid]
 
 
-def _limits(noise: Noise, samples: int) -> Noise:
-    """Return the tolerance of the means of a body at rest over some samples."""
-    factor = NOISE_DEVIATIONS / float(np.sqrt(samples))
-    return Noise(*(w + factor * n for w, n in zip(STILL_WITHIN, noise, strict=True)))
-
-
-def _block_means(body: Trajectory, spans: list[Stamps]) -> Trajectory:
-    """Return the mean pose of every block, at its first stamp."""
-    means = [_mean(body, span) for span in spans]
+def _means(body: Trajectory, spans: Sequence[Stamps]) -> Trajectory:
+    """Return the mean pose over each span of samples, at its first stamp."""
     return Trajectory(
         body.stamps_ns[[span[0] for span in spans]],
-        np.array([position for position, _ in means]),
-        np.array([rotation for _, rotation in means]),
+        np.array([body.position[span].mean(axis=0) for span in spans]),
+        np.array([mean_rotation(body.rotation[span]) for span in spans]),
     )
 
 
@@ -165,18 +159,14 @@ def _joins(
     """Return whether the block before the first is near blocks first to last."""
     if means[0].stamps_ns[first] - ends[first - 1] > BLOCK_SECONDS * NS_PER_S:
         return False
+    near = slice(first, last + 1)
     for body, limit in zip(means, limits, strict=True):
-        position, rotation = _mean(body, np.arange(first, last + 1))
-        moved = float(np.linalg.norm(body.position[first - 1] - position))
-        turned = float(np.linalg.norm(log_so3(rotation.T @ body.rotation[first - 1])))
+        rotation = mean_rotation(body.rotation[near])
+        moved = np.linalg.norm(body.position[first - 1] - body.position[near].mean(axis=0))
+        turned = np.linalg.norm(log_so3(rotation.T @ body.rotation[first - 1]))
         if moved > limit.position or turned > limit.rotation:
             return False
     return True
-
-
-def _mean(body: Trajectory, index: Stamps) -> tuple[Array, Array]:
-    """Return the mean position and rotation of some poses."""
-    return body.position[index].mean(axis=0), mean_rotation(body.rotation[index])
 
 
 def _seconds(stamps_ns: Stamps, span: Stamps) -> float:
@@ -189,15 +179,10 @@ def _standstill(
     payload: Package,
 ) -> Standstill:
     """Return the standstill of some samples."""
-    start = package.stamps_ns[span[:1]]
-    means = []
-    for body in (tool, package):
-        position, rotation = _mean(body, span)
-        means.append(Trajectory(start, position[None], rotation[None]))
     error = _error(tool.select(span), package.select(span), noise)
     return Standstill(
-        int(start[0]), _seconds(package.stamps_ns, span), means[0], means[1], len(span), error,
-        payload)
+        int(package.stamps_ns[span[0]]), _seconds(package.stamps_ns, span), _means(tool, [span]),
+        _means(package, [span]), len(span), error, payload)
 
 
 def _error(tool: Trajectory, package: Trajectory, noise: tuple[Noise, Noise]) -> Noise:

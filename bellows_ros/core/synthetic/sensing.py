@@ -151,9 +151,21 @@ def schedule(
     jump = np.full(len(sampled_ns), -1)
     kept = np.full(len(sampled_ns), True)
     first = int(np.ceil(rest_duration * sensor.rate_hz)) + 1
-    lengths = _event_lengths(sensor)
-    _require_room(sensor, lengths, len(sampled_ns) - first)
-    starts, order = _event_starts(lengths, first, len(sampled_ns), draw)
+    lengths = np.maximum(np.round(np.repeat(
+        [sensor.jumps.duration, sensor.dropouts.duration],
+        [sensor.jumps.count, sensor.dropouts.count]) * sensor.rate_hz).astype(np.int64), 1)
+    # Between two events, and at both ends, there is one sample at least.
+    needed = int(lengths.sum()) + len(lengths) + 1
+    free = len(sampled_ns) - first - needed
+    if len(lengths) and free < 0:
+        raise BellowsError(
+            f"The outliers and dropouts of '{sensor.name}' need {needed} samples, but there are "
+            f'only {max(len(sampled_ns) - first, 0)} after the rest. '
+            'Make them fewer or shorter, or the motion longer.'
+        )
+    order = draw.permutation(len(lengths))
+    spread = np.sort(draw.integers(0, max(free, 0) + 1, len(lengths)))
+    starts = first + spread + np.cumsum(lengths[order] + 1) - lengths[order] - 1
     jumps: list[int] = []
     dropouts: list[int] = []
     for start, event in zip(starts.tolist(), order.tolist(), strict=True):
@@ -164,49 +176,10 @@ def schedule(
         else:
             kept[samples] = False
             dropouts.append(start)
-    stamps_ns = sampled_ns + _jitter_ns(sensor, len(sampled_ns), draw)
-    return Schedule(sampled_ns, stamps_ns, jump, kept, tuple(jumps), tuple(dropouts))
-
-
-def _event_lengths(sensor: Sensor) -> Indices:
-    """Return how many samples each jump, then each gap lasts, one at least."""
-    durations = [sensor.jumps.duration] * sensor.jumps.count
-    durations += [sensor.dropouts.duration] * sensor.dropouts.count
-    lengths = np.round(np.array(durations) * sensor.rate_hz).astype(np.int64)
-    return np.maximum(lengths, 1)
-
-
-def _require_room(sensor: Sensor, lengths: Indices, samples: int) -> None:
-    """Refuse more jumps and gaps than there are samples for."""
-    needed = int(lengths.sum()) + len(lengths) + 1
-    if len(lengths) and needed > samples:
-        raise BellowsError(
-            f"The outliers and dropouts of '{sensor.name}' need {needed} samples, but there are "
-            f'only {max(samples, 0)} after the rest. '
-            'Make them fewer or shorter, or the motion longer.'
-        )
-
-
-def _event_starts(
-    lengths: Indices, first: int, count: int, draw: Generator
-) -> tuple[Indices, Indices]:
-    """
-    Return the first samples of events in increasing order, and which event starts at each.
-
-    Between two events, and at both ends, there is one sample at least.
-    """
-    order = draw.permutation(len(lengths))
-    taken = np.cumsum(lengths[order] + 1)
-    free = count - first - int(lengths.sum()) - len(lengths) - 1
-    spread = np.sort(draw.integers(0, max(free, 0) + 1, len(lengths)))
-    return first + spread + taken - lengths[order] - 1, order
-
-
-def _jitter_ns(sensor: Sensor, count: int, draw: Generator) -> Stamps:
-    """Return the error of each stamp, ns."""
     largest = LARGEST_JITTER / sensor.rate_hz
-    jitter = np.clip(draw.normal(0.0, sensor.jitter, count), -largest, largest)
-    return np.round(jitter * NS_PER_S).astype(np.int64)
+    jitter = np.clip(draw.normal(0.0, sensor.jitter, len(sampled_ns)), -largest, largest)
+    stamps_ns = sampled_ns + np.round(jitter * NS_PER_S).astype(np.int64)
+    return Schedule(sampled_ns, stamps_ns, jump, kept, tuple(jumps), tuple(dropouts))
 
 
 def measure_poses(
