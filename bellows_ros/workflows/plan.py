@@ -531,15 +531,9 @@ def plan_message(
     motion: Trajectory, stamp_ns: int, frame_id: str, name: str, axes: str
 ) -> PlanMessage:
     """Return a motion as the plan of a body, with twists in axes of the 'world' or its own."""
+    twist = np.asarray(motion.twist)
+    if axes == 'world':
+        twist = apply(motion.rotation[:, None], twist.reshape(-1, 2, 3)).reshape(-1, 6)
     return PlanMessage(
         stamp_ns, frame_id, (name,), motion.stamps_ns - motion.stamps_ns[0],
-        np.hstack([motion.position, rotation_to_quaternion(motion.rotation)]),
-        in_axes(motion.rotation, np.asarray(motion.twist), axes))
-
-
-def in_axes(rotation: Array, twist: Array, axes: str) -> Array:
-    """Return body twists (N, 6) in axes of the world, or as they are."""
-    if axes != 'world':
-        return twist
-    return np.hstack([np.einsum('nij,nj->ni', rotation, part)
-                      for part in (twist[:, :3], twist[:, 3:])])
+        np.hstack([motion.position, rotation_to_quaternion(motion.rotation)]), twist)

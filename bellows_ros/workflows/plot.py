@@ -209,19 +209,16 @@ def loads(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Loads:
     moved = apply(np.swapaxes(halfway, 1, 2), middle)
     columns = regressor(cup.length, [cup.stiffness, cup.damping], o, R, v)
     given = columns[:, :, 0] + columns[:, :, 3]  # K as stiffness, P as damping
+    needed, residual = (
+        apply(halfway[:, None], (wrench @ to_middle.T).reshape(-1, 2, 3)).reshape(-1, 6)
+        for wrench in (-at_lip, given - at_lip))
     return Loads(
         seconds=recording.since_start(recording.package.stamps_ns),
         deflection=np.hstack([moved, bending]),
-        load=_turned(halfway, -at_lip @ to_middle.T),
-        residual=_turned(halfway, (given - at_lip) @ to_middle.T),
+        load=needed, residual=residual,
         stiffness=np.diag(cup.stiffness),
         valid=recording.valid,
     )
-
-
-def _turned(R: Array, wrenches: Array) -> Array:
-    """Return wrenches (N, 6) in turned axes."""
-    return np.hstack([apply(R, wrenches[:, :3]), apply(R, wrenches[:, 3:])])
 
 
 def replayed(
