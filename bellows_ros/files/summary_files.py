@@ -182,8 +182,7 @@ def _require_whole(part: Reduced) -> None:
         *((own.scatter, (6, 6)) for own in moments),
     ]
     if seen.passed is not None:
-        wanted += [(seen.passed.power, (6,)), (seen.passed.lost, (6,)),
-                   (seen.passed.floor, (6,)), (seen.passed.of_noise, (6,)),
+        wanted += [(seen.passed.lost, (6,)), (seen.passed.least, (6,)),
                    (np.array(seen.passed.end_hz), ())]
     if world is not None:
         wanted += [(world.pose, (7,)), (world.std, (6,))]

@@ -111,19 +111,16 @@ class Identifiability:
 def advice(
     parameters: Sequence[Identifiability],
     structure: Structure,
-    rank: int,
     pairs: Sequence[tuple[str, str, float]],
     source: str,
-    biased: bool = True,
 ) -> Iterator[str]:
-    """Yield advice to the user; on noise only where it biases the estimates."""
+    """Yield advice to the user."""
     size = structure.size
     coupled = []
     for number, entries in enumerate(structure.entries):
         own = (parameters[number], parameters[size + number])
         if entries[0][0] == entries[0][1]:
-            yield from _direction_warnings(
-                [AXES[row] for row, _, _ in entries], own, source, biased)
+            yield from _direction_warnings([AXES[row] for row, _, _ in entries], own, source)
         else:
             coupled += [each.label for each in own if not each.identifiable]
     if coupled:
@@ -133,11 +130,6 @@ def advice(
             f'{source}; use a simpler fit.structure, or move all axes at once, each at its own '
             'frequencies.'
         )
-    if rank < len(parameters):
-        yield (
-            f'Only {rank} of {len(parameters)} combinations of parameters are identifiable. '
-            'Excite all six directions, or use a simpler fit.structure.'
-        )
     for one, other, correlation in pairs[:PAIRS_SHOWN]:
         yield (
             f'{one} and {other} are nearly inseparable (correlation {correlation:+.2f}): their '
@@ -146,7 +138,7 @@ def advice(
 
 
 def _direction_warnings(
-    axes: list[str], own: tuple[Identifiability, Identifiability], source: str, biased: bool
+    axes: list[str], own: tuple[Identifiability, Identifiability], source: str
 ) -> Iterator[str]:
     """Yield warnings about a direction's stiffness and damping."""
     both = list(zip(('stiffness', 'damping'), own, strict=True))
@@ -160,7 +152,7 @@ def _direction_warnings(
             f'{title} is hardly excited: its {" and ".join(unknown)} {verb} not identifiable from '
             f'{source}; {advice}.'
         )
-    for name, each in both if biased else ():
+    for name, each in both:
         if not each.weak:
             continue
         share = (f'{each.noise_share:.0%} of the information on its {name} is noise:'
@@ -171,13 +163,6 @@ def _direction_warnings(
             f'fit.method: prediction_error, or {advice}.'
         )
 
-
-LOST, STANDS_OUT = 0.03, 5.0
-"""
-A direction is too fast if the filter takes more than this part of its velocities.
-
-Velocities count as so many times the power of the noise at least, which is known to some percent.
-"""
 
 SHORTEST = 4
 """Shortest half window (samples) for polynomials of order 6."""
@@ -197,14 +182,10 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
     """
     if not passed:
         return
-    power, lost, of_noise, floor = (
-        np.mean([getattr(own, name) for own in passed], axis=0)
-        for name in ('power', 'lost', 'of_noise', 'floor'))
-    variance = np.maximum(np.array([axis.twist_noise for axis in axes]) ** 2, floor)
-    moving, lost = power - variance, lost - of_noise * variance
-    least = LOST * np.maximum(moving, STANDS_OUT * variance)
+    too_much = (np.sum([own.lost for own in passed], axis=0)
+                > np.sum([own.least for own in passed], axis=0))
     first = min(passed, key=lambda own: own.end_hz)
-    for axis, is_lost in zip(axes, lost > least, strict=True):
+    for axis, is_lost in zip(axes, too_much, strict=True):
         if not is_lost:
             continue
         end, fastest = first.end_hz, axis.band_hz[1]
@@ -314,8 +295,7 @@ def excitation_of(
     rank = found.rank if fit is None else int(np.count_nonzero(known))
     return Excitation(
         structure.name, axes, parameters, rank, len(values), found.condition_number, pairs,
-        (*advice(parameters, structure, found.rank if filtered else len(values), pairs, source,
-                 filtered), *fast))
+        (*advice(parameters, structure, pairs, source), *fast))
 
 
 def _noise_effects(noise: Array, whitening: Array, found: Solution) -> tuple[Array, Array]:

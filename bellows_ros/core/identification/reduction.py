@@ -286,7 +286,7 @@ def movement_of(
     if noise is not None:
         noisy = with_noise(some, noise, np.random.default_rng(SEED)).lip
         noise_seen = np.array([noisy.displacement(cup_length), noisy.twist]) - seen
-        passed = PassBand.of(samples, noise)
+        passed = PassBand.of(samples, noise, noise_seen[1].std(axis=0))
     return Movement(
         Moments.of(seen[0]), Moments.of(seen[1]), Moments.of(noise_seen[0]),
         Moments.of(noise_seen[1]), np.array(samples.twist_spectrum.band(BAND)), passed)

@@ -265,6 +265,13 @@ FOLLOWED = 0.013
 RESOLUTION = 0.05
 """Resolution (Hz) of the end of a pass band."""
 
+LOST, STANDS_OUT = 0.03, 5.0
+"""
+A direction is too fast if the filter takes more than this part of its velocities.
+
+Velocities count as so many times the power of the noise at least, which is known to some percent.
+"""
+
 NO_FLOOR = 1e-3
 """Transmission of white noise below which the spectrum shows no noise floor."""
 
@@ -323,22 +330,23 @@ class PassBand(NamedTuple):
     """
     The transmission of a package's filter for the lip's twist.
 
-    Mean squares (6,) of the filtered twist, power, and of what the filter took of it, lost; the
-    part (6,) of the noise that it took; the end (Hz) of its pass band; half windows (samples) of
-    the filters of tool and package; and the mean squares (6,) of the noise that the spectra show
-    beyond the pass band, where noise in one axis is larger than in the others.
+    Mean squares (6,) of what the filter took of the motion, lost, and the least of them that are
+    too much; the end (Hz) of its pass band; half windows (samples) of the filters of tool and
+    package.
     """
 
-    power: Array
     lost: Array
-    of_noise: Array
+    least: Array
     end_hz: float
     half_windows: tuple[int, int]
-    floor: Array
 
     @classmethod
-    def of(cls, samples: Samples, noise: FilterNoise) -> 'PassBand':
-        """Return that of a recording, of all samples, by the spectrum of its twist."""
+    def of(cls, samples: Samples, noise: FilterNoise, size: Array) -> 'PassBand':
+        """
+        Return that of all samples of a recording, whose twists have noise of a size (6,).
+
+        In an axis where noise is larger, the spectrum beyond the pass band shows it.
+        """
         twist, rate_hz = samples.twist_spectrum, uniform_rate_hz(samples.package.stamps_ns)
         part = left(noise.package_weights, rate_hz, twist.frequency)
         white = (part * twist.frequency) ** 2
@@ -349,9 +357,10 @@ class PassBand(NamedTuple):
         seen = white[:, None] * np.repeat(colour, 3, axis=1)
         level = twist.density[beyond] / seen[beyond]
         floor = np.median(level, axis=0) * seen.sum(axis=0) if beyond.any() else np.zeros(6)
+        variance = np.maximum(size**2, twist.frequency[1] * floor)
+        moving = twist.frequency[1] * twist.density.sum(axis=0) - variance
+        lost = (twist.frequency[1] * (1.0 - part) @ twist.density
+                - (1.0 - part) @ seen / seen.sum(axis=0) * variance)
         return cls(
-            twist.frequency[1] * twist.density.sum(axis=0),
-            twist.frequency[1] * (1.0 - part) @ twist.density,
-            (1.0 - part) @ seen / seen.sum(axis=0), end,
-            (noise.tool_half_window, noise.package_weights.shape[1] // 2),
-            twist.frequency[1] * floor)
+            lost, LOST * np.maximum(moving, STANDS_OUT * variance), end,
+            (noise.tool_half_window, noise.package_weights.shape[1] // 2))

@@ -83,7 +83,7 @@ def test_a_motion_that_the_filter_follows_is_not_warned_about(frequency):
 
 def test_windows_are_advised_only_where_they_are_shorter():
     axis = Axis('z', 1e-3, 1e-3, 0.1, (1.0, 5.0), 0.0, 0.0)
-    slow = PassBand(np.ones(1), np.full(1, 0.5), np.full(1, 0.5), 6.0, (30, 30), np.zeros(1))
+    slow = PassBand(np.ones(1), np.full(1, 0.5), 6.0, (30, 30))
     (same,) = too_fast([axis], [slow])
     assert 'half_window' not in same and same.endswith('Use fit.method: prediction_error.')
 
