@@ -135,9 +135,7 @@ def excitation_content(
 
 def iteration_content(iterations: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return how the minimum was found."""
-    stages = {int(step.get('stage', 0)) for step in iterations}
-    return [figure(iteration_figure(
-        iterations, f'{len(iterations)} steps in {len(stages)} stages'))]
+    return [figure(iteration_figure(iterations, f'{len(iterations)} steps'))]
 
 
 def standstill_content(content: Mapping[str, Any]) -> list[str]:

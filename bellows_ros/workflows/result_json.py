@@ -77,7 +77,7 @@ def fit_json(fit: Fit) -> dict[str, Any]:
         'time_offsets': fit.delays,
         'time_offsets_std': fit.delays_std,
         'iterations': [
-            attributes(i, 'stage', 'chi2', 'stiffness', 'damping') for i in fit.iterations],
+            attributes(i, 'chi2', 'stiffness', 'damping') for i in fit.iterations],
         'with_standstills': found and {
             'standstills': found.count,
             'chi2': found.chi2,

@@ -9,7 +9,7 @@ from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
-from bellows_ros.core.identification.result import Fit, Freed, Iteration
+from bellows_ros.core.identification.result import Fit, Freed
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import Cup, cup_of
 from bellows_ros.core.recording.recording import Noise, PrepareSettings, Recording, TimeOffset
@@ -184,7 +184,11 @@ def _by_prediction_error(
     start = start_cup([_reduced(own, values).statistics for own in recordings], cup_of(values))
     segments = [replace(segment, recording=number, moves_with_com=moves_with_com(own.settings))
                 for number, own in enumerate(recordings) for segment in segments_of(own)]
-    return prediction_error(segments, structure, start, _teller(progress), free)
+    tell = progress or (lambda what, part: None)
+    return prediction_error(
+        segments, structure, start, lambda own: tell(
+            f'step {own.number + 1}: chi^2 {own.chi2:.4g}',
+            (own.number + 1) / (own.number + 1 + TYPICAL_STEPS)), free)
 
 
 def first_guess(
@@ -272,28 +276,3 @@ def start_cup(parts: Sequence[Statistics], known: Cup) -> Cup:
         )
     )
     return Cup(stiffness, damping, known.length)
-
-
-def _teller(progress: Progress | None) -> Callable[[Iteration], None] | None:
-    """Return a function that reports an iteration in words."""
-    if progress is None:
-        return None
-    iterations: list[Iteration] = []
-
-    def tell(iteration: Iteration) -> None:
-        """Report it with those before, which show how far it is."""
-        iterations.append(iteration)
-        done = len(iterations)
-        progress(
-            f'step {done}: chi^2 {iteration.chi2:.4g}; '
-            f'K {_diagonal(iteration.stiffness, 4)}, P {_diagonal(iteration.damping, 3)}',
-            done / (done + TYPICAL_STEPS))
-
-    return tell
-
-
-def _diagonal(matrix: Array, digits: int) -> str:
-    """Return the numbers on a diagonal, of lateral directions that are tied only one."""
-    numbers = np.diag(matrix)
-    tied = numbers[0] == numbers[1] and numbers[3] == numbers[4]
-    return ' '.join(f'{x:.{digits}g}' for x in (numbers[[0, 2, 3, 5]] if tied else numbers))

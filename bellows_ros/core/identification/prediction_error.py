@@ -104,7 +104,7 @@ def prediction_error(
     def note(theta: Array, chi2: float) -> None:
         cup = search.cup(theta)
         iterations.append(Iteration(
-            0, len(iterations), chi2, cup.stiffness, cup.damping, time.perf_counter() - began))
+            len(iterations), chi2, cup.stiffness, cup.damping, time.perf_counter() - began))
         if progress is not None:
             progress(iterations[-1])
 
