@@ -25,12 +25,6 @@ BLOCK = 4096
 LARGEST_KEPT = 2**27
 """Largest regressor of one recording that is kept for reuse, bytes."""
 
-WRENCH = (
-    *((f'force along {axis}', 'N') for axis in 'xyz'),
-    *((f'moment about {axis}', 'N m') for axis in 'xyz'),
-)
-"""The components of a wrench at S, and their units."""
-
 CLUSTER_WINDOWS = 4
 """Residuals this many filter windows apart count as independent for standard errors."""
 

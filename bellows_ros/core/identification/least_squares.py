@@ -20,7 +20,6 @@ from bellows_ros.core.identification.equations import (
     solution,
     whitening_of,
     without,
-    WRENCH,
 )
 from bellows_ros.core.identification.reduction import Statistics
 from bellows_ros.core.identification.result import (
@@ -47,6 +46,11 @@ SMALLEST_SHARE = 1e-3
 
 LEAST_SIGNAL = 0.1
 """Share of the information that must be signal for noise to be removed from a direction."""
+
+TOO_SHORT = (
+    'The recordings are too short for standard errors of K and P: residuals within a filter '
+    'window are correlated, and too few windows are left. The standard errors are infinite. '
+    'Record longer.')
 
 UNEXPLAINED, OF_THE_WRENCH = 1.5, 0.1
 """Residuals are too large beyond this multiple of noise and this fraction of the wrench."""
@@ -94,7 +98,8 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     if noise is not None:
         bias, gain, separable = noise_bias(noise, whitening, x, inverse)
         x, identifiable = x - bias, identifiable & separable
-        noise_rms = _noise_rms(noise, x, used)
+        left = np.append(x, -1.0)
+        noise_rms = np.sqrt(np.einsum('p,ipiq,q->i', left, noise, left) / used)
     covariance, squares = _uncertainty(parts, whitening, x, inverse, gain)
     stiffness, damping = structure.matrices(x)
     std = np.sqrt(np.diag(covariance))
@@ -121,7 +126,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         bias=bias,
         warnings=(
             *definiteness_warnings(stiffness, damping, structure.name),
-            *_short_warnings(covariance),
+            *(() if np.isfinite(np.diag(covariance)).any() else (TOO_SHORT,)),
         ),
         misfit=_misfit(residual_rms, noise_rms, whitening),
     )
@@ -248,27 +253,10 @@ def noise_bias(
     return -compensated @ slope, gain, separable
 
 
-def _noise_rms(noise: Array, x: Array, used: int) -> Array:
-    """Return the RMS of the wrenches (6,) that noise alone would leave unexplained."""
-    left = np.append(x, -1.0)
-    return np.asarray(np.sqrt(np.einsum('p,ipiq,q->i', left, noise, left) / used))
-
-
 def _with_correlations_of(covariance: Array, variances: Array) -> Array:
     """Return a covariance with the correlations of one and with other variances (p,)."""
     size = np.sqrt(variances / np.maximum(np.diag(covariance), np.finfo(float).tiny))
     return np.asarray(covariance * np.outer(size, size))
-
-
-def _short_warnings(covariance: Array) -> tuple[str, ...]:
-    """Return a sentence if standard errors are unknown."""
-    if np.isfinite(np.diag(covariance)).any():
-        return ()
-    return (
-        'The recordings are too short for standard errors of K and P: residuals within a filter '
-        'window are correlated, and too few windows are left. The standard errors are infinite. '
-        'Record longer.',
-    )
 
 
 def _misfit(left: Array, by_noise: Array | None, whitening: Array) -> str:
@@ -281,7 +269,8 @@ def _misfit(left: Array, by_noise: Array | None, whitening: Array) -> str:
     if not doubtful.any():
         return ''
     worst = int(np.argmax(np.where(doubtful, excess, 0.0)))
-    what, unit = WRENCH[worst]
+    axis, unit = 'xyz'[worst % 3], WRENCH_UNITS[worst]
+    what = f'moment about {axis}' if worst > 2 else f'force along {axis}'
     return (
         f'The model does not explain the recordings: the residual {what} is {left[worst]:.2g} '
         f'{unit} RMS, of which noise explains {by_noise[worst]:.2g} {unit}. Check '

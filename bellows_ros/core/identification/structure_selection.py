@@ -354,7 +354,11 @@ def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:
         )
     best = min(able, key=lambda candidate: candidate.held_out)
     advised = next(candidate for candidate in able if _as_good(candidate, best))
-    sentences.insert(0, _reason(advised, best, able))
+    errors = ', '.join(f'{candidate.structure} {candidate.held_out:.2%}' for candidate in able)
+    why = ('It has the smallest held-out error' if advised is best else
+           f'It is the simplest with a held-out error as small as that of {best.structure}')
+    sentences.insert(0, f'Use fit.structure: {advised.structure}. {why} (error over motion: '
+                        f'{errors}).')
     preferred = {
         name: min(candidates, key=lambda candidate: getattr(candidate, name)).structure
         for name in ('aic', 'bic')
@@ -375,16 +379,6 @@ def _as_good(candidate: Candidate, best: Candidate) -> bool:
     error = float(np.std(worse, ddof=1) / np.sqrt(len(worse))) if len(worse) > 1 else 0.0
     small = (1.0 + AS_GOOD_WITHIN) ** 2 - 1.0
     return bool(np.mean(worse) <= max(error, small * best.held_out**2, NEGLIGIBLE**2))
-
-
-def _reason(advised: Candidate, best: Candidate, able: list[Candidate]) -> str:
-    """Return the sentence that justifies the recommended structure."""
-    errors = ', '.join(f'{candidate.structure} {candidate.held_out:.2%}' for candidate in able)
-    if advised is best:
-        why = 'It has the smallest held-out error'
-    else:
-        why = (f'It is the simplest with a held-out error as small as that of {best.structure}')
-    return f'Use fit.structure: {advised.structure}. {why} (error over motion: {errors}).'
 
 
 def _unable(candidate: Candidate) -> str:

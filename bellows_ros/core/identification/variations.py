@@ -64,8 +64,7 @@ def time_offset(given: Given, theta: Array) -> Given:
     package = samples.package.select(inside)
     lost = samples.tool.stamps_ns[~samples.tool.valid]  # the same samples for every offset
     first, last = (np.searchsorted(lost, package.stamps_ns + side) for side in (-edge, edge))
-    tool = Trajectory(package.stamps_ns, there.position, there.rotation, there.twist,
-                      valid=first == last)
+    tool = replace(there, stamps_ns=package.stamps_ns, valid=first == last)
     return _with(given, tool=tool, package=package)
 
 
@@ -104,9 +103,9 @@ def package_world(given: Given, theta: Array) -> Given:
     """
     body = given.samples.package
     R, middle = exp_so3(theta[3:]), body.position[body.valid].mean(axis=0)
-    return _with(given, package=Trajectory(
-        body.stamps_ns, middle + theta[:3] + apply(R, body.position - middle), R @ body.rotation,
-        body.twist, body.acceleration, body.valid))
+    return _with(given, package=replace(
+        body, position=middle + theta[:3] + apply(R, body.position - middle),
+        rotation=R @ body.rotation))
 
 
 def grip(given: Given, theta: Array) -> Given:
@@ -118,9 +117,10 @@ def gravity(R: Array) -> Variation:
     """Return a variation that rotates the world of both bodies."""
     def turned(given: Given, theta: Array) -> Given:
         """Return it in a world that is turned by R."""
-        tool, package = given.samples.tool, given.samples.package
-        return _with(
-            given, tool=_in_world(R, tool), package=_in_world(R, package))
+        tool, package = (
+            replace(body, position=apply(R, body.position), rotation=R @ body.rotation)
+            for body in (given.samples.tool, given.samples.package))
+        return _with(given, tool=tool, package=package)
     return turned
 
 
@@ -163,12 +163,6 @@ def _with(given: Given, **changes: Any) -> Given:
     return given._replace(samples=replace(given.samples, **changes))
 
 
-def _in_world(R: Array, body: Trajectory) -> Trajectory:
-    """Return a motion in another world, with the same body twists."""
-    return Trajectory(body.stamps_ns, apply(R, body.position), R @ body.rotation, body.twist,
-                      body.acceleration, body.valid)
-
-
 def _body_moved(given: Given, phi: Array, way: Array, about_lip: bool = False) -> Given:
     """Return it with B displaced in its own axes."""
     if about_lip:  # B = S + R com
@@ -181,7 +175,7 @@ def _of_fixed_frame(body: Trajectory, phi: Array, way: Array) -> Trajectory:
     """Return the motion of a frame that is fixed in a body, by its pose there."""
     R = exp_so3(phi)
     X = adjoint(inverse_transform(transform(R, way)))
-    return Trajectory(
-        body.stamps_ns, body.position + apply(body.rotation, way), body.rotation @ R,
-        None if body.twist is None else apply(X, body.twist),
-        None if body.acceleration is None else apply(X, body.acceleration), body.valid)
+    return replace(
+        body, position=body.position + apply(body.rotation, way), rotation=body.rotation @ R,
+        twist=None if body.twist is None else apply(X, body.twist),
+        acceleration=None if body.acceleration is None else apply(X, body.acceleration))

@@ -5,7 +5,7 @@ The spring can be checked pose by pose, and the length of the cup under several 
 noise, leads to its length under none.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from bellows_ros.core.arrays import Array
@@ -133,23 +133,11 @@ def nominal_length(
     coefficients, std, chi2, freedom = _polynomial(loads, lengths, errors, degree)
     linear_load = _linear_range(coefficients, float(loads.max()))
     line, line_std, *_ = _line(loads, lengths, errors, linear_load)
-    warnings = [*_misfit(chi2, freedom), *_length_warnings(different, std, coefficients, loads)]
     return NominalLength(
         float(coefficients[0]), std, float(line[0]), line_std, chi2, freedom,
         float(1.0 / coefficients[1]), linear_load, loads, lengths, errors,
-        coefficients, tuple(warnings),
+        coefficients, tuple(_warnings(different, std, (chi2, freedom), coefficients, loads)),
     )
-
-
-def _misfit(chi2: float, freedom: int) -> list[str]:
-    """Return a warning where the loads do not lie on the polynomial."""
-    if not freedom or chdtrc(freedom, chi2) >= MISFIT:
-        return []
-    return [
-        f'The lengths are off the polynomial by {np.sqrt(chi2 / freedom):.2g} times their noise: '
-        'a mass may be wrong, or the cup too nonlinear for the polynomial. Check each mass, and '
-        'add more masses.'
-    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,33 +262,38 @@ def _line(
     return _polynomial(loads[inside], lengths[inside], errors[inside], 1)
 
 
-def _length_warnings(
-    different: int, std: float, coefficients: Array, loads: Array
-) -> list[str]:
-    """Return warnings about a nominal length."""
-    found = []
+def _warnings(
+    different: int, std: float, fit: tuple[float, int], coefficients: Array, loads: Array
+) -> Iterator[str]:
+    """Yield warnings about a nominal length and its fit, chi^2 and degrees of freedom."""
+    chi2, freedom = fit
+    if freedom and chdtrc(freedom, chi2) < MISFIT:
+        yield (
+            f'The lengths are off the polynomial by {np.sqrt(chi2 / freedom):.2g} times their '
+            'noise: a mass may be wrong, or the cup too nonlinear for the polynomial. Check each '
+            'mass, and add more masses.'
+        )
     if not np.isfinite(std):
-        found.append(
+        yield (
             'With two masses the nominal length has no standard error, and a wrong mass would '
             'go unnoticed. Add a third mass.'
         )
     elif different < POLYNOMIAL + 2:
-        found.append(
+        yield (
             f'With {different} different masses, a polynomial of order {len(coefficients) - 1} '
             f'is fitted to length against load; {POLYNOMIAL + 2} or more show where the cup '
             'stops being linear.'
         )
     if WANTED_LENGTH_ERROR < std < np.inf:
-        found.append(
+        yield (
             f'The nominal length is uncertain by {std * 1e3:.2f} mm. Add masses lighter than '
             f'{loads.min():.3g} N, or hold each for longer.'
         )
     if not coefficients[1] > 0.0:
-        found.append(
+        yield (
             'The cup gets shorter under load. Check the masses, and that the poses are those of '
             'E and S.'
         )
-    return found
 
 
 def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
