@@ -83,12 +83,15 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         if text:
             done = convert.to_tum(source, arguments.out, topic, span)
         else:
-            bodies = convert.bodies_in_transforms(
-                source, arguments.tool_frame, arguments.package_frame, arguments.world_frame,
-                topics) if frames else convert.tool_of_joints(
-                source, arguments.tool_link, str(arguments.urdf or ''), topic,
-            ) if arguments.tool_link else convert.bodies_in_files(
-                arguments.sources, topics, arguments.markers)
+            if frames:
+                bodies = convert.bodies_in_transforms(
+                    source, arguments.tool_frame, arguments.package_frame, arguments.world_frame,
+                    topics)
+            elif arguments.tool_link:
+                bodies = convert.tool_of_joints(
+                    source, arguments.tool_link, str(arguments.urdf or ''), topic)
+            else:
+                bodies = convert.bodies_in_files(arguments.sources, topics, arguments.markers)
             done = convert.to_bag(
                 bodies, arguments.out, arguments.storage, arguments.force, span)
     options.put_json(arguments.json, done.as_json())
