@@ -20,6 +20,7 @@ from bellows_ros.core.residuals import compare, Comparison
 from bellows_ros.core.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams
+from bellows_ros.workflows.result_json import attributes
 import numpy as np
 
 ONE_WORLD = np.array([0.0] * 6 + [1.0])
@@ -100,11 +101,10 @@ class Observed:
         return {
             'topic': self.topic, 'counts': dict(self.counts),
             'alarms': [
-                {'time': seconds, 'cause': alarm.cause, 'message': alarm.message}
+                {'time': seconds, **attributes(alarm, 'cause', 'message')}
                 for seconds, alarm in self.alarms],
-            'payload': self.payload and {
-                'mass': self.payload.mass, 'mass_std': self.payload.mass_std,
-                'com': list(self.payload.com), 'com_std': self.payload.com_std.tolist()},
+            'payload': self.payload and attributes(
+                self.payload, 'mass', 'mass_std', 'com', 'com_std'),
             **{f'rms {name}': found.scores.rms for name, found in self.ways.items()},
         }
 
