@@ -323,8 +323,16 @@ class Solution(NamedTuple):
 
 
 def solution(R: Array, structure: Structure) -> Solution:
-    """Solve the equations of an R factor (q, q) of rows [A b] as far as they go (4.74)."""
-    unit = column_sizes(R[:-1, :-1], structure)
+    """
+    Solve the equations of an R factor (q, q) of rows [A b] as far as they go (4.74).
+
+    Columns of K or P of the same units are compared with each other, and scaled.
+    """
+    sizes = np.linalg.norm(R[:-1, :-1], axis=0)
+    angular = [(row > 2) + (column > 2) for row, column in structure.leads]
+    kinds = np.array([*angular, *(3 + kind for kind in angular)])
+    largest = np.array([sizes[kinds == kind].max() for kind in kinds])
+    unit = np.where(sizes > NO_EFFECT * largest, sizes, np.inf)
     U, singular, Vt = np.linalg.svd(R[:-1, :-1] / unit)
     known = singular > singular[0] / LARGEST_CONDITION
     inverse = (Vt[known].T / singular[known]) @ U[:, known].T / unit[:, None]
@@ -335,16 +343,3 @@ def solution(R: Array, structure: Structure) -> Solution:
         int(np.count_nonzero(known)),
         float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf,
     )
-
-
-def column_sizes(R: Array, structure: Structure) -> Array:
-    """
-    Return the scales of the columns (p,) of equations, infinite for rounding errors.
-
-    Those of K or P of the same units are compared with each other.
-    """
-    sizes = np.linalg.norm(R, axis=0)
-    angular = [(row > 2) + (column > 2) for row, column in structure.leads]
-    kinds = np.array([*angular, *(3 + kind for kind in angular)])
-    largest = np.array([sizes[kinds == kind].max() for kind in kinds])
-    return np.where(sizes > NO_EFFECT * largest, sizes, np.inf)

@@ -83,8 +83,13 @@ def fit(
             "at 1-3 Hz, and along the cup at 4-6 Hz; standstills are for 'bellows static' and "
             'static.bags.'
         )
-    if found.converged:
-        _require_identifiable(found.freed)
+    unknown = [own.name for own in found.freed if not np.all(np.isfinite(own.std))]
+    if found.converged and unknown:
+        raise BellowsError(
+            f'fit.free: {", ".join(unknown)} cannot be estimated from these recordings; the '
+            'standard errors are too large. Leave out what you know best (mass and inertia are '
+            'never identifiable together, nor com and cup.length along z with poses of the '
+            'centre of mass), or record a richer motion.')
     if found.method == 'least_squares':
         found = replace(found, warnings=(*found.warnings, *_of_colour(recordings)))
     if values['fit.time_offset']:
@@ -236,17 +241,6 @@ def with_freed(values: Mapping[str, Any], freed: Sequence[Freed]) -> dict[str, A
             factors = np.exp(0.5 * (log[[0, 1, 2, 0, 0, 1]] + log[[0, 1, 2, 1, 2, 2]]))
             found['package.inertia'] = tuple((factors * values['package.inertia']).tolist())
     return found
-
-
-def _require_identifiable(freed: Sequence[Freed]) -> None:
-    """Refuse free quantities that are not identifiable from the recordings."""
-    unknown = [own.name for own in freed if not np.all(np.isfinite(own.std))]
-    if unknown:
-        raise BellowsError(
-            f'fit.free: {", ".join(unknown)} cannot be estimated from these recordings; the '
-            'standard errors are too large. Leave out what you know best (mass and inertia are '
-            'never identifiable together, nor com and cup.length along z with poses of the '
-            'centre of mass), or record a richer motion.')
 
 
 def free_of(values: Mapping[str, Any]) -> tuple[str, ...]:

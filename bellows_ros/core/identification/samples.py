@@ -299,16 +299,12 @@ def envelope(samples: Samples, cup_length: float) -> Envelope:
     if not samples.count:
         raise BellowsError('The recording has no valid samples, hence no validity range.')
     deflection, mass = samples.lip.displacement(cup_length), samples.payload.mass
+    strain = samples.spectrum_of(deflection)
+    shift_and_turn = np.column_stack([strain.density[:, i:i + 3].sum(axis=1) for i in (0, 3)])
+    bands = np.column_stack(Spectrum(strain.frequency, shift_and_turn).band(BAND))
     return Envelope(
         deflection.min(axis=0), deflection.max(axis=0), np.abs(samples.lip.twist).max(axis=0),
-        _bands(samples.spectrum_of(deflection)), np.array([mass, mass]))
-
-
-def _bands(densities: Spectrum) -> Array:
-    """Return the frequency bands (2, 2) of shift and rotation."""
-    both = np.column_stack([densities.density[:, i:i + 3].sum(axis=1) for i in (0, 3)])
-    low, high = Spectrum(densities.frequency, both).band(BAND)
-    return np.nan_to_num(np.column_stack([low, high]))
+        np.nan_to_num(bands), np.array([mass, mass]))
 
 
 def left(weights: Array, rate_hz: float, frequency: Array) -> Array:

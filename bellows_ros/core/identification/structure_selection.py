@@ -345,7 +345,11 @@ def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:
         for candidate in candidates
         if candidate.usable and np.isfinite(candidate.held_out)
     ]
-    sentences = [_unable(candidate) for candidate in candidates if candidate not in able]
+    sentences = [
+        f'{own.structure} cannot be fitted: {own.refused}' if own.fit is None else
+        f'{own.structure} gives no usable cup: K or P is not definite.' if not own.usable else
+        f'{own.structure} gives a cup whose simulation diverges on held-out parts.'
+        for own in candidates if own not in able]
     if not able:
         return candidates[0].structure, (
             *sentences,
@@ -376,17 +380,6 @@ def _as_good(candidate: Candidate, best: Candidate) -> bool:
     if candidate is best:
         return True
     worse = candidate.simulated**2 - best.simulated**2
-    error = float(np.std(worse, ddof=1) / np.sqrt(len(worse))) if len(worse) > 1 else 0.0
+    error = float(np.std(worse, ddof=1) / np.sqrt(len(worse)))
     small = (1.0 + AS_GOOD_WITHIN) ** 2 - 1.0
     return bool(np.mean(worse) <= max(error, small * best.held_out**2, NEGLIGIBLE**2))
-
-
-def _unable(candidate: Candidate) -> str:
-    """Return the sentence that rules a structure out."""
-    if candidate.fit is None:
-        return f'{candidate.structure} cannot be fitted: {candidate.refused}'
-    if not candidate.fit.usable:
-        return f'{candidate.structure} gives no usable cup: K or P is not definite.'
-    return (
-        f'{candidate.structure} gives a cup whose simulation diverges on held-out parts.'
-    )
