@@ -207,7 +207,8 @@ def _identified(
         filled: dict[str, Any] = resolve({'package.com': (0.0, 0.0, 0.0), **settings})
         plan = read_plan(arguments.typical, {**filled, **WHOLE})  # before a long fit
     result = identify_summaries(arguments.summaries, settings, progress) if arguments.summaries \
-        else identify(settings, progress, arguments.params, arguments.jobs, arguments.dask)
+        else identify(settings, progress, arguments.params, arguments.jobs, arguments.dask,
+                      arguments.force)
     if plan is None or not result.fit.usable:
         return result
     from dataclasses import replace

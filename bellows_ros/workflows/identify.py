@@ -36,11 +36,18 @@ Read = Callable[[Mapping[str, Any]], tuple[list[Part], list['Failed']]]
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 """Fractions of the work at which the fit begins and ends, for the progress."""
 
+CAUSES = 'testing possible causes'
+"""The work of a diagnosis, for the progress."""
+
 MOST_ON_A_PAGE = 20
 """Most recordings shown in a report."""
 
-BY_SUMMARIES = {'fit.method': 'least_squares'}
-"""Summaries hold the sums for least squares, and no poses."""
+BY_LEAST_SQUARES = {'fit.method': 'least_squares'}
+"""How summaries are fitted, which hold no poses, and recordings whose data are certainly wrong."""
+
+ONLY_QUICK = (
+    'K and P are those of least squares: as given data are wrong, the prediction error was not '
+    'fitted. --force fits it all the same.')
 
 ONLY_SUMS = (
     'Summaries are fitted by least squares, regardless of fit.method: they contain no poses. '
@@ -59,9 +66,12 @@ def identify(
     parameter_files: Sequence[str | os.PathLike[str]] = (),
     jobs: int | None = None,
     dask: str = '',
+    force: bool = False,
 ) -> Identification:
     """
     Identify a cup from the recordings that the parameter `bags` names.
+
+    Given data that are certainly wrong end it before the prediction error is fitted.
 
     Parameters
     ----------
@@ -77,6 +87,8 @@ def identify(
     dask : str
         Address of a Dask scheduler whose workers see the recordings at the same paths, used
         instead of processes here; '' for none.
+    force : bool
+        Whether the prediction error is fitted to wrong data, too.
 
     Raises
     ------
@@ -93,11 +105,18 @@ def identify(
     keep = bool(needing_recordings(values))
     read = partial(read_all, keep=keep, tell=tell, jobs=jobs, dask=dask)
     parts, failed = read(effective)
-    if guess := first_guess([part for part in parts if isinstance(part, Recording)], effective):
+    whole = [part for part in parts if isinstance(part, Recording)]
+    notes = assumed(settings)
+    if guess := first_guess(whole, effective):
         values, effective = (with_freed(own, guess) for own in (values, effective))
         parts, failed = read(effective)
+    elif values['fit.method'] == 'prediction_error' and not (force or static):
+        tell(CAUSES, FIT_BEGINS)
+        early = verdict_of(None, whole, effective['cup.length'], effective)
+        if early and early.refusals:
+            effective, notes = {**effective, **BY_LEAST_SQUARES}, (*notes, ONLY_QUICK)
     return _identified(values, effective, parts, static, tell, read, failed=tuple(failed),
-                       assumed=assumed(settings), parameter_files=of_files)
+                       assumed=notes, parameter_files=of_files)
 
 
 def identify_summaries(
@@ -137,7 +156,7 @@ def identify_summaries(
         if all(file.settings.get(name) == value for file in files)
     })
     values: dict[str, Any] = resolve({
-        **shared, **(settings or {}), **BY_SUMMARIES,
+        **shared, **(settings or {}), **BY_LEAST_SQUARES,
         'bags': tuple(part.name for part in parts)})
     for name, value in shared.items():
         if values[name] != value and name not in OF_ALL_SUMMARIES:
@@ -171,7 +190,7 @@ def write_summary(
     from bellows_ros.files.summary_files import Summary
     from bellows_ros.files.summary_files import write_summary as write
 
-    values = resolved({**settings, **BY_SUMMARIES})
+    values = resolved({**settings, **BY_LEAST_SQUARES})
     if len(values['bags']) != 1:
         raise BellowsError(
             f'A summary contains one recording, got {len(values["bags"])}. Write one for each.')
@@ -369,7 +388,7 @@ def _identified(
         values, effective = (with_freed(own, result.fit.freed) for own in (values, effective))
         parts, _ = read(effective)
     whole = tuple(part for part in parts if isinstance(part, Recording))
-    tell('testing possible causes', FIT_ENDS)
+    tell(CAUSES, FIT_ENDS)
     length = result.fit.standstills.length if result.fit.standstills else effective['cup.length']
     unknown = result.excitation.not_identifiable
     verdict = verdict_of(

@@ -532,12 +532,22 @@ def test_exchanged_topics_are_refused_before_the_fit(shipped, method):
 
 
 def test_a_wrong_length_is_suspected(shipped):
-    result = identify({**shipped[0].values, 'cup.length': 0.047})
+    wrong = {**shipped[0].values, 'cup.length': 0.047, 'fit.method': 'prediction_error'}
+    result = identify(wrong)
+    assert result.fit.method == 'least_squares'  # no other fit to data that are wrong
+    assert 'the prediction error was not fitted' in result.warnings[0]
     assert result.findings[0].startswith('cup.length is 1.00')
     assert 'mm too long' in result.findings[0] and 'it would be 0.0460' in result.findings[0]
     assert not any('does not explain' in text for text in result.warnings)  # the cause does
     content = json.loads(format_json(result.as_json()))
     assert content['usable'] is False and 'cup.length' in content['refusals'][-1]
+
+
+@pytest.mark.stress
+def test_wrong_data_are_fitted_by_force(shipped):
+    wrong = {**shipped[0].values, 'cup.length': 0.047, 'fit.method': 'prediction_error'}
+    result = identify(wrong, force=True)
+    assert result.fit.method == 'prediction_error' and result.refusals
 
 
 def test_a_refused_cup_is_written_by_force_alone_and_says_so(shipped, tmp_path):

@@ -202,6 +202,8 @@ def diagnose(
     """
     Try every hypothesis where noise does not explain the residuals.
 
+    What the trials leave is kept with the first recording: another call costs nothing.
+
     Parameters
     ----------
     recordings : sequence of Recording
@@ -217,28 +219,35 @@ def diagnose(
     for own in recordings:
         if wrong := _absurd(own.payload) or _in_other_axes(own):
             return Diagnosis(np.inf, (wrong,))
-    ensemble = ensemble_of(recordings, length, structure)
-    objective = Objective.of(ensemble)
-    before = objective.solved(ensemble)
-    if before.excess < _chance(before):
-        tried = _in_order(_tried(h, objective, ensemble) for h in _OTHERWISE)
-    else:
-        quiet = Ensemble(ensemble.given, ())
-        level = objective.solved(quiet).excess - before.excess
-        tried = _in_order(_tried(h, objective, quiet, rounds=QUICK_ROUNDS, level=level)
-                          for h in hypotheses(ensemble.given[0], recordings[0].settings.world))
-        # With weights as they are where the best of them is true.
-        objective = Objective.of(ensemble.varied(tried[0].vary), sound=True)
-        before = objective.solved(ensemble)
-        tried = _in_order(
-            _tried(trial.hypothesis, objective, ensemble, trial.theta)
-            for number, trial in enumerate(tried[:AGAIN])
-            if number < SHOWN or DISTINCT**3 * _mark(trial) < _mark(tried[0]))
+    before, tried = recordings[0].once(
+        ('trials', *(own.name for own in recordings), length, structure.name),
+        lambda: _trials(recordings, length, structure))
     findings = [_finding(trial, tried, before, structure, known or structure.labels)
                 for trial in tried[:SHOWN]]
     if before.excess < _chance(before):
         findings = [own for own in findings if own.certain]
     return Diagnosis(before.excess, tuple(findings))
+
+
+def _trials(
+    recordings: Sequence[Recording], length: float, structure: Structure
+) -> 'tuple[Solved, list[_Trial]]':
+    """Return what is left as it was given, and by the hypotheses, the best first."""
+    ensemble = ensemble_of(recordings, length, structure)
+    objective = Objective.of(ensemble)
+    before = objective.solved(ensemble)
+    if before.excess < _chance(before):
+        return before, _in_order(_tried(h, objective, ensemble) for h in _OTHERWISE)
+    quiet = Ensemble(ensemble.given, ())
+    level = objective.solved(quiet).excess - before.excess
+    tried = _in_order(_tried(h, objective, quiet, rounds=QUICK_ROUNDS, level=level)
+                      for h in hypotheses(ensemble.given[0], recordings[0].settings.world))
+    # With weights as they are where the best of them is true.
+    objective = Objective.of(ensemble.varied(tried[0].vary), sound=True)
+    return objective.solved(ensemble), _in_order(
+        _tried(trial.hypothesis, objective, ensemble, trial.theta)
+        for number, trial in enumerate(tried[:AGAIN])
+        if number < SHOWN or DISTINCT**3 * _mark(trial) < _mark(tried[0]))
 
 
 def radius_of_gyration(held: Package) -> float:
