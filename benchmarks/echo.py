@@ -8,8 +8,7 @@ also sends plans back, as bytes.
 
 import sys
 
-from bellows_ros.nodes.command import run
-from bellows_ros.nodes.help_text import Interface
+from bellows_ros.nodes.command import Interface, run
 from geometry_msgs.msg import PoseStamped
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -44,7 +43,7 @@ class Echo(Node):
 def main() -> None:
     """Spin the node until the process is asked to end."""
     if 'events' in sys.argv:
-        sys.exit(run(Interface('echo', '', (), ()), lambda: Echo, ()))
+        sys.exit(run(Interface('echo', '', (), ()), 'benchmarks.echo:Echo', ()))
     rclpy.init()
     try:
         rclpy.spin(Echo())

@@ -21,7 +21,6 @@ EXAMPLES = (
     ('bellows parameters filter fit', 'parameters whose names begin with these words'),
     ('bellows parameters --yaml > my_cell.yaml', 'a parameter file to fill in'),
 )
-NOTHING = 'none'
 SECTION = 'ros__parameters:\n'
 INDENT = '    '
 EXAMPLE_LIST = "['recording']"
@@ -50,7 +49,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         return OK
     for parameter in chosen:
         console.say(parameter.name, 'bold')
-        facts = f'{parameter.constraint}; {_default(parameter)}; {" and ".join(parameter.used_by)}'
+        users = ' and '.join(parameter.used_by)
+        facts = f'{parameter.constraint}; {parameter.default_text}; {users}'
         for text in (facts, parameter.description):
             for line in textwrap.wrap(
                     text, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT):
@@ -69,22 +69,6 @@ def _chosen(prefixes: list[str]) -> 'list[Parameter]':
         if not any(p.name.startswith(prefix) for p in found):
             lookup(prefix)  # raises, and names the nearest
     return found
-
-
-def _default(parameter: 'Parameter') -> str:
-    """Return the default in words."""
-    default = parameter.default
-    if default is None:
-        return 'must be given'
-    if isinstance(default, tuple):
-        if default and not any(default):
-            return 'default all 0'
-        return f'default {"from the thesis" if default else NOTHING}'
-    if isinstance(default, bool):
-        return f'default {str(default).lower()}'
-    if isinstance(default, str):
-        return f"default '{default}'" if default else f'default {NOTHING}'
-    return f'default {default:g}'
 
 
 def template(parameters: 'Iterable[Parameter]') -> str:

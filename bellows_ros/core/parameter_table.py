@@ -95,6 +95,18 @@ class Parameter:
             return some + ', '.join(self.choices)
         return _KIND_MESSAGES[self.kind].format(count=self.length) + self._range() + unit
 
+    @property
+    def default_text(self) -> str:
+        """The default in words."""
+        default = self.default
+        if default is None:
+            return 'must be given'
+        if isinstance(default, tuple):
+            if len(set(default)) < 2:
+                return f'default all {default[0]:g}' if default else 'default none'
+            return f'default {"from the thesis" if len(default) > 6 else list(default)}'
+        return f'default {str(default).lower() if isinstance(default, bool) else repr(default)}'
+
     def _range(self) -> str:
         """Return the range in words, with a leading blank, or ''."""
         low = [f'above {self.above:g}'] if self.above is not None else []

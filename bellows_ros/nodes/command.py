@@ -8,18 +8,19 @@ right is said without a traceback and ends with 2.
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+import importlib
 import importlib.util
 from itertools import pairwise
 from pathlib import Path
 import signal
 import sys
-from typing import Any
+import textwrap
+from typing import NamedTuple
 
 from bellows_ros.core import keep_linear_algebra_single
 
-from .help_text import help_text, Interface
 from .. import __version__
-from ..core.parameter_table import short
+from ..core.parameter_table import parameters_of, short
 from ..errors import BellowsError
 from ..extras import install
 
@@ -28,11 +29,60 @@ NO_ROS = (
     f'instance `source /opt/ros/jazzy/setup.bash`, or install the wheels: {install("ros")}'
 )
 ASKED_TO_STOP = (signal.SIGINT, signal.SIGTERM)
+WIDTH = 96
 
 
-def run(
-    interface: Interface, load_node: Callable[[], Callable[[], Any]], args: Sequence[str] | None
-) -> int:
+class Interface(NamedTuple):
+    """
+    Purpose and connections of a node.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node and of its command.
+    purpose : str
+        One sentence.
+    topics : sequence of (name, type, sentence)
+        Topics and services.
+    examples : sequence of str
+        Command lines.
+
+    """
+
+    name: str
+    purpose: str
+    topics: Sequence[tuple[str, str, str]]
+    examples: Sequence[str]
+
+
+def help_text(interface: Interface) -> str:
+    """Return the text of `--help`: purpose, topics and services, parameters, examples."""
+    parameters = [
+        _entry(f'{p.name}  [{p.constraint}; {p.default_text}'
+               f'{"; cannot change while the node runs" if p.read_only else ""}]', p.description)
+        for p in parameters_of(interface.name)]
+    parts = [
+        f'usage: {interface.name} [--help] [--version] [--ros-args ...]\n\n'
+        + textwrap.fill(interface.purpose, WIDTH),
+        'Start it with:\n' + '\n'.join(f'  {example}' for example in interface.examples),
+    ]
+    if interface.topics:
+        topics = [_entry(f'{name}  [{kind}]', text) for name, kind, text in interface.topics]
+        parts.append('Topics and services (relative names; remap with -r FROM:=TO):\n'
+                     + '\n'.join(topics))
+    parts.append('Parameters (set with -p NAME:=VALUE or --params-file FILE):\n'
+                 + '\n'.join(parameters))
+    return '\n\n'.join(parts) + '\n'
+
+
+def _entry(head: str, text: str) -> str:
+    """Return a head and its indented, wrapped sentence."""
+    head = textwrap.fill(head, WIDTH, initial_indent='  ', subsequent_indent='    ')
+    body = textwrap.fill(text, WIDTH, initial_indent='      ', subsequent_indent='      ')
+    return f'{head}\n{body}'
+
+
+def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
     """
     Run a node until it has finished or the process is asked to end.
 
@@ -40,9 +90,9 @@ def run(
     ----------
     interface : Interface
         For `--help`.
-    load_node : callable
-        Imports ROS and returns the node's class. A node has a future `finished`: its result ends
-        the process well, its exception is raised here.
+    node : str
+        The node's module, which imports ROS, and class. A node has a future `finished`: its result
+        ends the process well, its exception is raised here.
     args : sequence of str or None
         The command line behind the command's name; None for that of the process.
 
@@ -71,7 +121,7 @@ def run(
                 f"Unknown argument '{short(own[0])}'. Parameters and remappings follow "
                 f'--ros-args, for example: {interface.name} --ros-args --params-file FILE. See '
                 f'{interface.name} --help.')
-        _run_node(load_node, [interface.name, *arguments], lambda: bool(asked))
+        _run_node(node, [interface.name, *arguments], lambda: bool(asked))
     except BellowsError as error:
         print(f'{interface.name}: {error}', file=sys.stderr)
         return error.exit_code
@@ -100,13 +150,11 @@ def require_ros() -> None:
         raise BellowsError(NO_ROS)
 
 
-def _run_node(
-    load_node: Callable[[], Callable[[], Any]], argv: list[str],
-    is_asked_to_stop: Callable[[], bool],
-) -> None:
+def _run_node(node: str, argv: list[str], is_asked_to_stop: Callable[[], bool]) -> None:
     """Make the node and spin it until it has finished or the process is asked to end."""
     require_ros()
-    make_node = load_node()
+    module, _, kind = node.partition(':')
+    make_node = getattr(importlib.import_module(module), kind)
     from rclpy.utilities import try_shutdown
 
     from .spinning import spin

@@ -1,11 +1,9 @@
 """The command `identifier`: the node that identifies a cup from recordings."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import sys
-from typing import Any
 
-from .command import run
-from .help_text import Interface
+from .command import Interface, run
 
 INTERFACE = Interface(
     name='identifier',
@@ -25,12 +23,7 @@ INTERFACE = Interface(
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the identifier with a command line, or that of the process; return the exit code."""
-    def load_node() -> Callable[[], Any]:
-        from .identifier_node import IdentifierNode  # late: imports ROS
-
-        return IdentifierNode
-
-    return run(INTERFACE, load_node, args)
+    return run(INTERFACE, 'bellows_ros.nodes.identifier_node:IdentifierNode', args)
 
 
 if __name__ == '__main__':

@@ -1,11 +1,9 @@
 """The command `predictor`: the node that publishes the pose of the held package."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import sys
-from typing import Any
 
-from .command import run
-from .help_text import Interface
+from .command import Interface, run
 
 INTERFACE = Interface(
     name='predictor',
@@ -101,12 +99,7 @@ INTERFACE = Interface(
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the predictor with a command line, or that of the process; return the exit code."""
-    def load_node() -> Callable[[], Any]:
-        from .predictor_node import PredictorNode  # late: imports ROS
-
-        return PredictorNode
-
-    return run(INTERFACE, load_node, args)
+    return run(INTERFACE, 'bellows_ros.nodes.predictor_node:PredictorNode', args)
 
 
 if __name__ == '__main__':

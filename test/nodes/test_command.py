@@ -10,8 +10,7 @@ from typing import Any
 from bellows_ros.core.parameter_table import parameters_of
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.nodes import identifier, predictor
-from bellows_ros.nodes.command import origin_of
-from bellows_ros.nodes.help_text import help_text
+from bellows_ros.nodes.command import help_text, origin_of
 import pytest
 
 MODULES = {'predictor': predictor, 'identifier': identifier}
