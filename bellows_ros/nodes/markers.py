@@ -30,9 +30,9 @@ class Picture:
 
     def __init__(self, values: Mapping[str, Any]) -> None:
         """Size the box."""
-        self._box = _marker(0, Marker.CUBE, equivalent_box(values))
-        self._cup = _marker(1, Marker.LINE_STRIP, (CUP_WIDTH, 0.0, 0.0))
-        self._force = _marker(2, Marker.ARROW, ARROW_WIDTH)
+        self._box = marker(0, Marker.CUBE, equivalent_box(values))
+        self._cup = marker(1, Marker.LINE_STRIP, (CUP_WIDTH, 0.0, 0.0))
+        self._force = marker(2, Marker.ARROW, ARROW_WIDTH)
         self._array = MarkerArray(markers=[self._box, self._cup, self._force])
         self._last_ns = 0
 
@@ -63,12 +63,12 @@ def gone() -> MarkerArray:
     return MarkerArray(markers=[Marker(ns=NAMESPACE, action=Marker.DELETEALL)])
 
 
-def _marker(number: int, kind: int, scale: Vector) -> Marker:
+def marker(number: int, kind: int, scale: Vector, namespace: str = NAMESPACE) -> Marker:
     """Return a marker of a kind and size (m)."""
-    marker = Marker(ns=NAMESPACE, id=number, type=kind, action=Marker.ADD)
-    marker.scale.x, marker.scale.y, marker.scale.z = scale
-    marker.lifetime.nanosec = 500_000_000
-    return marker
+    made = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD)
+    write_vector(made.scale, scale)
+    made.lifetime.nanosec = 500_000_000
+    return made
 
 
 def _point(position: Vector) -> Point:

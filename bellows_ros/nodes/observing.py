@@ -13,7 +13,6 @@ import numpy as np
 from .conversions import quaternion_xyzw, stamp_to_ns, vector, write_payload
 from .outputs import Outputs, Topic
 from .tool_inputs import SensorInput
-from ..core.arrays import Array
 from ..core.live import LivePredictor
 from ..core.live.health import input_status, Level, Status
 from ..core.observer import Alarm, Observer, VERDICTS, warm_up_observer
@@ -78,7 +77,7 @@ class Observing:
         self._heard.note(arrival_ns, stamp_ns)
         pose, covariance = message.pose, None
         if self._with_covariance:
-            pose, covariance = pose.pose, _matrix(pose.covariance)
+            pose, covariance = pose.pose, np.reshape(pose.covariance, (6, 6))
         live.on_measured(
             stamp_ns, header.frame_id, vector(pose.position), quaternion_xyzw(pose.orientation),
             covariance)
@@ -134,8 +133,3 @@ class Observing:
             **status.values, **{key: str(value) for key, value in more.items()}})
         return status._replace(level=Level.ERROR, message=self.alarm.message) if (
             self.alarm) else status
-
-
-def _matrix(covariance: Any) -> Array:
-    """Return a covariance (6, 6) of a message."""
-    return np.reshape(np.asarray(covariance, dtype=np.float64), (6, 6))

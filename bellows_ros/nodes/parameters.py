@@ -1,6 +1,6 @@
 """Declare the parameters of a node from the table, and change them live, all or nothing."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -26,24 +26,16 @@ QOS_PREFIX = 'qos_overrides.'
 TOGETHER = ('cup.', 'cups.', 'package.', 'envelope.', 'vacuum.')
 """Parameters with these prefixes change together or not at all within one call."""
 
-_TYPES = {
-    'bool': Parameter.Type.BOOL,
-    'integer': Parameter.Type.INTEGER,
-    'double': Parameter.Type.DOUBLE,
-    'string': Parameter.Type.STRING,
-    'double_array': Parameter.Type.DOUBLE_ARRAY,
-    'string_array': Parameter.Type.STRING_ARRAY,
-}
-_WHOLE_NUMBERS = (
-    ('double', Parameter.Type.INTEGER),
-    ('double_array', Parameter.Type.INTEGER_ARRAY),
-)
-
 
 def ros_parameter(name: str, value: object) -> Parameter:
     """Return a value of the table as a ROS parameter."""
-    kind = _TYPES[table.lookup(name).kind]
-    return Parameter(name, kind, list(value) if isinstance(value, tuple) else value)
+    value = list(value) if isinstance(value, tuple) else value
+    return Parameter(name, _type_of(table.lookup(name)), value)
+
+
+def _type_of(parameter: table.Parameter) -> Parameter.Type:
+    """Return the type that ROS has for a parameter of the table."""
+    return Parameter.Type[parameter.kind.upper()]
 
 
 def descriptor(parameter: table.Parameter, read_only: bool) -> ParameterDescriptor:
@@ -161,7 +153,7 @@ class TableNode(GuardedNode):
         parameter = table.lookup(name)
         initial: Any = list(value) if isinstance(value, tuple) else value
         if initial == []:  # which has no type
-            initial = _TYPES[parameter.kind]
+            initial = _type_of(parameter)
         described = descriptor(parameter, self._read_only)
         self.declare_parameter(name, initial, described, ignore_override=True)
 
@@ -236,25 +228,26 @@ class TogetherParameterService(ParameterService):
         self, request: SetParameters.Request, response: SetParameters.Response
     ) -> SetParameters.Response:
         """Set parameters that belong together all or none, the others one by one."""
-        try:
-            parameters = [Parameter.from_parameter_msg(p) for p in request.parameters]
-        except (TypeError, ValueError) as error:  # no such type of parameter
-            response.results = [_refused(f'Nothing was set: {error}.')] * len(request.parameters)
-        else:
-            response.results = self._get_node().set_parameters(parameters)
+        response.results = self._answer(request.parameters, self._get_node().set_parameters)
         return response
 
     def _set_parameters_atomically_callback(
         self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
     ) -> SetParametersAtomically.Response:
         """Set all or none."""
-        try:
-            parameters = [Parameter.from_parameter_msg(p) for p in request.parameters]
-        except (TypeError, ValueError) as error:
-            response.result = _refused(f'Nothing was set: {error}.')
-        else:
-            response.result = self._get_node()._set(parameters)
+        response.result, *_ = self._answer(
+            request.parameters, lambda parameters: [self._get_node()._set(parameters)])
         return response
+
+    def _answer(
+        self, messages: Sequence[Any], set_them: Callable[[list[Parameter]], list[Any]]
+    ) -> list[Any]:
+        """Return the results of setting parameters, none of them where one has no known type."""
+        try:
+            parameters = [Parameter.from_parameter_msg(message) for message in messages]
+        except (TypeError, ValueError) as error:
+            return [_refused(f'Nothing was set: {error}.')] * len(messages)
+        return set_them(parameters)
 
 
 def _refused(reason: str) -> SetParametersResult:
@@ -280,14 +273,13 @@ def _why_unknown(name: str, node: str) -> str:
 
 def _as_double(parameter: Parameter) -> Parameter:
     """Return a parameter with integers converted to doubles if doubles are expected."""
-    if not _is_ours(parameter):
+    if not (_is_ours(parameter) and table.lookup(parameter.name).kind.startswith('double')):
         return parameter
-    if (table.lookup(parameter.name).kind, parameter.type_) not in _WHOLE_NUMBERS:
-        return parameter
-    value = parameter.value
     if parameter.type_ == Parameter.Type.INTEGER:
-        return ros_parameter(parameter.name, float(value))
-    return ros_parameter(parameter.name, [float(x) for x in value])
+        return ros_parameter(parameter.name, float(parameter.value))
+    if parameter.type_ == Parameter.Type.INTEGER_ARRAY:
+        return ros_parameter(parameter.name, [float(x) for x in parameter.value])
+    return parameter
 
 
 def _require_package(given: Mapping[str, object], user: str) -> None:

@@ -7,6 +7,7 @@ callback, which takes more time than the callback itself; one that is woken by e
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 import gc
 import time
 from typing import Any
@@ -27,25 +28,19 @@ def executor_for(node: Any) -> Any:
     It came with rclpy 7.1.4. It takes no guard conditions, and not every middleware can call back;
     it says so with a RuntimeError as soon as it is spun.
     """
-    try:
+    with suppress(ImportError):
         from rclpy.experimental.events_executor import EventsExecutor
-    except ImportError:
-        return _waiting(node)
-    executor = EventsExecutor(context=node.context)
-    executor.add_node(node)
-    try:
-        executor.spin_once(timeout_sec=0.0)
-    except RuntimeError:
-        executor.shutdown()
-        return _waiting(node)
-    return executor
 
-
-def _waiting(node: Any) -> SingleThreadedExecutor:
-    """Return the executor that every rclpy has."""
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    return executor
+        woken = EventsExecutor(context=node.context)
+        woken.add_node(node)
+        try:
+            woken.spin_once(timeout_sec=0.0)
+            return woken
+        except RuntimeError:
+            woken.shutdown()
+    waiting = SingleThreadedExecutor(context=node.context)
+    waiting.add_node(node)
+    return waiting
 
 
 def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
@@ -69,8 +64,18 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
     gc.collect()
     gc.freeze()
     gc.disable()
+    due = time.monotonic() + COLLECT_EVERY
     try:
-        _spin(executor, node, is_asked_to_stop)
+        while not (is_asked_to_stop() or node.finished.done()):
+            try:
+                executor.spin_once(timeout_sec=LONGEST_WAIT)
+            except Exception as error:  # noqa: BLE001 (of rclpy's own callbacks: the node goes on)
+                if not node.context.ok():
+                    raise
+                node.note_failure(error)
+            if time.monotonic() > due:
+                gc.collect()
+                due = time.monotonic() + COLLECT_EVERY
         if node.finished.done():
             node.finished.result()
     finally:
@@ -78,18 +83,3 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
         gc.unfreeze()
         executor.shutdown()
         node.close()
-
-
-def _spin(executor: Any, node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
-    """Run callbacks, and collect garbage now and then."""
-    due = time.monotonic() + COLLECT_EVERY
-    while not (is_asked_to_stop() or node.finished.done()):
-        try:
-            executor.spin_once(timeout_sec=LONGEST_WAIT)
-        except Exception as error:  # noqa: BLE001 (of rclpy's own callbacks: the node goes on)
-            if not node.context.ok():
-                raise
-            node.note_failure(error)
-        if time.monotonic() > due:
-            gc.collect()
-            due = time.monotonic() + COLLECT_EVERY

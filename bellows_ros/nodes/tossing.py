@@ -11,8 +11,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import Bool, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from .conversions import write_quaternion, write_stamp, write_vector
-from .markers import NAMESPACE
+from .conversions import write_header, write_quaternion, write_stamp, write_vector
+from .markers import marker, NAMESPACE
 from .outputs import Topic
 from .planning import Planning
 from .tool_inputs import OVERRIDABLE
@@ -108,8 +108,7 @@ def _write(
     message: PoseWithCovarianceStamped, found: Landing, stamp_ns: int, frame_id: str
 ) -> None:
     """Write the pose of B at landing, stamped as the prediction that it was made from."""
-    message.header.frame_id = frame_id
-    write_stamp(message.header.stamp, stamp_ns)
+    write_header(message, stamp_ns, frame_id)
     write_vector(message.pose.pose.position, found.toss.landing[0])
     write_quaternion(message.pose.pose.orientation, found.toss.landing[1])
     message.pose.covariance = found.covariance.ravel()
@@ -121,12 +120,9 @@ def _picture(found: Landing, path: Array, stamp_ns: int, frame_id: str) -> Marke
     ring[:, :2] += ellipse(found.covariance, 33)
     markers = []
     for number, points in enumerate((path[:, :3], ring)):
-        marker = Marker(ns=f'{NAMESPACE}_landing', id=number, type=Marker.LINE_STRIP)
-        marker.header.frame_id = frame_id
-        write_stamp(marker.header.stamp, stamp_ns)
-        marker.scale.x, marker.pose.orientation.w = 0.005, 1.0
-        marker.color.r, marker.color.g, marker.color.b, marker.color.a = BLUE
-        marker.lifetime.nanosec = 500_000_000
-        marker.points = [Point(x=x, y=y, z=z) for x, y, z in points.tolist()]
-        markers.append(marker)
+        line = marker(number, Marker.LINE_STRIP, (0.005, 0.0, 0.0), f'{NAMESPACE}_landing')
+        write_header(line, stamp_ns, frame_id)
+        line.color.r, line.color.g, line.color.b, line.color.a = BLUE
+        line.points = [Point(x=x, y=y, z=z) for x, y, z in points.tolist()]
+        markers.append(line)
     return MarkerArray(markers=markers)
