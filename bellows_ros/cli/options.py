@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import permutations
 import os
 from pathlib import Path
@@ -13,7 +14,7 @@ from bellows_ros.errors import BellowsError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from bellows_ros.core.parameter_table import Parameter, Value
+    from bellows_ros.core.parameter_table import Value
 
     from .console import Console
 
@@ -203,39 +204,26 @@ def parse_override(text: str) -> 'tuple[str, Value]':
         )
     try:
         parameter = lookup(name)
-        return parameter.name, validate(name, _parsed(parameter, value))
+        return parameter.name, validate(name, _parsed(parameter.kind, value))
     except BellowsError as error:
         raise BellowsError(f'--set {name}: {error}') from None
 
 
-def _parsed(parameter: 'Parameter', text: str) -> object:
-    """Return a value in the parameter's kind, or the text itself if it is none."""
-    items = text.removeprefix('[').removesuffix(']').strip()
-    match parameter.kind:
-        case 'string':
-            return _unquoted(text)
-        case 'string_array':
-            return [_unquoted(item.strip()) for item in items.split(',') if item.strip()]
-        case 'double_array':
-            return [_number(item) for item in re.split(r'[,\s]+', items) if item]
-        case 'bool':
-            return {'true': True, 'false': False}.get(text.lower(), text)
-    return _number(text)
-
-
-def _unquoted(text: str) -> str:
-    """Return a text without YAML's quotes."""
-    quoted = len(text) >= 2 and text[0] == text[-1] and text[0] in '\'"'
-    return text[1:-1] if quoted else text
-
-
-def _number(text: str) -> int | float | str:
-    """Return a number, or the text itself if it is none."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            pass
+def _parsed(kind: str, text: str) -> object:
+    """Return a value of a parameter's kind, or the text itself if it is none."""
+    if kind == 'bool':
+        return {'true': True, 'false': False}.get(text.lower(), text)
+    if kind.endswith('_array'):
+        kind = kind.removesuffix('_array')
+        items = re.split(
+            ',' if kind == 'string' else r'[,\s]+', text.removeprefix('[').removesuffix(']'))
+        return [_parsed(kind, item.strip()) for item in items if item.strip()]
+    if kind == 'string':
+        quoted = len(text) >= 2 and text[0] == text[-1] and text[0] in '\'"'
+        return text[1:-1] if quoted else text
+    for number in (int, float):
+        with suppress(ValueError):
+            return number(text)
     return text
 
 

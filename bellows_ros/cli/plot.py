@@ -123,27 +123,28 @@ def _drawn(
     from bellows_ros.plots.style import write_figure
     from bellows_ros.workflows.plot import loads, margins, motion, replayed, spectra, within
 
-    what, out, theme = arguments.what, arguments.out, arguments.theme
+    what, theme = arguments.what, arguments.theme
+    kinds: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
+        'motion': (motion, motion_figure), 'path': (motion, path_figure),
+        'deflection': (loads, deflection_figure), 'residuals': (loads, residual_figure),
+        'margin': (margins, margin_figure)}
     if what == 'spectra':
         shown: Any = spectra(arguments.bag, settings, given)
-        write_figure(out, spectra_figure(shown, note, theme))
-        return shown
-    data: dict[str, Callable[..., Any]] = {
-        'motion': motion, 'path': motion, 'deflection': loads, 'residuals': loads,
-        'margin': margins}
-    shown = within(
-        data[what](arguments.bag, settings) if what in data
-        else replayed(arguments.bag, settings, progress), arguments.first, arguments.last)
-    if what == 'animation':
-        write_animation(out, shown, f'{note}; {arguments.speed:g} times real time', theme,
-                        progress, arguments.speed)
-    elif what == 'prediction':
-        write_figure(out, prediction_figure(
-            shown.seconds, shown.live, 'Package: predicted, and measured',
-            f'relative to the tool; {note}', theme))
+        figure = spectra_figure(shown, note, theme)
+    elif what in kinds:
+        read, draw = kinds[what]
+        shown = within(read(arguments.bag, settings), arguments.first, arguments.last)
+        figure = draw(shown, note, theme)
     else:
-        figures: dict[str, Callable[..., Any]] = {
-            'motion': motion_figure, 'path': path_figure, 'deflection': deflection_figure,
-            'margin': margin_figure, 'residuals': residual_figure}
-        write_figure(out, figures[what](shown, note, theme))
+        shown = within(
+            replayed(arguments.bag, settings, progress), arguments.first, arguments.last)
+        if what == 'animation':
+            write_animation(
+                arguments.out, shown, f'{note}; {arguments.speed:g} times real time', theme,
+                progress, arguments.speed)
+            return shown
+        figure = prediction_figure(
+            shown.seconds, shown.live, 'Package: predicted, and measured',
+            f'relative to the tool; {note}', theme)
+    write_figure(arguments.out, figure)
     return shown
