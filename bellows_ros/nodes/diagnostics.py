@@ -1,5 +1,6 @@
 """Publish the health of the predictor on /diagnostics, and log it."""
 
+from collections import Counter
 from collections.abc import Mapping
 import time
 from typing import Any
@@ -14,7 +15,6 @@ from .attachment import Attachment
 from .observing import Observing
 from .outputs import Outputs
 from .planning import Planning
-from .reports import InputReport
 from .tool_inputs import SensorInput
 from ..core.live import LivePredictor, Prediction
 from ..core.live.health import (
@@ -33,6 +33,8 @@ from ..core.tuples import rotation_matrix
 HARDWARE = 'suction cup'
 TOPIC = '/diagnostics'
 OF_TWISTS = 'twist_'
+OWN = ('prediction', 'load')
+"""Lines on faults that are logged as errors; those of others are warnings."""
 
 LOGGED_AFTER, LOGGED_EVERY = 5.0, 30.0
 """Seconds that a fault must last before it is logged, and before it is logged again."""
@@ -64,8 +66,7 @@ class Diagnostics:
     def forget(self) -> None:
         """Report only the state of the lifecycle."""
         self._live: LivePredictor | None = None
-        self._said = Level.OK
-        self._due: dict[str, float] = {}
+        self._due: dict[tuple[str, Level], float] = {}
 
     def watch(
         self, live: LivePredictor, pose: SensorInput, twist: SensorInput,
@@ -76,7 +77,7 @@ class Diagnostics:
         self._live, self._pose, self._twist = live, pose, twist
         self._attachment, self._outputs, self._observing = attachment, outputs, observing
         self._planning = planning
-        self._report = InputReport(live)
+        self._before: Counter[str] = Counter()
         self.load = Load(values, None)
         self.set_values(values)
 
@@ -86,9 +87,9 @@ class Diagnostics:
         self._cup = values['cup.name'] or 'cup.*'
         self._gravity = gravity_of(values)
 
-    def report(self, state: str, last: Prediction | None, twists_exist: bool) -> None:
+    def report(self, state: str, last: Prediction | None) -> None:
         """
-        Publish all lines, and log what was refused, and why the package was taken to be at rest.
+        Publish all lines, and log their faults.
 
         Parameters
         ----------
@@ -96,17 +97,8 @@ class Diagnostics:
             Of the lifecycle.
         last : Prediction or None
             The newest one.
-        twists_exist : bool
-            Whether somebody sends twists.
 
         """
-        log = self._node.get_logger()
-        if self._live is not None:
-            warnings, errors = self._report.take(twists_exist)
-            for sentence in warnings:
-                log.warning(sentence)
-            for sentence in errors:
-                log.error(sentence)
         name = self._node.get_fully_qualified_name().lstrip('/')
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
@@ -120,21 +112,34 @@ class Diagnostics:
 
     def _lines(self, state: str, last: Prediction | None) -> list[Status]:
         """Return all lines."""
-        above = last is not None and self._is_above(last)
-        lines = [self._prediction(state, above)]
-        self._log_lasting(lines[0], above)
         live = self._live
-        if live is None or state != 'active':
+        if live is None:
+            return [prediction_status('prediction', PredictionSeen(
+                state, 'none', 'none', self.compute.take(), {}, {}, 'unknown'))]
+        now = Counter(
+            {**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
+        new, self._before = now - self._before, now
+        restarts = {reason: new[reason] for reason in live.restarts}
+        above = last is not None and self._is_above(last)
+        failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
+        lines = [prediction_status('prediction', PredictionSeen(
+            state, live.phase(time.monotonic_ns()), self._cup, self.compute.take(),
+            {**live.counts, **failures}, restarts, live.twist_check.verdict,
+            self._outputs.uncertainty.known, above))]
+        if state != 'active':
             return lines
+        started = any(restarts.values())
+        self._log(lines[0], above or started, 0.0 if started else LOGGED_AFTER)
         of_twists = {k: n for k, n in live.refused.items() if k.startswith(OF_TWISTS)}
         of_poses = {k: n for k, n in live.refused.items() if k not in of_twists}
         of_twists.pop('twist_unpaired')  # no fault where twists come more often than poses
         poses, twists = self._pose.seen(of_poses), self._twist.seen(of_twists)
         lines += [
             input_status('tool pose', poses),
-            twist_status('tool twist', twists, self._report.poses, self._report.alone)]
+            twist_status('tool twist', twists, new['poses'], new['alone'])]
         for line, seen in zip(lines[1:], (poses, twists), strict=True):
-            self._log_lasting(line, line.level > Level.OK and not seen.rhythm.messages)
+            refused = any(seen.refused.values())
+            self._log(line, line.level > Level.OK, 0.0 if refused else LOGGED_AFTER)
         others = (
             self._observing.status('measured package'), self._attachment.status('vacuum'),
             self._load(), self._planning.status)
@@ -145,15 +150,16 @@ class Diagnostics:
         z = np.array(rotation_matrix(last.tool[1])[2::3])
         return bool(z @ self._gravity > UPSIDE_DOWN * np.linalg.norm(self._gravity))
 
-    def _log_lasting(self, line: Status, wrong: bool) -> None:
-        """Log a line if its fault lasts, but not often."""
-        now = time.monotonic()
+    def _log(self, line: Status, wrong: bool, after: float = 0.0) -> None:
+        """Log a line if its fault lasts for a time (s), but not often."""
+        now, key = time.monotonic(), (line.name, line.level)
         if not wrong:
-            self._due.pop(line.name, None)
-        elif now >= self._due.setdefault(line.name, now + LOGGED_AFTER):
-            self._due[line.name] = now + LOGGED_EVERY
+            self._due = {other: due for other, due in self._due.items() if other[0] != line.name}
+        elif now >= self._due.setdefault(key, now + after):
+            self._due[key] = now + LOGGED_EVERY
+            is_error = line.level == Level.ERROR and line.name in OWN
             log = self._node.get_logger()
-            (log.error if line.name == 'prediction' else log.warning)(line.message)
+            (log.error if is_error else log.warning)(line.message)
 
     def _load(self) -> Status:
         """Return the line on the load; a safety factor that became too small is logged too."""
@@ -161,22 +167,5 @@ class Diagnostics:
         status = load_status(
             'load', safety, away, bending, self.load.limits_known, self.load.envelope_known,
             self.load.least)
-        level = status.level if safety and safety.factor < self.load.least else Level.OK
-        if level > max(self._said, Level.WARN):
-            self._node.get_logger().error(status.message)
-        elif level > self._said:
-            self._node.get_logger().warning(status.message)
-        self._said = level
+        self._log(status, safety is not None and safety.factor < self.load.least)
         return status
-
-    def _prediction(self, state: str, above: bool) -> Status:
-        """Return the line on the prediction."""
-        live, compute = self._live, self.compute.take()
-        if live is None:
-            return prediction_status('prediction', PredictionSeen(
-                state, 'none', 'none', compute, {}, {}, 'unknown', above=above))
-        failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
-        return prediction_status('prediction', PredictionSeen(
-            state, live.phase(time.monotonic_ns()), self._cup, compute,
-            {**live.counts, **failures}, self._report.restarts, live.twist_check.verdict,
-            self._outputs.uncertainty.known, above))

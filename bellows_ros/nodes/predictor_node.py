@@ -23,12 +23,12 @@ from .observing import Observing
 from .outputs import Outputs
 from .parameters import Values
 from .planning import Planning
-from .reports import summary
 from .tool_inputs import SensorInput, TransformInput
 from .tossing import Tossing
 from ..core.holding import grip_of
 from ..core.live import LivePredictor, Prediction, warm_up
 from ..core.live.check import check_live
+from ..core.live.health import summary
 from ..core.live.uncertainty import warm_up_uncertainty
 from ..core.model import cup_of, package_of
 from ..core.parameter_table import short
@@ -393,7 +393,7 @@ class PredictorNode(ManagedNode):
 
     def _say_report(self) -> None:
         """Report the health of the node, and log what is wrong."""
-        self._diagnostics.report(self.lifecycle_state, self._last, self._twists_exist)
+        self._diagnostics.report(self.lifecycle_state, self._last)
 
     def close(self) -> None:
         """Log the final counts, and end."""

@@ -181,7 +181,7 @@ def test_refused_messages_are_counted_in_the_diagnostics(
     """Count NaN poses, which drivers do publish."""
     partner = make_partner(with_twists=False)
     with sending(partner), sending(partner, 0.02, position=(math.nan, 0.0, 0.0)):
-        assert listener.sees('tool pose', WARN, ' nan.')
+        assert listener.sees('tool pose', WARN, ' nan (a number in it is not finite).')
     assert int(listener.value('tool pose', 'refused: nan')) > 0
 
 

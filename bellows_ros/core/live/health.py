@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 
 from bellows_ros.core.envelope import Distance
 from bellows_ros.core.live.load import Safety, STRONGEST_BENDING
+from bellows_ros.core.live.predictor import LivePredictor, LONGEST_GAP_NS
 from bellows_ros.core.live.timing import Quantiles, Rhythm
 
 STRANGE_AGE = 1.0
@@ -24,6 +25,33 @@ TWIST_MESSAGES = {
     'does_not_fit': 'The twists do not fit the poses. Check their units, and that they are '
                     'those of the tool tip.',
 }
+REASONS = {
+    'nan': 'nan (a number in it is not finite)',
+    'zero_quaternion': 'zero quaternion',
+    'not_unit': 'quaternion not of unit length',
+    'zero_stamp': 'no valid stamp',
+    'duplicate_stamp': 'repeated stamp',
+    'backward_stamp': 'backward stamp',
+    'future_stamp': 'stamp in the future',
+    'repeated_pose': 'the pose repeats although the tool moves (tracking lost?)',
+    'jump': 'too far from the pose before (tracking lost, or two tools on one topic?)',
+    'frame_id': 'frame_id is another than before',
+    'twist_nan': 'nan (a number in it is not finite)',
+    'twist_too_fast': 'faster than any arm',
+    'twist_frame_id': 'frame_id is another than before',
+    'twist_misses_pose': 'does not match the motion from pose to pose',
+    'twist_unpaired': 'no pose near its stamp',
+    'gap': f'no usable pose arrived for more than {LONGEST_GAP_NS * 1e-9:g} s',
+    'clock_set_back': 'the stamps went back (a clock was set, or a recording started again)',
+    'clock_set_forward': 'the stamps jumped ahead of the elapsed time',
+    'clock_jump': 'the clock of the simulation was set, or switched on or off',
+    'frame_changed': "the tool's poses are now in another frame",
+    'moved': "the tool's poses jumped further than it can move",
+    'diverged': 'the prediction diverged, with its lip further away than any cup reaches; check '
+                'cup.stiffness, cup.damping and the package',
+}
+"""Why messages are refused, and why the prediction starts again."""
+
 PHASE_MESSAGES = {
     'detached': 'Detached: no package is held, so nothing is predicted.',
     'waiting': 'Waiting for the first pose of the tool.',
@@ -104,7 +132,8 @@ def _values(seen: InputSeen) -> dict[str, str]:
 
 def _listed(counts: Mapping[str, int]) -> str:
     """Return what has been counted, as words."""
-    return ', '.join(f'{count} {reason}' for reason, count in counts.items() if count)
+    return ', '.join(
+        f'{count} x {REASONS.get(reason, reason)}' for reason, count in counts.items() if count)
 
 
 def _refusals(seen: InputSeen) -> str:
@@ -245,9 +274,13 @@ def _judge_prediction(seen: PredictionSeen) -> tuple[Level, str]:
     if seen.state != 'active':
         return Level.OK, f'{seen.state.capitalize()}: nothing is published.'
     if seen.restarts.get('no_equilibrium'):
-        return Level.ERROR, 'The cup cannot hold the package at rest: nothing is published.'
+        return Level.ERROR, (
+            'Nothing is published: the cup cannot hold the package at rest in this tool pose. '
+            'Check package.mass, package.com, cup.stiffness and their units, and that z of the '
+            'tool points from the cup back into the arm.'
+        )
     if failures := seen.restarts.get('failure'):
-        return Level.ERROR, f'{failures} callbacks failed: see the log, and report it.'
+        return Level.ERROR, f'{failures} callbacks failed, a fault of this node. Report its log.'
     if seen.phase == 'lost':
         return Level.ERROR, PHASE_MESSAGES[seen.phase]
     if seen.above:
@@ -256,10 +289,10 @@ def _judge_prediction(seen: PredictionSeen) -> tuple[Level, str]:
             "cup back into the arm. Turn the driver's tool frame by 180 degrees about x, or set "
             'gravity.direction if the arm is not mounted upright.'
         )
+    if restarts := _listed(seen.restarts):
+        return Level.WARN, f'Started again from static equilibrium: {restarts}.'
     if seen.phase in ('coasting', 'settling'):
         return Level.WARN, PHASE_MESSAGES[seen.phase]
-    if restarts := _listed(seen.restarts):
-        return Level.WARN, f'Started afresh from rest: {restarts}.'
     if seen.twist_verdict in TWIST_MESSAGES:
         return Level.WARN, TWIST_MESSAGES[seen.twist_verdict]
     if not seen.covariance_known:
@@ -301,3 +334,17 @@ def load_status(
     elif safety is None and away is None:
         message = 'No load: no package is held.'
     return Status(name, level, message, values)
+
+
+def summary(live: LivePredictor) -> str:
+    """Return all counts of a predictor in one sentence."""
+    def many(count: int, thing: str) -> str:
+        return f'{count} {thing}' if count == 1 else f'{count} {thing}s'
+
+    refused = [f'{count} {name}' for name, count in live.refused.items() if count]
+    detail = f' ({", ".join(refused)})' if refused else ''
+    return (
+        f'{many(live.poses_in, "pose")} and {many(live.twists_in, "twist")} in, '
+        f'{many(live.predictions, "prediction")} out, {sum(live.refused.values())} refused'
+        f'{detail}, {many(live.twists_estimated, "twist")} estimated.'
+    )

@@ -2,7 +2,7 @@
 
 import math
 
-from bellows_ros.core.live import health
+from bellows_ros.core.live import health, LivePredictor, REFUSALS, RESTARTS
 from bellows_ros.core.live.health import InputSeen, Level, Mismatch, PredictionSeen
 from bellows_ros.core.live.load import deflection, equivalent_box, lip_position, Load, Safety
 from bellows_ros.core.live.samples import ORIGIN, Prediction
@@ -113,7 +113,8 @@ def test_box_of_an_inertia_is_the_box():
      'sends std_msgs/msg/Bool, but the node subscribes to another type. Set tool_pose.type'),
     ({'rhythm': SILENT, 'mismatch': Mismatch('frames', 'no way')}, Level.ERROR,
      'No pose of the tool from /tool: no way. Check frames.world and frames.tool'),
-    ({'refused': {'nan': 3, 'jump': 0}}, Level.WARN, '3 of 500 messages refused: 3 nan.'),
+    ({'refused': {'nan': 3, 'jump': 0}}, Level.WARN,
+     '3 of 500 messages refused: 3 nan (a number in it is not finite).'),
     ({'refused': {'frame_id': 500}}, Level.ERROR, '500 of 500'),
     ({'rhythm': GOOD._replace(age=Quantiles(*3 * [5.0]))}, Level.WARN, '5 s behind the clock'),
     ({'rhythm': GOOD._replace(age=Quantiles(*3 * [-2.0]))}, Level.WARN, '2 s ahead of the clock'),
@@ -166,7 +167,7 @@ def test_words_on_the_vacuum(seen, held, speaks_once, level, words):
     ({'phase': 'detached'}, Level.OK, 'Detached'),
     ({'phase': 'coasting'}, Level.WARN, 'Coasting'),
     ({'phase': 'lost'}, Level.ERROR, 'Lost'),
-    ({'restarts': {'gap': 2}}, Level.WARN, '2 gap'),
+    ({'restarts': {'gap': 2}}, Level.WARN, 'no usable pose arrived for more than 0.5 s (2 times)'),
     ({'restarts': {'no_equilibrium': 1}}, Level.ERROR, 'cannot hold'),
     ({'twist_verdict': 'other_axes'}, Level.WARN, 'tool_twist.frame'),
     ({'above': True}, Level.ERROR, 'The package is above the tool: z of the tool points down'),
@@ -223,3 +224,17 @@ def test_cup_is_chosen_by_name():
         with_chosen_cup({**values, 'cup.name': 'sofd'})
     with pytest.raises(BellowsError, match='cups.soft.stiffness is not positive definite'):
         resolve({**PACKAGE, 'cups.soft.stiffness': [0.0] * 36})
+
+
+def test_every_count_has_words():
+    assert set(health.REFUSAL_MESSAGES) == set(REFUSALS)
+    assert {*health.RESTART_MESSAGES, 'no_equilibrium', 'failure'} == set(RESTARTS)
+
+
+def test_summary_holds_all_counts():
+    live = LivePredictor(Cup.thesis(), Package(2.0, 0.02 * np.eye(3), (0.0, 0.0, -0.03)), 9.81)
+    for stamp_ns in (10**9, 10**9 + 1_000_000, 10**9 + 2_000_000, 10**9):
+        live.on_pose(stamp_ns, 'world', ZERO, (0.0, 0.0, 0.0, 1.0))
+    assert health.summary(live) == (
+        '4 poses and 0 twists in, 3 predictions out, 1 refused (1 backward_stamp), '
+        '3 twists estimated.')
