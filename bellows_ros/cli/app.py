@@ -147,10 +147,10 @@ def _run(arguments: list[str], console: Console) -> int:
     keep_linear_algebra_single()
     parsed = command_parser(name).parse_args(rest)
     options.require_named_outputs(parsed)
-    to_stdout = any(isinstance(value, options.Output) and value == options.STDOUT
-                    for value in vars(parsed).values())
-    with console.results_to_stderr(to_stdout):  # which is left to the file's content
-        code: int = parsed.run(parsed, console)
+    if any(isinstance(value, options.Output) and value == options.STDOUT
+           for value in vars(parsed).values()):
+        console.keep_stdout_free()
+    code: int = parsed.run(parsed, console)
     console.flush()
     return code
 

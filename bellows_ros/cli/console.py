@@ -63,15 +63,9 @@ class Console:
         self._out = out
         self._err = err
 
-    @contextmanager
-    def results_to_stderr(self, wanted: bool) -> Iterator[None]:
-        """Print results on stderr if stdout takes a file's content."""
-        before = self._out
-        self._out = self._err if wanted else before
-        try:
-            yield
-        finally:
-            self._out = before
+    def keep_stdout_free(self) -> None:
+        """Print results on stderr from now on: stdout takes a file's content."""
+        self._out = self._err
 
     def say(self, text: str = '', style: str = '') -> None:
         """Print a line of the result."""

@@ -119,10 +119,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         from bellows_ros.report.build import write_page
 
         write_page(result, page)
-    with console.results_to_stderr(options.STDOUT in (cup_file, json_file, page)):
-        _say(result, console)
-        _say_files(usable, written, cup_file, json_file, console)
-        console.wrote(page)
+    if options.STDOUT in (cup_file, json_file, page):
+        console.keep_stdout_free()
+    _say(result, console)
+    _say_files(usable, written, cup_file, json_file, console)
+    console.wrote(page)
     return OK if usable else NOT_USABLE
 
 

@@ -7,10 +7,7 @@ recording.
 
 import argparse
 from collections.abc import Iterator
-import os
 from typing import Any, TYPE_CHECKING
-
-from bellows_ros.errors import BellowsError
 
 from . import options
 from .console import Console, many, OK
@@ -45,10 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Look, write, report."""
-    if arguments.write_params and os.path.exists(arguments.write_params) and not arguments.force:
-        raise BellowsError(
-            f"Parameter file '{arguments.write_params}' exists. Give another name, or overwrite "
-            'it with --force; its entries are then lost.')
+    options.require_free(arguments.write_params, arguments.force)
     from bellows_ros.files.atomic import write_text
     from bellows_ros.workflows.info import info
 

@@ -114,12 +114,12 @@ def add_arm_options(parser: argparse.ArgumentParser) -> None:
         '--tool-link', metavar='LINK', default='', help='link of the arm at the tool tip E')
 
 
-def require_free(bag: str, force: bool) -> None:
-    """Refuse a recording that exists, unless it may be replaced."""
-    if bag and os.path.exists(bag) and not force:
+def require_free(output: str, force: bool) -> None:
+    """Refuse an output that exists, unless it may be replaced."""
+    if output and os.path.exists(output) and not force:
         raise BellowsError(
-            f"Output '{bag}' exists. Give another name, or replace the recording with --force."
-        )
+            f"Output '{output}' exists. Give another name, or replace it with --force; what it "
+            'holds is then lost.')
 
 
 def warn_of_thesis_cup(values: 'Mapping[str, Any]', console: 'Console') -> None:
