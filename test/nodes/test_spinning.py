@@ -195,7 +195,7 @@ def test_collector_strikes_between_callbacks_only(
         gc.callbacks.remove(note)
         gc.set_threshold(*usual)
     assert not [names for names in struck if any('PredictorNode' in name for name in names)]
-    assert all('_spin' in names for names in struck)
+    assert all('spin' in names for names in struck)
 
 
 def test_collector_is_given_back(ros: Any, way: str) -> None:
