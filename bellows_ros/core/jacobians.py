@@ -45,6 +45,7 @@ from bellows_ros.core.tuples import (
     scale_matrix,
     subtract,
     transposed,
+    unit,
     Vector,
 )
 
@@ -61,10 +62,6 @@ inertia (xx, yy, zz, xy, xz, yz), the gravity vector in A, the mass, the centre 
 wrench on the package at the lip, in S axes, beside the cup's.
 """
 
-ENTRIES = tuple((i, j) for i in range(6) for j in range(i, 6))
-"""Row and column of each entry of K and of P."""
-
-UNITS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO = (0.0, 0.0, 0.0)
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 NOTHING = (0.0,) * 9
@@ -408,36 +405,26 @@ def _others(
     -I^-1 (dI dw + w x dI w). By length and by the centre of mass S1 moves, and where B is from it.
     """
     package = model[1]
-    inverse, w, R = package[3], body[3], rotation_matrix(body[1])
+    w, R = body[3], rotation_matrix(body[1])
     _, dw = body_acceleration(model, tool, body)
     f, _ = lip_wrench(model, tool, body)
     by_pose, by_twist = wrench_jacobians(model, tool, body)
     c = ends_of_spring(model, tool, body)[0]
-    columns = (
-        by_length(model, tool, body, f),
-        by_inertia(inverse, w, dw, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
-        by_inertia(inverse, w, dw, (0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)),
-        by_inertia(inverse, w, dw, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)),
-        by_inertia(inverse, w, dw, (0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
-        by_inertia(inverse, w, dw, (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)),
-        by_inertia(inverse, w, dw, (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0)),
-        (row(R, 0), ZERO),
-        (row(R, 1), ZERO),
-        (row(R, 2), ZERO),
-        (scale(-1.0 / package[0] ** 2, f), ZERO),
-        by_com(package, c, by_pose, by_twist, w, f, UNITS[0]),
-        by_com(package, c, by_pose, by_twist, w, f, UNITS[1]),
-        by_com(package, c, by_pose, by_twist, w, f, UNITS[2]),
-        acceleration_at(package, package[1], UNITS[0], ZERO),
-        acceleration_at(package, package[1], UNITS[1], ZERO),
-        acceleration_at(package, package[1], UNITS[2], ZERO),
-        acceleration_at(package, package[1], ZERO, UNITS[0]),
-        acceleration_at(package, package[1], ZERO, UNITS[1]),
-        acceleration_at(package, package[1], ZERO, UNITS[2]),
-    )
-    for i in range(20):
-        if first <= 42 + i < last:
-            write_column(out, column + 42 + i, columns[i][0], columns[i][1])
+    for i in range(max(first, 42), last):
+        a, b = ZERO, ZERO
+        if i == 42:
+            a, b = by_length(model, tool, body, f)
+        elif i < 49:
+            b = by_inertia(package[3], w, dw, i - 43)
+        elif i < 52:
+            a = row(R, i - 49)
+        elif i == 52:
+            a = scale(-1.0 / package[0] ** 2, f)
+        elif i < 56:
+            a, b = by_com(package, c, by_pose, by_twist, w, f, unit(i - 53, 1.0))
+        else:
+            a, b = acceleration_at(package, package[1], unit(i - 56, 1.0), unit(i - 59, 1.0))
+        write_column(out, column + i, a, b)
 
 
 @kernel
@@ -456,10 +443,13 @@ def by_length(model: ModelTuple, tool: State, body: State, f: Vector) -> Wrench:
 
 
 @kernel
-def by_inertia(inverse: Matrix, w: Vector, dw: Vector, change: Matrix) -> Wrench:
-    """Return the accelerations per kg m^2 of a change of the inertia."""
-    return ZERO, scale(
-        -1.0, apply(inverse, add(apply(change, dw), cross(w, apply(change, w)))))
+def by_inertia(inverse: Matrix, w: Vector, dw: Vector, entry: int) -> Vector:
+    """Return the angular acceleration per kg m^2 of one of the six entries of the inertia."""
+    j, k = (entry, entry) if entry < 3 else (entry // 5, min(entry - 2, 2))
+    twice = 1.0 if j != k else 0.0
+    dI_dw = add(unit(j, dw[k]), unit(k, twice * dw[j]))
+    dI_w = add(unit(j, w[k]), unit(k, twice * w[j]))
+    return scale(-1.0, apply(inverse, add(dI_dw, cross(w, dI_w))))
 
 
 @kernel
