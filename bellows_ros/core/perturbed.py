@@ -15,6 +15,7 @@ from bellows_ros.core.kernels import ModelTuple
 from bellows_ros.core.model import blocks
 from bellows_ros.core.parameters import inertia_matrix, matrix
 import numpy as np
+from numpy.typing import ArrayLike
 
 STEP = 0.5
 """Step of central differences, standard deviations."""
@@ -38,20 +39,22 @@ def numbers_of(values: Mapping[str, Any]) -> Array:
 
 def deviations_of(values: Mapping[str, Any]) -> Array:
     """Return the standard deviations (52,) of the numbers."""
+    K, P = (at_most_whole(matrix(values[f'{kind}_std']), np.diag(matrix(values[kind])))
+            for kind in ('cup.stiffness', 'cup.damping'))
     return np.concatenate([
-        at_most_whole(values, 'cup.stiffness')[UPPER], at_most_whole(values, 'cup.damping')[UPPER],
+        K[UPPER], P[UPPER],
         [values['package.mass_std']], values['package.com_std'], values['package.inertia_std']])
 
 
-def at_most_whole(values: Mapping[str, Any], kind: str) -> Array:
+def at_most_whole(std: Array, diagonal: ArrayLike) -> Array:
     """
-    Return the standard deviations (6, 6) of K or P, no larger than its diagonal allows.
+    Return standard deviations (6, 6) of K or P, no larger than its diagonal (6,) allows.
 
     An entry of which an identification knows nothing has a huge one; a linear model holds for no
     more than entries as large as the roots of their two diagonal ones.
     """
-    root = np.sqrt(np.diag(matrix(values[kind])))
-    smaller: Array = np.minimum(matrix(values[f'{kind}_std']), np.outer(root, root))
+    root = np.sqrt(diagonal)
+    smaller: Array = np.minimum(std, np.outer(root, root))
     return smaller
 
 

@@ -26,11 +26,12 @@ from typing import Any
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import linearise, static_equilibrium
 from bellows_ros.core.jacobians import parameter_jacobian
-from bellows_ros.core.kernels import Blocks, ModelTuple, State
+from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.lie import hat
 from bellows_ros.core.live.samples import ORIGIN, Prediction, Unsettled, ZERO
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.parameters import matrix
+from bellows_ros.core.perturbed import at_most_whole
 from bellows_ros.core.tuples import rotation_matrix
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -77,8 +78,9 @@ class Uncertainty:
         self._model = model
         self._noise = np.repeat([values['tool_noise.position'], values['tool_noise.rotation']], 3)
         self._std: Array = np.concatenate([  # of the upper triangles of K and of P
-            _at_most_whole(matrix(values[f'cup.{name}_std']), blocks)[np.triu_indices(6)]
-            for name, blocks in (('stiffness', model[0][2]), ('damping', model[0][3]))])
+            at_most_whole(matrix(values[f'cup.{name}_std']), [*oo[::4], *RR[::4]])[
+                np.triu_indices(6)]
+            for name, (oo, _, RR) in (('stiffness', model[0][2]), ('damping', model[0][3]))])
         self._sensitivity: Array | None = None
         self._left, self._left_since_ns = np.eye(12), -1
         self._last_ns = self._measured_ns = self._tried_ns = -1
@@ -224,17 +226,6 @@ def warm_up_uncertainty() -> None:
         'tool_noise.position': 1.0, 'tool_noise.rotation': 1.0,
     }
     Uncertainty(model, values).covariance(Prediction(1, *ORIGIN, ZERO, ZERO))
-
-
-def _at_most_whole(std: Array, blocks: Blocks) -> Array:
-    """
-    Return standard deviations (6, 6) of K or P that are no larger than its diagonal allows.
-
-    An entry of which an identification knows nothing has a huge one; the small motions about the
-    model hold for no more than entries as large as the roots of their two diagonal ones.
-    """
-    root = np.sqrt(np.concatenate([blocks[0][::4], blocks[2][::4]]))
-    return np.minimum(std, np.outer(root, root))
 
 
 def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float]) -> Array:
