@@ -10,7 +10,7 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.jacobians import body_jacobians, Square, tool_jacobians
+from bellows_ros.core.jacobians import body_jacobians, tool_jacobians
 from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.kernels import body_acceleration, ModelTuple, State
 from bellows_ros.core.tuples import (
@@ -31,6 +31,8 @@ import numpy as np
 
 PHASE_PER_STEP = 0.1
 """Largest |eigenvalue| * step (rad) of one integration step: RK4 is accurate and stable there."""
+
+_ORIGIN: State = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 @kernel
@@ -74,25 +76,20 @@ class Jacobian(NamedTuple):
 def linearise(model: ModelTuple, tool: State, body: State) -> Jacobian:
     """Return the derivatives of the package's acceleration about a state."""
     of_body, of_tool = body_jacobians(model, tool, body), tool_jacobians(model, tool, body)
-    return Jacobian(*(_matrix(square) for square in (*of_body, *of_tool)))
+    return Jacobian(*(np.reshape(square, (2, 2, 3, 3)).transpose(0, 2, 1, 3).reshape(6, 6)
+                      for square in (*of_body, *of_tool)))
 
 
-def _matrix(square: Square) -> Array:
-    """Return a 6x6 matrix of the kernels as an array."""
-    parts = np.reshape(square, (2, 2, 3, 3))
-    return np.asarray(parts.transpose(0, 2, 1, 3).reshape(6, 6))
-
-
-def system_matrix(model: ModelTuple) -> Array:
+def system_matrix(
+    model: ModelTuple, tool: State = _ORIGIN, body: State | None = None
+) -> Array:
     """
-    Return the matrix (12, 12) of small motions about the nominal pose with the tool at rest.
+    Return the matrix (12, 12) of small motions about a state, or the nominal pose, at rest.
 
     The state is displacement and twist of B in its own axes; its eigenvalues are the package's
     modes (rad/s).
     """
-    zero = (0.0, 0.0, 0.0)
-    tool = (zero, (0.0, 0.0, 0.0, 1.0), zero, zero)
-    jacobian = linearise(model, tool, resting_on_tool(model, tool))
+    jacobian = linearise(model, tool, body or resting_on_tool(model, tool))
     return np.block([[np.zeros((6, 6)), np.eye(6)], [jacobian.body_pose, jacobian.body_twist]])
 
 
@@ -117,7 +114,6 @@ _LOADS = 8
 _ITERATIONS = 50
 _LARGEST_MOVE = 0.3  # m or rad, of one iteration
 _DIFFERENCE = 1e-6  # m or rad
-_ORIGIN: State = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 def static_equilibrium(
@@ -148,7 +144,10 @@ def static_equilibrium(
     rest, found = _loaded(
         model, gravity, body, loads, *as_inputs(np.zeros((6, 6)), np.zeros(6)))
     if not found:
-        raise _no_equilibrium(model)
+        raise UnstableError(
+            f'No static equilibrium: the cup cannot hold {model[1][0]:g} kg in this tool pose '
+            'without tipping over. Check package.mass, package.com, cup.stiffness and their '
+            'units.')
     position = add(tool[0], apply(R_world_tool, rest[0]))
     return position, quaternion_product(tool[1], rest[1]), rest[2], rest[3]
 
@@ -224,11 +223,3 @@ def _unbalance(model: ModelTuple, body: State) -> tuple[float, float, float, flo
     dv, dw = body_acceleration(model, _ORIGIN, body)
     f, m = scale(package[0], dv), apply(package[2], dw)
     return f[0], f[1], f[2], m[0], m[1], m[2]
-
-
-def _no_equilibrium(model: ModelTuple) -> UnstableError:
-    """Return the error for a missing equilibrium."""
-    return UnstableError(
-        f'No static equilibrium: the cup cannot hold {model[1][0]:g} kg in this tool pose '
-        'without tipping over. Check package.mass, package.com, cup.stiffness and their units.'
-    )

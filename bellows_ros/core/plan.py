@@ -72,9 +72,7 @@ PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_mome
 """Quantities whose peaks are kept: loads, rad, m, N, N m, N m, rad."""
 
 SAME_TILT = 0.05
-"""The package hangs nearly alike if gravity turns by less than this in tool axes (rad) ..."""
-LEVEL = 1e-12
-"""... and exactly alike below this."""
+"""The package hangs nearly alike if gravity turns by less than this in tool axes (rad)."""
 
 UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
 """Passed to the kernel if the grip is unknown; the loads are then not used."""
@@ -202,7 +200,7 @@ class Run:
         self._tail = tail if stands(rows[-1]) else 0.0
         self._end = self._start
         if self._tail:
-            self._end = rest_after(model, rows[0], self._start, rows[-1], self._rests)
+            self._end = rest_after(model, rows[0], self._start, rows[-1])
         self._longest = longest or largest_step(model)
         self._inputs = as_inputs(rows, np.diff(tool.stamps_ns) / NS_PER_S)
         self._make_room()
@@ -222,7 +220,7 @@ class Run:
             other._start = rest(model, self._rows[0], self._start)
         if self._tail:
             other._end = rest_after(
-                model, self._rows[0], other._start, self._rows[-1], self._rests, self._end)
+                model, self._rows[0], other._start, self._rows[-1], self._end)
         other._make_room()
         return other
 
@@ -284,29 +282,25 @@ def rest(model: ModelTuple, row: Array, near: State | None = None) -> State:
 
 
 def rest_after(
-    model: ModelTuple, first: Array, start: State, last: Array, rests: bool = False,
-    near: State | None = None,
+    model: ModelTuple, first: Array, start: State, last: Array, near: State | None = None
 ) -> State:
     """
     Return the package at rest under a row, starting from its rest under another one.
 
-    Where the tool tilts in between it is sought near a state, or from the beginning, as where
-    nothing is found; where it rests at the start and the tool does not tilt, it hangs alike.
+    Where the tool hardly tilts in between it hangs nearly alike; else it is sought near a state.
+    Where nothing is found there, it is sought from the beginning.
     """
     R, R_end = (rotation_matrix(tuple(row[3:7].tolist())) for row in (first, last))
     tilt = norm(subtract(apply_transposed(R, model[2]), apply_transposed(R_end, model[2])))
-    if tilt > SAME_TILT * norm(model[2]):
-        return rest(model, last, near)
-    shift = apply_transposed(R, subtract(start[0], tuple(first[:3].tolist())))
-    turn = quaternion_product(quaternion_conjugate(tuple(first[3:7].tolist())), start[1])
-    still = (0.0, 0.0, 0.0)
-    alike = (
-        add(tuple(last[:3].tolist()), apply(R_end, shift)),
-        quaternion_product(tuple(last[3:7].tolist()), turn), still, still)
-    if rests and tilt < LEVEL * norm(model[2]):
-        return alike
+    if tilt <= SAME_TILT * norm(model[2]):
+        shift = apply_transposed(R, subtract(start[0], tuple(first[:3].tolist())))
+        turn = quaternion_product(quaternion_conjugate(tuple(first[3:7].tolist())), start[1])
+        still = (0.0, 0.0, 0.0)
+        near = (
+            add(tuple(last[:3].tolist()), apply(R_end, shift)),
+            quaternion_product(tuple(last[3:7].tolist()), turn), still, still)
     try:
-        return rest(model, last, alike)
+        return rest(model, last, near)
     except UnstableError:
         return rest(model, last)
 

@@ -14,7 +14,7 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import linearise, resting_on_tool
+from bellows_ros.core.equilibrium import resting_on_tool, system_matrix
 from bellows_ros.core.jacobians import damper_jacobians
 from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.kernels import (
@@ -423,9 +423,7 @@ def modes_left(model: ModelTuple, prediction: Prediction) -> list[Mode]:
     last = tool_rows(prediction.tool)[-1]
     tool = state_row(last[:3], last[3:7], np.zeros(6))
     hanging = rest(model, last)
-    jacobian = linearise(model, tool, hanging)
-    A = np.block([[np.zeros((6, 6)), np.eye(6)], [jacobian.body_pose, jacobian.body_twist]])
-    values, vectors = np.linalg.eig(A)
+    values, vectors = np.linalg.eig(system_matrix(model, tool, hanging))
     R = quaternion_to_rotation(np.array(hanging[1]))
     end = prediction.states[-1]
     shift = R.T @ (end[:3] - hanging[0])
@@ -541,7 +539,7 @@ def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
     T_E = transform(tool.rotation[[0, -1]], tool.position[[0, -1]])
     first, last = tool_rows(tool)[[0, -1]]
     start = rest(model, first)
-    rests = start, rest_after(model, first, start, last, True)
+    rests = start, rest_after(model, first, start, last)
     T_B = transform(quaternion_to_rotation(np.array([state[1] for state in rests])),
                     np.array([state[0] for state in rests]))
     T_E_B = inverse_transform(T_E) @ T_B
