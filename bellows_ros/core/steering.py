@@ -42,7 +42,7 @@ from bellows_ros.core.lie import (
 )
 from bellows_ros.core.plan import predict, Prediction, rest, rest_after, SETTLED
 from bellows_ros.core.plan_points import body_twists, curve_of
-from bellows_ros.core.simulation import state_row, STILL, tool_rows, write_row
+from bellows_ros.core.simulation import row_state, state_row, STILL, tool_rows, write_row
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import (
     add,
@@ -54,7 +54,6 @@ from bellows_ros.core.tuples import (
     Matrix,
     multiply,
     normalised,
-    quaternion_product,
     rotation_matrix,
     scale,
     subtract,
@@ -163,66 +162,34 @@ def leading_tool(
 
 
 @kernel
-def polynomial(c: Any, s: float) -> Vector:
-    """Return value, first and second derivative of a polynomial, highest power first."""
-    value, rate, half = 0.0, 0.0, 0.0
-    for k in range(len(c)):
-        half = half * s + rate
-        rate = rate * s + value
-        value = value * s + c[k]
-    return value, rate, 2.0 * half
-
-
-@kernel
-def wanted_at(pieces: Any, spacing: float, t: float) -> tuple[State, Vector, Vector]:
-    """
-    Return the state of B at a time (s), and the rates of its body twist.
-
-    pieces (N, 7, 6) are polynomials in position and quaternion, so far (s) from each other.
-    """
-    i = min(int(t / spacing), len(pieces) - 1)
-    c, s = pieces[i], t - i * spacing
-    x, y, z = polynomial(c[0], s), polynomial(c[1], s), polynomial(c[2], s)
-    a, b = polynomial(c[3], s), polynomial(c[4], s)
-    d, e = polynomial(c[5], s), polynomial(c[6], s)
-    k = 1.0 / (a[0] * a[0] + b[0] * b[0] + d[0] * d[0] + e[0] * e[0])
-    q = normalised((a[0], b[0], d[0], e[0]))
-    back = (-k * a[0], -k * b[0], -k * d[0], k * e[0])
-    rate = quaternion_product(back, (a[1], b[1], d[1], e[1]))
-    bend = quaternion_product(back, (a[2], b[2], d[2], e[2]))
-    w = (2.0 * rate[0], 2.0 * rate[1], 2.0 * rate[2])
-    growth = -2.0 * rate[3]
-    dw = (2.0 * bend[0] + growth * w[0], 2.0 * bend[1] + growth * w[1],
-          2.0 * bend[2] + growth * w[2])
-    R = rotation_matrix(q)
-    v = apply_transposed(R, (x[1], y[1], z[1]))
-    dv = subtract(apply_transposed(R, (x[2], y[2], z[2])), cross(w, v))
-    return ((x[0], y[0], z[0]), q, v, w), dv, dw
+def wanted_at(rows: Any, i: int) -> tuple[State, Vector, Vector]:
+    """Return the state of a row (19,), or of the last one, and the rates of its twist."""
+    row = rows[min(i, len(rows) - 1)]
+    return row_state(row), (row[13], row[14], row[15]), (row[16], row[17], row[18])
 
 
 @kernel
 def _lead(
-    model: ModelTuple, tool: State, pieces: Any, spacing: float, count: int, h: float,
-    way: float, turn: float, out: Array, package: Array,
+    model: ModelTuple, tool: State, wanted: Any, h: float, way: float, turn: float,
+    out: Array, package: Array,
 ) -> int:
     """
     Write the states of tool and package along a motion; return how many there are.
 
-    The package rests after count steps of h (s). The last tool moves by less than way (m) and
-    turn (rad) per s.
+    What is wanted of the package (N, 19) is half a step of h (s) apart; then it rests. The last
+    tool moves by less than way (m) and turn (rad) per s.
     """
     still = (0.0, 0.0, 0.0)
-    end, end_dv, end_dw = wanted_at(pieces, spacing, 0.0)
     for k in range(len(out)):
-        body, dv, dw = end, end_dv, end_dw
+        body, dv, dw = wanted_at(wanted, 2 * k)
         tool = leading_tool(model, tool, body, dv, dw)
         write_row(out[k], tool)
         write_row(package[k], body)
-        if k >= count and dot(tool[2], tool[2]) < way * way and (
+        if 2 * k >= len(wanted) - 1 and dot(tool[2], tool[2]) < way * way and (
                 dot(tool[3], tool[3]) < turn * turn):
             return k + 1
-        middle, dv, dw = wanted_at(pieces, spacing, min(k + 0.5, count) * h)
-        end, end_dv, end_dw = wanted_at(pieces, spacing, min(k + 1, count) * h)
+        middle, dv, dw = wanted_at(wanted, 2 * k + 1)
+        end, end_dv, end_dw = wanted_at(wanted, 2 * k + 2)
         do1, ds1 = apply(rotation_matrix(tool[1]), tool[2]), tool[3]
         stage = leading_tool(
             model, stage_state(tool, 0.5 * h, do1, ds1, still, still), middle, dv, dw)
@@ -300,13 +267,13 @@ def inverse(
     rows, smoothed = _smooth_rows(wanted)
     duration = float(wanted.seconds[-1])
     count = math.ceil(duration / min(GRID, RATE_PER_STEP / rates[-1]) - 1e-9)
-    h, pieces = duration / count, _pieces(rows, duration)
+    h = duration / count
     if start is None:
         start = _tool_above(model, rows[0], rates)
     out, package = np.empty((2, count + 1 + round(LONGEST_ARRIVAL / rates[0] / h), 13))
     found = _led(
-        model, start, pieces, duration / (len(rows) - 1), count, h,
-        rates[0] * np.array(ARRIVED), out, package)
+        model, start, _wanted(rows, duration, count), h, rates[0] * np.array(ARRIVED), out,
+        package)
     every = max(1, round(GRID / h))
     kept = np.append(np.arange(0, found - 1, every), found - 1)
     out[found - 1, 7:] = 0.0
@@ -319,26 +286,37 @@ def inverse(
     return tool, package, smoothed
 
 
-def _pieces(rows: Array, duration: float) -> Array:
-    """Return the polynomials (N, 7, 6) of a quintic spline through poses (N + 1, 7)."""
+def _wanted(rows: Array, duration: float, count: int) -> Array:
+    """
+    Return states of B, and the rates of its body twist (2 count + 1, 19).
+
+    Of a quintic spline through evenly spaced poses (N, 7), from rest to rest.
+    """
     from scipy.interpolate import make_interp_spline
 
     still: Any = [(1, np.zeros(7)), (2, np.zeros(7))]
-    knots = np.linspace(0.0, duration, len(rows))
-    spline = make_interp_spline(knots, rows, 5, bc_type=(still, still))
-    return np.stack([spline(knots[:-1], power) / math.factorial(power)
-                     for power in range(5, -1, -1)], axis=2)
+    spline = make_interp_spline(
+        np.linspace(0.0, duration, len(rows)), rows, 5, bc_type=(still, still))
+    t = np.linspace(0.0, duration, 2 * count + 1)
+    value, rate, bend = (spline(t, order) for order in range(3))
+    q = value[:, 3:]
+    size = np.linalg.norm(q, axis=1)[:, None]
+    (_, twist), (_, bent) = body_twists(q, rate), body_twists(q, bend)
+    v, w = twist[:, :3], twist[:, 3:]
+    growth = 2.0 * np.sum(q * rate[:, 3:], axis=1)[:, None] / size ** 2
+    return np.hstack([
+        value[:, :3], q / size, twist, bent - np.hstack([np.cross(w, v), growth * w])])
 
 
 def _led(
-    model: ModelTuple, tool: State, pieces: Array, spacing: float, count: int, h: float,
-    arrived: Array, out: Array, package: Array,
+    model: ModelTuple, tool: State, wanted: Array, h: float, arrived: Array, out: Array,
+    package: Array,
 ) -> int:
     """Fill in the states of tool and package; return how many there are."""
     way, turn = arrived.tolist()
     try:
         found = int(_lead(
-            model, tool, *as_inputs(pieces), spacing, count, h, way, turn, out, package))
+            model, tool, *as_inputs(wanted), h, way, turn, out, package))
     except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
         found = 0
     if not found or not np.isfinite(out[:found]).all():
@@ -359,9 +337,7 @@ def _tool_above(model: ModelTuple, body: Array, rates: Array) -> State:
     o = body[:3] - quaternion_to_rotation(body[3:]) @ shift
     h = min(GRID, RATE_PER_STEP / rates[-1])
     out = np.empty((2, round(2.0 * LONGEST_ARRIVAL / rates[0] / h), 13))
-    pieces = np.zeros((1, 7, 6))
-    pieces[0, :, -1] = body
-    found = _led(model, state_row(o, body[3:], np.zeros(6)), pieces, 1.0, 0, h,
+    found = _led(model, state_row(o, body[3:], np.zeros(6)), np.pad(body, (0, 12))[None], h,
                  1e-4 * rates[0] * np.array(ARRIVED), *out)
     return state_row(out[0, found - 1, :3], out[0, found - 1, 3:7], np.zeros(6))
 
