@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.jacobians import (
@@ -359,49 +359,6 @@ def twice_turned(
     fixed = add(scale(d_once, phi_a), scale(d_twice, cross(phi, phi_a)))
     return (
         change[0] + along * fixed[0], change[1] + along * fixed[1], change[2] + along * fixed[2])
-
-
-class Jacobians(NamedTuple):
-    """
-    Derivatives of the package's state after `kernels.advance`, and that state itself.
-
-    By the state before and by the tool's samples at start and end (12, 12), and by parameters
-    (12, p).
-    """
-
-    end: State
-    body: Array
-    tool_start: Array
-    tool_end: Array
-    parameters: Array
-
-
-def advance_jacobians(
-    model: ModelTuple, body: State, start: State, end: State, duration: float, substeps: int,
-    parameters: slice = NO_PARAMETERS,
-) -> Jacobians:
-    """
-    Return the derivatives of one call of `kernels.advance`.
-
-    Parameters
-    ----------
-    model, body, start, end, duration, substeps
-        As `kernels.advance` takes them.
-    parameters : slice
-        Those by which it is derived, of `jacobians.PARAMETERS`; none when left out.
-
-    """
-    count = parameters.stop - parameters.start
-    S: Array = np.zeros((12, 36 + count))
-    S[:, :12] = np.eye(12)
-    changes: Array = np.zeros((2, 12, 24))
-    changes[0, :, :12], changes[1, :, 12:] = np.eye(12), np.eye(12)
-    after = advance_changes(
-        model, body, start, end, duration, substeps, S, (parameters.start, parameters.stop),
-        changes[0], changes[1], *workspace(S.shape[1], 24))
-    first = 12 + count
-    return Jacobians(
-        after, S[:, :12], S[:, first:first + 12], S[:, first + 12:], S[:, 12:first])
 
 
 def workspace(n: int, m: int = 0) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from bellows_ros.core.jacobians import (
 from bellows_ros.core.kernels import advance
 from bellows_ros.core.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import model_tuple
-from bellows_ros.core.sensitivities import advance_jacobians, sensitivities
+from bellows_ros.core.sensitivities import sensitivities
 from bellows_ros.core.simulation import simulate_rows, state_row
 from bellows_ros.core.tuples import SMALL_ANGLE_SQUARED
 import numpy as np
@@ -105,9 +105,13 @@ def test_some_of_the_parameters_stand_where_they_are_asked_for():
 def test_steps_follow_states_and_parameters(turn, substeps):
     case, duration = Case(4, turn), 0.008
     rows = [case.row(state) for state in (case.body, case.tool, case.end)]
-    found = advance_jacobians(case.model, *rows, duration, substeps, slice(0, PARAMETERS))
+    changes = np.zeros((2, 12, 24))
+    changes[0, :, :12], changes[1, :, 12:] = np.eye(12), np.eye(12)
+    (_, end), (_, found) = sensitivities(
+        case.model, rows[0], np.array([np.concatenate(row) for row in rows[1:]]),
+        np.array([duration]), np.array([substeps]), slice(0, PARAMETERS), changes)
     plain = advance(case.model, *rows, duration, substeps)
-    assert_allclose(np.concatenate(found.end), np.concatenate(plain), rtol=0, atol=1e-15)
+    assert_allclose(end, np.concatenate(plain), rtol=0, atol=1e-15)
     states = case.body, case.tool, case.end
     after = complex_step.advance(case.numbers, *states, duration, substeps)
     assert_allclose(after[0].real, plain[0], atol=1e-13)
@@ -120,13 +124,14 @@ def test_steps_follow_states_and_parameters(turn, substeps):
                 after, complex_step.advance(case.numbers, *moved, duration, substeps))
         return complex_step.derivative(function, np.zeros(12))
 
-    for which, derivative in enumerate((found.body, found.tool_start, found.tool_end)):
+    body, parameters, start, last = np.split(found, np.cumsum([12, PARAMETERS, 12]), axis=1)
+    for which, derivative in enumerate((body, start, last)):
         near(derivative, of_state(which), 1e-11)
     expected = complex_step.derivative(
         lambda p: complex_step.change(
             after, complex_step.advance(p, *states, duration, substeps)), case.numbers)
     for column in range(PARAMETERS):
-        near(found.parameters[:, column], expected[:, column], 1e-9)
+        near(parameters[:, column], expected[:, column], 1e-9)
 
 
 def test_whole_motions_follow_their_start_parameters_and_tool():

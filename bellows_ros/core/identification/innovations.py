@@ -16,7 +16,6 @@ from bellows_ros.core.equilibrium import (
     displaced,
     largest_step,
     static_equilibrium,
-    substeps_for,
     substeps_of,
 )
 from bellows_ros.core.identification.segments import in_motion
@@ -31,7 +30,7 @@ from bellows_ros.core.residuals import (
     spectrum,
     Whiteness,
 )
-from bellows_ros.core.sensitivities import advance_jacobians
+from bellows_ros.core.sensitivities import sensitivities
 from bellows_ros.core.simulation import row_state, state_row, tool_rows
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.core.tuples import (
@@ -157,14 +156,18 @@ def _one_step(
     The first of the poses lies half a window of the twists before the step, the last one as much
     behind it.
     """
-    substeps = substeps_for(period, largest_step(model))
-    step = advance_jacobians(model, body, tool, tool, period, substeps)
+    changes = np.zeros((2, 12, 24))
+    changes[0, :, :12], changes[1, :, 12:] = np.eye(12), np.eye(12)
+    durations = np.array([period])
+    _, (_, by) = sensitivities(
+        model, body, np.array([np.concatenate(tool)] * 2), durations,
+        substeps_of(durations, largest_step(model)), changes=changes)
     value, slope, _ = weights(TOOL_HALF_WINDOW, TOOL_ORDER, 1.0 / period)
     inputs = [np.zeros((12, 6)) for _ in range(LAGS + 1)]
-    for offset, effect in ((0, step.tool_start), (1, step.tool_end)):
+    for offset, effect in enumerate((by[:, 12:24], by[:, 24:])):
         for j in range(LAGS):
             inputs[j + offset] += value[j] * effect[:, :6] + slope[j] * effect[:, 6:]
-    return step.body, inputs
+    return by[:, :12], inputs
 
 
 @kernel
