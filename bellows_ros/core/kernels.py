@@ -20,7 +20,6 @@ from bellows_ros.core.tuples import (
     apply_transposed,
     body_rate,
     cross,
-    dot,
     exp_quaternion,
     log_quaternion,
     Matrix,
@@ -64,18 +63,11 @@ def strain(o: Vector, R: Matrix) -> tuple[Vector, Vector]:
 
 
 @kernel
-def spring_energy(o: Vector, R: Matrix, K: Blocks) -> float:
-    """Return the elastic energy P0 = 1/8 h^T K h (J) (3.17)."""
-    h_o, h_R = strain(o, R)
-    s_o, s_R = multiply_blocks(K, h_o, h_R)
-    return 0.125 * (dot(h_o, s_o) + dot(h_R, s_R))
-
-
-@kernel
 def spring_wrench(o: Vector, R: Matrix, K: Blocks) -> Wrench:
     """
     Return the spring wrench on the package at S1, f1 = -1/4 J^T K h (3.23, 3.27).
 
+    It is minus the gradient of the energy 1/8 h^T K h (3.17).
     J = [[R + I, (R^T o)^], [0, tr(R) I - R^T]] is the derivative of the strain h.
     """
     h_o, h_R = strain(o, R)

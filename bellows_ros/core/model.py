@@ -197,19 +197,6 @@ def model_tuple(cup: Cup, package: Package, gravity: float | ArrayLike) -> Model
     return cup.as_tuple, package.as_tuple, _tuple(_frozen(vector, (3,), 'gravity'))
 
 
-def wrench_at_lip(cup: Cup, T_tool_lip: ArrayLike, twist_tool_lip: ArrayLike) -> Array:
-    """
-    Return the wrench (6,) of the cup on the package at the lip, in lip axes (3.27, 3.35).
-
-    The pose (4, 4) and the body twist (6,) are those of the lip S relative to the tool E.
-    """
-    T, v = np.asarray(T_tool_lip, dtype=float), np.asarray(twist_tool_lip, dtype=float)
-    f, m = cup_wrench(
-        cup.as_tuple, _tuple(T[:3, 3]), _tuple(T[:3, :3]), _tuple(v[:3]), _tuple(v[3:])
-    )
-    return np.array([*f, *m])
-
-
 def unit_cups(length: float, basis: list[Array]) -> list[CupTuple]:
     """
     Return the cups whose wrenches are the columns of the regressor L (4.67).

@@ -1,4 +1,4 @@
-"""Simulation of the package under a tool motion, and the energies in it."""
+"""Simulation of the package under a tool motion."""
 
 from __future__ import annotations
 
@@ -10,17 +10,13 @@ from bellows_ros.core.equilibrium import largest_step, static_equilibrium, subst
 from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.kernels import (
     advance,
-    lip_relative_to_tool,
     lip_wrench,
     ModelTuple,
-    spring_energy,
-    spring_frames,
     State,
 )
 from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package, STANDARD_GRAVITY
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
-from bellows_ros.core.tuples import apply, dot, rotation_matrix
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -228,55 +224,3 @@ def _lip_wrenches(model: ModelTuple, tool: Array, body: Array, out: Array) -> No
         f, m = lip_wrench(model, row_state(tool[k]), row_state(body[k]))
         out[k, 0], out[k, 1], out[k, 2] = f
         out[k, 3], out[k, 4], out[k, 5] = m
-
-
-@dataclass(frozen=True)
-class Energies:
-    """Energies (J), each (N,): kinetic (3.43), elastic (3.17) and of gravity (3.44)."""
-
-    kinetic: Array
-    elastic: Array
-    gravity: Array
-
-    @property
-    def total(self) -> Array:
-        """Sum of the three (3.50), (N,)."""
-        return self.kinetic + self.elastic + self.gravity
-
-
-def energies(
-    cup: Cup,
-    package: Package,
-    tool: Trajectory,
-    body: Trajectory,
-    gravity: float | ArrayLike = STANDARD_GRAVITY,
-) -> Energies:
-    """Return the energies of a motion of the package; gravity's is zero at the world's origin."""
-    out = np.empty((len(tool.stamps_ns), 3))
-    _energies(model_tuple(cup, package, gravity), tool_rows(tool), tool_rows(body), out)
-    return Energies(*out.T)
-
-
-@kernel
-def _energies(model: ModelTuple, tool: Array, body: Array, out: Array) -> None:
-    """Write the energies of every row into out (N, 3)."""
-    for k in range(len(out)):
-        out[k, 0], out[k, 1], out[k, 2] = state_energies(
-            model, row_state(tool[k]), row_state(body[k])
-        )
-
-
-@kernel
-def state_energies(model: ModelTuple, tool: State, body: State) -> tuple[float, float, float]:
-    """Return kinetic (3.43), elastic (3.17) and gravity's (3.44) energy (J) of one state."""
-    cup, package, gravity = model
-    mass, com, inertia, _ = package
-    o, _, v, w = body
-    o_E_S, R_E_S, _, _ = lip_relative_to_tool(
-        com,
-        tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
-        o, rotation_matrix(body[1]), v, w,
-    )
-    kinetic = 0.5 * (mass * dot(v, v) + dot(w, apply(inertia, w)))
-    elastic = spring_energy(spring_frames(cup, o_E_S, R_E_S), R_E_S, cup[2])
-    return kinetic, elastic, -mass * dot(gravity, o)

@@ -4,8 +4,9 @@ from pathlib import Path
 import sys
 from typing import Any
 
+from bellows_ros.core.kernels import cup_wrench
 from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.model import Cup, wrench_at_lip
+from bellows_ros.core.model import Cup
 from bellows_ros.core.parameter_table import THESIS_STIFFNESS
 from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
 import numpy as np
@@ -107,12 +108,12 @@ def bending(theme: Theme) -> Any:
 def _moment(angle: float) -> float:
     """Return the moment about x with which the thesis' cup resists bending, N m."""
     cup = Cup.thesis()
-    T = np.eye(4)
-    T[:3, :3] = exp_so3(np.array([angle, 0.0, 0.0]))
+    R = exp_so3(np.array([angle, 0.0, 0.0]))
     # S1 and S2 stay together, so that there is no force and the moment is the same anywhere.
     half = np.array([0.0, 0.0, -cup.length / 2.0])
-    T[:3, 3] = half + T[:3, :3] @ half
-    return -float(wrench_at_lip(cup, T, np.zeros(6))[3])
+    still: Any = (0.0, 0.0, 0.0)
+    at: Any = tuple((half + R @ half).tolist()), tuple(R.ravel().tolist())
+    return -cup_wrench(cup.as_tuple, *at, still, still)[1][0]
 
 
 def main() -> None:

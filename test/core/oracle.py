@@ -60,6 +60,15 @@ def acceleration(cup, package, gravity, T_A_E, v_E, T_A_B, v_B):
     return np.linalg.solve(M, f - dual_cross @ M @ v_B)
 
 
+def energies(cup, package, gravity, T_A_E, T_A_B, v_B):
+    """Return kinetic (3.43), elastic (3.17) and gravity's (3.44) energy (J) of one state."""
+    T_S_B = transform(np.eye(3), package.com)
+    H = spring_frames(cup.length, inverse_transform(T_A_E) @ T_A_B @ inverse_transform(T_S_B))
+    kinetic = package.mass * v_B[:3] @ v_B[:3] + v_B[3:] @ package.inertia @ v_B[3:]
+    return np.array([0.5 * kinetic, potential(cup.stiffness, H),
+                     -package.mass * gravity @ T_A_B[:3, 3]])
+
+
 def solve(cup, package, gravity, tool_at, T_start, v_start, times):
     """Integrate the plain equations, R's nine entries as they are, with SciPy's DOP853."""
 

@@ -1,8 +1,8 @@
 """Spring, damper and Newton-Euler against the plain 6x6 formulas and against mathematics."""
 
-from bellows_ros.core.kernels import body_acceleration, spring_energy, spring_frames
+from bellows_ros.core.kernels import body_acceleration, cup_wrench, spring_frames, strain
 from bellows_ros.core.lie import adjoint, exp_se3, inverse_transform, rotation_to_quaternion
-from bellows_ros.core.model import Cup, model_tuple, Package, regressor, wrench_at_lip
+from bellows_ros.core.model import Cup, model_tuple, Package, regressor
 from bellows_ros.core.simulation import state_row
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -25,11 +25,18 @@ def lip_pose(rng, cup, angle=0.5):
     return T
 
 
+def wrench_at_lip(cup, T, v):
+    """Return the wrench (6,) of the kernel for pose and twist of the lip in the tool."""
+    parts = (T[:3, 3], T[:3, :3].ravel(), v[:3], v[3:])
+    return np.concatenate(cup_wrench(cup.as_tuple, *(tuple(part.tolist()) for part in parts)))
+
+
 def potential_energy(cup, T):
     """Return the elastic energy P0 (J) (3.17) with the lip at a pose in the tool."""
     R = tuple(T[:3, :3].ravel().tolist())
     o = spring_frames(cup.as_tuple, tuple(T[:3, 3].tolist()), R)
-    return spring_energy(o, R, cup.as_tuple[2])
+    h = np.concatenate(strain(o, R))
+    return h @ cup.stiffness @ h / 8.0
 
 
 def test_wrench_equals_the_printed_formulas(rng):
