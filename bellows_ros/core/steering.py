@@ -354,7 +354,7 @@ def _smooth_rows(wanted: Trajectory) -> tuple[Array, float]:
     """Return poses (N, 7) evenly spaced from rest to rest, smoothed if need be, and how far."""
     curve, duration = curve_of(wanted), float(wanted.seconds[-1])
     rows = curve(np.linspace(0.0, duration, max(6, round(duration / SPACING)) + 1))
-    if is_smooth(wanted):
+    if is_smooth(curve):
         return rows, 0.0
     fine = (len(rows) - 1) * PARTS
     box = round(0.25 * fine * min(SMOOTHED, LONGEST_SMOOTHING / duration)) | 1  # has a middle
@@ -369,17 +369,17 @@ def _smooth_rows(wanted: Trajectory) -> tuple[Array, float]:
     return smooth[::PARTS], 2.0 * reach * duration / fine
 
 
-def is_smooth(motion: Trajectory) -> bool:
+def is_smooth(curve: Any) -> bool:
     """
-    Return whether a motion from rest to rest has four continuous derivatives.
+    Return whether a motion from rest to rest has four continuous derivatives, as `curve_of` has it.
 
     Where it has not, the change of the fourth from one point to the next does not become smaller
     with their distance.
     """
-    duration = float(motion.seconds[-1])
-    count = round(duration / max(SPACING, float(np.median(np.diff(motion.seconds)))))
+    duration = float(curve.x[-1])
+    count = round(duration / max(SPACING, float(np.median(np.diff(curve.x)))))
     count = 2 * max(3, round(0.5 * count))
-    rows = np.pad(curve_of(motion)(np.linspace(0.0, duration, count + 1)), ((6, 6), (0, 0)),
+    rows = np.pad(curve(np.linspace(0.0, duration, count + 1)), ((6, 6), (0, 0)),
                   mode='edge')
     fine, coarse = (np.diff(rows[::every], 4, axis=0) * (count / (every * duration)) ** 4
                     for every in (1, 2))

@@ -11,6 +11,7 @@ from bellows_ros.core.model import Cup, model_tuple
 from bellows_ros.core.motion_limits import demands
 from bellows_ros.core.perturbed import deviations_of, mean_square, model_with, numbers_of
 from bellows_ros.core.plan import predict, rest, Run
+from bellows_ros.core.plan_points import curve_of
 from bellows_ros.core.simulation import tool_rows
 from bellows_ros.core.steering import (
     hanging,
@@ -107,7 +108,7 @@ def test_the_inverse_moves_the_package_as_wanted(move):
     assert angle(arrived[:, :3, :3], quaternion_to_rotation(np.array(goal[1]))).max() < 0.01
     assert_allclose(found.tool.position[-1], plan.position[-1], atol=1e-5)
     smooth = isinstance(move, Smooth)
-    assert (found.smoothed == 0.0) == smooth and is_smooth(found.package)
+    assert (found.smoothed == 0.0) == smooth and is_smooth(curve_of(found.package))
     if smooth:
         halfway = hanging(MODEL, plan).position[len(plan) // 2]
         assert_allclose(wanted(0.5 * plan.seconds[-1]), halfway, atol=1e-7)
@@ -117,8 +118,8 @@ def test_the_inverse_moves_the_package_as_wanted(move):
 def test_four_continuous_derivatives_are_distinguished_from_fewer(order, smooth):
     move = Smooth([0.6, 0.1, 0.0], [0.0, 0.0, 0.3], 0.6)
     move.order = order
-    assert is_smooth(move.plan()) == smooth
-    assert is_smooth(move.plan(500)) == smooth
+    assert is_smooth(curve_of(move.plan())) == smooth
+    assert is_smooth(curve_of(move.plan(500))) == smooth
 
 
 def test_shaping_is_as_in_the_table():
