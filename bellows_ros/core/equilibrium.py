@@ -18,6 +18,7 @@ from bellows_ros.core.tuples import (
     apply,
     apply_transposed,
     exp_quaternion,
+    normalised,
     quaternion_conjugate,
     quaternion_product,
     rotation_matrix,
@@ -57,6 +58,15 @@ def displaced(body: State, delta: Vector, phi: Vector) -> State:
         body[2],
         body[3],
     )
+
+
+@kernel
+def moved(
+    body: State, shift: Vector, turn: Vector, linear: Vector, angular: Vector
+) -> State:
+    """Return a state displaced in its own axes, with its twist changed."""
+    o, q, v, w = displaced(body, shift, turn)
+    return o, normalised(q), add(v, linear), add(w, angular)
 
 
 class Jacobian(NamedTuple):

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import (
-    displaced,
     largest_step,
+    moved,
     static_equilibrium,
     substeps_for,
     substeps_of,
@@ -288,11 +288,11 @@ def let_go(
             low, high, freed = max(before, (switched - start) / duration), last, body
             s = last if above > 0.0 or low >= last else low
             while True:  # until it lets go: the step in which it does is narrowed (Illinois)
-                there, moved = _within(model, segment, body, before, s)
-                load, late = load_at(model, grip, there, moved), start + s * duration - switched
+                there, carried = _within(model, segment, body, before, s)
+                load, late = load_at(model, grip, there, carried), start + s * duration - switched
                 left = spare(grip, valve, late, load) if s >= low else math.inf
                 if left <= 0.0:
-                    high, below, freed, caught = s, left, moved, True
+                    high, below, freed, caught = s, left, carried, True
                     above, side = above * 0.5 if side < 0 else above, -1
                 elif caught:
                     low, above = s, left
@@ -306,7 +306,7 @@ def let_go(
                 if (high - low) * duration <= INSTANT:
                     return start + high * duration, freed
                 s = between(low, high, above, below, 0.5 * INSTANT / duration)
-            body = moved
+            body = carried
         tool, start = after, end
     return -1.0, body
 
@@ -383,23 +383,22 @@ def sure_toss(
     for i in range(first - 1, last):
         j = i if i >= first else -1  # the first is the toss itself
         size = PUSHES[max(j, 0)]
-        o, q, v, w = displaced(body, unit(j, size), unit(j - 3, size))
         delay, tau, impulse = unit(j - 12, deviations[max(j - 12, 0)])
         changed = Release(
             (release.valve[0] + delay, release.valve[1] + tau), release.impulse + impulse,
             release.box, release.height)
         found = toss_along(
             model, grip, changed, 0.0, tool,
-            (o, q, add(v, unit(j - 6, size)), add(w, unit(j - 9, size))),
+            moved(body, unit(j, size), unit(j - 3, size), unit(j - 6, size), unit(j - 9, size)),
             rows, seconds, 0.0, until, longest)
         if found[2] <= found[0]:
             return False, found
         if j < 0:
             nominal = found
         else:
-            moved, turned = figures(found[3], nominal[3], model[2])
+            shift, turn = figures(found[3], nominal[3], model[2])
             for k in range(3):
-                by[k, j], by[k + 3, j] = moved[k] / size, turned[k] / size
+                by[k, j], by[k + 3, j] = shift[k] / size, turn[k] / size
     covariance[:] = 0.0
     total = 0.0
     for i in range(6):

@@ -371,10 +371,10 @@ def _smooth_rows(wanted: Trajectory) -> tuple[Array, float]:
 
 def is_smooth(curve: Any) -> bool:
     """
-    Return whether a motion from rest to rest has four continuous derivatives, as `curve_of` has it.
+    Return whether a motion from rest to rest, as `curve_of` makes it, is C^4.
 
-    Where it has not, the change of the fourth from one point to the next does not become smaller
-    with their distance.
+    Where it is not, the change of the fourth derivative from one point to the next does not become
+    smaller with their distance.
     """
     duration = float(curve.x[-1])
     count = round(duration / max(SPACING, float(np.median(np.diff(curve.x)))))

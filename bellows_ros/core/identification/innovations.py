@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.equilibrium import (
-    displaced,
     largest_step,
+    moved,
     static_equilibrium,
     substeps_of,
 )
@@ -171,13 +171,6 @@ def _one_step(
 
 
 @kernel
-def corrected(state: State, change: Change) -> State:
-    """Return a state displaced along its own axes, with its twist changed."""
-    o, q, _, _ = displaced(state, change[0], change[1])
-    return o, q, add(state[2], change[2]), add(state[3], change[3])
-
-
-@kernel
 def between(first: State, second: State) -> Change:
     """Return the change that moves one state to another."""
     return (
@@ -276,7 +269,7 @@ def _innovations(
             later = row_state(tool[k + 1])
             body = advance(model, body, now, later, durations[k], substeps[k])
             now = later
-            body = corrected(body, correction(gain, recent))
+            body = moved(body, *correction(gain, recent))
 
 
 @kernel

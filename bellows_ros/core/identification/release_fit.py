@@ -11,9 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
+from typing import Any
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import displaced
+from bellows_ros.core.equilibrium import moved
 from bellows_ros.core.holding import Grip
 from bellows_ros.core.identification.reduction import shaken
 from bellows_ros.core.kernels import ModelTuple, State
@@ -22,7 +23,6 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.release import flight, Held, NO_FLIGHT, STRIDE
 from bellows_ros.core.simulation import state_row, tool_rows
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
-from bellows_ros.core.tuples import add
 from bellows_ros.errors import UndeterminedError, UnstableError
 import numpy as np
 
@@ -135,11 +135,8 @@ def letting_go(
     rows = np.searchsorted(given.times, seconds - 1e-9)
 
     def run(x: Array, held: Held) -> tuple[Held, State, float]:
-        push = SIZES * x[:12]
-        moved = displaced(start, tuple(push[:3].tolist()), tuple(push[3:6].tolist()))
-        begun = held.again((
-            moved[0], moved[1], add(start[2], tuple(push[6:9].tolist())),
-            add(start[3], tuple(push[9:].tolist()))))
+        push: Any = (tuple(part.tolist()) for part in np.split(SIZES * x[:12], 4))
+        begun = held.again(moved(start, *push))
         time = min(max(valve + float(x[12]) * 1e-3, valve), end - 1e-3)
         release = NO_FLIGHT._replace(impulse=float(x[13]) * 1e-2)
         return begun, begun.let_go(release, time)[1], time
@@ -164,9 +161,9 @@ def letting_go(
     if not math.isfinite(chi2):
         raise UndeterminedError('No release time explains the poses of this toss. Leave it out.')
     back = np.linalg.pinv(np.asarray(best.jac))
-    moved = [back @ (residuals(best.x, Held(model, None, replica, start, end)) - best.fun)
-             for replica in replicas]
-    std = np.sqrt(np.diag(back @ back.T) + (np.var(moved, axis=0) if moved else 0.0))
+    scatter = [back @ (residuals(best.x, Held(model, None, replica, start, end)) - best.fun)
+               for replica in replicas]
+    std = np.sqrt(np.diag(back @ back.T) + (np.var(scatter, axis=0) if scatter else 0.0))
     begun, body, time = run(best.x, given)
     loaded = Held(model, grip, tool, begun.start, end)
     load = float(np.interp(time, loaded.times, loaded.loads))

@@ -19,7 +19,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import displaced, linearise, substeps_for
+from bellows_ros.core.equilibrium import linearise, moved, substeps_for
 from bellows_ros.core.jacobians import (
     acceleration_at,
     body_jacobians,
@@ -46,7 +46,6 @@ from bellows_ros.core.tuples import (
     hat,
     log_quaternion,
     Matrix,
-    normalised,
     Quaternion,
     quaternion_conjugate,
     quaternion_product,
@@ -131,15 +130,6 @@ Driving = tuple[Array, Array]
 What drives the error: the covariance of the state (12, 12) due to noise of the tool's pose, held
 for a second, and variances of the random walk of the error (22,) per second.
 """
-
-
-@kernel
-def moved(
-    body: State, shift: Vector, turn: Vector, linear: Vector, angular: Vector
-) -> State:
-    """Return a state displaced in its own axes."""
-    o, q, v, w = displaced(body, shift, turn)
-    return o, normalised(q), add(v, linear), add(w, angular)
 
 
 @kernel

@@ -1,6 +1,6 @@
 """The live package from the valve to the floor against the toss of the whole plan."""
 
-from bellows_ros.core.equilibrium import displaced, largest_step
+from bellows_ros.core.equilibrium import largest_step, moved
 from bellows_ros.core.holding import grip_of
 from bellows_ros.core.landing import changed, release_deviations
 from bellows_ros.core.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
@@ -11,7 +11,6 @@ from bellows_ros.core.model import model_tuple
 from bellows_ros.core.parameters import resolve
 from bellows_ros.core.release import figures, Held, PUSHES, release_of, toss, toss_along
 from bellows_ros.core.simulation import Rows, tool_rows
-from bellows_ros.core.tuples import add
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest
@@ -80,9 +79,8 @@ def worked_out(flight, now, std):
 
     nominal, by = landing(now.body, release), []
     for size, push in zip(PUSHES, axes, strict=True):
-        shift, turn, v, w = (tuple(part.tolist()) for part in np.split(size * push[:12], 4))
-        o, q, linear, angular = displaced(now.body, shift, turn)
-        found = landing((o, q, add(linear, v), add(angular, w)),
+        by_state = (tuple(part.tolist()) for part in np.split(size * push[:12], 4))
+        found = landing(moved(now.body, *by_state),
                         changed(release, push[12:] * release_deviations(VALUES)))
         by.append(np.concatenate(figures(found, nominal, MODEL[2])) / size)
     J = np.transpose(by) * np.append(std, np.ones(3))
@@ -110,13 +108,13 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
     landings = []
     for _ in range(400):
         push = std * rng.standard_normal(12)
-        moved = tuple(
+        twists = tuple(
             (np.array(part) + by).tolist() for part, by in (
                 (now.linear, push[6:9]), (now.angular, push[9:])))
         R = exp_so3(push[3:6])
         turned = rotation_to_quaternion(quaternion_to_rotation(q) @ R)
         o_moved = o + quaternion_to_rotation(q) @ push[:3]
-        start = (tuple(o_moved.tolist()), tuple(turned.tolist()), *map(tuple, moved))
+        start = (tuple(o_moved.tolist()), tuple(turned.tolist()), *map(tuple, twists))
         release = changed(
             release_of(VALUES), release_deviations(VALUES) * rng.standard_normal(3))
         landings.append(toss(steady.again(start), release, 0.0).landing[0][:2])
