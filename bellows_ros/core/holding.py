@@ -39,27 +39,18 @@ def peel_load(radius: float, f: Vector, m: Vector) -> float:
 
 
 @kernel
-def peel_factor(grip: Grip, f: Vector, m: Vector) -> float:
-    """
-    Return the safety factor against peeling: 2 m_t / r <= N.
-
-    The pressure of an elastic lip, linear across the ring, stays at or above zero all around.
-    """
-    return ratio(grip[0], peel_load(grip[1], f, m))
-
-
-@kernel
-def slip_factor(grip: Grip, f: Vector, m: Vector) -> float:
-    """Return the safety factor against sliding and twisting: q <= friction N."""
-    twist = m[2] / grip[1]
-    q = math.sqrt(f[0] * f[0] + f[1] * f[1] + twist * twist)
-    return ratio(grip[2] * grip[0], q + grip[2] * f[2])
-
-
-@kernel
 def safety_factors(grip: Grip, f: Vector, m: Vector) -> tuple[float, float]:
-    """Return the safety factors against peel and slip, as in `MODES`; the smaller one counts."""
-    return peel_factor(grip, f, m), slip_factor(grip, f, m)
+    """
+    Return the safety factors against peel and slip, as in `MODES`; the smaller one counts.
+
+    Peel: the pressure of an elastic lip, linear across the ring, stays at or above zero all
+    around, 2 m_t / r <= N. Slip, sliding and twisting: q <= friction N.
+    """
+    suction, radius, friction = grip
+    twist = m[2] / radius
+    q = math.sqrt(f[0] * f[0] + f[1] * f[1] + twist * twist)
+    return (
+        ratio(suction, peel_load(radius, f, m)), ratio(friction * suction, q + friction * f[2]))
 
 
 def safety_factors_of(grip: Grip, wrench: Array) -> Array:

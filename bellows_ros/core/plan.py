@@ -15,7 +15,7 @@ from typing import Any
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.envelope import beyond, Envelope
 from bellows_ros.core.equilibrium import largest_step, static_equilibrium, substeps_for
-from bellows_ros.core.holding import Grip, MODES, safety_factors
+from bellows_ros.core.holding import Grip, Margin, MODES, safety_factors
 from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.kernels import (
     cup_wrench,
@@ -117,11 +117,11 @@ class Prediction:
     ends_at_rest: bool
 
     @property
-    def smallest_safety(self) -> tuple[float, str, float]:
-        """Smallest safety factor of the grip, its mode, and when it is reached, s."""
+    def smallest_safety(self) -> Margin:
+        """Smallest safety factor of the grip."""
         worst = int(np.argmax(self.peaks[:2, 0]))
         load, time = self.peaks[worst].tolist()
-        return (1.0 / load if load > 0.0 else math.inf), MODES[worst], time
+        return Margin(1.0 / load if load > 0.0 else math.inf, MODES[worst], time)
 
     def figures(self) -> dict[str, float]:
         """Return the figures of a summary, SI units; NaN for unknown ones."""
@@ -182,7 +182,7 @@ def predict(
 
 class Run:
     """
-    A plan made ready to be predicted at several speeds: arrays made once, filled in again.
+    A plan made ready to be predicted at several speeds.
 
     Parameters are those of `predict`; `tail` is how long after the end is looked at (s), and
     `longest` the longest step of the integration (s), that of the model when left out.
@@ -203,14 +203,6 @@ class Run:
             self._end = rest_after(model, rows[0], self._start, rows[-1])
         self._longest = longest or largest_step(model)
         self._inputs = as_inputs(rows, np.diff(tool.stamps_ns) / NS_PER_S)
-        self._make_room()
-
-    def _make_room(self) -> None:
-        """Make the arrays that the kernel fills in."""
-        n = len(self._rows)
-        self._out = (np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2)),
-                     np.empty((len(PEAKS), 2)), np.empty((6, 3)))
-        self._past = np.empty((len(PEAKS), 4))
 
     def of(self, model: ModelTuple) -> Run:
         """Return the same run with a slightly different model."""
@@ -221,7 +213,6 @@ class Run:
         if self._tail:
             other._end = rest_after(
                 model, self._rows[0], other._start, self._rows[-1], self._end)
-        other._make_room()
         return other
 
     def load(self, duration_scale: float, ceiling: float = math.inf) -> float:
@@ -246,7 +237,7 @@ class Run:
     def prediction(self) -> Prediction:
         """Return the whole prediction after `states`, including the time after the end."""
         settled = self._swing_out(math.inf)
-        states, wrench, loads, peaks, lip = (array.copy() for array in self._out)
+        states, wrench, loads, peaks, lip = self._out
         return Prediction(
             self.tool, states, wrench, loads, peaks, settled, lip[:, :2], lip[:, 2],
             self._grip is not None, self._tail > 0.0,
@@ -254,7 +245,10 @@ class Run:
 
     def _follow(self, duration_scale: float, ceiling: float) -> bool:
         """Fill in the arrays along the plan; return whether all loads were below the ceiling."""
-        self._past[:] = math.inf  # no sample yet
+        n = len(self._rows)
+        self._out = (np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2)),
+                     np.empty((len(PEAKS), 2)), np.empty((6, 3)))
+        self._past = np.full((len(PEAKS), 4), math.inf)  # no sample yet
         try:
             self._body, self._seconds, below = _follow(
                 self._model, self._grip or UNKNOWN_GRIP, self._start, *self._inputs,

@@ -361,11 +361,6 @@ def twice_turned(
         change[0] + along * fixed[0], change[1] + along * fixed[1], change[2] + along * fixed[2])
 
 
-def workspace(n: int, m: int = 0) -> tuple[Array, Array]:
-    """Return the room that `advance_changes` needs for n columns, m of them driven by the tool."""
-    return np.zeros((3, 12, m)), np.zeros((3, 12, n))
-
-
 def sensitivities(
     model: ModelTuple, start: State, tool: Array, durations: Array, substeps: Stamps,
     parameters: slice = NO_PARAMETERS, changes: Array | None = None,
@@ -404,7 +399,7 @@ def sensitivities(
     states, out = np.empty((len(tool), 13)), np.zeros((len(tool), 12, n))
     out[0, :, :12] = np.eye(12)
     _sensitivities(model, start, *as_inputs(tool, durations, substeps), (first, last), changes,
-                   states, out, *workspace(n, m))
+                   states, out, np.zeros((3, 12, m)), np.zeros((3, 12, n)))
     return states, out
 
 

@@ -5,7 +5,7 @@ import math
 from typing import Any
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.holding import Margin, MODES
+from bellows_ros.core.holding import MODES
 from bellows_ros.workflows.plan import Curves, PlanReport
 from bellows_ros.workflows.replay import Margins
 
@@ -52,7 +52,7 @@ def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
         if report.prediction.grip_known:
             _draw_margins(panels[0, 1], Margins(
                 curves.seconds, values[:, 4:6], std[:, 4:6],
-                Margin(*report.prediction.smallest_safety), report.least), colours)
+                report.prediction.smallest_safety, report.least), colours)
         else:
             panels[0, 1].text(
                 0.5, 0.5, 'not known: set cup.lip_radius and vacuum.holding', ha='center',

@@ -6,10 +6,8 @@ from timeit import repeat
 from bellows_ros.core.holding import (
     grip_of,
     margin,
-    peel_factor,
     safety_factors,
     safety_factors_of,
-    slip_factor,
 )
 from bellows_ros.core.jit import COMPILED
 from bellows_ros.core.parameter_table import PARAMETERS
@@ -67,7 +65,7 @@ def test_tip_is_that_of_a_linear_programme_over_64_points(seed):
 @pytest.mark.parametrize('seed', CASES)
 def test_at_the_peel_factor_the_pressure_is_zero_at_one_point(seed):
     f, m = wrench(seed)
-    s = peel_factor(GRIP, f, m)
+    s = safety_factors(GRIP, f, m)[0]
     if math.isinf(s):
         s = 1e3  # any load of this direction presses
     x, y = ring(64, math.atan2(-m[0], m[1]))  # the first point lies in the moment's plane
@@ -83,7 +81,7 @@ def test_at_the_peel_factor_the_pressure_is_zero_at_one_point(seed):
 @pytest.mark.parametrize('seed', CASES)
 def test_at_the_slip_factor_friction_is_used_up(seed):
     f, m = wrench(seed)
-    s = slip_factor(GRIP, f, m)
+    s = safety_factors(GRIP, f, m)[1]
     if math.isinf(s):
         pytest.skip('pressed so that it never slips')
     normal = SUCTION - s * f[2]
@@ -96,7 +94,7 @@ def test_six_points_of_pham_lose_contact_between_peel_and_tip(seed):
     """Their six points press or not, each for itself: a rigid hexagon inside the circle."""
     f, m = wrench(seed)
     hexagon = largest_scale(ring(6), f, m)
-    assert min(peel_factor(GRIP, f, m), 1e6) <= hexagon * (1 + 1e-9)
+    assert min(safety_factors(GRIP, f, m)[0], 1e6) <= hexagon * (1 + 1e-9)
     assert hexagon <= min(tip_factor(f, m), 1e6) * (1 + 1e-9)
 
 
@@ -111,7 +109,7 @@ def test_slip_against_the_box_of_dex_net(seed):
     largest = math.sqrt(3) * max(abs(f[0]), abs(f[1]), abs(m[2]) / RADIUS)
     load = largest + FRICTION * f[2]
     box = FRICTION * SUCTION / load if load > 0 else math.inf
-    assert box <= slip_factor(GRIP, f, m) * (1 + 1e-12)
+    assert box <= safety_factors(GRIP, f, m)[1] * (1 + 1e-12)
 
 
 @pytest.mark.parametrize('seed', CASES)
@@ -127,7 +125,7 @@ def test_factors_scale_with_the_load_and_with_the_vacuum(seed):
 def test_infinite_where_the_cup_is_pushed():
     pushed = (0.0, 0.0, -30.0)
     assert safety_factors(GRIP, pushed, (0.0, 0.0, 0.0)) == (math.inf, math.inf)
-    assert peel_factor(GRIP, pushed, (0.5, 0.0, 0.0)) == SUCTION / 10.0
+    assert safety_factors(GRIP, pushed, (0.5, 0.0, 0.0))[0] == SUCTION / 10.0
     assert safety_factors(GRIP, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) == (math.inf, math.inf)
 
 
