@@ -236,10 +236,10 @@ def land(
 @kernel
 def _hold(
     model: ModelTuple, grip: Grip, body: State, rows: Any, durations: Any, counts: Any,
-    tools: Array, states: Array, loads: Array,
+    times: Array, tools: Array, states: Array, loads: Array,
 ) -> None:
-    """Write tool, package and load at both ends of all integration steps along rows."""
-    tool, j = row_state(rows[0]), 0
+    """Write time, tool, package and load at both ends of all integration steps along rows."""
+    tool, j, start, times[0] = row_state(rows[0]), 0, 0.0, 0.0
     write_row(tools[j], tool)
     write_row(states[j], body)
     loads[j] = load_at(model, grip, tool, body)
@@ -247,10 +247,12 @@ def _hold(
         segment = tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
         for i in range(counts[k]):
             j += 1
+            times[j] = start + durations[k] * (i + 1.0) / counts[k]
             tool, body = _within(model, segment, body, i / counts[k], (i + 1.0) / counts[k])
             write_row(tools[j], tool)
             write_row(states[j], body)
             loads[j] = load_at(model, grip, tool, body)
+        start += durations[k]
 
 
 @kernel
@@ -479,10 +481,7 @@ class Held:
         self._longest = largest_step(model)
         durations = np.diff(starts[:count])
         counts = substeps_of(durations, self._longest)
-        places = np.repeat(np.arange(len(counts)), counts)
-        parts = np.arange(len(places)) - np.repeat(np.cumsum(counts) - counts, counts)
-        self.times = np.append(
-            starts[places] + parts * (durations / counts)[places], starts[count - 1])
+        self._steps = int(counts.sum())
         self._plan = as_inputs(rows[:count], durations, counts)
         if start is None:
             start = static_equilibrium(model, state_row(rows[0, :3], rows[0, 3:7], np.zeros(6)))
@@ -491,10 +490,11 @@ class Held:
     def _follow(self, start: State) -> None:
         """Fill in states and loads."""
         self.start = start
-        tools, self.states = np.empty((2, len(self.times), 13))
-        self.loads = np.empty(len(self.times))
+        self.times, self.loads = np.empty((2, self._steps + 1))
+        tools, self.states = np.empty((2, self._steps + 1, 13))
         try:
-            _hold(self.model, self.grip, start, *self._plan, tools, self.states, self.loads)
+            _hold(self.model, self.grip, start, *self._plan, self.times, tools, self.states,
+                  self.loads)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             self.states[-1] = math.nan
         if not np.isfinite(self.states[-1]).all():
