@@ -70,7 +70,7 @@ def test_flies_on_as_the_plan_has_it_until_it_lands(plan):
 
 
 def worked_out(flight, now, std):
-    """Return the covariance of a landing from one toss after the other, with NumPy."""
+    """Return a landing and its covariance from one toss after the other, with NumPy."""
     release, longest, axes = release_of(VALUES), 2.0 * largest_step(MODEL), np.eye(15)
 
     def landing(body, release):
@@ -84,7 +84,7 @@ def worked_out(flight, now, std):
                         changed(release, push[12:] * release_deviations(VALUES)))
         by.append(np.concatenate(figures(found, nominal, MODEL[2])) / size)
     J = np.transpose(by) * np.append(std, np.ones(3))
-    return J @ J.T
+    return np.concatenate(nominal), J @ J.T
 
 
 def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
@@ -103,7 +103,11 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
     steady = Held(MODEL, tosses.GRIP, steadily(now, None, 0.5), now.body, 0.5)
     expected = toss(steady, release_of(VALUES), 0.0)
     np.testing.assert_allclose(found.toss.landing[0], expected.landing[0], atol=1e-7)
-    np.testing.assert_allclose(found.covariance, worked_out(flight, now, std), rtol=1e-12)
+    landing, covariance = worked_out(flight, now, std)
+    np.testing.assert_allclose(np.concatenate(found.toss.landing), landing, atol=1e-12)
+    deviations = np.sqrt(np.diag(covariance))
+    off = np.abs(found.covariance - covariance)
+    assert (off <= 1e-12 * np.outer(deviations, deviations)).all()
     rng = np.random.default_rng(3)
     landings = []
     for _ in range(400):
