@@ -6,17 +6,7 @@ from bellows_ros.core.residuals import MILLI_UNITS
 from bellows_ros.workflows.plot import Loads
 import numpy as np
 
-from .panels import (
-    arrange_pair,
-    BELOW_HEAD,
-    broken,
-    draw_strip,
-    legend,
-    MILLI,
-    pairs,
-    picture,
-    six,
-)
+from .panels import BELOW_HEAD, broken, legend, Line, MILLI, picture, six, six_pairs
 
 MOST_POINTS = 4000
 UNITS = ('N',) * 3 + ('N m',) * 3
@@ -78,16 +68,11 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     with picture('Load on the cup, and the unexplained part', note, theme) as (figure, colours):
         legend(figure, (('needed by the motion', colours.measured, 2.4),
                         ('unexplained', colours.error, 1.0)))
-        panels = pairs(figure, **BELOW_HEAD, hspace=0.24, wspace=0.26)
-        for axis, (upper, lower) in enumerate(panels):
-            upper.plot(loads.seconds, load[:, axis], color=colours.measured, linewidth=1.8)
-            draw_strip(lower, loads.seconds, residual[:, axis], colours)
-            rms = float(np.sqrt(np.nanmean(residual[:, axis] ** 2)))
-            part = rms / max(float(np.nanstd(load[:, axis])), 1e-12)
-            unit = UNITS[axis]
-            upper.set_title(f'unexplained RMS {rms:.2g} {unit}, {100 * part:.2g} % of the load',
-                            loc='right', fontsize=8.5, color=colours.quiet, pad=4.0)
-            arrange_pair((upper, lower), axis, loads.seconds, unit, unit, colours)
-            for panel in (upper, lower):
-                panel.yaxis.set_label_coords(-0.155, 0.5)
+        rms = np.sqrt(np.nanmean(residual**2, axis=0))
+        parts = 100.0 * rms / np.maximum(np.nanstd(load, axis=0), 1e-12)
+        six_pairs(
+            figure, colours, [Line('', 'measured', 1.8, loads.seconds, load)], residual,
+            [f'unexplained RMS {own:.2g} {unit}, {part:.2g} % of the load'
+             for own, unit, part in zip(rms, UNITS, parts, strict=True)], UNITS, '{}',
+            -0.155, **BELOW_HEAD, hspace=0.24, wspace=0.26)
     return figure

@@ -145,45 +145,67 @@ def label_abscissa(panel: Any, axis: int, label: str) -> None:
         panel.tick_params(labelbottom=False)
 
 
-def pairs(figure: Any, **place: float) -> list[tuple[Any, Any]]:
-    """Return six panels as `six` has them, each with a low strip below it, at a place."""
-    outer = figure.add_gridspec(3, 2, **place)
-    found = []
+def six_pairs(
+    figure: Any, theme: Theme, lines: Sequence[Line], error: Array, titles: Sequence[str],
+    units: Sequence[str], below: str, labels_at: float = -0.125, **place: float,
+) -> list[tuple[Any, Any]]:
+    """
+    Draw six coordinates over time as `six` places them, each with its error in a strip below it.
+
+    Parameters
+    ----------
+    figure, theme
+        As from `picture`.
+    lines : sequence of Line
+        Over the same times (s), in `units`.
+    error : array (N, 6)
+        Drawn about zero, to a scale of its own.
+    titles : sequence of str
+        What is said above each coordinate.
+    units : sequence of str
+        Of each coordinate.
+    below : str
+        Label of the strips, with {} for the unit.
+    labels_at : float
+        Where the labels of the ordinates stand, in parts of a panel's width.
+    **place
+        Of the panels in the figure, and between them.
+
+    Returns
+    -------
+    list of (panel, panel)
+
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    outer, seconds, found = figure.add_gridspec(3, 2, **place), lines[0].x, []
     for axis in range(6):
         inner = outer[axis % 3, axis // 3].subgridspec(
             2, 1, height_ratios=(3.2, 1.0), hspace=0.1)
-        found.append((figure.add_subplot(inner[0]), figure.add_subplot(inner[1])))
+        upper, lower = (figure.add_subplot(inner[i]) for i in (0, 1))
+        for line in lines:
+            upper.plot(seconds, line.values[:, axis], color=getattr(theme, line.colour),
+                       linewidth=line.width)
+        upper.set_title(titles[axis], loc='right', fontsize=8.5, color=theme.quiet, pad=4.0)
+        upper.set_ylabel(f'{AXES[axis]}  ({units[axis]})')
+        upper.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
+        lower.axhline(0.0, color=theme.quiet, linewidth=0.6)
+        lower.plot(seconds, error[:, axis], color=theme.error, linewidth=0.6)
+        reach = 1.15 * max(float(np.nanmax(np.abs(error[:, axis]))), 1e-3)
+        lower.set_ylim(-reach, reach)
+        lower.set_ylabel(below.format(units[axis]), color=theme.error, fontsize=8.5)
+        lower.yaxis.set_major_locator(MaxNLocator(nbins=2, symmetric=True, steps=[1, 2, 3, 5, 10]))
+        for panel in (upper, lower):
+            panel.set_xlim(seconds[0], seconds[-1])
+            panel.tick_params(length=2.5, width=0.6)
+            panel.xaxis.set_major_locator(
+                MaxNLocator(nbins=12, steps=[1, 2, 5, 10], integer=True))
+            panel.yaxis.set_label_coords(labels_at, 0.5)
+        upper.tick_params(labelbottom=False)
+        lower.tick_params(axis='y', labelsize=7.5)
+        label_abscissa(lower, axis, 'time (s)')
+        found.append((upper, lower))
     return found
-
-
-def draw_strip(panel: Any, seconds: Array, values: Array, theme: Theme) -> None:
-    """Draw a difference about zero, to a scale of its own."""
-    panel.axhline(0.0, color=theme.quiet, linewidth=0.6)
-    panel.plot(seconds, values, color=theme.error, linewidth=0.6)
-    reach = 1.15 * max(float(np.nanmax(np.abs(values))), 1e-3)
-    panel.set_ylim(-reach, reach)
-
-
-def arrange_pair(
-    pair: tuple[Any, Any], axis: int, seconds: Array, unit: str, below: str, theme: Theme
-) -> None:
-    """Put ticks, labels and limits to a panel of an axis and the strip below it."""
-    from matplotlib.ticker import MaxNLocator
-
-    upper, lower = pair
-    for panel in pair:
-        panel.set_xlim(seconds[0], seconds[-1])
-        panel.tick_params(length=2.5, width=0.6)
-        panel.xaxis.set_major_locator(MaxNLocator(nbins=12, steps=[1, 2, 5, 10], integer=True))
-    upper.tick_params(labelbottom=False)
-    upper.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
-    lower.yaxis.set_major_locator(MaxNLocator(nbins=2, symmetric=True, steps=[1, 2, 3, 5, 10]))
-    lower.tick_params(axis='y', labelsize=7.5)
-    upper.set_ylabel(f'{AXES[axis]}  ({unit})')
-    lower.set_ylabel(below, color=theme.error, fontsize=8.5)
-    for panel in pair:
-        panel.yaxis.set_label_coords(-0.125, 0.5)
-    label_abscissa(lower, axis, 'time (s)')
 
 
 def broken(values: Array, valid: Mask) -> Array:

@@ -12,18 +12,7 @@ from bellows_ros.core.arrays import Array
 from bellows_ros.core.residuals import Comparison, MILLI_UNITS, Whiteness
 import numpy as np
 
-from .panels import (
-    arrange_pair,
-    draw_strip,
-    LEFT,
-    legend,
-    Line,
-    MILLI,
-    pairs,
-    picture,
-    six_lines,
-)
-from .style import Theme
+from .panels import LEFT, legend, Line, MILLI, picture, six_lines, six_pairs
 
 SIZE = (11.0, 8.4)  # inches
 GAP_PERIODS = 3.0
@@ -58,40 +47,27 @@ def prediction_figure(
     with picture(title, note, theme, SIZE) as (figure, colours):
         legend(figure, (('measured', colours.measured, 4.0), ('predicted', colours.predicted, 1.0),
                         ('predicted minus measured', colours.error, 1.0)))
-        columns = pairs(
-            figure, left=LEFT, right=0.985, top=0.855, bottom=0.065, hspace=0.2, wspace=0.19)
+        scores = comparison.scores
+        titles = [
+            f'error RMS {figures(rms)} {unit}, largest {figures(largest)} {unit}, '
+            f'{percent(nrmse)} of the motion' for rms, largest, nrmse, unit in zip(
+                MILLI * scores.rms, MILLI * scores.largest, scores.nrmse, MILLI_UNITS,
+                strict=True)]
+        times, measured, predicted = (with_gaps(seconds, values) for values in (
+            seconds, MILLI * comparison.measured, MILLI * comparison.predicted))
+        columns = six_pairs(
+            figure, colours, (Line('', 'measured', 3.6, times, measured),
+                              Line('', 'predicted', 0.9, times, predicted)),
+            predicted - measured, titles, MILLI_UNITS, 'error\n({})', left=LEFT, right=0.985,
+            top=0.855, bottom=0.065, hspace=0.2, wspace=0.19)
+        for upper, _ in columns:
+            low, high = upper.get_ylim()
+            lack = 0.5 * max(0.0, LEAST_SPAN - (high - low))
+            upper.set_ylim(low - lack, high + lack)
         for (top, _), what in zip(columns[::3], ('Position', 'Rotation'), strict=True):
             figure.text(top.get_position().x0, 0.885, f'{what} of B in tool axes', fontsize=10.5,
                         fontweight='bold')
-        for axis, (panels, unit) in enumerate(zip(columns, MILLI_UNITS, strict=True)):
-            _draw_axis(panels, seconds, comparison, axis, colours)
-            arrange_pair(panels, axis, seconds, unit, f'error\n({unit})', colours)
     return figure
-
-
-def _draw_axis(
-    panels: Any, seconds: Array, comparison: Comparison, axis: int, colours: Theme
-) -> None:
-    """Draw one coordinate and its error."""
-    upper, lower = panels
-    times, measured, predicted = (
-        with_gaps(seconds, values)
-        for values in (seconds, comparison.measured[:, axis] * MILLI,
-                       comparison.predicted[:, axis] * MILLI)
-    )
-    upper.plot(times, measured, color=colours.measured, linewidth=3.6)
-    upper.plot(times, predicted, color=colours.predicted, linewidth=0.9)
-    low, high = upper.get_ylim()
-    lack = 0.5 * max(0.0, LEAST_SPAN - (high - low))
-    upper.set_ylim(low - lack, high + lack)
-    draw_strip(lower, times, predicted - measured, colours)
-    scores, unit = comparison.scores, MILLI_UNITS[axis]
-    upper.set_title(
-        f'error RMS {figures(scores.rms[axis] * MILLI)} {unit}, largest '
-        f'{figures(scores.largest[axis] * MILLI)} {unit}, '
-        f'{percent(scores.nrmse[axis])} of the motion',
-        loc='right', fontsize=8.5, color=colours.quiet, pad=4.0,
-    )
 
 
 def errors_figure(ways: Mapping[str, Comparison], note: str, theme: str = 'light') -> Any:
@@ -156,10 +132,10 @@ def percent(ratio: float) -> str:
 
 
 def with_gaps(seconds: Array, values: Array) -> Array:
-    """Return values (N + G,) with a NaN in each of the G gaps, so that lines are interrupted."""
+    """Return values (N + G, ...) with NaN in each of the G gaps, so that lines are interrupted."""
     if len(seconds) < 3:
         return values
     steps = np.diff(seconds)
     gaps = np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1
-    broken: Array = np.insert(values, gaps, np.nan)
+    broken: Array = np.insert(values, gaps, np.nan, axis=0)
     return broken

@@ -10,7 +10,7 @@ from bellows_ros.workflows.plot import Motion, Spectra
 import numpy as np
 
 from .panels import broken, legend, Line, MILLI, picture, row, six_lines
-from .style import Theme, THEMES
+from .style import THEMES
 
 
 def motion_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
@@ -149,7 +149,6 @@ def path_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
         legend(figure, (('tool tip E', colours.measured, 3.0),
                         ('package B', colours.predicted, 1.2)))
         space = figure.add_axes((0.02, 0.04, 0.92, 0.86), projection='3d')
-        _paint_space(space, colours)
         tool = broken(motion.tool_position, motion.valid)
         package = broken(motion.package_position, motion.valid)
         space.plot(*tool.T, color=colours.measured, linewidth=2.4)
@@ -158,28 +157,8 @@ def path_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
             space.plot(*np.array([tool[i], package[i]]).T, color=colours.quiet, linewidth=0.6)
         space.plot(*tool[usable[0]][:, None], 'o', color=colours.text,
                    markersize=4.0)
-        set_equal(space, np.vstack([tool, package]))
-        for name in 'xyz':
-            getattr(space, f'set_{name}label')(f'{name} (m)')
+        space.set_box_aspect((1.0, 1.0, 1.0), zoom=0.93)
+        space.set_aspect('equal', adjustable='datalim')
+        space.locator_params(nbins=5)
+        space.set(xlabel='x (m)', ylabel='y (m)', zlabel='z (m)')
     return figure
-
-
-def _paint_space(space: Any, colours: Theme) -> None:
-    """Give a 3D panel the theme's colours."""
-    for name in 'xyz':
-        axis = getattr(space, f'{name}axis')
-        axis.set_pane_color(colours.background)
-        axis._axinfo['grid'].update(color=colours.grid, linewidth=0.6)
-        axis.line.set_color(colours.quiet)
-
-
-def set_equal(space: Any, points: Array) -> None:
-    """Show all points with equal scales along x, y and z."""
-    from matplotlib.ticker import MaxNLocator
-
-    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    middle, half = 0.5 * (low + high), 0.52 * float(np.max(high - low))
-    for name, centre in zip('xyz', middle, strict=True):
-        getattr(space, f'set_{name}lim')(centre - half, centre + half)
-        getattr(space, f'{name}axis').set_major_locator(MaxNLocator(nbins=5))
-    space.set_box_aspect((1.0, 1.0, 1.0), zoom=0.93)

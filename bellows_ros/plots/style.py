@@ -101,6 +101,7 @@ def _settings(theme: Theme) -> dict[Any, Any]:
         'ytick.color': theme.quiet,
         'xtick.labelcolor': theme.text,
         'ytick.labelcolor': theme.text,
+        **{f'axes3d.{axis}axis.panecolor': theme.background for axis in 'xyz'},
         'legend.frameon': False,
         'lines.solid_joinstyle': 'round',
         'path.simplify_threshold': 0.2,

@@ -104,6 +104,15 @@ def test_motion_is_drawn_from_the_start_and_interrupted(motion: Any, loads: Any)
     assert np.isnan(package.get_ydata()).sum() == np.count_nonzero(~motion.valid)
 
 
+def test_paths_have_equal_scales(motion: Any, loads: Any) -> None:
+    """Show as much of x as of y and z, and all of both paths."""
+    space, = draw_all(motion, loads, 'light')['path'].axes
+    limits = np.array([space.get_xlim(), space.get_ylim(), space.get_zlim()])
+    np.testing.assert_allclose(np.ptp(limits, axis=1), np.ptp(limits[0]))
+    for points in (motion.tool_position, motion.package_position):
+        assert (points > limits[:, 0]).all() and (points < limits[:, 1]).all()
+
+
 def test_stiffness_is_the_line_through_the_loads(motion: Any, loads: Any) -> None:
     """Draw the cup's line with its own slope."""
     figure = draw_all(motion, loads, 'light')['deflection']
