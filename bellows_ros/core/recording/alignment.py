@@ -343,8 +343,7 @@ def _near(deviation: Array) -> Mask:
     """Return where no axis deviates by more than its usual deviation times a factor."""
     usual = MAD_TO_STD * np.median(np.abs(deviation), axis=0)
     # Without noise the median is nothing but rounding: then all that is tiny is near.
-    result: Mask = np.all(np.abs(deviation) <= TRIMMED_BEYOND * usual + 1e-6, axis=1)
-    return result
+    return np.asarray(np.all(np.abs(deviation) <= TRIMMED_BEYOND * usual + 1e-6, axis=1))
 
 
 def levelling(direction: ArrayLike) -> Array:

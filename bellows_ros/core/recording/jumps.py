@@ -58,8 +58,7 @@ class Jumps:
     @property
     def strength(self) -> Array:
         """Jump over threshold (M,)."""
-        result: Array = np.linalg.norm(self.jump, axis=1) / self.threshold
-        return result
+        return np.asarray(np.linalg.norm(self.jump, axis=1) / self.threshold)
 
 
 def increments_of(poses: Trajectory) -> dict[str, Array]:
@@ -103,8 +102,7 @@ def _bends(increment: Array, jumps: Jumps, gap: Mask) -> Indices:
     rough = [np.linalg.norm(np.diff(side, 3, axis=1)[:, 0], axis=1) for side in (before, after)]
     smooth = np.maximum(*rough) < SMOOTH_WITHIN * size
     meets = _least_distance(before[:, 1:], after[:, 1:]) < MEETS_WITHIN * size
-    bends: Indices = i[smooth & meets & ~gap[around].any(axis=1)]
-    return bends
+    return np.asarray(i[smooth & meets & ~gap[around].any(axis=1)])
 
 
 def _least_distance(before: Array, after: Array) -> Array:
@@ -137,13 +135,6 @@ def long_look(increment: Array, breaks: Mask, quantity: str) -> Jumps:
     jumps.jump[misfit > FITS_WITHIN * np.linalg.norm(jumps.jump, axis=1)] = 0.0
     jumps.jump[_bends(increment, jumps, breaks)] = 0.0
     return jumps
-
-
-def uneven(step_ns: Stamps) -> Mask:
-    """Return which steps between samples differ from the usual one too much for the long look."""
-    usual = float(np.median(step_ns))
-    result: Mask = np.abs(step_ns - usual) > EVEN_WITHIN * usual
-    return result
 
 
 def _line_weights(count: int) -> tuple[Array, Array, Array]:
@@ -195,11 +186,9 @@ def _surroundings(values: Array, unseen: Mask) -> Array:
     place = np.searchsorted(seen, np.arange(len(values)))
     before = median[np.clip(place - shift, 0, len(seen) - 1)]
     after = median[np.clip(place + shift, 0, len(seen) - 1)]
-    result: Array = np.maximum(before, after)
-    return result
+    return np.asarray(np.maximum(before, after))
 
 
 def strength_of(look: list[Jumps]) -> Array:
     """Return how strong the stronger one of the jumps in position and rotation is (M,)."""
-    result: Array = np.max([jumps.strength for jumps in look], axis=0)
-    return result
+    return np.asarray(np.max([jumps.strength for jumps in look], axis=0))

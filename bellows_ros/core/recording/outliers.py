@@ -8,13 +8,14 @@ excursion that can be seen. Exact repeats of a pose are marked where the body mo
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.lie import log_so3
 from bellows_ros.core.recording.jumps import (
+    EVEN_WITHIN,
     increments_of,
     Indices,
     Jumps,
@@ -24,10 +25,9 @@ from bellows_ros.core.recording.jumps import (
     SMALLEST_JUMP,
     SMOOTH,
     strength_of,
-    uneven,
     WEAKER,
 )
-from bellows_ros.core.trajectory import any_within, NS_PER_S, PoseStream, Trajectory
+from bellows_ros.core.trajectory import any_within, NS_PER_S, Trajectory
 import numpy as np
 from scipy.ndimage import find_objects, label
 
@@ -134,8 +134,7 @@ def _at_zero(t: Array, y: Array) -> Array:
     """Return lines through values y (K, m, 3) at times t (K, m), at time zero (K, 3)."""
     centre = t.mean(axis=1, keepdims=True)
     slope = np.einsum('km,kmi->ki', t - centre, y) / np.sum((t - centre) ** 2, axis=1)[:, None]
-    result: Array = y.mean(axis=1) - centre * slope
-    return result
+    return np.asarray(y.mean(axis=1) - centre * slope)
 
 
 def _forms(poses: Trajectory, i: int, position: Array, rotation: Array) -> tuple[Array, Array]:
@@ -358,10 +357,10 @@ class Outliers:
         False for the samples marked.
     excursions : tuple of Run
         Jumps away and back.
-    frozen : tuple of Run
-        Exact repeats of a pose while the body moved.
     isolated : tuple of Run
         Single samples between others marked or missing.
+    frozen : tuple of Run
+        Exact repeats of a pose while the body moved.
     steps : tuple of Step
         Jumps without a return; only the samples beside one are marked.
     noise : dict of str to array (3,)
@@ -373,8 +372,8 @@ class Outliers:
 
     good: Mask
     excursions: tuple[Run, ...]
-    frozen: tuple[Run, ...]
     isolated: tuple[Run, ...]
+    frozen: tuple[Run, ...]
     steps: tuple[Step, ...]
     noise: dict[str, Array]
 
@@ -400,21 +399,33 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     _mark(moving, frozen)
     kept = np.flatnonzero(moving)
     if len(kept) < 2 * SHORTEST_RUN:
-        return Outliers(moving, (), frozen, (), (), dict.fromkeys(SMALLEST_JUMP, np.zeros(3)))
-    found = _find_jumps(poses.select(kept), longest_step_ns)
-    good = moving.copy()
-    good[kept] = found.good
-    return replace(
-        found,
-        good=good,
-        frozen=frozen,
-        excursions=tuple(Run(*kept[list(run)].tolist()) for run in found.excursions),
-        isolated=tuple(Run(*kept[list(run)].tolist()) for run in found.isolated),
-        steps=tuple(step._replace(before=int(kept[step.before])) for step in found.steps),
-    )
+        return Outliers(moving, (), (), frozen, (), dict.fromkeys(SMALLEST_JUMP, np.zeros(3)))
+    poses = poses.select(kept)
+    steps_ns = np.diff(poses.stamps_ns)
+    gap = steps_ns > longest_step_ns
+    uneven = np.abs(steps_ns / np.median(steps_ns) - 1.0) > EVEN_WITHIN
+    increments = increments_of(poses)
+    short = [short_look(increments[q], steps_ns, gap, q) for q in increments]
+    breaks = gap | (strength_of(short) >= 1.0)
+    long = [long_look(increments[q], breaks | uneven, q) for q in increments]
+    edges = edges_seen(poses, short, long, breaks & ~gap)
+    excursions, steps = paired(edges + edges_over_gaps(poses, increments, gap, breaks), poses)
+    good = np.full(len(poses), True)
+    _mark(good, excursions)
+    for step in steps:
+        good[step.before:step.before + 2] = False
+    isolated = _isolated(good, gap)
+    _mark(good, isolated)
+    moving[kept] = good
+    deviations = (jumps.usual / MEDIAN_PER_DEVIATION for jumps in short)
+    return Outliers(
+        moving, *(tuple(Run(*kept[list(run)].tolist()) for run in runs)
+                  for runs in (excursions, isolated)), frozen,
+        tuple(step._replace(before=int(kept[step.before])) for step in steps),
+        dict(zip(increments, deviations, strict=True)))
 
 
-def repeats_in_motion(poses: PoseStream | Trajectory) -> int:
+def repeats_in_motion(poses: Trajectory) -> int:
     """
     Count the poses that repeat the one before while others near them, on both sides, do not.
 
@@ -422,7 +433,7 @@ def repeats_in_motion(poses: PoseStream | Trajectory) -> int:
 
     Parameters
     ----------
-    poses : PoseStream or Trajectory
+    poses : Trajectory
         As recorded.
 
     Returns
@@ -438,40 +449,18 @@ def repeats_in_motion(poses: PoseStream | Trajectory) -> int:
     moves = np.append(np.flatnonzero(~repeats), -1)
     next_move = moves[moved[at + 1].astype(int)]
     seen = np.zeros(len(at), dtype=bool)
-    whole = poses if isinstance(poses, Trajectory) else poses.trajectory()
-    for increment in increments_of(whole).values():
+    for increment in increments_of(poses).values():
         length = np.linalg.norm(increment, axis=1)
         smallest = length[length > 0.0].min(initial=np.inf)
         seen |= length[next_move] > max(BEYOND_ROUNDING * smallest, LEAST_STEP)
     return int(np.count_nonzero(before & after & seen))
 
 
-def _repeats(poses: PoseStream | Trajectory) -> Mask:
+def _repeats(poses: Trajectory) -> Mask:
     """Return the samples after which the identical pose comes again (M,)."""
     same: Mask = np.all(poses.position[1:] == poses.position[:-1], axis=1)
     same &= np.all(poses.rotation[1:] == poses.rotation[:-1], axis=(1, 2))
     return same
-
-
-def _find_jumps(poses: Trajectory, longest_step_ns: int) -> Outliers:
-    """Find jumps between poses that are not frozen, and the parts between them."""
-    steps_ns = np.diff(poses.stamps_ns)
-    gap = steps_ns > longest_step_ns
-    increments = increments_of(poses)
-    short = [short_look(increments[q], steps_ns, gap, q) for q in increments]
-    breaks = gap | (strength_of(short) >= 1.0)
-    long = [long_look(increments[q], breaks | uneven(steps_ns), q) for q in increments]
-    edges = edges_seen(poses, short, long, breaks & ~gap)
-    excursions, steps = paired(edges + edges_over_gaps(poses, increments, gap, breaks), poses)
-    good = np.full(len(poses), True)
-    _mark(good, excursions)
-    for step in steps:
-        good[step.before:step.before + 2] = False
-    isolated = _isolated(good, gap)
-    _mark(good, isolated)
-    deviations = (jumps.usual / MEDIAN_PER_DEVIATION for jumps in short)
-    noise = dict(zip(increments, deviations, strict=True))
-    return Outliers(good, tuple(excursions), (), isolated, tuple(steps), noise)
 
 
 def _mark(good: Mask, runs: Iterable[Run]) -> None:

@@ -328,7 +328,7 @@ def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> l
         found.append(
             f"Topic '{name}' has only {time.rate_hz:.0f} Hz, but axial and bending modes of a cup "
             f'lie at several Hz. Record at {LOW_RATE_HZ:.0f} Hz or more.')
-    repeats = repeats_in_motion(recorded)
+    repeats = repeats_in_motion(recorded.trajectory())
     if repeats > REPEATS_WARNED * len(recorded):
         found.append(
             f"Topic '{name}' repeats its pose {repeats} times in motion: it is published faster "

@@ -64,8 +64,7 @@ class Standstill:
         """E_o_S (m) and the rotation vector (rad) of the lip in the tool, (6,)."""
         lip = self.package.position - self.package.rotation @ self.payload.com
         moved = Trajectory(self.package.stamps_ns, lip, self.package.rotation)
-        at: Array = relative_coordinates(self.tool, moved)[0]
-        return at
+        return np.asarray(relative_coordinates(self.tool, moved)[0])
 
     @property
     def tilt(self) -> float:

@@ -273,7 +273,6 @@ def _motion_along(here: Pose, segment: Segment, tau: Array) -> tuple[Array, Arra
     return here.position + step * way, slope * way, rotation, slope * turn
 
 
-@dataclass(frozen=True, eq=False)
 class Planned(Motion):
     """
     The motion of a plan.
@@ -285,23 +284,12 @@ class Planned(Motion):
 
     """
 
-    tool: Trajectory
-
-    @property
-    def start(self) -> Pose:  # type: ignore[override]
-        """Where the plan begins."""
-        return Pose(self.tool.position[0], self.tool.rotation[0])
-
-    @property
-    def rest_duration(self) -> float:  # type: ignore[override]
-        """Time until it moves, s."""
-        moving = np.asarray(self.tool.twist).any(axis=1)
-        return float(self.tool.seconds[max(int(np.argmax(moving)) - 1, 0)])
-
-    @property
-    def duration(self) -> float:  # type: ignore[override]
-        """From its first point to its last, s."""
-        return float(self.tool.seconds[-1])
+    def __init__(self, tool: Trajectory) -> None:
+        """Begin with the plan, at rest until it moves."""
+        self.tool, self.start = tool, Pose(tool.position[0], tool.rotation[0])
+        moving = np.asarray(tool.twist).any(axis=1)
+        self.rest_duration = float(tool.seconds[max(int(np.argmax(moving)) - 1, 0)])
+        self.duration = float(tool.seconds[-1])
 
     @property
     def highest_frequency(self) -> float:

@@ -101,14 +101,16 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
     seed = settings.whole('seed', 0)
     world = settings.choice('world', tuple(WORLDS), 'z_up')
     moving = motion_from(settings, generator(seed, 'phases'))
-    tool = settings.block('tool')
+    tool, package = settings.block('tool'), settings.block('package')
+    tracked = np.zeros(3) if package.choice('frame', ('com', 'lip'), 'com') == 'com' else -com
+    offset = package.vector('pickup_offset', 2, (0.0, 0.0), unit='m')
     storage = settings.choice('storage', ('mcap', 'sqlite3'), 'mcap')
     releases, pickup = _releases(settings.block('release'), moving.duration)
     recipe = Recipe(
         motion=moving,
         tool=sensor_from(tool),
         tool_twist=twist_sensor_from(tool.block('twist')),
-        package=_package(settings.block('package'), com),
+        package=sensor_from(package, tracked + [*offset, 0.0]),
         world=world,
         frame_id=settings.text('frame_id', FRAME_IDS[world]),
         topics=_topics(settings.block('topics')),
@@ -136,14 +138,6 @@ def _releases(settings: Settings, duration: float) -> tuple[tuple[float, ...], f
     if (times >= duration).any():
         raise settings.refuse('times', f'before the end at {duration:g} s', times.tolist())
     return tuple(times.tolist()), pickup
-
-
-def _package(settings: Settings, com: Array) -> Sensor:
-    """Return how the package is tracked: at its centre of mass or at the lip, plus an offset."""
-    frame = settings.choice('frame', ('com', 'lip'), 'com')
-    offset = settings.vector('pickup_offset', 2, (0.0, 0.0), unit='m')
-    tracked = np.zeros(3) if frame == 'com' else -com  # S in B axes, which are those of S
-    return sensor_from(settings, tracked + [*offset, 0.0])
 
 
 def _topics(settings: Settings) -> dict[str, str]:
