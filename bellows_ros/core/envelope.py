@@ -152,10 +152,7 @@ class Distance:
 
 
 def distance(
-    known: Envelope,
-    deflection: ArrayLike | None = None,
-    rates: ArrayLike | None = None,
-    mass: float | None = None,
+    known: Envelope, deflection: ArrayLike, rates: ArrayLike, mass: float
 ) -> Distance:
     """
     Return the distance of a state from the validity range.
@@ -167,22 +164,17 @@ def distance(
     ----------
     known : Envelope
         What the fit has seen.
-    deflection, rates : array_like (6,), optional
-        Of the lip, as in `Envelope`; left out where not to be judged.
-    mass : float, optional
+    deflection, rates : array_like (6,)
+        Of the lip, as in `Envelope`.
+    mass : float
         Of the package, kg.
 
     """
-    found: list[tuple[float, str]] = []
-    if deflection is not None:
-        found += _deflections(known, np.asarray(deflection, dtype=float))
-    if rates is not None:
-        found += _rates(known, np.asarray(rates, dtype=float))
-    if mass is not None:
-        found += _mass(known, mass)
-    found.sort(key=lambda item: -item[0])
-    value = found[0][0] if found else 0.0
-    return Distance(value, tuple(words for part, words in found if part > 1.0))
+    found = sorted(
+        _deflections(known, np.asarray(deflection, dtype=float))
+        + _rates(known, np.asarray(rates, dtype=float)) + _mass(known, mass),
+        key=lambda item: -item[0])
+    return Distance(found[0][0], tuple(words for part, words in found if part > 1.0))
 
 
 def beyond(known: Envelope, other: Envelope) -> tuple[str, ...]:

@@ -252,8 +252,7 @@ def rotation_to_quaternion(R: ArrayLike) -> Array:
     largest = np.argmax(diagonal, axis=-1)[..., None, None]
     q = np.take_along_axis(outer, largest, axis=-2)[..., 0, :]
     sign = np.where(q[..., 3:] < 0.0, -1.0, 1.0)
-    result: Array = q * sign / np.linalg.norm(q, axis=-1, keepdims=True)
-    return result
+    return np.asarray(q * sign / np.linalg.norm(q, axis=-1, keepdims=True))
 
 
 def nearest_rotation(M: Array) -> Array:
@@ -318,8 +317,7 @@ def quaternion_conjugate(quaternion_xyzw: ArrayLike) -> Array:
     array (..., 4)
 
     """
-    result: Array = _vectors(quaternion_xyzw, 4) * np.array([-1.0, -1.0, -1.0, 1.0])
-    return result
+    return np.asarray(_vectors(quaternion_xyzw, 4) * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
 def log_quaternion(quaternion_xyzw: ArrayLike) -> Array:
@@ -512,8 +510,7 @@ def apply(M: Array, v: Array) -> Array:
     array (..., m)
 
     """
-    result: Array = (M @ v[..., None])[..., 0]
-    return result
+    return np.asarray((M @ v[..., None])[..., 0])
 
 
 def _alpha(t2: Array) -> Array:
@@ -583,8 +580,7 @@ def _quaternion_outer_product(R: Array) -> Array:
 
 def _squared(v: Array) -> Array:
     """Return the squared length of vectors."""
-    result: Array = np.einsum('...i,...i->...', v, v)
-    return result
+    return np.asarray(np.einsum('...i,...i->...', v, v))
 
 
 def _vectors(v: ArrayLike, size: int) -> Array:

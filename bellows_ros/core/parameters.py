@@ -110,8 +110,14 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
     named = {name: value for name, value in given.items() if name not in PARAMETERS}
     filled = {**{p.name: given.get(p.name, p.default) for p in PARAMETERS.values()}, **named}
     resolved = {name: value for name, value in filled.items() if value is not None}
-    for body in ('tool', 'package'):
-        _check_window(resolved, f'filter.{body}')
+    for body in ('filter.tool', 'filter.package'):
+        half_window, order = resolved[f'{body}.half_window'], resolved[f'{body}.order']
+        if isinstance(half_window, int) and isinstance(order, int) and 0 < 2 * half_window < order:
+            raise BellowsError(
+                f'{body}.order is {order}, but a window of {2 * half_window + 1} samples '
+                f'({body}.half_window {half_window}) determines at most order {2 * half_window}. '
+                'Widen the window or lower the order.'
+            )
     return resolved
 
 
@@ -294,17 +300,6 @@ def require(given: Mapping[str, object], required: Iterable[str]) -> None:
         raise BellowsError(
             f'Not set, and without a default: {names}. '
             'Set in the parameter file or on the command line, for example:\n' + '\n'.join(lines)
-        )
-
-
-def _check_window(values: Mapping[str, Value], prefix: str) -> None:
-    """Refuse a polynomial with more coefficients than its window has samples."""
-    half_window, order = values[f'{prefix}.half_window'], values[f'{prefix}.order']
-    if isinstance(half_window, int) and isinstance(order, int) and 0 < 2 * half_window < order:
-        raise BellowsError(
-            f'{prefix}.order is {order}, but a window of {2 * half_window + 1} samples '
-            f'({prefix}.half_window {half_window}) determines at most order {2 * half_window}. '
-            'Widen the window or lower the order.'
         )
 
 

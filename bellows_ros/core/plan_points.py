@@ -89,9 +89,12 @@ def rows_of(
             'Are its numbers x, y, z, w in this order?')
     _require_reachable(durations, sizes, name)
     if twist is None:
-        rows[:, 7:] = spline_twists(
-            (stamps_ns - stamps_ns[0]) / NS_PER_S, poses[:, :3],
-            quaternion_to_rotation(poses[:, 3:]))
+        from scipy.interpolate import CubicSpline
+
+        t = (stamps_ns - stamps_ns[0]) / NS_PER_S
+        q = _near_quaternions(quaternion_to_rotation(poses[:, 3:]))
+        curve = CubicSpline(t, np.hstack([poses[:, :3], q]), bc_type='clamped')
+        rows[:, 7:] = body_twists(q, curve(t, 1))[1]
     elif len(poses) >= DENSE:
         _require_fitting(np.sqrt(fit / (3 * len(durations))), name)
     plan = Rows(stamps_ns, rows)
@@ -160,15 +163,6 @@ def plan_of_joints(
 def _without_gaps(stamps_ns: Stamps) -> tuple[Stamps, Stamps]:
     """Return stamps at most `LONGEST_GAP_NS` apart, and the step that each lies in."""
     return subdivided(stamps_ns, -(-np.diff(stamps_ns) // LONGEST_GAP_NS))
-
-
-def spline_twists(seconds: Array, position: Array, rotation: Array) -> Array:
-    """Return the body twists (N, 6) of cubic splines through poses, from rest to rest."""
-    from scipy.interpolate import CubicSpline
-
-    q = _near_quaternions(rotation)
-    rate = CubicSpline(seconds, np.hstack([position, q]), bc_type='clamped')(seconds, 1)
-    return body_twists(q, rate)[1]
 
 
 def _near_quaternions(rotation: Array) -> Array:

@@ -153,17 +153,11 @@ def _require_inside(wanted: Stamps, available: Stamps) -> None:
         return
     if len(available) and wanted[0] >= available[0] and wanted[-1] <= available[-1]:
         return
+    known = f'{available[0]} to {available[-1]} ns' if len(available) else 'no time at all'
     raise BellowsError(
-        f'The requested stamps cover {_span(wanted)}, the trajectory only {_span(available)}. '
+        f'The requested stamps cover {wanted[0]} to {wanted[-1]} ns, the trajectory only {known}. '
         'Poses are never extrapolated; request stamps inside the trajectory.'
     )
-
-
-def _span(stamps_ns: Stamps) -> str:
-    """Return the words for the time that stamps cover."""
-    if not len(stamps_ns):
-        return 'no time at all (it is empty)'
-    return f'{stamps_ns[0]} to {stamps_ns[-1]} ns'
 
 
 # A step of more than this many periods is a gap: at least one sample is missing. Jitter of the
@@ -404,8 +398,7 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
     fitted = coefficients * np.array([[1.0], [scale], [2.0 * scale**2]])
     # Exactly even, odd and even in time, as they are before rounding.
     parity = np.array([[1.0], [-1.0], [1.0]])
-    result: Array = 0.5 * (fitted + parity * fitted[:, ::-1])
-    return result
+    return np.asarray(0.5 * (fitted + parity * fitted[:, ::-1]))
 
 
 def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:

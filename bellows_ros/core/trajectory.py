@@ -274,8 +274,7 @@ def uniform_rate_hz(stamps_ns: Stamps) -> float:
 def any_within(mask: Mask, width: int) -> Mask:
     """Return whether any of each `width` neighbours is set (N - width + 1,)."""
     total = np.concatenate([[0], np.cumsum(mask)])
-    result: Mask = total[width:] > total[:-width]
-    return result
+    return np.asarray(total[width:] > total[:-width])
 
 
 def checked_stamps(stamps_ns: ArrayLike, of: str) -> Stamps:

@@ -91,7 +91,7 @@ def test_distance_is_one_on_the_edge():
     middle = np.array([0.0, 0.0, -0.002, 0.0, 0.0, 0.0])
     assert distance(KNOWN, middle, np.zeros(6), 2.0).value == 0.0
     edge = np.where(np.arange(6) == 4, 0.3, middle)
-    assert_allclose(distance(KNOWN, edge).value, 1.0)
+    assert_allclose(distance(KNOWN, edge, np.zeros(6), 2.0).value, 1.0)
     far = distance(KNOWN, np.where(np.arange(6) == 4, 0.45, middle), np.zeros(6), 2.0)
     assert_allclose(far.value, 1.5)
     assert far.outside == ('bending about y is 450 mrad, seen -300 to 300 mrad',)
@@ -100,8 +100,8 @@ def test_distance_is_one_on_the_edge():
 
 def test_a_mass_that_is_not_known_is_not_checked():
     known = Envelope([-0.01] * 6, [0.01] * 6, [1.0] * 6, np.zeros((2, 2)), [0.0, 0.0])
-    assert distance(known, mass=2.0) == Distance(0.0, ())
-    assert distance(known, [0.02] * 6, mass=2.0).value == pytest.approx(2.0)
+    assert distance(known, np.zeros(6), np.zeros(6), 2.0) == Distance(0.0, ())
+    assert distance(known, [0.02] * 6, np.zeros(6), 2.0).value == pytest.approx(2.0)
     assert beyond(known, known) == ()
 
 
