@@ -153,7 +153,7 @@ def _require_inside(wanted: Stamps, available: Stamps) -> None:
         return
     if len(available) and wanted[0] >= available[0] and wanted[-1] <= available[-1]:
         return
-    known = f'{available[0]} to {available[-1]} ns' if len(available) else 'no time at all'
+    known = f'{available[0]} to {available[-1]} ns' if len(available) else 'no time (it is empty)'
     raise BellowsError(
         f'The requested stamps cover {wanted[0]} to {wanted[-1]} ns, the trajectory only {known}. '
         'Poses are never extrapolated; request stamps inside the trajectory.'
