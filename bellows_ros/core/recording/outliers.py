@@ -418,9 +418,10 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     _mark(good, isolated)
     moving[kept] = good
     deviations = (jumps.usual / MEDIAN_PER_DEVIATION for jumps in short)
+    away, alone = (tuple(Run(*kept[list(run)].tolist()) for run in runs)
+                   for runs in (excursions, isolated))
     return Outliers(
-        moving, *(tuple(Run(*kept[list(run)].tolist()) for run in runs)
-                  for runs in (excursions, isolated)), frozen,
+        moving, away, alone, frozen,
         tuple(step._replace(before=int(kept[step.before])) for step in steps),
         dict(zip(increments, deviations, strict=True)))
 
