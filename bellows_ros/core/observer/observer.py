@@ -59,6 +59,9 @@ more no pose of the tool waits for a covariance to be carried along.
 LEAST_ROOM = 4096
 """Smallest buffer of tool samples: seconds of them."""
 
+REPEATED_NS = 5_000_000_000
+"""What stays wrong raises an alarm so often (ns)."""
+
 START = np.repeat([0.01, 0.1, 0.5, 1.0], 3)
 """Standard deviations at the start: m, rad, m/s, rad/s."""
 
@@ -381,7 +384,10 @@ class Observer:
             if verdict == 'recovered':
                 alarms.forget()
         if alarm is not None:
-            self.alarms.append(alarm)
+            before = self.alarms[-1] if self.alarms else None
+            if before is None or before.cause != alarm.cause or (
+                    stamp_ns - before.stamp_ns >= REPEATED_NS):
+                self.alarms.append(alarm)
             if alarm.cause not in ('camera', 'lost'):
                 self._opened_ns.add(stamp_ns)
 
