@@ -205,15 +205,6 @@ class LivePredictor:
             return 'settling' if self._package.settling.now else 'predicting'
         return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
 
-    def _note_arrival(self, arrival_ns: int | None) -> None:
-        """Note when a pose came, and how long pauses are: quickly upwards, slowly downwards."""
-        if arrival_ns is not None and self.arrival_ns is not None:
-            pause_ns = arrival_ns - self.arrival_ns
-            if pause_ns <= LONGEST_BURST_NS:
-                longer_ns = pause_ns - self._pause_ns
-                self._pause_ns += longer_ns // (2 if longer_ns > 0 else 256)
-        self.arrival_ns = arrival_ns
-
     # ---------------------------------------------------------------- control
 
     def set_model(self, cup: Cup, package: Package) -> None:
@@ -303,7 +294,12 @@ class LivePredictor:
             self._period_ns = stamp_ns - newest_ns
         if self._screen.doubted:
             self._package.settling.doubt(stamp_ns, *self._screen.jolt)
-        self._note_arrival(arrival_ns)
+        if arrival_ns is not None and self.arrival_ns is not None:
+            pause_ns = arrival_ns - self.arrival_ns
+            if pause_ns <= LONGEST_BURST_NS:  # they grow quickly, and shrink slowly
+                longer_ns = pause_ns - self._pause_ns
+                self._pause_ns += longer_ns // (2 if longer_ns > 0 else 256)
+        self.arrival_ns = arrival_ns
         self._pairing.add_pose(PoseSample(stamp_ns, position, normalised(quaternion_xyzw)))
         return self._release(predictions)
 

@@ -99,7 +99,10 @@ class Uncertainty:
     def root(self, prediction: Prediction) -> Array:
         """Return a factor (12, n) of the covariance, see above."""
         if not prediction.coasting:
-            self._note_period(prediction.stamp_ns)
+            between = prediction.stamp_ns - self._measured_ns
+            if self._measured_ns >= 0 and 0 < between < 100_000_000:  # in powers of two of 1 us
+                self._period_ns = 1000 * 2 ** round(math.log2(max(between, 1000) / 1000))
+            self._measured_ns = prediction.stamp_ns
         observed = prediction.covariance and prediction.covariance()
         if observed is not None:
             self.known = True
@@ -118,7 +121,10 @@ class Uncertainty:
 
     def _root(self, prediction: Prediction) -> Array:
         """Return the root of all parts, whether its numbers are finite or not."""
-        parts = [self._sensitivity_at(prediction), self._noise_root()]
+        sensitivity, period_ns = self._sensitivity_at(prediction), self._period_ns
+        if period_ns not in self._noise_of:
+            self._noise_of[period_ns] = self._driven_by_noise(period_ns * 1e-9)
+        parts = [sensitivity, self._noise_of[period_ns]]
         if prediction.coasting:
             seconds = (prediction.stamp_ns - self._measured_ns) * 1e-9
             parts.append(np.diag([0.5 * seconds ** 2] * 6 + [seconds] * 6) * COASTING)
@@ -146,13 +152,6 @@ class Uncertainty:
         self._steps: dict[int, tuple[Array, Array]] = {}
         self._noise_of: dict[int, Array] = {}
         self._left_since_ns = -1
-
-    def _note_period(self, stamp_ns: int) -> None:
-        """Remember the time between two poses, roughly: in powers of two of a microsecond."""
-        between = stamp_ns - self._measured_ns
-        if self._measured_ns >= 0 and 0 < between < 100_000_000:
-            self._period_ns = 1000 * 2 ** round(math.log2(max(between, 1000) / 1000))
-        self._measured_ns = stamp_ns
 
     def _sensitivity_at(self, prediction: Prediction) -> Array:
         """Return d state / d parameter times the parameters' standard deviations (12, n)."""
@@ -192,12 +191,6 @@ class Uncertainty:
         block[:12, :12], block[:12, 12:] = self._A, np.eye(12)
         both = expm(block * seconds)
         return both[:12, :12], both[:12, 12:]
-
-    def _noise_root(self) -> Array:
-        """Return the root of the covariance due to white noise of the tool's poses."""
-        if self._period_ns not in self._noise_of:
-            self._noise_of[self._period_ns] = self._driven_by_noise(self._period_ns * 1e-9)
-        return self._noise_of[self._period_ns]
 
     def _driven_by_noise(self, period: float) -> Array:
         """
