@@ -158,7 +158,7 @@ class Alarms:
 
     def forget(self, named: int = -1) -> None:
         """Start again; of what is wrong from the start only what has been named is looked for."""
-        self._named = named
+        self.named = named
         self.last_ns = -1
         self._E: Array = np.zeros((EXTENDED, COLUMNS[-1] + -COLUMNS[-1] % LINE))
         self._information: Array = np.zeros((len(ROWS), LARGEST, ONSETS))
@@ -189,7 +189,7 @@ class Alarms:
         self.last_ns = stamp_ns
         total, lead, onset, which = _step(
             self._E, self._information, self._evidence, self._distances, self._counts,
-            self._onsets, stamp_ns, passage, found, used, self._named)
+            self._onsets, stamp_ns, passage, found, used, self.named)
         self._half_way = [*self._half_way, stamp_ns] if total > 0.5 * self._threshold else []
         if total < self._threshold or len(self._half_way) <= CONFIRMED or (
                 lead < SURE and stamp_ns - self._half_way[0] < DECIDE_NS):

@@ -382,7 +382,7 @@ class Observer:
             alarm = alarms.step(
                 stamp_ns, estimate.passage, Innovation(*found), verdict == 'used')
             if verdict == 'recovered':
-                alarms.forget()
+                alarms.forget(alarms.named)
         if alarm is not None:
             before = self.alarms[-1] if self.alarms else None
             if before is None or before.cause != alarm.cause or (
