@@ -77,7 +77,13 @@ def resample(
 
     """
     wanted = checked_stamps(stamps_ns, 'Wanted stamps')
-    _require_inside(wanted, trajectory.stamps_ns)
+    known = trajectory.stamps_ns
+    if len(wanted) and not (len(known) and known[0] <= wanted[0] and wanted[-1] <= known[-1]):
+        span = f'{known[0]} to {known[-1]} ns' if len(known) else 'no time (it is empty)'
+        raise BellowsError(
+            f'The requested stamps cover {wanted[0]} to {wanted[-1]} ns, the trajectory only '
+            f'{span}. Poses are never extrapolated; request stamps inside the trajectory.'
+        )
     before = np.searchsorted(trajectory.stamps_ns, wanted, side='right') - 1
     same = slice(before[0], before[-1] + 1) if len(before) else slice(0)
     if np.array_equal(trajectory.stamps_ns[same], wanted):  # nothing to interpolate, or to copy
@@ -145,19 +151,6 @@ def _cubic(s: Array, rate_start: Array, end: Array, rate_end: Array) -> tuple[Ar
     cubic = rate_start + rate_end - 2.0 * end
     value = s * (rate_start + s * (quadratic + s * cubic))
     return value, rate_start + s * (2.0 * quadratic + s * 3.0 * cubic)
-
-
-def _require_inside(wanted: Stamps, available: Stamps) -> None:
-    """Refuse stamps that would need extrapolation."""
-    if not len(wanted):
-        return
-    if len(available) and wanted[0] >= available[0] and wanted[-1] <= available[-1]:
-        return
-    known = f'{available[0]} to {available[-1]} ns' if len(available) else 'no time (it is empty)'
-    raise BellowsError(
-        f'The requested stamps cover {wanted[0]} to {wanted[-1]} ns, the trajectory only {known}. '
-        'Poses are never extrapolated; request stamps inside the trajectory.'
-    )
 
 
 # A step of more than this many periods is a gap: at least one sample is missing. Jitter of the

@@ -101,16 +101,12 @@ def _bends(increment: Array, jumps: Jumps, gap: Mask) -> Indices:
     size = np.linalg.norm(jumps.jump[i], axis=1)
     rough = [np.linalg.norm(np.diff(side, 3, axis=1)[:, 0], axis=1) for side in (before, after)]
     smooth = np.maximum(*rough) < SMOOTH_WITHIN * size
-    meets = _least_distance(before[:, 1:], after[:, 1:]) < MEETS_WITHIN * size
-    return np.asarray(i[smooth & meets & ~gap[around].any(axis=1)])
-
-
-def _least_distance(before: Array, after: Array) -> Array:
-    """Return the least distance between parabolas through three samples on each side (K, 3, 3)."""
-    time = np.linspace(0.0, 1.0, 21)
-    through = np.linalg.inv(np.vander([-2.0, -1.0, 0.0]))  # from samples at these times
+    # Parabolas through samples at -2, -1 and 0, from each side, at times from 0 to 1.
+    time, through = np.linspace(0.0, 1.0, 21), np.linalg.inv(np.vander([-2.0, -1.0, 0.0]))
     ahead, behind = (np.vander(t, 3) @ through for t in (time, 1.0 - time))
-    return np.asarray(np.linalg.norm(ahead @ before - behind @ after, axis=2).min(axis=1))
+    apart = np.linalg.norm(ahead @ before[:, 1:] - behind @ after[:, 1:], axis=2)
+    meets = apart.min(axis=1) < MEETS_WITHIN * size
+    return np.asarray(i[smooth & meets & ~gap[around].any(axis=1)])
 
 
 def long_look(increment: Array, breaks: Mask, quantity: str) -> Jumps:

@@ -9,7 +9,7 @@ package's stamps. Nothing is repaired in silence: all that is left out is in the
 from dataclasses import dataclass, replace
 from typing import Any
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.lie import apply, log_so3
 from bellows_ros.core.recording.alignment import (
     aligned_at_rest,
@@ -117,7 +117,14 @@ class FilteredStreams:
             measured_tool = _with_twist(
                 measured_tool, tool_twist, self.alignment, self.settings)
         valid = tool_there.valid & package_there.valid
-        _require_some(valid, reports)
+        if not valid.any():
+            found = '; '.join(
+                f"'{r.name}': {r.marked} of {r.samples} poses are outliers, "
+                f'{len(r.timing.gaps)} gaps, {r.touched} filtered samples touch one of these'
+                for r in reports)
+            raise BellowsError(
+                f'None of the {len(valid)} common samples is left: {found}. Use smaller half '
+                'windows, or a recording with fewer gaps and outliers.')
         warnings = tuple(_warnings(self.streams, self.alignment, self.settings))
         return Recording(
             self.settings, tool, package, tool_twist, tool_there, package_there, measured_tool,
@@ -267,21 +274,6 @@ def _with_twist(
         twist[inside, i], known[inside] = there.position, there.valid
         twist[:, i] = apply(R, twist[:, i])
     return replace(tool, twist=twist.reshape(-1, 6), valid=tool.valid & known)
-
-
-def _require_some(valid: Mask, reports: list[StreamReport]) -> None:
-    """Refuse a recording without any usable sample."""
-    if valid.any():
-        return
-    found = '; '.join(
-        f"'{r.name}': {r.marked} of {r.samples} poses are outliers, {len(r.timing.gaps)} gaps, "
-        f'{r.touched} filtered samples touch one of these'
-        for r in reports
-    )
-    raise BellowsError(
-        f'None of the {len(valid)} common samples is left: {found}. Use smaller half windows, or '
-        'a recording with fewer gaps and outliers.'
-    )
 
 
 def _warnings(

@@ -188,18 +188,14 @@ class Oscillation(Vibration):
         slope = slope / self.ramp_duration
         moved = np.zeros((2, len(t), 6))
         for i, axis in enumerate(self.axis):
-            wave, wave_rate = self._wave(i, tau)
+            first, last = 2.0 * np.pi * self.frequency[i]
+            sweep = (last - first) / (self.duration - self.rest_duration)
+            angle = self.phase[i] + first * tau + 0.5 * sweep * tau**2
+            wave = self.amplitude[i] * np.sin(angle)
+            wave_rate = self.amplitude[i] * (first + sweep * tau) * np.cos(angle)
             moved[0, :, axis] += ramp * wave
             moved[1, :, axis] += ramp * wave_rate + slope * wave
         return moved
-
-    def _wave(self, i: int, tau: Array) -> tuple[Array, Array]:
-        """Return component i without the ramp at times tau (N,) since the rest, and its rate."""
-        first, last = 2.0 * np.pi * self.frequency[i]
-        sweep = (last - first) / (self.duration - self.rest_duration)
-        angle = self.phase[i] + first * tau + 0.5 * sweep * tau**2
-        angle_rate = first + sweep * tau
-        return self.amplitude[i] * np.sin(angle), self.amplitude[i] * angle_rate * np.cos(angle)
 
     @property
     def highest_frequency(self) -> float:
@@ -251,9 +247,12 @@ class Waypoints(Motion):
         begin, here = self.rest_duration, self.start
         for segment in self.segments:
             now = t >= begin  # what a later segment covers, it overwrites
-            position[now], velocity[now], rotation[now], body_rate[now] = _motion_along(
-                here, segment, t[now] - begin
-            )
+            step, slope = smooth_step((t[now] - begin) / segment.move)[:2, :, None]
+            slope = slope / segment.move
+            way = segment.goal.position - here.position
+            turn = log_so3(here.rotation.T @ segment.goal.rotation)
+            position[now], velocity[now] = here.position + step * way, slope * way
+            rotation[now], body_rate[now] = here.rotation @ exp_so3(step * turn), slope * turn
             begin, here = begin + segment.move + segment.hold, segment.goal
         return position, velocity, rotation, body_rate
 
@@ -261,16 +260,6 @@ class Waypoints(Motion):
     def highest_frequency(self) -> float:
         """One over the shortest move, Hz."""
         return 1.0 / min(segment.move for segment in self.segments)
-
-
-def _motion_along(here: Pose, segment: Segment, tau: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the state at times tau (N,) after a segment began at a pose."""
-    step, slope = smooth_step(tau / segment.move)[:2, :, None]
-    slope = slope / segment.move
-    way = segment.goal.position - here.position
-    turn = log_so3(here.rotation.T @ segment.goal.rotation)
-    rotation = here.rotation @ exp_so3(step * turn)
-    return here.position + step * way, slope * way, rotation, slope * turn
 
 
 class Planned(Motion):
