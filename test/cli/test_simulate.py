@@ -79,7 +79,7 @@ def test_the_margin_is_said_by_simulate_and_found_by_replay(
     assert found['mode'] == truth['mode'] and abs(found['time'] - truth['time']) < 0.02
     assert abs(found['factor'] - truth['factor']) < 0.02 * truth['factor']
     assert 'smallest safety factor of the grip' in page.read_text()
-    assert 'Safety factors of the grip over time' in page.read_text()
+    assert 'How firmly the grip holds' in page.read_text()
     drawn = bellows(
         'plot', 'margin', tmp_path / 'new', '--params', workshop / 'cup.yaml', *grip, '--set',
         'package.mass_std=0.1', '--out', tmp_path / 'margin.png', '--json', '-')
