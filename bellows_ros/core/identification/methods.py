@@ -192,7 +192,8 @@ def _by_prediction_error(
     tell = progress or (lambda what, part: None)
     return prediction_error(
         segments, structure, start, lambda own: tell(
-            f'step {own.number + 1}: chi^2 {own.chi2:.4g}',
+            f'step {own.number + 1}: chi^2 {own.chi2:.4g}; K {_diagonal(own.stiffness, 4)}, '
+            f'P {_diagonal(own.damping, 3)}',
             (own.number + 1) / (own.number + 1 + TYPICAL_STEPS)), free)
 
 
@@ -270,3 +271,10 @@ def start_cup(parts: Sequence[Statistics], known: Cup) -> Cup:
         )
     )
     return Cup(stiffness, damping, known.length)
+
+
+def _diagonal(matrix: Array, digits: int) -> str:
+    """Return the numbers on a diagonal, of lateral directions that are tied only one."""
+    numbers = np.diag(matrix)
+    tied = numbers[0] == numbers[1] and numbers[3] == numbers[4]
+    return ' '.join(f'{x:.{digits}g}' for x in (numbers[[0, 2, 3, 5]] if tied else numbers))
