@@ -107,7 +107,9 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
     np.testing.assert_allclose(np.concatenate(found.toss.landing), landing, atol=1e-12)
     deviations = np.sqrt(np.diag(covariance))
     off = np.abs(found.covariance - covariance)
-    assert (off <= 1e-12 * np.outer(deviations, deviations)).all()
+    # Landings, some metres away after hundreds of steps, are rounded to about 1e-14 m, in another
+    # order where the compiler has inlined; pushes are about as long as deviations, some 1e-3.
+    assert (off <= 1e-11 * np.outer(deviations, deviations)).all()
     rng = np.random.default_rng(3)
     landings = []
     for _ in range(400):
