@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from functools import partial
 import gc
 import sys
@@ -81,18 +82,19 @@ class Planning:
         self._path_out = Topic(node, Path, 'package/plan_path')
         self._steered = Topic(node, MultiDOFJointTrajectory, 'tool_arm/steered')
         self._at = Topic(node, Odometry, 'package/predicted_at')
-        self._is_warm = False
+        self._compiled: list[Callable[[], None]] = []
         self._pool = ThreadPoolExecutor(1, 'plans')
         self._jobs: list[Future[None]] = []
         sys.setswitchinterval(SWITCH)
-        events = SubscriptionEventCallbacks(matched=node.guarded(self._on_publishers))
-        for kind, topic, callback, raw in (
-                (MultiDOFJointTrajectory, 'tool_arm/plan', self._on_plan, True),
-                (MultiDOFJointTrajectory, 'tool_arm/steer', self._on_steer, True),
-                (Header, 'package/predict_at', self._on_request, False)):
+        for kind, topic, callback, compile_it, raw in (
+                (MultiDOFJointTrajectory, 'tool_arm/plan', self._on_plan, self._compile, True),
+                (MultiDOFJointTrajectory, 'tool_arm/steer', self._on_steer, self._compile, True),
+                (Header, 'package/predict_at', self._on_request, self._compile_later, False)):
             node.create_subscription(
                 kind, topic, partial(self.submit, callback), QoSProfile(depth=10), raw=raw,
-                event_callbacks=events, qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
+                event_callbacks=SubscriptionEventCallbacks(
+                    matched=node.guarded(partial(self._on_publishers, compile_it))),
+                qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
         self.forget()
 
     @property
@@ -129,13 +131,21 @@ class Planning:
         self._coarse = COARSE * largest_step(live.model)
         self._period_ns = round(0.9e9 / values['plan.rate'])  # ticks are not exact
 
-    def _on_publishers(self, matched: Any) -> None:
-        """Compile once a possible publisher of plans appears."""
-        if matched.current_count and not self._is_warm:
-            self.submit(self._warm_up)
+    def _on_publishers(self, compile_it: Callable[[], None], matched: Any) -> None:
+        """Compile what answers a topic once a possible publisher appears."""
+        if matched.current_count and compile_it not in self._compiled:
+            self._compiled.append(compile_it)
+            self.submit(compile_it)
 
-    def _warm_up(self) -> None:
-        """Compile, by answering a dummy plan."""
+    def _compile_later(self) -> None:
+        """Compile the answer to a request, by making one."""
+        assert self._live.flight is not None  # set with the values
+        with suppress(BellowsError):  # of a package that has landed
+            self._live.flight.later(self._live.model, STILL, 0.1)
+        gc.freeze()  # the collector need not look through what numba has made
+
+    def _compile(self) -> None:
+        """Compile the answer to a plan, by answering a dummy plan."""
         still = rows_of(np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
                         np.zeros((9, 6)))
         at_rest = Ahead(still, 0)
@@ -143,8 +153,7 @@ class Planning:
         predict(self._live.model, grip_of(self._values), at_rest.rest(STILL), tail=0.1)
         thin_out(np.zeros(1, np.int64), np.zeros((1, 13)), 1.0, True)
         steer(self._live.model, still.trajectory(), self._values['steer.method'])
-        gc.freeze()  # the collector need not look through what numba has made
-        self._is_warm = True
+        gc.freeze()
 
     def rest(self, now: Prediction) -> Rows | None:
         """Return the tool from a prediction on, by its plan, or None where it drives none."""

@@ -73,7 +73,9 @@ class Planner:
         self.request_out = node.create_publisher(Header, 'package/predict_at', 10)
         planning = partner.predictor._planning
         assert partner.ros.spin_until(lambda: (
-            all(end.get_publisher_count() for end in ends) and planning._is_warm
+            all(end.get_publisher_count() for end in ends)
+            and len(planning._compiled) == 2
+            and not planning.is_busy
             and all(out.get_subscription_count()
                     for out in (self.plan_out, self.steer_out, self.request_out))
             and planning._plan_out.wanted and planning._path_out.wanted))
