@@ -46,8 +46,8 @@ BY_LEAST_SQUARES = {'fit.method': 'least_squares'}
 """How summaries are fitted, which hold no poses, and recordings whose data are certainly wrong."""
 
 ONLY_QUICK = (
-    'K and P are those of least squares: as given data are wrong, the prediction error was not '
-    'fitted. --force fits it all the same.')
+    'K and P are those of least squares: something given is wrong, so the prediction error was '
+    'not fitted. --force fits it all the same.')
 
 ONLY_SUMS = (
     'Summaries are fitted by least squares, regardless of fit.method: they contain no poses. '
@@ -71,7 +71,7 @@ def identify(
     """
     Identify a cup from the recordings that the parameter `bags` names.
 
-    Given data that are certainly wrong end it before the prediction error is fitted.
+    The prediction error is not fitted where something given is certainly wrong.
 
     Parameters
     ----------

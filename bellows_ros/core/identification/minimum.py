@@ -2,13 +2,13 @@
 The minimum of the prediction errors: K, P and delays by Gauss-Newton steps.
 
 The equations of motion are linear in K and P, so there is one minimum, and the steps find it from
-any start. With every step the noise of the poses is estimated anew: the motion about which is
-linearised is that which all poses tell, poses that are far off count less (Huber), and near the
-minimum the colour of the noise is taken from the likelihood of the innovations.
+any start. Every step estimates the noise of the poses anew. The equations are linearised about the
+motion that all poses together make likeliest, outlying poses are weighted down (Huber), and near
+the minimum the autocorrelation of the noise is chosen by the likelihood of the innovations.
 
-The covariance of the equations is banded, and so is its Cholesky factor, by which they become
-uncorrelated: row by row what those before do not predict. These are the innovations of the Kalman
-filter that knows the motion about which is linearised, without any other approximation.
+The covariance of the equations is banded, and so is its Cholesky factor, which whitens them: each
+row becomes the part that the rows before do not predict. These are the innovations of a Kalman
+filter linearised about the same motion, without any other approximation.
 """
 
 from collections.abc import Callable, Sequence
@@ -48,8 +48,8 @@ class Root:
     """
     The Cholesky factor of the equations' covariance.
 
-    Noise of the first order, n_k = a n_(k-1) + e_k, is made white by differences of equations:
-    where package and tool have different a, by both (A_j changes little from pose to pose).
+    Autoregressive noise n_k = a n_(k-1) + e_k is whitened by differences of equations; where
+    package and tool have different a, by both (A_j changes little from pose to pose).
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Root:
     noise : tuple of PoseNoise
         Of package and tool.
     spread : ndarray (M, 12)
-        By how much more each pose scatters than usual.
+        Standard deviation of each pose, as a multiple of the usual one.
 
     """
 
@@ -99,12 +99,12 @@ class Root:
         return np.asarray(lapack.dtbtrs(self.factor, flat, uplo='L')[0])
 
     def deviance(self, errors: Array) -> float:
-        """Return how unlikely errors (N, 6) are: twice the negative logarithm, and a constant."""
+        """Return the deviance of errors (N, 6): -2 log likelihood, up to a constant."""
         innovations = self.whitened(errors)
         return float(np.sum(innovations**2) + 2.0 * np.sum(np.log(self.factor[0])))
 
     def noise(self, whitened: Array) -> tuple[Array, Array]:
-        """Return the likeliest (M, 12) behind innovations (6 N,), and its own innovations."""
+        """Return the likeliest values (M, 12) given innovations (6 N,), and their white source."""
         back = lapack.dtbtrs(self.factor, whitened[:, None], uplo='L', trans='T')[0]
         parts = np.einsum('kijm,ki->kjm', self.effects, back.reshape(-1, 6))
         fresh = np.zeros_like(self.scale)
@@ -113,7 +113,7 @@ class Root:
         return self.accumulated(fresh), fresh
 
     def accumulated(self, fresh: Array) -> Array:
-        """Return the noise (M, 12), m and rad, from its scaled innovations."""
+        """Return the noise (M, 12), m and rad, from its white source."""
         halves = zip(np.hsplit(fresh * self.scale, 2), self.kept, strict=True)
         return np.hstack([lfilter([1.0], [1.0, -a], part, axis=0) for part, a in halves])
 
@@ -164,8 +164,8 @@ Note = Callable[[Array, float], None]
 
 WIDEST, FURTHEST = 10.0, 100.0
 """
-K and P are thought to be within so many times their scale of the start, and what else is free
-within so many of its units: weakly.
+Standard deviations of a weak prior about the start: of K and P in units of their scale, and of
+what else is free in its units.
 """
 
 TOLERANCE = 1e-3
@@ -184,8 +184,8 @@ ROBUST_STEPS = (2, 3, 4)
 
 FARTHEST = 4.0
 """
-The motion about which is linearised is within so many deviations of the measured one, but where
-poses are far off.
+The motion that is linearised about stays within so many standard deviations of the measured one,
+except at outlying poses.
 """
 
 MISSING, LARGEST_MISSING = np.repeat([5e-3, 5e-2], 3), 1000.0
@@ -205,8 +205,8 @@ class Found(NamedTuple):
     """
     Where the search ended.
 
-    Free numbers (m,), the segments and the noise of their poses, information (m, m), and whether
-    it is a minimum.
+    Free parameters (m,), the segments and the noise of their poses, information (m, m), and
+    whether it is a minimum.
     """
 
     theta: Array
@@ -220,7 +220,7 @@ class Search:
     """
     Steps towards the minimum.
 
-    Free numbers are the structure's parameters in units of the scale, then those of `KINDS` that
+    Free parameters are those of the structure in units of the scale, then those of `KINDS` that
     are wanted, one after the other, in theirs.
 
     Parameters
@@ -267,17 +267,17 @@ class Search:
         self.kept = (0.0, 0.0)
 
     def cup(self, theta: Array) -> Cup:
-        """Return the cup of the free numbers."""
+        """Return the cup of the free parameters."""
         x = (self.units * theta)[:self.count]
         return Cup(*self.structure.matrices(x), self.length)
 
     def own_places(self, segment: Segment) -> dict[str, Places]:
-        """Return where a segment's free numbers are, by name."""
+        """Return where a segment's free parameters are, by name."""
         return {name: rows[segment.measured.recording if KINDS[name].each else 0]
                 for name, rows in self.places.items()}
 
     def free(self, theta: Array, segment: Segment) -> Free:
-        """Return the free numbers of a segment, in SI units."""
+        """Return the free parameters of a segment, in SI units."""
         values = self.units * theta
         return {name: values[places] for name, places in self.own_places(segment).items()}
 

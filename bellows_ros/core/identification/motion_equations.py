@@ -2,13 +2,13 @@
 The equations of motion of a recording, and the covariance of their errors due to noise.
 
 At every pose of the package c = dv - f(tool, package; parameters) is zero, with dv the rate of its
-body twist and f that of the model (3.42). Twists and their rates come from the polynomials through
-nine poses that follow each other, so noise n of the poses leaves c = sum_j A_j n_(k+j): its
-covariance is known, and banded. All is linearised about the motion as all poses tell it.
+body twist and f that of the model (3.42). Twists and their rates come from polynomials through
+nine successive poses, so noise n of the poses leaves c = sum_j A_j n_(k+j), whose covariance is
+known and banded. All is linearised about the motion that is likeliest given all poses.
 
-What was given may be found together with K and P. Poses that move with such a number act on the
-equations as noise of the poses would, and what it changes in the model is a column of
-`parameter_jacobian`.
+Quantities of `KINDS`, which are given otherwise, may be estimated together with K and P. Where
+such a quantity moves poses, it acts on the equations as noise of the poses would; where it changes
+the model, it is a column of `parameter_jacobian`.
 """
 
 from collections.abc import Mapping
@@ -51,7 +51,7 @@ SMOOTHED_ORDER = 6
 
 class Kind(NamedTuple):
     """
-    One kind of number.
+    A kind of quantity that may be estimated together with K and P.
 
     Parameters
     ----------
