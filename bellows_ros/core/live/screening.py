@@ -113,20 +113,29 @@ def change(a: Vector, b: Vector) -> tuple[float, float]:
     return norm(subtract(b, a)), min(norm(a), norm(b)) if dot(a, b) > 0.0 else 0.0
 
 
-@kernel
 def step_between(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> Step:
+    """Return the step from a reference to a later pose."""
+    return Step(*step_after(
+        last.position, last.quaternion_xyzw, last.step.velocity, last.step.rate, last.period,
+        o, q, (stamp_ns - last.stamp_ns) * 1e-9))
+
+
+@kernel
+def step_after(
+    o: Vector, q: Quaternion, velocity: Vector, rate: Vector, period: float,
+    other_o: Vector, other_q: Quaternion, seconds: float,
+) -> tuple[float, float, float, float, float, float, Vector, Vector]:
     """
-    Return the step from a reference to a later pose.
+    Return the `Step` from a pose to another after some seconds; numba is slow at named tuples.
 
     The change of velocity counts for the shorter of the two periods, and less in a steady motion,
     so that neither bursts nor stamps with jitter make jolts of it.
     """
-    seconds, period = (stamp_ns - last.stamp_ns) * 1e-9, last.period
-    shift = subtract(o, last.position)
-    turn = log_quaternion(quaternion_product(quaternion_conjugate(last.quaternion_xyzw), q))
+    shift = subtract(other_o, o)
+    turn = log_quaternion(quaternion_product(quaternion_conjugate(q), other_q))
     v, w = scale(1.0 / seconds, shift), scale(1.0 / seconds, turn)
-    kick, speed = change(last.step.velocity, v)
-    turn_kick, turn_speed = change(last.step.rate, w)
+    kick, speed = change(velocity, v)
+    turn_kick, turn_speed = change(rate, w)
     shorter = min(seconds, period) if period > 0.0 else seconds
     jolt, turn_jolt = kick * shorter, turn_kick * shorter
     jitter, turn_jitter = JITTER * speed, JITTER * turn_speed
@@ -144,7 +153,7 @@ def step_between(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> St
         doubt = max(
             jolt / (DOUBTED_JOLT_SLACK + jitter + DOUBTED_JOLT * squared),
             turn_jolt / (DOUBTED_TURN_JOLT_SLACK + turn_jitter + DOUBTED_TURN_JOLT * squared))
-    return Step(excess, doubt, jolt, turn_jolt, speed, turn_speed, v, w)
+    return excess, doubt, jolt, turn_jolt, speed, turn_speed, v, w
 
 
 class FrameChange:
