@@ -279,9 +279,6 @@ _TABLE = (
               'samples in the window; 0 for the number of samples in 1/12 s (30 at 360 Hz).'),
     Parameter('filter.package.order', 6, '', _IDENTIFIER, minimum=2, maximum=10,
               description="Polynomial order of the filter on the package's poses; at most 2 n."),
-    Parameter('filter.relative', False, '', _IDENTIFIER,
-              description="Whether to filter the lip's motion in the tool instead of the "
-              "package's in the world, appendix J."),
     Parameter('fit.method', 'prediction_error', '', _IDENTIFIER,
               choices=('prediction_error', 'least_squares'),
               description='Method of the fit. prediction_error, on poses, is unbiased by noise. '

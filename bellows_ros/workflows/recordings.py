@@ -300,6 +300,5 @@ def prepare_settings(values: Mapping[str, Any]) -> PrepareSettings:
         tool_order=values['filter.tool.order'],
         package_half_window=values['filter.package.half_window'],
         package_order=values['filter.package.order'],
-        relative=values['filter.relative'],
         tool_twist_frame=values['tool_twist.frame'],
     )

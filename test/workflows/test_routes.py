@@ -494,9 +494,3 @@ def test_what_needs_all_recordings_at_one_place_gets_them(settings):
     assert [found['bag'] for found in apart['validations']] == [second]
     taken = ('.validations[0].live.took', '.validations[0].live.real_time_factor')
     assert not [path for path in differences(apart, whole) if not path.startswith(taken)]
-
-
-def test_relative_filtering_is_a_setting(settings):
-    one = {**settings, 'bags': settings['bags'][1:]}
-    relative = {**one, 'filter.relative': True}
-    assert_same(identify(relative, jobs=1).fit, identify(relative).fit)

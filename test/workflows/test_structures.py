@@ -43,15 +43,6 @@ def test_json_is_complete(shipped):
     assert found['identifiable'] is True and found['signal_to_noise'] > 1.0
 
 
-def test_relative_filtering_is_a_setting(shipped):
-    relative = structures({**shipped.values, 'filter.relative': True})
-    for one, other in zip(
-            shipped.excitation.parameters, relative.excitation.parameters, strict=True):
-        assert one.value != other.value
-        assert abs(other.value / one.value - 1.0) < 0.1
-    assert relative.selection.samples < shipped.selection.samples
-
-
 def test_progress_goes_from_reading_to_done(shipped):
     found = []
     structures(shipped.values, lambda what, part: found.append((what, part)))

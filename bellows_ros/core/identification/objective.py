@@ -131,17 +131,9 @@ def _noisier(recording: Recording, draw: np.random.Generator) -> Recording:
     stamps = recording.package.stamps_ns
     first = int(np.searchsorted(filtered.stamps_ns, stamps[0]))
     there = resample(filtered_tool, stamps)
-    noisy = replace(
+    return replace(
         recording, package=filtered.select(slice(first, first + len(stamps))),
         tool=replace(there, valid=recording.tool.valid))
-    if settings.relative:
-        at = int(np.searchsorted(package.stamps_ns, recording.measured_package.stamps_ns[0]))
-        span = slice(at, at + len(recording.measured_package))
-        noisy = replace(
-            noisy, measured_package=package.select(span), measured_tool=replace(
-                resample(tool, recording.measured_tool.stamps_ns),
-                valid=recording.measured_tool.valid))
-    return noisy
 
 
 def _shaken(

@@ -118,7 +118,7 @@ class Samples:
 
 def samples_of(recording: Recording) -> Samples:
     """
-    Return the samples for least squares, filtered as filter.relative says.
+    Return the filtered motions of a recording, after checking that they are of a cup.
 
     Raises
     ------
@@ -126,26 +126,18 @@ def samples_of(recording: Recording) -> Samples:
         If the package is not on that side of the tool where the cup is.
 
     """
-    return recording.once('samples', lambda: _samples(recording))
+    def checked() -> Samples:
+        _require_below(recording)
+        return filtered_samples(recording)
+
+    return recording.once('samples', checked)
 
 
 def filtered_samples(recording: Recording) -> Samples:
-    """Return the filtered motions, regardless of filter.relative."""
+    """Return the filtered motions of any recording."""
     return recording.once('filtered samples', lambda: Samples(
         recording.tool, recording.package, recording.payload, recording.settings.gravity,
         recording.package_weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns)))
-
-
-def _samples(recording: Recording) -> Samples:
-    """Return the samples of a checked recording."""
-    _require_below(recording)
-    samples = filtered_samples(recording)
-    if not recording.settings.relative:
-        return samples
-    from bellows_ros.core.recording.relative_filter import relatively_filtered  # late: rare
-
-    tool, package = relatively_filtered(recording)
-    return replace(samples, tool=tool, package=package)
 
 
 def _require_below(recording: Recording) -> None:

@@ -243,8 +243,6 @@ class PrepareSettings:
         gravity.magnitude, m/s^2 along -z of the world once it is level.
     tool_half_window, tool_order, package_half_window, package_order : int
         filter.tool.half_window and so on; a half window of 0 is chosen from the rate.
-    relative : bool
-        filter.relative: whether `Recording.samples` are of the lip's filtered motion in the tool.
     tool_twist_frame : str
         tool_twist.frame: axes of a recorded tool twist, 'world' or 'tool'; its linear part is the
         velocity of the tool tip.
@@ -262,7 +260,6 @@ class PrepareSettings:
     tool_order: int = 6
     package_half_window: int = 0
     package_order: int = 6
-    relative: bool = False
     tool_twist_frame: str = 'world'
 
     @cached_property
