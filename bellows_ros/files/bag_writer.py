@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, mcap, messages
+from bellows_ros.files import atomic, messages
 from bellows_ros.files.bag_folder import METADATA, STORED
 import numpy as np
 from rosbags.interfaces import Connection
@@ -22,32 +22,10 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import get_typestore, Stores
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
-# 'chunk' is compression inside an MCAP file; 'message' and 'file' are rosbag2's own.
-COMPRESSIONS = {
-    'none': CompressionMode.NONE,
-    'message': CompressionMode.MESSAGE,
-    'file': CompressionMode.FILE,
-    'chunk': CompressionMode.STORAGE,
-}
+# With zstd: chunks inside an MCAP file, messages in a database.
+_ZSTD = {'mcap': CompressionMode.STORAGE, 'sqlite3': CompressionMode.MESSAGE}
 _VERSION: Literal[9] = 9  # of metadata.yaml, as ROS 2 Jazzy writes it
 _BATCH = 8192
-
-_PLUGINS: Any = Writer.STORAGE_PLUGINS
-
-
-class _SealedMcap(_PLUGINS[StoragePlugin.MCAP]):  # type: ignore[misc]
-    """MCAP files with checksums."""
-
-    def close(self, version: int, metadata: str) -> None:
-        """End the file, and write its checksums."""
-        super().close(version, metadata)
-        mcap.seal(self.path)
-
-
-class _Writer(Writer):
-    """Write MCAP files with checksums, and SQLite files."""
-
-    STORAGE_PLUGINS = {**_PLUGINS, StoragePlugin.MCAP: _SealedMcap}
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,20 +60,8 @@ class Recorded:
     log_times_ns: Stamps | None = None
 
     def __post_init__(self) -> None:
-        """Check shapes and ranges."""
-        if self.type_name not in messages.LAYOUTS:
-            known = ', '.join(messages.LAYOUTS)
-            raise BellowsError(f"Type '{self.type_name}' cannot be recorded; {known} can.")
-        layout = messages.LAYOUTS[self.type_name]
-        width = sum(part.stop - part.start for part in (layout.pose, layout.twist) if part)
-        count = len(self.stamps_ns)
-        logged = count if self.log_times_ns is None else len(self.log_times_ns)
-        if np.shape(self.values) != (count, width) or logged != count:
-            raise BellowsError(
-                f"Topic '{self.topic}' has {count} stamps and {logged} log times; "
-                f'values must be {count} x {width}, not {np.shape(self.values)}.'
-            )
-        if count and (np.min(self.stamps_ns) < 0 or np.min(self._log_times()) < 0):
+        """Check the times, which files may have anything for."""
+        if len(self.stamps_ns) and (np.min(self.stamps_ns) < 0 or np.min(self._log_times()) < 0):
             raise BellowsError(f"Topic '{self.topic}' has times before 1970.")
 
     def _log_times(self) -> Stamps:
@@ -146,7 +112,7 @@ def write_bag(
     path: str | os.PathLike[str],
     recorded: Sequence[Recorded | Encoded],
     storage: str = 'mcap',
-    compression: str = 'none',
+    zstd: bool = False,
     replace: bool = False,
 ) -> None:
     """
@@ -160,32 +126,26 @@ def write_bag(
         Several may share a topic of one type.
     storage : str
         'mcap' or 'sqlite3'.
-    compression : str
-        'none', 'message' or 'file' (zstd as rosbag2 does it), or 'chunk' (zstd inside an MCAP
-        file).
+    zstd : bool
+        Whether it is compressed.
     replace : bool
         Whether a recording that is there may be replaced.
 
     Raises
     ------
     BellowsError
-        If there is nothing to record, the choice is unknown, or something is in the way.
+        If there is nothing to record, or something is in the way.
 
     """
-    if storage not in STORAGES or compression not in COMPRESSIONS:
-        raise BellowsError(
-            f"Storage '{storage}' with compression '{compression}' is not known; storages are "
-            f'{", ".join(STORAGES)}, compressions {", ".join(COMPRESSIONS)}.')
-    if storage == 'sqlite3' and compression == 'chunk':
-        raise BellowsError("SQLite has no chunks to compress; use 'message' or 'file', or mcap.")
     if not any(len(r.stamps_ns) for r in recorded):
         raise BellowsError(f"Recording '{path}' would be empty. Give messages to record.")
     if replace:
         require_replaceable(Path(path))
     types: Any = get_typestore(Stores.ROS2_JAZZY)
     with atomic.new_folder(path, replace) as folder:
-        writer = _Writer(folder, version=_VERSION, storage_plugin=STORAGES[storage])
-        writer.set_compression(COMPRESSIONS[compression], CompressionFormat.ZSTD)
+        writer = Writer(folder, version=_VERSION, storage_plugin=STORAGES[storage])
+        if zstd:
+            writer.set_compression(_ZSTD[storage], CompressionFormat.ZSTD)
         made: dict[tuple[str, str], Connection] = {}
         try:
             with writer:

@@ -1,5 +1,5 @@
 """
-Reading the messages of an MCAP file from front to back, and writing its checksums.
+Reading the messages of an MCAP file from front to back.
 
 The file is read as a stream and nothing in it is believed that could cost memory: sizes are
 bounded before they are allocated, chunks are decompressed one at a time up to the size they
@@ -10,7 +10,6 @@ crashed, is read up to the break. The format is specified at https://mcap.dev/sp
 from collections import Counter
 from collections.abc import Iterator
 import io
-from pathlib import Path
 import struct
 from typing import BinaryIO
 import zlib
@@ -32,7 +31,6 @@ _STATISTICS, _DATA_END = 0x0B, 0x0F
 _READ = {_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END}
 _RECORD_HEAD = struct.Struct('<BQ')
 _MESSAGE_HEAD = struct.Struct('<HIQQ')
-_CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
 _SUMMARY_CHECKSUM_AT = 16  # behind two offsets, in the footer
 _SKIP_STEP = 2**20
 
@@ -299,26 +297,3 @@ def _chunk_data(fields: _Fields) -> bytes:
         raise DamagedError(f'a chunk has {len(data)} bytes, but says {size}')
     _require_checksum(checksum, zlib.crc32(data), 'a chunk')
     return data
-
-
-def seal(path: Path) -> None:
-    """Write the checksums of a sound MCAP file that was written without them."""
-    with path.open('r+b') as file:
-        checksum = zlib.crc32(file.read(len(MAGIC)))
-        kind = 0
-        while kind != _FOOTER:
-            head = file.read(_RECORD_HEAD.size)
-            kind, size = _RECORD_HEAD.unpack(head)
-            at, body = file.tell(), bytearray(file.read(size))
-            before, checksum = checksum, zlib.crc32(head, checksum)
-            if kind == _CHUNK:
-                records = _chunk_data(_Fields(body))
-                struct.pack_into('<I', body, _CHUNK_CHECKSUM_AT, zlib.crc32(records))
-            elif kind == _DATA_END:
-                struct.pack_into('<I', body, 0, before)
-            elif kind == _FOOTER:
-                offsets = body[:_SUMMARY_CHECKSUM_AT]
-                struct.pack_into('<I', body, _SUMMARY_CHECKSUM_AT, zlib.crc32(offsets, checksum))
-            file.seek(at)
-            file.write(body)
-            checksum = 0 if kind == _DATA_END else zlib.crc32(body, checksum)

@@ -205,7 +205,7 @@ def simulate_recording(
     truth = _simulated(values, recipe, plans)
     recorded = _recorded(recipe, plans, truth, WORLDS[recipe.world] @ R_world_level)
     say(f'writing {sum(len(r.stamps_ns) for r in recorded)} messages to {bag}')
-    write_bag(bag, recorded, recipe.storage, recipe.compression, replace)
+    write_bag(bag, recorded, recipe.storage, recipe.zstd, replace)
     if truth_file:
         atomic.write_bytes(truth_file, _truth_bytes(cup, recipe, plans, truth, R_world_level))
     angle, worst, warnings = _bending(truth)

@@ -71,11 +71,11 @@ def table(path: Path, number: int) -> None:
     write_tum(path, STAMPS, VALUES + number)
 
 
-def recording(storage: str, compression: str) -> Write:
+def recording(storage: str, zstd: bool) -> Write:
     """Return what writes a recording."""
     def write(path: Path, number: int) -> None:
         recorded = Recorded('/pose', POSE, STAMPS, VALUES + number)
-        write_bag(path, [recorded], storage, compression, replace=True)
+        write_bag(path, [recorded], storage, zstd, replace=True)
 
     return write
 
@@ -93,8 +93,8 @@ WRITERS: dict[str, Write] = {
     'report.html': page,
     'picture.png': picture,
     'package.tum': table,
-    'mcap': recording('mcap', 'none'),
-    'sqlite3': recording('sqlite3', 'file'),
+    'mcap': recording('mcap', False),
+    'sqlite3': recording('sqlite3', True),
     'careless': carelessly,
 }
 

@@ -6,7 +6,7 @@ import signal
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bag_writer
 from bellows_ros.files import messages as cdr
-from bellows_ros.files.bag_writer import COMPRESSIONS, Recorded, STORAGES, write_bag
+from bellows_ros.files.bag_writer import Recorded, STORAGES, write_bag
 from bellows_ros.files.bags import read_streams, topics
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -16,9 +16,7 @@ import yaml
 
 from . import recordings as made
 
-FORMS = [
-    (s, c) for s in STORAGES for c in COMPRESSIONS if (s, c) != ('sqlite3', 'chunk')
-]
+FORMS = [(storage, zstd) for storage in STORAGES for zstd in (False, True)]
 COUNT = 30
 
 
@@ -34,10 +32,10 @@ def files_of(folder):
     return {p.name: p.read_bytes() for p in folder.iterdir()}
 
 
-@pytest.mark.parametrize('storage, compression', FORMS)
-def test_every_form_is_read_by_this_package_and_by_rosbags(tmp_path, storage, compression):
+@pytest.mark.parametrize('storage, zstd', FORMS)
+def test_every_form_is_read_by_this_package_and_by_rosbags(tmp_path, storage, zstd):
     path = tmp_path / 'bag'
-    write_bag(path, [recorded()], storage, compression)
+    write_bag(path, [recorded()], storage, zstd)
     stream = read_streams(path, {'p': 'a'})['p']
     assert_array_equal(stream.position, made.pose_values(COUNT)[:, :3])
     assert_array_equal(stream.stamps_ns, made.stamps(COUNT))
@@ -61,10 +59,10 @@ def no_room():
     signal.signal(signal.SIGXFSZ, handler)
 
 
-@pytest.mark.parametrize('storage, compression', FORMS)
-def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, no_room, storage, compression):
+@pytest.mark.parametrize('storage, zstd', FORMS)
+def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, no_room, storage, zstd):
     with pytest.raises(BellowsError, match='cannot be written: .* Nothing was changed'):
-        write_bag(tmp_path / 'bag', [recorded()], storage, compression)
+        write_bag(tmp_path / 'bag', [recorded()], storage, zstd)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -117,11 +115,11 @@ def test_faults_can_be_recorded_and_one_topic_fed_from_several_sources(tmp_path)
     assert stream.refused == {'nan': (4,), 'zero_quaternion': (5,), 'frame_id': (8,)}
 
 
-@pytest.mark.parametrize('storage, compression', FORMS)
-def test_the_same_content_gives_the_same_bytes(tmp_path, storage, compression):
+@pytest.mark.parametrize('storage, zstd', FORMS)
+def test_the_same_content_gives_the_same_bytes(tmp_path, storage, zstd):
     for i in '12':
         (tmp_path / i).mkdir()
-        write_bag(tmp_path / i / 'bag', [recorded()], storage, compression)
+        write_bag(tmp_path / i / 'bag', [recorded()], storage, zstd)
     assert files_of(tmp_path / '1' / 'bag') == files_of(tmp_path / '2' / 'bag')
 
 
@@ -187,22 +185,10 @@ def test_a_failure_half_way_leaves_nothing(tmp_path, monkeypatch):
 
 def test_what_cannot_be_recorded_is_refused(tmp_path):
     t = made.stamps(3)
-    with pytest.raises(BellowsError, match='cannot be recorded'):
-        Recorded('/a', 'std_msgs/msg/String', t, np.zeros((3, 7)))
-    with pytest.raises(BellowsError, match=r'values must be 3 x 7, not \(3, 6\)'):
-        Recorded('/a', made.POSE, t, np.zeros((3, 6)))
-    with pytest.raises(BellowsError, match='2 log times'):
-        Recorded('/a', made.POSE, t, np.zeros((3, 7)), log_times_ns=t[:2])
     with pytest.raises(BellowsError, match='before 1970'):
         Recorded('/a', made.POSE, t - 2 * made.EPOCH_NS, np.zeros((3, 7)))
     with pytest.raises(BellowsError, match='would be empty'):
         write_bag(tmp_path / 'b', [])
-    with pytest.raises(BellowsError, match='storages are'):
-        write_bag(tmp_path / 'b', [recorded()], 'bag')
-    with pytest.raises(BellowsError, match='compressions'):
-        write_bag(tmp_path / 'b', [recorded()], 'mcap', 'gzip')
-    with pytest.raises(BellowsError, match='no chunks'):
-        write_bag(tmp_path / 'b', [recorded()], 'sqlite3', 'chunk')
     with pytest.raises(BellowsError, match='does not exist'):
         write_bag(tmp_path / 'none' / 'b', [recorded()])
     assert list(tmp_path.iterdir()) == []

@@ -49,7 +49,7 @@ class Recipe:
         In every header.
     topics : mapping
         Topic of 'tool_pose', 'tool_twist', 'package_pose' and 'valve'.
-    storage, compression : str
+    storage, zstd : str, bool
         As `files.bag_writer.write_bag` takes them.
     seed : int
         Of all random numbers.
@@ -72,7 +72,7 @@ class Recipe:
     frame_id: str
     topics: Mapping[str, str]
     storage: str
-    compression: str
+    zstd: bool
     seed: int
     start_ns: int
     truth: bool
@@ -104,7 +104,6 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
     tool, package = settings.block('tool'), settings.block('package')
     tracked = np.zeros(3) if package.choice('frame', ('com', 'lip'), 'com') == 'com' else -com
     offset = package.vector('pickup_offset', 2, (0.0, 0.0), unit='m')
-    storage = settings.choice('storage', ('mcap', 'sqlite3'), 'mcap')
     releases, pickup = _releases(settings.block('release'), moving.duration)
     recipe = Recipe(
         motion=moving,
@@ -114,9 +113,8 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
         world=world,
         frame_id=settings.text('frame_id', FRAME_IDS[world]),
         topics=_topics(settings.block('topics')),
-        storage=storage,
-        compression={'none': 'none', 'zstd': 'chunk' if storage == 'mcap' else 'message'}[
-            settings.choice('compression', ('none', 'zstd'), 'none')],
+        storage=settings.choice('storage', ('mcap', 'sqlite3'), 'mcap'),
+        zstd=settings.choice('compression', ('none', 'zstd'), 'none') == 'zstd',
         seed=seed,
         start_ns=settings.whole('start_time_ns', START_NS, least=10**9, most=2**62),
         truth=settings.flag('truth', False),
