@@ -1,11 +1,10 @@
 """The storage files of a rosbag2 recording: a folder or one file, plain or compressed."""
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 import hashlib
 import os
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path, PurePosixPath
 import re
 import sys
 from typing import Any, BinaryIO, cast, NamedTuple
@@ -119,14 +118,9 @@ def require_no_input(
         source = _real(name)
         if source.suffix in STORED and (source.parent / METADATA).exists():
             source = source.parent
-        if target == source:
-            raise BellowsError(f"Output '{path}' is also an input. Give another name.")
-        if source in target.parents:
+        if target == source or source in target.parents or target in source.parents:
             raise BellowsError(
-                f"Output '{path}' lies in '{name}', which is an input. Give a name elsewhere.")
-        if target in source.parents:
-            raise BellowsError(
-                f"Output '{path}' has the input '{name}' in it. Give another name.")
+                f"Output '{path}' would change the input '{name}'. Give a name elsewhere.")
 
 
 def _real(path: str | os.PathLike[str]) -> Path:
@@ -135,32 +129,6 @@ def _real(path: str | os.PathLike[str]) -> Path:
         return Path(os.path.realpath(path))
     except (OSError, ValueError) as error:
         raise BellowsError(f"'{path}' is no name of a file: {error}.") from None
-
-
-def differing_counts(listed: Listing, counts: Mapping[Topic, int]) -> tuple[str, ...]:
-    """Return in words where the numbers of messages differ from what the metadata says."""
-    information = listed.information
-    if not information:
-        return ()
-    found, said = Counter[str](), Counter[str]()
-    for topic, count in counts.items():
-        found[topic.name] += count
-    entries = information.get('topics_with_message_count')
-    for entry in entries if isinstance(entries, list) else []:
-        about = entry.get('topic_metadata') if isinstance(entry, dict) else None
-        if isinstance(about, dict) and isinstance(entry.get('message_count'), int):
-            said[str(about.get('name'))] += entry['message_count']
-    total = information.get('message_count')
-    names = [name for name in {**said, **found} if said[name] != found[name]]
-    if total == sum(found.values()) and not names:
-        return ()
-    which = [f"'{name}' {found[name]} of {str(said[name])[:20]}" for name in names]
-    more = [f'{len(which) - _SHOWN} more'] if len(which) > _SHOWN else []
-    return (
-        f'The recording has {sum(found.values())} messages, but {METADATA} says '
-        f'{str(total)[:20]}{": " if which else ""}{", ".join([*which[:_SHOWN], *more])}. Was it '
-        'copied whole?',
-    )
 
 
 def _listed_files(folder: Path) -> Listing:
@@ -181,8 +149,7 @@ def _listed_files(folder: Path) -> Listing:
         raise _damaged(folder, 'relative_file_paths must be a list of file names')
     if not names:
         raise BellowsError(f"Recording '{folder}' is empty: its {METADATA} lists no files.")
-    old = isinstance(information.get('version'), int) and information['version'] < 4
-    files = tuple(_inside(folder, name, old) for name in dict.fromkeys(names))
+    files = tuple(_inside(folder, name) for name in dict.fromkeys(names))
     return Listing(files, information)
 
 
@@ -202,7 +169,7 @@ def _without_metadata(folder: Path) -> Listing:
     # A recorder numbers its files: numbers in names count as such.
     in_order = sorted(names, key=lambda name: [
         (text, int(number or -1)) for text, number in re.findall(r'(\D*)(\d*)', name)])
-    files = tuple(_inside(folder, name, False) for name in in_order)
+    files = tuple(_inside(folder, name) for name in in_order)
     return Listing(files, {}, (
         f"Recording '{folder}' has no {METADATA}: its recorder has crashed, or is still "
         f'recording. Read were {", ".join(file.name for file in files[:_SHOWN])}.',))
@@ -216,22 +183,13 @@ def _damaged(folder: Path, reason: str) -> BellowsError:
     )
 
 
-def _inside(folder: Path, name: str, old: bool) -> Path:
+def _inside(folder: Path, name: str) -> Path:
     """Return the path of a listed file, which must be in the folder."""
-    listed = PurePosixPath(name)
-    leaves = listed.is_absolute() or '..' in listed.parts or PureWindowsPath(name).drive
-    if old and len(listed.parts) == 2:  # before version 4 the folder's own name came first
-        listed = PurePosixPath(listed.name)
-    path = folder / listed
-    if leaves or not path.resolve().is_relative_to(folder.resolve()):
+    path = folder / PurePosixPath(name).name  # before version 4 the folder's own name came first
+    if not path.is_file() or path.resolve().parent != folder.resolve():
         raise BellowsError(
-            f"'{folder / METADATA}' names '{name[:200]}', which is outside the folder; such "
-            'files are not read. Give the storage file itself if it is meant.'
-        )
-    if not path.is_file():
-        raise BellowsError(
-            f"Recording '{folder}' lacks '{name[:200]}', which {METADATA} names. Copy it whole."
-        )
+            f"Recording '{folder}' lacks '{name[:200]}', which {METADATA} names; files outside "
+            'the folder are not read. Copy it whole.')
     return path
 
 

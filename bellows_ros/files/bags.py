@@ -6,7 +6,7 @@ says what to do. What a recorder that crashed has left is read as far as it goes
 """
 
 from array import array
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 import os
@@ -20,9 +20,9 @@ from bellows_ros.files import mcap, messages
 from bellows_ros.files.bag_folder import (
     DamagedError,
     decompressed,
-    differing_counts,
     listing,
     Message,
+    METADATA,
     open_plain,
     Topic,
     Wanted,
@@ -76,12 +76,6 @@ class Contents(NamedTuple):
     problems: dict[str, BellowsError]
     notes: tuple[str, ...]
 
-    def all_streams(self) -> dict[str, Stream]:
-        """Return the streams, or raise the first problem."""
-        for problem in self.problems.values():
-            raise problem
-        return self.streams
-
 
 class _Bag:
     """
@@ -116,7 +110,11 @@ class _Bag:
             except OSError as error:
                 raise BellowsError(f"File '{file}' cannot be read: {error}.") from None
             self.notes += [f"File '{file}' is not whole: {what}." for what in lost]
-        self.notes += differing_counts(self._listed, self.counts)
+        found, said = sum(self.counts.values()), self._listed.information.get('message_count')
+        if self._listed.information and said != found:
+            self.notes.append(
+                f'The recording has {found} messages, but {METADATA} says {str(said)[:20]}. Was '
+                'it copied whole?')
 
     def require_messages(self) -> None:
         """Refuse a recording without messages."""
@@ -173,8 +171,7 @@ def read_messages(
     Raises
     ------
     BellowsError
-        If there is no such recording, it is damaged, lacks a topic, or has more messages than can
-        be read.
+        If there is no such recording, it is damaged, or lacks a topic.
 
     """
     bag, wanted = _Bag(path), {_absolute(name) for name in names}
@@ -183,12 +180,7 @@ def read_messages(
         readable = topic.type_name in messages.LAYOUTS and topic.encoding == 'cdr'
         return readable and (not wanted or topic.name in wanted)
 
-    found: list[Message] = []
-    for message in bag.messages(chosen):
-        if len(found) == LARGEST_COUNT:
-            raise BellowsError(f"Recording '{path}' has more than {LARGEST_COUNT} messages on "
-                               'these topics. Name fewer of them.')
-        found.append(message._replace(data=_plain(message.data)))
+    found = [message._replace(data=_plain(message.data)) for message in bag.messages(chosen)]
     bag.require_messages()
     here = {topic.name for topic in bag.counts if chosen(topic)}
     if wanted - here or not here:
@@ -204,7 +196,10 @@ def read_messages(
 
 def read_streams(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> dict[str, Stream]:
     """Return the streams of a recording, all that are wanted; see `read_contents`."""
-    return read_contents(path, wanted).all_streams()
+    contents = read_contents(path, wanted)
+    for problem in contents.problems.values():
+        raise problem
+    return contents.streams
 
 
 def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Contents:
@@ -237,24 +232,29 @@ def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Co
 
     """
     bag = _Bag(path)
-    collectors = [_Collector(_absolute(topic), role) for role, topic in wanted.items() if topic]
-    takers: dict[Topic, list[_Collector]] = {}
+    roles = {role: _absolute(topic) for role, topic in wanted.items() if topic}
+    collectors: dict[Topic, dict[str, _Collector]] = {}
 
     def is_wanted(topic: Topic) -> bool:
-        """Note which collectors take a topic, and return whether any does."""
-        takers[topic] = [each for each in collectors if each.accepts(topic)]
-        return bool(takers[topic])
+        """Begin to collect a topic for each role that it is for, and return whether any is."""
+        if topic not in collectors:
+            collectors[topic] = {
+                role: _Collector(topic, role) for role, name in roles.items()
+                if name == topic.name and topic.type_name in accepted_types(role)
+                and topic.encoding == 'cdr'}
+        return bool(collectors[topic])
 
     for message in bag.messages(is_wanted):
-        for collector in takers[message.topic]:
+        for collector in collectors[message.topic].values():
             collector.add(message)
     bag.require_messages()
     contents = Contents({}, {}, tuple(bag.notes))
-    for collector in collectors:
+    for role, name in roles.items():
+        found = [own[role] for own in collectors.values() if role in own]
         try:
-            contents.streams[collector.role] = collector.stream(bag)
+            contents.streams[role] = _stream(bag, role, name, found)
         except BellowsError as problem:
-            contents.problems[collector.role] = problem
+            contents.problems[role] = problem
     return contents
 
 
@@ -313,60 +313,38 @@ def accepted_types(role: str) -> tuple[str, ...]:
 
 
 class _Collector:
-    """The messages of one topic for one role, decoded in batches as they come."""
+    """The messages of one topic and type for one role, decoded in batches as they come."""
 
-    def __init__(self, name: str, role: str) -> None:
+    def __init__(self, topic: Topic, role: str) -> None:
         """Start empty."""
-        self.role = role
-        self._name = name
+        self.topic = topic
+        self._layout = layout = messages.LAYOUTS[topic.type_name]
         self._twists = role.endswith('twist')
-        self._types = accepted_types(role)
-        self._type_name = ''
-        self._problem = ''
+        part = layout.twist if self._twists else layout.pose
+        assert part  # as accepted types have it
+        covariance = layout.pose_covariance if role == 'measured' else 0
+        self._part = slice(part.start, part.stop + covariance)
         self._log_times = array('q')
         self._batch: list[bytes] = []
         self._frames: dict[tuple[str, ...], int] = {}
         self._decoded: list[messages.Decoded] = []
 
-    def accepts(self, topic: Topic) -> bool:
-        """Return whether a connection is of this topic, with a readable type and encoding."""
-        return (
-            topic.name == self._name and topic.type_name in self._types and topic.encoding == 'cdr'
-        )
-
     def add(self, message: Message) -> None:
-        """Take a message, unless it or an earlier one cannot be used."""
-        if self._type_name not in ('', message.topic.type_name):
-            self._problem = (
-                f"Topic '{self._name}' has messages of two types, {self._type_name} and "
-                f'{message.topic.type_name}. Record them under two names.')
-        elif len(self._log_times) == LARGEST_COUNT:
-            self._problem = (
-                f"Topic '{self._name}' has more than {LARGEST_COUNT} messages. "
-                'Give a part of the recording.')
-        if self._problem:
-            return
-        self._type_name = message.topic.type_name
-        self._log_times.append(max(0, min(message.log_time_ns, _LARGEST_INT64)))
-        self._batch.append(_plain(message.data))
+        """Take a message, unless there are too many."""
+        if len(self._log_times) < LARGEST_COUNT:
+            self._log_times.append(max(0, min(message.log_time_ns, _LARGEST_INT64)))
+            self._batch.append(_plain(message.data))
         if len(self._batch) == _BATCH:
             self._flush()
 
     def _flush(self) -> None:
         """Decode the messages collected so far."""
-        layout = messages.LAYOUTS[self._type_name]
-        part = layout.twist if self._twists else layout.pose
-        if part and self.role == 'measured':
-            part = slice(part.start, part.stop + layout.pose_covariance)
-        if self._batch and part:
-            self._decoded.append(messages.decode(self._batch, layout, part, self._frames))
-            self._batch = []
+        self._decoded.append(
+            messages.decode(self._batch, self._layout, self._part, self._frames))
+        self._batch = []
 
-    def stream(self, bag: _Bag) -> Stream:
-        """Return the usable messages, in the order they were recorded in, or say what is wrong."""
-        self._require_topic(bag)
-        if self._problem:
-            raise BellowsError(self._problem)
+    def stream(self, recording: Path) -> Stream:
+        """Return the usable messages, in the order they were recorded in."""
         self._flush()
         log_times = np.array(self._log_times)
         order: Any = np.argsort(log_times, kind='stable')
@@ -378,41 +356,47 @@ class _Collector:
         self._decoded.clear()
         decoded = messages.Decoded(
             stamps_ns, values, frame, list(self._frames), log_times[order])
-        stream: Stream
-        if self._twists:
-            in_child = messages.LAYOUTS[self._type_name].strings > 1
-            stream = messages.twist_stream(self._name, decoded, in_child)
-        else:
-            stream = messages.pose_stream(self._name, decoded)
+        name = self.topic.name
+        stream: Stream = (
+            messages.twist_stream(name, decoded, self._layout.strings > 1) if self._twists
+            else messages.pose_stream(name, decoded))
         if not len(stream):
             raise BellowsError(
-                f"Topic '{self._name}' in recording '{bag.path}' has no usable message. "
+                f"Topic '{name}' in recording '{recording}' has no usable message. "
                 f'Of {len(stamps_ns)}: {messages.describe(stream.refused)}. '
                 'Check what publishes it, and record again.')
         return stream
 
-    def _require_topic(self, bag: _Bag) -> None:
-        """Refuse a topic that is not there, is of another type, or has no messages."""
-        here = [topic for topic in bag.counts if topic.name == self._name]
-        readable = [topic for topic in here if self.accepts(topic)]
-        if any(bag.counts[topic] for topic in readable):
-            return
-        where = f"'{self._name}' in recording '{bag.path}'"
-        if readable:
-            raise BellowsError(
-                f'Topic {where} has no messages. Record while it is published.')
-        given_by = '--observe' if self.role == 'measured' else f'topics.{self.role}'
-        fitting = sorted({t.name for t in bag.counts if t.type_name in self._types})
-        others = sorted(f'{t.name} ({t.type_name})' for t in bag.counts)
-        meant = f'topics of a fitting type there: {", ".join(fitting)}' if fitting else (
-            f'no topic there is of a fitting type; there are: {", ".join(others) or "none"}')
-        if not here:
-            raise NoTopicError(
-                f"Topic '{self._name}' is not in recording '{bag.path}'; {meant}. Set {given_by}.")
-        got = ', '.join(sorted({f'{t.type_name} in {t.encoding}' for t in here}))
+
+def _stream(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -> Stream:
+    """Return the stream of a role, by what was collected for it, or say what is wrong."""
+    filled = [each for each in collectors if bag.counts[each.topic]]
+    if len(filled) > 1:
+        raise BellowsError(
+            f"Topic '{name}' has messages of two types, {filled[0].topic.type_name} and "
+            f'{filled[1].topic.type_name}. Record them under two names.')
+    if filled and bag.counts[filled[0].topic] > LARGEST_COUNT:
+        raise BellowsError(
+            f"Topic '{name}' has more than {LARGEST_COUNT} messages. "
+            'Give a part of the recording.')
+    if filled:
+        return filled[0].stream(bag.path)
+    where = f"'{name}' in recording '{bag.path}'"
+    if collectors:
+        raise BellowsError(f'Topic {where} has no messages. Record while it is published.')
+    types = accepted_types(role)
+    given_by = '--observe' if role == 'measured' else f'topics.{role}'
+    fitting = sorted({t.name for t in bag.counts if t.type_name in types})
+    others = sorted(f'{t.name} ({t.type_name})' for t in bag.counts)
+    meant = f'topics of a fitting type there: {", ".join(fitting)}' if fitting else (
+        f'no topic there is of a fitting type; there are: {", ".join(others) or "none"}')
+    got = sorted({f'{t.type_name} in {t.encoding}' for t in bag.counts if t.name == name})
+    if not got:
         raise NoTopicError(
-            f'Topic {where} is of type {got}; accepted are {", ".join(self._types)}, in cdr. '
-            f'For {given_by}, {meant}.')
+            f"Topic '{name}' is not in recording '{bag.path}'; {meant}. Set {given_by}.")
+    raise NoTopicError(
+        f'Topic {where} is of type {", ".join(got)}; accepted are {", ".join(types)}, in cdr. '
+        f'For {given_by}, {meant}.')
 
 
 def _plain(data: bytes) -> bytes:

@@ -10,6 +10,7 @@ crashed, is read up to the break. The format is specified at https://mcap.dev/sp
 from collections import Counter
 from collections.abc import Iterator
 import io
+import os
 import struct
 from typing import BinaryIO
 import zlib
@@ -31,7 +32,7 @@ _STATISTICS, _DATA_END = 0x0B, 0x0F
 _READ = {_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END}
 _RECORD_HEAD = struct.Struct('<BQ')
 _MESSAGE_HEAD = struct.Struct('<HIQQ')
-_SUMMARY_CHECKSUM_AT = 16  # behind two offsets, in the footer
+_TRUNCATED = 'a record goes beyond its end'
 _SKIP_STEP = 2**20
 
 Record = tuple[int, bytes | memoryview]
@@ -46,7 +47,7 @@ def scan(
     Parameters
     ----------
     file : binary file
-        At its beginning; need not be seekable.
+        At its beginning.
     wanted : callable
         Topic to whether its messages are yielded.
     counts : dict
@@ -60,81 +61,25 @@ def scan(
         If the file is damaged though it ends as it should, or is no MCAP file.
 
     """
-    source = _Source(file)
-    if source.read(len(MAGIC)) != MAGIC:
+    if file.read(len(MAGIC)) != MAGIC:
         raise DamagedError('it does not begin as an MCAP file does')
     scanned = _Scan(wanted, counts)
     try:
-        yield from scanned.messages(_file_records(source))
+        yield from scanned.messages(scanned.file_records(file))
     except (struct.error, UnicodeDecodeError, DamagedError) as error:
         named = isinstance(error, DamagedError)
         reason = str(error) if named else f'a record is damaged ({error})'
-        if source.ends_well():
+        size = file.seek(0, os.SEEK_END)
+        file.seek(size - len(MAGIC))
+        if size >= 2 * len(MAGIC) and file.read() == MAGIC:  # it ends well
             raise DamagedError(reason) from None
         notes.append(
             f'its recording was not ended, {reason}: {sum(scanned.met.values())} messages were '
-            f'read; the last {source.at - source.whole} of {source.at} bytes are damaged or cut '
-            'short')
-
-
-class _Source:
-    """
-    The bytes of a file, one after the other.
-
-    Attributes
-    ----------
-    at : int
-        How many were read.
-    whole : int
-        How many of these hold whole records.
-    checksum : int
-        Of all bytes so far, or of those behind the end of the data.
-
-    """
-
-    def __init__(self, file: BinaryIO) -> None:
-        """Start at the beginning."""
-        self._file = file
-        self._tail = b''
-        self.at = self.whole = self.checksum = 0
-
-    def read(self, size: int) -> bytes:
-        """Read up to a number of bytes."""
-        data = self._file.read(size)
-        self.at += len(data)
-        self.checksum = zlib.crc32(data, self.checksum)
-        self._tail = (self._tail + data[-len(MAGIC):])[-len(MAGIC):]
-        return data
-
-    def read_all(self, size: int) -> bytes:
-        """Read exactly a number of bytes."""
-        data = self.read(size)
-        if len(data) != size:
-            raise _truncated()
-        return data
-
-    def skip(self, size: int) -> None:
-        """Skip a number of bytes, which must be there."""
-        while size:
-            step = len(self.read(min(size, _SKIP_STEP)))
-            if not step:
-                raise _truncated()
-            size -= step
-
-    def ends_well(self) -> bool:
-        """Read the rest, and return whether it ends as an MCAP file does."""
-        while self.read(_SKIP_STEP):
-            pass
-        return self.at >= 2 * len(MAGIC) and self._tail == MAGIC
-
-
-def _truncated() -> DamagedError:
-    """Return the error for a file that ends in the middle."""
-    return DamagedError('a record goes beyond its end')
+            f'read; the last {size - scanned.whole} of {size} bytes are damaged or cut short')
 
 
 class _Scan:
-    """The schemas and channels met so far."""
+    """The schemas and channels met so far, and how many bytes hold whole records."""
 
     def __init__(self, wanted: Wanted, counts: dict[Topic, int]) -> None:
         """Start empty."""
@@ -144,6 +89,37 @@ class _Scan:
         self._channels: dict[int, Topic] = {}
         self._wanted_channels: set[int] = set()
         self.met: Counter[int] = Counter()
+        self.whole = len(MAGIC)
+
+    def file_records(self, file: BinaryIO) -> Iterator[Record]:
+        """
+        Yield the records that matter, and check that the file is whole to its end.
+
+        Of a chunk at which the file ends, what there is of it.
+        """
+        kind, checksum = 0, zlib.crc32(MAGIC)
+        while kind != _FOOTER:
+            head = _exactly(file, _RECORD_HEAD.size)
+            kind, size = _RECORD_HEAD.unpack(head)
+            if not kind:
+                raise DamagedError('a record has no kind')
+            before, checksum = checksum, zlib.crc32(head, checksum)
+            if kind not in _READ:
+                for at in range(0, size, _SKIP_STEP):
+                    checksum = zlib.crc32(_exactly(file, min(size - at, _SKIP_STEP)), checksum)
+            elif size > LARGEST_RECORD:
+                raise DamagedError(f'a record says it is {size} bytes long')
+            else:
+                body = file.read(size)
+                _require_checksums(kind, body, before, checksum)
+                checksum = 0 if kind == _DATA_END else zlib.crc32(body, checksum)
+                if len(body) == size or kind == _CHUNK:
+                    yield kind, body
+                if len(body) != size:
+                    raise DamagedError(_TRUNCATED)
+            self.whole += len(head) + size
+        if file.read(len(MAGIC) + 1) != MAGIC:
+            raise DamagedError('it does not end as an MCAP file does')
 
     def messages(self, records: Iterator[Record]) -> Iterator[Message]:
         """Yield the wanted messages among records, and those in their chunks."""
@@ -191,6 +167,14 @@ class _Scan:
             self._wanted_channels.add(number)
 
 
+def _exactly(file: BinaryIO, size: int) -> bytes:
+    """Read a number of bytes, which must be there."""
+    data = file.read(size)
+    if len(data) != size:
+        raise DamagedError(_TRUNCATED)
+    return data
+
+
 class _Fields(io.BytesIO):
     """The fields of a record, read in order."""
 
@@ -215,40 +199,14 @@ class _Fields(io.BytesIO):
         return self.read(min(size, LARGEST_RECORD))
 
 
-def _file_records(source: _Source) -> Iterator[Record]:
-    """
-    Yield the records that matter, and check that the file is whole to its end.
-
-    Of a chunk at which the file ends, what there is of it.
-    """
-    kind = 0
-    while kind != _FOOTER:
-        source.whole, checksum = source.at, source.checksum
-        head = source.read_all(_RECORD_HEAD.size)
-        kind, size = _RECORD_HEAD.unpack(head)
-        if not kind:
-            raise DamagedError('a record has no kind')
-        if kind not in _READ:
-            source.skip(size)
-            continue
-        if size > LARGEST_RECORD:
-            raise DamagedError(f'a record says it is {size} bytes long')
-        body = source.read(size)
-        if kind == _DATA_END:
-            _require_checksum(_Fields(body).number('<I'), checksum, 'its data')
-            source.checksum = 0
-        elif kind == _FOOTER:
-            before = zlib.crc32(body[:_SUMMARY_CHECKSUM_AT], zlib.crc32(head, checksum))
-            fields = _Fields(body)
-            fields.block(_SUMMARY_CHECKSUM_AT)
-            _require_checksum(fields.number('<I'), before, 'its summary')
-        if len(body) == size or kind == _CHUNK:
-            yield kind, body
-        if len(body) != size:
-            raise _truncated()
-    source.whole = source.at
-    if source.read(len(MAGIC)) != MAGIC or source.read(1):
-        raise DamagedError('it does not end as an MCAP file does')
+def _require_checksums(kind: int, body: bytes, before: int, checksum: int) -> None:
+    """Check the ends of data and summary, by the checksums before and behind their heads."""
+    fields = _Fields(body)
+    if kind == _DATA_END:
+        _require_checksum(fields.number('<I'), before, 'its data')
+    elif kind == _FOOTER:
+        summed = zlib.crc32(fields.block(16), checksum)  # two offsets
+        _require_checksum(fields.number('<I'), summed, 'its summary')
 
 
 def _require_checksum(said: int, found: int, of: str) -> None:

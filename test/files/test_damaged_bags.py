@@ -56,7 +56,9 @@ def outcome(path):
     begin = time.monotonic()
     try:
         contents = read_contents(path, WANTED)
-        stream = contents.all_streams()['p']
+        for problem in contents.problems.values():
+            raise problem
+        stream = contents.streams['p']
     except BellowsError as error:
         assert len(str(error)) < 2000
         assert str(path) in str(error)
