@@ -18,7 +18,7 @@ from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.plan_points import require_count
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import safe_yaml
+from bellows_ros.files import read_text, safe_yaml
 from bellows_ros.files.bags import decoded, messages_of
 from bellows_ros.files.plan_messages import decode_multi_dof, MULTI_DOF, PATH, PlanMessage
 from bellows_ros.files.transforms import poses_in, read_transforms
@@ -28,6 +28,7 @@ NS_PER_S = 1_000_000_000
 JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
+LARGEST_URDF = 2**26
 
 
 class NoArmError(BellowsError):
@@ -234,10 +235,7 @@ def arm_of(
             'Joints are given, and where the tool is on the arm is not. Name the link of the tool '
             'tip: --tool-link LINK.')
     if urdf:
-        try:
-            return read_arm(Path(urdf).read_text(encoding='utf-8'), tool_link)
-        except (OSError, UnicodeDecodeError) as error:
-            raise BellowsError(f"URDF '{urdf}' cannot be read: {error}.") from None
+        return read_arm(read_text(urdf, LARGEST_URDF, 'URDF'), tool_link)
     if recording:
         for name, kind, _, data in messages_of(recording, (DESCRIPTION,)):
             if name.endswith('robot_description'):

@@ -17,7 +17,7 @@ from typing import Any
 
 from bellows_ros import __version__
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic
+from bellows_ros.files import atomic, read_text
 from bellows_ros.files.bag_folder import digests
 import numpy as np
 
@@ -93,20 +93,13 @@ def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
     """Return the content of a JSON file; raise BellowsError if it cannot be read."""
-    file = Path(path)
+    text = read_text(path, LARGEST_FILE, 'Result')
     try:
-        with file.open('rb') as stream:
-            data = stream.read(LARGEST_FILE + 1)
-        if len(data) > LARGEST_FILE:
-            raise BellowsError(f"Result '{file}' is larger than {LARGEST_FILE} bytes.")
-        content = json.loads(data, parse_constant=_refuse_constant)
-    except OSError as error:
-        raise BellowsError(f"Result '{file}' cannot be read: {error.strerror}.") from None
+        return json.loads(text, parse_constant=_refuse_constant)
     except RecursionError:
-        raise BellowsError(f"Result '{file}' is nested too deeply to be read.") from None
+        raise BellowsError(f"Result '{path}' is nested too deeply to be read.") from None
     except ValueError as error:
-        raise BellowsError(f"Result '{file}' is not JSON: {error}.{remedy}") from None
-    return content
+        raise BellowsError(f"Result '{path}' is not JSON: {error}.{remedy}") from None
 
 
 @contextmanager

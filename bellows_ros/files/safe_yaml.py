@@ -11,6 +11,7 @@ import re
 from typing import Any
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import read_text
 import yaml
 
 LARGEST_FILE = 2**20
@@ -18,6 +19,11 @@ LARGEST_FILE = 2**20
 LARGEST_COUNT = 50_000
 
 Lines = dict[tuple[str, ...], int]
+
+
+def _refused(why: str, at: Any) -> yaml.MarkedYAMLError:
+    """Return the error for an event or a node."""
+    return yaml.MarkedYAMLError(problem=why, problem_mark=at.start_mark)
 
 
 class _Loader(yaml.SafeLoader):
@@ -31,37 +37,27 @@ class _Loader(yaml.SafeLoader):
         event = self.peek_event()  # type: ignore[no-untyped-call]
         self.count += 1
         if self.count > LARGEST_COUNT:
-            raise yaml.composer.ComposerError(
-                None, None, f'more than {LARGEST_COUNT} values are not read', event.start_mark
-            )
+            raise _refused(f'more than {LARGEST_COUNT} values are not read', event)
         alias = isinstance(event, yaml.AliasEvent)
         if getattr(event, 'tag', None) or (alias and not self.aliases_allowed):
             reason = 'aliases (*name)' if alias else 'tags (!name)'
-            raise yaml.composer.ComposerError(
-                None, None, f'{reason} are not allowed; write plain values', event.start_mark
-            )
+            raise _refused(f'{reason} are not allowed; write plain values', event)
         return super().compose_node(parent, index)
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Refuse merge keys."""
         for key, _ in node.value:
             if key.tag == 'tag:yaml.org,2002:merge':
-                raise yaml.constructor.ConstructorError(
-                    None, None, 'merge keys (<<) are not allowed', key.start_mark
-                )
+                raise _refused('merge keys (<<) are not allowed', key)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         """Refuse keys that are not plain or are given twice."""
         seen: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
-                raise yaml.constructor.ConstructorError(
-                    None, None, 'a key must be a plain name', key.start_mark
-                )
+                raise _refused('a key must be a plain name', key)
             if key.value in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key '{key.value[:80]}' is given twice", key.start_mark
-                )
+                raise _refused(f"key '{key.value[:80]}' is given twice", key)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
@@ -113,7 +109,7 @@ def load_with_lines(path: Path, aliases: bool = False) -> tuple[Any, Lines]:
         As `load`.
 
     """
-    text = _read(path)
+    text = read_text(path, LARGEST_FILE).removesuffix('---\n')  # which ends what ROS prints
     try:
         loader = _Loader(text)
         loader.aliases_allowed = aliases  # in files that other programs write
@@ -139,20 +135,3 @@ def _lines(node: yaml.Node, keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, 
         for key, value in node.value:
             yield (*keys, key.value), key.start_mark.line + 1
             yield from _lines(value, (*keys, key.value))
-
-
-def _read(path: Path) -> str:
-    """Return the text of a file of bounded size."""
-    try:
-        if not path.is_file():
-            raise BellowsError(f"File '{path}' does not exist or is not a plain file.")
-        with path.open('rb') as file:
-            data = file.read(LARGEST_FILE + 1)
-    except (OSError, ValueError) as error:
-        raise BellowsError(f"File '{path}' cannot be read: {error}") from None
-    if len(data) > LARGEST_FILE:
-        raise BellowsError(f"File '{path}' is larger than {LARGEST_FILE} bytes.")
-    try:
-        return data.decode().removesuffix('---\n')  # which ends what ROS prints
-    except UnicodeDecodeError as error:
-        raise BellowsError(f"File '{path}' is not text in UTF-8: {error}.") from None

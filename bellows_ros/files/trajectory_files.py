@@ -14,7 +14,7 @@ from pathlib import Path
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic
+from bellows_ros.files import atomic, read_text
 import numpy as np
 
 LARGEST_FILE = 2**31
@@ -191,18 +191,9 @@ def _lines(
     path: str | os.PathLike[str], separator: str | None, fewest: int = 1, most: int = 10**6
 ) -> Lines:
     """Return the numbers and cells of the lines that are no comments."""
-    file = Path(path)
-    try:
-        if file.stat().st_size > LARGEST_FILE:
-            raise BellowsError(f"'{path}' is larger than {LARGEST_FILE} bytes. Give a part of it.")
-        text = file.read_text(encoding='utf-8')
-    except OSError as error:
-        raise BellowsError(f"'{path}' cannot be read: {error.strerror}.") from None
-    except UnicodeDecodeError:
-        raise BellowsError(f"'{path}' is no text file.") from None
     lines = [
         (number, [cell.strip() for cell in line.split(separator)])
-        for number, line in enumerate(text.splitlines(), 1)
+        for number, line in enumerate(read_text(path, LARGEST_FILE).splitlines(), 1)
         if line.strip() and not line.lstrip().startswith('#')
     ]
     for number, cells in lines:

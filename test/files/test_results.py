@@ -89,7 +89,7 @@ def test_what_has_no_place_in_a_result_is_refused(tmp_path, values, reason):
     [
         (b'', 'not JSON'),
         (b'{', 'not JSON'),
-        (b'\xff', 'not JSON'),
+        (b'\xff', 'not text in UTF-8'),
         (b'[1]', 'lacks method'),
         (b'3', 'lacks method'),
         (b'{"method": NaN}', 'NaN is not allowed'),
@@ -112,7 +112,7 @@ def test_a_cup_file_in_place_of_a_result_is_refused_with_the_remedy(tmp_path):
 
 def test_a_missing_file_is_refused(tmp_path):
     for path in (tmp_path / 'none.json', tmp_path):
-        with pytest.raises(BellowsError, match='cannot be read'):
+        with pytest.raises(BellowsError, match='does not exist or is not a plain file'):
             read_result(path)
 
 
