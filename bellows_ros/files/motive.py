@@ -12,7 +12,6 @@ where the take has one, TimeCode; then a row per frame. Columns are found by the
 order does not matter.
 """
 
-from array import array
 from collections.abc import Iterator, Mapping, Sequence
 import csv
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from typing import TextIO
 
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.trajectory_files import numbers
 import numpy as np
 
 SEEN_QUALITY = 0.99  # appendix H
@@ -116,7 +116,9 @@ def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody
     scale = UNITS[about['Length Units'].lower()]
     columns = _body_columns(path, heads)
     needed = sorted({TIME}.union(*(c for of_body in columns.values() for c in of_body)))
-    table = dict(zip(needed, _numbers(path, rows, needed).T, strict=True))
+    frames = ((rows.line_num, [(row[c] if c < len(row) else '').strip() or 'nan' for c in needed])
+              for row in rows if any(row))
+    table = dict(zip(needed, numbers(path, frames, range(len(needed))).T, strict=True))
     seconds = table[TIME]
     if not len(seconds) or not np.all(np.isfinite(seconds)):
         raise BellowsError(f"'{path}' has no frames, or frames without a time.")
@@ -226,17 +228,3 @@ def _body_columns(path: Path, heads: Heads) -> dict[str, Columns]:
             )
     return {name: ([poses[name][column] for column in POSE], qualities[name], positions[name])
             for name in names}
-
-
-def _numbers(path: Path, rows: Iterator[list[str]], columns: Sequence[int]) -> Array:
-    """Return some columns of the table (N, columns); blank cells are NaN."""
-    values, last = array('d'), columns[-1]
-    for number, row in enumerate(rows, 1):
-        if not any(row):
-            continue
-        cells = row if len(row) > last else row + [''] * (last + 1 - len(row))
-        try:
-            values.extend([float(cells[c]) if cells[c].strip() else np.nan for c in columns])
-        except ValueError as error:
-            raise BellowsError(f"'{path}', row {number} of the table: {error}.") from None
-    return np.array(values).reshape(-1, len(columns))

@@ -6,7 +6,8 @@ SLAM tools take it. EuRoC has commas, ns, and the quaternion's w first. KITTI ha
 rows of a pose's matrix in a line, and the times (s) in another file.
 """
 
-from collections.abc import Sequence
+from array import array
+from collections.abc import Iterable, Sequence
 from decimal import Decimal
 import os
 from pathlib import Path
@@ -34,7 +35,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
     if Path(path).suffix.lower() == '.csv':
         return read_euroc(path)
     lines = _lines(path, None)
-    return read_kitti(path) if lines and len(lines[0][1]) == 12 else read_tum(path)
+    return read_kitti(path) if len(lines[0][1]) == 12 else read_tum(path)
 
 
 def read_kitti(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
@@ -55,7 +56,7 @@ def read_kitti(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
         raise BellowsError(
             f"'{path}' has {len(lines)} poses, and '{times}' {len(stamps)} times; expected one "
             'for each.')
-    rows = _numbers(path, lines, range(12)).reshape(-1, 3, 4)
+    rows = numbers(path, lines, range(12)).reshape(-1, 3, 4)
     R, unit = rows[:, :, :3], np.eye(3)
     off = np.abs(np.einsum('nji,njk->nik', R, R) - unit).max(axis=(1, 2))
     bad = np.flatnonzero(~(off < NO_ROTATION) | ~(np.linalg.det(R) > 0.0))
@@ -84,13 +85,13 @@ def read_tum(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
 
     """
     lines = _lines(path, None, 8, 8)
-    return _stamps(path, lines, 's'), _numbers(path, lines, range(1, 8))
+    return _stamps(path, lines, 's'), numbers(path, lines, range(1, 8))
 
 
 def read_euroc(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
     """Read the poses of a EuRoC ground-truth or estimate file; see `read_tum`."""
     lines = _lines(path, ',', 8)
-    return _stamps(path, lines, 'ns'), _numbers(path, lines, (1, 2, 3, 5, 6, 7, 4))
+    return _stamps(path, lines, 'ns'), numbers(path, lines, (1, 2, 3, 5, 6, 7, 4))
 
 
 def write_tum(path: str | os.PathLike[str], stamps_ns: Stamps, values: Array) -> None:
@@ -196,6 +197,8 @@ def _lines(
         for number, line in enumerate(read_text(path, LARGEST_FILE).splitlines(), 1)
         if line.strip() and not line.lstrip().startswith('#')
     ]
+    if not lines:
+        raise BellowsError(f"'{path}' has no poses.")
     for number, cells in lines:
         if not fewest <= len(cells) <= most:
             wanted = f'{"" if fewest == most else "at least "}{fewest} numbers'
@@ -226,16 +229,14 @@ def _stamps(path: str | os.PathLike[str], lines: Lines, unit: str) -> Stamps:
     return np.array(stamps, dtype=np.int64)
 
 
-def _numbers(
-    path: str | os.PathLike[str], lines: Lines, columns: Sequence[int]
+def numbers(
+    path: str | os.PathLike[str], lines: Iterable[tuple[int, list[str]]], columns: Sequence[int]
 ) -> Array:
-    """Return some columns (N, columns) of lines."""
-    if not lines:
-        raise BellowsError(f"'{path}' has no poses.")
-    rows = []
+    """Return some columns (N, columns) of lines, each with its number."""
+    values = array('d')
     for number, cells in lines:
         try:
-            rows.append([float(cells[i]) for i in columns])
+            values.extend([float(cells[i]) for i in columns])
         except ValueError as error:
             raise BellowsError(f"'{path}', line {number}: {error}.") from None
-    return np.array(rows)
+    return np.array(values).reshape(-1, len(columns))
