@@ -17,6 +17,7 @@ from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.lie import quaternion_to_rotation
 from bellows_ros.core.screening import unusable_stamps
 from bellows_ros.core.trajectory import PoseStream, TwistStream
+from bellows_ros.errors import BellowsError
 import numpy as np
 
 Indices = Stamps
@@ -27,6 +28,9 @@ LARGEST_MESSAGE = 4096
 _STAMP_AT, _STRINGS_AT = 4, 12
 _LARGEST_PADDING = 3  # at the end, to a multiple of four
 _NS_PER_S = 1_000_000_000
+
+HEAD = b'\0\1\0\0'
+"""Plain CDR, little-endian."""
 
 BOOL = 'std_msgs/msg/Bool'
 """Type of the messages of a valve."""
@@ -165,26 +169,82 @@ def _alike(
     return groups
 
 
+class Reader:
+    """Reads a message field by field; positions count from its body."""
+
+    def __init__(self, data: bytes) -> None:
+        """Take a message with its four-byte head."""
+        if data[:2] not in (b'\0\0', b'\0\1'):
+            raise _damaged('it is not plain CDR')
+        self.order = '<' if data[1] else '>'
+        self.body, self.at = memoryview(data)[4:], 0
+
+    def number(self, kind: str = 'I') -> int:
+        """Return an integer of four bytes."""
+        self.at += -self.at % 4
+        if self.at + 4 > len(self.body):
+            raise _damaged('it ends too early')
+        (value,) = struct.unpack_from(self.order + kind, self.body, self.at)
+        self.at += 4
+        return int(value)
+
+    def text(self) -> str:
+        """Return a text."""
+        size = self.number()
+        raw = bytes(self.body[self.at:self.at + size])
+        self.at += size
+        if len(raw) != size or raw[-1:] != b'\0':
+            raise _damaged('a text in it does not end')
+        try:
+            return raw[:-1].decode()
+        except UnicodeDecodeError:
+            raise _damaged('a text in it is not UTF-8') from None
+
+    def header(self) -> tuple[int, str]:
+        """Return stamp (ns) and frame of a header."""
+        stamp_ns = self.number('i') * _NS_PER_S + self.number()
+        return stamp_ns, self.text()
+
+    def skip_list(self, doubles: int) -> int:
+        """Skip a list of items of so many doubles; return the number of items."""
+        count = self.number()
+        if count:
+            self.at += -self.at % 8 + 8 * doubles * count
+        return count
+
+    def rows(self, dtype: np.dtype[np.void], count: int) -> np.ndarray:
+        """Return consecutive structures."""
+        if self.at + count * dtype.itemsize > len(self.body):
+            raise _damaged('it ends too early')
+        return np.frombuffer(self.body, dtype, count, self.at)
+
+
+def _damaged(why: str) -> BellowsError:
+    """Return the error for a message that cannot be decoded."""
+    return BellowsError(f'A message cannot be decoded: {why}. Send it as ROS does.')
+
+
+def with_number(data: bytes, number: int) -> bytes:
+    """Return data followed by an integer."""
+    return data + bytes(-len(data) % 4) + struct.pack('<I', number)
+
+
+def with_text(data: bytes, text: str) -> bytes:
+    """Return data followed by a text."""
+    raw = text.encode() + b'\0'
+    return with_number(data, len(raw)) + raw
+
+
 def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int] | None:
     """Return the strings behind a stamp, and where they end; None where they are damaged."""
     if len(message) > LARGEST_MESSAGE:
         return None
-    form = '<I' if message[1:2] == b'\1' else '>I'
-    names, at = [], _STRINGS_AT
-    for _ in range(count):
-        at += -at % 4 + 4
-        if at > len(message):
-            return None
-        (size,) = struct.unpack_from(form, message, at - 4)
-        text = message[at:at + size]
-        at += size
-        if len(text) != size or text[-1:] != b'\0':
-            return None
-        try:
-            names.append(text[:-1].decode())
-        except UnicodeDecodeError:
-            return None
-    return tuple(names), at
+    try:
+        reader = Reader(message)
+        reader.at = _STRINGS_AT - _STAMP_AT
+        return tuple(reader.text() for _ in range(count)), _STAMP_AT + reader.at
+    except BellowsError:
+        return None
 
 
 def _dtype(head: bytes, size: int, layout: Layout) -> np.dtype[np.void] | None:
@@ -233,10 +293,9 @@ def encode(
     list of bytes
 
     """
-    head = b'\0\1\0\0'
+    head = HEAD
     for name in names:
-        text = name.encode() + b'\0'
-        head += bytes(-len(head) % 4) + struct.pack('<I', len(text)) + text
+        head = with_text(head, name)
     size = _doubles_at(head) + 8 * layout.doubles
     rows = np.zeros(len(stamps_ns), _dtype(head, size, layout))
     rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, _NS_PER_S)
@@ -254,7 +313,7 @@ def encode(
 
 def encode_bool(value: bool) -> bytes:
     """Return a std_msgs/Bool."""
-    return b'\0\1\0\0' + bytes([value])
+    return HEAD + bytes([value])
 
 
 def decode_bool(message: bytes) -> bool | None:

@@ -14,10 +14,8 @@ import struct
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.plan_points import require_count
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.messages import HEAD, Reader, with_number, with_text
 import numpy as np
-
-HEAD = b'\0\1\0\0'
-"""Plain CDR, little-endian."""
 
 NS_PER_S = 1_000_000_000
 MULTI_DOF = 'trajectory_msgs/msg/MultiDOFJointTrajectory'
@@ -58,58 +56,6 @@ class PlanMessage:
             raise BellowsError(
                 f"The plan has the joint names {', '.join(self.names)}, but points with 1 "
                 'transform; expected 1 name. Send a plan of the tool alone.')
-
-
-class Reader:
-    """Reads a message field by field; positions count from its body."""
-
-    def __init__(self, data: bytes) -> None:
-        """Take a message with its four-byte head."""
-        if data[:2] not in (b'\0\0', b'\0\1'):
-            raise _damaged('it is not plain CDR')
-        self.order = '<' if data[1] else '>'
-        self.body, self.at = memoryview(data)[4:], 0
-
-    def number(self, kind: str = 'I') -> int:
-        """Return an integer of four bytes."""
-        self.at += -self.at % 4
-        if self.at + 4 > len(self.body):
-            raise _damaged('it ends too early')
-        (value,) = struct.unpack_from(self.order + kind, self.body, self.at)
-        self.at += 4
-        return int(value)
-
-    def text(self) -> str:
-        """Return a text."""
-        size = self.number()
-        raw = bytes(self.body[self.at:self.at + size])
-        self.at += size
-        if len(raw) != size or raw[-1:] != b'\0':
-            raise _damaged('a text in it does not end')
-        return raw[:-1].decode(errors='replace')
-
-    def header(self) -> tuple[int, str]:
-        """Return stamp (ns) and frame of a header."""
-        stamp_ns = self.number('i') * NS_PER_S + self.number()
-        return stamp_ns, self.text()
-
-    def skip_list(self, doubles: int) -> int:
-        """Skip a list of items of so many doubles; return the number of items."""
-        count = self.number()
-        if count:
-            self.at += -self.at % 8 + 8 * doubles * count
-        return count
-
-    def rows(self, dtype: np.dtype[np.void], count: int) -> np.ndarray:
-        """Return consecutive structures."""
-        if self.at + count * dtype.itemsize > len(self.body):
-            raise _damaged('it ends too early')
-        return np.frombuffer(self.body, dtype, count, self.at)
-
-
-def _damaged(why: str) -> BellowsError:
-    """Return the error for a message that cannot be decoded."""
-    return BellowsError(f'A plan cannot be decoded: {why}. Send {MULTI_DOF} as ROS does.')
 
 
 def decode_multi_dof(data: bytes) -> PlanMessage:
@@ -183,10 +129,10 @@ def _point(order: str, offset: int, parts: tuple[int, ...]) -> np.dtype[np.void]
 def encode_multi_dof(plan: PlanMessage) -> bytes:
     """Encode a MultiDOFJointTrajectory of one joint, little-endian."""
     head = _header(plan.stamp_ns, plan.frame_id)
-    head = _with_number(head, len(plan.names))
+    head = with_number(head, len(plan.names))
     for name in plan.names:
-        head = _with_text(head, name)
-    head = _with_number(head, len(plan.times_ns))
+        head = with_text(head, name)
+    head = with_number(head, len(plan.times_ns))
     parts = (1, int(plan.twists is not None), int(plan.accelerations is not None))
     values = (plan.poses, plan.twists, plan.accelerations)
     pieces, at = [head], len(head)
@@ -205,7 +151,7 @@ def encode_multi_dof(plan: PlanMessage) -> bytes:
 
 def encode_path(stamp_ns: int, frame_id: str, times_ns: Stamps, poses: Array) -> bytes:
     """Encode a Path, little-endian: poses (N, 7) at times (ns) from the stamp."""
-    head = _with_number(_header(stamp_ns, frame_id), len(times_ns))
+    head = with_number(_header(stamp_ns, frame_id), len(times_ns))
     text = frame_id.encode() + b'\0'
     pieces, at = [head], len(head)
     for part in (slice(0, 1), slice(1, None)):
@@ -226,15 +172,4 @@ def encode_path(stamp_ns: int, frame_id: str, times_ns: Stamps, poses: Array) ->
 
 def _header(stamp_ns: int, frame_id: str) -> bytes:
     """Return a header."""
-    return _with_text(struct.pack('<iI', *divmod(stamp_ns, NS_PER_S)), frame_id)
-
-
-def _with_number(data: bytes, number: int) -> bytes:
-    """Return data followed by an integer."""
-    return data + bytes(-len(data) % 4) + struct.pack('<I', number)
-
-
-def _with_text(data: bytes, text: str) -> bytes:
-    """Return data followed by a text."""
-    raw = text.encode() + b'\0'
-    return _with_number(data, len(raw)) + raw
+    return with_text(struct.pack('<iI', *divmod(stamp_ns, NS_PER_S)), frame_id)
