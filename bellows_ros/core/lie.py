@@ -32,12 +32,41 @@ SERIES_BELOW = 1.0
 # The first omitted term at t = SERIES_BELOW is below 1e-19 of the sum.
 SERIES_TERMS = 10
 
-_SIGNS = [(-1) ** k for k in range(SERIES_TERMS)]
-_ALPHA = [s / factorial(2 * k + 1) for k, s in enumerate(_SIGNS)]
-_HALF_BETA = [s / factorial(2 * k + 2) for k, s in enumerate(_SIGNS)]
-_GAMMA = [s / factorial(2 * k + 3) for k, s in enumerate(_SIGNS)]
-_DELTA = [-s * 2 * (k + 1) / factorial(2 * k + 4) for k, s in enumerate(_SIGNS)]
-_EPS = [-s * 2 * (k + 1) / factorial(2 * k + 5) for k, s in enumerate(_SIGNS)]
+
+def _even_function(
+    coefficient: Callable[[int], float], closed: Callable[[Array], Array]
+) -> Callable[[Array], Array]:
+    """
+    Return an even function of t, which takes t^2.
+
+    Below `SERIES_BELOW` it is the sum of (-1)^k coefficient(k) t^(2 k), else the closed form.
+    """
+    series = [(-1) ** k * coefficient(k) for k in range(SERIES_TERMS)]
+
+    def function(t2: Array) -> Array:
+        """Return the function of the angle's square."""
+        small = t2 < SERIES_BELOW**2
+        x = np.where(small, t2, 0.0)
+        total = np.full_like(x, series[-1])
+        for term in reversed(series[:-1]):
+            total = total * x + term
+        if np.all(small):
+            return total
+        return np.where(small, total, closed(np.sqrt(np.where(small, 1.0, t2))))
+
+    return function
+
+
+_alpha = _even_function(lambda k: 1.0 / factorial(2 * k + 1), lambda t: np.sin(t) / t)
+_half_beta = _even_function(
+    lambda k: 1.0 / factorial(2 * k + 2), lambda t: 0.5 * (np.sin(0.5 * t) / (0.5 * t)) ** 2)
+_gamma = _even_function(lambda k: 1.0 / factorial(2 * k + 3), lambda t: (t - np.sin(t)) / t**3)
+_delta = _even_function(
+    lambda k: -2.0 * (k + 1) / factorial(2 * k + 4),
+    lambda t: (t * np.sin(t) - 4.0 * np.sin(0.5 * t) ** 2) / t**4)
+_eps = _even_function(
+    lambda k: -2.0 * (k + 1) / factorial(2 * k + 5),
+    lambda t: (2.0 * t * np.sin(0.5 * t) ** 2 - 3.0 * (t - np.sin(t))) / t**5)
 
 
 def hat(v: ArrayLike) -> Array:
@@ -54,7 +83,7 @@ def hat(v: ArrayLike) -> Array:
     array (..., 3, 3)
 
     """
-    v = _vectors(v, 3)
+    v = _array(v, 3)
     S = np.zeros((*v.shape, 3))
     S[..., 2, 1] = v[..., 0]
     S[..., 0, 2] = v[..., 1]
@@ -78,7 +107,7 @@ def vee(S: ArrayLike) -> Array:
     array (..., 3)
 
     """
-    S = _matrices(S, 3)
+    S = _array(S, 3, 3)
     return np.stack([S[..., 2, 1], -S[..., 2, 0], S[..., 1, 0]], axis=-1)
 
 
@@ -96,7 +125,7 @@ def exp_so3(phi: ArrayLike) -> Array:
     array (..., 3, 3)
 
     """
-    phi = _vectors(phi, 3)
+    phi = _array(phi, 3)
     t2 = _squared(phi)
     return _rotation_polynomial(phi, _alpha(t2), _half_beta(t2))
 
@@ -140,7 +169,7 @@ def dexp(phi: ArrayLike) -> Array:
     array (..., 3, 3)
 
     """
-    phi = _vectors(phi, 3)
+    phi = _array(phi, 3)
     t2 = _squared(phi)
     return _rotation_polynomial(phi, _half_beta(t2), _gamma(t2))
 
@@ -161,7 +190,7 @@ def dexp_inverse(phi: ArrayLike) -> Array:
     array (..., 3, 3)
 
     """
-    phi = _vectors(phi, 3)
+    phi = _array(phi, 3)
     t2 = _squared(phi)
     return _rotation_polynomial(phi, np.full(t2.shape, -0.5), -0.5 * _delta(t2) / _half_beta(t2))
 
@@ -184,7 +213,7 @@ def d2exp(phi: ArrayLike, a: ArrayLike, b: ArrayLike) -> Array:
     array (..., 3)
 
     """
-    phi, a, b = _vectors(phi, 3), _vectors(a, 3), _vectors(b, 3)
+    phi, a, b = _array(phi, 3), _array(a, 3), _array(b, 3)
     t2 = _squared(phi)[..., None]
     along = np.sum(phi * b, axis=-1, keepdims=True)
     phi_a, b_a = np.cross(phi, a), np.cross(b, a)
@@ -216,7 +245,7 @@ def quaternion_to_rotation(quaternion_xyzw: ArrayLike) -> Array:
         If a quaternion is zero or not finite: it is no rotation.
 
     """
-    q = _vectors(quaternion_xyzw, 4)
+    q = _array(quaternion_xyzw, 4)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not np.all(np.isfinite(norm) & (norm > 0.0)):
         raise BellowsError(
@@ -246,7 +275,7 @@ def rotation_to_quaternion(R: ArrayLike) -> Array:
     array (..., 4)
 
     """
-    R = _matrices(R, 3)
+    R = _array(R, 3, 3)
     outer = _quaternion_outer_product(R)
     diagonal = np.diagonal(outer, axis1=-2, axis2=-1)
     largest = np.argmax(diagonal, axis=-1)[..., None, None]
@@ -289,7 +318,7 @@ def quaternion_product(p: ArrayLike, q: ArrayLike) -> Array:
     array (..., 4)
 
     """
-    p, q = _vectors(p, 4), _vectors(q, 4)
+    p, q = _array(p, 4), _array(q, 4)
     px, py, pz, pw = (p[..., i] for i in range(4))
     qx, qy, qz, qw = (q[..., i] for i in range(4))
     product = np.stack(
@@ -317,7 +346,7 @@ def quaternion_conjugate(quaternion_xyzw: ArrayLike) -> Array:
     array (..., 4)
 
     """
-    return np.asarray(_vectors(quaternion_xyzw, 4) * np.array([-1.0, -1.0, -1.0, 1.0]))
+    return np.asarray(_array(quaternion_xyzw, 4) * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
 def log_quaternion(quaternion_xyzw: ArrayLike) -> Array:
@@ -335,7 +364,7 @@ def log_quaternion(quaternion_xyzw: ArrayLike) -> Array:
         Rotation vectors, rad, of length at most pi.
 
     """
-    q = _vectors(quaternion_xyzw, 4)
+    q = _array(quaternion_xyzw, 4)
     v, w = q[..., :3], q[..., 3]
     s = np.sqrt(_squared(v))
     half = np.arctan2(s, np.abs(w))
@@ -361,7 +390,7 @@ def transform(R: ArrayLike, o: ArrayLike) -> Array:
         ``T_a_b``.
 
     """
-    R, o = _matrices(R, 3), _vectors(o, 3)
+    R, o = _array(R, 3, 3), _array(o, 3)
     T = np.zeros((*np.broadcast_shapes(R.shape[:-2], o.shape[:-1]), 4, 4))
     T[..., :3, :3] = R
     T[..., :3, 3] = o
@@ -383,7 +412,7 @@ def inverse_transform(T: ArrayLike) -> Array:
     array (..., 4, 4)
 
     """
-    T = _matrices(T, 4)
+    T = _array(T, 4, 4)
     R_inverse = np.swapaxes(T[..., :3, :3], -1, -2)
     return transform(R_inverse, -apply(R_inverse, T[..., :3, 3]))
 
@@ -402,7 +431,7 @@ def adjoint(T: ArrayLike) -> Array:
     array (..., 6, 6)
 
     """
-    T = _matrices(T, 4)
+    T = _array(T, 4, 4)
     R = T[..., :3, :3]
     X = np.zeros((*T.shape[:-2], 6, 6))
     X[..., :3, :3] = R
@@ -444,7 +473,7 @@ def twist_cross(twist: ArrayLike) -> Array:
     array (..., 6, 6)
 
     """
-    twist = _vectors(twist, 6)
+    twist = _array(twist, 6)
     angular = hat(twist[..., 3:])
     ad = np.zeros((*twist.shape, 6))
     ad[..., :3, :3] = angular
@@ -467,7 +496,7 @@ def exp_se3(xi: ArrayLike) -> Array:
     array (..., 4, 4)
 
     """
-    xi = _vectors(xi, 6)
+    xi = _array(xi, 6)
     phi = xi[..., 3:]
     return transform(exp_so3(phi), apply(dexp(phi), xi[..., :3]))
 
@@ -489,7 +518,7 @@ def log_se3(T: ArrayLike) -> Array:
         Linear part (m) first, rotation vector (rad) last.
 
     """
-    T = _matrices(T, 4)
+    T = _array(T, 4, 4)
     phi = log_so3(T[..., :3, :3])
     return np.concatenate([apply(dexp_inverse(phi), T[..., :3, 3]), phi], axis=-1)
 
@@ -511,47 +540,6 @@ def apply(M: Array, v: Array) -> Array:
 
     """
     return np.asarray((M @ v[..., None])[..., 0])
-
-
-def _alpha(t2: Array) -> Array:
-    """Return sin(t)/t of the squared angle (G.75)."""
-    return _even_function(t2, _ALPHA, lambda t: np.sin(t) / t)
-
-
-def _half_beta(t2: Array) -> Array:
-    """Return (1 - cos(t))/t^2 of the squared angle (half of G.76)."""
-    return _even_function(t2, _HALF_BETA, lambda t: 0.5 * (np.sin(0.5 * t) / (0.5 * t)) ** 2)
-
-
-def _gamma(t2: Array) -> Array:
-    """Return (1 - alpha)/t^2 of the squared angle."""
-    return _even_function(t2, _GAMMA, lambda t: (t - np.sin(t)) / t**3)
-
-
-def _delta(t2: Array) -> Array:
-    """Return (alpha - beta)/t^2 of the squared angle."""
-    return _even_function(
-        t2, _DELTA, lambda t: (t * np.sin(t) - 4.0 * np.sin(0.5 * t) ** 2) / t**4
-    )
-
-
-def _eps(t2: Array) -> Array:
-    """Return (beta/2 - 3 gamma)/t^2 of the squared angle."""
-    return _even_function(
-        t2, _EPS, lambda t: (2.0 * t * np.sin(0.5 * t) ** 2 - 3.0 * (t - np.sin(t))) / t**5
-    )
-
-
-def _even_function(t2: Array, series: list[float], closed: Callable[[Array], Array]) -> Array:
-    """Return an even function: its series in t^2 below `SERIES_BELOW`, else its closed form."""
-    small = t2 < SERIES_BELOW**2
-    x = np.where(small, t2, 0.0)
-    total = np.full_like(x, series[-1])
-    for coefficient in reversed(series[:-1]):
-        total = total * x + coefficient
-    if np.all(small):
-        return total
-    return np.where(small, total, closed(np.sqrt(np.where(small, 1.0, t2))))
 
 
 def _rotation_polynomial(v: Array, linear: Array, quadratic: Array) -> Array:
@@ -583,19 +571,10 @@ def _squared(v: Array) -> Array:
     return np.asarray(np.einsum('...i,...i->...', v, v))
 
 
-def _vectors(v: ArrayLike, size: int) -> Array:
-    """Return v as a float array with a last axis of the given size, or raise an error."""
-    array: Array = np.asarray(v, dtype=np.float64)
-    if array.ndim < 1 or array.shape[-1] != size:
-        raise BellowsError(f'Expected an array of shape (..., {size}), got {array.shape}.')
-    return array
-
-
-def _matrices(M: ArrayLike, size: int) -> Array:
-    """Return M as a float array of square matrices of the given size, or raise an error."""
-    array: Array = np.asarray(M, dtype=np.float64)
-    if array.ndim < 2 or array.shape[-2:] != (size, size):
-        raise BellowsError(
-            f'Expected an array of shape (..., {size}, {size}), got {array.shape}.'
-        )
+def _array(values: ArrayLike, *shape: int) -> Array:
+    """Return a float array whose last axes have the given sizes, or raise an error."""
+    array: Array = np.asarray(values, dtype=np.float64)
+    if array.shape[-len(shape):] != shape:
+        expected = ', '.join(map(str, shape))
+        raise BellowsError(f'Expected an array of shape (..., {expected}), got {array.shape}.')
     return array

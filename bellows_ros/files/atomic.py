@@ -79,16 +79,9 @@ def require_file_target(path: str | os.PathLike[str]) -> Path:
         If its folder does not exist, or something that is no plain file is in its place.
 
     """
-    try:
-        target = Path(path).resolve()
-        taken = target.exists() and not target.is_file()
-        no_folder = not target.parent.is_dir()
-    except (OSError, ValueError, RuntimeError) as error:
-        raise _failed(path, error) from None
-    if taken:
+    target = _require_target(path, follow=True)
+    if target.exists() and not target.is_file():
         raise BellowsError(f"Output '{path}' is not a plain file. Give another name.")
-    if no_folder:
-        raise _no_folder(path, target)
     return target
 
 
@@ -144,15 +137,21 @@ def require_folder_target(path: str | os.PathLike[str]) -> Path:
         If the folder that it shall lie in does not exist, or the name cannot be one.
 
     """
+    return _require_target(path, follow=False)
+
+
+def _require_target(path: str | os.PathLike[str], follow: bool) -> Path:
+    """Return where an output will be, of a link itself or what it leads to."""
     try:
-        target = Path(os.path.abspath(path))
-        with suppress(FileNotFoundError):
+        target = Path(path).resolve() if follow else Path(os.path.abspath(path))
+        with suppress(FileNotFoundError, NotADirectoryError):
             os.lstat(target)
         no_folder = not target.parent.is_dir()
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RuntimeError) as error:
         raise _failed(path, error) from None
     if no_folder:
-        raise _no_folder(path, target)
+        raise BellowsError(
+            f"Output '{path}': folder '{target.parent}' does not exist. Make it first.")
     return target
 
 
@@ -180,13 +179,6 @@ def _exchange(one: Path, other: Path) -> bool:
         return False
     names = (_HERE, os.fsencode(one), _HERE, os.fsencode(other))
     return bool(rename(*names, _EXCHANGE) == 0)
-
-
-def _no_folder(path: str | os.PathLike[str], target: Path) -> BellowsError:
-    """Return the error for output into a folder that does not exist."""
-    return BellowsError(
-        f"Output '{path}': folder '{target.parent}' does not exist. Make it first."
-    )
 
 
 def _beside(target: Path) -> Path:
