@@ -84,10 +84,10 @@ class Edge:
     before: int
     after: int
     strength: float
-    # In world and in body axes (the body before, the body after the jump), position and rotation.
-    forms: tuple[Array, Array]  # each (variants, 3)
-    thresholds: tuple[float, float]  # of position and rotation
-    lasting: tuple[Array, Array] | None = None  # as lines on each side see it, where they can
+    # Position and rotation, in world and in body axes (the body before, the body after the jump).
+    forms: Array  # (2, 3, 3)
+    thresholds: Array  # (2,)
+    lasting: Array | None = None  # (2, 3), as lines on each side see it, where they can
 
 
 def edges_seen(
@@ -100,11 +100,12 @@ def edges_seen(
     at = np.flatnonzero(certain | (both >= WEAKER))
     lasting = _lasting(poses, at)
     for k, i in enumerate(at):
-        position, rotation = short if certain[i] or from_short[i] > from_long[i] else long
-        thresholds = (float(position.threshold[i]), float(rotation.threshold[i]))
-        forms = _forms(poses, int(i), position.jump[i], rotation.jump[i])
-        seen = None if np.isnan(lasting[k]).any() else (lasting[k, 0], lasting[k, 1])
-        edges.append(Edge(int(i), int(i) + 1, float(both[i]), forms, thresholds, seen))
+        look = short if certain[i] or from_short[i] > from_long[i] else long
+        forms = _forms(poses, int(i), *(jumps.jump[i] for jumps in look))
+        edges.append(Edge(
+            int(i), int(i) + 1, float(both[i]), forms,
+            np.array([jumps.threshold[i] for jumps in look]),
+            None if np.isnan(lasting[k]).any() else lasting[k]))
     return edges
 
 
@@ -137,17 +138,15 @@ def _at_zero(t: Array, y: Array) -> Array:
     return np.asarray(y.mean(axis=1) - centre * slope)
 
 
-def _forms(poses: Trajectory, i: int, position: Array, rotation: Array) -> tuple[Array, Array]:
+def _forms(poses: Trajectory, i: int, position: Array, rotation: Array) -> Array:
     """
     Return a jump in world axes and in those of the body before and after it.
 
     Of an excursion that is constant in the world or on the body, these are what cancels.
     """
     R_before, R_after = poses.rotation[i], poses.rotation[i + 1]
-    return (
-        np.stack([position, R_before.T @ position, R_after.T @ position]),
-        np.stack([R_before @ rotation, rotation, rotation]),
-    )
+    return np.array([[position, R_before.T @ position, R_after.T @ position],
+                     [R_before @ rotation, rotation, rotation]])
 
 
 def edges_over_gaps(
@@ -156,7 +155,7 @@ def edges_over_gaps(
     """Return the jumps over gaps, strong where larger than any over like parts without a gap."""
     edges = []
     period = float(np.median(np.diff(poses.stamps_ns)))
-    thresholds_over: dict[int, tuple[float, float]] = {}
+    thresholds_over: dict[int, Array] = {}
     for i in np.flatnonzero(gap[1:-1]) + 1:
         slots = max(int(round(float(poses.stamps_ns[i + 1] - poses.stamps_ns[i]) / period)), 1)
         # A velocity with a jump in it is none, nor is one over a gap; the other side must do.
@@ -167,18 +166,18 @@ def edges_over_gaps(
             thresholds_over[slots] = _thresholds_over(poses, increments, breaks, slots)
         around = np.array([[beside[0], beside[-1]]])
         jump = _jump_over(poses, increments, np.array([i]), np.array([i + 1]), around)
-        forms = _forms(poses, int(i), jump[0][0], jump[1][0])
-        position, rotation = map(max, thresholds_over[slots], SMALLEST_JUMP.values())
-        strength = float(np.divide(_sizes(forms), (position, rotation)).max())
-        edges.append(Edge(int(i), int(i) + 1, strength, forms, (position, rotation)))
+        forms = _forms(poses, int(i), *jump[:, 0])
+        thresholds = np.maximum(thresholds_over[slots], list(SMALLEST_JUMP.values()))
+        strength = float((_sizes(forms) / thresholds).max())
+        edges.append(Edge(int(i), int(i) + 1, strength, forms, thresholds))
     return edges
 
 
 def _jump_over(
     poses: Trajectory, increments: dict[str, Array], i: Indices, j: Indices, around: Indices
-) -> tuple[Array, Array]:
+) -> Array:
     """
-    Return the jumps between samples i and j (K,), in the middle of the time between them.
+    Return the jumps (2, K, 3) between samples i and j (K,), in the middle of the time between.
 
     `around` (K, 2) are the intervals that tell the velocity before and after.
     """
@@ -186,28 +185,23 @@ def _jump_over(
     moved = {'position': poses.position[j] - poses.position[i], 'rotation': turn}
     stamps = poses.stamps_ns
     periods = ((stamps[j] - stamps[i])[:, None] / (stamps[around + 1] - stamps[around]))[..., None]
-    position, rotation = (
-        moved[q] - np.mean(periods * increments[q][around], axis=1) for q in increments
-    )
-    return position, rotation
+    return np.stack(
+        [moved[q] - np.mean(periods * increments[q][around], axis=1) for q in increments])
 
 
 def _thresholds_over(
     poses: Trajectory, increments: dict[str, Array], breaks: Mask, slots: int
-) -> tuple[float, float]:
-    """Return the thresholds of jumps over gaps of several periods; infinite if unknown."""
+) -> Array:
+    """Return the thresholds (2,) of jumps over gaps of several periods; infinite if unknown."""
     if len(breaks) < slots + 2:
-        return np.inf, np.inf
+        return np.full(2, np.inf)
     free = np.flatnonzero(~any_within(breaks, slots + 2)) + 1
     if len(free) < FEWEST_GAPS_TRIED * slots:  # parts that overlap tell little more than one
-        return np.inf, np.inf
+        return np.full(2, np.inf)
     tried = free[:: len(free) // GAPS_TRIED + 1]
     around = tried[:, None] + np.array([-1, slots])
-    position, rotation = _jump_over(poses, increments, tried, tried + slots, around)
-    return (
-        GAP_STANDS_OUT * float(np.max(np.linalg.norm(position, axis=1))),
-        GAP_STANDS_OUT * float(np.max(np.linalg.norm(rotation, axis=1))),
-    )
+    jumps = _jump_over(poses, increments, tried, tried + slots, around)
+    return np.asarray(GAP_STANDS_OUT * np.linalg.norm(jumps, axis=2).max(axis=1))
 
 
 def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Run], list[Step]]:
@@ -255,11 +249,8 @@ def _lasts(edge: Edge) -> bool:
     """Return whether a jump persists beyond the neighbouring samples, or this is undecidable."""
     if edge.lasting is None:
         return True
-    return any(
-        size >= WEAKER * threshold
-        and float(np.linalg.norm(lasting)) >= LASTS_FROM * size
-        for size, threshold, lasting in zip(
-            _sizes(edge.forms), edge.thresholds, edge.lasting, strict=True))
+    sizes, lasting = _sizes(edge.forms), np.linalg.norm(edge.lasting, axis=1)
+    return bool(np.any((sizes >= WEAKER * edge.thresholds) & (lasting >= LASTS_FROM * sizes)))
 
 
 def _last_alike(one: Edge, other: Edge) -> bool:
@@ -267,7 +258,7 @@ def _last_alike(one: Edge, other: Edge) -> bool:
     if one.lasting is None or other.lasting is None:
         return _lasts(one) and _lasts(other)
     stronger = one if one.strength >= other.strength else other
-    q = int(np.argmax(np.divide(_sizes(stronger.forms), stronger.thresholds)))
+    q = int(np.argmax(_sizes(stronger.forms) / stronger.thresholds))
     sizes = sorted(float(np.linalg.norm(seen[q])) for seen in (one.lasting, other.lasting))
     return _lasts(stronger) and sizes[0] >= ALIKE_FROM * sizes[1]
 
@@ -299,28 +290,25 @@ def _ends_behind(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[in
             return
 
 
-def _sum(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
+def _sum(first: Array, second: Array) -> Array:
     """Return the sums of jumps in each form; on the body, before the first and after the last."""
-    position = np.stack(
-        [first[0][0] + second[0][0], first[0][1] + second[0][2], first[0][1] + second[0][2]]
-    )
-    return position, first[1] + second[1]
+    total = first + second
+    total[0, 1:] = first[0, 1] + second[0, 2]
+    return np.asarray(total)
 
 
-def _cancels(edge: Edge, summed: tuple[Array, Array], within: float = CANCELS_WITHIN) -> bool:
+def _cancels(edge: Edge, summed: Array, within: float = CANCELS_WITHIN) -> bool:
     """Return whether a jump and others cancel when summed, in the most suitable form."""
-    for q in range(2):
-        size, threshold = _sizes(edge.forms)[q], edge.thresholds[q]
-        left = float(np.min(np.linalg.norm(summed[q], axis=1)))
-        allowed = within * size + NOISE_WITHIN * threshold
-        if left >= (allowed if size >= threshold else NOTHING_WITHIN * threshold):
-            return False
-    return True
+    sizes, left = _sizes(edge.forms), np.linalg.norm(summed, axis=2).min(axis=1)
+    allowed = np.where(
+        sizes >= edge.thresholds, within * sizes + NOISE_WITHIN * edge.thresholds,
+        NOTHING_WITHIN * edge.thresholds)
+    return bool(np.all(left < allowed))
 
 
-def _sizes(forms: tuple[Array, Array]) -> tuple[float, float]:
-    """Return the size of a jump, m and rad."""
-    return float(np.linalg.norm(forms[0][0])), float(np.linalg.norm(forms[1][0]))
+def _sizes(forms: Array) -> Array:
+    """Return the size of a jump (2,), m and rad."""
+    return np.asarray(np.linalg.norm(forms[:, 0], axis=1))
 
 
 def _to_the_end(edge: Edge, poses: Trajectory) -> Run | None:
