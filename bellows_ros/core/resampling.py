@@ -379,7 +379,17 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
         If the window or the order leaves no such polynomial, or the rate is not positive.
 
     """
-    _require_fit(half_window, order)
+    if half_window < 1:
+        raise BellowsError(
+            f'The half window of a filter must be at least 1 sample, not {half_window}.'
+        )
+    if not LOWEST_ORDER <= order <= 2 * half_window:
+        raise BellowsError(
+            f'The order of a filter with half window {half_window} must be from '
+            f'{LOWEST_ORDER} (accelerations need a second derivative) to {2 * half_window} '
+            f'(a window has {2 * half_window + 1} samples), not {order}. '
+            'Change the order or the half window.'
+        )
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
         raise BellowsError(f'The rate of a filter must be positive, in Hz, not {rate_hz}.')
     # Time in half windows keeps the powers within -1..1, so the least-squares problem is well
@@ -443,7 +453,6 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
     (34, [4.0, 0.0, 0.0])
 
     """
-    _require_fit(half_window, order)
     if len(trajectory) < 2 * half_window + 1:
         raise BellowsError(
             f'A filter with half window {half_window} needs at least {2 * half_window + 1} '
@@ -454,9 +463,10 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
     position, rotation = np.empty((count, 3)), np.empty((count, 3, 3))
     twist, acceleration = np.empty((count, 6)), np.empty((count, 6))
     trusted = np.empty(count, dtype=np.bool_)
-    for samples in _blocks(len(trajectory), half_window):
+    for start in range(0, count, BLOCK):  # overlapping by a window less one
+        samples = slice(start, min(start + BLOCK + 2 * half_window, len(trajectory)))
         block = _filter_block(trajectory.position[samples], trajectory.rotation[samples], W)
-        centres = slice(samples.start, samples.stop - 2 * half_window)
+        centres = slice(start, samples.stop - 2 * half_window)
         position[centres], rotation[centres] = block[:2]
         twist[centres], acceleration[centres], trusted[centres] = block[2:]
     return Filtered(
@@ -526,24 +536,3 @@ def _fit(
 def _turn(ahead: Array, behind: Array) -> Array:
     """Return log(R_ahead R_behind^T) of quaternions, as in (4.45)."""
     return log_quaternion(quaternion_product(ahead, quaternion_conjugate(behind)))
-
-
-def _blocks(count: int, half_window: int) -> list[slice]:
-    """Return slices of samples, overlapping by a window less one, that cover all centres."""
-    starts = range(0, count - 2 * half_window, BLOCK)
-    return [slice(start, min(start + BLOCK + 2 * half_window, count)) for start in starts]
-
-
-def _require_fit(half_window: int, order: int) -> None:
-    """Refuse a window and order that leave no polynomial with a second derivative."""
-    if half_window < 1:
-        raise BellowsError(
-            f'The half window of a filter must be at least 1 sample, not {half_window}.'
-        )
-    if not LOWEST_ORDER <= order <= 2 * half_window:
-        raise BellowsError(
-            f'The order of a filter with half window {half_window} must be from '
-            f'{LOWEST_ORDER} (accelerations need a second derivative) to {2 * half_window} '
-            f'(a window has {2 * half_window + 1} samples), not {order}. '
-            'Change the order or the half window.'
-        )

@@ -25,10 +25,10 @@ DOWN = np.array([0.0, 0.0, -1.0])
 PARALLEL = 1e-12
 """Sine below which two directions are parallel."""
 
-WORLDS = ('z_up', 'motive_y_up')
-PACKAGE_FRAMES = ('com', 'lip')
 # The rotation part of A_H_M (4.1): Motive's y is up, and its x points the other way.
 R_WORLD_MOTIVE = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_WORLD_MOTIVE}
+"""From axes of a recording to those with z up, by the value of recording.world."""
 
 # Fewer valid samples than this, or a smaller part of what the rate gives, make no standstill.
 FEWEST_AT_REST = 10
@@ -132,15 +132,8 @@ def world_rotation(world: str, gravity_direction: ArrayLike = DOWN) -> Array:
     gravity_direction : array_like (3,)
         Where things fall in that world, if not along -z.
 
-    Raises
-    ------
-    BellowsError
-        If there is no such world.
-
     """
-    require_choice('recording.world', world, WORLDS)
-    level = levelling(gravity_direction)
-    return level if world == 'z_up' else level @ R_WORLD_MOTIVE
+    return np.asarray(levelling(gravity_direction) @ WORLDS[world])
 
 
 def in_world(poses: Trajectory, R_world_recorded: Array) -> Trajectory:
@@ -327,15 +320,8 @@ def _median_rotation(rotation: Array) -> Array:
     return np.asarray(some @ exp_so3(np.median(log_so3(some.T @ rotation), axis=0)))
 
 
-def require_choice(parameter: str, value: str, choices: tuple[str, ...]) -> None:
-    """Refuse a value that is not one of the choices."""
-    if value not in choices:
-        raise BellowsError(f"{parameter} must be one of {', '.join(choices)}, not '{value}'.")
-
-
 def _origin_of_lip(package_frame: str, com: ArrayLike) -> Array:
     """Return where the lip's centre is, seen from the recorded origin, in axes of S."""
-    require_choice('recording.package_frame', package_frame, PACKAGE_FRAMES)
     return np.zeros(3) if package_frame == 'lip' else -np.asarray(com, dtype=np.float64)
 
 

@@ -16,7 +16,6 @@ from bellows_ros.core.recording.alignment import (
     Alignment,
     as_recorded,
     in_world,
-    require_choice,
     rest_of,
     standstill,
 )
@@ -255,7 +254,6 @@ def _with_twist(
     tool: Trajectory, recorded: TwistStream, alignment: Alignment, settings: PrepareSettings
 ) -> Trajectory:
     """Return the tool with its recorded twists, interpolated, in axes of E."""
-    require_choice('tool_twist.frame', settings.tool_twist_frame, ('world', 'tool'))
     if len(recorded) < 3:
         raise BellowsError(
             f"Topic '{recorded.name}' has {len(recorded)} usable twists, too few. Set "

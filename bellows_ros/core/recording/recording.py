@@ -6,7 +6,7 @@ statistics of a fit, is computed when it is first asked for and kept with it.
 """
 
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
@@ -179,12 +179,6 @@ class FilterNoise:
     package_weights: Array
     tool_half_window: int = 0
     correlation: tuple[float, float] = (0.0, 0.0)
-
-    def times(self, factor: float) -> 'FilterNoise':
-        """Return the noise multiplied by a factor, through the same filters."""
-        tool, package = (Noise(factor * n.position, factor * n.rotation)
-                         for n in (self.tool, self.package))
-        return replace(self, tool=tool, package=package)
 
 
 def resampled_weights(measured_ns: Stamps, wanted_ns: Stamps, weights: Array) -> Array:

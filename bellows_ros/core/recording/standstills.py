@@ -103,7 +103,13 @@ def standstills_of(
         not np.any((settled >= span[0] - len(spans[0])) & (settled <= span[-1]))
         for span in _still(bodies[:1], noise[:1], spans, shortest)
     )
-    return tuple(_standstill(*bodies, span, noise, recording.payload) for span in found), failed
+    tool, package = bodies
+    return tuple(
+        Standstill(
+            int(package.stamps_ns[span[0]]), _seconds(package.stamps_ns, span),
+            _means(tool, [span]), _means(package, [span]), len(span),
+            _error(tool.select(span), package.select(span), noise), recording.payload)
+        for span in found), failed
 
 
 def _still(
@@ -171,17 +177,6 @@ def _joins(
 def _seconds(stamps_ns: Stamps, span: Stamps) -> float:
     """Return the time from the first to the last of some samples, s."""
     return float(stamps_ns[span[-1]] - stamps_ns[span[0]]) / NS_PER_S
-
-
-def _standstill(
-    tool: Trajectory, package: Trajectory, span: Stamps, noise: tuple[Noise, Noise],
-    payload: Package,
-) -> Standstill:
-    """Return the standstill of some samples."""
-    error = _error(tool.select(span), package.select(span), noise)
-    return Standstill(
-        int(package.stamps_ns[span[0]]), _seconds(package.stamps_ns, span), _means(tool, [span]),
-        _means(package, [span]), len(span), error, payload)
 
 
 def _error(tool: Trajectory, package: Trajectory, noise: tuple[Noise, Noise]) -> Noise:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.lie import apply, exp_so3
-from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
+from bellows_ros.core.recording import alignment
 from bellows_ros.core.settings import Settings
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -23,7 +23,7 @@ from numpy.random import Generator
 
 Indices = Stamps
 
-WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_WORLD_MOTIVE.T}
+WORLDS = {world: R.T for world, R in alignment.WORLDS.items()}
 """R_recording_world of each possible world of a recording."""
 
 FASTEST = 10_000.0

@@ -75,7 +75,7 @@ def test_standing_still_tells_only_what_gravity_loads(rich):
     still = samples.package.seconds < 0.3
     rest = Samples(samples.tool.select(still), samples.package.select(still), samples.payload,
                    samples.gravity, samples.window)
-    found = simulated.excitation([rest], L0, ROUND, [rich.noise.times(1.0)])
+    found = simulated.excitation([rest], L0, ROUND, [rich.noise])
     words = ' '.join(found.warnings)
     assert 'Torsion' in words and 'Axial motion is hardly excited: its damping' in words
     assert next(p for p in found.parameters if p.label == 'K z').identifiable

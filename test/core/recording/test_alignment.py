@@ -141,13 +141,6 @@ def test_a_standstill_on_a_wall_is_aligned_in_a_world_that_is_levelled():
     assert_allclose(at_rest, np.eye(3), atol=1e-12)
 
 
-def test_unknown_choices_are_refused():
-    with pytest.raises(BellowsError, match="z_up, motive_y_up, not 'y_up'"):
-        world_rotation('y_up')
-    with pytest.raises(BellowsError, match="com, lip, not 'plate'"):
-        as_recorded('plate', COM)
-
-
 def test_a_standstill_is_the_mean_of_noise_without_outliers():
     rng = np.random.default_rng(47)
     still = Trajectory(
