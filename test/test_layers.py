@@ -34,7 +34,7 @@ CORE = (
     'identification.equations', 'identification.samples', 'identification.result',
     'identification.reduction', 'identification.least_squares', 'identification.segments',
     'identification.motion_equations', 'identification.minimum',
-    'identification.prediction_error', 'identification.innovations', 'identification.fisher',
+    'identification.prediction_error', 'identification.fisher',
     'identification.statics',
     'identification.identifiability',
     'identification.validation', 'identification.comparison', 'identification.consistency',

@@ -7,7 +7,6 @@ o + R shift, R exp(turn). A 6x6 matrix is the tuple of its 3x3 blocks, linear fi
 
 All is worked out at S1, the package's end of the spring: a shift and turn xi of B there are
 X(S1_H_B) xi, as a twist is, and the twist relative to the tool changes with xi by -ad(v_tool) xi.
-`sensitivities` has the derivatives of an integration step.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 Uncertain quantities of cup and package, and models with one of them changed.
 
 A figure's standard deviation is |J sigma| with J its derivatives by the uncertain numbers, which
-are taken to be independent. They are central differences of whole predictions, not analytic ones
-as in `sensitivities`: a figure is a largest value over time, or of the instant at which a cup lets
-go or a box meets the floor, and its slope at a point can be other than that over half a sigma.
+are taken to be independent. They are central differences of whole predictions, not analytic ones:
+a figure is a largest value over time, or of the instant at which a cup lets go or a box meets the
+floor, and its slope at a point can be other than that over half a sigma.
 """
 
 from collections.abc import Callable, Iterator, Mapping

@@ -39,9 +39,9 @@ def motion_content(replayed: Replay) -> list[str]:
         heading('Spectra'),
         paragraph(
             'Amplitude spectral densities of the motion, of the error of the free simulation, '
-            'and of the one-step prediction errors, for which every sample corrects the model: '
-            'their spectrum is flat if only noise remains. Lost samples of motion and error are '
-            'interpolated.', 'quiet'),
+            'and of the one-step prediction errors, for which every sample corrects the model, '
+            "scaled to the noise of the package's poses: their spectrum is flat if only noise "
+            'remains. Lost samples of motion and error are interpolated.', 'quiet'),
         figure(spectra_figure(
             Spectra(found.motion.frequency, np.sqrt(found.motion.density),
                     np.sqrt(found.spectrum.density)),

@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import linearise, static_equilibrium
 from bellows_ros.core.identification.equations import covariance_of
-from bellows_ros.core.identification.innovations import between
 from bellows_ros.core.identification.minimum import Root
 from bellows_ros.core.identification.motion_equations import Segment
 from bellows_ros.core.identification.segments import Measured, MOST_POSES, PoseNoise
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.observer.filter import pose_error
 from bellows_ros.core.recording.recording import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
 from bellows_ros.core.resampling import weights
 from bellows_ros.core.simulation import simulate
@@ -128,7 +128,7 @@ def response(
     for step in DIFFERENCE * np.diag(scale):
         up, down = (_linear(model_of(parameters + s), tool, omega) for s in (step, -step))
         changes.append((up[0] - down[0]) / (2.0 * DIFFERENCE))
-        rests.append(np.array(between(down[2], up[2])[:2]).ravel() / (2.0 * DIFFERENCE))
+        rests.append(np.ravel(pose_error(down[2], *up[2][:2])) / (2.0 * DIFFERENCE))
     package, noise, _ = _linear(model_of(parameters), tool, omega, tracking)
     root = np.linalg.inv(np.linalg.cholesky(noise))
     at_rest = np.array(rests) @ root[0].T

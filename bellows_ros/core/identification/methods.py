@@ -173,22 +173,14 @@ def _by_prediction_error(
 ) -> Fit:
     """Return the fit to poses."""
     from bellows_ros.core.identification.prediction_error import prediction_error
-    from bellows_ros.core.identification.segments import Measured, measured_segments
+    from bellows_ros.core.identification.segments import segments_of
     from bellows_ros.core.identification.variations import LARGEST_OFFSET
 
     structure = structure_named(values['fit.structure'])
     margin = LARGEST_OFFSET if values['fit.time_offset'] else 0.0
-
-    free = free_of(values)
-
-    def segments_of(own: Recording) -> list[Measured]:
-        """Return the segments of a recording."""
-        return own.once(('segments', margin), lambda: measured_segments(
-            own.aligned_tool, own.aligned_package, own.payload, own.settings.gravity, margin))
-
     start = start_cup([_reduced(own, values).statistics for own in recordings], cup_of(values))
     segments = [replace(segment, recording=number, moves_with_com=moves_with_com(own.settings))
-                for number, own in enumerate(recordings) for segment in segments_of(own)]
+                for number, own in enumerate(recordings) for segment in segments_of(own, margin)]
     tell = progress or (lambda what, part: None)
     return prediction_error(
         segments, structure, start, lambda own: tell(

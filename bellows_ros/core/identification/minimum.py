@@ -22,7 +22,7 @@ from bellows_ros.core.identification.motion_equations import (
     Segment,
     STEPS,
 )
-from bellows_ros.core.identification.segments import PoseNoise
+from bellows_ros.core.identification.segments import Measured, PoseNoise
 from bellows_ros.core.model import Cup
 from bellows_ros.core.resampling import MAD_TO_STD
 from bellows_ros.core.structure import Structure
@@ -30,6 +30,9 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.linalg import lapack
 from scipy.signal import lfilter
+
+MOTION_ROUNDS = 2
+"""Rounds in which the motion that is linearised about comes near to the likeliest."""
 
 
 class Whitened(NamedTuple):
@@ -133,6 +136,22 @@ def whitened(
     root = Root(equations, noise, spread)
     rows = root.whitened(np.concatenate([equations.errors[:, :, None], equations.jacobian], 2))
     return Whitened(rows[:, 0], rows[:, 1:], root)
+
+
+def innovations(cup: Cup, measured: Measured) -> Array:
+    """
+    Return the one-step prediction errors (N, 6) of a segment, of unit variance for the true cup.
+
+    They are those of white noise, about the motion that all poses together make likeliest.
+    """
+    segment = Segment(measured)
+    noise: Array = np.zeros((len(measured.package), 12))
+    for _ in range(MOTION_ROUNDS):
+        equations = segment.equations(cup, noise, {})
+        root = Root(equations, (measured.package_noise, measured.tool_noise), _missing(segment))
+        white = root.whitened(equations.errors[:, :, None])[:, 0]
+        noise, _ = root.noise(white)
+    return white.reshape(-1, 6)
 
 
 def _differences(A: Array, a: float) -> Array:

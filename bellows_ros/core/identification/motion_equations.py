@@ -11,7 +11,7 @@ such a quantity moves poses, it acts on the equations as noise of the poses woul
 the model, it is a column of `parameter_jacobian`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -29,12 +29,11 @@ from bellows_ros.core.jacobians import (
     Square,
     tool_jacobians,
 )
-from bellows_ros.core.jit import kernel
+from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import body_acceleration, ModelTuple, State
 from bellows_ros.core.lie import apply, exp_so3, hat, rotation_to_quaternion, twist_cross
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.resampling import resample, savgol, weights
-from bellows_ros.core.sensitivities import columns
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
@@ -236,6 +235,17 @@ def _changed_poses(poses: Trajectory, change: Array) -> Trajectory:
     return Trajectory(
         poses.stamps_ns, poses.position + apply(poses.rotation, change[:, :3]),
         poses.rotation @ exp_so3(change[:, 3:]))
+
+
+if COMPILED:
+    @kernel
+    def columns(n: int) -> Iterable[Any]:
+        """Return the range over n columns."""
+        return range(n)
+else:
+    def columns(n: int) -> Iterable[Any]:
+        """Return all columns at once: what is scalar here may be an array."""
+        return (slice(None),)
 
 
 @kernel

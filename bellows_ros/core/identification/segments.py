@@ -8,6 +8,7 @@ from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.lie import apply
 from bellows_ros.core.model import Package
 from bellows_ros.core.recording.recording import (
+    Recording,
     ripple,
     ripple_part,
     TOOL_HALF_WINDOW,
@@ -15,7 +16,7 @@ from bellows_ros.core.recording.recording import (
 )
 from bellows_ros.core.resampling import MAD_TO_STD, resample, savgol
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import UndeterminedError
 import numpy as np
 
 CUT_AT = 5.0
@@ -168,11 +169,18 @@ def measured_segments(
                     piece = replace(piece, valid=np.isin(piece.stamps_ns, seen))
                     segments.append(Measured(part, piece, payload, gravity, *noises, recording))
     if not segments:
-        raise BellowsError(
+        raise UndeterminedError(
             f'No segment of {SHORTEST_SEGMENT:g} s in which both bodies are tracked. Record '
             'longer, or check the gaps and outliers in the report.'
         )
     return segments
+
+
+def segments_of(recording: Recording, margin: float = 0.0) -> list[Measured]:
+    """Return the segments of a recording; see `measured_segments`."""
+    return recording.once(('segments', margin), lambda: measured_segments(
+        recording.aligned_tool, recording.aligned_package, recording.payload,
+        recording.settings.gravity, margin))
 
 
 def _parts(poses: Trajectory, longest: float) -> Iterator[Trajectory]:

@@ -8,7 +8,7 @@ bodies does to the comparison is known from simulation too: an error beyond that
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.equilibrium import static_equilibrium
@@ -31,11 +31,8 @@ from bellows_ros.core.residuals import (
 )
 from bellows_ros.core.simulation import lip_wrenches, simulate, state_row, tool_rows
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
-
-if TYPE_CHECKING:
-    from bellows_ros.core.identification.innovations import OneStep
 
 LIGHT_HALF_WINDOW, LIGHT_ORDER = 1 / 60, 4
 """Half window (s) and order of the light smoothing of the tool, which passes up to 20 Hz."""
@@ -63,6 +60,22 @@ NOISE_WIDTHS = 3.0
 SEED = 0
 """Seed of the added noise: the same recording gives the same numbers."""
 
+LEAST_NOISE = 1e-7
+"""Noise (m, rad) below which rounding dominates the innovations."""
+
+
+class OneStep(NamedTuple):
+    """
+    The innovations of the prediction-error method along a recording.
+
+    Chi2: their mean square, 1 where model and noise explain the motion; whiteness; and spectrum,
+    scaled to the noise of the package's poses, m and rad.
+    """
+
+    chi2: float
+    whiteness: Whiteness
+    spectrum: Spectrum
+
 
 @dataclass(frozen=True, eq=False)
 class Validation(Comparison):
@@ -77,8 +90,10 @@ class Validation(Comparison):
         Of the errors of the free simulation.
     spectrum, motion : Spectrum
         Of these errors, and of the measured coordinates; lost samples interpolated.
-    corrected : tuple
-        What `one_step_errors` takes.
+    cup : Cup
+        That was simulated.
+    recording : Recording
+        With which it is compared.
     wrench : ndarray (N, 6)
         Of the cup at the lip in the free simulation, in lip axes, N and N m.
     tool : Trajectory
@@ -96,7 +111,8 @@ class Validation(Comparison):
     whiteness: Whiteness
     spectrum: Spectrum
     motion: Spectrum
-    corrected: tuple[ModelTuple, State, Trajectory, Trajectory, Trajectory, tuple[Noise, Noise]]
+    cup: Cup
+    recording: Recording
     wrench: Array
     tool: Trajectory
     state: State
@@ -104,11 +120,21 @@ class Validation(Comparison):
     warnings: tuple[str, ...]
 
     @cached_property
-    def one_step(self) -> 'OneStep | None':
-        """The same, with the model corrected at every sample; None without noise."""
-        from .innovations import one_step_errors  # late: not for the verdict on a fit
+    def one_step(self) -> OneStep | None:
+        """The innovations of each measured pose; None without noise, or without a whole second."""
+        if np.min(self.recording.measured_noise) < LEAST_NOISE:
+            return None
+        from .minimum import innovations  # late: not for the verdict on a fit
+        from .segments import segments_of
 
-        return one_step_errors(*self.corrected)
+        try:
+            segments = segments_of(self.recording)
+        except UndeterminedError:
+            return None
+        white = np.concatenate([innovations(self.cup, segment) for segment in segments])
+        scaled = white * np.repeat(self.recording.measured_noise[1], 3)
+        return OneStep(float(np.mean(white**2)), portmanteau(white),
+                       spectrum(scaled, uniform_rate_hz(segments[0].package.stamps_ns)))
 
     @property
     def moves(self) -> Mask:
@@ -172,7 +198,8 @@ def _validated(cup: Cup, recording: Recording) -> Validation:
         whiteness=portmanteau(compared.error),
         spectrum=spectrum(interpolated(compared.error), rate_hz),
         motion=spectrum(interpolated(compared.measured), rate_hz),
-        corrected=(model, start, recording.measured_tool, tool, measured_package, noises),
+        cup=cup,
+        recording=recording,
         wrench=lip_wrenches(model, tool, body),
         tool=tool,
         state=start,

@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 from bellows_ros.core.identification.consistency import same_cup
+from bellows_ros.core.identification.minimum import innovations
 from bellows_ros.core.identification.prediction_error import prediction_error
 from bellows_ros.core.model import Cup
 from bellows_ros.core.structure import STRUCTURES
@@ -35,6 +36,30 @@ def ratios(fit, cup=TRUTH):
     """Return found over true diagonal entries of K and P."""
     return (np.diag(fit.stiffness) / np.diag(cup.stiffness),
             np.diag(fit.damping) / np.diag(cup.damping))
+
+
+@pytest.mark.parametrize('tool_noise', [(0.0, 0.0), (1e-4, 5e-4)])
+def test_innovations_of_the_truth_are_white_and_of_unit_variance(tool_noise):
+    (recording,) = segments(11, 20.0, tool_noise=tool_noise)
+    e = innovations(TRUTH, recording)
+    # of N samples a variance is known to sqrt(2 / N), a correlation to 1 / sqrt(N); of the noise
+    # per axis, which comes from the same samples, to 3 %
+    within = 4.5 / np.sqrt(len(e))
+    assert_allclose(np.mean(e**2, axis=0), 1.0, atol=1.5 * within + 0.03)
+    for lag in (1, 2, 5, 20, 60):
+        assert np.all(np.abs(np.mean(e[lag:] * e[:-lag], axis=0)) < within)
+
+
+def test_innovations_know_of_missing_poses_and_of_a_wrong_cup():
+    (recording,) = segments(13, 4.0, tool_noise=(1e-4, 5e-4))
+    valid = recording.package.valid.copy()
+    valid[300:350] = False
+    position = recording.package.position.copy()
+    position[300:350] += 0.01  # nonsense, as where a gap was bridged badly
+    lost = replace(recording, package=replace(recording.package, position=position, valid=valid))
+    assert 0.9 < np.mean(innovations(TRUTH, lost)**2) < 1.1
+    soft = Cup(0.8 * TRUTH.stiffness, TRUTH.damping, TRUTH.length)
+    assert np.mean(innovations(soft, recording)**2) > 1.5
 
 
 def test_a_short_recording():

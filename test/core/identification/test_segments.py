@@ -2,6 +2,7 @@
 
 from bellows_ros.core.identification.segments import in_motion, measured_segments
 from bellows_ros.core.model import Cup
+from bellows_ros.core.recording.recording import noise_of
 from bellows_ros.core.simulation import simulate
 from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .recordings import GRAVITY, PLATE, Shake
+from .recordings import GRAVITY, noisy, PLATE, Shake
 
 RATE_HZ = 200.0
 MOTION = Shake(31).trajectory(6.0, RATE_HZ)
@@ -68,3 +69,13 @@ def test_nothing_but_gaps_is_an_error():
     often = [(k, k + 40) for k in range(0, 1160, 60)]
     with pytest.raises(BellowsError, match='No segment of 1 s'):
         measured_segments(lost(MOTION, *often), lost(BODY), PLATE, GRAVITY)
+
+
+@pytest.mark.parametrize(('position', 'rotation'), [(1e-4, 5e-4), (1e-3, 1e-3), (0.0, 0.0)])
+def test_noise_is_found_in_spite_of_motion_and_outliers(position, rotation):
+    poses = noisy(Shake(1).trajectory(10.0, 360.0), position, rotation, np.random.default_rng(0))
+    jumps = poses.position.copy()
+    jumps[100:1000:97] += 0.03
+    found = noise_of(type(poses)(poses.stamps_ns, jumps, poses.rotation))
+    assert_allclose(found.position, position, rtol=0.05, atol=1e-8)
+    assert_allclose(found.rotation, rotation, rtol=0.05, atol=1e-7)

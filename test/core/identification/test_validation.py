@@ -88,7 +88,7 @@ def test_one_step_errors_of_the_true_cup_are_white(judged):
     """Meet the expected covariance: chi^2 of one, as well as the noise is estimated from 8 s."""
     # medians of 3 * 1900 residuals of windows that overlap: 1.5 % of sigma, so 3 % of chi^2
     assert_allclose(judged.one_step.chi2, 1.0, atol=3 * 0.03)
-    # with a gain that is fixed while the cup bends, hardly more than 1 % of the next is explained
+    # of 1900 samples a correlation is known to 0.023; 120 of them are looked at
     assert np.all(judged.one_step.whiteness.largest < 0.1)
 
 
@@ -176,4 +176,5 @@ def test_same_recording_same_bits(judged):
     again = validate(CUP, recording())
     np.testing.assert_array_equal(again.predicted, judged.predicted)
     np.testing.assert_array_equal(again.noise, judged.noise)
-    np.testing.assert_array_equal(again.one_step.errors, judged.one_step.errors)
+    np.testing.assert_array_equal(again.one_step.spectrum.peak, judged.one_step.spectrum.peak)
+    assert again.one_step.chi2 == judged.one_step.chi2
