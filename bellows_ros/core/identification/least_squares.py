@@ -23,7 +23,6 @@ from bellows_ros.core.identification.equations import (
 )
 from bellows_ros.core.identification.reduction import Statistics
 from bellows_ros.core.identification.result import (
-    definiteness_warnings,
     Fit,
     LARGEST_ERROR,
     WRENCH_UNITS,
@@ -101,33 +100,22 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         left = np.append(x, -1.0)
         noise_rms = np.sqrt(np.einsum('p,ipiq,q->i', left, noise, left) / used)
     covariance, squares = _uncertainty(parts, whitening, x, inverse, gain)
-    stiffness, damping = structure.matrices(x)
     std = np.sqrt(np.diag(covariance))
-    identifiable &= np.isinf(std) | (std <= LARGEST_ERROR * structure.sizes(stiffness, damping))
-    covariance = without(covariance, ~identifiable | np.isinf(std))
+    known = identifiable & (std <= LARGEST_ERROR * structure.sizes(*structure.matrices(x)))
     residual_rms = np.sqrt(squares / used)
-    stiffness_std, damping_std = structure.spread(np.sqrt(np.diag(covariance)))
     return Fit(
         method='least_squares',
         structure=structure.name,
-        stiffness=stiffness,
-        damping=damping,
-        stiffness_std=stiffness_std,
-        damping_std=damping_std,
-        covariance=covariance,
-        labels=structure.labels,
+        parameters=x,
+        covariance=without(covariance, ~known),
         samples_used=used,
         samples_rejected=rejected,
         condition_number=condition,
         weight=whitening.T @ whitening,
         residual_rms=residual_rms,
-        residual_units=WRENCH_UNITS,
         noise_rms=noise_rms,
         bias=bias,
-        warnings=(
-            *definiteness_warnings(stiffness, damping, structure.name),
-            *(() if np.isfinite(np.diag(covariance)).any() else (TOO_SHORT,)),
-        ),
+        notes=() if known.any() else (TOO_SHORT,),
         misfit=_misfit(residual_rms, noise_rms, whitening),
     )
 

@@ -91,7 +91,7 @@ def fit(
             'never identifiable together, nor com and cup.length along z with poses of the '
             'centre of mass), or record a richer motion.')
     if found.method == 'least_squares':
-        found = replace(found, warnings=(*found.warnings, *_of_colour(recordings)))
+        found = replace(found, notes=(*found.notes, *_of_colour(recordings)))
     if values['fit.time_offset']:
         found = _with_offsets(found, [part.time_offset for part in parts])
     if standstills:

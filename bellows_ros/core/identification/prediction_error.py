@@ -15,19 +15,16 @@ adding as much again.
 
 from collections.abc import Callable, Iterator, Sequence
 import time
-from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.equations import without
 from bellows_ros.core.identification.minimum import Found, Root, Search, Whitened
 from bellows_ros.core.identification.motion_equations import KINDS, Segment
 from bellows_ros.core.identification.result import (
-    definiteness_warnings,
     Fit,
     Freed,
     Iteration,
     LARGEST_ERROR,
-    POSE_UNITS,
 )
 from bellows_ros.core.identification.segments import Measured, SMALLEST
 from bellows_ros.core.model import Cup
@@ -50,20 +47,6 @@ NOT_CONVERGED = (
     'The search for the minimum of the prediction errors did not converge: K and P must not be '
     'used, and there are no standard errors. Use a simpler fit.structure, or record a motion '
     'that is richer in all directions.')
-
-
-class Certainty(NamedTuple):
-    """
-    The uncertainty of m unknowns.
-
-    Covariance (m, m), and which of the numbers (m,) are identifiable. Chi2: squares of the
-    innovations per degree of freedom, all of them; robust: as large as their middle makes it.
-    """
-
-    covariance: Array
-    identifiable: Mask
-    chi2: float
-    robust_chi2: float
 
 
 def prediction_error(
@@ -108,9 +91,7 @@ def prediction_error(
         if progress is not None:
             progress(iterations[-1])
 
-    found = search.found(note)
-    sure = certainty(search, found)
-    return _fit(search, found._replace(theta=_definite(search, found)), sure, iterations)
+    return _fit(search, search.found(note), iterations)
 
 
 def _definite(search: Search, found: Found) -> Array:
@@ -134,54 +115,40 @@ def _definite(search: Search, found: Found) -> Array:
     return minimum_in_cone(found.information, found.theta, inside, units)
 
 
-def _fit(
-    search: Search, found: Found, sure: Certainty, iterations: list[Iteration]
-) -> Fit:
-    """Return the result with uncertainties of the matrices' entries."""
-    size, structure, measured = search.count, search.structure, [
-        segment.measured for segment in search.segments]
-    cup = search.cup(found.theta)
-    known = sure.identifiable & found.converged
-    unit = search.units
-    covariance = without((sure.covariance * np.outer(unit, unit))[:size, :size], ~known[:size])
-    errors = structure.spread(np.sqrt(np.diag(covariance)))
-    std = np.where(known, unit * np.sqrt(np.diag(sure.covariance)), np.inf)
-
-    def of_name(numbers: Array, name: str) -> tuple[float, ...]:
-        """Return the numbers of one name."""
-        places = search.places.get(name)
-        return () if places is None else tuple(numbers[places.ravel()].tolist())
-
-    noise = np.concatenate([own[:, :6] for own in found.noise])
+def _fit(search: Search, found: Found, iterations: list[Iteration]) -> Fit:
+    """Return the result: a definite K and P, and the covariance of what is identifiable."""
+    size, unit = search.count, search.units
+    covariance = _covariance(search, found) * np.outer(unit, unit)
+    std = np.sqrt(np.diag(covariance))
+    known = (std <= _largest_errors(search, found.theta)) & found.converged
+    x, std = unit * _definite(search, found), np.where(known, std, np.inf)
+    measured = [segment.measured for segment in search.segments]
     used = int(sum(np.count_nonzero(m.package.valid) for m in measured))
+    r = np.concatenate([part.innovations for part in found.parts])
+    robust_chi2 = float((np.median(np.abs(r)) / MEDIAN_OF_NORMAL) ** 2)
+    noise = np.concatenate([own[:, :6] for own in found.noise])
+    offsets = search.places.get('time_offset', np.empty(0, np.int64)).ravel()
     return Fit(
         method='prediction_error',
-        structure=structure.name,
-        stiffness=cup.stiffness,
-        damping=cup.damping,
-        stiffness_std=errors[0],
-        damping_std=errors[1],
-        covariance=covariance,
-        labels=structure.labels,
+        structure=search.structure.name,
+        parameters=x[:size],
+        covariance=without(covariance[:size, :size], ~known[:size]),
         samples_used=used,
         samples_rejected=sum(len(m.package) for m in measured) - used,
         condition_number=_condition(found.information[:size, :size]),
         weight=np.diag(search.noises(search.segments[0], search.kept)[0].std ** -2),
         residual_rms=np.sqrt(np.mean(noise**2, axis=0)),
-        residual_units=POSE_UNITS,
-        warnings=(
-            *definiteness_warnings(cup.stiffness, cup.damping, structure.name),
-            *_colour(search), *(() if found.converged else (NOT_CONVERGED,))),
-        misfit=_misfit(sure.robust_chi2),
-        chi2=sure.chi2,
-        robust_chi2=sure.robust_chi2,
+        notes=(*_colour(search), *(() if found.converged else (NOT_CONVERGED,))),
+        misfit=_misfit(robust_chi2),
+        chi2=_squares(search, found.theta) / max(len(r) - len(x), 1),
+        robust_chi2=robust_chi2,
         converged=found.converged,
         iterations=tuple(iterations),
-        delays=of_name((unit * found.theta), 'time_offset'),
-        delays_std=of_name(std, 'time_offset'),
+        delays=tuple(x[offsets].tolist()),
+        delays_std=tuple(std[offsets].tolist()),
         freed=tuple(
-            Freed(name, of_name(unit * found.theta, name), of_name(std, name))
-            for name in search.places if not KINDS[name].each),
+            Freed(name, tuple(x[own].tolist()), tuple(std[own].tolist()))
+            for name, (own, *_) in search.places.items() if not KINDS[name].each),
     )
 
 
@@ -289,26 +256,24 @@ MEDIAN_OF_NORMAL = 0.6744897501960817
 """Median of the absolute value of a standard normal variable."""
 
 
-def certainty(search: Search, found: Found) -> Certainty:
-    """Return how sure the end of a search is."""
+def _covariance(search: Search, found: Found) -> Array:
+    """Return the covariance (m, m) of the unknowns, in their units."""
     directions, signal = _directions(found.information, _signal(search, found))
     excess = _excess(np.array([
         directions.T @ gradient for segment, part in zip(search.segments, found.parts, strict=True)
         for gradient in _left_out(found.information, part, segment.period)]))
     if all(np.all(own.measured.package_noise.ripple <= SMALLEST) for own in search.segments):
         excess = np.maximum(excess, 1.0)  # what is left is no noise: rounding, interpolation
-    covariance = (directions * excess / signal**2) @ directions.T
-    r = np.concatenate([part.innovations for part in found.parts])
-    degrees = max(len(r) - len(found.theta), 1)
-    untrimmed = sum(
+    return (directions * excess / signal**2) @ directions.T
+
+
+def _squares(search: Search, theta: Array) -> float:
+    """Return the sum of squares of all innovations, those of outlying poses not weighted down."""
+    return sum(
         float(np.sum(Root(own, search.noises(segment, search.kept), missing).whitened(
             own.errors[:, :, None]) ** 2))
         for segment, own, missing in zip(
-            search.segments, search.equations(found.theta), search.missing, strict=True))
-    identifiable = np.sqrt(np.diag(covariance)) <= _largest_errors(search, found.theta)
-    return Certainty(
-        covariance, identifiable, untrimmed / degrees,
-        float((np.median(np.abs(r)) / MEDIAN_OF_NORMAL) ** 2))
+            search.segments, search.equations(theta), search.missing, strict=True))
 
 
 def _signal(search: Search, found: Found) -> Array:
@@ -368,7 +333,7 @@ def _excess(influences: Array) -> Array:
 
 def _largest_errors(search: Search, theta: Array) -> Array:
     """
-    Return the standard errors (m,) above which numbers are not identifiable.
+    Return the standard errors (m,) above which numbers are not identifiable, SI units.
 
     The size of an entry of K or P is the root of the product of its diagonals.
     """
@@ -376,4 +341,4 @@ def _largest_errors(search: Search, theta: Array) -> Array:
     largest[:search.count] = LARGEST_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
     for name, places in search.places.items():
         largest[places] = KINDS[name].known
-    return np.asarray(largest / search.units)
+    return largest

@@ -1,6 +1,7 @@
 """The result of a fit, frozen, with its uncertainty and its warnings."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array
@@ -83,16 +84,10 @@ class Fit:
         'least_squares' or 'prediction_error', as in fit.method.
     structure : str
         Name of the structure of K and P.
-    stiffness, damping : ndarray (6, 6)
-        K (3.17) and P (3.33) in SI units, linear first.
-    stiffness_std, damping_std : ndarray (6, 6)
-        Standard errors; 0 for entries that the structure fixes at zero, inf for those that are
-        not identifiable.
+    parameters : ndarray (2 n,)
+        Free parameters of K, then those of P, SI units.
     covariance : ndarray (2 n, 2 n)
-        Of the free parameters, in the order of the labels; what is not identifiable has inf on the
-        diagonal and 0 beside it.
-    labels : tuple of str
-        Names of the free parameters: those of K, then those of P.
+        Of the parameters; what is not identifiable has inf on the diagonal and 0 beside it.
     samples_used, samples_rejected : int
         Samples in the fit, and samples of the recordings left out of it.
     condition_number : float
@@ -101,10 +96,8 @@ class Fit:
         Inverse covariance of the residuals: W of (4.66) at the lip, or of the innovations.
     residual_rms : ndarray (6,)
         RMS of what the fit leaves unexplained: of the wrench (N, N m), or of the pose (m, rad).
-    residual_units : tuple of 6 str
-        Of the residuals.
-    warnings : tuple of str
-        What a user must know, in sentences.
+    notes : tuple of str
+        What a user must know of how it was found, in sentences.
     misfit : str
         That model and noise do not explain the recordings; '' where they do.
     converged : bool
@@ -132,19 +125,14 @@ class Fit:
 
     method: str
     structure: str
-    stiffness: Array
-    damping: Array
-    stiffness_std: Array
-    damping_std: Array
+    parameters: Array
     covariance: Array
-    labels: tuple[str, ...]
     samples_used: int
     samples_rejected: int
     condition_number: float
     weight: Array
     residual_rms: Array
-    residual_units: tuple[str, ...]
-    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     misfit: str = ''
     converged: bool = True
     chi2: float | None = None
@@ -157,16 +145,57 @@ class Fit:
     noise_rms: Array | None = None
     bias: Array | None = None
 
+    @cached_property
+    def _matrices(self) -> tuple[Array, Array]:
+        return structure_named(self.structure).matrices(self.parameters)
+
+    @cached_property
+    def _errors(self) -> tuple[Array, Array]:
+        return structure_named(self.structure).spread(np.sqrt(np.diag(self.covariance)))
+
     @property
-    def parameters(self) -> Array:
-        """Values (2 n,) of the labels, SI units."""
-        return structure_named(self.structure).parameters(self.stiffness, self.damping)
+    def stiffness(self) -> Array:
+        """K (6, 6) of (3.17) in SI units, linear first."""
+        return self._matrices[0]
+
+    @property
+    def damping(self) -> Array:
+        """P (6, 6) of (3.33) in SI units, linear first."""
+        return self._matrices[1]
+
+    @property
+    def stiffness_std(self) -> Array:
+        """Standard errors (6, 6) of K: 0 where fixed at zero, inf where not identifiable."""
+        return self._errors[0]
+
+    @property
+    def damping_std(self) -> Array:
+        """Standard errors (6, 6) of P: 0 where fixed at zero, inf where not identifiable."""
+        return self._errors[1]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names (2 n,) of the parameters."""
+        return structure_named(self.structure).labels
+
+    @property
+    def residual_units(self) -> tuple[str, ...]:
+        """Units (6,) of the residuals."""
+        return WRENCH_UNITS if self.method == 'least_squares' else POSE_UNITS
+
+    @cached_property
+    def _indefinite(self) -> tuple[str, ...]:
+        return definiteness_warnings(self.stiffness, self.damping, self.structure)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user must know, in sentences."""
+        return (*self._indefinite, *self.notes)
 
     @property
     def usable(self) -> bool:
         """Whether it is a minimum that the predictor can take: K definite, P semidefinite."""
-        return self.converged and not definiteness_warnings(
-            self.stiffness, self.damping, self.structure)
+        return self.converged and not self._indefinite
 
 
 def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> tuple[str, ...]:

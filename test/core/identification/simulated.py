@@ -14,7 +14,6 @@ from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.simulation import simulate
-from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.core.synthetic.motion import Oscillation, Pose, Segment, Waypoints
 from bellows_ros.core.synthetic.sensing import sample_stamps
 from bellows_ros.core.trajectory import PoseStream
@@ -110,9 +109,7 @@ def least_squares(recordings, cup_length, structure, noises=()):
 def without(fit, labels):
     """Return a fit with infinite standard errors of some parameters."""
     unknown = np.array([label in labels for label in fit.labels])
-    covariance = equations.without(fit.covariance, unknown)
-    errors = STRUCTURES[fit.structure].spread(np.sqrt(np.diag(covariance)))
-    return replace(fit, covariance=covariance, stiffness_std=errors[0], damping_std=errors[1])
+    return replace(fit, covariance=equations.without(fit.covariance, unknown))
 
 
 def excitation(recordings, cup_length, structure, noises=()):

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import displaced, linearise
 from bellows_ros.core.identification.equations import covariance_of, information_of
-from bellows_ros.core.identification.result import definiteness_warnings, Fit, StandstillPart
+from bellows_ros.core.identification.result import Fit, StandstillPart
 from bellows_ros.core.jacobians import parameter_jacobian
 from bellows_ros.core.kernels import body_acceleration
 from bellows_ros.core.lie import (
@@ -155,7 +155,9 @@ def joined_with_standstills(
         len(standstills), chi2, np.nan_to_num(narrowed, nan=1.0, posinf=1.0),
         length.value + length.std * float(z[-1]), length.std * float(np.sqrt(whole[-1, -1])),
     )
-    return _with(fit, structure, z[:-1], covariance, found)
+    return replace(
+        fit, parameters=z[:-1], covariance=covariance, standstills=found,
+        notes=(*fit.notes, *_disagreement(chi2)))
 
 
 def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) -> Array:
@@ -175,23 +177,6 @@ def _disagreement(chi2: float) -> tuple[str, ...]:
         f'freedom {chi2:.3g}, expected 1), so the static recordings get less weight. Check '
         'cup.length, the masses in static.files, package.com and the alignment. The noise bias '
         'of least squares may also be the cause: use fit.method: prediction_error.',
-    )
-
-
-def _with(
-    fit: Fit, structure: Structure, x: Array, covariance: Array, found: StandstillPart
-) -> Fit:
-    """Return a fit with other parameters, and the contribution of the standstills."""
-    stiffness, damping = structure.matrices(x)
-    old = definiteness_warnings(fit.stiffness, fit.damping, fit.structure)
-    new = definiteness_warnings(stiffness, damping, fit.structure)
-    stiffness_std, damping_std = structure.spread(np.sqrt(np.diag(covariance)))
-    return replace(
-        fit, stiffness=stiffness, damping=damping, stiffness_std=stiffness_std,
-        damping_std=damping_std, covariance=covariance,
-        warnings=(*new, *(text for text in fit.warnings if text not in old),
-                  *_disagreement(found.chi2)),
-        standstills=found,
     )
 
 
