@@ -12,6 +12,7 @@ filter linearised about the same motion, without any other approximation.
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Places
@@ -372,61 +373,43 @@ class Search:
 
     def colour(self, equations: list[Equations]) -> tuple[float, float]:
         """Return the autocorrelation of the noise of package and tool between successive poses."""
-        known: dict[tuple[float, float], float] = {}
         parts = [(segment, Equations(*(array[:ENOUGH] for array in own)), spread)
                  for segment, own, spread in zip(
                      self.segments, equations, self.spread, strict=True)]
 
+        @cache
         def deviance(kept: tuple[float, float]) -> float:
-            if kept not in known:
-                known[kept] = sum(
-                    Root(own, self.noises(segment, kept), spread).deviance(own.errors)
-                    for segment, own, spread in parts)
-            return known[kept]
+            return sum(
+                Root(own, self.noises(segment, kept), spread).deviance(own.errors)
+                for segment, own, spread in parts)
 
-        best = _lowest(deviance, (0.0, 0.0), (0, 1))
-        for body in (0, 1):
-            best = _lowest(deviance, best, (body,))
-        if deviance(best) > deviance((0.0, 0.0)) - CONVINCING:
+        best = (0, 0)  # places in KEPT: first both bodies alike, then one after the other
+        for move in ((1, 1), (1, 0), (0, 1)):
+            for side in (1, -1):
+                while True:
+                    there = best[0] + side * move[0], best[1] + side * move[1]
+                    if not 0 <= min(there) <= max(there) < len(KEPT) or (
+                            deviance(_kept(there)) >= deviance(_kept(best))):
+                        break
+                    best = there
+        if deviance(_kept(best)) > deviance((0.0, 0.0)) - CONVINCING:
             return 0.0, 0.0
-        for body in (0, 1):
-            best = _with(best, body, _vertex(deviance, best, body))
-        return best
+        package = _vertex(lambda a: deviance((a, KEPT[best[1]])), best[0])
+        return package, _vertex(lambda a: deviance((package, a)), best[1])
 
 
-Deviance = Callable[[tuple[float, float]], float]
+def _kept(places: tuple[int, int]) -> tuple[float, float]:
+    """Return the autocorrelations at places in `KEPT`."""
+    return KEPT[places[0]], KEPT[places[1]]
 
 
-def _lowest(
-    deviance: Deviance, kept: tuple[float, float], bodies: tuple[int, ...]
-) -> tuple[float, float]:
-    """Return the pair with some of them moved along the grid for as long as that is better."""
-    for side in (1, -1):
-        while 0 <= (place := KEPT.index(kept[bodies[0]]) + side) < len(KEPT):
-            moved = kept
-            for body in bodies:
-                moved = _with(moved, body, KEPT[place])
-            if deviance(moved) >= deviance(kept):
-                break
-            kept = moved
-    return kept
-
-
-def _with(kept: tuple[float, float], body: int, value: float) -> tuple[float, float]:
-    """Return the pair with one of them changed."""
-    return (value, kept[1]) if body == 0 else (kept[0], value)
-
-
-def _vertex(
-    deviance: Deviance, kept: tuple[float, float], body: int
-) -> float:
-    """Return where the parabola through the deviance of three values is least."""
-    place = KEPT.index(kept[body])
+def _vertex(deviance: Callable[[float], float], place: int) -> float:
+    """Return where the parabola through the deviances about a place in `KEPT` is least."""
     if not 0 < place < len(KEPT) - 1:
-        return kept[body]
-    x = np.log1p(-np.array(KEPT[place - 1:place + 2]))
-    y = [deviance(_with(kept, body, a)) for a in KEPT[place - 1:place + 2]]
-    quadratic, linear, _ = np.polyfit(x - x[1], y, 2)
+        return KEPT[place]
+    near = KEPT[place - 1:place + 2]
+    x = np.log1p(-np.array(near))
+    quadratic, linear, _ = np.polyfit(x - x[1], [deviance(a) for a in near], 2)
     return float(-np.expm1(np.clip(x[1] - 0.5 * linear / quadratic, x[2], x[0])))
 
 

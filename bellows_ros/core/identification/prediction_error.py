@@ -14,7 +14,6 @@ adding as much again.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-import time
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.equations import without
@@ -82,12 +81,10 @@ def prediction_error(
         raise BellowsError('No valid package pose is left for comparison. The report shows why.')
     search = Search([Segment(r) for r in recordings], structure, start, free)
     iterations: list[Iteration] = []
-    began = time.perf_counter()
 
     def note(theta: Array, chi2: float) -> None:
         cup = search.cup(theta)
-        iterations.append(Iteration(
-            len(iterations), chi2, cup.stiffness, cup.damping, time.perf_counter() - began))
+        iterations.append(Iteration(len(iterations), chi2, cup.stiffness, cup.damping))
         if progress is not None:
             progress(iterations[-1])
 

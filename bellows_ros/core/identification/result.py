@@ -28,13 +28,12 @@ LARGEST_ERROR = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Iteration:
-    """One step of a minimisation: its number, chi^2 per residual, K, P, and the seconds so far."""
+    """One step of a minimisation: its number, chi^2 per residual, K and P."""
 
     number: int
     chi2: float
     stiffness: Array
     damping: Array
-    seconds: float
 
 
 class Freed(NamedTuple):
