@@ -203,17 +203,24 @@ def in_motion(poses: Trajectory) -> Trajectory:
     return savgol(bridged(poses), TOOL_HALF_WINDOW, TOOL_ORDER)
 
 
-def bridged(poses: Trajectory) -> Trajectory:
-    """Return poses with short gaps bridged by cubics that meet poses and twists on both sides."""
+def bridged(poses: Trajectory, longest: float | None = LONGEST_GAP) -> Trajectory:
+    """
+    Return poses with gaps bridged by cubics that meet poses and twists on both sides.
+
+    Those longer than the longest (s) stay, where one is given.
+    """
+    lost = ~poses.valid
+    if not lost.any():
+        return poses
     quartic = savgol(poses, BRIDGE_HALF_WINDOW, BRIDGE_ORDER)
     known = quartic.select(quartic.valid)
-    lost = ~poses.valid
-    if not len(known) or not lost.any():
+    if not len(known):
         return poses
     lost &= poses.stamps_ns > known.stamps_ns[0]
     lost &= poses.stamps_ns < known.stamps_ns[-1]
     between = Trajectory(known.stamps_ns, known.position, known.rotation, known.twist)
-    bridge = resample(between, poses.stamps_ns[lost], round(LONGEST_GAP * NS_PER_S))
+    bridge = resample(
+        between, poses.stamps_ns[lost], None if longest is None else round(longest * NS_PER_S))
     position, rotation, valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
     position[lost], rotation[lost], valid[lost] = bridge.position, bridge.rotation, bridge.valid
     return Trajectory(poses.stamps_ns, position, rotation, valid=valid)

@@ -13,11 +13,12 @@ from typing import NamedTuple
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.equilibrium import static_equilibrium
 from bellows_ros.core.identification.reduction import shaken
+from bellows_ros.core.identification.segments import bridged, segments_of
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.recording.recording import Noise, Recording
-from bellows_ros.core.resampling import resample, savgol, weights
+from bellows_ros.core.resampling import savgol, weights
 from bellows_ros.core.residuals import (
     AXES,
     compare,
@@ -36,9 +37,6 @@ import numpy as np
 
 LIGHT_HALF_WINDOW, LIGHT_ORDER = 1 / 60, 4
 """Half window (s) and order of the light smoothing of the tool, which passes up to 20 Hz."""
-
-BRIDGE_PASSES = 2
-"""Passes of filling gaps and filtering their edges; more would spread noise into them."""
 
 LIMIT = 0.05
 """NRMSE that the thesis asks for."""
@@ -125,7 +123,6 @@ class Validation(Comparison):
         if np.min(self.recording.measured_noise) < LEAST_NOISE:
             return None
         from .minimum import innovations  # late: not for the verdict on a fit
-        from .segments import segments_of
 
         try:
             segments = segments_of(self.recording)
@@ -225,9 +222,7 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
     Returns
     -------
     Trajectory
-        Filtered with a short window. Lost samples are bridged by the cubic between those before
-        and after: first from those with whole windows, then, as what is in the windows is known
-        now, from the nearest ones.
+        Bridged (see `segments.bridged`), and filtered with a short window.
     ndarray (G, 2)
         Start (s, from the first sample) and duration (s) of each gap.
 
@@ -237,7 +232,7 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
         If the poses do not fill one window.
 
     """
-    filtered = savgol(measured, half_window, LIGHT_ORDER)
+    filtered = savgol(bridged(measured, None), half_window, LIGHT_ORDER)
     usable = np.flatnonzero(filtered.valid)
     if len(usable) < 2:
         raise BellowsError(
@@ -245,31 +240,10 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
             'can be simulated.'
         )
     wanted = slice(int(usable[0]), int(usable[-1]) + 1)
-    stamps = filtered.stamps_ns[wanted]
-    there = measured.valid[half_window:][wanted]
-    tool = resample(filtered.select(filtered.valid), stamps)
-    if not there.all():
-        for _ in range(BRIDGE_PASSES):
-            again, known = _refiltered(measured, tool, half_window)
-            tool = resample(again.select(known), stamps)
+    tool, there = filtered.select(wanted), measured.valid[half_window:][wanted]
     gaps = np.flatnonzero(np.diff(np.flatnonzero(there)) > 1)
-    edges = (stamps[there] - measured.stamps_ns[0]) / NS_PER_S
+    edges = (tool.stamps_ns[there] - measured.stamps_ns[0]) / NS_PER_S
     return tool, np.column_stack([edges[gaps], edges[gaps + 1] - edges[gaps]])
-
-
-def _refiltered(
-    measured: Trajectory, bridged: Trajectory, half_window: int
-) -> tuple[Trajectory, Mask]:
-    """Return the tool filtered with its gaps filled, and which samples were measured."""
-    span = _span(measured, bridged)
-    position, rotation = np.array(measured.position), np.array(measured.rotation)
-    valid = np.array(measured.valid)
-    lost = ~valid[span]
-    position[span][lost], rotation[span][lost] = bridged.position[lost], bridged.rotation[lost]
-    valid[span] = True
-    filtered = savgol(
-        Trajectory(measured.stamps_ns, position, rotation, valid=valid), half_window, LIGHT_ORDER)
-    return filtered, filtered.valid & measured.valid[half_window:len(measured) - half_window]
 
 
 def half_window_of(tool: Trajectory) -> int:
