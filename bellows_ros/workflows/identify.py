@@ -396,7 +396,7 @@ def _identified(
         [label for label in result.fit.labels if label not in unknown])
     found = Identification(
         result.fit, result.excitation, values,
-        tuple(part if isinstance(part, Reduced) else reduced(part, effective) for part in parts),
+        tuple(reduced(part, effective) for part in parts),
         whole, _consistency(parts, effective, tell),
         selection=(selection(whole, effective, tell, verdict)
                    if values['fit.compare_structures'] else None), verdict=verdict, **more)

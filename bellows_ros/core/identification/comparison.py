@@ -6,7 +6,7 @@ where it changes the predicted motion: rest poses, natural frequencies, damping,
 shake. The standard errors of these follow from those of the parameters by first derivatives.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from bellows_ros.core.arrays import Array
@@ -325,34 +325,29 @@ def _effects(
 ) -> tuple[Change, ...]:
     """Return the changes in the cups' effects on the package."""
     like = modes(before.cup, package, gravity)
-    names = [_predicted(fit.cup, package, gravity, like) for fit in (before, after)]
-    stds = [_predicted_std(fit, package, gravity, like) for fit in (before, after)]
-    changes = []
-    for i, (name, unit, limit, value) in enumerate(names[0]):
-        new = names[1][i][3]
-        size = abs(new - value) if unit in ('m', 'rad') else abs(new - value) / abs(value)
-        changes.append(
-            Change(name, unit, value, new, stds[0][i], stds[1][i], matters=bool(size > limit))
-        )
-    return tuple(changes)
-
-
-def _predicted(
-    cup: Cup, package: Package, gravity: float, like: Sequence[Mode]
-) -> list[tuple[str, str, float, float]]:
-    """Return name, unit, material change, and value of each effect of a cup on a package."""
-    found = []
-    for words, angle in (('hanging', 0.0), (f'tool tilted by {np.degrees(TILT):.0f} deg', TILT)):
-        shift, turn = _rest(cup, package, gravity, angle)
-        found.append((f'shift of the lip at rest, {words}', 'm', MATTERS_SHIFT, shift))
-        if angle:
-            found.append((f'turn of the lip at rest, {words}', 'rad', MATTERS_TURN, turn))
-    for ordinal, known, mode in zip(
-            ORDINALS, like, modes(cup, package, gravity, like), strict=True):
+    tilted = f'tool tilted by {np.degrees(TILT):.0f} deg'
+    kinds = [('shift of the lip at rest, hanging', 'm', MATTERS_SHIFT),
+             (f'shift of the lip at rest, {tilted}', 'm', MATTERS_SHIFT),
+             (f'turn of the lip at rest, {tilted}', 'rad', MATTERS_TURN)]
+    for ordinal, known in zip(ORDINALS, like, strict=True):
         name = f'{ordinal} mode ({known.direction})'
-        found.append((f'frequency of the {name}', 'Hz', MATTERS_FREQUENCY, mode.frequency))
-        found.append((f'damping ratio of the {name}', '', MATTERS_DAMPING, mode.damping))
-    return found
+        kinds += [(f'frequency of the {name}', 'Hz', MATTERS_FREQUENCY),
+                  (f'damping ratio of the {name}', '', MATTERS_DAMPING)]
+
+    def values(cup: Cup) -> Array:
+        """Return the effects of a cup."""
+        hanging, tilted = (_rest(cup, package, gravity, angle) for angle in (0.0, TILT))
+        return np.array([hanging[0], *tilted, *(
+            x for mode in modes(cup, package, gravity, like)
+            for x in (mode.frequency, mode.damping))])
+
+    sides = [own for fit in (before, after)
+             for own in (values(fit.cup).tolist(), _errors_of(values, fit).tolist())]
+    changes = []
+    for (name, unit, limit), old, old_std, new, new_std in zip(kinds, *sides, strict=True):
+        size = abs(new - old) if unit in ('m', 'rad') else abs(new - old) / abs(old)
+        changes.append(Change(name, unit, old, new, old_std, new_std, matters=size > limit))
+    return tuple(changes)
 
 
 def _rest(cup: Cup, package: Package, gravity: float, angle: float) -> tuple[float, float]:
@@ -367,26 +362,20 @@ def _rest(cup: Cup, package: Package, gravity: float, angle: float) -> tuple[flo
             float(np.linalg.norm(log_so3(R_world_tool.T @ R))))
 
 
-def _predicted_std(
-    fit: Fitted, package: Package, gravity: float, like: Sequence[Mode]
-) -> list[float]:
+def _errors_of(values: Callable[[Cup], Array], fit: Fitted) -> Array:
     """
-    Return the standard errors of `_predicted`, by central differences.
+    Return the standard errors of numbers that a cup determines, by central differences.
 
     Modes are those about a rest that itself moves with K: their derivatives are second ones of
     the wrench, and `jacobians` gives the first.
     """
     x = fit.structure.parameters(fit.cup.stiffness, fit.cup.damping)
-
-    def values(at: Array) -> Array:
-        """Return the effects of a cup with these parameters."""
-        cup = Cup(*fit.structure.matrices(at), fit.cup.length)
-        return np.array([value for *_, value in _predicted(cup, package, gravity, like)])
-
-    steps = STEP * fit.structure.sizes(*fit.structure.matrices(x))
+    steps = np.diag(STEP * fit.structure.sizes(*fit.structure.matrices(x)))
+    ends = [[values(Cup(*fit.structure.matrices(x + end), fit.cup.length)) for end in (s, -s)]
+            for s in steps]
     jacobian = np.column_stack([
-        (values(x + step) - values(x - step)) / (2.0 * step.sum()) for step in np.diag(steps)])
-    return [float(std) for std in _deviations(_spread(jacobian, fit.covariance))]
+        (up - down) / (2.0 * step.sum()) for (up, down), step in zip(ends, steps, strict=True)])
+    return _deviations(_spread(jacobian, fit.covariance))
 
 
 def shake() -> Trajectory:

@@ -82,16 +82,11 @@ class LipMotion:
     @cached_property
     def rotation_vector(self) -> Array:
         """Rotation vector of the lip in the tool, rad (N, 3)."""
-        return np.concatenate([log_so3(self.rotation[part]) for part in self.blocks()])
+        return log_so3(self.rotation)
 
     def displacement(self, cup_length: float) -> Array:
         """Return how the lip is displaced from nominal (N, 6): E_o_S + l0 z (m), and rotation."""
         return np.hstack([self.position + [0.0, 0.0, cup_length], self.rotation_vector])
-
-    def blocks(self) -> Iterator[slice]:
-        """Yield the samples in blocks, in the order of time."""
-        for start in range(0, max(len(self.index), 1), BLOCK):
-            yield slice(start, min(start + BLOCK, len(self.index)))
 
     def clusters(self, block: slice) -> list[slice]:
         """Return the samples of a block cut into clusters that are several windows long."""
@@ -121,7 +116,8 @@ class LipMotion:
         keep &= 8 * 6 * size * len(self.index) <= LARGEST_KEPT
         kept = self._kept.get(key)
         L = np.empty((len(self.index), 6, size)) if keep and kept is None else None
-        for block in self.blocks():
+        for start in range(0, max(len(self.index), 1), BLOCK):
+            block = slice(start, min(start + BLOCK, len(self.index)))
             own = kept[block] if kept is not None else regressor(
                 cup_length, structure.basis, self.position[block], self.rotation[block],
                 self.twist[block])

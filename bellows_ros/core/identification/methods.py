@@ -72,7 +72,7 @@ def fit(
         If the recordings do not determine the cup.
 
     """
-    parts = [_reduced(own, values) for own in recordings]
+    parts = [reduced(own, values) for own in recordings]
     found = fitted(recordings, values, progress)
     excitation = excitation_of(parts, found.method, (found.parameters, found.covariance))
     if found.converged and not any(
@@ -128,13 +128,8 @@ def fitted(
 ) -> Fit:
     """Return the fit to recordings alone, without standstills and prior knowledge."""
     if values['fit.method'] == 'least_squares':
-        return least_squares([_reduced(own, values).statistics for own in recordings])
+        return least_squares([reduced(own, values).statistics for own in recordings])
     return _by_prediction_error(_whole(recordings), values, progress)
-
-
-def _reduced(recording: Recording | Reduced, values: Mapping[str, Any]) -> Reduced:
-    """Return the sufficient statistics of a recording."""
-    return recording if isinstance(recording, Reduced) else reduced(recording, values)
 
 
 def _whole(recordings: Sequence[Recording | Reduced]) -> list[Recording]:
@@ -178,7 +173,7 @@ def _by_prediction_error(
 
     structure = structure_named(values['fit.structure'])
     margin = LARGEST_OFFSET if values['fit.time_offset'] else 0.0
-    start = start_cup([_reduced(own, values).statistics for own in recordings], cup_of(values))
+    start = start_cup([reduced(own, values).statistics for own in recordings], cup_of(values))
     segments = [replace(segment, recording=number, moves_with_com=moves_with_com(own.settings))
                 for number, own in enumerate(recordings) for segment in segments_of(own, margin)]
     tell = progress or (lambda what, part: None)

@@ -16,7 +16,7 @@ from typing import Any
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.envelope import Envelope
-from bellows_ros.core.identification.equations import joined, LipMotion, Moments, Rows
+from bellows_ros.core.identification.equations import LipMotion, Moments, Rows
 from bellows_ros.core.identification.samples import (
     envelope,
     filtered_samples,
@@ -213,10 +213,9 @@ def statistics(
         for L, c, clusters in samples.lip.equations(cup_length, structure):
             rows = np.dstack([L, c]).swapaxes(0, 1)
             r_factors += [_component_r_factors(rows[:, part])[None] for part in clusters]
-    wrenches = (samples.lip.wrench[block] for block in samples.lip.blocks())
     return Statistics(
         structure, cup_length, samples.count, len(samples.tool) - samples.count,
-        joined(Moments.of(part) for part in wrenches), np.concatenate(r_factors),
+        Moments.of(samples.lip.wrench), np.concatenate(r_factors),
         samples.lip if structure.couples else None,
         None if noise is None else noise_products(samples, noise, cup_length, structure),
     )
@@ -336,9 +335,11 @@ class Reduced:
         return str(self.report['bag'])
 
 
-def reduced(recording: Recording, values: Mapping[str, Any]) -> Reduced:
+def reduced(recording: Recording | Reduced, values: Mapping[str, Any]) -> Reduced:
     """
     Return a recording reduced with the structure and the cup length that parameters name.
+
+    One that is reduced already stays as it is.
 
     Raises
     ------
@@ -346,6 +347,8 @@ def reduced(recording: Recording, values: Mapping[str, Any]) -> Reduced:
         If it has no valid samples, or the package is not below the tool.
 
     """
+    if isinstance(recording, Reduced):
+        return recording
     length, structure = values['cup.length'], structure_named(values['fit.structure'])
     return recording.once(
         ('reduced', length, structure.name), lambda: _reduced(recording, length, structure))
@@ -360,9 +363,8 @@ def envelope_of(recording: Recording, cup_length: float) -> Envelope:
 def _reduced(recording: Recording, length: float, structure: Structure) -> Reduced:
     """Return a recording reduced."""
     samples, noise = samples_of(recording), recording.noise
-    seen = envelope_of(recording, length)
+    seen = envelope_of(recording, length)  # refuses a recording without valid samples
     return Reduced(
         recording.as_json(), recording.digest, recording.files, recording.payload,
         recording.report.time_offset, recording.report.package_world,
-        statistics(samples, length, structure, noise), movement_of(samples, length, noise), seen,
-    )
+        statistics(samples, length, structure, noise), movement_of(samples, length, noise), seen)

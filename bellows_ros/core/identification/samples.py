@@ -75,14 +75,11 @@ class Samples:
     @cached_property
     def lip(self) -> LipMotion:
         """The motion of the lip, the basis of the equations."""
-        parts = [(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 6)), np.empty((0, 6)))]
-        for block in self.blocks():
-            motion = lip_relative(block.tool, block.package, block.payload.com)
-            parts.append((*motion, needed_wrench(block.payload, block.package, block.gravity)))
         index = np.flatnonzero(self.valid)
+        tool, package = self.tool.select(index), self.package.select(index)
         return LipMotion(
-            index, self.tool.stamps_ns[index], self.window,
-            *(np.concatenate(part) for part in zip(*parts, strict=True)))
+            index, tool.stamps_ns, self.window, *lip_relative(tool, package, self.payload.com),
+            needed_wrench(self.payload, package, self.gravity))
 
     @cached_property
     def twist_spectrum(self) -> Spectrum:
