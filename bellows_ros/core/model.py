@@ -166,6 +166,24 @@ def cup_of(values: Mapping[str, Any]) -> Cup:
     )
 
 
+def varied(
+    held: Package, com: ArrayLike = 0.0, mass: ArrayLike = 0.0, inertia: ArrayLike = 0.0
+) -> Package:
+    """
+    Return a package with its centre of mass shifted (3,), m, and other mass and inertia.
+
+    These are logarithms of factors: of the mass, and of each moment of inertia (3,) or all. On
+    its way a search may go a little beyond what a body can have.
+    """
+    root = np.exp(0.5 * np.broadcast_to(inertia, 3))
+    there = object.__new__(Package)
+    for name, value in (('mass', held.mass * float(np.exp(mass).item())),
+                        ('inertia', held.inertia * np.outer(root, root)),
+                        ('com', held.com + np.asarray(com))):
+        object.__setattr__(there, name, value)
+    return there
+
+
 def package_of(values: Mapping[str, Any]) -> Package:
     """Return the package that parameter values describe (see `parameters`)."""
     return Package(

@@ -105,6 +105,11 @@ class Structure:
         names = [AXES[i] if i == j else f'{AXES[i]}-{AXES[j]}' for i, j in self.leads]
         return tuple(f'{matrix} {name}' for matrix in 'KP' for name in names)
 
+    @cached_property
+    def upper(self) -> Array:
+        """The upper triangles (42, 2 n) of K and P, row by row, by the parameters."""
+        return np.kron(np.eye(2), np.transpose([unit[np.triu_indices(6)] for unit in self.basis]))
+
     def matrices(self, x: Array) -> tuple[Array, Array]:
         """Return K and P (6, 6) of the parameters x (2 n,)."""
         basis = np.array(self.basis)

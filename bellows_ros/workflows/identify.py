@@ -14,6 +14,7 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.identification.methods import first_guess, fit, fitted, with_freed
 from bellows_ros.core.identification.reduction import Reduced, reduced
+from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.parameter_table import THESIS_LENGTH
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
@@ -421,14 +422,11 @@ def _consistency(
     from bellows_ros.core.identification.consistency import same_cup
 
     names = names_of([part.name for part in parts], [part.payload for part in parts])
-    alone = [fitted([part], values, _of(name, tell))
-             for part, name in zip(parts, names, strict=True)]
-    return same_cup(alone, names)
 
+    def alone(part: Part, name: str) -> Fit:
+        return fitted([part], values, lambda what, _: tell(f'{name} alone, {what}', FIT_ENDS))
 
-def _of(name: str, tell: Progress) -> Progress:
-    """Return the progress callback for the fit to one recording."""
-    return lambda what, part: tell(f'{name} alone, {what}', FIT_ENDS)
+    return same_cup([*map(alone, parts, names)], names)
 
 
 def selection(

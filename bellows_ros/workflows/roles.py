@@ -12,9 +12,9 @@ import re
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.lie import apply
-from bellows_ros.core.recording.alignment import in_world, world_rotation, WORLDS
+from bellows_ros.core.recording.alignment import world_rotation, WORLDS
 from bellows_ros.core.resampling import resample
-from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
+from bellows_ros.core.trajectory import NS_PER_S, PoseStream, TwistStream
 import numpy as np
 
 TOOL_WORDS = frozenset({'tool', 'tcp', 'ee', 'eef', 'effector', 'flange', 'arm', 'robot',
@@ -109,7 +109,7 @@ def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
         return None
     distances = np.linalg.norm(apart, axis=1)
     start = apart[: max(1, int(len(apart) * 0.01))].mean(axis=0)
-    world, below = _hanging(tool, start)
+    world, below = _hanging(start)
     why_tool: list[str] = []
     why_package: list[str] = []
     score = 0.0
@@ -149,11 +149,9 @@ def _from_tool_to_package(tool: PoseStream, package: PoseStream) -> Array | None
     return result
 
 
-def _hanging(tool: PoseStream, apart: Array) -> tuple[str, bool]:
+def _hanging(apart: Array) -> tuple[str, bool]:
     """Return the world in which a body at this distance is lowest, and whether it hangs."""
-    still = Trajectory(tool.stamps_ns[:1], apart[None], np.eye(3)[None])
-    turned = {world: in_world(still, world_rotation(world)) for world in WORLDS}
-    down = {world: -float(poses.position[0, 2]) for world, poses in turned.items()}
+    down = {world: -float(world_rotation(world)[2] @ apart) for world in WORLDS}
     world = max(down, key=lambda name: down[name])
     reach = float(np.linalg.norm(apart))
     below = reach > 0.0 and down[world] > reach * np.cos(BELOW_WITHIN)

@@ -29,8 +29,6 @@ import numpy as np
 DIFFERENCE = 1e-4
 """Step of numerical derivatives by parameters, in units of their scale."""
 
-UPPER = np.triu_indices(6)
-
 
 class Tracking(NamedTuple):
     """Time between poses (s) and their white noise, of tool and package."""
@@ -64,7 +62,7 @@ def motion_information(
     density = np.sqrt(tracking.tool_period / tracking.package_period)
     noise = (PoseNoise(np.repeat(tracking.package, 3)),
              PoseNoise(density * np.repeat(tracking.tool, 3)))
-    basis = np.kron(np.eye(2), np.transpose([unit[UPPER] for unit in structure.basis]))
+    basis = structure.upper
     total: Array = np.zeros((basis.shape[1], basis.shape[1]))
     for part in np.array_split(np.arange(len(body)), len(body) // MOST_POSES + 1):
         none = np.zeros((len(part), 12))

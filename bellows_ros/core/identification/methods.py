@@ -11,8 +11,8 @@ from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
 from bellows_ros.core.identification.result import Fit, Freed
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.model import Cup, cup_of
-from bellows_ros.core.recording.recording import Noise, PrepareSettings, Recording, TimeOffset
+from bellows_ros.core.model import Cup, cup_of, package_of, varied
+from bellows_ros.core.recording.recording import Noise, Recording, TimeOffset
 from bellows_ros.core.structure import structure_named
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -173,9 +173,14 @@ def _by_prediction_error(
 
     structure = structure_named(values['fit.structure'])
     margin = LARGEST_OFFSET if values['fit.time_offset'] else 0.0
+    free = tuple(dict.fromkeys([*(['time_offset'] if margin else []), *values['fit.free']]))
     start = start_cup([reduced(own, values).statistics for own in recordings], cup_of(values))
-    segments = [replace(segment, recording=number, moves_with_com=moves_with_com(own.settings))
-                for number, own in enumerate(recordings) for segment in segments_of(own, margin)]
+    segments = []
+    for number, own in enumerate(recordings):
+        lip = own.settings.package_frame == 'lip'
+        sideways = lip or own.settings.align_at_rest
+        segments += [replace(segment, recording=number, moves_with_com=(sideways, sideways, lip))
+                     for segment in segments_of(own, margin)]
     tell = progress or (lambda what, part: None)
     return prediction_error(
         segments, structure, start, lambda own: tell(
@@ -216,31 +221,14 @@ def first_guess(
 
 def with_freed(values: Mapping[str, Any], freed: Sequence[Freed]) -> dict[str, Any]:
     """Return parameters with the estimates of fit.free."""
-    found = dict(values)
-    for name, change, _ in freed:
-        if name == 'com':
-            found['package.com'] = tuple(np.add(values['package.com'], change).tolist())
-        elif name == 'length':
-            found['cup.length'] = values['cup.length'] + change[0]
-        elif name == 'mass':
-            found['package.mass'] = values['package.mass'] * math.exp(change[0])
-        else:
-            log = np.array(change)
-            factors = np.exp(0.5 * (log[[0, 1, 2, 0, 0, 1]] + log[[0, 1, 2, 1, 2, 2]]))
-            found['package.inertia'] = tuple((factors * values['package.inertia']).tolist())
+    change = {own.name: own.change for own in freed}
+    found = {**values, 'cup.length': values['cup.length'] + sum(change.pop('length', ()))}
+    if change:
+        held = varied(package_of(values), **change)
+        entries = held.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        found |= {'package.mass': held.mass, 'package.com': tuple(held.com.tolist()),
+                  'package.inertia': tuple(entries.tolist())}
     return found
-
-
-def free_of(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return what is estimated with K and P: fit.free, and a time offset if wanted."""
-    offset = ('time_offset',) if values['fit.time_offset'] else ()
-    return tuple(dict.fromkeys((*offset, *values['fit.free'])))
-
-
-def moves_with_com(settings: PrepareSettings) -> tuple[bool, bool, bool]:
-    """Return the components of the centre of mass with which B moves while the lip stays."""
-    lip = settings.package_frame == 'lip'
-    return lip or settings.align_at_rest, lip or settings.align_at_rest, lip
 
 
 def start_cup(parts: Sequence[Statistics], known: Cup) -> Cup:

@@ -278,9 +278,6 @@ class Search:
         self.units = np.concatenate(wanted)
         self.start = np.zeros(len(self.units))
         self.start[:self.count] = structure.parameters(start.stiffness, start.damping) / units
-        upper = np.triu_indices(6)
-        entries = np.array([unit[upper] for unit in structure.basis]).T
-        self._entries = np.kron(np.eye(2), entries)
         self.missing = [_missing(segment) for segment in segments]
         self.spread = list(self.missing)
         self.noise = [np.zeros_like(spread) for spread in self.spread]
@@ -304,8 +301,8 @@ class Search:
     def by_numbers(self, segment: Segment, jacobian: Array) -> Array:
         """Return derivatives (..., m) by all unknowns, from those by entries and the rest."""
         out = np.zeros((*jacobian.shape[:-1], len(self.units)))
-        first = len(self._entries)
-        out[..., :self.count] = jacobian[..., :first] @ self._entries
+        first = len(self.structure.upper)
+        out[..., :self.count] = jacobian[..., :first] @ self.structure.upper
         for places in self.own_places(segment).values():
             out[..., places] = jacobian[..., first:first + len(places)]
             first += len(places)

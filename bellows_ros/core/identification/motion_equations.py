@@ -32,7 +32,7 @@ from bellows_ros.core.jacobians import (
 from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import body_acceleration, ModelTuple, State
 from bellows_ros.core.lie import apply, exp_so3, hat, rotation_to_quaternion, twist_cross
-from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.model import Cup, model_tuple, Package, varied
 from bellows_ros.core.resampling import resample, savgol, weights
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np
@@ -294,18 +294,9 @@ def _write(A: Square, out: Any, column: int, k: Any) -> None:
 
 
 def payload_of(held: Package, free: Free) -> Package:
-    """Return the package with the free numbers in it."""
-    if not free.keys() & {'com', 'mass', 'inertia'}:
-        return held
-    root = np.exp(0.5 * free.get('inertia', np.zeros(3)))
-    there = object.__new__(Package)  # a little beyond what a body can have, on the way
-    for name, value in (
-        ('mass', held.mass * float(np.exp(free.get('mass', np.zeros(1))[0]))),
-        ('inertia', held.inertia * np.outer(root, root)),
-        ('com', held.com + free.get('com', np.zeros(3))),
-    ):
-        object.__setattr__(there, name, value)
-    return there
+    """Return the package with the free quantities in it."""
+    own = {name: free[name] for name in ('com', 'mass', 'inertia') if name in free}
+    return varied(held, **own) if own else held
 
 
 def poses_of(package: Trajectory, free: Free, moves: Array) -> Trajectory:

@@ -1,13 +1,13 @@
 """Variations of the given quantities of a recording, as pure functions of it."""
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.lie import adjoint, apply, exp_so3, inverse_transform, transform
+from bellows_ros.core.model import varied
 from bellows_ros.core.resampling import resample
 from bellows_ros.core.structure import Structure
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
@@ -70,10 +70,9 @@ def time_offset(given: Given, theta: Array) -> Given:
 
 def com(given: Given, theta: Array) -> Given:
     """Return it with the centre of mass moved (3,) in axes of the lip, m."""
-    held = given.samples.payload
-    there = replace(held, com=held.com + theta)
+    there = _with(given, payload=varied(given.samples.payload, com=theta))
     fixed = np.array([given.aligned, given.aligned, False]) | given.lip_recorded  # then B moves
-    return _body_moved(_with(given, payload=there), np.zeros(3), np.where(fixed, theta, 0.0))
+    return _body_moved(there, np.zeros(3), np.where(fixed, theta, 0.0))
 
 
 def length(given: Given, theta: Array) -> Given:
@@ -83,16 +82,12 @@ def length(given: Given, theta: Array) -> Given:
 
 def mass(given: Given, theta: Array) -> Given:
     """Return it with the mass multiplied by exp(theta), at the same inertia."""
-    held = given.samples.payload
-    return _with(given, payload=replace(held, mass=held.mass * float(np.exp(theta[0]))))
+    return _with(given, payload=varied(given.samples.payload, mass=theta))
 
 
 def inertia(given: Given, theta: Array) -> Given:
     """Return it with moments of inertia exp(theta) (1,) or (3,) times as large."""
-    root = np.exp(0.5 * np.broadcast_to(theta, 3))
-    held = copy(given.samples.payload)  # a little beyond what a body can have, on the way
-    object.__setattr__(held, 'inertia', held.inertia * np.outer(root, root))
-    return _with(given, payload=held)
+    return _with(given, payload=varied(given.samples.payload, inertia=theta))
 
 
 def package_world(given: Given, theta: Array) -> Given:

@@ -49,7 +49,13 @@ ROUNDS = 4
 """Rounds of whitening with the latest K and reweighting by the residuals."""
 
 LARGEST_CHI2 = 4.0
-"""Chi^2 per degree of freedom above which standstills contradict each other."""
+"""Chi^2 per degree of freedom above which standstills contradict the motions or each other."""
+
+DISAGREEMENT = (
+    'The static recordings and the motion disagree beyond their errors (chi^2 per degree of '
+    'freedom {:.3g}, expected 1), so the static recordings get less weight. Check cup.length, the '
+    'masses in static.files, package.com and the alignment. The noise bias of least squares may '
+    'also be the cause: use fit.method: prediction_error.')
 
 
 def static_equations(
@@ -157,7 +163,7 @@ def joined_with_standstills(
     )
     return replace(
         fit, parameters=z[:-1], covariance=covariance, standstills=found,
-        notes=(*fit.notes, *_disagreement(chi2)))
+        notes=(*fit.notes, *([DISAGREEMENT.format(chi2)] if chi2 > LARGEST_CHI2 else [])))
 
 
 def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) -> Array:
@@ -166,18 +172,6 @@ def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) ->
         return structure.matrices(x)[0]
     known = np.isfinite(np.diag(covariance)) & (x > 0.0)
     return structure.matrices(np.where(known, x, structure.parameters(typical, typical)))[0]
-
-
-def _disagreement(chi2: float) -> tuple[str, ...]:
-    """Return a sentence where standstills do not agree with the motions or among themselves."""
-    if chi2 <= LARGEST_CHI2:
-        return ()
-    return (
-        'The static recordings and the motion disagree beyond their errors (chi^2 per degree of '
-        f'freedom {chi2:.3g}, expected 1), so the static recordings get less weight. Check '
-        'cup.length, the masses in static.files, package.com and the alignment. The noise bias '
-        'of least squares may also be the cause: use fit.method: prediction_error.',
-    )
 
 
 def _equations(
@@ -204,5 +198,5 @@ def _equations(
     way = (body[0] - R_there @ still.payload.com
            - still.package.position[0] + R @ still.payload.com)
     changes = np.vstack([R.T @ R_there @ of_lip[:3], dexp_inverse(-turn) @ of_lip[3:]])
-    A = changes[:, :21] @ np.transpose([unit[np.triu_indices(6)] for unit in structure.basis])
+    A = changes[:, :21] @ structure.upper[:21, :structure.size]
     return A, A @ x[:structure.size] - np.concatenate([R.T @ way, turn]), changes[:, 42]
