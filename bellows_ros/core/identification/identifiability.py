@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.identification.equations import joined, Solution, without
-from bellows_ros.core.identification.least_squares import common_structure, noise_bias, weighted
+from bellows_ros.core.identification.least_squares import noise_bias, structure_of, weighted
 from bellows_ros.core.identification.reduction import Movement, Reduced
 from bellows_ros.core.identification.samples import PassBand
 from bellows_ros.core.structure import AXES, Structure
@@ -269,7 +269,7 @@ def excitation_of(
 
     """
     statistics, movements = [own.statistics for own in parts], [own.movement for own in parts]
-    structure = common_structure(statistics)
+    structure = structure_of(statistics)
     whitening, found, noise = weighted(statistics)
     axes, filtered = _axes(movements), method == 'least_squares'
     shares = bias = np.full(len(found.x), np.nan)

@@ -6,7 +6,7 @@ equations of the raw data are never formed. Noise in the equations adds M to A^T
 on average; where it is known both are taken off again (compensated least squares).
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from bellows_ros.core.arrays import Array, Mask
 from bellows_ros.core.identification.equations import (
@@ -79,7 +79,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         parameter is identifiable.
 
     """
-    structure = common_structure(parts)
+    structure = structure_of(parts)
     used, rejected = sum(part.used for part in parts), sum(part.rejected for part in parts)
     if 6 * used <= 2 * structure.size:
         raise UndeterminedError(
@@ -120,7 +120,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     )
 
 
-def common_structure(parts: Sequence[Statistics]) -> Structure:
+def structure_of(parts: Sequence[Statistics]) -> Structure:
     """Return the structure of all parts, or raise BellowsError if they are not of one cup."""
     kinds = {(part.structure.name, part.cup_length) for part in parts}
     if len(kinds) != 1:
@@ -138,7 +138,7 @@ def weighted(parts: Sequence[Statistics]) -> tuple[Array, Solution, Array | None
 
     The last (6, q, 6, q) is that of all parts (see `noise_products`), None where one lacks it.
     """
-    structure = common_structure(parts)
+    structure = structure_of(parts)
     whitening = whitening_of(regular(joined(part.moments for part in parts).covariance(structure)))
     known = [part.noise for part in parts if part.noise is not None]
     R = r_factor((own.stacked for own in _rows(parts, whitening)), 2 * structure.size + 1)
@@ -154,22 +154,8 @@ def _rows(parts: Sequence[Statistics], whitening: Array) -> Iterator[Rows]:
 def _uncertainty(
     parts: Sequence[Statistics], whitening: Array, x: Array, inverse: Array, gain: Array
 ) -> tuple[Array, Array]:
-    """Return the covariance (p, p) of x, however few clusters, and the residual squares (6,)."""
-    covariance, squares, clusters = _cluster_robust(
-        _rows(parts, whitening), whitening, x, inverse, gain)
-    if clusters < ENOUGH_CLUSTERS:
-        variances = np.maximum(
-            np.diag(covariance), _least_variances(
-                _rows(parts, whitening), x, inverse, gain, clusters))
-        covariance = _with_correlations_of(gain @ gain.T, variances)
-    return covariance, squares
-
-
-def _cluster_robust(
-    rows: Iterable[Rows], whitening: Array, x: Array, inverse: Array, gain: Array
-) -> tuple[Array, Array, int]:
     """
-    Return the covariance (p, p) of x, the squares (6,) of wrench residuals, and the clusters.
+    Return the covariance (p, p) of x, and the squares (6,) of wrench residuals.
 
     The covariance needs no independence of residuals that are less than a cluster apart, and
     no equal noise (the cluster-robust estimator; with Z = A R^-1 it is
@@ -177,46 +163,39 @@ def _cluster_robust(
     root makes up for residuals that the fit itself has shrunk, and G is R^-1, but where noise is
     compensated; then the u have a mean, which counts for nothing). Too few clusters cannot tell
     the correlations of many parameters; these are then those of the equations.
+
+    A fit brings the scores of its clusters to a sum of zero: those of few clusters say next to
+    nothing of the variances, that of one says zero. Then these are at least what they are if
+    residuals in a filter window are one, else independent; infinite where so many windows leave
+    no residual. The last cluster may be short and is not counted there.
     """
-    scores, squares = [], np.zeros(6)
-    colour = np.linalg.inv(whitening)
-    for A, b, clusters in rows:
-        r = b - A @ x
+    size, colour, scores = len(x), np.linalg.inv(whitening), []
+    squares, whitened, products = np.zeros(6), np.zeros(6), np.zeros((6, size, size))
+    for A, b, clusters in _rows(parts, whitening):
+        Z, r = A @ inverse, b - A @ x
         squares += np.sum((r @ colour.T) ** 2, axis=0)
+        whitened += np.sum(r**2, axis=0)
+        products += np.transpose(Z, (1, 2, 0)) @ np.swapaxes(Z, 0, 1)
         for part in clusters:
-            Z = A[part].reshape(-1, len(x)) @ inverse
-            share, V = np.linalg.eigh(np.eye(len(x)) - Z.T @ Z)
+            own = Z[part].reshape(-1, size)
+            share, V = np.linalg.eigh(np.eye(size) - own.T @ own)
             root = V / np.sqrt(np.maximum(share, SMALLEST_SHARE))
-            scores.append(root @ (V.T @ (Z.T @ r[part].ravel())))
+            scores.append(root @ (V.T @ (own.T @ r[part].ravel())))
     u = np.array(scores)
     if gain is not inverse:
         u = u - u.mean(axis=0)
     covariance = gain @ u.T @ u @ gain.T
-    if len(u) < CLUSTERS_PER_PARAMETER * len(x):
-        covariance = _with_correlations_of(gain @ gain.T, np.diag(covariance))
-    return covariance, squares, len(u)
-
-
-def _least_variances(
-    rows: Iterable[Rows], x: Array, inverse: Array, gain: Array, clusters: int
-) -> Array:
-    """
-    Return the variances (p,) of x if residuals in a filter window are one, else independent.
-
-    They are infinite where so many windows leave no residual. The last cluster may be short and
-    is not counted. (A fit brings the scores of its clusters to a sum of zero: those of few
-    clusters say next to nothing of the variances, that of one says zero.)
-    """
-    products, squares = np.zeros((6, len(x), len(x))), np.zeros(6)
-    for A, b, _ in rows:
-        Z = np.swapaxes(A @ inverse, 0, 1)
-        products += np.swapaxes(Z, 1, 2) @ Z
-        squares += np.sum((b - A @ x) ** 2, axis=0)
-    degrees = 6 * CLUSTER_WINDOWS * (clusters - 1) - len(x)
-    if degrees <= 0:
-        return np.full(len(x), np.inf)
-    meat = np.tensordot(6.0 * squares / degrees, products, axes=1)
-    return np.asarray(np.diag(gain @ meat @ gain.T))
+    if len(u) >= CLUSTERS_PER_PARAMETER * size:
+        return covariance, squares
+    variances = np.diag(covariance)
+    if len(u) < ENOUGH_CLUSTERS:
+        degrees = 6 * CLUSTER_WINDOWS * (len(u) - 1) - size
+        meat = np.tensordot(6.0 * whitened / max(degrees, 1), products, axes=1)
+        variances = np.maximum(
+            variances, np.diag(gain @ meat @ gain.T) if degrees > 0 else np.inf)
+    of_equations = gain @ gain.T
+    ratio = np.sqrt(variances / np.maximum(np.diag(of_equations), np.finfo(float).tiny))
+    return of_equations * np.outer(ratio, ratio), squares
 
 
 def noise_bias(
@@ -239,12 +218,6 @@ def noise_bias(
     compensated = inverse @ (V[:, ~noisy] / (1.0 - share[~noisy])) @ V[:, ~noisy].T
     gain = compensated + inverse @ V[:, noisy] @ V[:, noisy].T
     return -compensated @ slope, gain, separable
-
-
-def _with_correlations_of(covariance: Array, variances: Array) -> Array:
-    """Return a covariance with the correlations of one and with other variances (p,)."""
-    size = np.sqrt(variances / np.maximum(np.diag(covariance), np.finfo(float).tiny))
-    return np.asarray(covariance * np.outer(size, size))
 
 
 def _misfit(left: Array, by_noise: Array | None, whitening: Array) -> str:
