@@ -292,15 +292,10 @@ def _standstill_sentences(result: Identification) -> Iterator[str]:
     found, static = result.fit.standstills, result.static
     if found is None or static is None:
         return
-    ratios, labels = found.narrowed, result.fit.labels
-    order = [i for i in np.argsort(ratios, kind='stable').tolist() if ratios[i] < NARROWED]
-    parts = [
-        f'of {labels[i]} {100.0 * ratios[i]:.0f} %' if ratios[i] > 0.0
-        else f'{labels[i]} from them alone' for i in order[:SHOWN]
-    ]
-    more = f' and {len(order) - SHOWN} more' if len(order) > SHOWN else ''
-    narrowed = (f'ratio of standard errors with and without them: {", ".join(parts)}{more}'
-                if order else 'they change no standard error')
+    best = sorted(zip(found.narrowed.tolist(), result.fit.labels, strict=True))[:SHOWN]
+    parts = [f'{label} {100.0 * ratio:.0f} %' for ratio, label in best if ratio < NARROWED]
+    narrowed = (f'ratio of standard errors with and without them: {", ".join(parts)}' if parts
+                else 'they change no standard error')
     yield (f'{found.count} standstills are part of the fit (chi^2 per degree of freedom '
            f'{found.chi2:.2g}): {narrowed}.')
     if static.length:
