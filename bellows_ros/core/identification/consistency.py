@@ -60,7 +60,7 @@ def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
     fits : sequence of Fit
         At least two, of different recordings.
     names : sequence of str
-        What tells them apart, such as the packages' masses.
+        Their names, such as the packages' masses.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """
 Which parts of a cup are identifiable from recordings, before anything is fitted.
 
-What the motion changes in the direction of a parameter is information on it. What the sensors add
-there looks like motion, too, but is none, and makes least squares find too little (errors in
-variables), by as much as it takes off again where the noise is known.
+What the motion changes in the direction of a parameter is information on it. Noise of the sensors
+looks like motion there, too, and makes least squares find too little (errors in variables): the
+bias that it compensates where the noise is known.
 """
 
 from collections.abc import Iterator, Sequence
@@ -158,8 +158,8 @@ def _direction_warnings(
         share = (f'{each.noise_share:.0%} of the information on its {name} is noise:'
                  if each.noise_share > SHARE_WEAK else f'noise disturbs its {name}:')
         yield (
-            f'{title} is weakly excited: {share} least squares takes off some '
-            f'{abs(each.bias):.0%}, which is right where the noise is white. Use '
+            f'{title} is weakly excited: {share} least squares compensates a '
+            f'bias of {abs(each.bias):.0%}, which is right where the noise is white. Use '
             f'fit.method: prediction_error, or {advice}.'
         )
 

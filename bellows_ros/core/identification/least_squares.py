@@ -3,7 +3,7 @@ Weighted linear least squares on accelerations (4.66-4.81).
 
 Sufficient statistics of the recordings are weighted and joined by QR factorisations: the normal
 equations of the raw data are never formed. Noise in the equations adds M to A^T A and m to A^T b
-on average; where it is known both are taken off again (compensated least squares).
+on average; where it is known both are subtracted (compensated least squares).
 """
 
 from collections.abc import Iterator, Sequence
@@ -161,8 +161,8 @@ def _uncertainty(
     no equal noise (the cluster-robust estimator; with Z = A R^-1 it is
     G (sum of u u^T) G^T, u = (I - Z_j^T Z_j)^-1/2 Z_j^T r_j for cluster j, in which the
     root makes up for residuals that the fit itself has shrunk, and G is R^-1, but where noise is
-    compensated; then the u have a mean, which counts for nothing). Too few clusters cannot tell
-    the correlations of many parameters; these are then those of the equations.
+    compensated; then the u have a mean, which is subtracted). Correlations of many parameters
+    do not follow from too few clusters; they are then those of the equations.
 
     A fit brings the scores of its clusters to a sum of zero: those of few clusters say next to
     nothing of the variances, that of one says zero. Then these are at least what they are if
@@ -206,8 +206,8 @@ def noise_bias(
 
     With noise that adds M to A^T A and m to A^T b on average, the truth is near
     (A^T A - M)^-1 (A^T b - m), and the estimate off it by -(A^T A - M)^-1 (M x - m). The gain
-    (p, p) is G = (A^T A - M)^-1 R^T. In directions that are nearly all noise nothing is taken off,
-    and parameters with a part in them are not identifiable (p,).
+    (p, p) is G = (A^T A - M)^-1 R^T. Directions that are nearly all noise stay as they are, and
+    parameters with a part in them are not identifiable (p,).
     """
     added = np.einsum('ij,ipjq->pq', whitening.T @ whitening, noise)
     share, V = np.linalg.eigh(inverse.T @ added[:-1, :-1] @ inverse)

@@ -180,7 +180,7 @@ def _band(effects: Array) -> Array:
 
 
 Note = Callable[[Array, float], None]
-"""Called with the free parameters of a step and its chi^2."""
+"""Called with the parameters of a step and its chi^2."""
 
 WIDEST, FURTHEST = 10.0, 100.0
 """
@@ -225,8 +225,8 @@ class Found(NamedTuple):
     """
     Where the search ended.
 
-    Free parameters (m,), the segments and the noise of their poses, information (m, m), and
-    whether it is a minimum.
+    Parameters (m,), the whitened equations of each segment and the noise of its poses, the
+    information (m, m), and whether it is a minimum.
     """
 
     theta: Array
@@ -238,10 +238,10 @@ class Found(NamedTuple):
 
 class Search:
     """
-    Steps towards the minimum.
+    Gauss-Newton steps towards the minimum.
 
-    Free parameters are those of the structure in units of the scale, then those of `KINDS` that
-    are wanted, one after the other, in theirs.
+    The parameters theta are those of the structure in units of their size, then the quantities
+    of `KINDS` that are wanted, one after the other, in theirs.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ class Search:
         return {name: values[places] for name, places in self.own_places(segment).items()}
 
     def by_numbers(self, segment: Segment, jacobian: Array) -> Array:
-        """Return derivatives (..., m) by all unknowns, from those by entries and the rest."""
+        """Return derivatives (..., m) by all parameters, from those by entries and the rest."""
         out = np.zeros((*jacobian.shape[:-1], len(self.units)))
         first = len(self.structure.upper)
         out[..., :self.count] = jacobian[..., :first] @ self.structure.upper
@@ -361,7 +361,7 @@ class Search:
             self.noise[i] = np.clip(noise, -largest, largest)
 
     def whitened(self, equations: list[Equations]) -> list[Whitened]:
-        """Return equations in units of their noise, with derivatives by the free numbers."""
+        """Return equations in units of their noise, with derivatives by all parameters."""
         return [
             whitened(
                 own._replace(jacobian=self.by_numbers(segment, own.jacobian)),

@@ -97,7 +97,7 @@ class Equations(NamedTuple):
     The equations at N poses.
 
     Errors (N, 6): c as the measured poses make it, m/s^2 and rad/s^2; jacobian (N, 6, p): of f
-    by the entries of K and P, then of -c by the free numbers; package, tool (N, 6, 9, 6): the
+    by the entries of K and P, then of -c by the free quantities; package, tool (N, 6, 9, 6): the
     A_j, of changes in the body's own axes.
     """
 
@@ -155,7 +155,7 @@ class Segment:
         return Equations(self.errors(cup, noise, free, package, tool), jacobian, package, tool)
 
     def _model(self, cup: Cup, free: Free) -> ModelTuple:
-        """Return the model with the free numbers in it."""
+        """Return the model with the free quantities in it."""
         longer = float(free['length'][0]) if 'length' in free else 0.0
         return model_tuple(
             replace(cup, length=cup.length + longer), payload_of(self.measured.payload, free),

@@ -1,10 +1,11 @@
 """
 How well a cup explains a recording, as a function of what was given with it.
 
-The wrench that the motion needs is linear in K and P (4.67), so that these are eliminated: what is
-left is a function of the few numbers that were given (variable projection). Means over short times
-lose hardly any motion and most of the noise of accelerations. What noise adds on average is seen
-by adding noise of the same kind once more, and is taken off: with noise alone nothing is left.
+The wrench that the motion needs is linear in K and P (4.67), so that these are eliminated: the
+residual is a function of the few quantities that were given (variable projection). Means over
+short times lose hardly any motion and most of the noise of accelerations. What noise adds on
+average is seen by adding noise of the same kind once more, and is subtracted: of noise alone
+nothing remains.
 """
 
 from collections.abc import Callable, Sequence
@@ -270,7 +271,7 @@ class Objective:
         return Rows(np.concatenate(A), np.concatenate(b), clusters)
 
     def solved(self, ensemble: Ensemble) -> 'Solved':
-        """Return the cup that explains most, and what it leaves."""
+        """Return the compensated least-squares solution, and its residual."""
         rows = self.rows(ensemble.given)
         full = np.column_stack([rows.A, rows.b])
         scale = np.linalg.norm(full, axis=0)
@@ -294,7 +295,7 @@ class Objective:
 
 
 class Solved(NamedTuple):
-    """The rows, the cup x (p,), mean squares left beyond noise, their count, and a basis of A."""
+    """The rows, the cup x (p,), mean squared residual beyond noise, its count, a basis of A."""
 
     rows: Rows
     x: Array

@@ -92,7 +92,7 @@ def prediction_error(
 
 
 def _definite(search: Search, found: Found) -> Array:
-    """Return the free numbers of the likeliest definite K and P."""
+    """Return the parameters of the likeliest definite K and P."""
     cup = search.cup(found.theta)
     if np.linalg.eigvalsh(cup.stiffness)[0] > 0.0 and np.linalg.eigvalsh(cup.damping)[0] >= 0.0:
         return found.theta
@@ -193,17 +193,17 @@ def minimum_in_cone(H: Array, best: Array, inside: Array, units: Array) -> Array
     Return the x nearest to the best one, in the metric H, whose K and P are positive definite.
 
     By Newton's method on (x - best)^T H (x - best) / 2 with a barrier, -log det of both matrices,
-    that is taken away in stages. Steps are damped so that they never leave the cone.
+    whose weight falls in stages. Steps are damped so that they never leave the cone.
 
     Parameters
     ----------
     H, best : ndarray (n, n), (n,)
-        H positive definite. Numbers beyond those of K and P are free.
+        H positive definite. Parameters beyond those of K and P are not constrained.
     inside : ndarray (n,)
         Where K and P are definite.
     units : ndarray (2, k, 6, 6)
-        What K and P are sums of, times the first k numbers and the next k: scaled so that their
-        diagonals are near one.
+        What K and P are sums of, times the first k parameters and the next k: scaled so that
+        their diagonals are near one.
 
     """
     x = inside
@@ -244,7 +244,7 @@ LEAST_EXCESS = 0.25
 """Scatter below this fraction of the noise model's belongs to directions without information."""
 
 LARGEST_LEVERAGE = 0.999
-"""Largest leverage of one second: something must remain when it is left out."""
+"""Largest leverage of one second in the jackknife."""
 
 LEAST_SIGNAL = 0.05
 """Smallest share of the information on a direction that is taken to be signal."""

@@ -6,7 +6,7 @@ that, AIC and BIC guess from the number of independent samples, and held-out par
 recordings show: a cup found without them has to simulate their motion.
 
 Noise biases least squares, and a rich structure can mend with couplings that are not there what
-the bias spoils. Where the noise is known, its bias is therefore taken off before cups simulate.
+the bias spoils. Where the noise is known, its bias is therefore subtracted before cups simulate.
 """
 
 from collections.abc import Iterator, Sequence
@@ -108,7 +108,7 @@ class StructureSelection:
     candidates : tuple of Candidate
         From the simplest to the richest.
     samples, effective_samples : float
-        Valid samples, and how many independent ones tell as much: residuals are correlated.
+        Valid samples, and how many independent ones are as informative: residuals are correlated.
     advised : str
         The structure to take.
     advice : tuple of str
@@ -173,7 +173,7 @@ def select_structure(
     whitening, effective = _common_weight(recordings, cup_length, *fitted[-1])
     problem = _Problem(
         recordings, cup_length, whitening, effective, sum(own.count for own in recordings),
-        # With other draws than those of the fit, which takes off what it sees in its own.
+        # With other draws than those of the fit, which subtracts what it sees in its own.
         np.sum([noise_products(samples, noise, cup_length, structures[-1], SEED + 1)
                 for samples, noise in zip(recordings, noises, strict=True)], axis=0)
         if noises else None)

@@ -124,7 +124,7 @@ def joined_with_standstills(
     Parameters
     ----------
     fit : Fit
-        Of motions; entries that these do not tell may have infinite variances.
+        Of motions; entries that are not identifiable from these have infinite variances.
     standstills : sequence of Standstill
         Of the same cup.
     length : Length
@@ -132,7 +132,7 @@ def joined_with_standstills(
     gravity : float
         m/s^2 along -z of the world.
     typical : ndarray (6, 6)
-        Stiffness that stands for entries that the motions do not tell, in weights only.
+        Stiffness that stands for entries that are not identifiable, in weights only.
 
     """
     structure = structure_named(fit.structure)
