@@ -17,6 +17,7 @@ from bellows_ros.core.identification.segments import bridged, segments_of
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.recording.alignment import rest_of
 from bellows_ros.core.recording.recording import Noise, Recording
 from bellows_ros.core.resampling import savgol, weights
 from bellows_ros.core.residuals import (
@@ -47,13 +48,8 @@ NOISE_RUNS = 2
 LONGEST_BRIDGE_S = 0.08
 """Gaps of the tool longer than this (s) are bridged with a warning."""
 
-REST_S = 0.2
-REST_SPEED = np.array([5e-3] * 3 + [2e-2] * 3)
-"""A body stands still if its RMS twist over `REST_S` seconds is below this, m/s, rad/s."""
-
-NOISE_WIDTHS = 3.0
-"""Standard deviations of a twist's noise that do not count as motion."""
-
+REST_S = 0.3
+"""A recording begins at rest if both bodies stand still for so long."""
 
 SEED = 0
 """Seed of the added noise: the same recording gives the same numbers."""
@@ -181,7 +177,7 @@ def _validated(cup: Cup, recording: Recording) -> Validation:
     model = model_tuple(cup, package, gravity)
     half_window = half_window_of(recording.measured_tool)
     tool, bridges = smoothed_tool(recording.measured_tool, half_window)
-    start, first, kind = _start(model, tool, recording, noises)
+    start, first, kind = _start(model, tool, recording)
     tool = tool.select(slice(first, None))
     span = _span(recording.measured_tool, tool)
     measured_tool = recording.measured_tool.select(span)
@@ -259,34 +255,20 @@ def _span(whole: Trajectory, part: Trajectory) -> slice:
 
 
 def _start(
-    model: ModelTuple, tool: Trajectory, recording: Recording, noises: tuple[Noise, Noise]
+    model: ModelTuple, tool: Trajectory, recording: Recording
 ) -> tuple[State, int, str]:
     """Return the package's first state, the tool's sample of it, and its origin."""
-    rows = tool_rows(tool.select(slice(0, 1)))[0]
-    rest = static_equilibrium(model, state_row(rows[:3], rows[3:7], np.zeros(6)))
-    bodies = (recording.tool, recording.package)
-    weights = (recording.tool_weights, recording.package_weights)
-    if all(_at_rest(*body) for body in zip(bodies, weights, noises, strict=True)):
-        return rest, 0, 'equilibrium'
     package = recording.package
     usable = package.valid & (package.stamps_ns >= tool.stamps_ns[0])
     first = int(np.argmax(usable))
-    if package.twist is None or not usable[first]:
+    at_rest = rest_of(recording.measured_tool, recording.measured_package).seconds >= REST_S
+    if at_rest or package.twist is None or not usable[first]:
+        rows = tool_rows(tool.select(slice(0, 1)))[0]
+        rest = static_equilibrium(model, state_row(rows[:3], rows[3:7], np.zeros(6)))
         return rest, 0, 'equilibrium'
     quaternion = rotation_to_quaternion(package.rotation[first])
     state = state_row(package.position[first], quaternion, package.twist[first])
     return state, int(np.searchsorted(tool.stamps_ns, package.stamps_ns[first])), 'measured'
-
-
-def _at_rest(filtered: Trajectory, weights: Array, noise: Noise) -> bool:
-    """Return whether the body stands still at first, within noise."""
-    span = filtered.stamps_ns <= filtered.stamps_ns[0] + int(REST_S * NS_PER_S)
-    seen = filtered.valid & span
-    if filtered.twist is None or not seen.any():
-        return True
-    speed = np.sqrt(np.mean(filtered.twist[seen] ** 2, axis=0))
-    blur = NOISE_WIDTHS * float(np.linalg.norm(weights[1])) * np.repeat(noise, 3)
-    return bool(np.all(speed <= REST_SPEED + blur))
 
 
 def _noise_of_errors(
