@@ -300,27 +300,22 @@ def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> l
         for step in outliers.steps if not _is_of_jitter(recorded, time, step)
     ]
     way = float(np.ptp(recorded.position[outliers.good], axis=0).max(initial=0.0))
-    if way > LARGE_WAY:
-        found.append(
-            f"Topic '{name}' moves through {way:.0f} m. Its positions may be in millimetres; they "
-            'must be in metres (REP-103).')
-    if time.rate_hz < LOW_RATE_HZ:
-        found.append(
-            f"Topic '{name}' has only {time.rate_hz:.0f} Hz, but axial and bending modes of a cup "
-            f'lie at several Hz. Record at {LOW_RATE_HZ:.0f} Hz or more.')
     repeats = repeats_in_motion(recorded.trajectory())
-    if repeats > REPEATS_WARNED * len(recorded):
-        found.append(
-            f"Topic '{name}' repeats its pose {repeats} times in motion: it is published faster "
-            'than it is measured, so its actual rate is lower.'
-        )
-    if time.jitter_s * time.rate_hz > JITTER_WARNED:
-        found.append(
-            f"The stamps of topic '{name}' jitter by {time.jitter_s * 1e3:.2g} ms at "
-            f'{time.rate_hz:.5g} Hz. The stamps are used as they are; if they are arrival times, '
-            'stamp the poses when they are measured.'
-        )
-    return found
+    return found + [text for noticed, text in (
+        (way > LARGE_WAY,
+         f"Topic '{name}' moves through {way:.0f} m. Its positions may be in millimetres; they "
+         'must be in metres (REP-103).'),
+        (time.rate_hz < LOW_RATE_HZ,
+         f"Topic '{name}' has only {time.rate_hz:.0f} Hz, but axial and bending modes of a cup "
+         f'lie at several Hz. Record at {LOW_RATE_HZ:.0f} Hz or more.'),
+        (repeats > REPEATS_WARNED * len(recorded),
+         f"Topic '{name}' repeats its pose {repeats} times in motion: it is published faster "
+         'than it is measured, so its actual rate is lower.'),
+        (time.jitter_s * time.rate_hz > JITTER_WARNED,
+         f"The stamps of topic '{name}' jitter by {time.jitter_s * 1e3:.2g} ms at "
+         f'{time.rate_hz:.5g} Hz. The stamps are used as they are; if they are arrival times, '
+         'stamp the poses when they are measured.'),
+    ) if noticed]
 
 
 def _is_of_jitter(poses: PoseStream, time: Timing, step: Step) -> bool:
