@@ -21,7 +21,7 @@ def motion_content(replayed: Replay) -> list[str]:
     found, bag = replayed.validation, replayed.bag
     start = 'static equilibrium' if found.start == 'equilibrium' else 'the measured state'
     return [
-        paragraph(_verdict(found)),
+        paragraph(found.verdict()),
         *([paragraph(replayed.margin.sentence), figure(margin_figure(replayed.margins, bag))]
           if replayed.margin else []),
         warnings(replayed.warnings),
@@ -65,16 +65,6 @@ def _score_table(found: Validation) -> str:
             percent(found.scores.nrmse[i]), percent(found.model_error[i]),
             word if found.moves[i] else 'moves too little'))
     return table(head, rows, (0, 7))
-
-
-def _verdict(found: Validation) -> str:
-    """Return the meaning of the table, in words."""
-    failing = found.failing()
-    if failing:
-        return f'Errors above {100 * LIMIT:g} % of the motion: {", ".join(failing)}.'
-    if not found.moves.any():
-        return 'No axis moves enough for a verdict.'
-    return f'All axes that move are predicted within {100 * LIMIT:g} % of their motion.'
 
 
 def _whiteness(found: Validation, bag: str) -> list[str]:
