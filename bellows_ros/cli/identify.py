@@ -276,7 +276,7 @@ def say_cup(fit: 'Fit', console: Console) -> None:
         for axes in structure.tied_axes)])
     for name, matrix, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]
-        rows = [('', *AXES)]
+        rows: list[tuple[str, ...]] = [('', *AXES)]
         for axis, values, errors in zip(AXES, matrix.tolist(), std.tolist(), strict=True):
             rows.append((axis, *('-' if math.isinf(error) else f'{value:.4g}'
                                  for value, error in zip(values, errors, strict=True))))

@@ -103,6 +103,9 @@ def converse(
             sent_ns[message.data[STAMP]] = time.monotonic_ns()
         out[name].publish(message.data)
 
+    def receive(data: bytes) -> None:
+        heard.setdefault(data[STAMP], (time.monotonic_ns(), data))
+
     def probe() -> None:
         require_alive()
         stamp_ns = next(stamps)
@@ -111,9 +114,7 @@ def converse(
 
     with playing('demo_player') as (node, executor):
         qos = QoSProfile(depth=QUEUE)
-        node.create_subscription(
-            PoseStamped, 'package/pose', lambda data: heard.setdefault(
-                data[STAMP], (time.monotonic_ns(), data)), qos, raw=True)
+        node.create_subscription(PoseStamped, 'package/pose', receive, qos, raw=True)
         out = {name: publisher(node, firsts[name].topic, name, qos)
                for name in (TWISTS, POSES) if name in firsts}
         reset = node.create_client(Trigger, 'predictor/reset')
