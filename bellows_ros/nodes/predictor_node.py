@@ -98,9 +98,7 @@ class PredictorNode(ManagedNode):
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # which nobody sets
         self.create_timer(TICK, self._tick, clock=steady)
-        self.create_timer(
-            REPORT_PERIOD,
-            lambda: self._diagnostics.report(self.lifecycle_state, self._last), clock=steady)
+        self.create_timer(REPORT_PERIOD, self._say_report, clock=steady)
         if self.values['autostart']:
             self.start()
         else:
@@ -343,6 +341,10 @@ class PredictorNode(ManagedNode):
             self._tossing.publish(
                 live.model, held, live.frame_id, self._outputs.uncertainty.covariance)
         self._say_state()
+
+    def _say_report(self) -> None:
+        """Report the health of the node, and log what is wrong."""
+        self._diagnostics.report(self.lifecycle_state, self._last)
 
     def _say_state(self) -> None:
         """Publish the state when it changes."""
