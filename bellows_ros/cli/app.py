@@ -126,6 +126,7 @@ def _run(arguments: list[str], console: Console) -> int:
            for value in vars(parsed).values()):
         console.keep_stdout_free()
     code: int = parsed.run(parsed, console)
+    console.warn(*console.remarks)
     console.flush()
     return code
 

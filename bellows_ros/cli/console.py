@@ -58,12 +58,18 @@ class Console:
     err : text stream
         For notes, warnings, errors and progress.
 
+    Attributes
+    ----------
+    remarks : list of str
+        Warnings for when the work has been done.
+
     """
 
     def __init__(self, out: TextIO, err: TextIO) -> None:
         """Remember the streams."""
         self._out = out
         self._err = err
+        self.remarks: list[str] = []
 
     def keep_stdout_free(self) -> None:
         """Print results on stderr from now on: stdout takes a file's content."""

@@ -165,10 +165,11 @@ def given_parameters(
 def cup_parameters(
     arguments: argparse.Namespace, console: 'Console', node: str | None = None
 ) -> 'dict[str, Value]':
-    """Return the `given_parameters`, and warn if the cup is not among them."""
+    """Return the `given_parameters`; a cup that is not among them will be remarked."""
     values = given_parameters(arguments, node)
     if 'cup.stiffness' not in values:
-        console.warn('cup.stiffness is not set: using the cup of the thesis, (4.78, 4.79).')
+        console.remarks.append(
+            'cup.stiffness is not set: using the cup of the thesis, (4.78, 4.79).')
     return values
 
 
