@@ -306,6 +306,23 @@ def accelerations_at(
 
 
 @kernel
+def write_block(out: Any, i: int, j: int, block: Matrix) -> None:
+    """Write a 3x3 matrix into an array."""
+    out[i, j], out[i, j + 1], out[i, j + 2] = block[0], block[1], block[2]
+    out[i + 1, j], out[i + 1, j + 1], out[i + 1, j + 2] = block[3], block[4], block[5]
+    out[i + 2, j], out[i + 2, j + 1], out[i + 2, j + 2] = block[6], block[7], block[8]
+
+
+@kernel
+def write_square(out: Any, i: int, j: int, square: Square) -> None:
+    """Write a 6x6 matrix into an array."""
+    write_block(out, i, j, square[0])
+    write_block(out, i, j + 3, square[1])
+    write_block(out, i + 3, j, square[2])
+    write_block(out, i + 3, j + 3, square[3])
+
+
+@kernel
 def write_column(out: Any, column: int, a: Vector, b: Vector) -> None:
     """Write two vectors into a column (6,)."""
     out[0, column], out[1, column], out[2, column] = a

@@ -26,14 +26,16 @@ from bellows_ros.core.jacobians import (
     MASS,
     parameter_jacobian,
     PARAMETERS,
-    Square,
     tool_jacobians,
+    write_column,
+    write_square,
 )
 from bellows_ros.core.jit import COMPILED, kernel
-from bellows_ros.core.kernels import body_acceleration, ModelTuple, State
+from bellows_ros.core.kernels import body_acceleration, ModelTuple
 from bellows_ros.core.lie import apply, exp_so3, hat, rotation_to_quaternion, twist_cross
 from bellows_ros.core.model import Cup, model_tuple, Package, varied
 from bellows_ros.core.resampling import resample, savgol, weights
+from bellows_ros.core.simulation import row_state
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
@@ -249,21 +251,11 @@ else:
 
 
 @kernel
-def _state(A: Any, k: Any) -> State:
-    """Return a column (13,) as the kernels take it."""
-    return (
-        (A[0, k], A[1, k], A[2, k]), (A[3, k], A[4, k], A[5, k], A[6, k]),
-        (A[7, k], A[8, k], A[9, k]), (A[10, k], A[11, k], A[12, k]),
-    )
-
-
-@kernel
 def _accelerations(model: ModelTuple, tool: Any, body: Any, out: Any) -> None:
     """Write the rates (6, N) of the package's twist."""
     for k in columns(tool.shape[1]):
-        dv, dw = body_acceleration(model, _state(tool, k), _state(body, k))
-        out[0, k], out[1, k], out[2, k] = dv
-        out[3, k], out[4, k], out[5, k] = dw
+        dv, dw = body_acceleration(model, row_state(tool[:, k]), row_state(body[:, k]))
+        write_column(out, k, dv, dw)
 
 
 @kernel
@@ -272,25 +264,14 @@ def _derivatives(
 ) -> None:
     """Write derivatives (6, 24 + p, N): by pose and twist of package and tool, by parameters."""
     for k in columns(tool.shape[1]):
-        own, other = _state(body, k), _state(tool, k)
+        own, other, here = row_state(body[:, k]), row_state(tool[:, k]), out[:, :, k]
         by_pose, by_twist = body_jacobians(model, other, own)
-        _write(by_pose, out, 0, k)
-        _write(by_twist, out, 6, k)
+        write_square(here, 0, 0, by_pose)
+        write_square(here, 0, 6, by_twist)
         by_pose, by_twist = tool_jacobians(model, other, own)
-        _write(by_pose, out, 12, k)
-        _write(by_twist, out, 18, k)
-        parameter_jacobian(model, other, own, first, last, out[:, :, k], 24)
-
-
-@kernel
-def _write(A: Square, out: Any, column: int, k: Any) -> None:
-    """Write a 6x6 matrix into columns."""
-    for i in range(3):
-        for j in range(3):
-            out[i, column + j, k] = A[0][3 * i + j]
-            out[i, column + j + 3, k] = A[1][3 * i + j]
-            out[i + 3, column + j, k] = A[2][3 * i + j]
-            out[i + 3, column + j + 3, k] = A[3][3 * i + j]
+        write_square(here, 0, 12, by_pose)
+        write_square(here, 0, 18, by_twist)
+        parameter_jacobian(model, other, own, first, last, here, 24)
 
 
 def payload_of(held: Package, free: Free) -> Package:

@@ -24,8 +24,9 @@ from bellows_ros.core.jacobians import (
     acceleration_at,
     body_jacobians,
     parameter_jacobian,
-    Square,
+    write_block,
     write_column,
+    write_square,
 )
 from bellows_ros.core.jit import COMPILED, kernel
 from bellows_ros.core.kernels import (
@@ -45,7 +46,6 @@ from bellows_ros.core.tuples import (
     apply_transposed,
     hat,
     log_quaternion,
-    Matrix,
     Quaternion,
     quaternion_conjugate,
     quaternion_product,
@@ -188,23 +188,6 @@ def pushed(
     body = body[0], body[1], add_scaled(body[2], half, dv), add_scaled(body[3], half, dw)
     body = advance(model, body, start, end, seconds, substeps)
     return body[0], body[1], add_scaled(body[2], half, dv), add_scaled(body[3], half, dw)
-
-
-@kernel
-def write_block(out: Any, i: int, j: int, block: Matrix) -> None:
-    """Write a 3x3 matrix into an array."""
-    out[i, j], out[i, j + 1], out[i, j + 2] = block[0], block[1], block[2]
-    out[i + 1, j], out[i + 1, j + 1], out[i + 1, j + 2] = block[3], block[4], block[5]
-    out[i + 2, j], out[i + 2, j + 1], out[i + 2, j + 2] = block[6], block[7], block[8]
-
-
-@kernel
-def write_square(out: Any, i: int, j: int, square: Square) -> None:
-    """Write a 6x6 matrix into an array."""
-    write_block(out, i, j, square[0])
-    write_block(out, i, j + 3, square[1])
-    write_block(out, i + 3, j, square[2])
-    write_block(out, i + 3, j + 3, square[3])
 
 
 @kernel
