@@ -31,7 +31,7 @@ UNIT_OF: Mapping[str, Any] = {
         'deviations', 'excess', 'left', 'moved', 'nrmse', 'model_error', 'limit', 'p_value',
         'portmanteau', 'largest_autocorrelation', 'real_time_factor',
     ), '1'),
-    **dict.fromkeys(('cup_length', 'length', 'linear_length', 'lengths'), 'm'),
+    **dict.fromkeys(('cup_length', 'length', 'lengths'), 'm'),
     **dict.fromkeys(('time_offsets', 'duration', 'late', 'took'), 's'),
     **dict.fromkeys(('load', 'loads', 'linear_load'), 'N'),
     'impulse': 'N s', 'speed': 'm/s', 'tilt': 'rad',

@@ -57,8 +57,6 @@ class NominalLength:
     ----------
     length, length_std : float
         l0 and its standard error, m; that is infinite where no degree of freedom is left.
-    linear_length, linear_length_std : float
-        The same from a straight line through the loads in the linear range, m.
     chi2, freedom : float, int
         Chi^2 of the fit, and its degrees of freedom.
     stiffness : float
@@ -76,8 +74,6 @@ class NominalLength:
 
     length: float
     length_std: float
-    linear_length: float
-    linear_length_std: float
     chi2: float
     freedom: int
     stiffness: float
@@ -132,9 +128,8 @@ def nominal_length(
     degree = max(1, min(POLYNOMIAL, different - 2))
     coefficients, std, chi2, freedom = _polynomial(loads, lengths, errors, degree)
     linear_load = _linear_range(coefficients, float(loads.max()))
-    line, line_std, *_ = _line(loads, lengths, errors, linear_load)
     return NominalLength(
-        float(coefficients[0]), std, float(line[0]), line_std, chi2, freedom,
+        float(coefficients[0]), std, chi2, freedom,
         float(1.0 / coefficients[1]), linear_load, loads, lengths, errors,
         coefficients, tuple(_warnings(different, std, (chi2, freedom), coefficients, loads)),
     )
@@ -249,17 +244,6 @@ def _linear_range(coefficients: Array, largest: float) -> float:
     tangent = coefficients[1] * loads
     bent = np.abs(powers[:, 2:] @ coefficients[2:]) > LINEAR_WITHIN * np.abs(tangent)
     return float(loads[int(np.argmax(bent))]) if bent.any() else largest
-
-
-def _line(
-    loads: Array, lengths: Array, errors: Array, linear_load: float
-) -> tuple[Array, float, float, int]:
-    """Return the straight line through the loads in the linear range, or the lowest two."""
-    inside = loads <= linear_load * (1.0 + 1e-9)
-    if _different(loads[inside], SAME_LOAD_WITHIN) < 2:
-        second = np.unique(loads)[1]
-        inside = loads <= second
-    return _polynomial(loads[inside], lengths[inside], errors[inside], 1)
 
 
 def _warnings(
