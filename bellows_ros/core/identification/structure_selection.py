@@ -29,7 +29,7 @@ from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.lie import rotation_to_quaternion
 from bellows_ros.core.model import Cup
 from bellows_ros.core.recording.recording import FilterNoise
-from bellows_ros.core.residuals import relative_coordinates
+from bellows_ros.core.residuals import compare
 from bellows_ros.core.simulation import simulate, state_row
 from bellows_ros.core.structure import Structure, STRUCTURES
 from bellows_ros.core.trajectory import uniform_rate_hz
@@ -318,10 +318,9 @@ def _simulated_error(cup: Cup, runs: Sequence[Samples]) -> float:
             return np.inf
         if float(np.abs(moved.position).max()) > FAR_AWAY:
             return np.inf
-        predicted, measured = (relative_coordinates(run.tool, body)[run.package.valid]
-                               for body in (moved, run.package))
-        squares += np.sum((predicted - measured) ** 2, axis=0)
-        sizes += np.sum((measured - measured.mean(axis=0)) ** 2, axis=0)
+        found = compare(moved, run.tool, run.package).scores
+        squares += found.samples * found.rms**2
+        sizes += found.samples * found.motion**2
     kinds = [(squares[kind].sum(), sizes[kind].sum()) for kind in (slice(0, 3), slice(3, 6))]
     ratios = [square / size for square, size in kinds if size > 0.0]
     return float(np.sqrt(np.mean(ratios))) if ratios else np.nan
