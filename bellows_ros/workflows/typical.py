@@ -103,7 +103,7 @@ def typical(source: Source, found: Identification) -> Typical:
     """
     values: dict[str, Any] = resolve(found.cup_values(), PACKAGE_PARAMETERS)
     fit, structure = found.fit, structure_named(found.fit.structure)
-    x = structure.parameters(fit.stiffness, fit.damping)
+    x = fit.parameters
     diagonal = structure.sizes(fit.stiffness, np.maximum(fit.damping, 0.0))
     known = np.isfinite(np.diag(fit.covariance))
     covariance = np.where(known & known[:, None], fit.covariance, np.diag(diagonal**2))
@@ -127,12 +127,10 @@ def typical(source: Source, found: Identification) -> Typical:
     alone = std**2 * np.sum(
         slopes**2 / np.maximum(np.mean(variance, axis=0), 1e-300), axis=(1, 2))
     order = np.argsort(-alone, kind='stable').tolist()
-    parts = [np.sqrt(np.maximum(variance[:, part].sum(axis=1), 0.0))
-             for part in (slice(0, 3), slice(3, 6))]
-    rms, most = ([float(f(each)) for each in parts] for f in (
-        lambda each: np.sqrt(np.mean(each**2)), np.max))
+    squares = np.maximum([variance[:, :3].sum(axis=1), variance[:, 3:].sum(axis=1)], 0.0)
+    position, rotation = np.sqrt([squares.mean(axis=1), squares.max(axis=1)]).T.tolist()
     total = float(alone.sum()) or 1.0
     return Typical(
-        source.path, (rms[0], most[0]), (rms[1], most[1]),
+        source.path, tuple(position), tuple(rotation),
         {fit.labels[i]: float(alone[i]) / total for i in order},
         tuple(label for label, sure in zip(fit.labels, known, strict=True) if not sure))

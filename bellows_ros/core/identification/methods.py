@@ -129,7 +129,26 @@ def fitted(
     """Return the fit to recordings alone, without standstills and prior knowledge."""
     if values['fit.method'] == 'least_squares':
         return least_squares([reduced(own, values).statistics for own in recordings])
-    return _by_prediction_error(_whole(recordings), values, progress)
+    from bellows_ros.core.identification.prediction_error import prediction_error
+    from bellows_ros.core.identification.segments import segments_of
+    from bellows_ros.core.identification.variations import LARGEST_OFFSET
+
+    structure = structure_named(values['fit.structure'])
+    margin = LARGEST_OFFSET if values['fit.time_offset'] else 0.0
+    free = tuple(dict.fromkeys([*(['time_offset'] if margin else []), *values['fit.free']]))
+    start = start_cup([reduced(own, values).statistics for own in recordings], cup_of(values))
+    segments = []
+    for number, own in enumerate(_whole(recordings)):
+        lip = own.settings.package_frame == 'lip'
+        sideways = lip or own.settings.align_at_rest
+        segments += [replace(segment, recording=number, moves_with_com=(sideways, sideways, lip))
+                     for segment in segments_of(own, margin)]
+    tell = progress or (lambda what, part: None)
+    return prediction_error(
+        segments, structure, start, lambda own: tell(
+            f'step {own.number + 1}: chi^2 {own.chi2:.4g}; K {_diagonal(own.stiffness, 4)}, '
+            f'P {_diagonal(own.damping, 3)}',
+            (own.number + 1) / (own.number + 1 + TYPICAL_STEPS)), free)
 
 
 def _whole(recordings: Sequence[Recording | Reduced]) -> list[Recording]:
@@ -163,32 +182,6 @@ def _length_jacobian(recordings: Sequence[Recording], values: Mapping[str, Any])
     return np.asarray((ends[0] - ends[1]) / (2.0 * LENGTH_STEP))
 
 
-def _by_prediction_error(
-    recordings: Sequence[Recording], values: Mapping[str, Any], progress: Progress | None
-) -> Fit:
-    """Return the fit to poses."""
-    from bellows_ros.core.identification.prediction_error import prediction_error
-    from bellows_ros.core.identification.segments import segments_of
-    from bellows_ros.core.identification.variations import LARGEST_OFFSET
-
-    structure = structure_named(values['fit.structure'])
-    margin = LARGEST_OFFSET if values['fit.time_offset'] else 0.0
-    free = tuple(dict.fromkeys([*(['time_offset'] if margin else []), *values['fit.free']]))
-    start = start_cup([reduced(own, values).statistics for own in recordings], cup_of(values))
-    segments = []
-    for number, own in enumerate(recordings):
-        lip = own.settings.package_frame == 'lip'
-        sideways = lip or own.settings.align_at_rest
-        segments += [replace(segment, recording=number, moves_with_com=(sideways, sideways, lip))
-                     for segment in segments_of(own, margin)]
-    tell = progress or (lambda what, part: None)
-    return prediction_error(
-        segments, structure, start, lambda own: tell(
-            f'step {own.number + 1}: chi^2 {own.chi2:.4g}; K {_diagonal(own.stiffness, 4)}, '
-            f'P {_diagonal(own.damping, 3)}',
-            (own.number + 1) / (own.number + 1 + TYPICAL_STEPS)), free)
-
-
 def first_guess(
     recordings: Sequence[Recording], values: Mapping[str, Any]
 ) -> tuple[Freed, ...]:
@@ -208,14 +201,12 @@ def first_guess(
     ensemble = ensemble_of(recordings, values['cup.length'], structure_named(
         values['fit.structure']))
     found = refine(Objective.of(ensemble), ensemble, [BLOCKS[name] for name in names])
-    guess, first = [], 0
-    for name in names:
-        part = slice(first, first + KINDS[name].size)
-        change, std = found.theta[part], found.std[part]
-        known = std < KINDS[name].known
-        change = np.where(known, change, 0.0)
+    ends = np.cumsum([KINDS[name].size for name in names])[:-1]
+    guess = []
+    for name, change, std in zip(
+            names, np.split(found.theta, ends), np.split(found.std, ends), strict=True):
+        change = np.where(std < KINDS[name].known, change, 0.0)
         guess.append(Freed(name, tuple(change.tolist()), tuple(std.tolist())))
-        first = part.stop
     return tuple(guess)
 
 
