@@ -40,7 +40,8 @@ class Settings:
         values = {} if values is None else values
         if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
             where = f"Setting '{path}'" if path else 'A motion file'
-            raise BellowsError(f'{where} must hold names and values, got {short(repr(values), 60)}.')
+            raise BellowsError(
+                f'{where} must hold names and values, got {short(repr(values), 60)}.')
         self._values: Mapping[str, object] = values
         self._asked: list[str] = []
         self._blocks: dict[str, Settings] = {}

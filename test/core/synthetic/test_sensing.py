@@ -250,7 +250,7 @@ SENSOR = {'rate_hz': 100.0}
     ('content', 'message'),
     [
         ({}, "'tool.rate_hz' is missing; it must be a number, above 0 and at most 10000 (Hz)"),
-        ({'rate_hz': 0}, "'tool.rate_hz' must be a number, above 0 and at most 10000 (Hz), got 0."),
+        ({'rate_hz': 0}, "'tool.rate_hz' must be a number, above 0 and at most 10000 (Hz), got 0"),
         ({**SENSOR, 'noise': {'position': -1.0}}, "'tool.noise.position' must be a number"),
         ({**SENSOR, 'noise': {'postion': 1.0}}, "Did you mean 'tool.noise.position'?"),
         ({**SENSOR, 'marker': {'rotation': 0.1}}, "'tool.marker.rotation' must be a list of 3"),
