@@ -27,7 +27,6 @@ from bellows_ros.core.trajectory import (
 )
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
-from scipy.signal import lfilter
 
 HALF_WINDOW, ORDER = 4, 4
 """A quartic through nine samples follows any motion of a package; its residual is noise."""
@@ -126,6 +125,8 @@ class Colour(NamedTuple):
 
     def drawn(self, count: int, draw: np.random.Generator) -> Array:
         """Return samples of this noise in three axes (N, 3)."""
+        from scipy.signal import lfilter  # late: it takes 0.4 s and 25 MB
+
         white = self.size * draw.standard_normal((count, 3))
         root = np.sqrt(1.0 - self.correlation**2)
         return np.asarray(lfilter([root], [1.0, -self.correlation], white, axis=0))
