@@ -281,13 +281,13 @@ def require(given: Mapping[str, object], required: Iterable[str]) -> None:
     """Refuse missing required parameters, in one message with an example."""
     missing = [lookup(name) for name in required if name not in given]
     if missing:
-        lines = [f'  {p.name}: {p.example}  # {p.unit}{"; " * bool(p.unit)}{p.description}'
+        lines = [f'    {p.name}: {p.example}  # {p.unit}{". " * bool(p.unit)}{p.description}'
                  for p in missing]
         names = ', '.join(p.name for p in missing)
         raise BellowsError(
-            f'Not set, and without a default: {names}. '
-            'Set in the parameter file or on the command line, for example:\n' + '\n'.join(lines)
-        )
+            f'Not set, and without a default: {names}. Set in a parameter file (--params FILE; of '
+            'a node --ros-args --params-file FILE), for example:\n\n/**:\n  ros__parameters:\n'
+            + '\n'.join(lines))
 
 
 def require_symmetric(values: Array, name: str) -> None:

@@ -476,7 +476,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
         frozen(twist),
         frozen(acceleration),
         trusted & ~any_within(~trajectory.valid, 2 * half_window + 1),
-        weights=W,
+        weights=frozen(W),
     )
 
 

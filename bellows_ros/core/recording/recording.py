@@ -270,12 +270,8 @@ class StreamReport:
 
     Parameters
     ----------
-    name : str
-        Topic.
-    samples : int
-        Poses the stream has.
-    refused : mapping of str to tuple of int
-        Reason to the indices of the messages that were left out when reading.
+    recorded : PoseStream
+        The poses that were read, and which messages were left out.
     timing : Timing
         Rate, jitter, and gaps by sample.
     outliers : Outliers
@@ -285,12 +281,10 @@ class StreamReport:
 
     """
 
-    name: str
-    samples: int
-    refused: Mapping[str, tuple[int, ...]]
+    recorded: PoseStream
     timing: Timing
     outliers: Outliers
-    touched: int
+    touched: int = 0
 
     @property
     def marked(self) -> int:
@@ -300,10 +294,10 @@ class StreamReport:
     def as_json(self) -> dict[str, Any]:
         """Return the report on the topic's messages, for a JSON file."""
         return {
-            'topic': self.name,
-            'poses': self.samples,
+            'topic': self.recorded.name,
+            'poses': len(self.recorded),
             'rate_hz': self.timing.rate_hz,
-            'refused': {reason: list(where) for reason, where in self.refused.items()},
+            'refused': {reason: list(where) for reason, where in self.recorded.refused.items()},
             'outliers': self.marked,
             'gaps': [{'start_ns': gap.start_ns, 'duration_s': gap.duration_s}
                      for gap in self.timing.gaps],
@@ -352,8 +346,6 @@ class Report:
     ----------
     tool, package : StreamReport
         Of the two topics.
-    samples, valid : int
-        Common samples, and those of them to be used.
     warnings : tuple of str
         What the user should know, in words.
     time_offset : TimeOffset or None
@@ -365,8 +357,6 @@ class Report:
 
     tool: StreamReport
     package: StreamReport
-    samples: int
-    valid: int
     warnings: tuple[str, ...]
     time_offset: TimeOffset | None = None
     package_world: PackageWorld | None = None
@@ -496,8 +486,8 @@ class Recording:
         world = self.report.package_world
         return {
             'bag': self.name,
-            'samples': self.report.samples,
-            'valid': self.report.valid,
+            'samples': len(self.valid),
+            'valid': int(np.count_nonzero(self.valid)),
             'tool_pose': self.report.tool.as_json(),
             'package_pose': self.report.package.as_json(),
             'time_offset': offset and offset.as_json(),

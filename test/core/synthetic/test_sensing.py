@@ -2,11 +2,11 @@
 
 from bellows_ros.core.lie import apply, exp_so3, log_so3
 from bellows_ros.core.settings import Settings
+from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.synthetic.sensing import (
     Faults,
     measure_poses,
     measure_twists,
-    sample_stamps,
     schedule,
     Sensor,
     sensor_from,
