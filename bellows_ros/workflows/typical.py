@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bellows_ros.core.arrays import Array
+from bellows_ros.core.identification.identifiability import DIRECTIONS
 from bellows_ros.core.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model import Cup, model_tuple, package_of
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
@@ -19,13 +20,6 @@ STEP = 0.5
 
 MOST_OF_IT = 0.5
 """Entries are named until they make up this fraction of the variance."""
-
-REMEDIES: Mapping[str, str] = {
-    'x': 'quick moves to the sides', 'y': 'quick moves to the sides',
-    'z': 'quick small moves up and down, up to 10 Hz',
-    'rx': 'tilts of the tool at 1 to 4 Hz', 'ry': 'tilts of the tool at 1 to 4 Hz',
-    'rz': 'turns about the vertical at 1 to 3 Hz',
-}
 
 
 @dataclass(frozen=True)
@@ -70,9 +64,9 @@ class Typical:
             named.append(f'{label} ({100.0 * share:.0f} %)')
             part += share
         axes = dict.fromkeys(axis for label in named for axis in label.split()[1].split('-'))
-        again = dict.fromkeys(REMEDIES[axis] for axis in axes)
         return (f'{text} The largest contributions are {" and ".join(named)}. To reduce them, '
-                f"record {' and '.join(again)} again; 'bellows excite' designs such a motion.")
+                f'record again: {"; ".join(DIRECTIONS[axis][1] for axis in axes)}. '
+                "'bellows excite' designs such a motion.")
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file, m and rad."""

@@ -55,6 +55,6 @@ def test_says_what_to_record_again(found, plan):
     accuracy, before = typical(plan, less), typical(plan, found)
     assert accuracy.unknown == ('K rx',) and next(iter(accuracy.shares)) == 'K rx'
     assert accuracy.position[0] > 20.0 * before.position[0]
-    assert 'record tilts of the tool at 1 to 4 Hz again' in accuracy.sentence
+    assert 'record again: tilt the tool about x' in accuracy.sentence
     assert 'counted with 100 %: K rx.' in accuracy.sentence
     assert f'{1e3 * before.position[0]:.2g} mm' in before.as_json()['sentence']
