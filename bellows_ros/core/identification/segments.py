@@ -128,7 +128,6 @@ def measured_segments(
     payload: Package,
     gravity: float,
     margin: float = 0.0,
-    recording: int = 0,
 ) -> list[Measured]:
     """
     Return the segments of a recording without gaps in either motion.
@@ -144,8 +143,6 @@ def measured_segments(
         m/s^2 along -z of the world.
     margin : float
         Time (s) before and after a segment for which the tool must be known, too.
-    recording : int
-        Number of the recording.
 
     Raises
     ------
@@ -167,7 +164,7 @@ def measured_segments(
                 piece = inside.select(indices)
                 if len(piece) >= SHORTEST_SEGMENT * rate:
                     piece = replace(piece, valid=np.isin(piece.stamps_ns, seen))
-                    segments.append(Measured(part, piece, payload, gravity, *noises, recording))
+                    segments.append(Measured(part, piece, payload, gravity, *noises))
     if not segments:
         raise UndeterminedError(
             f'No segment of {SHORTEST_SEGMENT:g} s in which both bodies are tracked. Record '

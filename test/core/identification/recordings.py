@@ -1,5 +1,7 @@
 """Simulated recordings for the tests of identification, with the truth they hold."""
 
+from dataclasses import replace
+
 from bellows_ros.core.identification.segments import measured_segments
 from bellows_ros.core.lie import dexp, exp_so3
 from bellows_ros.core.model import Cup, Package
@@ -74,4 +76,5 @@ def segments(
     seen, package = noisy(seen, *tool_noise, rng), noisy(body, *package_noise, rng)
     if damage is not None:
         seen, package = damage(seen, package)
-    return measured_segments(seen, package, payload, GRAVITY, margin, recording)
+    return [replace(own, recording=recording) for own in measured_segments(
+        seen, package, payload, GRAVITY, margin)]
