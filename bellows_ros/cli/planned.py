@@ -36,7 +36,7 @@ def carry_out(
     arguments: argparse.Namespace, console: Console,
     work: Callable[[Mapping[str, Any], Callable[..., None]], Any],
     draw: Callable[[Any], Any], say: Callable[[Any, Console], None],
-    write: Callable[[Any], None] | None = None, films: bool = False,
+    write: Callable[[Any], None] | None = None, films: tuple[str, ...] = (),
 ) -> int:
     """
     Read, work, write, report.
@@ -53,22 +53,21 @@ def carry_out(
         Writes a result as the recording `out`.
     say : callable
         Print the result.
-    films : bool
-        Whether `draw` makes films, too.
+    films : tuple of str
+        Endings that a picture may have beside the usual.
 
     """
-    values = options.cup_parameters(arguments, console)
+    values = options.given_parameters(arguments)
     if write is not None:
         options.require_free(arguments.out, arguments.force)
     if arguments.plot:
-        from bellows_ros.plots import style
+        from bellows_ros.plots.style import require_picture, write_figure
 
-        style.require_picture(arguments.plot, (*style.PICTURES, *(style.FILMS if films else ())))
+        require_picture(arguments.plot, films)
     with console.progress() as progress:
-        progress('planning')
         result = work(values, progress)
         if arguments.plot and (figure := draw(result)):
-            style.write_figure(arguments.plot, figure)
+            write_figure(arguments.plot, figure)
     if arguments.json:
         from bellows_ros import __version__
         from bellows_ros.files.results import provenance
@@ -79,6 +78,7 @@ def carry_out(
             'provenance': provenance(plans, arguments.params)})
     if write is not None and arguments.out:
         write(result)
+    options.warn_of_thesis_cup(values, console)
     say(result, console)
     console.wrote(*(getattr(arguments, name, '')
                     for name in ('json', 'plot', 'csv', 'urscript', 'out')))

@@ -105,11 +105,12 @@ class SensorInput:
             offered = other.qos_profile
             if other.topic_type != self._type:
                 return Mismatch('type', other.topic_type)
-            for name, mismatch in (
-                    ('reliability', (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)),
-                    ('durability', (DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE))):
-                if (getattr(asked, name), getattr(offered, name)) == mismatch:
-                    return Mismatch('qos', name)
+            if (asked.reliability == ReliabilityPolicy.RELIABLE
+                    and offered.reliability == ReliabilityPolicy.BEST_EFFORT):
+                return Mismatch('qos', 'reliability')
+            if (asked.durability == DurabilityPolicy.TRANSIENT_LOCAL
+                    and offered.durability == DurabilityPolicy.VOLATILE):
+                return Mismatch('qos', 'durability')
         return None
 
 

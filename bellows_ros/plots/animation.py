@@ -6,6 +6,7 @@ from functools import partial
 import io
 from itertools import chain
 import os
+from pathlib import Path
 import shutil
 import subprocess
 from typing import Any, NamedTuple
@@ -22,7 +23,7 @@ import numpy as np
 
 from .panels import picture
 from .shapes import bellows_rings, box_corners, BOX_EDGES, BOX_FACES, SIDES
-from .style import FILMS, require_picture, Theme
+from .style import Theme
 
 Progress = Callable[[str, float], None]
 
@@ -134,7 +135,9 @@ def _write(
     progress: Progress | None, speed: float,
 ) -> None:
     """Write views side by side, from the first time to the last of all."""
-    ending = f'.{require_picture(path, FILMS)}'
+    ending = Path(path).suffix.lower()
+    if ending not in FRAMES_PER_SECOND:
+        raise BellowsError(f"Animation '{path}' must end in .gif or .mp4.")
     rate_hz = FRAMES_PER_SECOND[ending]
     encode = _gif if ending == '.gif' else partial(_mp4, ffmpeg=_ffmpeg())
     first, last = (limit(view.scene.seconds[end] for view in views)

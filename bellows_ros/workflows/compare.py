@@ -95,11 +95,14 @@ def compare_files(before: Path, after: Path) -> Comparison:
                                'the cup again with this version.')
         values: dict[str, Any] = dict(resolve(settings, PACKAGE_PARAMETERS))
     with content_of(before, after):
+        old, new = map(_described, contents)
         return Comparison(
             paths=(os.fspath(before), os.fspath(after)),
             fits=compare_fits(
                 fitted[0], fitted[1], package_of(values), values['gravity.magnitude']),
-            settings=tuple(_differences(*contents)),
+            settings=tuple(
+                Difference(name, old.get(name), new.get(name))
+                for name in sorted({*old, *new}) if old.get(name) != new.get(name)),
             shared=tuple(name for name, content in _contents(contents[1]).items()
                          if content in _contents(contents[0]).values()),
         )
@@ -118,14 +121,6 @@ def _fitted(content: Mapping[str, Any]) -> Fitted:
         float(content['cup_length']),
     )
     return Fitted(structure, cup, covariance[np.ix_(order, order)])
-
-
-def _differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Difference]:
-    """Return the differences in how the fits were made."""
-    first, second = _described(before), _described(after)
-    both = (Difference(name, first.get(name), second.get(name))
-            for name in sorted({*first, *second}))
-    return [found for found in both if found.before != found.after]
 
 
 def _described(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -214,7 +214,6 @@ class Identification:
         """Return the content of the JSON file."""
         from bellows_ros.files.results import versions
         from bellows_ros.workflows.result_json import (
-            attributes,
             excitation_json,
             fit_json,
             selection_json,
@@ -237,9 +236,7 @@ class Identification:
             'verdict': self.verdict and self.verdict.as_json(),
             'recordings': [part.report for part in self.parts],
             'static': self.static and self.static.as_json(),
-            'one_cup': self.consistency and attributes(
-                self.consistency, 'probability', 'probability_stiffness', 'probability_damping',
-                'verdict', 'deviations'),
+            'one_cup': self.consistency and dict(vars(self.consistency)),
             'excitation': excitation_json(self.excitation),
             'structures': self.selection and selection_json(self.selection),
             'validations': [replayed.as_json() for replayed in self.validations],
@@ -324,9 +321,9 @@ def save(
 
     """
     if json_path:
-        from bellows_ros.files.results import write_json
+        from bellows_ros.files.results import write_result
 
-        write_json(json_path, result.as_json())
+        write_result(json_path, result.as_json())
     if not parameters_path:
         return
     result.require_usable(force)

@@ -21,7 +21,14 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.workflows.identification import Identification, names_of, NOT_OF_THE_CUP
-from bellows_ros.workflows.recordings import Failed, load, repeats, values_of_each, WHOLE
+from bellows_ros.workflows.recordings import (
+    Failed,
+    load,
+    Progress,
+    repeats,
+    values_of_each,
+    WHOLE,
+)
 from bellows_ros.workflows.verdict import LOOKED_AT, Verdict, verdict_of
 
 if TYPE_CHECKING:  # what a plain identification does without
@@ -30,7 +37,6 @@ if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
 
-Progress = Callable[[str, float], None]
 Part = Recording | Reduced
 Read = Callable[[Mapping[str, Any]], tuple[list[Part], list['Failed']]]
 

@@ -104,9 +104,7 @@ def _products(units: Any) -> list[list[str]]:
 
 def excitation_json(excitation: Excitation) -> dict[str, Any]:
     """Return what is identifiable from recordings, for a JSON file; null is unknown."""
-    units = dict(zip(
-        structure_named(excitation.structure).labels,
-        parameter_units(structure_named(excitation.structure)), strict=True))
+    units = parameter_units(structure_named(excitation.structure))
     return {
         'structure': excitation.structure,
         'axes': {axis.name: {
@@ -121,9 +119,9 @@ def excitation_json(excitation: Excitation) -> dict[str, Any]:
                 **attributes(
                     own, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable',
                     'weak'),
-                'units': {'value': units[own.label]},
+                'units': {'value': unit},
             }
-            for own in excitation.parameters
+            for own, unit in zip(excitation.parameters, units, strict=True)
         },
         **attributes(excitation, 'rank', 'size', 'condition_number', 'pairs', 'warnings'),
     }

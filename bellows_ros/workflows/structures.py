@@ -1,6 +1,6 @@
 """Identifiability from recordings, and the recommended structure of K and P."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,9 +10,8 @@ from bellows_ros.core.identification.reduction import reduced
 from bellows_ros.core.identification.structure_selection import StructureSelection
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.workflows.identify import read_all, resolved, selection
+from bellows_ros.workflows.recordings import Progress
 from bellows_ros.workflows.result_json import excitation_json, selection_json, with_units
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,7 @@ from bellows_ros.core.trajectory import (
 )
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
+from scipy.signal import lfilter
 
 HALF_WINDOW, ORDER = 4, 4
 """A quartic through nine samples follows any motion of a package; its residual is noise."""
@@ -125,8 +126,6 @@ class Colour(NamedTuple):
 
     def drawn(self, count: int, draw: np.random.Generator) -> Array:
         """Return samples of this noise in three axes (N, 3)."""
-        from scipy.signal import lfilter  # late: it takes 0.4 s and 25 MB
-
         white = self.size * draw.standard_normal((count, 3))
         root = np.sqrt(1.0 - self.correlation**2)
         return np.asarray(lfilter([root], [1.0, -self.correlation], white, axis=0))
@@ -270,8 +269,12 @@ class StreamReport:
 
     Parameters
     ----------
-    recorded : PoseStream
-        The poses that were read, and which messages were left out.
+    name : str
+        Topic.
+    samples : int
+        Poses the stream has.
+    refused : mapping of str to tuple of int
+        Reason to the indices of the messages that were left out when reading.
     timing : Timing
         Rate, jitter, and gaps by sample.
     outliers : Outliers
@@ -281,10 +284,12 @@ class StreamReport:
 
     """
 
-    recorded: PoseStream
+    name: str
+    samples: int
+    refused: Mapping[str, tuple[int, ...]]
     timing: Timing
     outliers: Outliers
-    touched: int = 0
+    touched: int
 
     @property
     def marked(self) -> int:
@@ -294,10 +299,10 @@ class StreamReport:
     def as_json(self) -> dict[str, Any]:
         """Return the report on the topic's messages, for a JSON file."""
         return {
-            'topic': self.recorded.name,
-            'poses': len(self.recorded),
+            'topic': self.name,
+            'poses': self.samples,
             'rate_hz': self.timing.rate_hz,
-            'refused': {reason: list(where) for reason, where in self.recorded.refused.items()},
+            'refused': {reason: list(where) for reason, where in self.refused.items()},
             'outliers': self.marked,
             'gaps': [{'start_ns': gap.start_ns, 'duration_s': gap.duration_s}
                      for gap in self.timing.gaps],
@@ -346,6 +351,8 @@ class Report:
     ----------
     tool, package : StreamReport
         Of the two topics.
+    samples, valid : int
+        Common samples, and those of them to be used.
     warnings : tuple of str
         What the user should know, in words.
     time_offset : TimeOffset or None
@@ -357,6 +364,8 @@ class Report:
 
     tool: StreamReport
     package: StreamReport
+    samples: int
+    valid: int
     warnings: tuple[str, ...]
     time_offset: TimeOffset | None = None
     package_world: PackageWorld | None = None
@@ -486,8 +495,8 @@ class Recording:
         world = self.report.package_world
         return {
             'bag': self.name,
-            'samples': len(self.valid),
-            'valid': int(np.count_nonzero(self.valid)),
+            'samples': self.report.samples,
+            'valid': self.report.valid,
             'tool_pose': self.report.tool.as_json(),
             'package_pose': self.report.package.as_json(),
             'time_offset': offset and offset.as_json(),
