@@ -68,14 +68,14 @@ def write_animation(
 
     """
     measured = replayed.motion
-    scene = Scene(
-        replayed.seconds, Bodies(measured.tool_position, measured.tool_rotation),
-        Bodies(replayed.position, replayed.rotation),
-        Bodies(measured.package_position, measured.package_rotation), replayed.com, replayed.box,
-        replayed.cup_length)
+    world = View(
+        'in the world', replayed.seconds, (measured.tool_position, measured.tool_rotation),
+        (replayed.position, replayed.rotation),
+        (measured.package_position, measured.package_rotation), replayed.com, replayed.box,
+        replayed.cup_length, FAR_ZOOM)
+    near = world._replace(label='moving with the tool tip', zoom=NEAR_ZOOM, near=True)
     _write(
-        path, (View('in the world', scene, FAR_ZOOM),
-               View('moving with the tool tip', scene, NEAR_ZOOM, near=True)),
+        path, (world, near),
         'Predicted, and measured as an outline', note, theme, progress, speed)
 
 
@@ -93,39 +93,33 @@ def write_steering(
             shown = motion.along.seconds <= last
             tool, wanted = motion.along.select(shown), motion.wanted.select(shown)
             states = motion.states[shown]
-            views.append(View(name, Scene(
-                motion.along.seconds[shown], Bodies(tool.position, tool.rotation),
-                Bodies(states[:, :3], quaternion_to_rotation(states[:, 3:7])),
-                Bodies(wanted.position, wanted.rotation), com, box,
-                float(values['cup.length'])), WAY_ZOOM))
+            views.append(View(
+                name, motion.along.seconds[shown], (tool.position, tool.rotation),
+                (states[:, :3], quaternion_to_rotation(states[:, 3:7])),
+                (wanted.position, wanted.rotation), com, box, values['cup.length'], WAY_ZOOM))
     _write(path, views, 'The same way, with and without swing; wanted as an outline', note, theme,
            progress, speed)
 
 
-class Bodies(NamedTuple):
-    """Poses of a body in the world: positions (N, 3), m, and rotations (N, 3, 3)."""
-
-    position: Array
-    rotation: Array
-
-
-class Scene(NamedTuple):
-    """Tool and package at times (N,), s, with the package once more as an outline."""
-
-    seconds: Array
-    tool: Bodies
-    package: Bodies
-    outline: Bodies
-    com: Array
-    box: Array
-    cup_length: float
+Poses = tuple[Array, Array]
+"""Of a body in the world: positions (N, 3), m, and rotations (N, 3, 3)."""
 
 
 class View(NamedTuple):
-    """A scene seen in the world, or from near and moving with the tool tip."""
+    """
+    Tool and package at times (N,), s, with the package once more as an outline.
+
+    Seen in the world, or from near and moving with the tool tip.
+    """
 
     label: str
-    scene: Scene
+    seconds: Array
+    tool: Poses
+    package: Poses
+    outline: Poses
+    com: Array
+    box: Array
+    cup_length: float
     zoom: float
     near: bool = False
 
@@ -140,7 +134,7 @@ def _write(
         raise BellowsError(f"Animation '{path}' must end in .gif or .mp4.")
     rate_hz = FRAMES_PER_SECOND[ending]
     encode = _gif if ending == '.gif' else partial(_mp4, ffmpeg=_ffmpeg())
-    first, last = (limit(view.scene.seconds[end] for view in views)
+    first, last = (limit(view.seconds[end] for view in views)
                    for limit, end in ((min, 0), (max, -1)))
     times = np.arange(first, last, speed / rate_hz)
     pictures = _drawn(views, times, title, note, theme, progress or (lambda what, part: None))
@@ -183,13 +177,12 @@ def _drawn(
 
 def _space(figure: Any, left: float, view: View, colours: Theme) -> Any:
     """Return a panel that shows the whole way, or the cup from near."""
-    scene = view.scene
-    bodies = np.vstack([scene.tool.position, scene.package.position])
+    bodies = np.vstack([view.tool[0], view.package[0]])
     low, high = bodies.min(axis=0), bodies.max(axis=0)
     centre, half = 0.5 * (low + high), 0.5 * float(np.max(high - low)) + 0.7 * float(
-        np.max(scene.box))
+        np.max(view.box))
     if view.near:
-        half = 0.8 * float(np.max(scene.box)) + 0.2 * scene.cup_length
+        half = 0.8 * float(np.max(view.box)) + 0.2 * view.cup_length
         centre = np.array([0.0, 0.0, -0.15 * half])
     space = figure.add_axes((left, -0.06, 0.54, 0.98), projection='3d', computed_zorder=False)
     space.set_axis_off()
@@ -205,15 +198,13 @@ def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
     """Draw one moment into a panel and return its artists."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-    scene = view.scene
-    i = min(int(np.searchsorted(scene.seconds, t)), len(scene.seconds) - 1)
-    tool_o, tool_R = scene.tool.position[i], scene.tool.rotation[i]
-    shift = tool_o if view.near else np.zeros(3)
-    body_o, body_R = scene.package.position[i] - shift, scene.package.rotation[i]
-    tool_o = tool_o - shift
-    lip_o = body_o - body_R @ scene.com
+    i = min(int(np.searchsorted(view.seconds, t)), len(view.seconds) - 1)
+    shift = view.tool[0][i] if view.near else np.zeros(3)
+    (tool_o, tool_R), (body_o, body_R), (outline_o, outline_R) = (
+        (o[i] - shift, R[i]) for o, R in (view.tool, view.package, view.outline))
+    lip_o = body_o - body_R @ view.com
     package = Poly3DCollection(
-        list(box_corners(body_o, body_R, scene.box)[BOX_FACES]), facecolor=colours.predicted,
+        list(box_corners(body_o, body_R, view.box)[BOX_FACES]), facecolor=colours.predicted,
         alpha=0.55, edgecolor=colours.text, linewidth=0.8)
     rings = bellows_rings(tool_o, tool_R, lip_o, body_R)
     cup = Poly3DCollection(
@@ -221,8 +212,9 @@ def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
          for a, b in zip(rings, rings[1:], strict=False) for k in range(SIDES - 1)],
         facecolor=colours.measured, edgecolor=colours.quiet, linewidth=0.3)
     arm = np.array([tool_o, tool_o + tool_R @ np.array([0.0, 0.0, ARM])])
-    corners = box_corners(scene.outline.position[i] - shift, scene.outline.rotation[i], scene.box)
-    outline = Line3DCollection(list(corners[BOX_EDGES]), colors=colours.error, linewidths=1.3)
+    outline = Line3DCollection(
+        list(box_corners(outline_o, outline_R, view.box)[BOX_EDGES]), colors=colours.error,
+        linewidths=1.3)
     for order, thing in enumerate((package, cup, outline), 1):
         thing.set_zorder(order)
         space.add_collection3d(thing)
