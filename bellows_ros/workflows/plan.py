@@ -437,7 +437,7 @@ def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> S
               'tool_twist': values['topics.tool_twist']}
     contents = read_contents(path, wanted)
     poses, twists = (contents.streams.get(role) for role in ('tool_pose', 'tool_twist'))
-    rates = None
+    name, rates, axes = 'The motion', None, 'tool'
     if not isinstance(poses, PoseStream):
         if not values['tool_link']:
             raise contents.problems['tool_pose']
@@ -446,36 +446,32 @@ def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> S
         poses = PoseStream(
             'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.poses[:, :3],
             quaternion_to_rotation(read.poses[:, 3:]))
+    motion = poses.trajectory()
     if rates is None:
-        tool = _measured(poses, twists if isinstance(twists, TwistStream) else None, values)
-    else:
-        tool = plan_of(
-            poses.stamps_ns, poses.position, rotation_to_quaternion(poses.rotation), rates,
-            twist_frame='tool', name='The motion')
+        name = f"Poses '{poses.name}'"
+        motion, rates, axes = _measured(
+            motion, twists if isinstance(twists, TwistStream) else None, values)
+    tool = plan_of(
+        motion.stamps_ns, motion.position, rotation_to_quaternion(motion.rotation), rates,
+        twist_frame=axes, name=name)
     return Source(tool, poses.frame_id, contents.notes, recorded_ns=poses.stamps_ns)
 
 
 def _measured(
-    poses: PoseStream, twists: TwistStream | None, values: Mapping[str, Any]
-) -> Trajectory:
-    """Return measured poses with recorded twists, or with those of the filter."""
+    poses: Trajectory, twists: TwistStream | None, values: Mapping[str, Any]
+) -> tuple[Trajectory, Array, str]:
+    """Return measured poses with recorded twists, or with those of the filter, and their axes."""
     if twists is not None:
-        inside = (poses.stamps_ns >= twists.stamps_ns[0]) & (
-            poses.stamps_ns <= twists.stamps_ns[-1])
-        at = poses.stamps_ns[inside]
+        first, last = twists.stamps_ns[[0, -1]]
+        poses = poses.select((poses.stamps_ns >= first) & (poses.stamps_ns <= last))
         six = np.stack([
-            np.interp(at - at[0], twists.stamps_ns - at[0], column)
+            np.interp(poses.stamps_ns - first, twists.stamps_ns - first, column)
             for column in np.hstack([twists.linear, twists.angular]).T], axis=1)
-        return plan_of(
-            at, poses.position[inside], rotation_to_quaternion(poses.rotation[inside]), six,
-            twist_frame=values['tool_twist.frame'], name=f"Poses '{poses.name}'")
+        return poses, six, values['tool_twist.frame']
     found = timing(poses.stamps_ns)
     half_window = max(4, round(AUTOMATIC_HALF_WINDOW * found.rate_hz))
-    smooth = savgol(
-        on_grid(poses.trajectory(), found), half_window, values['filter.tool.order'])
-    return plan_of(
-        smooth.stamps_ns, smooth.position, rotation_to_quaternion(smooth.rotation), smooth.twist,
-        twist_frame='tool', name=f"Poses '{poses.name}'")
+    smooth = savgol(on_grid(poses, found), half_window, values['filter.tool.order'])
+    return smooth, smooth.twist, 'tool'
 
 
 # -------------------------------------------------------------------------------------- writing
