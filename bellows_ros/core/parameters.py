@@ -148,17 +148,12 @@ def require_stiffness(stiffness: Array, name: str = 'cup.stiffness') -> None:
 
     """
     smallest, rounding = _smallest_eigenvalue(name, stiffness)
-    if rounding < smallest < SOFTEST:
+    if smallest <= rounding or smallest < SOFTEST:
+        what = 'not positive definite' if smallest <= rounding else 'too soft to hold a package'
         raise BellowsError(
-            f'{name} is too soft to hold a package: its smallest eigenvalue is {smallest:.6g}, '
-            f'expected at least {SOFTEST:g}. Check its units: N/m, N and N m/rad.'
-        )
-    if smallest <= rounding:
-        raise BellowsError(
-            f'{name} is not positive definite: its smallest eigenvalue is {smallest:.6g}, but '
-            'must be above zero for the cup to hold the package. Check signs and rows, or '
-            'identify it again.'
-        )
+            f'{name} is {what}: its smallest eigenvalue is {smallest:.6g}, expected at least '
+            f'{SOFTEST:g}. Check signs, rows and units (N/m, N and N m/rad), or identify it '
+            'again.')
 
 
 def require_damping(damping: Array, name: str = 'cup.damping') -> None:
@@ -352,14 +347,9 @@ def check_inertia(inertia: Array) -> None:
         raise BellowsError(f'The package inertia must be symmetric, got {inertia.tolist()}.')
     moments = np.linalg.eigvalsh(inertia)
     shown = ', '.join(f'{moment:.6g}' for moment in moments)
-    if moments[0] <= 0.0:
+    if moments[0] <= 0.0 or (
+            moments[2] > (moments[0] + moments[1]) * (1.0 + MOMENTS_WITHIN)):
         raise BellowsError(
-            f'No body has this package.inertia: its principal moments are {shown} kg m^2, '
-            'all must be above zero. Check the order ixx, iyy, izz, ixy, ixz, iyz and the signs.'
-        )
-    if moments[2] > (moments[0] + moments[1]) * (1.0 + MOMENTS_WITHIN):
-        raise BellowsError(
-            f'No body has this package.inertia: its principal moments are {shown} kg m^2, '
-            'but the largest is at most the sum of the other two. '
-            'Check units (kg m^2) and the order ixx, iyy, izz, ixy, ixz, iyz.'
-        )
+            f'No body has this package.inertia: its principal moments are {shown} kg m^2; '
+            'expected all above zero, and the largest at most the sum of the other two. Check '
+            'units (kg m^2), signs and the order ixx, iyy, izz, ixy, ixz, iyz.')
