@@ -190,10 +190,7 @@ def simulate_recording(
             tool, position=tool.position @ R_world_level,
             rotation=R_world_level.T @ tool.rotation)))
     bag = Path(out)
-    if not os.path.lexists(bag):
-        atomic.require_file_target(bag)  # its folder exists
-    elif not replace:
-        raise BellowsError(f"Output '{bag}' exists. Give another name, or remove it first.")
+    atomic.require_folder_target(bag)
     truth_file = None if not recipe.truth else atomic.require_file_target(
         bag.with_name(f'{bag.name}_truth.npz'))
     plans = {
