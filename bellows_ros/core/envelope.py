@@ -170,26 +170,24 @@ def distance(
         Of the package, kg.
 
     """
-    found = sorted(
+    return _worst_first(
         _deflections(known, np.asarray(deflection, dtype=float))
-        + _rates(known, np.asarray(rates, dtype=float)) + _mass(known, mass),
-        key=lambda item: -item[0])
+        + _rates(known, np.asarray(rates, dtype=float)) + _mass(known, mass))
+
+
+def _worst_first(found: list[tuple[float, str]]) -> Distance:
+    """Return the largest distance, and the words for those above 1."""
+    found = sorted(found, key=lambda item: -item[0])
     return Distance(found[0][0], tuple(words for part, words in found if part > 1.0))
 
 
 def beyond(known: Envelope, other: Envelope) -> tuple[str, ...]:
     """Return a phrase for each range that another envelope exceeds, the worst first."""
-    found: list[tuple[float, str]] = []
-    ends = other.deflection_low, other.deflection_high
-    farthest = np.max([[part for part, _ in _deflections(known, end)] for end in ends], axis=0)
-    for i, part in enumerate(farthest.tolist()):
-        here, seen = (_range(each, i) for each in (other, known))
-        found.append((part, f'{DIRECTIONS[i]} is {here}, seen {seen}'))
-    found += _rates(known, other.rates)
-    found += _frequencies(known, other.frequencies)
-    found += max(_mass(known, mass) for mass in other.mass.tolist())
-    found.sort(key=lambda item: -item[0])
-    return tuple(words for part, words in found if part > 1.0)
+    ends = (_deflections(known, end) for end in (other.deflection_low, other.deflection_high))
+    found = [
+        *map(max, *ends), *_rates(known, other.rates), *_frequencies(known, other.frequencies),
+        *max(_mass(known, mass) for mass in other.mass.tolist())]
+    return _worst_first(found).outside
 
 
 def known_envelope(values: Mapping[str, Any]) -> Envelope | None:
@@ -205,16 +203,12 @@ def _deflections(known: Envelope, value: Array) -> list[tuple[float, str]]:
     """Return distance and words for each deflection."""
     middle = 0.5 * (known.deflection_high + known.deflection_low)
     half = np.maximum(0.5 * (known.deflection_high - known.deflection_low), LEAST_DEFLECTION)
+    low, high = 1e3 * known.deflection_low, 1e3 * known.deflection_high
     return [
-        (part, f'{DIRECTIONS[i]} is {1e3 * value[i]:.3g} {UNITS[i]}, seen {_range(known, i)}')
+        (part, f'{DIRECTIONS[i]} is {1e3 * value[i]:.3g} {UNITS[i]}, seen {low[i]:.3g} to '
+               f'{high[i]:.3g} {UNITS[i]}')
         for i, part in enumerate((np.abs(value - middle) / half).tolist())
     ]
-
-
-def _range(known: Envelope, i: int) -> str:
-    """Return the range of a deflection in words."""
-    low, high = 1e3 * known.deflection_low[i], 1e3 * known.deflection_high[i]
-    return f'{low:.3g} to {high:.3g} {UNITS[i]}'
 
 
 def _rates(known: Envelope, value: Array) -> list[tuple[float, str]]:

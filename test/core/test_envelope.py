@@ -121,13 +121,13 @@ def test_a_direction_at_rest_still_allows_for_noise():
 
 
 def test_beyond_names_what_another_recording_leaves():
-    """Say nothing about ranges inside, and both ends of one outside."""
+    """Say nothing about ranges inside, and the end that is farther outside."""
     assert beyond(KNOWN, KNOWN) == ()
     low = KNOWN.deflection_low.copy()
     low[5] = -0.2
     wider = Envelope(low, KNOWN.deflection_high, KNOWN.rates, KNOWN.frequencies, [2.0, 2.6])
     assert beyond(KNOWN, wider) == (
-        'the mass is 2.6 kg, seen 2', 'torsion is -200 to 100 mrad, seen -100 to 100 mrad')
+        'the mass is 2.6 kg, seen 2', 'torsion is -200 mrad, seen -100 to 100 mrad')
 
 
 def test_parameters_hold_it():
