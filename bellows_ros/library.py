@@ -221,7 +221,7 @@ def static_equilibrium(
         raise BellowsError(
             f'T_world_tool must be a homogeneous matrix (4, 4) with a rotation in it, got shape '
             f'{T.shape}.')
-    tool = state_row(T[:3, 3], rotation_to_quaternion(R), np.zeros(6))
+    tool = state_row(T[:3, 3], rotation_to_quaternion(R))
     body = equilibrium.static_equilibrium(model_tuple(cup, package, gravity), tool)
     T_world_package = np.eye(4)
     T_world_package[:3, :3] = quaternion_to_rotation(np.array(body[1]))

@@ -295,7 +295,7 @@ def design(
     period = duration - REST
     cups = cups_near(cup)
     models = [model_tuple(each, package, gravity) for each in cups]
-    at = state_row(limits.start.position, rotation_to_quaternion(limits.start.rotation), [0.0] * 6)
+    at = state_row(limits.start.position, rotation_to_quaternion(limits.start.rotation))
 
     def responses_at(omega: Array) -> list[Response]:
         return [response(

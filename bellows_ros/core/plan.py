@@ -14,7 +14,7 @@ from typing import Any
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.envelope import beyond, Envelope
-from bellows_ros.core.equilibrium import largest_step, static_equilibrium, substeps_for
+from bellows_ros.core.equilibrium import largest_step, substeps_for
 from bellows_ros.core.holding import Grip, Margin, MODES, safety_factors
 from bellows_ros.core.jit import as_inputs, kernel
 from bellows_ros.core.kernels import (
@@ -28,10 +28,10 @@ from bellows_ros.core.kernels import (
 )
 from bellows_ros.core.simulation import (
     diverged,
+    rest,
     row_state,
     Rows,
     stands,
-    state_row,
     tool_rows,
     write_row,
 )
@@ -268,11 +268,6 @@ class Run:
                 math.ceil(self._tail / h), ceiling, peaks, self._past, lip))
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             raise diverged() from None
-
-
-def rest(model: ModelTuple, row: Array, near: State | None = None) -> State:
-    """Return the package at rest under the tool of a row (13,), near a state if given."""
-    return static_equilibrium(model, state_row(row[:3], row[3:7], np.zeros(6)), near)
 
 
 def rest_after(

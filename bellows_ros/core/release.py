@@ -19,7 +19,6 @@ from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import (
     largest_step,
     moved,
-    static_equilibrium,
     substeps_for,
     substeps_of,
 )
@@ -41,10 +40,10 @@ from bellows_ros.core.kernels import (
 )
 from bellows_ros.core.simulation import (
     diverged,
+    rest,
     row_state,
     Rows,
     stands,
-    state_row,
     tool_rows,
     write_row,
 )
@@ -483,9 +482,7 @@ class Held:
         counts = substeps_of(durations, self._longest)
         self._steps = int(counts.sum())
         self._plan = as_inputs(rows[:count], durations, counts)
-        if start is None:
-            start = static_equilibrium(model, state_row(rows[0, :3], rows[0, 3:7], np.zeros(6)))
-        self._follow(start)
+        self._follow(start or rest(model, rows[0]))
 
     def _follow(self, start: State) -> None:
         """Fill in states and loads."""

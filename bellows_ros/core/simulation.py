@@ -22,8 +22,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 
-def state_row(position: ArrayLike, quaternion_xyzw: ArrayLike, twist: ArrayLike) -> State:
-    """Return a pose and a body twist as the kernels take them."""
+def state_row(
+    position: ArrayLike, quaternion_xyzw: ArrayLike, twist: ArrayLike = (0.0,) * 6
+) -> State:
+    """Return a pose and a body twist, at rest when left out, as the kernels take them."""
     o = [float(value) for value in np.asarray(position)]
     q = [float(value) for value in np.asarray(quaternion_xyzw)]
     v = [float(value) for value in np.asarray(twist)]
@@ -38,6 +40,11 @@ def stands(row: Array) -> bool:
     """Return whether the tool of a row (13,) stands still."""
     speed, rate = np.linalg.norm(row[7:10]), np.linalg.norm(row[10:])
     return bool(speed <= STILL[0] and rate <= STILL[1])
+
+
+def rest(model: ModelTuple, row: Array, near: State | None = None) -> State:
+    """Return the package at rest under the tool of a row (13,), near a state if given."""
+    return static_equilibrium(model, state_row(row[:3], row[3:7]), near)
 
 
 def diverged() -> UnstableError:
@@ -147,10 +154,8 @@ def simulate(
     durations = np.diff(tool.stamps_ns) * 1e-9
     steps = (substeps_of(durations, largest_step(model)) if substeps is None
              else np.full(len(durations), substeps, dtype=np.int64))
-    if start is None:
-        start = static_equilibrium(model, state_row(rows[0, :3], rows[0, 3:7], np.zeros(6)))
     try:
-        out = simulate_rows(model, start, rows, durations, steps)
+        out = simulate_rows(model, start or rest(model, rows[0]), rows, durations, steps)
     except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
         out = np.full(1, np.nan)
     if not np.all(np.isfinite(out)):

@@ -40,9 +40,9 @@ from bellows_ros.core.lie import (
 from bellows_ros.core.lie import (
     apply as apply_all,
 )
-from bellows_ros.core.plan import predict, Prediction, rest, rest_after, SETTLED
+from bellows_ros.core.plan import predict, Prediction, rest_after, SETTLED
 from bellows_ros.core.plan_points import body_twists, curve_of
-from bellows_ros.core.simulation import row_state, state_row, STILL, tool_rows, write_row
+from bellows_ros.core.simulation import rest, row_state, state_row, STILL, tool_rows, write_row
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import (
     add,
@@ -333,13 +333,13 @@ def _too_far() -> BellowsError:
 
 def _tool_above(model: ModelTuple, body: Array, rates: Array) -> State:
     """Return the tool from which a package of pose (7,) hangs at rest."""
-    shift = resting_on_tool(model, state_row(np.zeros(3), [0, 0, 0, 1], np.zeros(6)))[0]
+    shift = resting_on_tool(model, state_row(np.zeros(3), [0, 0, 0, 1]))[0]
     o = body[:3] - quaternion_to_rotation(body[3:]) @ shift
     h = min(GRID, RATE_PER_STEP / rates[-1])
     out = np.empty((2, round(2.0 * LONGEST_ARRIVAL / rates[0] / h), 13))
-    found = _led(model, state_row(o, body[3:], np.zeros(6)), np.pad(body, (0, 12))[None], h,
+    found = _led(model, state_row(o, body[3:]), np.pad(body, (0, 12))[None], h,
                  1e-4 * rates[0] * np.array(ARRIVED), *out)
-    return state_row(out[0, found - 1, :3], out[0, found - 1, 3:7], np.zeros(6))
+    return state_row(out[0, found - 1, :3], out[0, found - 1, 3:7])
 
 
 def tool_above(model: ModelTuple, package: Trajectory) -> Trajectory:
@@ -397,7 +397,7 @@ def modes_left(model: ModelTuple, prediction: Prediction) -> list[Mode]:
     From the model linearised at rest after the plan, slowest first; overdamped ones are left out.
     """
     last = tool_rows(prediction.tool)[-1]
-    tool = state_row(last[:3], last[3:7], np.zeros(6))
+    tool = state_row(last[:3], last[3:7])
     hanging = rest(model, last)
     values, vectors = np.linalg.eig(system_matrix(model, tool, hanging))
     R = quaternion_to_rotation(np.array(hanging[1]))

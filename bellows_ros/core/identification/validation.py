@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
-from bellows_ros.core.equilibrium import static_equilibrium
 from bellows_ros.core.identification.reduction import shaken
 from bellows_ros.core.identification.segments import bridged, segments_of
 from bellows_ros.core.kernels import ModelTuple, State
@@ -31,7 +30,7 @@ from bellows_ros.core.residuals import (
     spectrum,
     Whiteness,
 )
-from bellows_ros.core.simulation import lip_wrenches, simulate, state_row, tool_rows
+from bellows_ros.core.simulation import lip_wrenches, rest, simulate, state_row, tool_rows
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
@@ -263,9 +262,7 @@ def _start(
     first = int(np.argmax(usable))
     at_rest = rest_of(recording.measured_tool, recording.measured_package).seconds >= REST_S
     if at_rest or package.twist is None or not usable[first]:
-        rows = tool_rows(tool.select(slice(0, 1)))[0]
-        rest = static_equilibrium(model, state_row(rows[:3], rows[3:7], np.zeros(6)))
-        return rest, 0, 'equilibrium'
+        return rest(model, tool_rows(tool.select(slice(0, 1)))[0]), 0, 'equilibrium'
     quaternion = rotation_to_quaternion(package.rotation[first])
     state = state_row(package.position[first], quaternion, package.twist[first])
     return state, int(np.searchsorted(tool.stamps_ns, package.stamps_ns[first])), 'measured'

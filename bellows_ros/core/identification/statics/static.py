@@ -285,7 +285,7 @@ def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     nominal = np.array([0.0, 0.0, -cup.length, 0.0, 0.0, 0.0])
     measured = still.lip - nominal
     quaternion = rotation_to_quaternion(still.tool.rotation[0])
-    tool = state_row(still.tool.position[0], quaternion, np.zeros(6))
+    tool = state_row(still.tool.position[0], quaternion)
     try:
         position, q, _, _ = static_equilibrium(model_tuple(cup, still.payload, gravity), tool)
     except UnstableError as error:

@@ -182,7 +182,7 @@ def _equations(
     cup = Cup(structure.matrices(x)[0], np.zeros((6, 6)), cup_length)
     model = model_tuple(cup, still.payload, gravity)
     tool, body = (
-        state_row(own.position[0], rotation_to_quaternion(own.rotation[0]), np.zeros(6))
+        state_row(own.position[0], rotation_to_quaternion(own.rotation[0]))
         for own in (still.tool, still.package))
     for _ in range(NEWTON_STEPS):
         step = -np.linalg.solve(linearise(model, tool, body).body_pose,
