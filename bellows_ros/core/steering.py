@@ -352,6 +352,8 @@ def tool_above(model: ModelTuple, package: Trajectory) -> Trajectory:
 
 def _smooth_rows(wanted: Trajectory) -> tuple[Array, float]:
     """Return poses (N, 7) evenly spaced from rest to rest, smoothed if need be, and how far."""
+    from scipy.ndimage import uniform_filter1d
+
     curve, duration = curve_of(wanted), float(wanted.seconds[-1])
     rows = curve(np.linspace(0.0, duration, max(6, round(duration / SPACING)) + 1))
     if is_smooth(curve):
@@ -360,11 +362,9 @@ def _smooth_rows(wanted: Trajectory) -> tuple[Array, float]:
     box = round(0.25 * fine * min(SMOOTHED, LONGEST_SMOOTHING / duration)) | 1  # has a middle
     reach = 2 * (box - 1)
     quick = curve(np.linspace(0.0, duration, fine + 1 - 2 * reach))
-    rows = np.pad(quick, ((2 * reach, 2 * reach), (0, 0)), mode='edge')
-    weights = np.ones(1)
+    smooth = np.pad(quick, ((reach, reach), (0, 0)), mode='edge')
     for _ in range(4):
-        weights = np.convolve(weights, np.full(box, 1.0 / box))
-    smooth = np.stack([np.convolve(column, weights, 'valid') for column in rows.T], axis=1)
+        smooth = uniform_filter1d(smooth, box, axis=0, mode='nearest')
     smooth[:, 3:] /= np.linalg.norm(smooth[:, 3:], axis=1)[:, None]
     return smooth[::PARTS], 2.0 * reach * duration / fine
 

@@ -1,8 +1,7 @@
 """Six panels, one per axis: the layout of most pictures."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array, Mask
@@ -13,8 +12,7 @@ from .style import drawing, Theme, THEMES
 
 SIZE = (9.4, 6.9)  # inches
 LEFT = 0.095  # of the panels, in parts of the width
-BELOW_HEAD: Mapping[str, float] = MappingProxyType(
-    {'left': LEFT, 'right': 0.985, 'top': 0.87, 'bottom': 0.075})
+BELOW_HEAD = {'left': LEFT, 'right': 0.985, 'top': 0.87, 'bottom': 0.075}
 """Edges of the panels of a figure of `SIZE`."""
 
 HEAD, FOOT = 0.9, 0.52  # inches above and below the panels

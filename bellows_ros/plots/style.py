@@ -6,7 +6,7 @@ they differ without colour too; the two colours can be distinguished with all co
 colour vision.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from html import escape
@@ -14,7 +14,6 @@ import io
 import os
 from pathlib import Path
 import re
-from types import MappingProxyType
 from typing import Any
 
 from bellows_ros.errors import BellowsError
@@ -45,18 +44,14 @@ class Theme:
         return self.predicted, self.error, self.measured
 
 
-THEMES: Mapping[str, Theme] = MappingProxyType(
-    {
-        'light': Theme(
-            background='#ffffff', text='#1b1f24', quiet='#57606a',
-            grid='#e3e6ea', measured='#9fb4c9', predicted='#b3261e', error='#5b4a9e',
-        ),
-        'dark': Theme(
-            background='#0d1117', text='#e6edf3', quiet='#9198a1',
-            grid='#262c36', measured='#5b7fa6', predicted='#ffb454', error='#b7a8ff',
-        ),
-    }
-)
+THEMES = {
+    'light': Theme(
+        background='#ffffff', text='#1b1f24', quiet='#57606a', grid='#e3e6ea',
+        measured='#9fb4c9', predicted='#b3261e', error='#5b4a9e'),
+    'dark': Theme(
+        background='#0d1117', text='#e6edf3', quiet='#9198a1', grid='#262c36',
+        measured='#5b7fa6', predicted='#ffb454', error='#b7a8ff'),
+}
 
 
 @contextmanager

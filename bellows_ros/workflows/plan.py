@@ -321,11 +321,10 @@ def standing(tool: Trajectory, seconds: float) -> Trajectory:
     if count == 0:
         return tool
     later = tool.stamps_ns[-1] + np.arange(1, count + 1) * round(STANDING_STEP * NS_PER_S)
+    more = ((0, count), (0, 0))
     return Trajectory(
-        np.append(tool.stamps_ns, later),
-        np.vstack([tool.position, np.repeat(tool.position[-1:], count, axis=0)]),
-        np.concatenate([tool.rotation, np.repeat(tool.rotation[-1:], count, axis=0)]),
-        np.vstack([np.asarray(tool.twist), np.zeros((count, 6))]))
+        np.append(tool.stamps_ns, later), np.pad(tool.position, more, 'edge'),
+        np.pad(tool.rotation, (*more, (0, 0)), 'edge'), np.pad(np.asarray(tool.twist), more))
 
 
 # -------------------------------------------------------------------------------------- reading
