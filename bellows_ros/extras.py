@@ -1,6 +1,6 @@
 """Messages for missing optional dependencies: the extras of setup.py."""
 
-from importlib.util import find_spec
+import importlib.util
 
 from bellows_ros.errors import BellowsError
 
@@ -21,6 +21,6 @@ def install(extra: str) -> str:
 
 def require_pictures() -> None:
     """Raise BellowsError where matplotlib is missing: before long work, not after it."""
-    if find_spec('matplotlib') is None:
+    if importlib.util.find_spec('matplotlib') is None:
         raise BellowsError(
             f'matplotlib is not installed, but pictures need it: {install("plot")}')

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .live import measured, PLANS, PREDICTOR, TOSSING
+from .live import halves, measured, PLANS, PREDICTOR, TOSSING
 from .probe import CYCLE, PLAN_LASTS
 
 POINTS, RATE = 500, 500
@@ -31,22 +31,12 @@ def _answers(folder: Path, short: bool) -> dict[str, Any]:
                            f'plans,1,{POINTS},raw')
             found += run['plans']
             if name == PREDICTOR:
-                pairs += _pairs(np.array(run['stamps']), np.array(run['latency']))
+                pairs += halves(run, CYCLE, PLAN_LASTS)
     return {
         'points': POINTS * PLAN_LASTS + 1, 'count': len(times[PREDICTOR]),
         **{name: np.percentile(found, [50.0, 99.0]).tolist() for name, found in times.items()},
         'ratios': np.median(pairs, axis=0).tolist(), 'pairs': len(pairs),
     }
-
-
-def _pairs(stamps: np.ndarray, latency: np.ndarray) -> list[np.ndarray]:
-    """Return p50 and p99 of poses while plans come to those of the same cycle without."""
-    cycle, phase = np.divmod(stamps, CYCLE)
-    with_, without = phase < CYCLE / 2, phase > CYCLE / 2 + PLAN_LASTS
-    return [
-        np.percentile(latency[(cycle == k) & with_], [50.0, 99.0])
-        / np.percentile(latency[(cycle == k) & without], [50.0, 99.0])
-        for k in np.unique(cycle[without])]
 
 
 def _landing(folder: Path, rate: int, short: bool) -> dict[str, Any]:

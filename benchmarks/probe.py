@@ -4,10 +4,10 @@ Send tool poses (and twists) at a rate and take the time until each answer is he
 `python -m benchmarks.probe RATE SECONDS SENT HEARD PID` prints JSON: latencies in s,
 and the processor time and memory of the process that answers. SENT is `poses` or `twists` (these
 too), HEARD is `pose`, `all` (the package's twist and the cup's wrench too), `landing` (where it
-would land, too), `camera` (and some 30 answers a second are given back as measured poses) or
-`plans,PERIOD,RATE,HOW`: every PERIOD (s) a plan of 2 s of what the tool does from now on is sent,
-with points at RATE, during the first half of each `CYCLE`. HOW is `raw` (as bytes) or `typed` (as
-messages of rclpy, whose making of objects then counts).
+would land, too), `camera,CYCLE` (and some 30 answers a second are given back as measured poses, in
+the first half of each CYCLE, s) or `plans,PERIOD,RATE,HOW`: every PERIOD (s) a plan of 2 s of what
+the tool does from now on is sent, with points at RATE, during the first half of each `CYCLE`. HOW
+is `raw` (as bytes) or `typed` (as messages of rclpy, whose making of objects then counts).
 """
 
 from collections.abc import Callable
@@ -72,7 +72,8 @@ class Probe(Node):
         for name, (kind, callback) in self._heard.items():
             self.create_subscription(kind, name, callback, QUEUE)
         self._camera = self._plan_out = None
-        if heard == 'camera':
+        if heard.startswith('camera'):
+            self._cycle = float(heard.partition(',')[2])
             self._camera = self.create_publisher(PoseStamped, 'package/measured', QUEUE)
         self._next_seen_ns = 0
         self._period = 1.0 / rate_hz
@@ -88,7 +89,8 @@ class Probe(Node):
     def _on_answer(self, message: PoseStamped) -> None:
         stamp_ns = stamp_to_ns(message.header.stamp)
         self.answered[stamp_ns] = time.perf_counter_ns()
-        if self._camera and stamp_ns >= self._next_seen_ns:
+        if (self._camera and stamp_ns >= self._next_seen_ns
+                and in_first_half((stamp_ns - FIRST_NS) * 1e-9, self._cycle)):
             self._next_seen_ns = stamp_ns + SEEN_EVERY_NS
             self._camera.publish(message)
 
@@ -97,7 +99,7 @@ class Probe(Node):
         _, period, rate_hz, kind = how.split(',')
         each = round(float(period) / self._period)
         for k in range(round(WARM_SECONDS / self._period), len(self._messages), each):
-            if (k * self._period - WARM_SECONDS) % CYCLE < CYCLE / 2:
+            if in_first_half(k * self._period, CYCLE):
                 data = plan_from(k * self._period, float(rate_hz))
                 self._plans[k] = (
                     deserialize_message(data, MultiDOFJointTrajectory) if kind == 'typed'
@@ -177,6 +179,11 @@ def _messages(seconds: float) -> tuple[PoseStamped, TwistStamped]:
     pose.pose.orientation.w = 1.0
     twist.twist.linear.x = WAY * TURNS * math.sin(TURNS * seconds)
     return pose, twist
+
+
+def in_first_half(seconds: float, cycle: float) -> bool:
+    """Return whether a time since the first message (s) is in the first half of a cycle (s)."""
+    return (seconds - WARM_SECONDS) % cycle < 0.5 * cycle
 
 
 def plan_from(seconds: float, rate_hz: float) -> bytes:

@@ -24,7 +24,7 @@ from bellows_ros.demo.domain import isolate
 import hypothesis
 import pytest
 
-from .kernels import compile_most
+from .kernels import compile_all
 
 keep_linear_algebra_single()
 
@@ -69,7 +69,7 @@ def pytest_configure(config: pytest.Config) -> None:
             f'{BOOTSTRAPPED} is set, but not by this Python ({sys.executable}): the ROS libraries '
             f'cannot be found. Start again with: env -u {BOOTSTRAPPED} {sys.executable} -m pytest')
     if config.getoption('numprocesses', None) and 'PYTEST_XDIST_WORKER' not in os.environ:
-        compile_most()
+        compile_all()
 
 
 @pytest.hookimpl(tryfirst=True)

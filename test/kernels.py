@@ -1,14 +1,65 @@
-"""Compiled code for the tests."""
+"""Compiled code for the tests; what it needs is imported late, as it loads NumPy."""
+
+import multiprocessing
+from typing import Any
 
 
 def compile_most() -> None:
-    """Compile or load most kernels: once before the workers start, and not in each of them."""
-    from bellows_ros.core.live import warm_up
+    """Compile or load what most processes need."""
     from bellows_ros.core.live.uncertainty import warm_up_uncertainty
-    from bellows_ros.core.model import Cup, Package
+
+    _compile_live()
+    warm_up_uncertainty()
+
+
+def compile_all() -> None:
+    """Compile nearly everything once, before the workers start: two halves that share little."""
+    from bellows_ros.core.jit import COMPILED
+
+    if COMPILED:
+        half = multiprocessing.get_context('fork').Process(target=_compile_filters)
+        half.start()
+        _compile_plans()
+        half.join()
+
+
+def _compile_live() -> Any:
+    """Compile what predicts from poses, and return a model."""
+    from bellows_ros.core.live import warm_up
+    from bellows_ros.core.model import Cup, model_tuple, Package
     import numpy as np
 
-    package = Package(1.0, 0.01 * np.eye(3), np.zeros(3))
-    for twist_frame in ('world', 'tool'):
-        warm_up(Cup.thesis(), package, 9.81, twist_frame)
+    cup, package = Cup.thesis(), Package(1.0, 0.01 * np.eye(3), np.zeros(3))
+    warm_up(cup, package, 9.81, 'world')
+    return model_tuple(cup, package, 9.81)
+
+
+def _compile_plans() -> None:
+    """Compile what predicts, steers and tosses."""
+    from bellows_ros.core.live.flight import Flight
+    from bellows_ros.core.parameters import resolve
+    from bellows_ros.core.steering import steer
+
+    from .core import plans, tosses
+
+    model = _compile_live()
+    Flight(resolve(tosses.values())).warm_up(model)
+    steer(model, plans.Move([0.1, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0).plan(), 'inverse')
+
+
+def _compile_filters() -> None:
+    """Compile what observes, estimates and simulates, with all derivatives."""
+    from bellows_ros.core.identification.prediction_error import prediction_error
+    from bellows_ros.core.live.uncertainty import warm_up_uncertainty
+    from bellows_ros.core.model import Cup, model_tuple
+    from bellows_ros.core.observer import warm_up_observer
+    from bellows_ros.core.parameters import resolve
+    from bellows_ros.core.structure import STRUCTURES
+
+    from .core import tosses
+    from .core.identification.recordings import segments
+
+    cup = Cup.thesis()
+    warm_up_observer(resolve(tosses.values()), model_tuple(cup, tosses.PACKAGE, 9.81))
     warm_up_uncertainty()
+    prediction_error(segments(9, 3.0, rate_hz=100.0), STRUCTURES['axisymmetric'], cup)

@@ -16,7 +16,6 @@ import argparse
 from collections.abc import Mapping, Sequence
 import difflib
 import importlib
-import os
 import sys
 import textwrap
 from types import MappingProxyType
@@ -24,18 +23,9 @@ from typing import Any, NoReturn
 
 from bellows_ros import __version__
 from bellows_ros.core import keep_linear_algebra_single
-from bellows_ros.errors import BellowsError
 
 from . import options
-from .console import (
-    Console,
-    Ended,
-    ended_in_order,
-    EXIT_CODES,
-    INTERRUPTED,
-    PIPE_CLOSED,
-    USER_ERROR,
-)
+from .console import Console, EXIT_CODES, in_order, USER_ERROR
 
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
@@ -120,29 +110,14 @@ def main(args: Sequence[str] | None = None) -> int:
         After --help and --version, and when the command line itself is wrong.
 
     """
-    console = Console(sys.stdout, sys.stderr)
-    try:
-        with ended_in_order():
-            return _run(list(sys.argv[1:] if args is None else args), console)
-    except BellowsError as error:
-        console.error(str(error))
-        return error.exit_code
-    except KeyboardInterrupt:
-        console.note('Interrupted; nothing was left half done.')
-        return INTERRUPTED
-    except Ended as end:
-        console.note(f'Ended by {end.name}; nothing was left half done.')
-        return end.exit_code
-    except BrokenPipeError:  # the reader of the output has closed it
-        # Let nothing be written any more, also not when the process ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return PIPE_CLOSED
+    arguments = list(sys.argv[1:] if args is None else args)
+    return in_order(lambda console: _run(arguments, console))
 
 
 def _run(arguments: list[str], console: Console) -> int:
     """Run the named command, or answer for `bellows` itself."""
     if not arguments or arguments[0] not in COMMANDS:
-        _refuse(arguments)
+        _answer(arguments)
     name, *rest = arguments
     keep_linear_algebra_single()
     parsed = command_parser(name).parse_args(rest)
@@ -151,13 +126,20 @@ def _run(arguments: list[str], console: Console) -> int:
            for value in vars(parsed).values()):
         console.keep_stdout_free()
     code: int = parsed.run(parsed, console)
+    console.warn(*console.remarks)
     console.flush()
     return code
 
 
-def _refuse(arguments: list[str]) -> NoReturn:
+def _answer(arguments: list[str]) -> NoReturn:
     """Answer --help and --version, and refuse an unknown command."""
-    parser = _top_parser()
+    width = max(map(len, COMMANDS))
+    commands = '\n'.join(f'  {name:{width}}  {text}' for name, text in COMMANDS.items())
+    parser = Parser(
+        'bellows', DESCRIPTION, f'\n\ncommands:\n{commands}',
+        f'Each has its own help: bellows COMMAND --help\n\n{TRY}\n{EXIT_CODES}',
+        'bellows COMMAND [ARGUMENTS]')
+    parser.add_argument('--version', action='version', version=f'bellows {__version__}')
     if not arguments:
         parser.print_help(sys.stderr)
         sys.exit(USER_ERROR)
@@ -166,18 +148,6 @@ def _refuse(arguments: list[str]) -> NoReturn:
     near = difflib.get_close_matches(first, COMMANDS, n=1)
     hint = f"Did you mean '{near[0]}'?" if near else f'There are: {", ".join(COMMANDS)}.'
     parser.error(f"'{first}' is not a command. {hint}")
-
-
-def _top_parser() -> Parser:
-    """Return the parser that answers `bellows --help`."""
-    width = max(map(len, COMMANDS))
-    commands = '\n'.join(f'  {name:{width}}  {text}' for name, text in COMMANDS.items())
-    parser = Parser(
-        'bellows', DESCRIPTION, f'\n\ncommands:\n{commands}',
-        f'Each has its own help: bellows COMMAND --help\n\n{TRY}\n{EXIT_CODES}',
-        'bellows COMMAND [ARGUMENTS]')
-    parser.add_argument('--version', action='version', version=f'bellows {__version__}')
-    return parser
 
 
 def command_parser(name: str) -> Parser:

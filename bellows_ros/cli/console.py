@@ -6,7 +6,7 @@ there, and not where NO_COLOR is set or TERM is dumb. Signals that end a command
 and none divides finished work.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 import math
 import os
@@ -18,6 +18,8 @@ import threading
 import time
 from types import FrameType
 from typing import NoReturn, TextIO
+
+from bellows_ros.errors import BellowsError
 
 # What a command ends with.
 OK = 0
@@ -56,12 +58,18 @@ class Console:
     err : text stream
         For notes, warnings, errors and progress.
 
+    Attributes
+    ----------
+    remarks : list of str
+        Warnings for when the work has been done.
+
     """
 
     def __init__(self, out: TextIO, err: TextIO) -> None:
         """Remember the streams."""
         self._out = out
         self._err = err
+        self.remarks: list[str] = []
 
     def keep_stdout_free(self) -> None:
         """Print results on stderr from now on: stdout takes a file's content."""
@@ -75,16 +83,14 @@ class Console:
         """Print sentences of the result, wrapped, each text with its indentation kept."""
         for text in texts:
             indent = text[:len(text) - len(text.lstrip())]
-            for line in textwrap.wrap(
-                    text.strip(), _width(), initial_indent=indent, subsequent_indent=2 * indent,
-                    break_long_words=False, break_on_hyphens=False):
+            for line in _wrapped(text.strip(), indent, 2 * indent):
                 self.say(line, style)
 
-    def wrote(self, *files: str) -> None:
-        """Name the files that were written, leaving out '' and '-'."""
-        for file in files:
-            if file not in ('', '-'):
-                self.say(f'Wrote {file}.')
+    def wrote(self, *files: str, then: Sequence[str] = ()) -> None:
+        """Name the files that were written, leaving out '' and '-', and say what comes next."""
+        named = [file for file in files if file not in ('', '-')]
+        for line in (*(f'Wrote {file}.' for file in named), *(then if named else ())):
+            self.say(line)
 
     def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
         """Print rows in columns, indented; all but the first right-aligned if wanted."""
@@ -96,9 +102,7 @@ class Console:
     def warn(self, *texts: str) -> None:
         """Print warnings."""
         for text in texts:
-            for line in textwrap.wrap(
-                    f'Warning: {text}', _width(), subsequent_indent='  ', break_long_words=False,
-                    break_on_hyphens=False):
+            for line in _wrapped(f'Warning: {text}', '', '  '):
                 self._tell(self._styled(self._err, printable(line), 'yellow'))
 
     def note(self, text: str) -> None:
@@ -133,7 +137,8 @@ class Console:
 
     def _styled(self, stream: TextIO, text: str, style: str) -> str:
         """Return a text in a style, where the stream shows it."""
-        return f'\x1b[{STYLES[style]}m{text}\x1b[0m' if style and has_colour(stream) else text
+        shown = style and _is_terminal(stream) and not os.environ.get('NO_COLOR')
+        return f'\x1b[{STYLES[style]}m{text}\x1b[0m' if shown else text
 
 
 class Progress:
@@ -173,20 +178,14 @@ def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:
     done = min(max(fraction, 0.0), 1.0)
     full = round(done * BAR)
     known = done > 0.05 and elapsed > 1.0 and ' left' not in stage
-    left = elapsed * (1.0 - done) / done if known else None
-    remaining = f', {left:.0f} s left' if left is not None else ''
-    return f'[{"#" * full}{"-" * (BAR - full)}] {done:4.0%}  {stage}{remaining}'
+    left = f', {elapsed * (1.0 - done) / done:.0f} s left' if known else ''
+    return f'[{"#" * full}{"-" * (BAR - full)}] {done:4.0%}  {stage}{left}'
 
 
 def printable(text: str, kept: str = '') -> str:
     """Return a text with control characters escaped: names may be hostile."""
     return ''.join(
         c if c.isprintable() or c in kept else c.encode('unicode_escape').decode() for c in text)
-
-
-def has_colour(stream: TextIO) -> bool:
-    """Return whether a stream shows colours and the user wants them."""
-    return _is_terminal(stream) and not os.environ.get('NO_COLOR')
 
 
 def _is_terminal(stream: TextIO) -> bool:
@@ -217,9 +216,11 @@ def with_error(value: float, error: float, unit: str = '') -> str:
     return f'{value:.{decimals}f} ± {error:.{decimals}f} {unit}'.rstrip()
 
 
-def _width() -> int:
-    """Return the width of sentences: that of the terminal, at most what is easy to read."""
-    return max(min(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns), NARROWEST)
+def _wrapped(text: str, first: str, rest: str) -> list[str]:
+    """Return lines as wide as the terminal, at most what is easy to read, with indentations."""
+    width = max(min(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns), NARROWEST)
+    return textwrap.wrap(text, width, initial_indent=first, subsequent_indent=rest,
+                         break_long_words=False, break_on_hyphens=False)
 
 
 def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
@@ -228,28 +229,20 @@ def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
 
     On a terminal that is too narrow, columns follow in blocks, each with the first one again.
     """
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = []
-    for block in _blocks(widths, shutil.get_terminal_size((0, 0)).columns - INDENTED):
-        for row in rows:
-            cells = [
-                row[i].rjust(widths[i]) if right and i else row[i].ljust(widths[i])
-                for i in (0, *block)
-            ]
-            lines.append('  '.join(cells).rstrip())
-    return lines
-
-
-def _blocks(widths: Sequence[int], room: int) -> list[list[int]]:
-    """Return the columns after the first in blocks that fit the width."""
-    blocks, used = [list[int]()], widths[0]
-    for number, width in enumerate(widths[1:], 1):
-        if blocks[-1] and 0 < room < used + GUTTER + width:
-            blocks.append([])
-            used = widths[0]
-        blocks[-1].append(number)
-        used += GUTTER + width
-    return blocks
+    room = shutil.get_terminal_size((0, 0)).columns - INDENTED
+    columns = []
+    for number, cells in enumerate(zip(*rows, strict=True)):
+        width = max(map(len, cells))
+        columns.append([
+            cell.rjust(width) if right and number else cell.ljust(width) for cell in cells])
+    blocks = [columns[:1]]
+    for column in columns[1:]:
+        used = sum(len(own[0]) + GUTTER for own in blocks[-1])
+        if len(blocks[-1]) > 1 and 0 < room < used + len(column[0]):
+            blocks.append(columns[:1])
+        blocks[-1].append(column)
+    return [(GUTTER * ' ').join(cells).rstrip()
+            for block in blocks for cells in zip(*block, strict=True)]
 
 
 def short(value: float) -> str:
@@ -271,9 +264,9 @@ def listed(items: Sequence[str]) -> str:
     return ' and '.join(filter(None, [', '.join(items[:-1]), items[-1]]))
 
 
-def many(count: int, one: str, several: str) -> str:
+def many(count: int, noun: str) -> str:
     """Return a count with its noun."""
-    return f'{count} {one if count == 1 else several}'
+    return f'{count} {noun}{"" if count == 1 else "s"}'
 
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)
@@ -289,13 +282,16 @@ class Ended(BaseException):
         self.exit_code = 128 + number
 
 
-@contextmanager
-def ended_in_order() -> Iterator[None]:
+def in_order(work: Callable[[Console], int]) -> int:
     """
-    Let the signals that would end this process at once raise `Ended`, so that all is removed.
+    Do some work with the streams of this process; return the exit code.
 
-    Once, as they often come twice, to a process and to its group: the second must not stop that.
+    An error ends as a message, and so do signals that would end this process at once: they raise
+    `Ended`, so that all is removed. Once, as they often come twice, to a process and to its group:
+    the second must not stop that.
     """
+    console = Console(sys.stdout, sys.stderr)
+
     def end(number: int, frame: FrameType | None) -> NoReturn:
         for each in taken:
             signal.signal(each, signal.SIG_IGN)
@@ -306,10 +302,21 @@ def ended_in_order() -> Iterator[None]:
     for number in taken:
         signal.signal(number, end)
     try:
-        yield
-    except Ended:
+        return work(console)
+    except BellowsError as error:
+        console.error(str(error))
+        return error.exit_code
+    except KeyboardInterrupt:
+        console.note('Interrupted; nothing was left half done.')
+        return INTERRUPTED
+    except Ended as ended:
         taken.clear()  # they stay ignored: what is left is to clean up
-        raise
+        console.note(f'Ended by {ended.name}; nothing was left half done.')
+        return ended.exit_code
+    except BrokenPipeError:  # the reader of the output has closed it
+        # Let nothing be written any more, also not when the process ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE_CLOSED
     finally:
         for number in taken:
             signal.signal(number, signal.SIG_DFL)

@@ -96,41 +96,36 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
                 bodies, arguments.out, arguments.storage, arguments.force, span)
     options.put_json(arguments.json, done.as_json())
     _say(done, console)
-    if not text:
-        console.say('Next, check the recording:')
-        console.say(f'  bellows info {done.out} --write-params my_cell.yaml')
+    console.wrote(arguments.json)
+    console.wrote(done.out, then=() if text else (
+        'Next, check the recording:', f'  bellows info {done.out} --write-params my_cell.yaml'))
     return OK
 
 
 def _require_possible(arguments: argparse.Namespace, text: bool, frames: bool) -> None:
     """Refuse what cannot be made of the sources: a text, poses of two frames, or a recording."""
-    if frames:
-        if not (arguments.tool_frame and arguments.package_frame):
+    alone = bool(text or arguments.tool_link) and not frames
+    if frames and not (arguments.tool_frame and arguments.package_frame):
+        raise BellowsError(
+            '--tool-frame and --package-frame go together. Give both; for the tool alone, use '
+            '--tool-link.')
+    if (frames or alone) and len(arguments.sources) > 1 or alone and len(arguments.topic) > 1:
+        raise BellowsError(
+            'Only one recording can be converted, and of it one trajectory, unless two frames are '
+            'named. Give one, with one --topic.')
+    for source in arguments.sources if not (frames or alone) else ():
+        if os.path.isdir(source) or source.suffix in ('.mcap', '.db3'):
             raise BellowsError(
-                '--tool-frame and --package-frame go together. Give both; for the tool alone, '
-                'use --tool-link.')
-        if len(arguments.sources) > 1:
-            raise BellowsError('Only one recording can be converted. Give one.')
-    elif text or arguments.tool_link:
-        if len(arguments.sources) > 1 or len(arguments.topic) > 1:
-            raise BellowsError('Only one trajectory can be written. Give one recording and one '
-                               '--topic.')
-    else:
-        for source in arguments.sources:
-            if os.path.isdir(source) or source.suffix in ('.mcap', '.db3'):
-                raise BellowsError(
-                    f"'{source}' is already a recording. To write its poses as text, give --out "
-                    'a name that ends in .tum. To make tool poses from its joints or transforms, '
-                    'name the link of the tool: --tool-link LINK.')
+                f"'{source}' is already a recording. To write its poses as text, give --out a "
+                'name that ends in .tum. To make tool poses from its joints or transforms, name '
+                'the link of the tool: --tool-link LINK.')
 
 
 def _say(done: 'Conversion', console: Console) -> None:
-    """Print what was written and what was left out."""
-    console.say(f'Wrote {done.out}', 'bold')
-    width = max(len(body.topic) for body in done.bodies)
+    """Print what was converted and what was left out."""
     for body in done.bodies:
         left = ', '.join(f'{count} {reason}' for reason, count in body.left_out.items())
-        console.say(f'  {body.topic:{width}}  {body.poses:6} poses of {body.source}'
+        console.say(f'{body.topic}: {body.poses} poses of {body.source}'
                     + (f'; left out: {left}' if left else ''))
     if done.world != 'z_up':
         console.say(f'Its world has y up: set recording.world to {done.world}.')

@@ -6,7 +6,6 @@ from a recording of it.
 """
 
 import argparse
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -76,18 +75,16 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.files.safe_yaml import load
     from bellows_ros.workflows.excite import excite, write_motion
 
-    def work(values: Mapping[str, Any], progress: Callable[..., None]) -> 'Excitation':
-        return excite(
-            values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
-            arguments.beside, arguments.seed, progress, arguments.series)
-
     def draw(found: 'Excitation') -> Any:
         from bellows_ros.plots.excite import excite_figure
 
         return excite_figure(found.design, f'{arguments.time:g} s, for {arguments.limits}')
 
     return carry_out(
-        arguments, console, work, draw, _say, lambda found: write_motion(
+        arguments, console, lambda values, progress: excite(
+            values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
+            arguments.beside, arguments.seed, progress, arguments.series),
+        draw, _say, lambda found: write_motion(
             arguments.out, found, arguments.csv, arguments.urscript, arguments.force))
 
 

@@ -45,17 +45,15 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.files.atomic import write_text
     from bellows_ros.files.exports import Exported, limits, TARGETS
 
-    values = options.given_parameters(arguments)
-    settings = resolve(values, PACKAGE_PARAMETERS)
+    settings = resolve(options.cup_parameters(arguments, console), PACKAGE_PARAMETERS)
     cup, package = cup_of(settings), package_of(settings)
     target = TARGETS[arguments.to]
     lost = limits(target, cup)
     gravity = tuple(gravity_of(settings).tolist())
     write_text(arguments.out, target.write(Exported(cup, package, gravity, grip_of(settings))))
-    content = {'format': arguments.to, 'file': arguments.out, 'not_expressed': lost}
-    options.put_json(arguments.json, content)
-    options.warn_of_thesis_cup(values, console)
-    console.wrote(arguments.out)
+    options.put_json(arguments.json, {
+        'format': arguments.to, 'file': arguments.out, 'not_expressed': lost})
+    console.wrote(arguments.out, arguments.json)
     console.say(f'What differs or is left out in {target.name}:')
     for sentence in lost:
         console.paragraph(f'  - {sentence}')

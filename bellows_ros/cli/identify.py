@@ -13,20 +13,13 @@ import math
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
+from bellows_ros.errors import BellowsError
+
 from . import options
-from .console import (
-    aligned,
-    Console,
-    listed,
-    many,
-    NOT_USABLE,
-    OK,
-    Progress,
-    uninterrupted,
-    with_error,
-)
+from .console import Console, listed, many, NOT_USABLE, OK, Progress, uninterrupted, with_error
 
 if TYPE_CHECKING:
+    from bellows_ros.core.identification.result import Fit
     from bellows_ros.workflows.identification import Identification
     from bellows_ros.workflows.release import ReleaseResult
 
@@ -99,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Identify, write, report."""
-    settings = _settings(arguments)
+    settings = _settings(arguments, console)
     cup_file, json_file, page = (
         str(settings.get(f'output.{name}', '')) for name in ('parameters', 'json', 'report'))
     options.require_outputs((cup_file, json_file, page), options.inputs_of(settings))
@@ -122,15 +115,23 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     if options.STDOUT in (cup_file, json_file, page):
         console.keep_stdout_free()
     _say(result, console)
-    _say_files(usable, written, cup_file, json_file, console)
-    console.wrote(page)
+    console.say()
+    console.wrote(json_file, page)
+    if not usable:
+        kept = f'its file was {"written because of --force" if written else "not written"}'
+        console.paragraph(
+            f'This cup is refused: {kept if cup_file else "do not use it"}.', style='red')
+    elif cup_file:
+        console.wrote(cup_file, then=(
+            'Next, check how well it predicts another recording:',
+            f'  bellows replay BAG --params {cup_file}'))
+    else:
+        console.say('The cup was not written to a file; give --out cup.yaml to keep it.')
     return OK if usable else NOT_USABLE
 
 
 def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: Console) -> int:
     """Identify the valve, write, report."""
-    from bellows_ros.errors import BellowsError
-
     others = ('summaries', 'summary_out', 'report', 'jobs', 'dask')
     given = [f'--{name.replace("_", "-")}' for name in others if getattr(arguments, name)]
     if given:
@@ -144,9 +145,8 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
     with uninterrupted():
         if arguments.out:
             write_parameters(arguments.out, result.parameters())
-        options.put_json(str(arguments.json), {
+        options.put_json(arguments.json, {
             **result.as_json(), 'provenance': provenance(result.bags, arguments.params)})
-    options.warn_of_thesis_cup(settings, console)
     _say_release(result, console)
     console.wrote(arguments.out, arguments.json)
     return OK
@@ -182,14 +182,12 @@ def _reduce(arguments: argparse.Namespace, settings: dict[str, Any], console: Co
 
     part = write_summary(settings, arguments.summary_out, arguments.params)
     found = part.statistics
-    options.put_json(str(arguments.json), {
+    options.put_json(arguments.json, {
         'file': str(arguments.summary_out), 'structure': found.structure.name,
         'samples_used': found.used, 'samples_rejected': found.rejected,
         'recording': part.report})
-    console.say(
-        f'Wrote {arguments.summary_out}: {found.used} samples used, {found.rejected} '
-        f'rejected, {found.structure.name}.')
-    console.wrote(str(arguments.json))
+    console.say(f'{found.used} samples used, {found.rejected} rejected, {found.structure.name}.')
+    console.wrote(arguments.summary_out, arguments.json)
     return OK
 
 
@@ -219,44 +217,26 @@ def _identified(
     return replace(result, typical=typical(plan, result))
 
 
-def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
+def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
     """Return the parameters of files and --set, with those that have an argument of their own."""
-    values = options.given_parameters(arguments, 'identifier')
-    from bellows_ros.errors import BellowsError
-
+    values = options.cup_parameters(arguments, console, 'identifier') if arguments.release \
+        else options.given_parameters(arguments, 'identifier')
     named = {
-        'bags': [str(bag) for bag in arguments.bags],
-        'output.parameters': str(arguments.out),
-        'output.json': str(arguments.json),
-        'output.report': str(arguments.report),
-    }
+        'bags': [str(bag) for bag in arguments.bags], 'output.parameters': str(arguments.out),
+        'output.json': str(arguments.json), 'output.report': str(arguments.report)}
     settings = {**values, **{name: value for name, value in named.items() if value}}
-    if arguments.summaries:
-        if settings.get('bags') or arguments.summary_out:
-            raise BellowsError(
-                '--summaries replace the recordings: leave out BAG and --summary-out.'
-            )
-        return settings
-    if not settings.get('bags'):
-        raise BellowsError(
-            'No recording is given. Name one or more (bellows identify BAG ... --params FILE), '
-            "or set the parameter 'bags'."
-        )
-    from bellows_ros.core.parameters import RECORDING_PARAMETERS, resolve
-
-    checked = resolve(settings, () if values.get('package.files') else RECORDING_PARAMETERS)
-    return {**settings, **{name: checked[name] for name in named}}
+    if arguments.summaries and (settings.get('bags') or arguments.summary_out):
+        raise BellowsError('--summaries replace the recordings: leave out BAG and --summary-out.')
+    return settings
 
 
 def _say(result: 'Identification', console: Console) -> None:
     """Print the cup, and the samples and findings behind it."""
     from bellows_ros.core.residuals import AXES, MILLI_UNITS
 
-    fit = result.fit
-    bags = listed(result.bags)
-    verdict = result.verdict
+    fit, verdict = result.fit, result.verdict
     console.paragraph(*(verdict.cause if verdict else ()))
-    console.say(f'Cup identified from {bags}', 'bold')
+    console.say(f'Cup identified from {listed(result.bags)}', 'bold')
     console.say(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     console.say()
     if result.typical:
@@ -273,8 +253,7 @@ def _say(result: 'Identification', console: Console) -> None:
             for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
             right=True)
         console.say()
-    for line in cup_table(fit):
-        console.say(f'  {line}'.rstrip())
+    say_cup(fit, console)
     console.say()
     _say_samples(result, console)
     console.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
@@ -283,35 +262,26 @@ def _say(result: 'Identification', console: Console) -> None:
     console.warn(*result.warnings)
 
 
-def cup_table(fit: Any) -> list[str]:
-    """Return K and P with standard errors, a line per direction; with couplings all entries."""
+def say_cup(fit: 'Fit', console: Console) -> None:
+    """Print K and P with standard errors, a line per direction; with couplings all entries."""
     from bellows_ros.core.identification.result import UNITS
     from bellows_ros.core.structure import AXES, structure_named
 
     structure = structure_named(fit.structure)
-    rows: list[tuple[str, ...]] = [('axis', 'stiffness K', 'damping P')]
-    for axes in structure.tied_axes:
-        i = axes[0]
-        rows.append((', '.join(AXES[axis] for axis in axes), *(
-            with_error(matrix[i, i], std[i, i], UNITS[name][2 * (i > 2)])
-            for name, matrix, std in (('K', fit.stiffness, fit.stiffness_std),
-                                      ('P', fit.damping, fit.damping_std)))))
-    lines = aligned(rows)
-    if structure.couples:
-        lines += ['', 'K in N/m, N and N m/rad:', *_matrix(fit.stiffness, fit.stiffness_std)]
-        lines += ['', 'P in N s/m, N s and N m s/rad:', *_matrix(fit.damping, fit.damping_std)]
-    return lines
-
-
-def _matrix(matrix: Any, std: Any) -> list[str]:
-    """Return a 6x6 matrix, a line per row of 60 columns, with - for what is not identifiable."""
-    def cell(x: float, error: float) -> str:
-        if math.isinf(error):
-            return '-'
-        return next(text for digits in (4, 3, 2, 1) if len(text := f'{x:.{digits}g}') < 9)
-
-    return ['  ' + ''.join(f'{cell(*entry):>9}' for entry in zip(*rows, strict=True))
-            for rows in zip(matrix, std, strict=True)]
+    matrices = (('K', fit.stiffness, fit.stiffness_std), ('P', fit.damping, fit.damping_std))
+    console.table([('axis', 'stiffness K', 'damping P'), *(
+        (', '.join(AXES[axis] for axis in axes), *(
+            with_error(matrix[axes[0], axes[0]], std[axes[0], axes[0]],
+                       UNITS[name][2 * (axes[0] > 2)]) for name, matrix, std in matrices))
+        for axes in structure.tied_axes)])
+    for name, matrix, std in matrices if structure.couples else ():
+        linear, coupling, angular = UNITS[name]
+        rows: list[tuple[str, ...]] = [('', *AXES)]
+        for axis, values, errors in zip(AXES, matrix.tolist(), std.tolist(), strict=True):
+            rows.append((axis, *('-' if math.isinf(error) else f'{value:.4g}'
+                                 for value, error in zip(values, errors, strict=True))))
+        console.say()
+        console.table(rows, right=True, title=f'{name} in {linear}, {coupling} and {angular}:')
 
 
 def _say_samples(result: 'Identification', console: Console) -> None:
@@ -320,33 +290,10 @@ def _say_samples(result: 'Identification', console: Console) -> None:
     console.paragraph(f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.')
     for stream in (part.report[name] for part in result.parts
                    for name in ('tool_pose', 'package_pose')):
-        gaps, outliers, touched = (
-            stream[name] for name in ('gaps', 'outliers', 'filtered_samples_left_out'))
-        lost = sum(gap['duration_s'] for gap in gaps)
-        found = [
-            *(many(len(indices), f'message {reason.replace("_", " ")}', f'messages {reason}')
-              for reason, indices in stream['refused'].items() if indices),
-            *([many(outliers, 'outlier', 'outliers')] if outliers else []),
-            *([f'{many(len(gaps), "gap", "gaps")} of {lost:.2g} s together'] if gaps else [])]
-        left_out = f'; {touched} filtered samples touch these' if touched else ''
+        counts = {f'{reason.replace("_", " ")} message': len(indices)
+                  for reason, indices in stream['refused'].items()}
+        counts |= {'outlier': stream['outliers'], 'gap': len(stream['gaps'])}
+        found = [many(count, what) for what, count in counts.items() if count]
         if found:
-            console.paragraph(f'  {stream["topic"]}: {", ".join(found)}{left_out}')
-
-
-def _say_files(
-    usable: bool, written: bool, cup_file: str, json_file: str, console: Console
-) -> None:
-    """Print the files written and the next step."""
-    console.say()
-    console.wrote(json_file)
-    name = 'the cup' if cup_file == options.STDOUT else cup_file
-    if not usable:
-        kept = f'{name} was not written' if cup_file else 'do not use it'
-        if written and cup_file:
-            kept = f'{name} was written because of --force'
-        console.paragraph(f'This cup is refused: {kept}.', style='red')
-    elif cup_file not in ('', options.STDOUT):
-        console.say(f'Wrote {cup_file}. Next, check how well it predicts another recording:')
-        console.say(f'  bellows replay BAG --params {cup_file}')
-    elif not cup_file:
-        console.say('The cup was not written to a file; give --out cup.yaml to keep it.')
+            touched = many(stream['filtered_samples_left_out'], 'filtered sample')
+            console.paragraph(f'  {stream["topic"]}: {", ".join(found)}; {touched} left out')

@@ -54,9 +54,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         write_text(arguments.write_params, parameter_file(found))
     _say(found, console)
     console.wrote(arguments.json)
-    if arguments.write_params not in ('', options.STDOUT):
-        console.say(f'Wrote {arguments.write_params}. Fill in the package there, then:')
-        console.say(f'  bellows identify --params {arguments.write_params} --out cup.yaml')
+    console.wrote(arguments.write_params, then=(
+        'Fill in the package there, then:',
+        f'  bellows identify --params {arguments.write_params} --out cup.yaml'))
     return OK
 
 
@@ -101,10 +101,10 @@ def _facts(topic: 'TopicInfo') -> Iterator[str]:
     if found:
         yield f'messages left out: {", ".join(found)}'
     if topic.outliers:
-        yield f'{many(topic.outliers, "pose looks", "poses look")} like lost tracking'
+        yield f'{many(topic.outliers, "outlier")}, as where tracking is lost'
     if topic.gaps:
         longest = max(length for _, length in topic.gaps)
-        yield f'{many(len(topic.gaps), "gap", "gaps")}, the longest {longest * 1e3:.0f} ms'
+        yield f'{many(len(topic.gaps), "gap")}, the longest {longest * 1e3:.0f} ms'
     if topic.noise:
         position, rotation = (
             ' '.join(f'{1e3 * x:.3f}' for x in topic.noise[name])

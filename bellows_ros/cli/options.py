@@ -27,8 +27,6 @@ INPUTS = ('bags', 'validation.bags', 'static.bags', 'static.files', 'package.fil
 SPAN = {'from': 'recording.start', 'to': 'recording.end'}
 """The parameters that options for a part of a recording set."""
 
-THESIS_CUP = 'cup.stiffness is not set: using the cup of the thesis, (4.78, 4.79).'
-
 
 class Output(str):
     """The name of a text file to write, '-' for stdout; inputs are a Path."""
@@ -122,12 +120,6 @@ def require_free(output: str, force: bool) -> None:
             'holds is then lost.')
 
 
-def warn_of_thesis_cup(values: 'Mapping[str, Any]', console: 'Console') -> None:
-    """Warn if the cup is not given."""
-    if 'cup.stiffness' not in values:
-        console.warn(THESIS_CUP)
-
-
 def put_json(target: str, content: 'Mapping[str, Any]') -> None:
     """Write a result to the target of --json, if there is one."""
     if target:
@@ -167,6 +159,17 @@ def given_parameters(
     if link := getattr(arguments, 'tool_link', ''):
         values['tool_link'] = link
     require_named_outputs(arguments, inputs_of(values))
+    return values
+
+
+def cup_parameters(
+    arguments: argparse.Namespace, console: 'Console', node: str | None = None
+) -> 'dict[str, Value]':
+    """Return the `given_parameters`; a cup that is not among them will be remarked."""
+    values = given_parameters(arguments, node)
+    if 'cup.stiffness' not in values:
+        console.remarks.append(
+            'cup.stiffness is not set: using the cup of the thesis, (4.78, 4.79).')
     return values
 
 

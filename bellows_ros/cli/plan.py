@@ -6,7 +6,6 @@ uncertainty of all these. With --fastest, find how short the motion can be.
 """
 
 import argparse
-from collections.abc import Mapping
 import math
 from typing import Any, TYPE_CHECKING
 
@@ -42,19 +41,16 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, predict, write, report."""
     from bellows_ros.workflows.plan import plan, write_prediction
 
-    def work(values: Mapping[str, Any], progress: Any) -> 'PlanReport':
-        progress(f'predicting {arguments.plan}')
-        return plan(arguments.plan, values, str(arguments.urdf or ''), arguments.topic,
-                    arguments.fastest)
-
     def draw(report: 'PlanReport') -> Any:
         from bellows_ros.plots.plan import plan_figure
 
         return plan_figure(report, f'{arguments.plan}')
 
     return carry_out(
-        arguments, console, work, draw, _say,
-        lambda report: write_prediction(
+        arguments, console, lambda values, progress: plan(
+            arguments.plan, values, str(arguments.urdf or ''), arguments.topic,
+            arguments.fastest),
+        draw, _say, lambda report: write_prediction(
             arguments.out, report.source, report.source.tool, report.prediction.states,
             arguments.force))
 

@@ -36,7 +36,7 @@ def carry_out(
     arguments: argparse.Namespace, console: Console,
     work: Callable[[Mapping[str, Any], Callable[..., None]], Any],
     draw: Callable[[Any], Any], say: Callable[[Any, Console], None],
-    write: Callable[[Any], None] | None = None, films: tuple[str, ...] = (),
+    write: Callable[[Any], None] | None = None, films: bool = False,
 ) -> int:
     """
     Read, work, write, report.
@@ -53,21 +53,22 @@ def carry_out(
         Writes a result as the recording `out`.
     say : callable
         Print the result.
-    films : tuple of str
-        Endings that a picture may have beside the usual.
+    films : bool
+        Whether `draw` makes films, too.
 
     """
-    values = options.given_parameters(arguments)
+    values = options.cup_parameters(arguments, console)
     if write is not None:
         options.require_free(arguments.out, arguments.force)
     if arguments.plot:
-        from bellows_ros.plots.style import require_picture, write_figure
+        from bellows_ros.plots import style
 
-        require_picture(arguments.plot, films)
+        style.require_picture(arguments.plot, (*style.PICTURES, *(style.FILMS if films else ())))
     with console.progress() as progress:
+        progress('planning')
         result = work(values, progress)
         if arguments.plot and (figure := draw(result)):
-            write_figure(arguments.plot, figure)
+            style.write_figure(arguments.plot, figure)
     if arguments.json:
         from bellows_ros import __version__
         from bellows_ros.files.results import provenance
@@ -78,7 +79,6 @@ def carry_out(
             'provenance': provenance(plans, arguments.params)})
     if write is not None and arguments.out:
         write(result)
-    options.warn_of_thesis_cup(values, console)
     say(result, console)
     console.wrote(*(getattr(arguments, name, '')
                     for name in ('json', 'plot', 'csv', 'urscript', 'out')))

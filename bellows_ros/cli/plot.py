@@ -76,38 +76,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, draw, write."""
     from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+    from bellows_ros.plots.style import FILMS, PICTURES, require_picture
     from bellows_ros.workflows.plot import data_json
 
-    values = options.given_parameters(arguments)
-    given = 'cup.stiffness' in values
     tracked = arguments.what in OF_THE_RECORDING
+    values = options.given_parameters(arguments) if tracked \
+        else options.cup_parameters(arguments, console)
+    given = 'cup.stiffness' in values
     settings = resolve(values, () if tracked and not (arguments.what == 'spectra' and given)
                        else PACKAGE_PARAMETERS)
-    _require_possible(arguments)
+    require_picture(arguments.out, FILMS if arguments.what == 'animation' else PICTURES)
+    if arguments.what == 'spectra' and (arguments.first, arguments.last) != WHOLE:
+        raise BellowsError('Spectra use the whole recording. Leave out --from and --to.')
+    if not 0.0 < arguments.speed <= FASTEST:
+        raise BellowsError(
+            f'--speed must be above 0 and at most {FASTEST:g}, got {arguments.speed:g}.')
     note = f'{arguments.bag}{"" if given or tracked else "; cup of the thesis"}'
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         shown = _drawn(arguments, settings, given, note, progress)
     about = {'what': arguments.what, 'bag': str(arguments.bag), 'file': arguments.out}
     options.put_json(arguments.json, {**about, **data_json(shown)})
-    if not tracked:
-        options.warn_of_thesis_cup(values, console)
-    console.say(f'Wrote {arguments.out}.')
+    console.wrote(arguments.out, arguments.json)
     return OK
-
-
-def _require_possible(arguments: argparse.Namespace) -> None:
-    """Refuse an unsuitable ending, part of the time or speed, before any work."""
-    what, out, span = arguments.what, arguments.out, (arguments.first, arguments.last)
-    endings = ('.gif', '.mp4') if what == 'animation' else ('.png', '.svg', '.pdf')
-    if not out.lower().endswith(endings):
-        raise BellowsError(
-            f"--out '{out}' must end in {', '.join(endings[:-1])} or {endings[-1]} for {what}.")
-    if what == 'spectra' and span != WHOLE:
-        raise BellowsError('Spectra use the whole recording. Leave out --from and --to.')
-    if not 0.0 < arguments.speed <= FASTEST:
-        raise BellowsError(
-            f'--speed must be above 0 and at most {FASTEST:g}, got {arguments.speed:g}.')
 
 
 def _drawn(

@@ -7,13 +7,13 @@ that the cup was not identified from.
 """
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from bellows_ros.extras import require_pictures
 
 from . import options
-from .console import Console, listed, many, NOT_USABLE, OK, percent, short
+from .console import Console, many, NOT_USABLE, OK, percent, short
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.observe import Observed
@@ -38,8 +38,9 @@ FOUND = 'an axis that moves is above --limit'
 LEGEND = (
     'RMS and peak: error of a free simulation from start to end. live: RMS error of the live '
     'predictor, from the messages as they came. noise: RMS error due to measurement noise '
-    'alone. NRMSE: RMS error over motion. one-step: whether the errors are white if every '
-    'sample corrects the model.'
+    'alone. NRMSE: RMS error over motion; * moves too little for a verdict, as noise alone is '
+    'more than 5 % of its motion. one-step: whether the errors are white if every sample corrects '
+    'the model.'
 )
 
 
@@ -63,10 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Replay, write, report."""
-    from bellows_ros.core.parameters import RECORDING_PARAMETERS, resolve
-
-    values = options.given_parameters(arguments)
-    settings = resolve(values, RECORDING_PARAMETERS)
+    settings = options.cup_parameters(arguments, console)
     from bellows_ros.core.identification.validation import LIMIT
     from bellows_ros.workflows.replay import replay
 
@@ -81,7 +79,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         from bellows_ros.report.build import replay_report
 
         write_text(arguments.report, replay_report(result, arguments.params))
-    options.warn_of_thesis_cup(values, console)
     _say(result, limit, arguments, console)
     failing = result.validation.failing(limit)
     return NOT_USABLE if failing and arguments.limit is not None else OK
@@ -103,8 +100,13 @@ def _say(
     console.say()
     console.paragraph(LEGEND, style='dim')
     console.say()
+    found = result.validation
     console.paragraph(
-        *_verdict_lines(result, limit), *([result.margin.sentence] if result.margin else []),
+        found.verdict(limit),
+        *([f'One-step prediction errors: chi^2 per degree of freedom {found.one_step.chi2:.3f} '
+           '(1 if model and noise explain everything).'] if found.one_step else []),
+        f'{found.scores.samples} samples compared.',
+        *([result.margin.sentence] if result.margin else []),
         *offset_sentence(arguments.bag, result.time_offset))
     if result.live:
         console.paragraph(
@@ -151,34 +153,12 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
     return rows
 
 
-def _verdict_lines(result: 'Replay', limit: float) -> Iterator[str]:
-    """Yield what the figures mean, in sentences."""
-    from bellows_ros.core.residuals import AXES
-
-    found = result.validation
-    moving = [name for name, moves in zip(AXES, found.moves, strict=True) if moves]
-    still = [name for name in AXES if name not in moving]
-    failing = found.failing(limit)
-    if failing:
-        yield f'Above {PERCENT * limit:g} % of the motion: {listed(failing)}.'
-    elif moving:
-        yield f'All axes that move are within {PERCENT * limit:g} %: {listed(moving)}.'
-    else:
-        yield 'No axis moves enough for a verdict: record a larger motion.'
-    if still:
-        yield (f'* {listed(still)} moves too little for a verdict: noise alone is more than 5 % '
-               'of its motion.')
-    if found.one_step:
-        yield ('One-step prediction errors: chi^2 per degree of freedom '
-               f'{found.one_step.chi2:.3f} (1 if model and noise explain everything).')
-    yield f'{found.scores.samples} samples compared.'
-
-
 def _count_lines(counts: Mapping[str, int]) -> list[str]:
     """Return the counts of messages in and out, and a line for each kind that was left out."""
     known = ('poses', 'twists', 'predictions', 'twists estimated')
     poses, twists, predictions, estimated = (counts.get(name, 0) for name in known)
-    line = (f'{many(poses, "pose", "poses")} and {many(twists, "twist", "twists")} in, '
-            f'{many(predictions, "prediction", "predictions")} out')
-    line += f'; {many(estimated, "twist", "twists")} estimated from poses.' if estimated else '.'
-    return [line, *(f'  {name}: {count}' for name, count in counts.items() if name not in known)]
+    more = f'; {many(estimated, "twist")} estimated from poses' if estimated else ''
+    return [
+        f'{many(poses, "pose")} and {many(twists, "twist")} in, '
+        f'{many(predictions, "prediction")} out{more}.',
+        *(f'  {name}: {count}' for name, count in counts.items() if name not in known)]

@@ -51,15 +51,15 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.files.safe_yaml import load
     from bellows_ros.workflows.simulate import simulate_recording
 
-    values = options.given_parameters(arguments)
+    values = options.cup_parameters(arguments, console)
     options.require_free(arguments.out, arguments.force)
     motion = load(arguments.motion)
     with console.progress() as progress:
         report = simulate_recording(
             values, motion, arguments.out, progress, arguments.force, arguments.plan or '')
     options.put_json(arguments.json, report.as_json())
-    options.warn_of_thesis_cup(values, console)
     _say(report, console)
+    console.wrote(arguments.json)
     return OK
 
 
@@ -69,7 +69,7 @@ def _say(report: 'SimulationReport', console: Console) -> None:
     width = max(map(len, report.messages))
     for topic, count in report.messages.items():
         kinds = Counter(event.kind for event in report.events if event.topic == topic)
-        put_in = [many(count, kind, f'{kind}s') for kind, count in kinds.items()]
+        put_in = [many(count, kind) for kind, count in kinds.items()]
         console.say(f'  {topic:{width}}  {count:6} messages'
                     + (f', with {" and ".join(put_in)}' if put_in else ''))
     console.say(f'The cup bends by up to {math.degrees(report.largest_bending_rad):.1f} degrees, '

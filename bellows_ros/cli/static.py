@@ -26,8 +26,8 @@ EXAMPLES = (
     ('bellows static m05 m10 m15 m20 --params my_cell.yaml \\\n'
      '      --mass 0.5 --mass 1.0 --mass 1.5 --mass 2.0 --out my_cell_l0.yaml',
      'the nominal length from four masses, written to a copy of the parameters'),
-    ('bellows static --list weights.yaml --params my_cell.yaml',
-     'with masses from a file: recordings: [{bag: m05, mass: 0.5}, ...]'),
+    ('bellows static --params my_cell.yaml',
+     'with recordings and masses from parameter files: static.bags, static.files'),
     ('bellows static bags/static --params bags/cup.yaml',
      'check the spring of a cup in several orientations of the tool'),
 )
@@ -39,10 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--mass', metavar='KG', action='append', type=float, default=[], dest='masses',
         help='mass in a recording, once for each BAG in the same order; overrides package.mass',
-    )
-    parser.add_argument(
-        '--list', metavar='FILE', type=Path, dest='listed',
-        help='YAML file with recordings: a list of bag, mass and, where it differs, com',
     )
     options.add_parameter_options(parser)
     options.add_span_options(parser)
@@ -63,8 +59,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         result = static_check(bags, settings, progress)
     if arguments.out:
         save_length(result, arguments.out, settings)
-    content = {**result.as_json(), 'settings': settings, 'version': __version__}
-    options.put_json(arguments.json, content)
+    options.put_json(
+        arguments.json, {**result.as_json(), 'settings': settings, 'version': __version__})
     _say(result, console)
     console.wrote(arguments.out, arguments.json)
     return OK
@@ -75,26 +71,15 @@ def _bags(
 ) -> 'list[StaticBag]':
     """Return the recordings with their masses; those of static.bags if none is named."""
     from bellows_ros.core.parameters import resolve
-    from bellows_ros.workflows.static import read_list, static_bags
+    from bellows_ros.workflows.static import static_bags
 
-    masses = arguments.masses
-    if masses and len(masses) != len(arguments.bags):
+    bags, masses = arguments.bags, arguments.masses
+    if masses and len(masses) != len(bags):
         raise BellowsError(
-            f'{len(masses)} masses are given for {len(arguments.bags)} recordings. Give --mass '
-            'once for each BAG, in the same order, or not at all.'
-        )
-    each = [{'package.mass': mass} for mass in masses] or [{}] * len(arguments.bags)
-    bags: list[StaticBag] = [
-        (str(bag), own) for bag, own in zip(arguments.bags, each, strict=True)]
-    if arguments.listed:
-        bags += read_list(arguments.listed)
-    if not bags and settings.get('static.bags'):
-        bags = static_bags(resolve(settings))
-    if not bags:
-        raise BellowsError(
-            'No recording is given. Name one or more (bellows static BAG ... --params FILE), '
-            'give a --list, or set static.bags.')
-    return bags
+            f'{len(masses)} masses are given for {len(bags)} recordings. Give --mass once for '
+            'each BAG, in the same order, or not at all.')
+    each = [{'package.mass': mass} for mass in masses] or [{}] * len(bags)
+    return list(zip(map(str, bags), each, strict=True)) or static_bags(resolve(settings))
 
 
 def _say(result: 'StaticResult', console: Console) -> None:

@@ -6,7 +6,6 @@ longer and are less sensitive to errors in cup and package.
 """
 
 import argparse
-from collections.abc import Mapping
 import math
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -26,8 +25,6 @@ EXAMPLES = (
      'planned and steered motion side by side, at a quarter of the speed'),
 )
 
-
-FILMS = ('.gif', '.mp4')
 SLOWER = 4.0
 
 
@@ -51,17 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, steer, write, report."""
+    from bellows_ros.plots import style
     from bellows_ros.workflows.plan import write_prediction
     from bellows_ros.workflows.steer import steer_plan
 
-    def work(values: Mapping[str, Any], progress: Any) -> 'SteerReport':
-        progress(f'steering {arguments.plan}')
-        return steer_plan(
-            arguments.plan, values, arguments.method, arguments.limits or '',
-            str(arguments.urdf or ''), arguments.topic)
-
     def draw(report: 'SteerReport') -> Any:
-        if not arguments.plot.lower().endswith(FILMS):
+        if not arguments.plot.lower().endswith(style.FILMS):
             from bellows_ros.plots.steer import steer_figure
 
             return steer_figure(report.motions, f'{arguments.plan}')
@@ -76,7 +68,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             arguments.out, report.source, motion.tool, motion.prediction.states,
             arguments.force)
 
-    return carry_out(arguments, console, work, draw, _say, write, FILMS)
+    return carry_out(
+        arguments, console, lambda values, progress: steer_plan(
+            arguments.plan, values, arguments.method, arguments.limits or '',
+            str(arguments.urdf or ''), arguments.topic),
+        draw, _say, write, films=True)
 
 
 def _say(report: 'SteerReport', console: Console) -> None:

@@ -6,7 +6,6 @@ release for a target.
 """
 
 import argparse
-from collections.abc import Mapping
 import math
 from typing import Any, TYPE_CHECKING
 
@@ -60,18 +59,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     _require_numbers(arguments)
     from bellows_ros.workflows.toss import toss_plan
 
-    def work(values: Mapping[str, Any], progress: Any) -> 'TossResult':
-        target = tuple(arguments.target) if arguments.target else None
-        return toss_plan(
-            arguments.plan, values, arguments.release, target, arguments.target_rotation,
-            arguments.monte_carlo, progress, str(arguments.urdf or ''), arguments.topic)
-
     def draw(result: 'TossResult') -> Any:
         from bellows_ros.plots.toss import toss_figure
 
         return toss_figure(result, f'Toss of {arguments.plan.name}')
 
-    return carry_out(arguments, console, work, draw, _say)
+    return carry_out(
+        arguments, console, lambda values, progress: toss_plan(
+            arguments.plan, values, arguments.release, arguments.target,
+            arguments.target_rotation, arguments.monte_carlo, progress,
+            str(arguments.urdf or ''), arguments.topic),
+        draw, _say)
 
 
 def _require_numbers(arguments: argparse.Namespace) -> None:

@@ -35,8 +35,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.plots.viewer import ENDING, open_view, require_viewer, write_view
     from bellows_ros.workflows.plot import replayed
 
-    values = options.given_parameters(arguments)
-    settings = resolve(values, PACKAGE_PARAMETERS)
+    settings = resolve(options.cup_parameters(arguments, console), PACKAGE_PARAMETERS)
     if arguments.out and not arguments.out.lower().endswith(ENDING):
         raise BellowsError(f"--out '{arguments.out}' must end in {ENDING}.")
     require_viewer()
@@ -46,10 +45,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             progress('writing')
             write_view(arguments.out, shown, str(arguments.bag))
     options.put_json(arguments.json, shown.live.as_json())
-    options.warn_of_thesis_cup(values, console)
-    if arguments.out:
-        console.say(f'Wrote {arguments.out}. Open it with:')
-        console.say(f'  rerun {arguments.out}')
-    else:
+    console.wrote(arguments.json)
+    console.wrote(arguments.out, then=('Open it with:', f'  rerun {arguments.out}'))
+    if not arguments.out:
         open_view(shown, str(arguments.bag))
     return OK

@@ -16,7 +16,7 @@ from bellows_ros.core.kernels import (
     ModelTuple,
     PackageTuple,
 )
-from bellows_ros.core.parameters import check_inertia, inertia_matrix, matrix
+from bellows_ros.core.parameters import check_inertia, inertia_matrix, matrix, require_symmetric
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,18 +34,6 @@ def _frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
         raise BellowsError(f'The {what} must be finite numbers, got {array.tolist()}.')
     array.setflags(write=False)
     return array
-
-
-def _symmetric(values: ArrayLike, what: str) -> Array:
-    """Return a read-only symmetric (6, 6) matrix, or raise an error that names the quantity."""
-    matrix = _frozen(values, (6, 6), what)
-    error = float(np.abs(matrix - matrix.T).max())
-    if error > 1e-9 * float(np.abs(matrix).max()):
-        raise BellowsError(
-            f'The {what} must be symmetric, but entries mirrored on the diagonal differ by up to '
-            f'{error:g}. Give the mean of both.'
-        )
-    return matrix
 
 
 @dataclass(frozen=True)
@@ -84,8 +72,10 @@ class Cup:
 
     def __post_init__(self) -> None:
         """Check and freeze."""
-        object.__setattr__(self, 'stiffness', _symmetric(self.stiffness, 'stiffness'))
-        object.__setattr__(self, 'damping', _symmetric(self.damping, 'damping'))
+        for name in ('stiffness', 'damping'):
+            matrix = _frozen(getattr(self, name), (6, 6), name)
+            require_symmetric(matrix, f'The {name}')
+            object.__setattr__(self, name, matrix)
         if not (np.isfinite(self.length) and self.length > 0.0):
             raise BellowsError(f'The cup length must be above 0 m, got {self.length}.')
 

@@ -97,7 +97,10 @@ class Parameter:
         if self.choices:
             some = 'a list of some of ' if self.kind == 'string_array' else 'one of '
             return some + ', '.join(self.choices)
-        return _KIND_MESSAGES[self.kind].format(count=self.length) + self._range() + unit
+        kind = _KIND_MESSAGES[self.kind]
+        if self.length is not None:
+            kind = kind.replace('numbers', f'{self.length} numbers')
+        return kind + self._range() + unit
 
     @property
     def default_text(self) -> str:
@@ -124,16 +127,9 @@ class Parameter:
 _KINDS: Mapping[type, Kind] = {
     bool: 'bool', int: 'integer', float: 'double', str: 'string', tuple: 'string_array'}
 
-_KIND_MESSAGES: Mapping[Kind, str] = MappingProxyType(
-    {
-        'bool': 'true or false',
-        'integer': 'a whole number',
-        'double': 'a number',
-        'string': 'a text',
-        'double_array': 'a list of {count} numbers',
-        'string_array': 'a list of texts',
-    }
-)
+_KIND_MESSAGES: Mapping[Kind, str] = {
+    'bool': 'true or false', 'integer': 'a whole number', 'double': 'a number',
+    'string': 'a text', 'double_array': 'a list of numbers', 'string_array': 'a list of texts'}
 
 
 def _diagonal(values: tuple[float, ...]) -> tuple[float, ...]:

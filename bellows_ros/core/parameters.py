@@ -13,7 +13,6 @@ from typing import Any
 
 from bellows_ros.core.arrays import Array
 from bellows_ros.core.parameter_table import (
-    Kind,
     lookup,
     NAMED_CUP,
     Parameter,
@@ -75,7 +74,7 @@ def validate(name: str, value: object) -> Value:
     parameter = lookup(name)
     if name == 'recording.package_world':
         value = _world_text(parameter, value)
-    normal = _CONVERTERS[parameter.kind](parameter, value)
+    normal = convert(parameter, value)
     check = _PHYSICAL.get(name) or _PHYSICAL.get(NAMED_CUP.sub(r'cup.\2', name))
     if check:
         check(parameter, normal)
@@ -175,36 +174,37 @@ def require_damping(damping: Array, name: str = 'cup.damping') -> None:
         )
 
 
+def convert(parameter: Parameter, value: object) -> Value:
+    """
+    Return a value of a parameter in its normal form, without physical checks.
+
+    Raises
+    ------
+    BellowsError
+        If it is not of the parameter's kind and in its range.
+
+    """
+    if parameter.kind == 'bool':
+        if not isinstance(value, bool | np.bool_):
+            raise _refuse(parameter, short(value))
+        return bool(value)
+    if parameter.kind == 'string':
+        return _text(parameter, value)
+    if parameter.kind in ('integer', 'double'):
+        return _number(parameter, value)
+    items = _items(parameter, value)
+    if parameter.kind == 'string_array':
+        return tuple(_text(parameter, x, f' at index {i}') for i, x in enumerate(items))
+    if parameter.length not in (None, len(items)):
+        raise _refuse(parameter, f'{len(items)} of them')
+    return tuple(float(_number(parameter, x, f' at index {i}')) for i, x in enumerate(items))
+
+
 def _refuse(parameter: Parameter, got: str) -> BellowsError:
     """Return the error for an invalid value."""
     return BellowsError(
         f'{parameter.name} must be {parameter.constraint}, got {got}. {parameter.description}'
-    )
-
-
-def _to_bool(parameter: Parameter, value: object) -> Value:
-    """Return a truth value."""
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    raise _refuse(parameter, short(value))
-
-
-def _to_string(parameter: Parameter, value: object) -> Value:
-    """Return a text, checked against the choices if there are any."""
-    text = _text(parameter, value)
-    if parameter.choices and text not in parameter.choices:
-        raise _refuse(parameter, f"'{short(text)}'")
-    if parameter.required_text and not text:
-        raise BellowsError(f'{parameter.name} is empty. {parameter.description}')
-    return text
-
-
-def _to_doubles(parameter: Parameter, value: object) -> Value:
-    """Return a tuple of finite floats of the right count, each in range."""
-    items = _items(parameter, value)
-    if len(items) != parameter.length:
-        raise _refuse(parameter, f'{len(items)} of them')
-    return tuple(float(_number(parameter, x, f' at index {i}')) for i, x in enumerate(items))
+        .rstrip())
 
 
 def _world_text(parameter: Parameter, value: object) -> str:
@@ -228,17 +228,6 @@ def _world_text(parameter: Parameter, value: object) -> str:
     return pose_text(pose)
 
 
-def _to_strings(parameter: Parameter, value: object) -> Value:
-    """Return a tuple of non-empty texts."""
-    texts = tuple(_text(parameter, x) for x in _items(parameter, value))
-    if not all(texts):
-        raise _refuse(parameter, f'an empty text at index {texts.index("")}')
-    for text in texts:
-        if parameter.choices and text not in parameter.choices:
-            raise _refuse(parameter, f"'{short(text)}'")
-    return texts
-
-
 def _items(parameter: Parameter, value: object) -> list[object]:
     """Return the items of a list, a tuple or a one-dimensional array."""
     if isinstance(value, np.ndarray) and value.ndim == 1:
@@ -252,12 +241,16 @@ def _items(parameter: Parameter, value: object) -> list[object]:
     raise _refuse(parameter, short(value))
 
 
-def _text(parameter: Parameter, value: object) -> str:
-    """Return a text without control characters, which no file, topic or frame has in its name."""
+def _text(parameter: Parameter, value: object, where: str = '') -> str:
+    """Return a text, one of the choices if there are any, without control characters."""
     if not isinstance(value, str):
-        raise _refuse(parameter, f'{short(value)} ({type(value).__name__})')
-    if any(ord(c) < 32 or ord(c) == 127 for c in value):
-        raise _refuse(parameter, f"a control character in '{short(value)}'")
+        raise _refuse(parameter, f'{short(value)} ({type(value).__name__}){where}')
+    if any(ord(c) < 32 or ord(c) == 127 for c in value):  # no file, topic or frame has them
+        raise _refuse(parameter, f"a control character in '{short(value)}'{where}")
+    if not value and (where or parameter.required_text):
+        raise _refuse(parameter, f'an empty text{where}')
+    if parameter.choices and value not in parameter.choices:
+        raise _refuse(parameter, f"'{short(value)}'{where}")
     return value
 
 
@@ -279,38 +272,36 @@ def _number(parameter: Parameter, value: object, where: str = '') -> int | float
     return int(value) if whole else float(value)
 
 
-_CONVERTERS: Mapping[Kind, Callable[[Parameter, object], Value]] = {
-    'bool': _to_bool, 'integer': _number, 'double': _number, 'string': _to_string,
-    'double_array': _to_doubles, 'string_array': _to_strings,
-}
-
-
 def require(given: Mapping[str, object], required: Iterable[str]) -> None:
     """Refuse missing required parameters, in one message with an example."""
     missing = [lookup(name) for name in required if name not in given]
     if missing:
-        lines = [f'  {p.name}: {p.example}  # {p.unit}{"; " * bool(p.unit)}{p.description}'
+        lines = [f'    {p.name}: {p.example}  # {p.unit}{". " * bool(p.unit)}{p.description}'
                  for p in missing]
         names = ', '.join(p.name for p in missing)
         raise BellowsError(
-            f'Not set, and without a default: {names}. '
-            'Set in the parameter file or on the command line, for example:\n' + '\n'.join(lines)
-        )
+            f'Not set, and without a default: {names}. Set in a parameter file (--params FILE; of '
+            'a node --ros-args --params-file FILE), for example:\n\n/**:\n  ros__parameters:\n'
+            + '\n'.join(lines))
 
 
-def _smallest_eigenvalue(name: str, values: Array) -> tuple[float, float]:
-    """Return the smallest eigenvalue of a symmetric matrix and the size of its rounding error."""
-    scale = float(np.max(np.abs(values)))
+def require_symmetric(values: Array, name: str) -> None:
+    """Raise BellowsError, with the entries that differ most, for a matrix that is asymmetric."""
     asymmetry = np.abs(values - values.T)
     row, column = (int(i) for i in np.unravel_index(int(np.argmax(asymmetry)), values.shape))
-    if asymmetry[row, column] > SYMMETRIC_WITHIN * scale:
+    if asymmetry[row, column] > SYMMETRIC_WITHIN * float(np.max(np.abs(values))):
         raise BellowsError(
             f'{name} is not symmetric: row {row + 1}, column {column + 1} is '
             f'{values[row, column]:.9g}, row {column + 1}, column {row + 1} is '
             f'{values[column, row]:.9g}. Give the same number to both, row by row.'
         )
-    smallest = float(np.linalg.eigvalsh(values)[0])
-    return smallest, len(values) * float(np.finfo(np.float64).eps) * scale
+
+
+def _smallest_eigenvalue(name: str, values: Array) -> tuple[float, float]:
+    """Return the smallest eigenvalue of a symmetric matrix and the size of its rounding error."""
+    require_symmetric(values, name)
+    rounding = len(values) * float(np.finfo(np.float64).eps * np.max(np.abs(values)))
+    return float(np.linalg.eigvalsh(values)[0]), rounding
 
 
 _PHYSICAL: Mapping[str, Callable[[Parameter, Any], None]] = {
@@ -343,8 +334,7 @@ def check_inertia(inertia: Array) -> None:
     It must be symmetric and positive definite, and no principal moment above the sum of the
     other two.
     """
-    if not np.allclose(inertia, inertia.T, rtol=1e-9, atol=0.0):
-        raise BellowsError(f'The package inertia must be symmetric, got {inertia.tolist()}.')
+    require_symmetric(inertia, 'package.inertia')
     moments = np.linalg.eigvalsh(inertia)
     shown = ', '.join(f'{moment:.6g}' for moment in moments)
     if moments[0] <= 0.0 or (

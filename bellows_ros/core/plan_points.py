@@ -1,5 +1,6 @@
 """Conversion of the points of a plan to a trajectory of the tool, with checks."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 import math
 from typing import Any
@@ -74,11 +75,7 @@ def rows_of(
     acceleration: Array | None = None, twist_frame: str = 'world', name: str = 'The plan',
 ) -> Rows:
     """Return the rows for the kernels from poses (N, 7), in a fifth of the time."""
-    require_count(len(stamps_ns), name)
-    given = [part for part in (poses, twist, acceleration) if part is not None]
-    _refuse(~np.isfinite(np.hstack(given)).all(axis=1), name,
-            'holds NaN or infinity', 'finite numbers', 'Leave such points out.')
-    _require_times(stamps_ns, name)
+    _require_points(stamps_ns, (poses, twist, acceleration), name)
     durations = np.diff(stamps_ns) / NS_PER_S
     rows, sizes, fit = np.empty((len(poses), 13)), np.empty((len(poses), 5)), np.zeros(4)
     given_twist = np.zeros((len(poses), 6)) if twist is None else np.array(twist)
@@ -138,13 +135,9 @@ def plan_of_joints(
         As `plan_of`.
 
     """
-    from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
+    from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-    require_count(len(stamps_ns), name)
-    given = [part for part in (position, velocity, acceleration) if part is not None]
-    _refuse(~np.isfinite(np.hstack(given)).all(axis=1), name,
-            'holds NaN or infinity', 'finite numbers', 'Leave such points out.')
-    _require_times(stamps_ns, name)
+    _require_points(stamps_ns, (position, velocity, acceleration), name)
     t = (stamps_ns - stamps_ns[0]) / NS_PER_S
     curve: Any
     if velocity is None:
@@ -152,16 +145,16 @@ def plan_of_joints(
     elif acceleration is None:
         curve = CubicHermiteSpline(t, position, velocity)
     else:
-        curve = BPoly.from_derivatives(t, np.stack([position, velocity, acceleration], axis=1))
-    fine, _ = _without_gaps(stamps_ns)
-    at = np.clip((fine - stamps_ns[0]) / NS_PER_S, 0.0, t[-1])
-    T, twist = arm.tool(curve(at), curve.derivative()(at))
+        curve = _quintic(t, position, velocity, acceleration)
+    fine = _without_gaps(stamps_ns)
+    at = (fine - stamps_ns[0]) / NS_PER_S
+    T, twist = arm.tool(curve(at), curve(at, 1))
     poses = rotation_to_quaternion(T[:, :3, :3])
     return plan_of(fine, T[:, :3, 3], poses, twist, twist_frame='tool', name=name)
 
 
-def _without_gaps(stamps_ns: Stamps) -> tuple[Stamps, Stamps]:
-    """Return stamps at most `LONGEST_GAP_NS` apart, and the step that each lies in."""
+def _without_gaps(stamps_ns: Stamps) -> Stamps:
+    """Return stamps at most `LONGEST_GAP_NS` apart."""
     return subdivided(stamps_ns, -(-np.diff(stamps_ns) // LONGEST_GAP_NS))
 
 
@@ -215,7 +208,7 @@ def refined(plan: Trajectory, acceleration: Array | None = None) -> Trajectory:
     With accelerations (N, 6), of the tool tip in world axes and of rotation in its own, positions
     and quaternions of the points put in lie on quintic polynomials, otherwise poses on cubic ones.
     """
-    stamps, step = _without_gaps(plan.stamps_ns)
+    stamps = _without_gaps(plan.stamps_ns)
     if len(stamps) == len(plan):
         return plan
     if acceleration is None:
@@ -223,22 +216,21 @@ def refined(plan: Trajectory, acceleration: Array | None = None) -> Trajectory:
     path, rate = _path(plan)
     q, squared = path[:, 3:], np.sum(np.asarray(plan.twist)[:, 3:] ** 2, axis=1)[:, None]
     bend = np.hstack([acceleration[:, :3], _spin(q, acceleration[:, 3:]) - 0.25 * squared * q])
-    h = (np.diff(plan.stamps_ns) / NS_PER_S)[step, None]
-    s = ((stamps - plan.stamps_ns[step]) / NS_PER_S)[:, None] / h
-    value, slope = _quintic(s, *(
-        h**order * part[at] for at in (step, step + 1) for order, part in enumerate(
-            (path, rate, bend))))
-    return Trajectory(stamps, value[:, :3], *body_twists(value[:, 3:], slope / h))
+    curve, at = _quintic(plan.seconds, path, rate, bend), (stamps - stamps[0]) / NS_PER_S
+    value = curve(at)
+    return Trajectory(stamps, value[:, :3], *body_twists(value[:, 3:], curve(at, 1)))
 
 
-def _quintic(
-    s: Array, p: Array, v: Array, a: Array, p_end: Array, v_end: Array, a_end: Array
-) -> tuple[Array, Array]:
-    """Return the quintic over 0..1 with these values and derivatives, and its slope."""
-    d, e, f = p_end - p - v - 0.5 * a, v_end - v - a, a_end - a
-    c3, c4, c5 = 10 * d - 4 * e + 0.5 * f, -15 * d + 7 * e - f, 6 * d - 3 * e + 0.5 * f
-    value = p + s * (v + s * (0.5 * a + s * (c3 + s * (c4 + s * c5))))
-    return value, v + s * (a + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))
+def _quintic(t: Array, value: Array, rate: Array, bend: Array) -> Any:
+    """Return quintic polynomials between times (N,) with these values and derivatives (N, M)."""
+    from scipy.interpolate import PPoly
+
+    h = np.diff(t)[:, None]
+    v, v_end, a, a_end = h * rate[:-1], h * rate[1:], h**2 * bend[:-1], h**2 * bend[1:]
+    d, e, f = np.diff(value, axis=0) - v - 0.5 * a, v_end - v - a, a_end - a
+    return PPoly(np.array([
+        (6 * d - 3 * e + 0.5 * f) / h**5, (-15 * d + 7 * e - f) / h**4,
+        (10 * d - 4 * e + 0.5 * f) / h**3, 0.5 * bend[:-1], rate[:-1], value[:-1]]), t)
 
 
 def timed(plan: Trajectory, factor: float) -> Trajectory:
@@ -267,8 +259,12 @@ def _refuse(bad: Any, name: str, what: str, expected: str, remedy: str) -> None:
             f'{len(bad)} do; expected {expected}. {remedy}')
 
 
-def _require_times(stamps_ns: Stamps, name: str) -> None:
-    """Refuse times that do not increase, or go on for too long."""
+def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str) -> None:
+    """Refuse a bad number of points, numbers that are not finite, and times that no plan has."""
+    require_count(len(stamps_ns), name)
+    given = np.hstack([part for part in parts if part is not None])
+    _refuse(~np.isfinite(given).all(axis=1), name,
+            'holds NaN or infinity', 'finite numbers', 'Leave such points out.')
     steps = np.diff(stamps_ns)
     if steps.min() <= 0:
         i = int(np.argmax(steps <= 0))

@@ -292,7 +292,7 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
         )
     if timing.uniform:
         slots = np.rint(np.diff(trajectory.stamps_ns) * (timing.rate_hz / NS_PER_S))
-        stamps = subdivided(trajectory.stamps_ns, np.maximum(slots, 1.0).astype(np.int64))[0]
+        stamps = subdivided(trajectory.stamps_ns, np.maximum(slots, 1.0).astype(np.int64))
     else:
         period = NS_PER_S / timing.rate_hz
         stamps = trajectory.stamps_ns[0] + np.rint(
@@ -327,9 +327,9 @@ def _longest_step(period: float, jitter: float) -> float:
     return GAP_PERIODS * period + GAP_DEVIATIONS * jitter
 
 
-def subdivided(stamps_ns: Stamps, parts: Stamps) -> tuple[Stamps, Stamps]:
+def subdivided(stamps_ns: Stamps, parts: Stamps) -> Stamps:
     """
-    Return stamps with more of them put in between, and the step that each lies in (M,).
+    Return stamps with more of them put in between.
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ def subdivided(stamps_ns: Stamps, parts: Stamps) -> tuple[Stamps, Stamps]:
     last = len(parts) - 1
     step = np.append(np.repeat(np.arange(len(parts)), parts), last)
     number = np.arange(len(step)) - (np.cumsum(parts) - parts)[step]
-    return stamps_ns[step] + number * np.diff(stamps_ns)[step] // parts[step], step
+    return np.asarray(stamps_ns[step] + number * np.diff(stamps_ns)[step] // parts[step])
 
 
 # The polynomial must have a second derivative, for the accelerations.
@@ -476,7 +476,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
         frozen(twist),
         frozen(acceleration),
         trusted & ~any_within(~trajectory.valid, 2 * half_window + 1),
-        weights=W,
+        weights=frozen(W),
     )
 
 

@@ -5,13 +5,13 @@ Every name that is asked for is remembered, so that `Settings.done` can refuse t
 the blocks inside.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 import difflib
-import math
 from typing import Any
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.parameter_table import short
+from bellows_ros.core.parameter_table import Kind, Parameter, short
+from bellows_ros.core.parameters import convert
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -40,7 +40,8 @@ class Settings:
         values = {} if values is None else values
         if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
             where = f"Setting '{path}'" if path else 'A motion file'
-            raise BellowsError(f'{where} must hold names and values, got {_shown(values)}.')
+            raise BellowsError(
+                f'{where} must hold names and values, got {short(repr(values), 60)}.')
         self._values: Mapping[str, object] = values
         self._asked: list[str] = []
         self._blocks: dict[str, Settings] = {}
@@ -54,58 +55,47 @@ class Settings:
         return f'{self.path}.{name}' if self.path else name
 
     def number(
-        self,
-        name: str,
-        default: float | None = None,
-        unit: str = '',
-        least: float = -math.inf,
-        above: float = -math.inf,
-        most: float = math.inf,
+        self, name: str, default: float | None = None, unit: str = '',
+        least: float | None = None, above: float | None = None, most: float | None = None,
     ) -> float:
         """Return a finite number in a range; without a default it must be given."""
-        what = f'a number {_limits(least, above, most)}'.rstrip() + _in_unit(unit)
-        return float(self._take(name, default, what, lambda x: (
-            _is_number(x) and least <= x <= most and x > above)))
+        return float(self._take(
+            name, default, 'double', unit=unit, minimum=least, above=above, maximum=most))
 
-    def whole(self, name: str, default: int, least: int = 0, most: int = 2**62) -> int:
+    def whole(
+        self, name: str, default: int, least: int = 0, most: int | None = None
+    ) -> int:
         """Return a whole number in a range."""
-        what = f'a whole number from {least} to {most}'
-        return int(self._take(name, default, what, lambda x: (
-            isinstance(x, int) and not isinstance(x, bool) and least <= x <= most)))
+        return int(self._take(name, default, 'integer', minimum=least, maximum=most))
 
     def flag(self, name: str, default: bool) -> bool:
         """Return a truth value."""
-        return bool(self._take(
-            name, default, 'true or false', lambda x: isinstance(x, bool)))
+        return bool(self._take(name, default, 'bool'))
 
     def text(self, name: str, default: str | None = None) -> str:
         """Return a text that is not empty."""
-        return str(self._take(name, default, 'a text that is not empty', lambda x: (
-            isinstance(x, str) and x != '' and x.isprintable())))
+        return str(self._take(name, default, 'string', required_text=True))
 
     def choice(self, name: str, choices: Sequence[str], default: str | None = None) -> str:
         """Return one of some texts."""
-        return str(self._take(
-            name, default, 'one of ' + ', '.join(choices), lambda x: x in tuple(choices)))
+        return str(self._take(name, default, 'string', choices=tuple(choices)))
 
     def vector(
         self, name: str, length: int, default: Sequence[float] | None = None, unit: str = ''
     ) -> Array:
         """Return so many finite numbers."""
-        what = f'a list of {length} numbers' + _in_unit(unit)
-        return np.array(self._take(name, default, what, lambda x: (
-            _is_list(x) and len(x) == length and all(map(_is_number, x)))), dtype=np.float64)
+        return np.array(self._take(name, default, 'double_array', unit=unit, length=length))
 
     def numbers(
-        self, name: str, unit: str = '', least: float = -math.inf, most: float = math.inf,
+        self, name: str, unit: str = '', least: float | None = None, most: float | None = None,
         default: Sequence[float] | None = None,
     ) -> Array:
         """Return finite numbers, each in a range; one or more without a default."""
-        limits = _limits(least, -math.inf, most)
-        what = 'a list of numbers' + _in_unit(unit) + f', each {limits}' * bool(limits)
-        return np.array(self._take(name, default, what, lambda x: (
-            _is_list(x) and (len(x) > 0 or default == ())
-            and all(_is_number(item) and least <= item <= most for item in x))), dtype=np.float64)
+        found = np.array(self._take(
+            name, default, 'double_array', unit=unit, minimum=least, maximum=most))
+        if default is None and not len(found):
+            raise self.refuse(name, 'a list of one or more numbers', [])
+        return found
 
     def block(self, name: str) -> 'Settings':
         """Return a block of this one; an empty one when it is not given."""
@@ -114,8 +104,10 @@ class Settings:
 
     def blocks(self, name: str) -> list['Settings']:
         """Return a list of one or more blocks."""
-        value = self._take(
-            name, None, 'a list of one or more blocks', lambda x: _is_list(x) and len(x) > 0)
+        self._asked.append(name)
+        value = self._values.get(name)
+        if not isinstance(value, list | tuple) or not value:
+            raise self.refuse(name, 'a list of one or more blocks', value)
         return [self._inside(f'{name}[{i}]', item) for i, item in enumerate(value)]
 
     def _inside(self, name: str, values: object) -> 'Settings':
@@ -145,49 +137,16 @@ class Settings:
 
     def refuse(self, name: str, expected: str, got: object) -> BellowsError:
         """Return the error for a setting that is not what it must be."""
-        return BellowsError(f"Setting '{self.name(name)}' must be {expected}, got {_shown(got)}.")
+        return BellowsError(
+            f"Setting '{self.name(name)}' must be {expected}, got {short(repr(got), 60)}.")
 
-    def _take(
-        self, name: str, default: object, what: str, fits: Callable[[Any], bool]
-    ) -> Any:
-        """Return a setting as it is given, or its default, if it fits."""
+    def _take(self, name: str, default: object, kind: Kind, **constraint: Any) -> Any:
+        """Return a setting as it is given, or its default, if it is as a parameter would be."""
         self._asked.append(name)
         value = self._values.get(name, default)
+        parameter = Parameter(
+            f"Setting '{self.name(name)}'", None, used_by=(), kind=kind,
+            **{'unit': '', **constraint})
         if value is None:
-            raise BellowsError(f"Setting '{self.name(name)}' is missing; it must be {what}.")
-        if not fits(value):
-            raise self.refuse(name, what, value)
-        return value
-
-
-def _shown(value: object) -> str:
-    """Return a value as messages show it, cut when long."""
-    return short(repr(value), 60)
-
-
-def _is_list(value: object) -> bool:
-    """Return whether a value is a list."""
-    return isinstance(value, list | tuple)
-
-
-def _is_number(value: object) -> bool:
-    """Return whether a value is a finite number that a double can hold."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:
-        return False
-
-
-def _in_unit(unit: str) -> str:
-    """Return a unit in words."""
-    return f' ({unit})' if unit else ''
-
-
-def _limits(least: float, above: float, most: float) -> str:
-    """Return the limits of a number in words; '' for none."""
-    return ' and '.join(
-        f'{word} {limit:g}'
-        for word, limit in (('above', above), ('at least', least), ('at most', most))
-        if math.isfinite(limit))
+            raise BellowsError(f'{parameter.name} is missing; it must be {parameter.constraint}.')
+        return convert(parameter, value)

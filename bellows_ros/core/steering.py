@@ -25,7 +25,6 @@ from bellows_ros.core.kernels import (
     spring_wrench,
     stage_state,
     State,
-    weighted,
     Wrench,
 )
 from bellows_ros.core.lie import (
@@ -46,6 +45,7 @@ from bellows_ros.core.simulation import rest, row_state, state_row, STILL, tool_
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.tuples import (
     add,
+    add_scaled,
     add_scaled_matrix,
     apply,
     apply_transposed,
@@ -181,30 +181,23 @@ def _lead(
     """
     still = (0.0, 0.0, 0.0)
     for k in range(len(out)):
-        body, dv, dw = wanted_at(wanted, 2 * k)
-        tool = leading_tool(model, tool, body, dv, dw)
-        write_row(out[k], tool)
-        write_row(package[k], body)
-        if 2 * k >= len(wanted) - 1 and dot(tool[2], tool[2]) < way * way and (
-                dot(tool[3], tool[3]) < turn * turn):
-            return k + 1
-        middle, dv, dw = wanted_at(wanted, 2 * k + 1)
-        end, end_dv, end_dw = wanted_at(wanted, 2 * k + 2)
-        do1, ds1 = apply(rotation_matrix(tool[1]), tool[2]), tool[3]
-        stage = leading_tool(
-            model, stage_state(tool, 0.5 * h, do1, ds1, still, still), middle, dv, dw)
-        do2 = apply(rotation_matrix(stage[1]), stage[2])
-        ds2 = rotation_rate(scale(0.5 * h, ds1), stage[3])
-        stage = leading_tool(
-            model, stage_state(tool, 0.5 * h, do2, ds2, still, still), middle, dv, dw)
-        do3 = apply(rotation_matrix(stage[1]), stage[2])
-        ds3 = rotation_rate(scale(0.5 * h, ds2), stage[3])
-        stage = leading_tool(
-            model, stage_state(tool, h, do3, ds3, still, still), end, end_dv, end_dw)
-        do4 = apply(rotation_matrix(stage[1]), stage[2])
-        ds4 = rotation_rate(scale(h, ds3), stage[3])
-        tool = stage_state(
-            tool, h, weighted(do1, do2, do3, do4), weighted(ds1, ds2, ds3, ds4), still, still)
+        do, ds, sum_o, sum_s, stage = still, still, still, still, tool
+        for i in range(4):  # of a step of RKMK4
+            body, dv, dw = wanted_at(wanted, 2 * k + (i + 1) // 2)
+            at = 0.5 * ((i + 1) // 2) * h
+            stage = leading_tool(
+                model, stage_state(tool, at, do, ds, still, still), body, dv, dw)
+            if i == 0:
+                write_row(out[k], stage)
+                write_row(package[k], body)
+                if 2 * k >= len(wanted) - 1 and dot(stage[2], stage[2]) < way * way and (
+                        dot(stage[3], stage[3]) < turn * turn):
+                    return k + 1
+            do, ds = apply(rotation_matrix(stage[1]), stage[2]), rotation_rate(
+                scale(at, ds), stage[3])
+            weight = 1.0 if i % 3 == 0 else 2.0
+            sum_o, sum_s = add_scaled(sum_o, weight, do), add_scaled(sum_s, weight, ds)
+        tool = stage_state(tool, h / 6.0, sum_o, sum_s, still, still)
         tool = tool[0], normalised(tool[1]), tool[2], tool[3]
     return len(out)
 

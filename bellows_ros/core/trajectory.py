@@ -225,16 +225,6 @@ class Filtered(Trajectory):
     acceleration: Array
     weights: Array = field(kw_only=True)
 
-    def __post_init__(self) -> None:
-        """Check and freeze the arrays."""
-        super().__post_init__()
-        weights = np.array(self.weights, dtype=np.float64)
-        if weights.ndim != 2 or weights.shape[0] != 3 or weights.shape[1] % 2 == 0:
-            raise BellowsError(
-                f'The weights of a filter must have shape (3, 2n+1), not {weights.shape}.'
-            )
-        _store(self, 'weights', weights)
-
 
 def uniform_rate_hz(stamps_ns: Stamps) -> float:
     """

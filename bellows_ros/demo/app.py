@@ -1,27 +1,25 @@
 """The steps of the demonstration."""
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
-import importlib.util
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-import sys
 import tempfile
 import time
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.cli.console import Console, INTERRUPTED, NOT_USABLE, OK, percent
-from bellows_ros.cli.identify import cup_table
+from bellows_ros.cli.console import Console, in_order, NOT_USABLE, OK, percent, Progress
+from bellows_ros.cli.identify import say_cup
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.live.replay import compare_recorded
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.residuals import AXES, Comparison, Scores
+from bellows_ros.core.recording.recording import Noise
+from bellows_ros.core.residuals import AXES, Scores
 from bellows_ros.core.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
-from bellows_ros.extras import install
-from bellows_ros.files import safe_yaml
+from bellows_ros.extras import require_pictures
 from bellows_ros.files.bags import read_messages
 from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.nodes.command import require_ros
 from bellows_ros.plots.prediction import prediction_figure
 from bellows_ros.plots.style import write_figure
 from bellows_ros.workflows.identification import save
@@ -35,18 +33,10 @@ from .predictor_process import predictor
 if TYPE_CHECKING:
     from bellows_ros.nodes.demo_player import Exchange
 
-NEEDS = {
-    'rclpy': f'ROS 2 (rclpy). Source an installation, or: {install("ros")}',
-    'matplotlib': f'matplotlib. Install it: {install("plot")}',
-}
 IDENTIFICATION, VALIDATION = 'identification', 'validation'
 KNOWN = 'package.yaml'
-MOTION = f'{VALIDATION}.yaml'
 MILLI, MICRO = 1e3, 1e6
 PICTURES = {'light': 'demo.png', 'dark': 'demo_dark.png'}
-
-Settings = Mapping[str, Any]
-Progress = Callable[[str, float], None]
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -64,21 +54,19 @@ def main(args: Sequence[str] | None = None) -> int:
         help='gets the pictures, the cup, the fit and the log (default: %(default)s)',
     )
     arguments = parser.parse_args(args)
-    console = Console(sys.stdout, sys.stderr)
-    try:
-        return run(arguments.bags, arguments.out, console)
-    except BellowsError as error:
-        console.error(str(error))
-        return error.exit_code
-    except KeyboardInterrupt:
-        console.note('Interrupted.')
-        return INTERRUPTED
+    return in_order(lambda console: run(arguments.bags, arguments.out, console))
 
 
 def run(bags: Path, out: Path, console: Console) -> int:
     """Identify, predict live, compare, and show the outcome."""
     start = time.monotonic()
-    _require_all(bags)
+    require_ros()
+    require_pictures()
+    for name in (KNOWN, IDENTIFICATION, VALIDATION):
+        if not (bags / name).exists():
+            raise BellowsError(
+                f"'{bags / name}' does not exist. Start in the folder that contains bags, or give "
+                "it with --bags; 'make bags' makes the recordings again.")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -89,13 +77,9 @@ def run(bags: Path, out: Path, console: Console) -> int:
     console.say(f'1. Identify the cup from {bag}', 'bold')
     with console.progress() as progress:
         found = identify(resolve({**known, 'bags': [str(bag)]}, PACKAGE_PARAMETERS), progress)
-    if not found.fit.usable:
-        for warning in found.fit.warnings:
-            console.warn(warning)
-        return NOT_USABLE
     save(found, out / 'cup.yaml', out / 'fit.json')
     settings = resolve({**known, **found.parameters()}, PACKAGE_PARAMETERS)
-    bag, motion = bags / VALIDATION, bags / MOTION
+    bag = bags / VALIDATION
     console.say(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
     recorded = load_recording(bag, settings)
     with console.progress() as progress:
@@ -103,9 +87,12 @@ def run(bags: Path, out: Path, console: Console) -> int:
     console.say('3. Compare its poses with the measured ones', 'bold')
     comparison = compare_recorded(
         exchange.predicted, recorded.measured_tool, recorded.measured_package)
-    _draw(recorded, comparison, out)
-    noise = safe_yaml.load(motion).get('package', {}).get('noise', {}) if motion.exists() else {}
-    lost = _say(found.fit, comparison.scores, exchange, noise, console)
+    seconds = recorded.since_start(comparison.stamps_ns)
+    for theme, name in PICTURES.items():
+        write_figure(out / name, prediction_figure(
+            seconds, comparison, 'Package: predicted live, and measured',
+            'relative to the tool; the cup was identified from another recording', theme))
+    lost = _say(found.fit, comparison.scores, exchange, recorded.noise.package, console)
     console.say()
     names = [*PICTURES.values(), 'cup.yaml', 'fit.json']
     console.say(f'Wrote {", ".join(names)} to {out}, after {time.monotonic() - start:.0f} s.')
@@ -113,21 +100,8 @@ def run(bags: Path, out: Path, console: Console) -> int:
     return NOT_USABLE if lost else OK
 
 
-def _require_all(bags: Path) -> None:
-    """Refuse to start if something is missing."""
-    for module, words in NEEDS.items():
-        if importlib.util.find_spec(module) is None:
-            raise BellowsError(f'The demonstration needs {words}')
-    for name in (KNOWN, IDENTIFICATION, VALIDATION):
-        if not (bags / name).exists():
-            raise BellowsError(
-                f"'{bags / name}' does not exist. Start in the folder that contains bags, or "
-                "give it with --bags; 'make bags' makes the recordings again."
-            )
-
-
 def _predict_live(
-    bag: Path, settings: Settings, out: Path, progress: Progress
+    bag: Path, settings: Mapping[str, Any], out: Path, progress: Progress
 ) -> 'Exchange':
     """
     Play a recording's tool-arm messages to the node predictor at recorded speed.
@@ -144,23 +118,13 @@ def _predict_live(
             return converse(messages, names, require_alive, progress)
 
 
-def _draw(recorded: Recording, comparison: Comparison, out: Path) -> None:
-    """Draw measured and predicted poses, in both themes."""
-    seconds = recorded.since_start(comparison.stamps_ns)
-    title = 'Package: predicted live, and measured'
-    note = 'relative to the tool; the cup was identified from another recording'
-    for theme, name in PICTURES.items():
-        write_figure(out / name, prediction_figure(seconds, comparison, title, note, theme))
-
-
 def _say(
-    fit: Fit, scores: Scores, exchange: 'Exchange', noise: Mapping[str, float], console: Console
+    fit: Fit, scores: Scores, exchange: 'Exchange', noise: Noise, console: Console
 ) -> int:
     """Print the cup, the errors, the latency and the messages; return how many were lost."""
     console.say()
     console.say('The cup, with standard errors:')
-    for line in cup_table(fit):
-        console.say(f'  {line}'.rstrip())
+    say_cup(fit, console)
     console.say()
     console.say('The package relative to the tool, predicted live minus measured (RMS):')
     rows = [('axis', 'error', 'of the motion', 'axis', 'error', 'of the motion')]
@@ -170,10 +134,8 @@ def _say(
             AXES[i], f'{rms[i]:.3f} mm', percent(nrmse[i]),
             f'  {AXES[i + 3]}', f'{rms[i + 3]:.3f} mrad', percent(nrmse[i + 3])))
     console.table(rows, right=True)
-    if noise:
-        position, rotation = (noise.get(part, 0.0) * MILLI for part in ('position', 'rotation'))
-        console.say(
-            f'  (the measured poses themselves have noise: {position:g} mm, {rotation:g} mrad)')
+    console.say(f'  (the measured poses themselves have noise: {MILLI * noise.position:.2g} mm, '
+                f'{MILLI * noise.rotation:.2g} mrad)')
     console.say()
     median, high = np.percentile(exchange.latency, (50, 99)) * MICRO
     console.say(f'Latency, from sending a pose to receiving its prediction: p50 {median:.0f} us, '

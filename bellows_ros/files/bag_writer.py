@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, messages
+from bellows_ros.files import atomic, mcap, messages
 from bellows_ros.files.bag_folder import METADATA, STORED
 import numpy as np
 from rosbags.interfaces import Connection
@@ -157,6 +157,8 @@ def write_bag(
                 streams = [r.messages(number) for number, r in enumerate(recorded)]
                 for log_time_ns, number, data in heapq.merge(*streams, key=lambda m: m[:2]):
                     writer.write(connections[number], log_time_ns, data)
+            if storage == 'mcap':
+                mcap.seal(folder / f'{folder.name}.mcap')
         except sqlite3.Error as error:  # of a full disk, which others say as the system does
             raise OSError(f'SQLite says {error}') from None
 

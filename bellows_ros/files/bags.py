@@ -289,8 +289,22 @@ def messages_of(
 
 
 def decoded(data: bytes, type_name: str) -> Any:
-    """Return a message as an object with its fields, of any type."""
-    return _types().deserialize_cdr(data, type_name)
+    """
+    Return a message as an object with its fields, of any type.
+
+    Raises
+    ------
+    BellowsError
+        If it is damaged.
+
+    """
+    from rosbags.serde import SerdeError
+
+    try:
+        return _types().deserialize_cdr(data, type_name)
+    except SerdeError as error:
+        raise BellowsError(
+            f'A {type_name} cannot be decoded: {error} Record it again.') from None
 
 
 @cache

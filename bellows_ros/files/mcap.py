@@ -1,5 +1,5 @@
 """
-Reading the messages of an MCAP file from front to back.
+Reading the messages of an MCAP file from front to back, and the checksums of its chunks.
 
 The file is read as a stream and nothing in it is believed that could cost memory: sizes are
 bounded before they are allocated, chunks are decompressed one at a time up to the size they
@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 import io
 import os
+from pathlib import Path
 import struct
 from typing import BinaryIO
 import zlib
@@ -32,6 +33,7 @@ _STATISTICS, _DATA_END = 0x0B, 0x0F
 _READ = {_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END}
 _RECORD_HEAD = struct.Struct('<BQ')
 _MESSAGE_HEAD = struct.Struct('<HIQQ')
+_CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
 _TRUNCATED = 'a record goes beyond its end'
 _SKIP_STEP = 2**20
 
@@ -255,3 +257,18 @@ def _chunk_data(fields: _Fields) -> bytes:
         raise DamagedError(f'a chunk has {len(data)} bytes, but says {size}')
     _require_checksum(checksum, zlib.crc32(data), 'a chunk')
     return data
+
+
+def seal(path: Path) -> None:
+    """Write the checksums of the chunks of a sound MCAP file that was written without them."""
+    with path.open('r+b') as file:
+        file.seek(len(MAGIC))
+        kind = 0
+        while kind != _FOOTER:
+            kind, size = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
+            at = file.tell()
+            if kind == _CHUNK:
+                records = _chunk_data(_Fields(file.read(size)))
+                file.seek(at + _CHUNK_CHECKSUM_AT)
+                file.write(struct.pack('<I', zlib.crc32(records)))
+            file.seek(at + size)

@@ -11,7 +11,6 @@ from importlib import metadata
 import json
 import math
 import os
-from pathlib import Path
 import platform
 from typing import Any
 
@@ -38,31 +37,23 @@ KEYS = (
 _MATRICES = ('stiffness', 'damping', 'stiffness_std', 'damping_std')
 
 
-def write_result(path: str | os.PathLike[str], result: Mapping[str, Any]) -> None:
+def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
     """
-    Write the result of a fit, whole or not at all.
+    Write a mapping as JSON, whole or not at all.
 
     Parameters
     ----------
     path : path
         JSON file.
-    result : mapping
-        At least `KEYS`, matrices 6x6 in SI units; may hold nested mappings, lists and NumPy arrays
-        and scalars.
+    content : mapping
+        May hold nested mappings, lists, and NumPy arrays and scalars.
 
     Raises
     ------
     BellowsError
-        If a key is missing, a matrix is not 6x6, something has no place in JSON, or the file
-        cannot be written.
+        If something has no place in JSON, or the file cannot be written.
 
     """
-    _require_complete('The result', _plain(result))
-    write_json(path, result)
-
-
-def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
-    """Write a mapping as JSON, whole or not at all."""
     atomic.write_text(path, format_json(content))
 
 
@@ -87,7 +78,15 @@ def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     """
     content = read_json(path, " Give what 'bellows identify --json' wrote.")
-    _require_complete(f"Result '{Path(path)}'", content)
+    missing = [key for key in KEYS if not isinstance(content, dict) or key not in content]
+    if missing:
+        raise BellowsError(
+            f"Result '{path}' lacks {', '.join(missing)}. Identify the cup again.")
+    for key in _MATRICES:
+        rows = content[key]
+        shaped = isinstance(rows, list) and len(rows) == 6
+        if not shaped or not all(isinstance(row, list) and len(row) == 6 for row in rows):
+            raise BellowsError(f"Result '{path}': '{key}' must be a list of 6 rows of 6 numbers.")
     return dict(content)
 
 
@@ -131,18 +130,6 @@ def content_of(*paths: str | os.PathLike[str]) -> Iterator[None]:
 def _refuse_constant(name: str) -> None:
     """Refuse NaN and infinity, which are not JSON."""
     raise ValueError(f'{name} is not allowed, null stands for a number that is not known')
-
-
-def _require_complete(what: str, content: Any) -> None:
-    """Refuse a result without its keys, or with matrices of another shape."""
-    missing = [key for key in KEYS if not isinstance(content, dict) or key not in content]
-    if missing:
-        raise BellowsError(f'{what} lacks {", ".join(missing)}. Identify the cup again.')
-    for key in _MATRICES:
-        rows = content[key]
-        shaped = isinstance(rows, list) and len(rows) == 6
-        if not shaped or not all(isinstance(row, list) and len(row) == 6 for row in rows):
-            raise BellowsError(f"{what}: '{key}' must be a list of 6 rows of 6 numbers.")
 
 
 def _plain(value: Any) -> Any:

@@ -11,7 +11,6 @@ from contextlib import closing
 import os
 from pathlib import Path
 import sqlite3
-import struct
 
 from bellows_ros.files.bag_folder import DamagedError, LARGEST_RECORD, Message, Topic, Wanted
 
@@ -70,19 +69,17 @@ def _require_closed(path: Path) -> None:
 
 
 def _require_whole(path: Path) -> None:
-    """Refuse a file shorter than its header says; SQLite would read the rest as zeros."""
+    """Refuse a file that ends within a page; SQLite would read the rest of it as zeros."""
     with path.open('rb') as file:
         header = file.read(_HEADER)
         size = file.seek(0, os.SEEK_END)
     if len(header) < _HEADER:
         raise DamagedError('it ends in the middle: it was truncated')
-    page_size, changes, pages, changes_when_counted = struct.unpack('>16xH6xII60xI4x', header)
-    page_size = 65536 if page_size == 1 else page_size
-    counted = pages if changes == changes_when_counted else 0
-    if not page_size or size % page_size or size < counted * page_size:
+    page_size = int.from_bytes(header[16:18]) or 1
+    page_size = 65536 if page_size == 1 else page_size  # as the format has it
+    if size % page_size:
         raise DamagedError(
-            f'it ends in the middle: {size} bytes are not its {counted} pages of {page_size}'
-        )
+            f'it ends in the middle: {size} bytes are no whole pages of {page_size}')
 
 
 def _require_plain(database: sqlite3.Connection) -> None:

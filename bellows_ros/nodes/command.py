@@ -6,12 +6,12 @@ ROS is installed. Ctrl-C and SIGTERM end a node in order, with exit code 0; what
 right is said without a traceback and ends with 2.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-import importlib
 import importlib.util
 from itertools import pairwise
 from pathlib import Path
+from pkgutil import resolve_name
 import signal
 import sys
 import textwrap
@@ -121,7 +121,17 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
                 f"Unknown argument '{short(own[0])}'. Parameters and remappings follow "
                 f'--ros-args, for example: {interface.name} --ros-args --params-file FILE. See '
                 f'{interface.name} --help.')
-        _run_node(node, [interface.name, *arguments], lambda: bool(asked))
+        require_ros()
+        make_node = resolve_name(node)
+        from rclpy.utilities import try_shutdown
+
+        from .spinning import spin
+
+        try:
+            _initialise([interface.name, *arguments])
+            spin(make_node(), lambda: bool(asked))
+        finally:
+            try_shutdown()
     except BellowsError as error:
         print(f'{interface.name}: {error}', file=sys.stderr)
         return error.exit_code
@@ -148,22 +158,6 @@ def require_ros() -> None:
     """Raise BellowsError where ROS is missing, before any work."""
     if importlib.util.find_spec('rclpy') is None:
         raise BellowsError(NO_ROS)
-
-
-def _run_node(node: str, argv: list[str], is_asked_to_stop: Callable[[], bool]) -> None:
-    """Make the node and spin it until it has finished or the process is asked to end."""
-    require_ros()
-    module, _, kind = node.partition(':')
-    make_node = getattr(importlib.import_module(module), kind)
-    from rclpy.utilities import try_shutdown
-
-    from .spinning import spin
-
-    try:
-        _initialise(argv)
-        spin(make_node(), is_asked_to_stop)
-    finally:
-        try_shutdown()
 
 
 def origin_of(name: str, arguments: Sequence[str]) -> str:

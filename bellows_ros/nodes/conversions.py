@@ -8,14 +8,7 @@ from operator import attrgetter
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import (
-    InertiaStamped,
-    PoseStamped,
-    PoseWithCovarianceStamped,
-    TransformStamped,
-    TwistStamped,
-    WrenchStamped,
-)
+from geometry_msgs import msg as geometry
 from nav_msgs.msg import Odometry
 import numpy as np
 
@@ -25,11 +18,12 @@ from ..core.observer import Payload
 from ..core.tuples import Quaternion, Vector
 
 TOOL_POSES = {
-    'pose': (PoseStamped, attrgetter('pose.position', 'pose.orientation')),
+    'pose': (geometry.PoseStamped, attrgetter('pose.position', 'pose.orientation')),
     'transform': (
-        TransformStamped, attrgetter('transform.translation', 'transform.rotation')),
+        geometry.TransformStamped, attrgetter('transform.translation', 'transform.rotation')),
     'pose_with_covariance': (
-        PoseWithCovarianceStamped, attrgetter('pose.pose.position', 'pose.pose.orientation')),
+        geometry.PoseWithCovarianceStamped,
+        attrgetter('pose.pose.position', 'pose.pose.orientation')),
     'odometry': (Odometry, attrgetter('pose.pose.position', 'pose.pose.orientation')),
 }
 """By the parameter tool_pose.type: the message type, and what it contains."""
@@ -80,21 +74,21 @@ def write_header(message: Any, stamp_ns: int, frame_id: str) -> None:
     message.header.frame_id = frame_id
 
 
-def write_pose(message: PoseStamped, frame_id: str, prediction: Prediction) -> None:
+def write_pose(message: geometry.PoseStamped, frame_id: str, prediction: Prediction) -> None:
     """Write the package's pose in the frame of the tool's poses."""
     write_header(message, prediction.stamp_ns, frame_id)
     write_vector(message.pose.position, prediction.position)
     write_quaternion(message.pose.orientation, prediction.quaternion_xyzw)
 
 
-def write_twist(message: TwistStamped, frame_id: str, prediction: Prediction) -> None:
+def write_twist(message: geometry.TwistStamped, frame_id: str, prediction: Prediction) -> None:
     """Write the package's body twist, in the axes of its frame."""
     write_header(message, prediction.stamp_ns, frame_id)
     write_vector(message.twist.linear, prediction.linear)
     write_vector(message.twist.angular, prediction.angular)
 
 
-def write_wrench(message: WrenchStamped, frame_id: str, prediction: Prediction) -> None:
+def write_wrench(message: geometry.WrenchStamped, frame_id: str, prediction: Prediction) -> None:
     """Write the wrench of the cup on the package about the lip's centre, in lip axes."""
     write_header(message, prediction.stamp_ns, frame_id)
     write_vector(message.wrench.force, prediction.force)
@@ -121,7 +115,7 @@ def write_odometry(
     message.twist.covariance = (root[6:] @ root[6:].T).ravel()
 
 
-def write_payload(message: InertiaStamped, frame_id: str, payload: Payload) -> None:
+def write_payload(message: geometry.InertiaStamped, frame_id: str, payload: Payload) -> None:
     """Write an estimated payload, in the frame of the lip."""
     write_header(message, payload.stamp_ns, frame_id)
     inertia, entries = message.inertia, payload.inertia

@@ -84,19 +84,15 @@ def converse(
 
     """
     sent_ns: dict[bytes, int] = {}
-    answers: list[tuple[int, bytes]] = []
-    to_probes: list[tuple[int, bytes]] = []
+    heard: dict[bytes, tuple[int, bytes]] = {}  # when it came, and the answer, by its stamp
     firsts = {names[message.topic.name]: message for message in reversed(messages)}
+    stamps = count(messages[0].log_time_ns - PROBE_LEAD_NS, round(LOOK_EVERY * 1e9))
 
     def wait(
         timeout: float, failure: str, done: Callable[[], bool],
-        meanwhile: Callable[[], None] = lambda: None,
+        meanwhile: Callable[[], None] = require_alive,
     ) -> None:
-        def is_done() -> bool:
-            require_alive()
-            return done()
-
-        if not spin_until(executor, is_done, timeout, meanwhile):
+        if not spin_until(executor, done, timeout, meanwhile):
             raise BellowsError(
                 f'The predictor {failure} ({timeout:g} s waited). See its log, and whether '
                 'DDS may use the loopback interface of this machine.')
@@ -108,10 +104,10 @@ def converse(
         out[name].publish(message.data)
 
     def receive(data: bytes) -> None:
-        came_ns = time.monotonic_ns()
-        (answers if data[STAMP] in sent_ns else to_probes).append((came_ns, data))
+        heard.setdefault(data[STAMP], (time.monotonic_ns(), data))
 
     def probe() -> None:
+        require_alive()
         stamp_ns = next(stamps)
         for name, message in firsts.items():
             out[name].publish(stamped(message.data, lambda _: stamp_ns))
@@ -124,19 +120,19 @@ def converse(
         reset = node.create_client(Trigger, 'predictor/reset')
         wait(DISCOVERY_TIMEOUT, 'does not appear', lambda: reset.service_is_ready() and all(
             topic.get_subscription_count() for topic in out.values()))
-        stamps = count(messages[0].log_time_ns - PROBE_LEAD_NS, round(LOOK_EVERY * 1e9))
-        wait(ANSWER_TIMEOUT, 'does not answer', lambda: bool(to_probes), probe)
+        wait(ANSWER_TIMEOUT, 'does not answer', lambda: bool(heard), probe)
         future = reset.call_async(Trigger.Request())
         wait(ANSWER_TIMEOUT, 'does not answer its reset', future.done)
         send_all(executor, messages, send, say)
-        spin_until(executor, lambda: len(answers) >= len(sent_ns), ANSWER_TIMEOUT)
-    if not answers:
+        spin_until(executor, lambda: sent_ns.keys() <= heard.keys(), ANSWER_TIMEOUT)
+    answered = [stamp for stamp in sent_ns if stamp in heard]
+    if not answered:
         raise BellowsError('The predictor did not answer. See its log.')
-    found = decode(
-        [data for _, data in answers], LAYOUTS['geometry_msgs/msg/PoseStamped'], slice(0, 7))
-    stamps_ns, first = np.unique(found.stamps_ns, return_index=True)
-    values = found.values[first]
+    found = decode([heard[stamp][1] for stamp in answered],
+                   LAYOUTS['geometry_msgs/msg/PoseStamped'], slice(0, 7))
+    order = np.argsort(found.stamps_ns)
+    values = found.values[order]
     return Exchange(
         Counter(names[message.topic.name] for message in messages),
-        Trajectory(stamps_ns, values[:, :3], quaternion_to_rotation(values[:, 3:])),
-        1e-9 * np.array([came_ns - sent_ns[data[STAMP]] for came_ns, data in answers]))
+        Trajectory(found.stamps_ns[order], values[:, :3], quaternion_to_rotation(values[:, 3:])),
+        1e-9 * np.array([heard[stamp][0] - sent_ns[stamp] for stamp in answered]))

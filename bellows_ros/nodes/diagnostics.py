@@ -1,7 +1,7 @@
 """Publish the health of the predictor on /diagnostics, and log it."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 import time
 from typing import Any
 
@@ -11,21 +11,9 @@ import numpy as np
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from .attachment import Attachment
-from .observing import Observing
 from .outputs import Outputs
-from .planning import Planning
 from .tool_inputs import SensorInput
-from ..core.live import LivePredictor, Prediction
-from ..core.live.health import (
-    input_status,
-    Level,
-    load_status,
-    prediction_status,
-    PredictionSeen,
-    Status,
-    twist_status,
-)
+from ..core.live import health, LivePredictor, Prediction
 from ..core.live.load import Load
 from ..core.live.timing import Window
 from ..core.tuples import rotation_matrix
@@ -66,17 +54,15 @@ class Diagnostics:
     def forget(self) -> None:
         """Report only the state of the lifecycle."""
         self._live: LivePredictor | None = None
-        self._due: dict[tuple[str, Level], float] = {}
+        self._due: dict[tuple[str, health.Level], float] = {}
 
     def watch(
-        self, live: LivePredictor, pose: SensorInput, twist: SensorInput,
-        attachment: Attachment, outputs: Outputs, observing: Observing,
-        planning: Planning, values: Mapping[str, Any],
+        self, live: LivePredictor, pose: SensorInput, twist: SensorInput, outputs: Outputs,
+        values: Mapping[str, Any], others: Callable[[], Iterable[health.Status | None]],
     ) -> None:
-        """Report on this predictor, its inputs and outputs from now on."""
+        """Report on this predictor, its inputs and outputs from now on, and what others report."""
         self._live, self._pose, self._twist = live, pose, twist
-        self._attachment, self._outputs, self._observing = attachment, outputs, observing
-        self._planning = planning
+        self._outputs, self._others = outputs, others
         self._before: Counter[str] = Counter()
         self.load = Load(values, None)
         self.set_values(values)
@@ -110,11 +96,11 @@ class Diagnostics:
             for line in self._lines(state, last)]
         self._publisher.publish(message)
 
-    def _lines(self, state: str, last: Prediction | None) -> list[Status]:
+    def _lines(self, state: str, last: Prediction | None) -> list[health.Status]:
         """Return all lines."""
         live = self._live
         if live is None:
-            return [prediction_status('prediction', PredictionSeen(
+            return [health.prediction_status('prediction', health.PredictionSeen(
                 state, 'none', 'none', self.compute.take(), {}, {}, 'unknown'))]
         now = Counter(
             {**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
@@ -122,7 +108,7 @@ class Diagnostics:
         restarts = {reason: new[reason] for reason in live.restarts}
         above = last is not None and self._is_above(last)
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
-        lines = [prediction_status('prediction', PredictionSeen(
+        lines = [health.prediction_status('prediction', health.PredictionSeen(
             state, live.phase(time.monotonic_ns()), self._cup, self.compute.take(),
             {**live.counts, **failures}, restarts, live.twist_check.verdict,
             self._outputs.uncertainty.known, above))]
@@ -135,36 +121,33 @@ class Diagnostics:
         of_twists.pop('twist_unpaired')  # no fault where twists come more often than poses
         poses, twists = self._pose.seen(of_poses), self._twist.seen(of_twists)
         lines += [
-            input_status('tool pose', poses),
-            twist_status('tool twist', twists, new['poses'], new['alone'])]
+            health.input_status('tool pose', poses),
+            health.twist_status('tool twist', twists, new['poses'], new['alone'])]
         for line, seen in zip(lines[1:], (poses, twists), strict=True):
             refused = any(seen.refused.values())
-            self._log(line, line.level > Level.OK, 0.0 if refused else LOGGED_AFTER)
-        others = (
-            self._observing.status('measured package'), self._attachment.status('vacuum'),
-            self._load(), self._planning.status)
-        return [*lines, *(line for line in others if line)]
+            self._log(line, line.level > health.Level.OK, 0.0 if refused else LOGGED_AFTER)
+        return [*lines, self._load(), *(line for line in self._others() if line)]
 
     def _is_above(self, last: Prediction) -> bool:
         """Return whether the tool's z axis points down, so that the package is above it."""
         z = np.array(rotation_matrix(last.tool[1])[2::3])
         return bool(z @ self._gravity > UPSIDE_DOWN * np.linalg.norm(self._gravity))
 
-    def _log(self, line: Status, wrong: bool, after: float = 0.0) -> None:
+    def _log(self, line: health.Status, wrong: bool, after: float = 0.0) -> None:
         """Log a line if its fault lasts for a time (s), but not often."""
         now, key = time.monotonic(), (line.name, line.level)
         if not wrong:
             self._due = {other: due for other, due in self._due.items() if other[0] != line.name}
         elif now >= self._due.setdefault(key, now + after):
             self._due[key] = now + LOGGED_EVERY
-            is_error = line.level == Level.ERROR and line.name in OWN
+            is_error = line.level == health.Level.ERROR and line.name in OWN
             log = self._node.get_logger()
             (log.error if is_error else log.warning)(line.message)
 
-    def _load(self) -> Status:
+    def _load(self) -> health.Status:
         """Return the line on the load; a safety factor that became too small is logged too."""
         safety, away, bending = self.load.take()
-        status = load_status(
+        status = health.load_status(
             'load', safety, away, bending, self.load.limits_known, self.load.envelope_known,
             self.load.least)
         self._log(status, safety is not None and safety.factor < self.load.least)

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 import traceback
 from typing import Any
@@ -69,7 +69,7 @@ class GuardedNode(Node):
     ) -> Any:
         """Subscribe with a callback that may fail; rclpy subscribes to the clock here, too."""
         if msg_type is Clock:
-            callback = self._only_possible_times(callback)
+            callback = partial(self._take_time, callback)
         return super().create_subscription(
             msg_type, topic, self.guarded(callback), *more, **options)
 
@@ -87,16 +87,12 @@ class GuardedNode(Node):
         return super().create_timer(
             timer_period_sec, self.guarded(callback), *more, **options)
 
-    def _only_possible_times(self, callback: Callable[[Clock], Any]) -> Callable[[Clock], Any]:
-        """Return a callback that drops times before 1970, for which rclpy raises."""
-        def call(message: Clock) -> None:
-            if message.clock.sec >= 0:
-                callback(message)
-                return
-            self.failures[NEGATIVE_TIME] += 1
-            if self.failures[NEGATIVE_TIME] == 1:
-                self.get_logger().warning(
-                    f'A negative time on /clock was ignored: {message.clock.sec} s. Further ones '
-                    'are only counted. Check the publisher of /clock.')
-
-        return call
+    def _take_time(self, take: Callable[[Clock], Any], message: Clock) -> None:
+        """Take a time of the clock; drop one before 1970, for which rclpy raises."""
+        if message.clock.sec >= 0:
+            take(message)
+            return
+        self.failures[NEGATIVE_TIME] += 1
+        self.get_logger().warning(
+            f'A negative time on /clock was ignored: {message.clock.sec} s. Further ones are only '
+            'counted. Check the publisher of /clock.', once=True)

@@ -4,13 +4,7 @@ from collections.abc import Callable, Mapping
 import importlib.util
 from typing import Any
 
-from geometry_msgs.msg import (
-    PoseStamped,
-    TransformStamped,
-    TwistStamped,
-    Vector3Stamped,
-    WrenchStamped,
-)
+from geometry_msgs import msg as geometry
 from nav_msgs.msg import Odometry
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -102,20 +96,20 @@ class Outputs:
 
     def __init__(self, node: Any, values: Mapping[str, Any]) -> None:
         """Advertise all topics; messages are made once and filled in again."""
-        self.pose = Topic(node, PoseStamped, 'package/pose')
-        self._twist = Topic(node, TwistStamped, 'package/twist')
+        self.pose = Topic(node, geometry.PoseStamped, 'package/pose')
+        self._twist = Topic(node, geometry.TwistStamped, 'package/twist')
         self._odometry = Topic(node, Odometry, 'package/odometry')
-        self._wrench = Topic(node, WrenchStamped, 'cup/wrench')
-        self._safety = Topic(node, Vector3Stamped, 'cup/safety_factor')
-        self._deflection = Topic(node, PoseStamped, 'cup/deflection')
+        self._wrench = Topic(node, geometry.WrenchStamped, 'cup/wrench')
+        self._safety = Topic(node, geometry.Vector3Stamped, 'cup/safety_factor')
+        self._deflection = Topic(node, geometry.PoseStamped, 'cup/deflection')
         self._markers = Topic(node, MarkerArray, 'package/markers')
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state = Topic(node, String, 'package/state', latched)
         self._tf: Topic | None = None
         if values['frames.tf']:
             self._advertise_tf(node)
-        self._messages = PoseStamped(), TwistStamped(), WrenchStamped()
-        self._factors = Vector3Stamped()
+        self._messages = geometry.PoseStamped(), geometry.TwistStamped(), geometry.WrenchStamped()
+        self._factors = geometry.Vector3Stamped()
         self._said = ''
         self._extrapolated_ns = -1
 
@@ -126,7 +120,7 @@ class Outputs:
             return
         from tf2_msgs.msg import TFMessage
 
-        self._tf_message = TFMessage(transforms=[TransformStamped()])
+        self._tf_message = TFMessage(transforms=[geometry.TransformStamped()])
         self._tf = Topic(node, TFMessage, '/tf')
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
@@ -179,7 +173,7 @@ class Outputs:
             write_odometry(odometry, frame_id, values['frames.package'], prediction, root)
             self._odometry.publish(odometry)
         if self._deflection.wanted and not prediction.flies:
-            lip = PoseStamped()
+            lip = geometry.PoseStamped()
             write_header(lip, stamp_ns, values['frames.lip'] + NOMINAL)
             write_vector(lip.pose.position, deflection(self.model, prediction).shift)
             write_quaternion(lip.pose.orientation, deflection_rotation(prediction))

@@ -1,14 +1,10 @@
 """Declare the parameters of a node from the table, and change them live, all or nothing."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces import msg as interfaces
+from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import ParameterException, ParameterNotDeclaredException
 from rclpy.parameter import Parameter
@@ -38,10 +34,10 @@ def _type_of(parameter: table.Parameter) -> Parameter.Type:
     return Parameter.Type[parameter.kind.upper()]
 
 
-def descriptor(parameter: table.Parameter, read_only: bool) -> ParameterDescriptor:
+def descriptor(parameter: table.Parameter, read_only: bool) -> interfaces.ParameterDescriptor:
     """Return the content of `ros2 param describe`: sentence, unit, constraint and range."""
     unit = f' Unit: {parameter.unit}.' if parameter.unit else ''
-    described = ParameterDescriptor(
+    described = interfaces.ParameterDescriptor(
         description=parameter.description + unit,
         additional_constraints=parameter.constraint,
         read_only=read_only or parameter.read_only,
@@ -51,10 +47,10 @@ def descriptor(parameter: table.Parameter, read_only: bool) -> ParameterDescript
     if low is not None and high is not None:  # of a single number; ROS knows none for arrays
         if parameter.kind == 'double':
             described.floating_point_range = [
-                FloatingPointRange(from_value=float(low), to_value=float(high))]
+                interfaces.FloatingPointRange(from_value=float(low), to_value=float(high))]
         elif parameter.kind == 'integer':
             described.integer_range = [
-                IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+                interfaces.IntegerRange(from_value=int(low), to_value=int(high), step=1)]
     return described
 
 
@@ -126,14 +122,6 @@ class TableNode(GuardedNode):
     def on_values(self, names: list[str]) -> None:
         """Act on new `values`; called after the named parameters have been set."""
 
-    def unmatched_qos_overrides(self) -> list[str]:
-        """Return the names of QoS overrides that match no topic of this node."""
-        return [
-            name
-            for name in self._parameter_overrides
-            if name.startswith(QOS_PREFIX) and not self.has_parameter(name)
-        ]
-
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
         """
         Set parameters: all in one step, or else those that belong together, and others singly.
@@ -165,8 +153,8 @@ class TableNode(GuardedNode):
             if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))
         }
         self.given = frozenset(given)
-        _require_package(given, user)
-        self.values: Values = resolve(given)
+        required = [p.name for p in table.parameters_of(user) if p.default is None]
+        self.values: Values = resolve(given, () if given.get('package.files') else required)
         self.check_values(self.values)
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -280,20 +268,3 @@ def _as_double(parameter: Parameter) -> Parameter:
     if parameter.type_ == Parameter.Type.INTEGER_ARRAY:
         return ros_parameter(parameter.name, [float(x) for x in parameter.value])
     return parameter
-
-
-def _require_package(given: Mapping[str, object], user: str) -> None:
-    """Refuse to start without the package, and show the file to write."""
-    missing = [p for p in table.parameters_of(user) if p.default is None and p.name not in given]
-    if not missing or given.get('package.files'):
-        return
-    names = ', '.join(p.name for p in missing)
-    lines = [
-        f'    {p.name}: {p.example}  # {p.unit}{". " * bool(p.unit)}{p.description}'
-        for p in missing
-    ]
-    raise BellowsError(
-        f'Not set, and without a default: {names}. Describe the held package, for instance in a '
-        'file package.yaml:\n\n/**:\n  ros__parameters:\n' + '\n'.join(lines) + '\n\n'
-        'Then start again with: --ros-args --params-file package.yaml'
-    )

@@ -21,7 +21,7 @@ from .diagnostics import Diagnostics
 from .managed import ManagedNode
 from .observing import Observing
 from .outputs import Outputs
-from .parameters import Values
+from .parameters import QOS_PREFIX, Values
 from .planning import Planning
 from .tool_inputs import SensorInput, TransformInput
 from .tossing import Tossing
@@ -129,13 +129,15 @@ class PredictorNode(ManagedNode):
         self._observing = Observing(self, values['measured.type'])
         self._apply(live, values)
         self._diagnostics.watch(
-            live, self._pose_in, self._twist_in, self._attachment, self._outputs,
-            self._observing, self._planning, values)
+            live, self._pose_in, self._twist_in, self._outputs, values,
+            lambda: (self._observing.status('measured package'),
+                     self._attachment.status('vacuum'), self._planning.status))
         self._live = live
         self._say_model(values)
-        for name in self.unmatched_qos_overrides():
-            self.get_logger().warning(
-                f"The QoS override '{short(name)}' matches no topic of this node.")
+        for name in self._parameter_overrides:
+            if name.startswith(QOS_PREFIX) and not self.has_parameter(name):
+                self.get_logger().warning(
+                    f"The QoS override '{short(name)}' matches no topic of this node.")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start from rest at the next tool pose."""
@@ -158,17 +160,15 @@ class PredictorNode(ManagedNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Release everything that was made."""
-        result = super().on_cleanup(state)
         self._clean_up()
-        return result
+        return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Fall silent for good."""
         if self._active:
             self.on_deactivate(state)
-        result = super().on_shutdown(state)
         self._clean_up()
-        return result
+        return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Release everything, so that the node can be configured again."""
@@ -190,22 +190,17 @@ class PredictorNode(ManagedNode):
         """Log the cup and the package that are used."""
         log = self.get_logger().info
         name = values['cup.name']
-        own = {key for key in OF_A_CUP if key.replace('cup', f'cups.{name}') in self.given}
-        thesis = [text for key, text in OF_A_CUP.items() if key not in self.given | own]
         if name:
-            others = [key for key in OF_A_CUP if key not in own]
-            log(f"Using the cup '{name}'" + (f', with {" and ".join(others)}.' if others else '.'))
-        if thesis:
-            log(
-                f"Not set, so using the thesis's values: {', '.join(thesis)}. Identify your own "
-                "with 'bellows identify'."
-            )
+            log(f"Using the cup '{name}'.")
+        if thesis := [text for key, text in OF_A_CUP.items()
+                      if not {key, key.replace('cup', f'cups.{name}')} & self.given]:
+            log(f"Not set, so using the thesis's values: {', '.join(thesis)}. Identify your own "
+                "with 'bellows identify'.")
         origin = short(origin_of('package.mass', sys.argv), 200)
         log(f"Package of {values['package.mass']:g} kg" + (f', from {origin}.' if origin else '.'))
         log(f'Listens to {self._pose_in.topic} and {self._twist_in.topic}, publishes '
             f'{self._outputs.pose.name}.')
-        heard = values['vacuum.signal'] == 'pressure'
-        if grip_of(values, 0.0 if heard else None) is None:
+        if grip_of(values, 0.0 if values['vacuum.signal'] == 'pressure' else None) is None:
             log('The safety factor of the grip is unknown: set cup.lip_radius and '
                 'vacuum.holding.')
 
@@ -347,6 +342,10 @@ class PredictorNode(ManagedNode):
                 live.model, held, live.frame_id, self._outputs.uncertainty.covariance)
         self._say_state()
 
+    def _say_report(self) -> None:
+        """Report the health of the node, and log what is wrong."""
+        self._diagnostics.report(self.lifecycle_state, self._last)
+
     def _say_state(self) -> None:
         """Publish the state when it changes."""
         alarm = self._observing.alarm
@@ -388,12 +387,6 @@ class PredictorNode(ManagedNode):
         if live.flight is None or not live.flight.state:
             self._tossing.set_model(live.model, values)
             live.flight = self._tossing.flight
-
-    # ---------------------------------------------------------------- reports
-
-    def _say_report(self) -> None:
-        """Report the health of the node, and log what is wrong."""
-        self._diagnostics.report(self.lifecycle_state, self._last)
 
     def close(self) -> None:
         """Log the final counts, and end."""

@@ -105,12 +105,11 @@ class SensorInput:
             offered = other.qos_profile
             if other.topic_type != self._type:
                 return Mismatch('type', other.topic_type)
-            if (asked.reliability == ReliabilityPolicy.RELIABLE
-                    and offered.reliability == ReliabilityPolicy.BEST_EFFORT):
-                return Mismatch('qos', 'reliability')
-            if (asked.durability == DurabilityPolicy.TRANSIENT_LOCAL
-                    and offered.durability == DurabilityPolicy.VOLATILE):
-                return Mismatch('qos', 'durability')
+            for name, mismatch in (
+                    ('reliability', (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)),
+                    ('durability', (DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE))):
+                if (getattr(asked, name), getattr(offered, name)) == mismatch:
+                    return Mismatch('qos', name)
         return None
 
 

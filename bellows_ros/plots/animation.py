@@ -6,7 +6,6 @@ from functools import partial
 import io
 from itertools import chain
 import os
-from pathlib import Path
 import shutil
 import subprocess
 from typing import Any, NamedTuple
@@ -23,7 +22,7 @@ import numpy as np
 
 from .panels import picture
 from .shapes import bellows_rings, box_corners, BOX_EDGES, BOX_FACES, SIDES
-from .style import Theme
+from .style import FILMS, require_picture, Theme
 
 Progress = Callable[[str, float], None]
 
@@ -129,9 +128,7 @@ def _write(
     progress: Progress | None, speed: float,
 ) -> None:
     """Write views side by side, from the first time to the last of all."""
-    ending = Path(path).suffix.lower()
-    if ending not in FRAMES_PER_SECOND:
-        raise BellowsError(f"Animation '{path}' must end in .gif or .mp4.")
+    ending = f'.{require_picture(path, FILMS)}'
     rate_hz = FRAMES_PER_SECOND[ending]
     encode = _gif if ending == '.gif' else partial(_mp4, ffmpeg=_ffmpeg())
     first, last = (limit(view.seconds[end] for view in views)

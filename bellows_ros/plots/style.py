@@ -103,9 +103,14 @@ def _settings(theme: Theme) -> dict[Any, Any]:
     }
 
 
-def require_picture(path: str | os.PathLike[str], films: tuple[str, ...] = ()) -> str:
-    """Return the format of a picture, or of a film, by its name's ending; refuse any other."""
-    ending, allowed = Path(path).suffix.lower(), ('.png', '.svg', '.pdf', *films)
+PICTURES, FILMS = ('.png', '.svg', '.pdf'), ('.gif', '.mp4')
+
+
+def require_picture(
+    path: str | os.PathLike[str], allowed: tuple[str, ...] = PICTURES
+) -> str:
+    """Return the format of a picture or film by its name's ending; refuse one not allowed."""
+    ending = Path(path).suffix.lower()
     if ending not in allowed:
         raise BellowsError(
             f"Picture '{path}' must end in {', '.join(allowed[:-1])} or {allowed[-1]}.")

@@ -21,7 +21,7 @@ def motion_content(replayed: Replay) -> list[str]:
     found, bag = replayed.validation, replayed.bag
     start = 'static equilibrium' if found.start == 'equilibrium' else 'the measured state'
     return [
-        paragraph(_verdict(found)),
+        paragraph(found.verdict()),
         *([paragraph(replayed.margin.sentence), figure(margin_figure(replayed.margins, bag))]
           if replayed.margin else []),
         warnings(replayed.warnings),
@@ -65,16 +65,6 @@ def _score_table(found: Validation) -> str:
             percent(found.scores.nrmse[i]), percent(found.model_error[i]),
             word if found.moves[i] else 'moves too little'))
     return table(head, rows, (0, 7))
-
-
-def _verdict(found: Validation) -> str:
-    """Return the meaning of the table, in words."""
-    failing = found.failing()
-    if failing:
-        return f'Errors above {100 * LIMIT:g} % of the motion: {", ".join(failing)}.'
-    if not found.moves.any():
-        return 'No axis moves enough for a verdict.'
-    return f'All axes that move are predicted within {100 * LIMIT:g} % of their motion.'
 
 
 def _whiteness(found: Validation, bag: str) -> list[str]:
@@ -128,16 +118,16 @@ def samples_content(recording: Recording) -> list[str]:
     rows = []
     for stream in (report.tool, report.package):
         refused = [f'{len(where)} {reason.replace("_", " ")}'
-                   for reason, where in stream.refused.items() if where]
+                   for reason, where in stream.recorded.refused.items() if where]
         longest = max((gap.duration_s for gap in stream.timing.gaps), default=0.0)
         gaps = f'{len(stream.timing.gaps)}, longest {longest:.3g} s' if longest else '0'
         rows.append((
-            stream.name, str(stream.samples), f'{stream.timing.rate_hz:.6g} Hz',
+            stream.recorded.name, str(len(stream.recorded)), f'{stream.timing.rate_hz:.6g} Hz',
             ', '.join(refused) or '0', str(stream.marked), gaps, str(stream.touched)))
     return [
         figure(samples_figure(
-            recording, f'{report.valid} of {report.samples} samples are used; a lost pose rejects '
-            'all samples whose filter window contains it')),
+            recording, f'{np.count_nonzero(recording.valid)} of {len(recording.valid)} samples '
+            'are used; a lost pose rejects all samples whose filter window contains it')),
         table(
             ('topic', 'poses', 'rate', 'refused', 'outliers', 'gaps', 'left out by the filter'),
             rows),

@@ -321,9 +321,9 @@ def save(
 
     """
     if json_path:
-        from bellows_ros.files.results import write_result
+        from bellows_ros.files.results import write_json
 
-        write_result(json_path, result.as_json())
+        write_json(json_path, result.as_json())
     if not parameters_path:
         return
     result.require_usable(force)

@@ -156,15 +156,10 @@ class Replay:
     def sentence(self) -> str:
         """The verdict on the cup by a recording not used in the fit."""
         found = self.validation
-        moving = [
-            f'{name} {100.0 * ratio:.2f} %' for name, moves, ratio in zip(
-                AXES, found.moves, found.scores.nrmse, strict=True) if moves
-        ]
-        if not moving:
-            return f'{self.bag}: no axis moves enough for a validation.'
-        failing, limit = found.failing(), f'{100.0 * LIMIT:g} %'
-        verdict = f'above {limit}: {", ".join(failing)}' if failing else f'all within {limit}'
-        return f'Validated on {self.bag}, error over motion: {", ".join(moving)}; {verdict}.'
+        errors = [f'{name} {100.0 * ratio:.2f} %' for name, moves, ratio in zip(
+            AXES, found.moves, found.scores.nrmse, strict=True) if moves]
+        return (f'Validated on {self.bag}, error over motion: {", ".join(errors) or "unknown"}. '
+                f'{found.verdict()}')
 
     def as_json(
         self, limit: float = LIMIT, parameter_files: Sequence[str | os.PathLike[str]] = ()

@@ -23,12 +23,11 @@ from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import levelling
 from bellows_ros.core.release import release_of
 from bellows_ros.core.simulation import lip_wrenches, simulate
-from bellows_ros.core.synthetic.motion import Planned
+from bellows_ros.core.synthetic.motion import Planned, sample_stamps
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
 from bellows_ros.core.synthetic.sensing import (
     measure_poses,
     measure_twists,
-    sample_stamps,
     Schedule,
     schedule,
     WORLDS,

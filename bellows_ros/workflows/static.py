@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import os
-from pathlib import Path
 from typing import Any
 
 from bellows_ros import __version__
@@ -17,9 +16,7 @@ from bellows_ros.core.model import Cup, cup_of
 from bellows_ros.core.parameters import ESTIMATE, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
-from bellows_ros.core.settings import Settings
 from bellows_ros.errors import BellowsError, UndeterminedError
-from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress, values_of_each
 from bellows_ros.workflows.result_json import attributes, with_units
@@ -228,36 +225,6 @@ def _read(
     except UndeterminedError as error:
         no_length = str(error)
     return StaticResult(tuple(recordings), length, no_length, values['cup.length'])
-
-
-def read_list(path: str | os.PathLike[str]) -> list[StaticBag]:
-    """
-    Read a YAML file that lists recordings with their packages.
-
-    It holds `recordings`, a list of blocks with `bag` (relative to the file's folder), `mass` (kg)
-    and, where it differs from package.com, `com` (m).
-
-    Raises
-    ------
-    BellowsError
-        If the file cannot be read or is not such a list.
-
-    """
-    file = Path(path)
-    content = safe_yaml.load(file)
-    if not isinstance(content, Mapping):
-        raise BellowsError(
-            f"'{file}' must hold recordings: a list of blocks with bag and mass, got "
-            f'{type(content).__name__}.'
-        )
-    settings, bags = Settings(content), list[StaticBag]()
-    for block in settings.blocks('recordings'):
-        own: dict[str, Any] = {'package.mass': block.number('mass', unit='kg', above=0.0)}
-        if 'com' in block:
-            own['package.com'] = tuple(block.vector('com', 3, unit='m').tolist())
-        bags.append((str(file.parent / block.text('bag')), own))
-    settings.done()
-    return bags
 
 
 def save_length(

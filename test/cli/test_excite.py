@@ -90,7 +90,7 @@ def test_joints_of_an_arm_limit_it(
 
 @pytest.mark.parametrize('change, time, message', [
     ({'tracking': {'tool': {'rate_hz': 500.0}}}, 6, "'tracking.tool.noise' must have position"),
-    ({'linear': None}, 6, "'linear.speed' is missing; it must be a number above 0 (m/s)"),
+    ({'linear': None}, 6, "'linear.speed' is missing; it must be a number, above 0 (m/s)"),
     ({}, 4, 'expected 5 to 120 s'),
     ({}, '6 --seed -1', 'expected a whole number from 0 on'),
     ({'bendig': 1.0}, 6, "Did you mean 'bending'?"),

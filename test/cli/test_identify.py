@@ -196,8 +196,8 @@ def test_structures_validation_and_page_by_parameters_alone(
     done = bellows('identify', '--params', workshop / 'package.yaml', '--params', more)
     assert (done.returncode, done.stderr) == (0, '')
     text = ' '.join(done.stdout.split())
-    for words in ('Use fit.structure: axisymmetric', 'error over motion: x ', 'all within 5 %',
-                  f'Wrote {tmp_path / "page.html"}.'):
+    for words in ('Use fit.structure: axisymmetric', 'error over motion: x ',
+                  'predicted within 5 %', f'Wrote {tmp_path / "page.html"}.'):
         assert words in text
     page = (tmp_path / 'page.html').read_text()
     assert 'Structures</h2>' in page and 'Not used in the fit' in page

@@ -23,7 +23,6 @@ def cell(bellows: Run, workshop: Path, tmp_path_factory: pytest.TempPathFactory)
     known = (folder / 'package.yaml').read_text()
     (folder / 'bags.yaml').write_text(
         f"{known}bags: ['recording']\nstatic.bags: ['recording']\n")
-    (folder / 'weights.yaml').write_text('recordings: [{bag: recording, mass: 1.8}]\n')
     done = bellows('identify', 'recording', *PARAMS, '--json', 'fit.json', cwd=folder)
     assert done.returncode == 0, done.stderr
     (folder / 'poses.tum').write_text('1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n')
@@ -48,8 +47,7 @@ def cell(bellows: Run, workshop: Path, tmp_path_factory: pytest.TempPathFactory)
     ('structures', 'recording', *PARAMS, '--json', 'recording/metadata.yaml'),
     ('structures', '--params', 'bags.yaml', '--json', 'recording/metadata.yaml'),
     ('static', 'recording', *PARAMS, '--out', 'recording/recording.mcap'),
-    ('static', '--list', 'weights.yaml', *PARAMS, '--json', 'recording/recording.mcap'),
-    ('static', '--list', 'weights.yaml', *PARAMS, '--json', 'weights.yaml'),
+    ('static', '--params', 'bags.yaml', '--json', 'recording/recording.mcap'),
     ('compare', 'fit.json', 'fit.json', '--json', 'fit.json'),
     ('report', 'fit.json', '--out', 'fit.json'),
     ('report', 'fit.json', '--out', 'recording/page.html'),

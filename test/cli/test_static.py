@@ -53,26 +53,12 @@ def test_length_and_spring_in_words_and_files(
     assert json.loads((tmp_path / 'static.json').read_text())['spring']['passed'] is True
 
 
-def test_a_list_of_masses(bellows: Run, workshop: Path, weights: Path) -> None:
-    """Take masses from a file, and JSON to stdout."""
-    listed = write_yaml(weights / 'list.yaml', {
-        'recordings': [{'bag': f'm{n}', 'mass': mass} for n, mass in enumerate(MASSES)]})
-    done = bellows(
-        'static', '--list', listed, '--params', workshop / 'package.yaml', '--json', '-')
-    assert done.returncode == 0, done.stderr
-    content = json.loads(done.stdout)
-    assert abs(content['nominal_length']['length'] - PACKAGE['cup.length']) < 1e-4
-    assert content['spring'] is None
-    assert 'Nominal length' in done.stderr
-
-
 @pytest.mark.parametrize(('arguments', 'words'), [
-    ([], 'No recording is given'),
+    ([], 'No static recording is given'),
     (['m0', 'm1', '--mass', '1'], '1 masses are given for 2 recordings'),
     (['m0', '--mass', '-1'], 'package.mass'),
     (['m0', '--mass', '0.6'], 'two or more different masses'),
     (['nothing', '--mass', '0.6'], 'nothing'),
-    (['--list', 'none.yaml'], 'none.yaml'),
 ])
 def test_mistakes_are_explained(
     arguments: list[str], words: str, bellows: Run, workshop: Path, weights: Path
@@ -99,6 +85,8 @@ def test_recordings_from_the_parameter_file(
     content = json.loads(done.stdout)
     assert [recording['package']['mass'] for recording in content['recordings']] == list(MASSES)
     assert abs(content['nominal_length']['length'] - PACKAGE['cup.length']) < 1e-4
+    assert content['spring'] is None
+    assert 'Nominal length' in done.stderr
     fit = bellows(
         'identify', workshop / 'recording', '--params', workshop / 'package.yaml', '--params',
         cell, '--set', 'static.length=true', '--set', 'cup.length=0.04', '--json', '-')

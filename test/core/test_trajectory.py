@@ -2,7 +2,6 @@
 
 from bellows_ros.core.trajectory import (
     any_within,
-    Filtered,
     PoseStream,
     Trajectory,
     TwistStream,
@@ -102,10 +101,3 @@ def test_a_bad_pose_stream_is_refused_by_name(changed, message):
     with pytest.raises(BellowsError, match=message) as refusal:
         PoseStream('/arm/pose', 'world', **{**GOOD, **changed})
     assert "'/arm/pose'" in str(refusal.value)
-
-
-def test_weights_of_a_bad_shape_are_refused():
-    with pytest.raises(BellowsError, match='weights'):
-        Filtered(
-            **GOOD, twist=np.zeros((3, 6)), acceleration=np.zeros((3, 6)), weights=np.ones((2, 5))
-        )

@@ -17,6 +17,7 @@ import zlib
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import mcap
 from bellows_ros.files.bag_folder import decompressed, LARGEST_RECORD
+from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.bags import read_contents, read_streams, topics
 import lz4.frame
 import numpy as np
@@ -363,6 +364,29 @@ def test_checksums_of_data_and_summary_are_verified(tmp_path):
         path.write_bytes(b''.join(wrong))
         with pytest.raises(BellowsError, match=f'checksum of its {of} is wrong'):
             read_streams(path, WANTED)
+
+
+@pytest.mark.parametrize('zstd', [False, True])
+def test_no_bit_of_a_message_of_ours_changes_unseen(tmp_path, zstd):
+    stamps, values = made.stamps(60), made.pose_values(60)
+    write_bag(tmp_path / 'b', [Recorded('/a', made.POSE, stamps, values)], 'mcap', zstd)
+    file = tmp_path / 'b' / 'b.mcap'
+    whole, sound = file.read_bytes(), outcome(tmp_path / 'b').streams['p']
+    rng, seen = np.random.default_rng(7), 0
+    for at in rng.integers(0, len(whole), size=300):
+        damaged = bytearray(whole)
+        damaged[at] ^= 1 << rng.integers(8)
+        file.write_bytes(damaged)
+        found = outcome(tmp_path / 'b')
+        if found is None or found.notes:
+            seen += 1
+            continue
+        assert_array_equal(found.streams['p'].stamps_ns, sound.stamps_ns)
+        assert_array_equal(found.streams['p'].position, sound.position)
+        assert_array_equal(found.streams['p'].rotation, sound.rotation)
+    assert seen > 100
+    file.write_bytes(whole)
+    assert outcome(file).notes == ()
 
 
 def test_a_checksum_that_is_right_is_accepted(tmp_path):

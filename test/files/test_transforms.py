@@ -125,3 +125,11 @@ def test_a_gap_is_not_bridged(tmp_path):
     links['base'] = there._replace(stamps_ns=there.stamps_ns[keep], poses=there.poses[keep])
     s = (poses_in(links, 'tool', '', 'it')[0] - T0) * 1e-9
     assert len(s) and not ((s > 0.51) & (s < 1.49)).any()
+
+
+def test_damaged_transforms_are_an_error(tmp_path):
+    for damaged in (b'', b'\0\1\0\0', b'\0\1\0\0' + b'\xff' * 12):
+        write_bag(
+            tmp_path / 'bag', [Encoded('/tf', TF, np.array([10**18]), [damaged])], replace=True)
+        with pytest.raises(BellowsError, match='TFMessage cannot be decoded'):
+            read_transforms(tmp_path / 'bag')

@@ -50,7 +50,7 @@ def installed(
     compiled = Path(bellows_ros.__file__).parent
     for file in compiled.rglob('*.nb[ci]'):  # of the same source; to compile it takes a minute
         copy = site_packages / file.relative_to(compiled.parent)
-        copy.parent.mkdir(exist_ok=True)
+        copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(file, copy)
     environment |= {
         'AMENT_PREFIX_PATH': str(prefix),

@@ -130,7 +130,8 @@ def user(ros: Any, installed: Installed, tmp_path: Path) -> Iterator[User]:
         user.process.communicate()
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [
+    signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.stress)])
 def test_run_with_namespace_and_remaps(number: int, user: User) -> None:
     """Predict in a cell's namespace from the driver's topic, and end with 0."""
     user.start('-r', '__ns:=/cell', '-r', 'tool_arm/pose:=/driver/pose', '-r', '__node:=left')
@@ -217,12 +218,3 @@ def load(user: User, values: dict[str, Any]) -> list[Any]:
     answer = user.call('/predictor/set_parameters', SetParameters, SetParameters.Request(
         parameters=messages))
     return list(answer.results)
-
-
-def test_wrong_parameters_end_with_2(user: User) -> None:
-    """Name the nearest known parameter."""
-    user.start('-p', 'coast.limmit:=0.1')
-    assert user.process is not None
-    _, log = user.process.communicate(timeout=LONGEST_START)
-    assert user.process.returncode == 2
-    assert "Did you mean 'coast.limit'?" in log and 'Traceback' not in log

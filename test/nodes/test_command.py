@@ -70,14 +70,14 @@ def test_help_needs_no_ros(name: str, root: Path, user_environment: dict[str, st
 def test_help_comes_at_once(
         name: str, root: Path, user_environment: dict[str, str],
         cpu_of_children: Callable[[], float]) -> None:
-    """Answer with little work; the best of several starts counts, as others disturb it."""
-    took = []
-    for _ in range(5):
+    """Answer with little work, in one of many starts: what else the machine does adds to it."""
+    def took() -> float:
         before = cpu_of_children()
         done = run(user_environment, root, '-m', f'bellows_ros.nodes.{name}', '--help')
-        took.append(cpu_of_children() - before)
         assert done.returncode == 0, done.stderr
-    assert 0.0 < min(took) < LONGEST_HELP
+        return cpu_of_children() - before
+
+    assert any(0.0 < took() < LONGEST_HELP for _ in range(20))
 
 
 @pytest.mark.parametrize('name', MODULES)
@@ -90,8 +90,16 @@ def test_missing_ros_is_said_plainly(
     assert 'Traceback' not in done.stderr
 
 
+def test_what_is_not_set_ends_with_2(root: Path, user_environment: dict[str, str]) -> None:
+    """Print what is missing and no traceback, the last moments of the process included."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    done = run(user_environment, root, '-m', 'bellows_ros.nodes.predictor', '--ros-args')
+    assert done.returncode == 2, done.stderr
+    assert 'Not set, and without a default: package.mass' in done.stderr
+    assert 'Traceback' not in done.stderr
+
+
 @pytest.mark.parametrize(('arguments', 'words'), [
-    (['--ros-args'], 'Not set, and without a default: package.mass'),
     (['--ros-args', *PACKAGE, '-p', 'cup.stifness:=1.0'], "Did you mean 'cup.stiffness'?"),
     (['--ros-args', *PACKAGE, '-p', 'cup.stiffness:=[1.0, 2]'], 'as 2.0, not 2.'),
     (['--ros-args', *PACKAGE, '-p', 'cup.length:=long'], 'cup.length must be a number'),
@@ -101,27 +109,25 @@ def test_missing_ros_is_said_plainly(
     (['package.yaml'], "Unknown argument 'package.yaml'"),
 ])
 def test_what_the_user_can_put_right_ends_with_2(
-        arguments: list[str], words: str, root: Path, user_environment: dict[str, str]) -> None:
+        arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]) -> None:
     """Print what is wrong and no traceback."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
-    done = run(user_environment, root, '-m', 'bellows_ros.nodes.predictor', *arguments)
-
-    assert done.returncode == 2, done.stderr
-    assert words.lower() in done.stderr.lower()
-    assert 'Traceback' not in done.stderr
+    assert predictor.main(arguments) == 2
+    said = capfd.readouterr().err
+    assert words.lower() in said.lower()
+    assert 'Traceback' not in said
 
 
 def test_a_file_that_ros_would_read_for_minutes_is_refused(
-        root: Path, user_environment: dict[str, str], tmp_path: Path) -> None:
+        tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Refuse 10 MB of parameters at once."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     file = tmp_path / 'large.yaml'
     lines = ''.join(f'    some.name{k}: 1.0\n' for k in range(400_000))
     file.write_text(f'/**:\n  ros__parameters:\n{lines}')
-    done = run(user_environment, root, '-m', 'bellows_ros.nodes.predictor', '--ros-args',
-               '--params-file', str(file))
-    assert done.returncode == 2
-    assert 'is too large' in done.stderr and 'Traceback' not in done.stderr
+    assert predictor.main(['--ros-args', '--params-file', str(file)]) == 2
+    said = capfd.readouterr().err
+    assert 'is too large' in said and 'Traceback' not in said
 
 
 @pytest.fixture

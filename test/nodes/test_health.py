@@ -51,8 +51,11 @@ class Listener:
 
 
 @pytest.fixture
-def listener(ros: Any) -> Listener:
-    """Give a monitor."""
+def listener(ros: Any, monkeypatch: pytest.MonkeyPatch) -> Listener:
+    """Give a monitor, of nodes that report five times a second."""
+    from bellows_ros.nodes import predictor_node
+
+    monkeypatch.setattr(predictor_node, 'REPORT_PERIOD', 0.2)
     return Listener(ros)
 
 
@@ -171,7 +174,7 @@ def test_what_lacks_for_long_is_logged_once(
         capfd.readouterr().err)
     reports: list[Any] = []
     node.create_subscription(DiagnosticArray, '/diagnostics', reports.append, 10)
-    assert listener.ros.spin_until(lambda: len(reports) >= 4)
+    assert listener.ros.spin_until(lambda: len(reports) >= 8)
     log = capfd.readouterr().err
     assert log.count('[WARN]') == log.count('Nobody publishes /tool_arm/pose') == 1
 
@@ -185,10 +188,9 @@ def test_refused_messages_are_counted_in_the_diagnostics(
     assert int(listener.value('tool pose', 'refused: nan')) > 0
 
 
-def test_reports_come_once_a_second(
-        make_predictor: Callable[..., Any], listener: Listener) -> None:
+def test_reports_come_once_a_second(make_predictor: Callable[..., Any], ros: Any) -> None:
     """Report at 1 Hz on a clock that nobody sets, and with the lines of an active node."""
-    node = make_predictor()
+    node, listener = make_predictor(), Listener(ros)
     assert 10**9 in {timer.timer_period_ns for timer in node.timers}
     assert listener.sees('prediction', OK, 'Waiting')
     assert set(listener.lines) == {

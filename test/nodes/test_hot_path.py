@@ -114,6 +114,7 @@ send(600)
 after = held()
 print(json.dumps({
     'compiled': jit.COMPILED, 'kernels': sum(compiled.values()), 'modules': new_modules,
+    'slow': sorted({'matplotlib', 'scipy.signal', 'scipy.stats'} & modules),
     'newly compiled': newly_compiled, 'grown': after - before, 'heard': heard,
     'twists estimated': predictor._live.twists_estimated, 'coasted': predictor._live.coasted,
 }))
@@ -141,6 +142,11 @@ def test_all_of_it_has_been_tried(found: dict[str, Any]) -> None:
 def test_nothing_is_imported(found: dict[str, Any]) -> None:
     """Load every module before the first message."""
     assert found['modules'] == []
+
+
+def test_what_is_slow_to_load_is_not_loaded(found: dict[str, Any]) -> None:
+    """Start without what takes as long to load as all the rest."""
+    assert found['slow'] == []
 
 
 def test_nothing_is_compiled(found: dict[str, Any]) -> None:

@@ -199,6 +199,6 @@ def test_pages_open_with_their_verdict(content, result, root, words_only):
         (identification_report(
             {**content, 'usable': False}, result.recordings),
          'The fit cannot be used'),
-        (replay_report(found), 'All axes that move are predicted within 5 %'),
+        (replay_report(found), 'All axes that move are predicted within 5 % of the motion.'),
     ):
         assert html.partition('</h2>')[2].lstrip().startswith(f'<p>{verdict}')

@@ -318,7 +318,7 @@ def without(name):
         (PARAMETERS, None, "'kind' is missing; it must be one of"),
         (PARAMETERS, [1], 'A motion file must hold names and values'),
         (PARAMETERS, motion(sed=1), "Unknown setting 'sed'. Did you mean 'seed'?"),
-        (PARAMETERS, motion(seed=-1), "'seed' must be a whole number from 0"),
+        (PARAMETERS, motion(seed=-1), "'seed' must be a whole number, at least 0"),
         (PARAMETERS, motion(world='y_up'), "'world' must be one of z_up, motive_y_up, got 'y_up'"),
         (PARAMETERS, motion(storage='bag'), "'storage' must be one of mcap, sqlite3, got 'bag'."),
         (PARAMETERS, motion(compression='lz4'), "'compression' must be one of none, zstd"),

@@ -6,7 +6,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.workflows.simulate import simulate_recording
-from bellows_ros.workflows.static import read_list, save_length, standstills_in, static_check
+from bellows_ros.workflows.static import save_length, standstills_in, static_check
 from numpy.testing import assert_allclose
 import pytest
 
@@ -93,26 +93,6 @@ def test_a_list_with_centres_needs_no_package(weights, truth):
     bare = {k: v for k, v in known(truth).items() if not k.startswith('package.')}
     with_package = static_check(weights, known(truth))
     assert static_check(bags, bare).length.length == with_package.length.length
-
-
-def test_a_list_of_recordings(weights, tmp_path):
-    lines = [f'  - {{bag: {bag}, mass: {own["package.mass"]}}}' for bag, own in weights[:2]]
-    lines.append('  - {bag: other, mass: 2, com: [0.0, 0.0, -0.1]}')
-    (tmp_path / 'list.yaml').write_text('\n'.join(['recordings:', *lines]))
-    found = read_list(tmp_path / 'list.yaml')
-    assert found[:2] == weights[:2]
-    assert found[2] == (
-        str(tmp_path / 'other'), {'package.mass': 2.0, 'package.com': (0.0, 0.0, -0.1)})
-
-
-@pytest.mark.parametrize(('text', 'word'), [
-    ('- a', 'must hold recordings'), ('recordings: []', 'recordings'),
-    ('recordings: [{bag: a}]', 'mass'), ('recordings: [{bag: a, mass: -1}]', 'mass'),
-    ('recordings: [{bag: a, mass: 1, colour: red}]', 'colour')])
-def test_mistakes_in_a_list_are_named(text, word, tmp_path):
-    (tmp_path / 'list.yaml').write_text(text)
-    with pytest.raises(BellowsError, match=word):
-        read_list(tmp_path / 'list.yaml')
 
 
 def test_mistakes_are_named(weights, truth, root):

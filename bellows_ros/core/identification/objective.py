@@ -24,7 +24,6 @@ from bellows_ros.core.resampling import resample, savgol
 from bellows_ros.core.structure import Structure
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 import numpy as np
-from scipy.signal import savgol_filter
 
 RATE_HZ = 60.0
 """Samples per second in use, approximately."""
@@ -200,6 +199,8 @@ def _sizes(displacement: Array) -> Array:
 
 def _dragged(given: Given) -> Array:
     """Return the displacements (2, N, 6) of two sliders that the lip drags along (Dahl, 1968)."""
+    from scipy.signal import savgol_filter  # late: it takes 0.4 s and 25 MB
+
     own = given.samples
     way = LipMotion(
         np.arange(len(own.tool)), own.tool.stamps_ns, own.window,

@@ -146,6 +146,15 @@ class Validation(Comparison):
         above = self.moves & ~(self.scores.nrmse <= limit)
         return tuple(AXES[i] for i in np.flatnonzero(above))
 
+    def verdict(self, limit: float = LIMIT) -> str:
+        """Return in a sentence whether the axes that move are within a limit."""
+        part = f'{100.0 * limit:g} % of the motion'
+        if failing := self.failing(limit):
+            return f'Above {part}: {", ".join(failing)}.'
+        if not self.moves.any():
+            return 'No axis moves enough for a verdict: record a larger motion.'
+        return f'All axes that move are predicted within {part}.'
+
 
 def validate(cup: Cup, recording: Recording) -> Validation:
     """

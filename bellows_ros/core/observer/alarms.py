@@ -309,7 +309,10 @@ def _sight(H: Array, position: Vector, quaternion_xyzw: Quaternion) -> Array:
 def _pass_on(E: Array, M: Array) -> None:
     """Carry the state's error along, and let the faults go on as they do."""
     last = M[12]
-    E[:12] = product(M[:12, :22], E[:22], np.empty((12, E.shape[1])))
+    moved = product(M[:12, :22], E[:22], np.empty((12, E.shape[1])))
+    for i in range(12):  # E[:12] = moved takes seconds to compile: what it may raise
+        for c in range(E.shape[1]):
+            E[i, c] = moved[i, c]
     for a in range(len(ROWS)):
         first, end = COLUMNS[a], COLUMNS[a + 1]
         own, longer = E[ROWS[a], first:end], E[LENGTHENED, first:end]

@@ -79,10 +79,9 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """One jump that may be the end of an excursion, between two samples."""
+    """One jump that may be the end of an excursion, after a sample."""
 
     before: int
-    after: int
     strength: float
     # Position and rotation, in world and in body axes (the body before, the body after the jump).
     forms: Array  # (2, 3, 3)
@@ -103,7 +102,7 @@ def edges_seen(
         look = short if certain[i] or from_short[i] > from_long[i] else long
         forms = _forms(poses, int(i), *(jumps.jump[i] for jumps in look))
         edges.append(Edge(
-            int(i), int(i) + 1, float(both[i]), forms,
+            int(i), float(both[i]), forms,
             np.array([jumps.threshold[i] for jumps in look]),
             None if np.isnan(lasting[k]).any() else lasting[k]))
     return edges
@@ -169,7 +168,7 @@ def edges_over_gaps(
         forms = _forms(poses, int(i), *jump[:, 0])
         thresholds = np.maximum(thresholds_over[slots], list(SMALLEST_JUMP.values()))
         strength = float((_sizes(forms) / thresholds).max())
-        edges.append(Edge(int(i), int(i) + 1, strength, forms, thresholds))
+        edges.append(Edge(int(i), strength, forms, thresholds))
     return edges
 
 
@@ -222,11 +221,11 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Run], list[Step]]
             continue
         first, last = min(ends, key=lambda end: edges[end[1]].before - edges[end[0]].before)
         used.update(range(first, last + 1))
-        excursions.append(Run(edges[first].after, edges[last].before))
+        excursions.append(Run(edges[first].before + 1, edges[last].before))
     steps = []
     for edge, flickering in single:
         run = _to_the_end(edge, poses) if not flickering and _lasts(edge) else Run(
-            edge.before, edge.after)
+            edge.before, edge.before + 1)
         if run is None:
             steps.append(Step(edge.before, *_sizes(edge.forms)))
         else:
@@ -314,11 +313,12 @@ def _sizes(forms: Array) -> Array:
 def _to_the_end(edge: Edge, poses: Trajectory) -> Run | None:
     """Return the part between a jump and an end of the recording, if short, else nothing."""
     seconds = poses.seconds
-    before, after = float(seconds[edge.before]), float(seconds[-1] - seconds[edge.after])
+    first = edge.before + 1
+    before, after = float(seconds[edge.before]), float(seconds[-1] - seconds[first])
     if before < min(after, LONGEST_AT_END):
         return Run(0, edge.before)
     if after < min(before, LONGEST_AT_END):
-        return Run(edge.after, len(poses) - 1)
+        return Run(first, len(poses) - 1)
     return None
 
 

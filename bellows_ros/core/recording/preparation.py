@@ -56,22 +56,12 @@ STEP_JITTERS = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Stream:
-    """One topic's poses in the world at a uniform rate, with the findings on the way."""
-
-    recorded: PoseStream
-    timing: Timing
-    outliers: Outliers
-    poses: Trajectory
-
-
-@dataclass(frozen=True, eq=False)
 class FilteredStreams:
     """Cleaned, aligned and filtered streams, each at its own stamps."""
 
     recorded: tuple[PoseStream, PoseStream, TwistStream | None]
     settings: PrepareSettings
-    streams: tuple[_Stream, _Stream]
+    report: Report
     alignment: Alignment
     aligned: tuple[Trajectory, Trajectory]
     filtered: tuple[Filtered, Filtered]
@@ -102,35 +92,25 @@ class FilteredStreams:
         tool, package, tool_twist = self.recorded
         common = _common(
             self.filtered[0].stamps_ns, self.filtered[1].stamps_ns, (tool, package))
-        longest_ns = self.streams[0].timing.longest_step_ns
+        longest_ns = self.report.tool.timing.longest_step_ns
         tool_there = resample(self.filtered[0], common, longest_ns)
         package_there = _at(self.filtered[1], common)
-        reports = [
-            StreamReport(
-                own.recorded.name, len(own.recorded), own.recorded.refused, own.timing,
-                own.outliers, int(np.count_nonzero(
-                    _at(own.poses, filtered.stamps_ns).valid & ~filtered.valid)))
-            for own, filtered in zip(self.streams, self.filtered, strict=True)]
         measured_tool = resample(self.aligned[0], common, longest_ns)
         if tool_twist is not None:
             measured_tool = _with_twist(
                 measured_tool, tool_twist, self.alignment, self.settings)
-        valid = tool_there.valid & package_there.valid
-        if not valid.any():
+        if not (tool_there.valid & package_there.valid).any():
             found = '; '.join(
-                f"'{r.name}': {r.marked} of {r.samples} poses are outliers, "
+                f"'{r.recorded.name}': {r.marked} of {len(r.recorded)} poses are outliers, "
                 f'{len(r.timing.gaps)} gaps, {r.touched} filtered samples touch one of these'
-                for r in reports)
+                for r in (self.report.tool, self.report.package))
             raise BellowsError(
-                f'None of the {len(valid)} common samples is left: {found}. Use smaller half '
+                f'None of the {len(common)} common samples is left: {found}. Use smaller half '
                 'windows, or a recording with fewer gaps and outliers.')
-        warnings = tuple(_warnings(self.streams, self.alignment, self.settings))
         return Recording(
             self.settings, tool, package, tool_twist, tool_there, package_there, measured_tool,
             _at(self.aligned[1], common), self.aligned[0], self.aligned[1],
-            self.filtered[0].weights, self.filtered[1].weights, self.alignment,
-            Report(reports[0], reports[1], len(common), int(np.count_nonzero(valid)), warnings),
-        )
+            self.filtered[0].weights, self.filtered[1].weights, self.alignment, self.report)
 
 
 def prepare(
@@ -176,32 +156,46 @@ def filter_streams(
 
     """
     turn = settings.R_world_recorded
-    streams = _clean(tool, turn), _clean(package, turn)
-    _common(streams[0].poses.stamps_ns, streams[1].poses.stamps_ns, (tool, package))
-    alignment = alignment or _alignment(streams, settings)
-    aligned = alignment.tool(streams[0].poses), alignment.package(streams[1].poses)
+    (of_tool, tool_poses), (of_package, package_poses) = _clean(tool, turn), _clean(package, turn)
+    _common(tool_poses.stamps_ns, package_poses.stamps_ns, (tool, package))
+    alignment = alignment or _alignment(tool_poses, package_poses, settings)
+    aligned = alignment.tool(tool_poses), alignment.package(package_poses)
     filtered = (
         _filtered(aligned[0], settings.tool_half_window, settings.tool_order, tool.name),
         _filtered(aligned[1], settings.package_half_window, settings.package_order, package.name),
     )
+    of_tool, of_package = (
+        replace(report, touched=int(np.count_nonzero(
+            _at(poses, kept.stamps_ns).valid & ~kept.valid)))
+        for report, poses, kept in zip(
+            (of_tool, of_package), (tool_poses, package_poses), filtered, strict=True))
+    warnings = [warning for own in (of_tool, of_package)
+                for warning in stream_warnings(own.recorded, own.timing, own.outliers)]
+    if not settings.align_at_rest:
+        warnings += rest_of(tool_poses, package_poses).turned_sentence
+    report = Report(of_tool, of_package, (*warnings, *_alignment_warnings(alignment, settings)))
     return FilteredStreams(
-        (tool, package, tool_twist), settings, streams, alignment, aligned, filtered)
+        (tool, package, tool_twist), settings, report, alignment, aligned, filtered)
 
 
-def _alignment(streams: tuple[_Stream, _Stream], settings: PrepareSettings) -> Alignment:
+def _alignment(
+    tool_poses: Trajectory, package_poses: Trajectory, settings: PrepareSettings
+) -> Alignment:
     """Return the alignment at the standstill from where both streams have begun, or none."""
     given = settings.package_frame, settings.payload.com
     if not settings.align_at_rest:
         return as_recorded(*given)
-    start = max(int(stream.poses.stamps_ns[0]) for stream in streams)
+    start = max(int(poses.stamps_ns[0]) for poses in (tool_poses, package_poses))
     tool, package = (
-        standstill(stream.poses, start, settings.rest_duration, body)
-        for stream, body in zip(streams, ('tool', 'package'), strict=True))
+        standstill(poses, start, settings.rest_duration, body)
+        for poses, body in ((tool_poses, 'tool'), (package_poses, 'package')))
     return aligned_at_rest(tool, package, *given)
 
 
-def _clean(recorded: PoseStream, R_world_recorded: Array) -> _Stream:
-    """Return a topic's poses in the world at a uniform rate, with faults marked."""
+def _clean(
+    recorded: PoseStream, R_world_recorded: Array
+) -> tuple[StreamReport, Trajectory]:
+    """Return the faults of a topic, and its poses in the world at a uniform rate, all marked."""
     if len(recorded) < 3:
         raise BellowsError(
             f"Topic '{recorded.name}' has {len(recorded)} usable poses, too few. Record longer, "
@@ -213,7 +207,8 @@ def _clean(recorded: PoseStream, R_world_recorded: Array) -> _Stream:
     marked = Trajectory(poses.stamps_ns, poses.position, poses.rotation, valid=outliers.good)
     at = np.flatnonzero(outliers.good)  # a stray pose before or after may be hours away
     used = slice(at[0], at[-1] + 1) if len(at) > 2 else slice(None)
-    return _Stream(recorded, found_timing, outliers, on_grid(marked.select(used), found_timing))
+    return StreamReport(recorded, found_timing, outliers), on_grid(
+        marked.select(used), found_timing)
 
 
 def _filtered(poses: Trajectory, half_window: int, order: int, name: str) -> Filtered:
@@ -274,14 +269,9 @@ def _with_twist(
     return replace(tool, twist=twist.reshape(-1, 6), valid=tool.valid & known)
 
 
-def _warnings(
-    streams: tuple[_Stream, _Stream], alignment: Alignment, settings: PrepareSettings
-) -> list[str]:
-    """Return what the user should know."""
-    found = [warning for own in streams
-             for warning in stream_warnings(own.recorded, own.timing, own.outliers)]
-    if not settings.align_at_rest:
-        found += rest_of(*(own.poses for own in streams)).turned_sentence
+def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list[str]:
+    """Return what the user should know of how the package was picked up."""
+    found = []
     aside = float(np.linalg.norm(alignment.lateral_offset))
     if aside > LATERAL_WARNED:
         found.append(
@@ -310,27 +300,22 @@ def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> l
         for step in outliers.steps if not _is_of_jitter(recorded, time, step)
     ]
     way = float(np.ptp(recorded.position[outliers.good], axis=0).max(initial=0.0))
-    if way > LARGE_WAY:
-        found.append(
-            f"Topic '{name}' moves through {way:.0f} m. Its positions may be in millimetres; they "
-            'must be in metres (REP-103).')
-    if time.rate_hz < LOW_RATE_HZ:
-        found.append(
-            f"Topic '{name}' has only {time.rate_hz:.0f} Hz, but axial and bending modes of a cup "
-            f'lie at several Hz. Record at {LOW_RATE_HZ:.0f} Hz or more.')
     repeats = repeats_in_motion(recorded.trajectory())
-    if repeats > REPEATS_WARNED * len(recorded):
-        found.append(
-            f"Topic '{name}' repeats its pose {repeats} times in motion: it is published faster "
-            'than it is measured, so its actual rate is lower.'
-        )
-    if time.jitter_s * time.rate_hz > JITTER_WARNED:
-        found.append(
-            f"The stamps of topic '{name}' jitter by {time.jitter_s * 1e3:.2g} ms at "
-            f'{time.rate_hz:.5g} Hz. The stamps are used as they are; if they are arrival times, '
-            'stamp the poses when they are measured.'
-        )
-    return found
+    return found + [text for noticed, text in (
+        (way > LARGE_WAY,
+         f"Topic '{name}' moves through {way:.0f} m. Its positions may be in millimetres; they "
+         'must be in metres (REP-103).'),
+        (time.rate_hz < LOW_RATE_HZ,
+         f"Topic '{name}' has only {time.rate_hz:.0f} Hz, but axial and bending modes of a cup "
+         f'lie at several Hz. Record at {LOW_RATE_HZ:.0f} Hz or more.'),
+        (repeats > REPEATS_WARNED * len(recorded),
+         f"Topic '{name}' repeats its pose {repeats} times in motion: it is published faster "
+         'than it is measured, so its actual rate is lower.'),
+        (time.jitter_s * time.rate_hz > JITTER_WARNED,
+         f"The stamps of topic '{name}' jitter by {time.jitter_s * 1e3:.2g} ms at "
+         f'{time.rate_hz:.5g} Hz. The stamps are used as they are; if they are arrival times, '
+         'stamp the poses when they are measured.'),
+    ) if noticed]
 
 
 def _is_of_jitter(poses: PoseStream, time: Timing, step: Step) -> bool:

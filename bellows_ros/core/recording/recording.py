@@ -27,7 +27,6 @@ from bellows_ros.core.trajectory import (
 )
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
-from scipy.signal import lfilter
 
 HALF_WINDOW, ORDER = 4, 4
 """A quartic through nine samples follows any motion of a package; its residual is noise."""
@@ -126,6 +125,8 @@ class Colour(NamedTuple):
 
     def drawn(self, count: int, draw: np.random.Generator) -> Array:
         """Return samples of this noise in three axes (N, 3)."""
+        from scipy.signal import lfilter  # late: it takes 0.4 s and 25 MB
+
         white = self.size * draw.standard_normal((count, 3))
         root = np.sqrt(1.0 - self.correlation**2)
         return np.asarray(lfilter([root], [1.0, -self.correlation], white, axis=0))
@@ -269,12 +270,8 @@ class StreamReport:
 
     Parameters
     ----------
-    name : str
-        Topic.
-    samples : int
-        Poses the stream has.
-    refused : mapping of str to tuple of int
-        Reason to the indices of the messages that were left out when reading.
+    recorded : PoseStream
+        The poses that were read, and which messages were left out.
     timing : Timing
         Rate, jitter, and gaps by sample.
     outliers : Outliers
@@ -284,12 +281,10 @@ class StreamReport:
 
     """
 
-    name: str
-    samples: int
-    refused: Mapping[str, tuple[int, ...]]
+    recorded: PoseStream
     timing: Timing
     outliers: Outliers
-    touched: int
+    touched: int = 0
 
     @property
     def marked(self) -> int:
@@ -299,10 +294,10 @@ class StreamReport:
     def as_json(self) -> dict[str, Any]:
         """Return the report on the topic's messages, for a JSON file."""
         return {
-            'topic': self.name,
-            'poses': self.samples,
+            'topic': self.recorded.name,
+            'poses': len(self.recorded),
             'rate_hz': self.timing.rate_hz,
-            'refused': {reason: list(where) for reason, where in self.refused.items()},
+            'refused': {reason: list(where) for reason, where in self.recorded.refused.items()},
             'outliers': self.marked,
             'gaps': [{'start_ns': gap.start_ns, 'duration_s': gap.duration_s}
                      for gap in self.timing.gaps],
@@ -351,8 +346,6 @@ class Report:
     ----------
     tool, package : StreamReport
         Of the two topics.
-    samples, valid : int
-        Common samples, and those of them to be used.
     warnings : tuple of str
         What the user should know, in words.
     time_offset : TimeOffset or None
@@ -364,8 +357,6 @@ class Report:
 
     tool: StreamReport
     package: StreamReport
-    samples: int
-    valid: int
     warnings: tuple[str, ...]
     time_offset: TimeOffset | None = None
     package_world: PackageWorld | None = None
@@ -495,8 +486,8 @@ class Recording:
         world = self.report.package_world
         return {
             'bag': self.name,
-            'samples': self.report.samples,
-            'valid': self.report.valid,
+            'samples': len(self.valid),
+            'valid': int(np.count_nonzero(self.valid)),
             'tool_pose': self.report.tool.as_json(),
             'package_pose': self.report.package.as_json(),
             'time_offset': offset and offset.as_json(),

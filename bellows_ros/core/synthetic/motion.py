@@ -8,7 +8,6 @@ rotation vector phi in the tool's axes at the start.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-import math
 
 from bellows_ros.core.arrays import Array, Stamps
 from bellows_ros.core.lie import (
@@ -109,9 +108,14 @@ class Motion(ABC):
 
     def at_rate(self, rate_hz: float, start_ns: int = 10**9) -> Trajectory:
         """Return the motion from its beginning to its end."""
-        count = math.floor(self.duration * rate_hz + 1e-9) + 1
-        stamps = np.round(np.arange(count) / rate_hz * NS_PER_S).astype(np.int64)
-        return self.trajectory(start_ns + stamps, start_ns)
+        return self.trajectory(sample_stamps(rate_hz, self.duration, start_ns), start_ns)
+
+
+def sample_stamps(rate_hz: float, duration: float, start_ns: int) -> Stamps:
+    """Return the evenly spaced stamps (N,) of a recording, first and last included, ns."""
+    count = int(np.floor(duration * rate_hz + 1e-6)) + 1
+    steps = np.round(np.arange(count) * (NS_PER_S / rate_hz)).astype(np.int64)
+    return start_ns + steps
 
 
 def smooth_step(s: Array) -> Array:

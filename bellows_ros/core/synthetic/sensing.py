@@ -16,6 +16,7 @@ from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.lie import apply, exp_so3
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.settings import Settings
+from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -115,13 +116,6 @@ class Schedule:
     kept: Mask
     jumps: tuple[int, ...]
     dropouts: tuple[int, ...]
-
-
-def sample_stamps(rate_hz: float, duration: float, start_ns: int) -> Stamps:
-    """Return the evenly spaced stamps (N,) of a recording, first and last included, ns."""
-    count = int(np.floor(duration * rate_hz + 1e-6)) + 1
-    steps = np.round(np.arange(count) * (NS_PER_S / rate_hz)).astype(np.int64)
-    return start_ns + steps
 
 
 def schedule(

@@ -14,8 +14,13 @@ from bellows_ros.core.model import Cup, Package
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.simulation import simulate
-from bellows_ros.core.synthetic.motion import Oscillation, Pose, Segment, Waypoints
-from bellows_ros.core.synthetic.sensing import sample_stamps
+from bellows_ros.core.synthetic.motion import (
+    Oscillation,
+    Pose,
+    sample_stamps,
+    Segment,
+    Waypoints,
+)
 from bellows_ros.core.trajectory import PoseStream
 import numpy as np
 from scipy.signal import lfilter

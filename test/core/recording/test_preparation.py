@@ -75,7 +75,7 @@ def test_poses_that_need_nothing_are_only_filtered():
     assert_allclose(found.package.acceleration, savgol(package, 25, 4).acceleration, atol=1e-9)
     assert_array_equal(found.measured_tool.position, tool.position[25:-25])
     assert_allclose(found.measured_package.position, package.position[25:-25], atol=1e-15)
-    assert found.report.samples == found.report.valid == len(package) - 50
+    assert len(found.valid) == np.count_nonzero(found.valid) == len(package) - 50
     assert found.report.warnings == ()
     assert found.start_ns == tool.stamps_ns[0]
     assert_allclose(found.since_start(package.stamps_ns), package.seconds)
@@ -147,7 +147,7 @@ def test_what_a_window_touches_is_dropped_and_counted():
     assert (excursion.first, excursion.last) == (3000, 3004)
     (hole,) = report.package.timing.gaps
     assert hole.index == 4999
-    assert report.valid == report.samples - len(dropped) == np.count_nonzero(found.valid)
+    assert np.count_nonzero(found.valid) == len(found.valid) - len(dropped)
 
 
 @pytest.mark.parametrize('axes', ['world', 'tool'])
@@ -325,4 +325,4 @@ def test_a_stray_pose_hours_away_costs_itself(at):
     found = prepare(stream(tool), stream(package, '/package'), PLAIN)
     assert found.report.tool.marked == 1
     assert len(found.aligned_tool) == len(package) - 1
-    assert found.report.valid >= len(package) - 52
+    assert np.count_nonzero(found.valid) >= len(package) - 52

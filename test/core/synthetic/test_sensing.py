@@ -2,11 +2,11 @@
 
 from bellows_ros.core.lie import apply, exp_so3, log_so3
 from bellows_ros.core.settings import Settings
+from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.synthetic.sensing import (
     Faults,
     measure_poses,
     measure_twists,
-    sample_stamps,
     schedule,
     Sensor,
     sensor_from,
@@ -249,8 +249,8 @@ SENSOR = {'rate_hz': 100.0}
 @pytest.mark.parametrize(
     ('content', 'message'),
     [
-        ({}, "'tool.rate_hz' is missing; it must be a number above 0 and at most 10000 (Hz)"),
-        ({'rate_hz': 0}, "'tool.rate_hz' must be a number above 0 and at most 10000 (Hz), got 0."),
+        ({}, "'tool.rate_hz' is missing; it must be a number, above 0 and at most 10000 (Hz)"),
+        ({'rate_hz': 0}, "'tool.rate_hz' must be a number, above 0 and at most 10000 (Hz), got 0"),
         ({**SENSOR, 'noise': {'position': -1.0}}, "'tool.noise.position' must be a number"),
         ({**SENSOR, 'noise': {'postion': 1.0}}, "Did you mean 'tool.noise.position'?"),
         ({**SENSOR, 'marker': {'rotation': 0.1}}, "'tool.marker.rotation' must be a list of 3"),

@@ -7,7 +7,7 @@ from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.simulation import row_state, tool_rows, write_row
-from bellows_ros.core.synthetic.sensing import sample_stamps
+from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.trajectory import PoseStream, Trajectory
 import numpy as np
 
