@@ -153,7 +153,7 @@ def fits(
         own, noise, white = segment(in_motion(measured[0]), measured[1]), none, none[0]
         for _ in range(3):  # about the likeliest motion, as a fit does
             errors = own.errors(cup, noise, {}, smooth.package, smooth.tool)
-            white = root.whitened(errors[:, :, None])[:, 0]
+            white = root.innovations(errors)
             noise = root.noise(white)[0]
         linear.append(estimate @ white)
     return Fits(np.array(off), np.array(linear), np.array(stated))

@@ -101,10 +101,14 @@ class Root:
         flat = np.asfortranarray(rows.reshape(6 * len(rows), -1))
         return np.asarray(lapack.dtbtrs(self.factor, flat, uplo='L')[0])
 
+    def innovations(self, errors: Array) -> Array:
+        """Return errors (N, 6) of the equations in units of their noise (6 N,)."""
+        return self.whitened(errors)[:, 0]
+
     def deviance(self, errors: Array) -> float:
         """Return the deviance of errors (N, 6): -2 log likelihood, up to a constant."""
-        innovations = self.whitened(errors)
-        return float(np.sum(innovations**2) + 2.0 * np.sum(np.log(self.factor[0])))
+        return float(
+            np.sum(self.innovations(errors)**2) + 2.0 * np.sum(np.log(self.factor[0])))
 
     def noise(self, whitened: Array) -> tuple[Array, Array]:
         """Return the likeliest values (M, 12) given innovations (6 N,), and their white source."""
@@ -131,15 +135,6 @@ class Root:
         return np.asarray(lapack.dtbtrs(self.factor, np.reshape(rows, (-1, 1)), uplo='L')[0][:, 0])
 
 
-def whitened(
-    equations: Equations, noise: tuple[PoseNoise, PoseNoise], spread: Array
-) -> Whitened:
-    """Return equations in units of their noise (see `Root` for the arguments)."""
-    root = Root(equations, noise, spread)
-    rows = root.whitened(np.concatenate([equations.errors[:, :, None], equations.jacobian], 2))
-    return Whitened(rows[:, 0], rows[:, 1:], root)
-
-
 def innovations(cup: Cup, measured: Measured) -> Array:
     """
     Return the one-step prediction errors (N, 6) of a segment, of unit variance for the true cup.
@@ -151,7 +146,7 @@ def innovations(cup: Cup, measured: Measured) -> Array:
     for _ in range(MOTION_ROUNDS):
         equations = segment.equations(cup, noise, {})
         root = Root(equations, (measured.package_noise, measured.tool_noise), _missing(segment))
-        white = root.whitened(equations.errors[:, :, None])[:, 0]
+        white = root.innovations(equations.errors)
         noise, _ = root.noise(white)
     return white.reshape(-1, 6)
 
@@ -353,7 +348,7 @@ class Search:
         for i, (segment, own) in enumerate(
                 zip(self.segments, self.equations(theta), strict=True)):
             root = Root(own, self.noises(segment, self.kept), self.spread[i])
-            noise, fresh = root.noise(root.whitened(own.errors[:, :, None])[:, 0])
+            noise, fresh = root.noise(root.innovations(own.errors))
             if robustly:
                 self.spread[i] = np.maximum(self.missing[i], _spread(fresh * self.spread[i]))
             usual = np.where(self.missing[i] > 1.0, 1.0, self.spread[i]**2)
@@ -363,11 +358,13 @@ class Search:
 
     def whitened(self, equations: list[Equations]) -> list[Whitened]:
         """Return equations in units of their noise, with derivatives by all parameters."""
-        return [
-            whitened(
-                own._replace(jacobian=self.by_numbers(segment, own.jacobian)),
-                self.noises(segment, self.kept), spread)
-            for own, segment, spread in zip(equations, self.segments, self.spread, strict=True)]
+        parts = []
+        for own, segment, spread in zip(equations, self.segments, self.spread, strict=True):
+            root = Root(own, self.noises(segment, self.kept), spread)
+            rows = root.whitened(np.concatenate(
+                [own.errors[:, :, None], self.by_numbers(segment, own.jacobian)], axis=2))
+            parts.append(Whitened(rows[:, 0], rows[:, 1:], root))
+        return parts
 
     def colour(self, equations: list[Equations]) -> tuple[float, float]:
         """Return the autocorrelation of the noise of package and tool between successive poses."""

@@ -267,8 +267,8 @@ def _covariance(search: Search, found: Found) -> Array:
 def _squares(search: Search, theta: Array) -> float:
     """Return the sum of squares of all innovations, those of outlying poses not weighted down."""
     return sum(
-        float(np.sum(Root(own, search.noises(segment, search.kept), missing).whitened(
-            own.errors[:, :, None]) ** 2))
+        float(np.sum(Root(own, search.noises(segment, search.kept), missing).innovations(
+            own.errors) ** 2))
         for segment, own, missing in zip(
             search.segments, search.equations(theta), search.missing, strict=True))
 

@@ -5,7 +5,7 @@ from bellows_ros.core.identification.fisher import (
     standard_errors,
     Tracking,
 )
-from bellows_ros.core.identification.minimum import whitened
+from bellows_ros.core.identification.minimum import Root
 from bellows_ros.core.identification.motion_equations import Segment
 from bellows_ros.core.identification.segments import in_motion, Measured, PoseNoise
 from bellows_ros.core.lie import exp_so3
@@ -78,8 +78,8 @@ def estimates(mover, duration, draws):
 
     equations = segment(at, body, False).equations(cup, none, {})
     basis = np.kron(np.eye(2), [unit[np.triu_indices(6)] for unit in STRUCTURE.basis])
-    J = equations.jacobian @ basis.T
-    _, J, root = whitened(equations._replace(jacobian=J), noises, none + 1.0)
+    root = Root(equations, noises, none + 1.0)
+    J = root.whitened(equations.jacobian @ basis.T)
     inverse, usual = np.linalg.pinv(J), expected(at)
     for _ in range(draws):
         own = segment(in_motion(noisy(tool, TRACKING.tool, rng)),
@@ -87,7 +87,7 @@ def estimates(mover, duration, draws):
         noise = none
         for _ in range(2):  # as a fit does: about the likeliest motion
             c = own.errors(cup, noise, {}, equations.package, equations.tool)
-            r = root.whitened(c[:, :, None])[:, 0]
+            r = root.innovations(c)
             noise = root.noise(r)[0]
         yield inverse @ r / usual
 
