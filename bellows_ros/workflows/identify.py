@@ -397,10 +397,9 @@ def _identified(
     whole = tuple(part for part in parts if isinstance(part, Recording))
     tell(CAUSES, FIT_ENDS)
     length = result.fit.standstills.length if result.fit.standstills else effective['cup.length']
-    unknown = result.excitation.not_identifiable
     verdict = verdict_of(
         result.fit, whole, length, effective,
-        [label for label in result.fit.labels if label not in unknown])
+        [own.label for own in result.excitation.parameters if own.identifiable])
     found = Identification(
         result.fit, result.excitation, values,
         tuple(reduced(part, effective) for part in parts),

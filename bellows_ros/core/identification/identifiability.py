@@ -236,11 +236,6 @@ class Excitation:
     pairs: tuple[tuple[str, str, float], ...]
     warnings: tuple[str, ...]
 
-    @property
-    def not_identifiable(self) -> tuple[str, ...]:
-        """Labels of the parameters whose information is only noise."""
-        return tuple(own.label for own in self.parameters if not own.identifiable)
-
 
 def excitation_of(
     parts: Sequence[Reduced], method: str = 'least_squares',

@@ -187,9 +187,10 @@ def _validated(cup: Cup, recording: Recording) -> Validation:
     tool, bridges = smoothed_tool(recording.measured_tool, half_window)
     start, first, kind = _start(model, tool, recording)
     tool = tool.select(slice(first, None))
-    span = _span(recording.measured_tool, tool)
-    measured_tool = recording.measured_tool.select(span)
-    measured_package = recording.measured_package.select(span)
+    begin = int(np.searchsorted(recording.measured_tool.stamps_ns, tool.stamps_ns[0]))
+    measured_tool, measured_package = (
+        body.select(slice(begin, begin + len(tool)))
+        for body in (recording.measured_tool, recording.measured_package))
     body = simulate(cup, package, tool, start, gravity)
     compared = compare(body, measured_tool, measured_package)
     rate_hz = uniform_rate_hz(tool.stamps_ns)
@@ -254,12 +255,6 @@ def half_window_of(tool: Trajectory) -> int:
     """Return the half window of the light smoothing, in samples."""
     rate_hz = uniform_rate_hz(tool.stamps_ns)
     return max(round(LIGHT_HALF_WINDOW * rate_hz), LIGHT_ORDER // 2 + 1)
-
-
-def _span(whole: Trajectory, part: Trajectory) -> slice:
-    """Return the samples of the whole that a part of it has."""
-    first = int(np.searchsorted(whole.stamps_ns, part.stamps_ns[0]))
-    return slice(first, first + len(part))
 
 
 def _start(
