@@ -6,6 +6,8 @@ a uniform rate, is aligned at rest (4.2-4.13) and filtered (4.15-4.63); then the
 package's stamps. Nothing is repaired in silence: all that is left out is in the report.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -196,19 +198,24 @@ def _clean(
     recorded: PoseStream, R_world_recorded: Array
 ) -> tuple[StreamReport, Trajectory]:
     """Return the faults of a topic, and its poses in the world at a uniform rate, all marked."""
-    if len(recorded) < 3:
-        raise BellowsError(
-            f"Topic '{recorded.name}' has {len(recorded)} usable poses, too few. Record longer, "
-            'or choose another topic.'
-        )
     poses = in_world(recorded.trajectory(), R_world_recorded)
-    found_timing = timing(poses.stamps_ns)
-    outliers = find_outliers(poses, found_timing.longest_step_ns)
-    marked = Trajectory(poses.stamps_ns, poses.position, poses.rotation, valid=outliers.good)
-    at = np.flatnonzero(outliers.good)  # a stray pose before or after may be hours away
-    used = slice(at[0], at[-1] + 1) if len(at) > 2 else slice(None)
-    return StreamReport(recorded, found_timing, outliers), on_grid(
-        marked.select(used), found_timing)
+    with _named(recorded.name):
+        found_timing = timing(poses.stamps_ns)
+        outliers = find_outliers(poses, found_timing.longest_step_ns)
+        marked = Trajectory(poses.stamps_ns, poses.position, poses.rotation, valid=outliers.good)
+        at = np.flatnonzero(outliers.good)  # a stray pose before or after may be hours away
+        used = slice(at[0], at[-1] + 1) if len(at) > 2 else slice(None)
+        return StreamReport(recorded, found_timing, outliers), on_grid(
+            marked.select(used), found_timing)
+
+
+@contextmanager
+def _named(topic: str) -> Iterator[None]:
+    """Say of errors which topic they are of."""
+    try:
+        yield
+    except BellowsError as error:
+        raise BellowsError(f"Topic '{topic}': {error}") from None
 
 
 def _filtered(poses: Trajectory, half_window: int, order: int, name: str) -> Filtered:
@@ -216,13 +223,8 @@ def _filtered(poses: Trajectory, half_window: int, order: int, name: str) -> Fil
     if half_window == 0:
         rate_hz = uniform_rate_hz(poses.stamps_ns)
         half_window = max(round(AUTOMATIC_HALF_WINDOW * rate_hz), (order + 1) // 2 + 1)
-    if len(poses) < 2 * half_window + 1:
-        raise BellowsError(
-            f"Topic '{name}' has {len(poses)} samples, but a filter with half window "
-            f'{half_window} needs at least {2 * half_window + 1}. Use a smaller half window or a '
-            'longer recording.'
-        )
-    return savgol(poses, half_window, order)
+    with _named(name):
+        return savgol(poses, half_window, order)
 
 
 def _common(tool: Stamps, package: Stamps, recorded: tuple[PoseStream, PoseStream]) -> Stamps:
