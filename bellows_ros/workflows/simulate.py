@@ -13,7 +13,7 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.arrays import Array
 from bellows_ros.core.equilibrium import largest_step
 from bellows_ros.core.holding import grip_of, Margin, margin
 from bellows_ros.core.landing import release_deviations
@@ -32,8 +32,8 @@ from bellows_ros.core.synthetic.sensing import (
     schedule,
     WORLDS,
 )
-from bellows_ros.core.synthetic.tossing import Thrown, tossed
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.synthetic.tossing import Thrown, tossed, Truth
+from bellows_ros.core.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
@@ -115,28 +115,6 @@ class SimulationReport:
             'margin': self.margin and self.margin._asdict(),
             'tosses': [toss._asdict() for toss in self.tosses],
         }
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """
-    True trajectories of tool E and package B at common stamps, with body twists.
-
-    Tossed, the package hangs where `held`; where it lies after a toss it is not `tracked`.
-    """
-
-    tool: Trajectory
-    package: Trajectory
-    held: Mask
-    tracked: Mask
-    tosses: tuple[Thrown, ...] = ()
-
-    def at(self, stamps_ns: Stamps) -> 'Truth':
-        """Return the samples at some of the stamps."""
-        index = np.searchsorted(self.tool.stamps_ns, stamps_ns)
-        return changed(
-            self, tool=self.tool.select(index), package=self.package.select(index),
-            held=self.held[index], tracked=self.tracked[index])
 
 
 def simulate_recording(
@@ -247,9 +225,9 @@ def _simulated(
         hanging = simulate(cup, package, tool, gravity=values['gravity.magnitude'])
         return Truth(tool, hanging, always, always)
     normal = generator(recipe.seed, 'release').standard_normal((len(recipe.releases), 3))
-    return Truth(tool, *tossed(
+    return tossed(
         model, grip_of(values), release_of(values), tool, recipe.releases, recipe.pickup,
-        normal * release_deviations(values)))
+        normal * release_deviations(values))
 
 
 def _recorded(

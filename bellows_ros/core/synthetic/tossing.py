@@ -1,10 +1,11 @@
 """Tosses in a recording: packages hang, are released, fly and land, and the next is picked up."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.arrays import Array, Mask, Stamps
 from bellows_ros.core.holding import Grip
 from bellows_ros.core.kernels import ModelTuple
 from bellows_ros.core.landing import changed
@@ -27,22 +28,32 @@ class Thrown(NamedTuple):
     impulse: float
 
 
-class Tossed(NamedTuple):
-    """The package of a recording with tosses."""
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """
+    True trajectories of tool E and package B at common stamps, with body twists.
 
+    Tossed, the package hangs where `held`; where it lies after a toss it is not `tracked`.
+    """
+
+    tool: Trajectory
     package: Trajectory
-    """B in the world with body twists, at the tool's stamps."""
     held: Mask
-    """Where it hangs from the cup (N,)."""
     tracked: Mask
-    """Where it hangs or flies (N,)."""
-    tosses: tuple[Thrown, ...]
+    tosses: tuple[Thrown, ...] = ()
+
+    def at(self, stamps_ns: Stamps) -> 'Truth':
+        """Return the samples at some of the stamps."""
+        index = np.searchsorted(self.tool.stamps_ns, stamps_ns)
+        return replace(
+            self, tool=self.tool.select(index), package=self.package.select(index),
+            held=self.held[index], tracked=self.tracked[index])
 
 
 def tossed(
     model: ModelTuple, grip: Grip | None, release: Release, tool: Trajectory,
     times: Sequence[float], pickup: float, changes: Array,
-) -> Tossed:
+) -> Truth:
     """
     Simulate a recording in which packages are tossed.
 
@@ -109,7 +120,7 @@ def tossed(
             drawn.impulse))
     package = Trajectory(
         tool.stamps_ns, rows[:, :3], quaternion_to_rotation(rows[:, 3:7]), rows[:, 7:])
-    return Tossed(package, held, tracked, tuple(tosses))
+    return Truth(tool, package, held, tracked, tuple(tosses))
 
 
 def _require_rest(tool: Trajectory) -> None:
