@@ -200,11 +200,6 @@ class Reader:
         except UnicodeDecodeError:
             raise _damaged('a text in it is not UTF-8') from None
 
-    def header(self) -> tuple[int, str]:
-        """Return stamp (ns) and frame of a header."""
-        stamp_ns = self.number('i') * _NS_PER_S + self.number()
-        return stamp_ns, self.text()
-
     def skip_list(self, doubles: int) -> int:
         """Skip a list of items of so many doubles; return the number of items."""
         count = self.number()

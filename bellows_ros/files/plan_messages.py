@@ -69,7 +69,8 @@ def decode_multi_dof(data: bytes) -> PlanMessage:
 
     """
     reader = Reader(data)
-    stamp_ns, frame_id = reader.header()
+    stamp_ns = reader.number('i') * NS_PER_S + reader.number()
+    frame_id = reader.text()
     names = tuple(reader.text() for _ in range(min(reader.number(), 100)))
     count = reader.number()
     require_count(count, 'The plan')
