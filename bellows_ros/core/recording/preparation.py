@@ -301,7 +301,8 @@ def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> l
         'from there on.'
         for step in outliers.steps if not _is_of_jitter(recorded, time, step)
     ]
-    way = float(np.ptp(recorded.position[outliers.good], axis=0).max(initial=0.0))
+    good = recorded.position[outliers.good]
+    way = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     repeats = repeats_in_motion(recorded.trajectory())
     return found + [text for noticed, text in (
         (way > LARGE_WAY,

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 from bellows_ros.core.lie import apply, exp_so3, log_so3
 from bellows_ros.core.model import Package
-from bellows_ros.core.recording.preparation import prepare
+from bellows_ros.core.recording.outliers import find_outliers
+from bellows_ros.core.recording.preparation import prepare, stream_warnings
 from bellows_ros.core.recording.recording import PrepareSettings
-from bellows_ros.core.resampling import savgol
+from bellows_ros.core.resampling import savgol, timing
 from bellows_ros.core.trajectory import PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams
@@ -214,6 +215,15 @@ def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
     (jitters,) = prepare(
         stream(jittered), stream(package, '/package'), PLAIN).report.warnings
     assert "stamps of topic '/tool' jitter" in jitters
+
+
+def test_poses_that_are_all_left_out_have_no_way_to_warn_about():
+    stamps = START + np.array([0, 1, 100, 101, 200, 201, 300, 301]) * 1_000_000
+    poses = Trajectory(stamps, 100.0 * np.arange(24).reshape(8, 3), np.tile(np.eye(3), (8, 1, 1)))
+    outliers = find_outliers(poses, 5_000_000)
+    assert not outliers.good.any()
+    warnings = stream_warnings(stream(poses), timing(stamps), outliers)
+    assert not any('moves through' in warning for warning in warnings)
 
 
 def test_jitter_of_a_moving_body_is_no_step_and_hides_no_large_one():
