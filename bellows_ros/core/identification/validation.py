@@ -32,7 +32,7 @@ from bellows_ros.core.residuals import (
 )
 from bellows_ros.core.simulation import lip_wrenches, rest, simulate, state_row, tool_rows
 from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
-from bellows_ros.errors import BellowsError, UndeterminedError
+from bellows_ros.errors import BellowsError
 import numpy as np
 
 LIGHT_HALF_WINDOW, LIGHT_ORDER = 1 / 60, 4
@@ -114,16 +114,16 @@ class Validation(Comparison):
 
     @cached_property
     def one_step(self) -> OneStep | None:
-        """The innovations of each measured pose; None without noise, or without a whole second."""
+        """The innovations of each measured pose; None without noise, or without a long segment."""
         if np.min(self.recording.measured_noise) < LEAST_NOISE:
             return None
         from .minimum import innovations  # late: not for the verdict on a fit
 
         try:
             segments = segments_of(self.recording)
-        except UndeterminedError:
+            white = np.concatenate([innovations(self.cup, segment) for segment in segments])
+        except BellowsError:
             return None
-        white = np.concatenate([innovations(self.cup, segment) for segment in segments])
         scaled = white * np.repeat(self.recording.measured_noise[1], 3)
         return OneStep(float(np.mean(white**2)), portmanteau(white),
                        spectrum(scaled, uniform_rate_hz(segments[0].package.stamps_ns)))
