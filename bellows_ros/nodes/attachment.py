@@ -60,11 +60,10 @@ class Attachment:
         self._said: bool | None = None  # by the vacuum signal, the last time
         self._refused = {'nan': 0, 'negative': 0}
         self.signal: SensorInput | None = None
-        if signal == 'bool':
-            self.signal = SensorInput(node, Bool, 'vacuum/held', self._on_held)
-        elif signal == 'pressure':
-            self.signal = SensorInput(
-                node, FluidPressure, 'vacuum/pressure', self._on_pressure)
+        if signal != 'none':
+            self.signal = SensorInput(node, *{
+                'bool': (Bool, 'vacuum/held', self._on_held),
+                'pressure': (FluidPressure, 'vacuum/pressure', self._on_pressure)}[signal])
 
     def set_values(self, values: Mapping[str, Any]) -> None:
         """Take other thresholds."""

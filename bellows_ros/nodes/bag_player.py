@@ -50,8 +50,7 @@ class Played:
     messages : mapping of str to int
         Sent on each topic, under the name it was played with.
     duration : float
-        Of one round, s.
-    rounds : int
+        s.
     latest : float
         Largest lateness of a message, s.
     heard : bool
@@ -61,7 +60,6 @@ class Played:
 
     messages: Mapping[str, int]
     duration: float
-    rounds: int
     latest: float
     heard: bool
 
@@ -94,7 +92,7 @@ def play(
 
     """
     first_ns = messages[0].log_time_ns
-    latest, rounds = 0.0, 0
+    latest = 0.0
     with playing('bellows_player') as (node, executor):
         qos = QoSProfile(depth=QUEUE)
         out = {topic: publisher(node, topic, names[topic.name], qos)
@@ -103,7 +101,7 @@ def play(
         heard = spin_until(
             executor, lambda: any(p.get_subscription_count() for p in out.values()),
             LISTENER_TIMEOUT)
-        while loop or not rounds:
+        while True:
             begin_ns = time.time_ns() + round(LEAD_TIME * NS_PER_S)
 
             def send(message: Message, begin_ns: int = begin_ns) -> None:
@@ -114,13 +112,13 @@ def play(
                 out[message.topic].publish(data)
 
             latest = max(latest, send_all(executor, messages, send, say, rate))
-            rounds += 1
+            if not loop:
+                break
         for each in out.values():  # let what is on its way arrive before the topics vanish
             each.wait_for_all_acked(Duration(seconds=LISTENER_TIMEOUT))
-    counts = Counter(names[message.topic.name] for message in messages)
     return Played(
-        {name: count * rounds for name, count in counts.items()},
-        (messages[-1].log_time_ns - first_ns) / NS_PER_S / rate, rounds, latest, heard)
+        Counter(names[message.topic.name] for message in messages),
+        (messages[-1].log_time_ns - first_ns) / NS_PER_S / rate, latest, heard)
 
 
 def send_all(

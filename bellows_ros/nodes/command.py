@@ -9,7 +9,7 @@ right is said without a traceback and ends with 2.
 from collections.abc import Sequence
 from contextlib import suppress
 import importlib.util
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from pkgutil import resolve_name
 import signal
@@ -57,22 +57,18 @@ class Interface(NamedTuple):
 
 def help_text(interface: Interface) -> str:
     """Return the text of `--help`: purpose, topics and services, parameters, examples."""
-    parameters = [
-        _entry(f'{p.name}  [{p.constraint}; {p.default_text}'
-               f'{"; cannot change while the node runs" if p.read_only else ""}]', p.description)
-        for p in parameters_of(interface.name)]
-    parts = [
-        f'usage: {interface.name} [--help] [--version] [--ros-args ...]\n\n'
-        + textwrap.fill(interface.purpose, WIDTH),
-        'Start it with:\n' + '\n'.join(f'  {example}' for example in interface.examples),
-    ]
-    if interface.topics:
-        topics = [_entry(f'{name}  [{kind}]', text) for name, kind, text in interface.topics]
-        parts.append('Topics and services (relative names; remap with -r FROM:=TO):\n'
-                     + '\n'.join(topics))
-    parts.append('Parameters (set with -p NAME:=VALUE or --params-file FILE):\n'
-                 + '\n'.join(parameters))
-    return '\n\n'.join(parts) + '\n'
+    parts = {
+        'Start it with:': [f'  {example}' for example in interface.examples],
+        'Topics and services (relative names; remap with -r FROM:=TO):': [
+            _entry(f'{name}  [{kind}]', text) for name, kind, text in interface.topics],
+        'Parameters (set with -p NAME:=VALUE or --params-file FILE):': [
+            _entry(f'{p.name}  [{p.constraint}; {p.default_text}'
+                   f'{"; cannot change while the node runs" if p.read_only else ""}]',
+                   p.description) for p in parameters_of(interface.name)]}
+    return '\n\n'.join([
+        f'usage: {interface.name} [--help] [--version] [--ros-args ...]',
+        textwrap.fill(interface.purpose, WIDTH),
+        *('\n'.join([head, *lines]) for head, lines in parts.items() if lines)]) + '\n'
 
 
 def _entry(head: str, text: str) -> str:
@@ -103,7 +99,7 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
 
     """
     arguments = list(sys.argv[1:] if args is None else args)
-    own = _own_arguments(arguments)
+    own = list(takewhile(lambda argument: argument != '--ros-args', arguments))
     keep_linear_algebra_single()
     if {'-h', '--help'} & set(own):
         print(help_text(interface), end='')
@@ -139,19 +135,6 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
         for number, handler in before.items():
             signal.signal(number, handler)
     return 0
-
-
-def _own_arguments(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments that are not ROS's: outside of `--ros-args ... [--]`."""
-    own, ros = [], False
-    for argument in arguments:
-        if argument == '--ros-args':
-            ros = True
-        elif ros and argument == '--':
-            ros = False
-        elif not ros:
-            own.append(argument)
-    return own
 
 
 def require_ros() -> None:

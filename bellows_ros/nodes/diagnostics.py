@@ -106,7 +106,9 @@ class Diagnostics:
             {**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
         new, self._before = now - self._before, now
         restarts = {reason: new[reason] for reason in live.restarts}
-        above = last is not None and self._is_above(last)
+        down = rotation_matrix(last.tool[1])[2::3] if last else (0.0, 0.0, 0.0)  # z of the tool
+        above = bool(
+            np.dot(down, self._gravity) > UPSIDE_DOWN * np.linalg.norm(self._gravity))
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
         lines = [health.prediction_status('prediction', health.PredictionSeen(
             state, live.phase(time.monotonic_ns()), self._cup, self.compute.take(),
@@ -127,11 +129,6 @@ class Diagnostics:
             refused = any(seen.refused.values())
             self._log(line, line.level > health.Level.OK, 0.0 if refused else LOGGED_AFTER)
         return [*lines, self._load(), *(line for line in self._others() if line)]
-
-    def _is_above(self, last: Prediction) -> bool:
-        """Return whether the tool's z axis points down, so that the package is above it."""
-        z = np.array(rotation_matrix(last.tool[1])[2::3])
-        return bool(z @ self._gravity > UPSIDE_DOWN * np.linalg.norm(self._gravity))
 
     def _log(self, line: health.Status, wrong: bool, after: float = 0.0) -> None:
         """Log a line if its fault lasts for a time (s), but not often."""

@@ -114,8 +114,8 @@ class IdentifierNode(TableNode):
         for warning in result.warnings:
             self.get_logger().warning(warning)
         result.require_usable()
-        found = {k: v for k, v in result.parameters().items() if k.startswith(OF_THE_CUP)}
-        cup = {name: validate(name, value) for name, value in found.items()}
+        cup = {name: validate(name, value) for name, value in result.parameters().items()
+               if name.startswith(OF_THE_CUP)}
         self.values = {**self.values, **{name: cup[name] for name in SHOWN}}
         for name in SHOWN:
             self.declare_from_table(name, self.values[name])

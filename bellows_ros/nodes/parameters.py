@@ -101,12 +101,9 @@ class TableNode(GuardedNode):
         self._read_only = read_only
         try:
             self._take_given(user)
-            for parameter in table.parameters_of(user):
-                if parameter.name in self.values and parameter.name not in results:
-                    self.declare_from_table(parameter.name, self.values[parameter.name])
-            for name in self.values:
-                if table.NAMED_CUP.fullmatch(name) and user in table.lookup(name).used_by:
-                    self.declare_from_table(name, self.values[name])
+            for name, value in self.values.items():
+                if name not in results and user in table.lookup(name).used_by:
+                    self.declare_from_table(name, value)
         except BellowsError:
             self.destroy_node()
             raise
@@ -159,7 +156,9 @@ class TableNode(GuardedNode):
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         """Set all or none of some parameters, and say why not."""
-        changing = [p for p in parameters if not self._stays_as_it_is(p)]
+        changing = [p for p in parameters if not self.has_parameter(p.name) or (
+            self.get_parameter_or(p.name, Parameter(p.name)).get_parameter_value()
+            != p.get_parameter_value())]
         if not changing:
             return SetParametersResult(successful=True)
         try:
@@ -176,13 +175,6 @@ class TableNode(GuardedNode):
         except ParameterNotDeclaredException:
             unknown = [p.name for p in changing if not self.has_parameter(p.name)]
             return _refused(_why_unknown(unknown[0], self.get_name()))
-
-    def _stays_as_it_is(self, parameter: Parameter) -> bool:
-        """Return whether a parameter already has this value."""
-        if not self.has_parameter(parameter.name):
-            return False
-        now = self.get_parameter_or(parameter.name, Parameter(parameter.name))
-        return bool(now.get_parameter_value() == parameter.get_parameter_value())
 
     def _checked(self, parameters: list[Parameter]) -> Values:
         """Return all values with some of them replaced, or raise BellowsError."""
@@ -263,8 +255,8 @@ def _as_double(parameter: Parameter) -> Parameter:
     """Return a parameter with integers converted to doubles if doubles are expected."""
     if not (_is_ours(parameter) and table.lookup(parameter.name).kind.startswith('double')):
         return parameter
-    if parameter.type_ == Parameter.Type.INTEGER:
-        return ros_parameter(parameter.name, float(parameter.value))
-    if parameter.type_ == Parameter.Type.INTEGER_ARRAY:
-        return ros_parameter(parameter.name, [float(x) for x in parameter.value])
-    return parameter
+    kind, value = parameter.type_, parameter.value
+    if kind not in (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY):
+        return parameter
+    doubles = float(value) if kind == Parameter.Type.INTEGER else [float(x) for x in value]
+    return ros_parameter(parameter.name, doubles)
