@@ -66,14 +66,12 @@ WIDTH = 79
 class Parser(argparse.ArgumentParser):
     """A parser with short errors: what is wrong, and where to find help."""
 
-    def __init__(
-        self, prog: str, text: str, more: str, epilog: str, usage: str | None = None
-    ) -> None:
-        """Wrap the description; what follows it, and the epilog, stay as they are."""
+    def __init__(self, prog: str, text: str, epilog: str, **options: Any) -> None:
+        """Wrap the description; the epilog stays as it is."""
         super().__init__(
-            prog=prog, usage=usage, epilog=epilog, allow_abbrev=False,
-            description=textwrap.fill(' '.join(text.split()), WIDTH) + more,
-            formatter_class=argparse.RawDescriptionHelpFormatter)
+            prog=prog, epilog=epilog, allow_abbrev=False,
+            description=textwrap.fill(' '.join(text.split()), WIDTH),
+            formatter_class=argparse.RawDescriptionHelpFormatter, **options)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Keep the words, to find the option that was meant."""
@@ -127,7 +125,7 @@ def _run(arguments: list[str], console: Console) -> int:
         console.keep_stdout_free()
     code: int = parsed.run(parsed, console)
     console.warn(*console.remarks)
-    console.flush()
+    sys.stdout.flush()  # now: an error at the very end could not be reported
     return code
 
 
@@ -136,9 +134,8 @@ def _answer(arguments: list[str]) -> NoReturn:
     width = max(map(len, COMMANDS))
     commands = '\n'.join(f'  {name:{width}}  {text}' for name, text in COMMANDS.items())
     parser = Parser(
-        'bellows', DESCRIPTION, f'\n\ncommands:\n{commands}',
-        f'Each has its own help: bellows COMMAND --help\n\n{TRY}\n{EXIT_CODES}',
-        'bellows COMMAND [ARGUMENTS]')
+        'bellows', DESCRIPTION, f'commands:\n{commands}\n\nEach has its own help: bellows '
+        f'COMMAND --help\n\n{TRY}\n{EXIT_CODES}', usage='bellows COMMAND [ARGUMENTS]')
     parser.add_argument('--version', action='version', version=f'bellows {__version__}')
     if not arguments:
         parser.print_help(sys.stderr)
@@ -156,7 +153,7 @@ def command_parser(name: str) -> Parser:
     examples = '\n'.join(f'  {line}\n      {what}' for line, what in module.EXAMPLES)
     found = f'1 if {module.FOUND}, ' if hasattr(module, 'FOUND') else ''
     parser = Parser(
-        f'bellows {name}', str(module.__doc__), '',
+        f'bellows {name}', str(module.__doc__),
         f'examples:\n{examples}\n\nEnds with 0 when done, {found}2 if something must be put '
         'right.')
     module.add_arguments(parser)

@@ -49,22 +49,22 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(result: 'Comparison', console: Console) -> None:
     """Print the tables and the verdict."""
+    from bellows_ros.core.parameter_table import short
+
     console.say(f'{result.paths[0]} (A) and {result.paths[1]} (B)', 'bold')
     for title, changes in (
         ('Parameters', result.fits.parameters),
         ('Motion of the package of A on each cup', result.fits.effects),
     ):
-        console.say()
-        console.say(f'{title}:')
-        console.table(_change_rows(changes))
-    console.say()
+        console.table(_change_rows(changes), title=title)
     console.paragraph(*verdict(result))
     if result.settings:
         console.say()
         console.say('Made differently:')
         for difference in result.settings:
-            console.paragraph(
-                f'  {difference.name}: {_short(difference.before)} -> {_short(difference.after)}')
+            before, after = ('-' if value is None else short(value, SHOWN)
+                             for value in (difference.before, difference.after))
+            console.paragraph(f'  {difference.name}: {before} -> {after}')
 
 
 def _change_rows(changes: 'tuple[Change, ...]') -> list[tuple[str, ...]]:
@@ -91,24 +91,19 @@ def verdict(result: 'Comparison') -> Iterator[str]:
                'standard errors and probabilities do not apply.')
     p = fits.p_value
     chance = f'probability of chance {f"{p:.2g}" if p >= 1e-4 else "below 1e-4"}'
-    yield (
-        f'The parameters together differ by more than their standard errors explain ({chance}).'
-        if fits.significant else
-        f'The standard errors explain the difference of the parameters together ({chance}).')
-    marked = [f'{change.name} ({change.percent:+.2g} %)'
-              for change in fits.parameters if change.significant]
-    if marked:
+    explain = 'do not explain' if fits.significant else 'explain'
+    yield f'The standard errors {explain} the difference of the parameters together ({chance}).'
+    if marked := [f'{change.name} ({change.percent:+.2g} %)'
+                  for change in fits.parameters if change.significant]:
         yield f'* Significant difference: {listed(marked)}.'
     shift, turn = 1e3 * fits.shake_rms[:3].max(), 1e3 * fits.shake_rms[3:].max()
     yield (f'In a shake of 3 Hz (5 mm, 50 mrad) the predicted motions differ by {shift:.2g} mm '
            f'and {turn:.2g} mrad RMS.')
-    large = [e.name for e in fits.effects if e.matters and e.significant]
-    if large:
+    if large := [e.name for e in fits.effects if e.matters and e.significant]:
         yield f'Large enough to matter: {listed(large)}.'
-    if fits.open_effects:
-        yield ('Large enough to matter, but within the standard errors: '
-               f'{listed([e.name for e in fits.open_effects])}. Record a motion that excites '
-               'these more.')
+    if unsure := [e.name for e in fits.open_effects]:
+        yield (f'Large enough to matter, but within the standard errors: {listed(unsure)}. Record '
+               'a motion that excites these more.')
     if not fits.matters:
         yield ('No significant difference: the changes are within the standard errors, or too '
                'small to matter.')
@@ -117,9 +112,3 @@ def verdict(result: 'Comparison') -> Iterator[str]:
     else:
         yield ('The difference matters for motions that excite the modes named above; the shake '
                'of 3 Hz would not show it.')
-
-
-def _short(value: object) -> str:
-    """Return a setting, shortened."""
-    text = '-' if value is None else str(value)
-    return text if len(text) <= SHOWN else text[:SHOWN - 3] + '...'

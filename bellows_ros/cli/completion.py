@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
                 console.say(f'{name}:{text.replace("%%", "%")}')
         return OK
     own = Path(os.environ.get('SHELL', '')).name
-    console.raw(SHELLS[arguments.shell or (own if own in SHELLS else 'bash')])
+    print(SHELLS[arguments.shell or (own if own in SHELLS else 'bash')], end='')
     return OK
 
 

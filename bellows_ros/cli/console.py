@@ -67,8 +67,8 @@ class Console:
 
     def __init__(self, out: TextIO, err: TextIO) -> None:
         """Remember the streams."""
-        self._out = out
-        self._err = err
+        self._out, self._err = out, err
+        self._gap = self._begun = False
         self.remarks: list[str] = []
 
     def keep_stdout_free(self) -> None:
@@ -76,8 +76,19 @@ class Console:
         self._out = self._err
 
     def say(self, text: str = '', style: str = '') -> None:
-        """Print a line of the result."""
+        """Print a line of the result; without a text an empty one, but never two, nor first."""
+        if not text:
+            self._gap = self._begun
+            return
+        self._close_gap()
+        self._begun = True
         _write(self._out, self._styled(self._out, printable(text), style))
+
+    def _close_gap(self) -> None:
+        """Print the empty line that is due."""
+        if self._gap:
+            _write(self._out, '')
+        self._gap = False
 
     def paragraph(self, *texts: str, style: str = '') -> None:
         """Print sentences of the result, wrapped, each text with its indentation kept."""
@@ -93,11 +104,13 @@ class Console:
             self.say(line)
 
     def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
-        """Print rows in columns, indented; all but the first right-aligned if wanted."""
+        """Print rows in columns between empty lines; all but the first right-aligned if wanted."""
+        self.say()
         if title:
             self.say(title, 'bold')
         for line in aligned(rows, right):
             self.say(f'  {line}'.rstrip())
+        self.say()
 
     def warn(self, *texts: str) -> None:
         """Print warnings."""
@@ -115,16 +128,9 @@ class Console:
 
     def _tell(self, text: str) -> None:
         """Print on stderr, in order if both streams have the same target."""
+        self._close_gap()
         self._out.flush()
         _write(self._err, text)
-
-    def raw(self, text: str) -> None:
-        """Write a file's content to stdout."""
-        sys.stdout.write(text)
-
-    def flush(self) -> None:
-        """Write everything now: an error at the very end could not be reported."""
-        self._out.flush()
 
     @contextmanager
     def progress(self) -> Iterator['Progress']:

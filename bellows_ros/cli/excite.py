@@ -31,7 +31,7 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    options.add_parameter_options(parser)
+    options.add_parameter_options(parser, span=False)
     parser.add_argument(
         '--limits', metavar='FILE', required=True, type=Path,
         help='limits of the arm, and noise and rates of the tracking (YAML); '
@@ -95,7 +95,6 @@ def _say(found: 'Excitation', console: Console) -> None:
     motion = found.design.motion
     console.say(f'A motion of {motion.duration:g} s', 'bold')
     console.say(f'(up to {motion.highest_frequency:.3g} Hz; {found.structure.name})', 'dim')
-    console.say()
     rows = [['entry', 'expected', '', *(f'{Path(name).stem}' for name in found.beside)]]
     for i, (label, unit, value, error) in enumerate(zip(
             found.structure.labels, parameter_units(found.structure), found.guess.tolist(),
@@ -104,17 +103,14 @@ def _say(found: 'Excitation', console: Console) -> None:
         rows.append([label, with_error(value, error, unit), part, *(
             f'{errors[i] / error:.3g} times' for errors in found.beside.values())])
     console.table(rows)
-    console.say()
     if found.beside:
         console.paragraph(
             'The expected values are standard errors if the guess is right; the other columns '
             'are the errors of other motions, as multiples of these.')
-        console.say()
     _say_series(found, console)
     console.table([['limit', 'taken', 'share in limiting the motion']] + [
         [name, f'{100.0 * ratio:.1f} %', f'{100.0 * found.design.shares.get(name, 0.0):.0f} %']
         for name, ratio in found.design.ratios.items()])
-    console.say()
     console.warn(*found.warnings)
 
 
@@ -131,7 +127,6 @@ def _say_series(found: 'Excitation', console: Console) -> None:
     console.say('Record in this order', 'bold')
     for (name, (motion, _)), text in zip(found.series.items(), purposes, strict=True):
         console.paragraph(f'{name}, {motion.duration:.1f} s. {text}')
-    console.say()
     rows = [['standard error', *found.series]]
     for i, (label, value) in enumerate(
             zip(found.structure.labels, found.guess.tolist(), strict=True)):
@@ -140,10 +135,8 @@ def _say_series(found: 'Excitation', console: Console) -> None:
                 f'{short(100.0 * errors[i] / abs(value))} %' if errors[i] < abs(value) else '-'
                 for _, errors in found.series.values())])
     console.table(rows, right=True)
-    console.say()
     console.paragraph('Each column is for this recording alone, with the nominal length known; '
                       '- is not identifiable. Then identify the cup from all of them, with an '
                       'everyday motion of yours as PLAN:')
     console.say('  bellows identify RECORDING_2 --params PARAMS --set static.bags=RECORDING_1 \\')
     console.say('      --set validation.bags=RECORDING_3 --typical PLAN --report page.html')
-    console.say()

@@ -52,7 +52,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     options.add_bags_argument(parser)
     options.add_parameter_options(parser)
-    options.add_span_options(parser)
     options.add_output(
         parser, '--out', 'write the cup as a parameter file, for the predictor and bellows replay')
     options.add_json_option(parser, 'the result with its uncertainties')
@@ -165,7 +164,6 @@ def _say_release(result: 'ReleaseResult', console: Console) -> None:
     console.say(f'Release identified from {len(result.tosses)} tosses in {listed(result.bags)}',
                 'bold')
     console.table(rows, right=True)
-    console.say()
     if fit.delay == fit.delay:
         console.paragraph(
             'From toss to toss, the time at which the cup lets go scatters by '
@@ -232,37 +230,23 @@ def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]
 
 def _say(result: 'Identification', console: Console) -> None:
     """Print the cup, and the samples and findings behind it."""
-    from bellows_ros.core.residuals import AXES, MILLI_UNITS
-
     fit, verdict = result.fit, result.verdict
-    console.paragraph(*(verdict.cause if verdict else ()))
+    causes, sentences = (verdict.cause, verdict.sentences) if verdict else ((), ())
+    console.paragraph(*causes)
     console.say(f'Cup identified from {listed(result.bags)}', 'bold')
     console.say(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     console.say()
-    if result.typical:
-        console.paragraph(result.typical.sentence)
-        console.say()
-    for simulated in verdict.simulated if verdict else ():
-        if not all(map(math.isfinite, simulated.rms)):
-            console.paragraph(simulated.sentence)
-            continue
-        console.paragraph(f'Free simulation of {simulated.bag} with this cup (RMS):')
-        heads = (f'{axis} {unit}' for axis, unit in zip(AXES, MILLI_UNITS, strict=True))
-        console.table([('', *heads), *(
-            (name, *(f'{1e3 * x:.3g}' for x in values))
-            for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
-            right=True)
-        console.say()
+    console.paragraph(
+        *([result.typical.sentence] if result.typical else []), *sentences[len(causes):])
     say_cup(fit, console)
-    console.say()
     _say_samples(result, console)
     console.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
-    console.paragraph(*(result.findings[len(verdict.sentences) if verdict else 0:]))
+    console.paragraph(*result.findings[len(sentences):])
     console.paragraph(*result.refusals, style='red')
     console.warn(*result.warnings)
 
 
-def say_cup(fit: 'Fit', console: Console) -> None:
+def say_cup(fit: 'Fit', console: Console, title: str = '') -> None:
     """Print K and P with standard errors, a line per direction; with couplings all entries."""
     from bellows_ros.core.identification.result import UNITS
     from bellows_ros.core.structure import AXES, structure_named
@@ -273,14 +257,13 @@ def say_cup(fit: 'Fit', console: Console) -> None:
         (', '.join(AXES[axis] for axis in axes), *(
             with_error(matrix[axes[0], axes[0]], std[axes[0], axes[0]],
                        UNITS[name][2 * (axes[0] > 2)]) for name, matrix, std in matrices))
-        for axes in structure.tied_axes)])
+        for axes in structure.tied_axes)], title=title)
     for name, matrix, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]
         rows: list[tuple[str, ...]] = [('', *AXES)]
         for axis, values, errors in zip(AXES, matrix.tolist(), std.tolist(), strict=True):
             rows.append((axis, *('-' if math.isinf(error) else f'{value:.4g}'
                                  for value, error in zip(values, errors, strict=True))))
-        console.say()
         console.table(rows, right=True, title=f'{name} in {linear}, {coupling} and {angular}:')
 
 

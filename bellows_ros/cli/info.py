@@ -7,10 +7,11 @@ recording.
 
 import argparse
 from collections.abc import Iterator
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from . import options
 from .console import Console, many, OK
+from .parameters import template_with
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.info import Info, TopicInfo
@@ -21,12 +22,9 @@ EXAMPLES = (
      'write a parameter file with its topics; fill in only the package'),
     ('bellows info recording --json - | jq .settings', 'use the settings in a script'),
 )
-WORLDS = {
-    'z_up': 'z up (recording.world: z_up)',
-    'motive_y_up': "Motive's, y up (recording.world: motive_y_up)",
-}
 UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_frame',
            'cup.length')
+"""What the recording cannot tell: comments of the file, to fill in."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Look, write, report."""
     options.require_free(arguments.write_params, arguments.force)
+    from bellows_ros.core.parameter_table import PARAMETERS
     from bellows_ros.files.atomic import write_text
     from bellows_ros.workflows.info import info
 
@@ -51,7 +50,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         found = info(arguments.bag, options.given_span(arguments))
     options.put_json(arguments.json, found.as_json())
     if arguments.write_params:
-        write_text(arguments.write_params, parameter_file(found))
+        write_text(arguments.write_params, template_with(
+            [PARAMETERS[name] for name in UNKNOWN], found.settings,
+            [f'How to read {found.path}, as found by bellows info; check it.']))
     _say(found, console)
     console.wrote(arguments.json)
     console.wrote(arguments.write_params, then=(
@@ -73,8 +74,9 @@ def _say(found: 'Info', console: Console) -> None:
         why = f': {"; ".join(guess.why)}' if guess and guess.why else ''
         name = f'probably {guess.topic}' if guess else 'not found'
         console.paragraph(f'{role.capitalize():8} {name}{why}.')
-    if 'recording.world' in found.settings:
-        console.say(f'World    probably {WORLDS[found.settings["recording.world"]]}.')
+    if world := found.settings.get('recording.world'):
+        axes = 'z up' if world == 'z_up' else "Motive's, y up"
+        console.say(f'World    probably {axes} (recording.world: {world}).')
     if found.rest_s is not None and found.rest_s >= SHORTEST_REST:
         console.say(f'Both stand still for the first {found.rest_s:.1f} s.')
     console.paragraph(*found.notes)
@@ -110,18 +112,3 @@ def _facts(topic: 'TopicInfo') -> Iterator[str]:
             ' '.join(f'{1e3 * x:.3f}' for x in topic.noise[name])
             for name in ('position', 'rotation'))
         yield f'noise of {position} mm, {rotation} mrad (x y z)'
-
-
-def parameter_file(found: 'Info') -> str:
-    """
-    Return the text of a parameter file for a recording.
-
-    What the recording cannot tell stands there as a comment, to fill in.
-    """
-    from bellows_ros.core.parameter_table import PARAMETERS
-
-    from .parameters import template_with
-
-    open_ones: list[Any] = [PARAMETERS[name] for name in UNKNOWN]
-    header = [f'How to read {found.path}, as found by bellows info; check it.']
-    return template_with(open_ones, found.settings, header)

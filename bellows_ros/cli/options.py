@@ -55,8 +55,8 @@ def add_bags_argument(parser: argparse.ArgumentParser, parameter: str = 'bags') 
         help=f"{BAG}; overrides the parameter '{parameter}'")
 
 
-def add_parameter_options(parser: argparse.ArgumentParser) -> None:
-    """Add --params and --set."""
+def add_parameter_options(parser: argparse.ArgumentParser, span: bool = True) -> None:
+    """Add --params and --set, and --from and --to unless they have another meaning."""
     parser.add_argument(
         '--params', metavar='FILE', action='append', default=[], type=Path,
         help='parameter file (YAML, as for ROS nodes); may be repeated, later files override '
@@ -67,6 +67,8 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
         help="set one parameter, overriding the files; may be repeated. 'bellows parameters' "
              'lists all, with units and defaults',
     )
+    if span:
+        add_span_options(parser)
 
 
 def add_span_options(parser: argparse.ArgumentParser, default: str = '') -> None:

@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Print the parameters."""
     chosen = _chosen(arguments.names)
     if arguments.yaml:
-        console.raw(template(chosen))
+        print(template(chosen), end='')
         return OK
     if arguments.json:
         content = {p.name: {**asdict(p), 'constraint': p.constraint} for p in chosen}

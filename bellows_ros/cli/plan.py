@@ -61,9 +61,7 @@ def _say(report: 'PlanReport', console: Console) -> None:
     where = f", in frame '{source.frame_id}'" if source.frame_id else ''
     console.say(f'Plan {source.path}', 'bold')
     console.say(f'({len(source.tool)} points, {source.duration:.3f} s{where})', 'dim')
-    console.say()
     console.table(figure_rows(report))
-    console.say()
     console.warn(*report.warnings)
     if not report.warnings:
         known = any(source.values['envelope.rates'])

@@ -24,7 +24,7 @@ def add_plan_options(
         help='topic of the plan, if the recording has several plans')
     options.add_span_options(parser, '0')  # a file may hold the part of another recording
     options.add_arm_options(parser)
-    options.add_parameter_options(parser)
+    options.add_parameter_options(parser, span=False)
     options.add_json_option(parser, numbers)
     options.add_output(parser, '--plot', f'picture to write: {picture}', options.Binary)
     if recording:

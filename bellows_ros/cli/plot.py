@@ -7,6 +7,7 @@ prediction, animation.
 
 import argparse
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from bellows_ros.errors import BellowsError
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='; '.join(f'{name}: {text}' for name, text in WHAT.items()),
     )
     options.add_bag_argument(parser)
-    options.add_parameter_options(parser)
+    options.add_parameter_options(parser, span=False)
     options.add_output(
         parser, '--out', kind=options.Binary, required=True,
         what='picture to write: .png, .svg or .pdf; of an animation .gif or .mp4')
@@ -92,6 +93,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         raise BellowsError(
             f'--speed must be above 0 and at most {FASTEST:g}, got {arguments.speed:g}.')
     note = f'{arguments.bag}{"" if given or tracked else "; cup of the thesis"}'
+    if arguments.what == 'animation':
+        note += f'; {arguments.speed:g} times real time'
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         shown = _drawn(arguments, settings, given, note, progress)
@@ -114,28 +117,21 @@ def _drawn(
     from bellows_ros.plots.style import write_figure
     from bellows_ros.workflows.plot import loads, margins, motion, replayed, spectra, within
 
-    what, theme = arguments.what, arguments.theme
+    replay = partial(replayed, progress=progress)
     kinds: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
         'motion': (motion, motion_figure), 'path': (motion, path_figure),
         'deflection': (loads, deflection_figure), 'residuals': (loads, residual_figure),
-        'margin': (margins, margin_figure)}
-    if what == 'spectra':
-        shown: Any = spectra(arguments.bag, settings, given)
-        figure = spectra_figure(shown, note, theme)
-    elif what in kinds:
-        read, draw = kinds[what]
-        shown = within(read(arguments.bag, settings), arguments.first, arguments.last)
-        figure = draw(shown, note, theme)
-    else:
-        shown = within(
-            replayed(arguments.bag, settings, progress), arguments.first, arguments.last)
-        if what == 'animation':
-            write_animation(
-                arguments.out, shown, f'{note}; {arguments.speed:g} times real time', theme,
-                progress, arguments.speed)
-            return shown
-        figure = prediction_figure(
+        'margin': (margins, margin_figure), 'spectra': (spectra, spectra_figure),
+        'prediction': (replay, lambda shown, note, theme: prediction_figure(
             shown.seconds, shown.live, 'Package: predicted, and measured',
-            f'relative to the tool; {note}', theme)
-    write_figure(arguments.out, figure)
+            f'relative to the tool; {note}', theme)),
+        'animation': (replay, partial(
+            write_animation, arguments.out, progress=progress, speed=arguments.speed))}
+    read, draw = kinds[arguments.what]
+    if arguments.what == 'spectra':
+        shown: Any = read(arguments.bag, settings, given)
+    else:
+        shown = within(read(arguments.bag, settings), arguments.first, arguments.last)
+    if figure := draw(shown, note, arguments.theme):
+        write_figure(arguments.out, figure)
     return shown

@@ -7,13 +7,12 @@ that the cup was not identified from.
 """
 
 import argparse
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from bellows_ros.extras import require_pictures
 
 from . import options
-from .console import Console, many, NOT_USABLE, OK, percent, short
+from .console import Console, NOT_USABLE, OK, percent, short
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.observe import Observed
@@ -48,7 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     options.add_bag_argument(parser)
     options.add_parameter_options(parser)
-    options.add_span_options(parser)
     options.add_json_option(parser, 'all figures')
     options.add_output(parser, '--report', 'write a page with plots (HTML; extra plot)')
     parser.add_argument(
@@ -95,9 +93,7 @@ def _say(
     console.paragraph(
         '(package relative to the tool, predicted minus measured; from '
         f'{"static equilibrium" if rest else "the measured state"})', style='dim')
-    console.say()
     console.table(_error_rows(result), right=True)
-    console.say()
     console.paragraph(LEGEND, style='dim')
     console.say()
     found = result.validation
@@ -110,7 +106,8 @@ def _say(
         *offset_sentence(arguments.bag, result.time_offset))
     if result.live:
         console.paragraph(
-            *_count_lines(result.live.counts),
+            'Live, from the messages as they came: '
+            f'{", ".join(f"{count} {name}" for name, count in result.live.counts.items())}.',
             f'The live prediction took {result.live.took:.2f} s, '
             f'{result.live.real_time_factor:.0f} times faster than real time.')
     if result.observed:
@@ -123,12 +120,10 @@ def _say_observed(found: 'Observed', console: Console) -> None:
     """Print the gain by measured poses, and alarms."""
     from bellows_ros.core.residuals import AXES, MILLI_UNITS
 
-    console.say()
-    console.say(f'With {found.topic}, RMS error', 'bold')
     errors = [way.scores.rms for way in found.ways.values()]
     console.table([('axis', *found.ways), *(
         (f'{name:2} {MILLI_UNITS[i]}', *(short(MILLI * rms[i]) for rms in errors))
-        for i, name in enumerate(AXES))], right=True)
+        for i, name in enumerate(AXES))], right=True, title=f'With {found.topic}, RMS error')
     console.paragraph(found.sentence)
     for line in found.alarm_lines:
         console.warn(f'Alarm at {line}')
@@ -151,14 +146,3 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
             white[i].removesuffix(' white'),
         ))
     return rows
-
-
-def _count_lines(counts: Mapping[str, int]) -> list[str]:
-    """Return the counts of messages in and out, and a line for each kind that was left out."""
-    known = ('poses', 'twists', 'predictions', 'twists estimated')
-    poses, twists, predictions, estimated = (counts.get(name, 0) for name in known)
-    more = f'; {many(estimated, "twist")} estimated from poses' if estimated else ''
-    return [
-        f'{many(poses, "pose")} and {many(twists, "twist")} in, '
-        f'{many(predictions, "prediction")} out{more}.',
-        *(f'  {name}: {count}' for name, count in counts.items() if name not in known)]

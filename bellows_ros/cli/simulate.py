@@ -29,7 +29,7 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    options.add_parameter_options(parser)
+    options.add_parameter_options(parser, span=False)
     parser.add_argument(
         '--motion', metavar='FILE', required=True, type=Path,
         help='motion file (YAML): the motion of the tool and the tracking; '

@@ -41,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='mass in a recording, once for each BAG in the same order; overrides package.mass',
     )
     options.add_parameter_options(parser)
-    options.add_span_options(parser)
     options.add_output(
         parser, '--out', 'write the parameters of --params and --set with the new nominal length')
     options.add_json_option(parser, 'all results')
@@ -85,7 +84,6 @@ def _bags(
 def _say(result: 'StaticResult', console: Console) -> None:
     """Print standstills, length and spring."""
     console.table(_standstill_rows(result), right=True, title='Standstills')
-    console.say()
     _say_length(result, console)
     if result.spring is not None:
         console.say()

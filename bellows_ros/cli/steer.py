@@ -78,7 +78,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 def _say(report: 'SteerReport', console: Console) -> None:
     """Print the effects of the motions, and which one to use."""
     console.say(f'Plan {report.source.path}, steered by {report.method}', 'bold')
-    console.say()
     rows = [(
         'motion of the tool', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'safety')]
     for name, motion in report.motions.items():
@@ -90,7 +89,6 @@ def _say(report: 'SteerReport', console: Console) -> None:
             _degrees(found['expected_swing']) if report.uncertain else '-',
             f'{factor:.2f}' if math.isfinite(factor) else '-'))
     console.table(rows, right=True)
-    console.say()
     own = report.motions[report.method].figures()
     console.paragraph(
         f'The tool moves at up to {own["speed"]:.3g} m/s, {own["acceleration"]:.3g} m/s^2, '

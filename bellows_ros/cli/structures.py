@@ -29,7 +29,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     options.add_bags_argument(parser)
     options.add_parameter_options(parser)
-    options.add_span_options(parser)
     options.add_json_option(parser, 'all figures')
 
 
@@ -56,13 +55,11 @@ def _say(result: 'StructureAdvice', console: Console) -> None:
     excitation, selection = result.excitation, result.selection
     console.table(excitation_rows(excitation_json(excitation)), right=True,
                   title='Excitation of the lip, relative to the tool')
-    console.say()
     console.table(_parameter_rows(result), right=True, title='Identifiability, by least squares')
     console.paragraph(
         f'Rank {excitation.rank} of {excitation.size}, scaled condition number '
         f'{excitation.condition_number:.3g}.'
     )
-    console.say()
     console.table(structure_rows(selection_json(selection)), right=True, title='Structures')
     console.paragraph(
         f'{selection.samples} samples, equivalent to {selection.effective_samples:.0f} '

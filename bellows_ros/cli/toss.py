@@ -15,7 +15,7 @@ from .console import Console
 from .planned import add_plan_options, carry_out
 
 if TYPE_CHECKING:
-    from bellows_ros.workflows.toss import Share, TossResult
+    from bellows_ros.workflows.toss import TossResult
 
 EXAMPLES = (
     ('bellows toss bags/throw.yaml --params bags/tossing.yaml --release 3.0',
@@ -134,25 +134,14 @@ def _say_budget(result: 'TossResult', console: Console) -> None:
             "identify' writes cup.*_std.")
         return
 
-    def amount(share: 'Share') -> str:
-        factor, unit = UNITS.get(share.name, (1.0, ''))
-        known = math.isfinite(share.std)
-        return f'{share.std * factor:.3g} {unit}'.strip() if known else 'per entry'
-
     rows = [('uncertain quantity', 'by', 'at landing', 'turned')]
-    rows += [
-        (g.name, amount(g), f'{MILLI * g.metres:.2f} mm', f'{math.degrees(g.radians):.2f} deg')
-        for g in groups]
+    for g in groups:
+        factor, unit = UNITS.get(g.name, (1.0, ''))
+        rows.append((
+            g.name, f'{factor * g.std:.3g} {unit}' if math.isfinite(g.std) else 'per entry',
+            f'{MILLI * g.metres:.2f} mm', f'{math.degrees(g.radians):.2f} deg'))
     console.table(rows, right=True)
-    console.say()
-    console.paragraph(what_to_fix(result))
-
-
-def what_to_fix(result: 'TossResult') -> str:
-    """Return the sentence on the largest contribution."""
-    groups = result.groups()
-    total = math.hypot(*(g.metres for g in groups))
-    first = groups[0]
+    total, first = math.hypot(*(g.metres for g in groups)), groups[0]
     left = math.sqrt(max(0.0, total**2 - first.metres**2))
     text = (
         f'Reduce first: {first.name}, {MILLI * first.metres:.1f} of {MILLI * total:.1f} mm. If '
@@ -165,4 +154,4 @@ def what_to_fix(result: 'TossResult') -> str:
     if delay is not None:
         per = 1e-3 * delay.metres / delay.std
         text += f' Each millisecond of the valve moves the landing by {MILLI * per:.1f} mm.'
-    return text
+    console.paragraph(text)

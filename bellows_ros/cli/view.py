@@ -7,8 +7,6 @@ and the errors. Needs no RViz; needs the extra view.
 
 import argparse
 
-from bellows_ros.errors import BellowsError
-
 from . import options
 from .console import Console, OK
 
@@ -23,7 +21,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     options.add_bag_argument(parser)
     options.add_parameter_options(parser)
-    options.add_span_options(parser)
     options.add_output(
         parser, '--out', 'write an .rrd file instead of opening the viewer', options.Binary)
     options.add_json_option(parser, 'the scores')
@@ -32,13 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Replay, then show or write."""
     from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-    from bellows_ros.plots.viewer import ENDING, open_view, require_viewer, write_view
+    from bellows_ros.plots.viewer import open_view, require_viewer, write_view
     from bellows_ros.workflows.plot import replayed
 
     settings = resolve(options.cup_parameters(arguments, console), PACKAGE_PARAMETERS)
-    if arguments.out and not arguments.out.lower().endswith(ENDING):
-        raise BellowsError(f"--out '{arguments.out}' must end in {ENDING}.")
-    require_viewer()
+    require_viewer(arguments.out)
     with console.progress() as progress:
         shown = replayed(arguments.bag, settings, progress)
         if arguments.out:

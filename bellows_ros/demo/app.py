@@ -13,7 +13,7 @@ from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.live.replay import compare_recorded
 from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Noise
-from bellows_ros.core.residuals import AXES, Scores
+from bellows_ros.core.residuals import AXES, MILLI_UNITS, Scores
 from bellows_ros.core.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import require_pictures
@@ -122,18 +122,11 @@ def _say(
     fit: Fit, scores: Scores, exchange: 'Exchange', noise: Noise, console: Console
 ) -> int:
     """Print the cup, the errors, the latency and the messages; return how many were lost."""
-    console.say()
-    console.say('The cup, with standard errors:')
-    say_cup(fit, console)
-    console.say()
-    console.say('The package relative to the tool, predicted live minus measured (RMS):')
-    rows = [('axis', 'error', 'of the motion', 'axis', 'error', 'of the motion')]
-    rms, nrmse = scores.rms * MILLI, scores.nrmse
-    for i in range(3):
-        rows.append((
-            AXES[i], f'{rms[i]:.3f} mm', percent(nrmse[i]),
-            f'  {AXES[i + 3]}', f'{rms[i + 3]:.3f} mrad', percent(nrmse[i + 3])))
-    console.table(rows, right=True)
+    say_cup(fit, console, 'The cup, with standard errors')
+    title = 'The package relative to the tool, predicted live minus measured (RMS)'
+    console.table([('axis', 'error', 'of the motion'), *(
+        (name, f'{MILLI * rms:.3f} {unit}', percent(part)) for name, unit, rms, part in zip(
+            AXES, MILLI_UNITS, scores.rms, scores.nrmse, strict=True))], right=True, title=title)
     console.say(f'  (the measured poses themselves have noise: {MILLI * noise.position:.2g} mm, '
                 f'{MILLI * noise.rotation:.2g} mrad)')
     console.say()

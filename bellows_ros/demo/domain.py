@@ -1,5 +1,6 @@
 """Keep ROS on this machine and in its own domain, for demonstrations and tests."""
 
+from contextlib import suppress
 import os
 import socket
 
@@ -50,12 +51,10 @@ def unused_domain() -> int:
 
 def _is_free(port: int) -> bool:
     """Return whether a UDP port of this machine is free."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(('', port))
-        except OSError:
-            return False
-    return True
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+        probe.bind(('', port))
+        return True
+    return False
 
 
 def _reserve(domain: int) -> bool:

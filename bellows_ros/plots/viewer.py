@@ -62,9 +62,7 @@ def write_view(path: str | os.PathLike[str], replayed: Replayed, note: str) -> N
         If the ending is another, or Rerun is missing.
 
     """
-    if Path(path).suffix.lower() != ENDING:
-        raise BellowsError(f"View '{path}' must end in {ENDING}.")
-    rr = require_viewer()
+    rr = require_viewer(path)
     # A recording with a name of its own, without settings of the whole process.
     recording = rr.RecordingStream('bellows_ros', send_properties=True)
     recording.send_recording_name(note)
@@ -105,8 +103,10 @@ def open_view(replayed: Replayed, note: str) -> None:
         )
 
 
-def require_viewer() -> Any:
-    """Return Rerun's module, with its blueprints; raise BellowsError where it is missing."""
+def require_viewer(path: str | os.PathLike[str] = '') -> Any:
+    """Return Rerun's module, with its blueprints; refuse its absence and another ending."""
+    if path and Path(path).suffix.lower() != ENDING:
+        raise BellowsError(f"View '{path}' must end in {ENDING}.")
     try:
         import rerun
         import rerun.blueprint
