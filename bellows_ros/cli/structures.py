@@ -6,7 +6,6 @@ a cup fitted without a part of the recordings simulates that part. Recommend one
 """
 
 import argparse
-import math
 from typing import Any, TYPE_CHECKING
 
 from . import options
@@ -49,13 +48,15 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(result: 'StructureAdvice', console: Console) -> None:
     """Print the excitation, the candidates and the advice."""
-    from bellows_ros.report.cup import excitation_rows, structure_rows
+    from bellows_ros.report.cup import excitation_rows, parameter_rows, structure_rows
     from bellows_ros.workflows.result_json import excitation_json, selection_json
 
     excitation, selection = result.excitation, result.selection
-    console.table(excitation_rows(excitation_json(excitation)), right=True,
+    found = excitation_json(excitation)
+    console.table(excitation_rows(found), right=True,
                   title='Excitation of the lip, relative to the tool')
-    console.table(_parameter_rows(result), right=True, title='Identifiability, by least squares')
+    console.table([row for row in parameter_rows(found) if '-' not in row[0]], right=True,
+                  title='Identifiability of the diagonal, by least squares')
     console.paragraph(
         f'Rank {excitation.rank} of {excitation.size}, scaled condition number '
         f'{excitation.condition_number:.3g}.'
@@ -68,19 +69,3 @@ def _say(result: 'StructureAdvice', console: Console) -> None:
     console.say()
     console.paragraph(*selection.advice)
     console.warn(*result.warnings)
-
-
-def _parameter_rows(result: 'StructureAdvice') -> list[tuple[str, ...]]:
-    """Return a row for every parameter; of a full structure for those of the diagonal only."""
-    rows: list[tuple[str, ...]] = [
-        ('parameter', 'first estimate', 'signal to noise', 'expected bias')]
-    for own in result.excitation.parameters:
-        if '-' in own.label:
-            continue
-        ratio = own.signal_to_noise
-        rows.append((
-            own.label, 'not identifiable' if math.isnan(own.value) else f'{own.value:.4g}',
-            '-' if not math.isfinite(ratio) else f'{ratio:.3g}',
-            '-' if not math.isfinite(own.bias) else f'{own.bias:+.1%}',
-        ))
-    return rows

@@ -110,16 +110,21 @@ def _known(value: float | None) -> bool:
     return value is not None and math.isfinite(value)
 
 
+def parameter_rows(found: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return a table, with its head, of what is known of each entry of K and P."""
+    formats = {'value': '.4g', 'signal_to_noise': '.3g', 'bias': '+.1%'}
+    return [('parameter', 'first estimate', 'signal to noise', 'expected bias', 'identifiable'), *(
+        (label, *(format(p[key], how) if _known(p[key]) else '-' for key, how in formats.items()),
+         'no' if not p['identifiable'] else 'weakly' if p['weak'] else 'well')
+        for label, p in found['parameters'].items())]
+
+
 def excitation_content(
     found: Mapping[str, Any], spectra: Mapping[str, Spectrum]
 ) -> list[str]:
     """Return what is identifiable from the recordings."""
     head, *rows = excitation_rows(found)
-    parameters = [
-        (label, f'{100.0 * p["noise_share"]:.2g} %' if _known(p['noise_share']) else '-',
-         'not identifiable' if not p['identifiable'] else 'weakly' if p['weak'] else 'well')
-        for label, p in found['parameters'].items()
-    ]
+    parameter_head, *parameters = parameter_rows(found)
     condition = found['condition_number']
     return [
         paragraph(f'{found["rank"]} of {found["size"]} combinations of parameters are '
@@ -128,7 +133,7 @@ def excitation_content(
         bullets(found['warnings'], 'warning'),
         table(head, rows),
         folded(
-            'Each parameter', table(('parameter', 'noise', 'identifiable'), parameters, (0, 2))),
+            'Each parameter', table(parameter_head, parameters, (0, 4))),
         *(figure(excitation_figure(own, name)) for name, own in spectra.items()),
     ]
 
