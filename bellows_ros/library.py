@@ -31,8 +31,6 @@ __all__ = [
     'write_cup', 'write_parameters',
 ]
 
-_CUP = ('cup.stiffness', 'cup.damping', 'cup.length')
-
 
 def read_cup(path: str | os.PathLike[str]) -> Cup:
     """
@@ -57,7 +55,7 @@ def read_cup(path: str | os.PathLike[str]) -> Cup:
     9200.0
 
     """
-    return cup_of(_read(path, _CUP))
+    return cup_of(_read(path, ('cup.stiffness', 'cup.damping', 'cup.length')))
 
 
 def read_package(path: str | os.PathLike[str]) -> Package:

@@ -251,13 +251,6 @@ def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
             for block in blocks for cells in zip(*block, strict=True)]
 
 
-def short(value: float) -> str:
-    """Return a positive number in at most six characters."""
-    if value >= 1e3:
-        return f'{value:.0f}'
-    return f'{value:.3g}' if value >= 0.01 else f'{value:.4f}'
-
-
 def percent(ratio: float, decimals: int = 2) -> str:
     """Return a ratio in percent, or a dash if nothing moved."""
     return f'{100.0 * ratio:.{decimals}f} %' if math.isfinite(ratio) else '-'

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from . import options
-from .console import Console, short, with_error
+from .console import Console, with_error
 from .planned import carry_out
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def _say_series(found: 'Excitation', console: Console) -> None:
             zip(found.structure.labels, found.guess.tolist(), strict=True)):
         if value:
             rows.append([label, *(
-                f'{short(100.0 * errors[i] / abs(value))} %' if errors[i] < abs(value) else '-'
+                f'{100.0 * errors[i] / abs(value):.3g} %' if errors[i] < abs(value) else '-'
                 for _, errors in found.series.values())])
     console.table(rows, right=True)
     console.paragraph('Each column is for this recording alone, with the nominal length known; '

@@ -1,7 +1,7 @@
 """Options shared by the commands, and the settings they give."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from itertools import permutations
 import os
@@ -11,12 +11,10 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
 
+from .console import Console
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from bellows_ros.core.parameter_table import Value
-
-    from .console import Console
 
 STDOUT = '-'
 """As `files.atomic` takes it."""
@@ -122,7 +120,7 @@ def require_free(output: str, force: bool) -> None:
             'holds is then lost.')
 
 
-def put_json(target: str, content: 'Mapping[str, Any]') -> None:
+def put_json(target: str, content: Mapping[str, Any]) -> None:
     """Write a result to the target of --json, if there is one."""
     if target:
         from bellows_ros.files.results import write_json
@@ -165,7 +163,7 @@ def given_parameters(
 
 
 def cup_parameters(
-    arguments: argparse.Namespace, console: 'Console', node: str | None = None
+    arguments: argparse.Namespace, console: Console, node: str | None = None
 ) -> 'dict[str, Value]':
     """Return the `given_parameters`; a cup that is not among them will be remarked."""
     values = given_parameters(arguments, node)
@@ -175,7 +173,7 @@ def cup_parameters(
     return values
 
 
-def inputs_of(values: 'Mapping[str, Any]') -> list[str]:
+def inputs_of(values: Mapping[str, Any]) -> list[str]:
     """Return the input files that parameters name."""
     return [file for name in INPUTS for file in values.get(name, ())]
 
@@ -232,7 +230,7 @@ def _parsed(kind: str, text: str) -> object:
     return text
 
 
-def require_outputs(outputs: 'Iterable[str]', inputs: 'Iterable[str | Path]') -> None:
+def require_outputs(outputs: Iterable[str], inputs: Iterable[str | Path]) -> None:
     """
     Refuse output that cannot be written or is an input, before any work; '' is none.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from bellows_ros.extras import require_pictures
 
 from . import options
-from .console import Console, NOT_USABLE, OK, percent, short
+from .console import Console, NOT_USABLE, OK, percent
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.observe import Observed
@@ -122,7 +122,7 @@ def _say_observed(found: 'Observed', console: Console) -> None:
 
     errors = [way.scores.rms for way in found.ways.values()]
     console.table([('axis', *found.ways), *(
-        (f'{name:2} {MILLI_UNITS[i]}', *(short(MILLI * rms[i]) for rms in errors))
+        (f'{name:2} {MILLI_UNITS[i]}', *(f'{MILLI * rms[i]:.3g}' for rms in errors))
         for i, name in enumerate(AXES))], right=True, title=f'With {found.topic}, RMS error')
     console.paragraph(found.sentence)
     for line in found.alarm_lines:
@@ -141,7 +141,7 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
                   found.scores.largest)
         rows.append((
             f'{name:2} {MILLI_UNITS[i]}',
-            *('-' if error is None else short(MILLI * error[i]) for error in errors),
+            *('-' if error is None else f'{MILLI * error[i]:.3g}' for error in errors),
             percent(found.scores.nrmse[i], 1) + (' ' if found.moves[i] else '*'),
             white[i].removesuffix(' white'),
         ))

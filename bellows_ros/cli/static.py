@@ -7,6 +7,7 @@ the spring model predicts.
 """
 
 import argparse
+from collections.abc import Mapping
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,8 +18,6 @@ from . import options
 from .console import Console, OK
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from bellows_ros.core.parameter_table import Value
     from bellows_ros.workflows.static import StaticBag, StaticResult
 
@@ -66,7 +65,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _bags(
-    arguments: argparse.Namespace, settings: 'Mapping[str, Value]'
+    arguments: argparse.Namespace, settings: Mapping[str, 'Value']
 ) -> 'list[StaticBag]':
     """Return the recordings with their masses; those of static.bags if none is named."""
     from bellows_ros.core.parameters import resolve

@@ -106,22 +106,17 @@ class Outputs:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state = Topic(node, String, 'package/state', latched)
         self._tf: Topic | None = None
-        if values['frames.tf']:
-            self._advertise_tf(node)
+        if values['frames.tf'] and importlib.util.find_spec('tf2_msgs') is None:
+            node.get_logger().info('tf2_msgs is not installed: the package is not sent to tf.')
+        elif values['frames.tf']:
+            from tf2_msgs.msg import TFMessage
+
+            self._tf_message = TFMessage(transforms=[geometry.TransformStamped()])
+            self._tf = Topic(node, TFMessage, '/tf')
         self._messages = geometry.PoseStamped(), geometry.TwistStamped(), geometry.WrenchStamped()
         self._factors = geometry.Vector3Stamped()
         self._said = ''
         self._extrapolated_ns = -1
-
-    def _advertise_tf(self, node: Any) -> None:
-        """Advertise tf where its messages are installed."""
-        if importlib.util.find_spec('tf2_msgs') is None:
-            node.get_logger().info('tf2_msgs is not installed: the package is not sent to tf.')
-            return
-        from tf2_msgs.msg import TFMessage
-
-        self._tf_message = TFMessage(transforms=[geometry.TransformStamped()])
-        self._tf = Topic(node, TFMessage, '/tf')
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Go on with another cup or package; compile all that is shown of a prediction."""
