@@ -213,18 +213,15 @@ def _world_text(parameter: Parameter, value: object) -> str:
     if parts in ([], [ESTIMATE]):
         return ''.join(parts)
     try:
-        pose = np.array(parts, dtype=np.float64)
+        pose = np.array(parts, dtype=np.float64, ndmin=1)
     except (TypeError, ValueError):
         pose = np.empty(0)
-    if pose.shape != (7,) or not np.all(np.isfinite(pose)):
+    length = float(np.linalg.norm(pose[3:]))
+    if pose.shape != (7,) or not np.isfinite(pose).all() or abs(length - 1.0) > UNIT_WITHIN:
         raise BellowsError(
-            f"{parameter.name} must be seven numbers 'x y z qx qy qz qw', or {ESTIMATE}, or '', "
-            f'got {short(value)}. {parameter.description}')
-    if abs(float(np.linalg.norm(pose[3:])) - 1.0) > UNIT_WITHIN:
-        raise BellowsError(
-            f'{parameter.name}: the quaternion must be of length 1, got '
-            f'{np.linalg.norm(pose[3:]):.6g}. Its order is qx qy qz qw.')
-    pose[3:] /= np.linalg.norm(pose[3:])
+            f"{parameter.name} must be seven numbers 'x y z qx qy qz qw' with a quaternion of "
+            f"length 1, or {ESTIMATE}, or '', got {short(value)}. {parameter.description}")
+    pose[3:] /= length
     return pose_text(pose)
 
 

@@ -172,11 +172,17 @@ class Spectrum:
         return low, high
 
 
+def _there(values: Array) -> Mask:
+    """Return which samples (N,) of values (N, C) are not missing, or refuse values without any."""
+    there = np.isfinite(values).all(axis=1)
+    if not there.any():
+        raise BellowsError('There is no sample of which to take a spectrum.')
+    return np.asarray(there)
+
+
 def interpolated(values: Array) -> Array:
     """Return values (N, C) with the samples that are missing (NaN) on lines between the others."""
-    there = np.flatnonzero(np.isfinite(values).all(axis=1))
-    if not len(there):
-        raise BellowsError('There is no sample of which to take a spectrum.')
+    there = np.flatnonzero(_there(values))
     every = np.arange(len(values))
     return np.column_stack([np.interp(every, there, channel[there]) for channel in values.T])
 
@@ -197,9 +203,7 @@ def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spe
         Length of a segment, s.
 
     """
-    there = np.asarray(np.isfinite(values).all(axis=1))
-    if not there.any():
-        raise BellowsError('There is no sample of which to take a spectrum.')
+    there = _there(values)
     from scipy.signal import welch  # late: it takes 0.4 s and 25 MB
 
     length = min(len(values), round(segment_s * rate_hz))

@@ -57,8 +57,7 @@ from bellows_ros.core.tuples import (
 )
 import numpy as np
 
-STATE, CENTRE = slice(0, 12), slice(13, 16)
-SIZE = 22
+CENTRE = slice(13, 16)
 LENGTHENED, LENGTHENING, FORCE, MOMENT = 22, 23, 24, 25
 ZERO = (0.0, 0.0, 0.0)
 
