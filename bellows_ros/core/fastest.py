@@ -75,7 +75,8 @@ def fastest(
 
     """
     longest = largest_step(model)
-    thin = _thinned(tool)
+    _, first = np.unique(tool.stamps_ns // ROW_NS, return_index=True)
+    thin = tool.select(np.unique([*first, len(tool) - 1]))  # with its ends
     slowest = float(np.abs(np.linalg.eigvals(system_matrix(model))).min())
     tail = min(LONGEST_TAIL, 2.0 * math.pi / slowest)
     quick = Run(model, grip, thin, tail=tail, longest=COARSE * longest)
@@ -142,9 +143,3 @@ def _narrowed(
     factor, ends = _factor(run, high), (0.99 * high, 1.01 * high)
     slope = (_factor(run, ends[1]) - _factor(run, ends[0])) / (ends[1] - ends[0])
     return Fastest(high, factor, part * factor, abs(part * factor / slope) if slope else 0.0)
-
-
-def _thinned(tool: Trajectory) -> Trajectory:
-    """Return a plan with one row in each `ROW_NS`, and its ends."""
-    _, first = np.unique(tool.stamps_ns // ROW_NS, return_index=True)
-    return tool.select(np.unique([*first, len(tool) - 1]))
