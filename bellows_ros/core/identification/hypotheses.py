@@ -310,7 +310,12 @@ def _tried(
     hypothesis: Hypothesis, objective: Objective, ensemble: Ensemble, start: Array | None = None,
     rounds: int = 0, level: float = 0.0,
 ) -> _Trial:
-    """Return a hypothesis with the numbers that explain most, less a level of noise."""
+    """
+    Return a hypothesis with the numbers that explain most, less a level of noise.
+
+    Infinite squares are left where it cannot be: K is positive and keeps its sign, friction takes
+    energy, and no inertia is that far off.
+    """
     if hypothesis.block is not None:
         from bellows_ros.core.identification.free import refine, ROUNDS
 
@@ -321,30 +326,30 @@ def _tried(
         theta = std = NONE
         solved = objective.solved(ensemble.varied(
             lambda given: [hypothesis.vary(own, NONE) for own in given]))
+    can_be = True
     if hypothesis in _OTHERWISE:
         # Parts by which K changes, or friction as a part of the largest force.
         own = ensemble.given[0].structure
         entries, n = extra_entries(own, hypothesis.name), 2 * own.size
-        each = SLIPS if hypothesis.name == 'friction' else (1.0,)
-        T = np.kron(each, np.eye(len(entries))) / solved.x[entries, None]
+        each = {'friction': SLIPS, 'cubic': (1.0, 1.0)}.get(hypothesis.name, (1.0,))
+        K = solved.x[entries]
+        T = np.kron(each, np.eye(len(entries))) / K[:, None]
         covariance = T @ covariance_of(solved, solved.rows.A)[n:, n:] @ T.T
         theta, std = T @ solved.x[n:], np.sqrt(np.diag(covariance))
-    return _Trial(hypothesis, theta, std, solved._replace(excess=solved.excess - level))
+        size, best = np.abs(theta), int(np.argmax(np.abs(theta) / std))
+        row, column = own.leads[entries[best]]
+        can_be = bool(K[best] > 0.0 or row != column) and bool(
+            theta[best] > 0.0 if hypothesis.name == 'friction'
+            else np.all((size < 1.0) | (size < SIGNIFICANT * std)))
+    elif hypothesis.name == 'inertia' and len(theta):
+        can_be = abs(theta[0]) < TENFOLD
+    excess = solved.excess - level if can_be else np.inf
+    return _Trial(hypothesis, theta, std, solved._replace(excess=excess))
 
 
 def _in_order(trials: Iterable[_Trial]) -> list[_Trial]:
     """Return trials, the best first, without cups and packages that cannot be."""
-    def can_be(trial: _Trial) -> bool:
-        """Return whether K keeps its sign, friction takes energy, and a package is one."""
-        size = np.abs(trial.theta)
-        if trial.hypothesis.name == 'inertia' and len(size):
-            return bool(size[0] < TENFOLD)
-        if trial.hypothesis not in _OTHERWISE:
-            return True
-        if trial.hypothesis.name == 'friction':
-            return bool(trial.theta[np.argmax(size / trial.std)] > 0.0)
-        return bool(np.all((size < 1.0) | (size < SIGNIFICANT * trial.std)))
-    return sorted(filter(can_be, trials), key=_mark)
+    return sorted((own for own in trials if np.isfinite(own.solved.excess)), key=_mark)
 
 
 def _chance(solved: Solved) -> float:
@@ -374,16 +379,23 @@ def _finding(
     instead = [t for t in tried if t.solved.excess < max(excess / DISTINCT, excess + least) and (
         {t.hypothesis.name, own.name} == {'length', 'com'} or (
             t.hypothesis.name == own.name == 'yaw' and t is not trial))]
+
+    def beaten(other: _Trial) -> bool:
+        """Return whether another explains clearly less, or not all where this one does."""
+        rival, most = other.hypothesis, _left(other.solved)
+        if rival.freed > own.freed:
+            return rival.datum or left < most
+        part = DISTINCT if own.datum or not rival.datum else DISTINCT**2
+        return left < part * most or (
+            excess < _chance(before) and other.solved.excess - excess > least)
+
     if own in _OTHERWISE and before.excess < DOUBTED:
         others = min([before.excess, *(t.solved.excess for t in tried if t is not trial)])
         certain = others - trial.solved.excess > least
     else:
         certain = left < DISTINCT**2 * first + _chance(before) and left < DISTINCT * first and all(
-            left < (DISTINCT if own.datum or not other.datum else DISTINCT**2) * most
-            if other.freed <= own.freed else other.datum or left < most
-            for most, other in ((_left(t.solved), t.hypothesis) for t in tried
-                                if not any(t is i for i in instead))
-            if other.name != own.name)
+            beaten(t) for t in tried
+            if t.hypothesis.name != own.name and not any(t is i for i in instead))
     if len(theta):
         certain = certain and bool(np.any(np.abs(theta) > SIGNIFICANT * std))
     diagonal = [i for i, (row, column) in enumerate(structure.leads)

@@ -178,7 +178,7 @@ def _extra(given: Given, L: Array) -> list[Array]:
         size = _sizes(lip.displacement(given.length))
         leads = [given.structure.leads[i][0] for i in own]
         square = (size[:, leads] / np.abs(size[:, leads]).max(axis=0)) ** 2
-        return [square[:, None, :] * L[:, :, own]]
+        return [part[:, None, :] * L[:, :, own] for part in (square, square**2)]
     if given.extra == 'friction':
         columns = []
         for z in _dragged(given):

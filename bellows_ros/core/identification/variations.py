@@ -37,7 +37,8 @@ class Given(NamedTuple):
     aligned : bool
         Whether alignment at rest has put the lip below the tool tip, whatever the centre of mass.
     extra : str
-        'drift', 'cubic' or 'friction' for columns beside those of K and P; '' for none.
+        'drift', 'cubic' (a spring that is not linear, up to fifth order) or 'friction' for columns
+        beside those of K and P; '' for none.
 
     """
 
