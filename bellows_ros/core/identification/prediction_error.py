@@ -135,8 +135,8 @@ def _fit(search: Search, found: Found, iterations: list[Iteration]) -> Fit:
         condition_number=_condition(found.information[:size, :size]),
         weight=np.diag(search.noises(search.segments[0], search.kept)[0].std ** -2),
         residual_rms=np.sqrt(np.mean(noise**2, axis=0)),
-        notes=(*_colour(search), *(() if found.converged else (NOT_CONVERGED,))),
-        misfit=_misfit(robust_chi2),
+        notes=() if found.converged else (NOT_CONVERGED,),
+        misfit=' '.join(filter(None, (_colour(search), _misfit(robust_chi2)))),
         chi2=_squares(search, found.theta) / max(len(r) - len(x), 1),
         robust_chi2=robust_chi2,
         converged=found.converged,
@@ -149,15 +149,15 @@ def _fit(search: Search, found: Found, iterations: list[Iteration]) -> Fit:
     )
 
 
-def _colour(search: Search) -> tuple[str, ...]:
-    """Return a sentence where the noise is correlated in time."""
+def _colour(search: Search) -> str:
+    """Return a sentence if the noise is correlated in time."""
     kept, period = max(search.kept), search.segments[0].period
     if kept <= SHORTEST_COLOUR:
-        return ()
+        return ''
     return (
         f'The noise is correlated over {-1e3 * period / np.log(kept):.0f} ms, perhaps by '
         'smoothing in the motion capture. The standard errors account for it; unsmoothed '
-        'poses give smaller ones.',)
+        'poses give smaller ones.')
 
 
 def _misfit(chi2: float) -> str:

@@ -98,7 +98,7 @@ class Fit:
     notes : tuple of str
         What a user must know of how it was found, in sentences.
     misfit : str
-        That model and noise do not explain the recordings; '' where they do.
+        That model and white noise do not explain the recordings; '' where they do.
     converged : bool
         Whether the minimum was found; if not, all standard errors are infinite.
     chi2, robust_chi2 : float or None
