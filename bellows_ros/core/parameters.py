@@ -265,7 +265,9 @@ def _number(parameter: Parameter, value: object, where: str = '') -> int | float
     except OverflowError:  # an integer no double can hold
         fits = False
     if not fits:
-        raise _refuse(parameter, f'{short(value)}{where}')
+        large = parameter.unit and (value > high or -value > high)
+        unit = f' (is it in {parameter.unit}?)' if large else ''
+        raise _refuse(parameter, f'{short(value)}{where}{unit}')
     return int(value) if whole else float(value)
 
 

@@ -196,6 +196,7 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
         ('package.com', {0: 1}, '3 numbers'),
         ('cup.length', 48.1, r'\(m\)'),
         ('cup.length', 0, 'above 0'),
+        ('cup.length', 53.5, r'got 53.5 \(is it in m\?\)'),
         ('gravity', -9.81, 'gravity.magnitude must be a number, at least 0'),
         ('gravity.direction', [0.0, 0.0, 0.0], 'nothing is down'),
         ('filter.tool.half_window', 25.0, 'a whole number'),
