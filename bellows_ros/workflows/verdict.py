@@ -76,13 +76,18 @@ class Verdict(NamedTuple):
         first = self.diagnosis.findings[0]
         if first.certain:
             return (finding_sentence(first, self.given),)
+        if self.simulated and all(
+                (own.rms <= AT_NOISE * own.noise).all() for own in self.simulated):
+            return ()
         if first.likely:
             return (f'Likely, but not certain: {finding_sentence(first, self.given)}',)
-        if self.diagnosis.excess < DOUBTED or (self.simulated and all(
-                (own.rms <= AT_NOISE * own.noise).all() for own in self.simulated)):
+        if self.diagnosis.excess < DOUBTED:
             return ()
         return ('Noise does not explain the residuals, and no tested cause explains most of '
-                'them: check the list in the JSON file, and the given values.',)
+                'them: check the list in the JSON file, and the given values.' + (
+                    ' recording.align_at_rest supposes one world for both bodies: if they may be '
+                    'in two, set recording.package_world: estimate.'
+                    if self.given.get('recording.align_at_rest') else ''),)
 
     @property
     def refusals(self) -> tuple[str, ...]:
@@ -200,10 +205,10 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
                 'package', 'Stamp both by one clock, or set fit.time_offset: true.')
     if name == 'com':
         shifts = ', '.join(
-            f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm' for axis, x, s in
+            f'{axis} {1e3 * x:+.3f} ± {1e3 * s:.2g} mm' for axis, x, s in
             zip('xyz', theta, std, strict=True) if abs(x) > 3.0 * s)
         moved = np.where(np.abs(theta) > 3.0 * std, theta, 0.0)
-        new = ', '.join(f'{x:.4f}' for x in np.add(given['package.com'], moved))
+        new = ', '.join(f'{x:.5f}' for x in np.round(np.add(given['package.com'], moved), 5) + 0.0)
         if found.instead:
             return _length_or_com(1e3 * theta[2])
         return (f'The centre of mass is not at package.com, but {shifts} from there',
@@ -276,7 +281,7 @@ def _cup_words(found: Finding) -> tuple[str, str]:
                 'It warms up, or leaks: record a cup that has warmed up, and check the vacuum.')
     if name == 'friction':
         return (f'The cup has hysteresis: friction takes {part} of the largest force of {value}',
-                'P is its mean over this motion: record motions as large and fast as in use.')
+                'K and P are means over this motion: record motions as large and fast as in use.')
     side = 'less' if found.theta[0] < 0.0 else 'more'
     return (f'The cup is not linear: {value} is {part} {side} at the largest deflection',
             'The fit is the mean over this motion: record motions as large as those in use.')

@@ -282,7 +282,8 @@ class Rest(NamedTuple):
         return (f'At rest the z axis of the tool is {tool:.1f} degrees and that of the package '
                 f'{package:.1f} degrees off the vertical, and the two frames are rotated by '
                 f'{turned:.1f} degrees. If the tool was upright then, set '
-                'recording.align_at_rest.',)
+                'recording.align_at_rest; if the two are tracked in different worlds, set '
+                'recording.package_world: estimate instead.',)
 
 
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
