@@ -205,10 +205,10 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
                 'package', 'Stamp both by one clock, or set fit.time_offset: true.')
     if name == 'com':
         shifts = ', '.join(
-            f'{axis} {1e3 * x:+.3f} ± {1e3 * s:.2g} mm' for axis, x, s in
+            f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm' for axis, x, s in
             zip('xyz', theta, std, strict=True) if abs(x) > 3.0 * s)
         moved = np.where(np.abs(theta) > 3.0 * std, theta, 0.0)
-        new = ', '.join(f'{x:.5f}' for x in np.round(np.add(given['package.com'], moved), 5) + 0.0)
+        new = ', '.join(f'{x:.4f}' for x in np.round(np.add(given['package.com'], moved), 4) + 0.0)
         if found.instead:
             return _length_or_com(1e3 * theta[2])
         return (f'The centre of mass is not at package.com, but {shifts} from there',
