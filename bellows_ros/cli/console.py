@@ -25,7 +25,6 @@ from bellows_ros.errors import BellowsError
 OK = 0
 NOT_USABLE = 1
 USER_ERROR = 2
-INTERRUPTED = 130
 PIPE_CLOSED = 141
 
 EXIT_CODES = """exit codes:
@@ -271,30 +270,21 @@ def many(count: int, noun: str) -> str:
 ENDING = (signal.SIGTERM, signal.SIGHUP)
 
 
-class Ended(BaseException):
-    """A signal that ends this process; raised wherever the work is, as Ctrl-C is."""
-
-    def __init__(self, number: int) -> None:
-        """Remember which one."""
-        super().__init__(number)
-        self.name = signal.Signals(number).name
-        self.exit_code = 128 + number
-
-
 def in_order(work: Callable[[Console], int]) -> int:
     """
     Do some work with the streams of this process; return the exit code.
 
     An error ends as a message, and so do signals that would end this process at once: they raise
-    `Ended`, so that all is removed. Once, as they often come twice, to a process and to its group:
-    the second must not stop that.
+    what Ctrl-C does, so that all is removed. Once, as they often come twice, to a process and to
+    its group: the second must not stop that.
     """
-    console = Console(sys.stdout, sys.stderr)
+    console, ended = Console(sys.stdout, sys.stderr), list[signal.Signals]()
 
     def end(number: int, frame: FrameType | None) -> NoReturn:
         for each in taken:
             signal.signal(each, signal.SIG_IGN)
-        raise Ended(number)
+        ended.append(signal.Signals(number))
+        raise KeyboardInterrupt
 
     in_main = threading.current_thread() is threading.main_thread()
     taken = [n for n in ENDING if in_main and signal.getsignal(n) is signal.SIG_DFL]
@@ -306,18 +296,15 @@ def in_order(work: Callable[[Console], int]) -> int:
         console.error(str(error))
         return error.exit_code
     except KeyboardInterrupt:
-        console.note('Interrupted; nothing was left half done.')
-        return INTERRUPTED
-    except Ended as ended:
-        taken.clear()  # they stay ignored: what is left is to clean up
-        console.note(f'Ended by {ended.name}; nothing was left half done.')
-        return ended.exit_code
+        how = f'Ended by {ended[0].name}' if ended else 'Interrupted'
+        console.note(f'{how}; nothing was left half done.')
+        return 128 + (ended or [signal.SIGINT])[0]
     except BrokenPipeError:  # the reader of the output has closed it
         # Let nothing be written any more, also not when the process ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
     finally:
-        for number in taken:
+        for number in taken if not ended else ():  # ignored: what is left is to clean up
             signal.signal(number, signal.SIG_DFL)
 
 
