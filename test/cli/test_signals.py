@@ -9,11 +9,12 @@ import sys
 import time
 
 from bellows_ros.files.atomic import hidden_name, PREFIX
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.messages import encode, LAYOUTS
 import numpy as np
 import pytest
 
 from .conftest import contents, MOTION, write_yaml
+from ..files.recordings import POSE, write
 
 WITHIN = 60.0  # s, for what must come at once on a machine that is not busy
 POSES = 150_000
@@ -68,10 +69,10 @@ def compressed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     values = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (POSES, 1))
     for number in range(3):
         poses = values + [1e-3 * number, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-        write_bag(
-            folder / f'r{number}',
-            [Recorded(name, 'geometry_msgs/msg/PoseStamped', stamps, poses)
-             for name in ('/tool_arm/pose', '/package/pose')], 'sqlite3', 'file')
+        data = encode(stamps, poses, ['world'], LAYOUTS[POSE])
+        messages = list(zip(stamps.tolist(), data, strict=True))
+        write(folder / f'r{number}', {(name, POSE): messages for name in (
+            '/tool_arm/pose', '/package/pose')}, 'sqlite3', 'FILE')
     return folder
 
 

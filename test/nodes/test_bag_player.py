@@ -28,7 +28,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_bag(path, [
         Recorded('/tool/pose', POSE, stamps, poses, log_times_ns=stamps + LATER_NS),
         Recorded('/tool/twist', TWIST, stamps, poses[:, :6], log_times_ns=stamps + LATER_NS),
-    ], 'mcap', 'none')
+    ])
     return path
 
 
