@@ -1,5 +1,6 @@
 """`bellows identify` through files and on several cores, as a user calls it."""
 
+import importlib.util
 import json
 
 from bellows_ros.cli import main
@@ -24,7 +25,7 @@ def test_summaries_are_fitted(call, tmp_path, capsys):
         assert call('identify', f'bags/{name}', '--params', 'bags/package.yaml',
                     '--summary-out', files[-1], '--json', '-') == 0
         said = capsys.readouterr()
-        assert f'Wrote {files[-1]}: ' in said.err
+        assert f'Wrote {files[-1]}.\n' in said.err
         assert json.loads(said.out)['samples_used'] > 1000
     assert call('identify', 'bags/validation', '--params', 'bags/package.yaml', '--summary-out',
                 tmp_path / 'again.npz', '--json', tmp_path / 'again.json') == 0
@@ -70,7 +71,9 @@ def test_a_page_shows_the_recordings_of_a_batch_too(call, tmp_path):
 
 def test_a_page_without_matplotlib_is_refused_before_any_work(call, capsys, monkeypatch):
     """Say how to install it, before the recording is found to be missing."""
-    monkeypatch.setattr('bellows_ros.extras.find_spec', lambda name: None)
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, 'find_spec',
+                        lambda name, *rest: None if name == 'matplotlib' else find(name, *rest))
     for command in (('identify', 'none', '--params', 'bags/package.yaml', '--report', 'x.html'),
                     ('replay', 'none', '--params', 'bags/cup.yaml', '--report', 'x.html'),
                     ('report', 'none.json', '--out', 'x.html')):
