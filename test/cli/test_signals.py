@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 import os
 from pathlib import Path
+import shutil
 import signal
 import subprocess
 import sys
@@ -66,13 +67,13 @@ def compressed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a folder with three compressed SQLite recordings that take seconds to read."""
     folder = tmp_path_factory.mktemp('compressed')
     stamps = 10**18 + 2_777_778 * np.arange(POSES)
-    values = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (POSES, 1))
-    for number in range(3):
-        poses = values + [1e-3 * number, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-        data = encode(stamps, poses, ['world'], LAYOUTS[POSE])
-        messages = list(zip(stamps.tolist(), data, strict=True))
-        write(folder / f'r{number}', {(name, POSE): messages for name in (
-            '/tool_arm/pose', '/package/pose')}, 'sqlite3', 'FILE')
+    poses = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (POSES, 1))
+    data = encode(stamps, poses, ['world'], LAYOUTS[POSE])
+    messages = list(zip(stamps.tolist(), data, strict=True))
+    write(folder / 'r0', {(name, POSE): messages for name in (
+        '/tool_arm/pose', '/package/pose')}, 'sqlite3', 'FILE')
+    for name in ('r1', 'r2'):
+        shutil.copytree(folder / 'r0', folder / name)
     return folder
 
 
