@@ -152,6 +152,13 @@ def _require_below(recording: Recording) -> None:
         raise BellowsError(wrong)
     if away > FARTHEST:
         raise BellowsError(_millimetres(recording, away))
+    centre = apply(np.swapaxes(tool.rotation, 1, 2), package.position - tool.position)
+    below = -float(np.median(centre[:, 2]))
+    if recording.settings.package_frame == 'com' and below > 0.0:
+        raise BellowsError(
+            f'The package is tracked {1e3 * below:.0f} mm below the tool tip, but the lip of the '
+            f'cup would be {1e3 * above:.0f} mm above it. If the poses are those of the lip, set '
+            'recording.package_frame: lip; else check package.com.')
     upward = float(np.median(way[:, 2]))
     raise BellowsError(
         'topics.tool_pose and topics.package_pose are exchanged: the lip of the cup would be '

@@ -52,6 +52,12 @@ def test_the_fault_is_named_first(fault):
     assert named(laboratory, cause) == 'right'
 
 
+def test_poses_of_the_lip_that_put_it_above_the_tool_are_no_exchanged_topics():
+    laboratory = Laboratory(20271)
+    FAULTS['package frame'][0](laboratory)
+    assert named(laboratory, 'recording.package_frame: lip') == 'right'
+
+
 def test_no_spring_explains_a_wrong_centre_of_mass_that_is_negative_at_rest():
     laboratory = Laboratory(245)
     FAULTS['centre of mass along z'][0](laboratory)
