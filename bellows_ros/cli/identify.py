@@ -230,14 +230,24 @@ def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]
 
 def _say(result: 'Identification', console: Console) -> None:
     """Print the cup, and the samples and findings behind it."""
+    from bellows_ros.core.residuals import AXES, MILLI_UNITS
+
     fit, verdict = result.fit, result.verdict
     causes, sentences = (verdict.cause, verdict.sentences) if verdict else ((), ())
     console.paragraph(*causes)
     console.say(f'Cup identified from {listed(result.bags)}', 'bold')
     console.say(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     console.say()
-    console.paragraph(
-        *([result.typical.sentence] if result.typical else []), *sentences[len(causes):])
+    console.paragraph(*([result.typical.sentence] if result.typical else []))
+    for simulated in verdict.simulated if verdict else ():
+        if not all(map(math.isfinite, simulated.rms)):
+            console.paragraph(simulated.sentence)
+            continue
+        console.table([
+            ('', *(f'{axis} {unit}' for axis, unit in zip(AXES, MILLI_UNITS, strict=True))),
+            *((name, *(f'{1e3 * x:.3g}' for x in values))
+              for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
+            right=True, title=f'Free simulation of {simulated.bag} with this cup (RMS):')
     say_cup(fit, console)
     _say_samples(result, console)
     console.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
@@ -279,4 +289,4 @@ def _say_samples(result: 'Identification', console: Console) -> None:
         found = [many(count, what) for what, count in counts.items() if count]
         if found:
             touched = many(stream['filtered_samples_left_out'], 'filtered sample')
-            console.paragraph(f'  {stream["topic"]}: {", ".join(found)}; {touched} left out')
+            console.paragraph(f'  {stream["topic"]}: {", ".join(found)}; {touched} near these')
