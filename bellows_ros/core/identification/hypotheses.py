@@ -59,6 +59,9 @@ HEAVIEST = 50.0
 GYRATION = (0.01, 0.3, 1.0)
 """Radii of gyration of packages, m: the smallest, the largest usual one, the largest of all."""
 
+NOT_KNOWN = 1e200
+"""Variance of what is not identifiable: finite, as 0 times infinity is no number."""
+
 TENFOLD = float(np.log(10.0))
 """No inertia is off by more, but by its unit."""
 
@@ -334,7 +337,8 @@ def _tried(
         each = {'friction': SLIPS, 'cubic': (1.0, 1.0)}.get(hypothesis.name, (1.0,))
         K = solved.x[entries]
         T = np.kron(each, np.eye(len(entries))) / K[:, None]
-        covariance = T @ covariance_of(solved, solved.rows.A)[n:, n:] @ T.T
+        covariance = T @ np.nan_to_num(
+            covariance_of(solved, solved.rows.A)[n:, n:], posinf=NOT_KNOWN) @ T.T
         theta, std = T @ solved.x[n:], np.sqrt(np.diag(covariance))
         size, best = np.abs(theta), int(np.argmax(np.abs(theta) / std))
         row, column = own.leads[entries[best]]
