@@ -50,6 +50,9 @@ SWITCH = 5e-5
 TAIL = 2.0
 """Time (s) after the end of a plan that is predicted."""
 
+DELIVERED = 4e-4
+"""Until then (s) a prediction has reached its listeners, who need the processor for it."""
+
 STILL = Prediction(1, *ORIGIN, ZERO, ZERO)
 """Stands for a package of unknown state."""
 
@@ -129,7 +132,7 @@ class Planning:
         """Go on with other values."""
         self._live, self._values, self.grip = live, values, grip_of(values)
         self._coarse = COARSE * largest_step(live.model)
-        self._period_ns = round(0.9e9 / values['plan.rate'])  # ticks are not exact
+        self._period_ns = round(0.9e9 / values['plan.rate'])  # poses come when they come
 
     def _on_publishers(self, compile_it: Callable[[], None], matched: Any) -> None:
         """Compile what answers a topic once a possible publisher appears."""
@@ -203,21 +206,21 @@ class Planning:
 
     def follow(self) -> None:
         """Predict the rest of the plan from where tool and package are, as often as asked for."""
-        ahead, now = self._ahead, self.held
-        monotonic_ns = time.monotonic_ns()
-        if ahead is None or now is None or monotonic_ns - self._predicted_ns < self._period_ns:
+        if self._ahead is None or time.monotonic_ns() - self._predicted_ns < self._period_ns:
             return
-        if self.is_busy:
-            return
-        self._predicted_ns = monotonic_ns
-        ahead.follow(now)
-        if ahead.done:
-            self._ahead = None
-        elif ahead.progress > 0.0 and not ahead.off:
-            self.submit(self._predict_rest, ahead, now)
+        now = self.held
+        if now is not None and not self.is_busy:
+            self._predicted_ns = time.monotonic_ns()
+            self.submit(self._predict_rest, self._ahead, now)
 
     def _predict_rest(self, ahead: Ahead, now: Prediction) -> None:
-        """Predict the rest of a plan from a live state."""
+        """Predict the rest of a plan from a live state, between two poses."""
+        time.sleep(DELIVERED)
+        ahead.follow(now)
+        if ahead.done and ahead is self._ahead:
+            self._ahead = None
+        if ahead.done or ahead.off or ahead.progress == 0.0:
+            return
         try:
             self._answer(Run(
                 self._live.model, self.grip, ahead.rest(now), now.body, 0.0, self._coarse),

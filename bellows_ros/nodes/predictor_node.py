@@ -244,6 +244,7 @@ class PredictorNode(ManagedNode):
             factors = self._diagnostics.load.watch_force(prediction)
             self._outputs.publish(prediction, self._live.frame_id, factors)
             self._last = prediction
+            self._planning.follow()
 
     # ----------------------------------------------------------------- events
 
@@ -335,7 +336,6 @@ class PredictorNode(ManagedNode):
         held = self._planning.held
         if held is not None and self._ticks % LOAD_TICKS == 0:
             self._diagnostics.load.watch_deflection(live.model, held)
-        self._planning.follow()
         flight = self._tossing.flight
         if held is not None and flight.known and not flight.state:
             self._tossing.publish(
