@@ -18,7 +18,9 @@ from bellows_ros.core.tuples import (
     apply,
     apply_transposed,
     exp_quaternion,
+    log_quaternion,
     normalised,
+    Quaternion,
     quaternion_conjugate,
     quaternion_product,
     rotation_matrix,
@@ -67,6 +69,15 @@ def moved(
     """Return a state displaced in its own axes, with its twist changed."""
     o, q, v, w = displaced(body, shift, turn)
     return o, normalised(q), add(v, linear), add(w, angular)
+
+
+@kernel
+def pose_error(body: State, position: Vector, q: Quaternion) -> tuple[Vector, Vector]:
+    """Return shift and turn that `moved` takes from a body to a pose: log(T_hat^-1 Z)."""
+    return (
+        apply_transposed(rotation_matrix(body[1]), subtract(position, body[0])),
+        log_quaternion(quaternion_product(quaternion_conjugate(body[1]), q)),
+    )
 
 
 class Jacobian(NamedTuple):

@@ -51,7 +51,7 @@ TAIL = 2.0
 """Time (s) after the end of a plan that is predicted."""
 
 DELIVERED = 4e-4
-"""Until then (s) a prediction has reached its listeners, who need the processor for it."""
+"""Wait (s) after a prediction before a plan is predicted anew: its listeners come first."""
 
 STILL = Prediction(1, *ORIGIN, ZERO, ZERO)
 """Stands for a package of unknown state."""
@@ -132,7 +132,7 @@ class Planning:
         """Go on with other values."""
         self._live, self._values, self.grip = live, values, grip_of(values)
         self._coarse = COARSE * largest_step(live.model)
-        self._period_ns = round(0.9e9 / values['plan.rate'])  # poses come when they come
+        self._period_ns = round(0.9e9 / values['plan.rate'])  # poses come at their rate
 
     def _on_publishers(self, compile_it: Callable[[], None], matched: Any) -> None:
         """Compile what answers a topic once a possible publisher appears."""
@@ -214,7 +214,7 @@ class Planning:
             self.submit(self._predict_rest, self._ahead, now)
 
     def _predict_rest(self, ahead: Ahead, now: Prediction) -> None:
-        """Predict the rest of a plan from a live state, between two poses."""
+        """Predict the rest of a plan from a live state, once that has been delivered."""
         time.sleep(DELIVERED)
         ahead.follow(now)
         if ahead.done and ahead is self._ahead:

@@ -11,14 +11,13 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import linearise, static_equilibrium
+from bellows_ros.core.equilibrium import linearise, pose_error, static_equilibrium
 from bellows_ros.core.identification.equations import covariance_of
 from bellows_ros.core.identification.minimum import Root
 from bellows_ros.core.identification.motion_equations import Segment
 from bellows_ros.core.identification.segments import Measured, MOST_POSES, PoseNoise
 from bellows_ros.core.kernels import ModelTuple, State
 from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.observer.filter import pose_error
 from bellows_ros.core.recording.recording import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
 from bellows_ros.core.resampling import weights
 from bellows_ros.core.simulation import simulate

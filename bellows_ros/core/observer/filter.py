@@ -43,16 +43,10 @@ from bellows_ros.core.tuples import (
     add,
     add_scaled,
     apply,
-    apply_transposed,
     hat,
-    log_quaternion,
-    Quaternion,
-    quaternion_conjugate,
-    quaternion_product,
     rotation_matrix,
     scale,
     scale_matrix,
-    subtract,
     Vector,
 )
 import numpy as np
@@ -129,15 +123,6 @@ Driving = tuple[Array, Array]
 What drives the error: the covariance of the state (12, 12) due to noise of the tool's pose, held
 for a second, and variances of the random walk of the error (22,) per second.
 """
-
-
-@kernel
-def pose_error(body: State, position: Vector, q: Quaternion) -> tuple[Vector, Vector]:
-    """Return shift and turn that `moved` takes from a body to a pose: log(T_hat^-1 Z)."""
-    return (
-        apply_transposed(rotation_matrix(body[1]), subtract(position, body[0])),
-        log_quaternion(quaternion_product(quaternion_conjugate(body[1]), q)),
-    )
 
 
 @kernel

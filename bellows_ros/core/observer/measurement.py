@@ -7,13 +7,12 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import moved
+from bellows_ros.core.equilibrium import moved, pose_error
 from bellows_ros.core.jit import kernel
 from bellows_ros.core.kernels import State
 from bellows_ros.core.observer.filter import (
     add_product,
     CENTRE,
-    pose_error,
     product,
     turned_over,
 )

@@ -1,11 +1,16 @@
 """A package whose true motion is known, under a tool seen with noise, and a camera."""
 
-from bellows_ros.core.equilibrium import largest_step, static_equilibrium, substeps_for
+from bellows_ros.core.equilibrium import (
+    largest_step,
+    pose_error,
+    static_equilibrium,
+    substeps_for,
+)
 from bellows_ros.core.kernels import advance, tool_at, tool_segment
 from bellows_ros.core.live.payload import prepared
 from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.observer import Observer
-from bellows_ros.core.observer.filter import changed, pose_error
+from bellows_ros.core.observer.filter import changed
 from bellows_ros.core.parameters import resolve
 import numpy as np
 

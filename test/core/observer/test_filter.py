@@ -2,7 +2,7 @@
 
 import itertools
 
-from bellows_ros.core.equilibrium import largest_step, static_equilibrium
+from bellows_ros.core.equilibrium import largest_step, pose_error, static_equilibrium
 from bellows_ros.core.kernels import tool_at, tool_segment
 from bellows_ros.core.model import model_tuple
 from bellows_ros.core.observer.filter import (
@@ -10,7 +10,6 @@ from bellows_ros.core.observer.filter import (
     driving,
     Estimate,
     NOT_FOLLOWED,
-    pose_error,
     swept,
     with_payload,
 )

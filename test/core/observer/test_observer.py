@@ -1,10 +1,10 @@
 """Correct a package whose true motion is known."""
 
-from bellows_ros.core.equilibrium import largest_step, substeps_for
+from bellows_ros.core.equilibrium import largest_step, pose_error, substeps_for
 from bellows_ros.core.kernels import advance
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model import Cup, model_tuple, Package
-from bellows_ros.core.observer.filter import changed, pose_error
+from bellows_ros.core.observer.filter import changed
 from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.tuples import quaternion_product
 import numpy as np
