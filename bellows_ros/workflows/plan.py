@@ -334,6 +334,10 @@ def plan_with_cup(
     path: str | os.PathLike[str], settings: Mapping[str, object], urdf: str = '', topic: str = ''
 ) -> Source:
     """Return a plan, with the chosen cup and a package in the parameters; see `plan`."""
+    if not Path(path).exists():
+        raise BellowsError(
+            f"Plan '{path}' does not exist. Give a recording, or a YAML, TUM, KITTI or EuRoC "
+            'file.')
     return read_plan(
         path, with_chosen_cup(resolve(settings, PACKAGE_PARAMETERS)), urdf, topic)
 

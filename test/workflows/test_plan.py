@@ -364,8 +364,8 @@ def test_what_is_no_plan_is_refused(tmp_path: Path):
     (tmp_path / 'list.yaml').write_text('- 1\n')
     with pytest.raises(BellowsError, match='holds no names and values'):
         figures(tmp_path / 'list.yaml')
-    with pytest.raises(BellowsError, match='does not exist|no such|not'):
-        figures(tmp_path / 'missing')
+    with pytest.raises(BellowsError, match="Plan '.*missing' does not exist. Give a"):
+        plan(tmp_path / 'missing', {})  # said before the package's data are asked for
     times, poses, _ = samples()
     poses_of = encode_path(T0, 'base', times, poses)
     elsewhere = poses_of.replace(b'base', b'else')[:24] + poses_of[24:]
