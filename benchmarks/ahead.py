@@ -11,7 +11,8 @@ from .probe import CYCLE, PLAN_LASTS
 
 POINTS, RATE = 500, 500
 """Points per second of a plan; rate (Hz) of the tool's poses."""
-PLAN_ROUNDS, LANDING_ROUNDS, LANDING_RATES, LANDING_SECONDS = 4, 7, (125, 500), 5.0
+PLAN_ROUNDS, PLAN_CYCLES, PLAN_PERIOD = 2, 15, 1
+LANDING_ROUNDS, LANDING_RATES, LANDING_SECONDS = 7, (125, 500), 5.0
 
 
 def run(short: bool) -> dict[str, Any]:
@@ -22,16 +23,16 @@ def run(short: bool) -> dict[str, Any]:
 
 
 def _answers(folder: Path, short: bool) -> dict[str, Any]:
-    """Plans of 2 s, one each second for half of each cycle, while poses come."""
+    """Plans of 2 s, one in each period for half of each cycle, while poses come."""
     times: dict[str, list[float]] = {PLANS: [], PREDICTOR: []}
     pairs = []
     for _ in range(1 if short else PLAN_ROUNDS):
         for name, found in times.items():
-            run = measured(name, RATE, (1 if short else 3) * CYCLE, True, folder,
-                           f'plans,1,{POINTS},raw')
+            run = measured(name, RATE, (1 if short else PLAN_CYCLES) * CYCLE, True, folder,
+                           f'plans,{PLAN_PERIOD},{POINTS},raw')
             found += run['plans']
             if name == PREDICTOR:
-                pairs += halves(run, CYCLE, PLAN_LASTS)
+                pairs += halves(run, CYCLE, PLAN_LASTS - PLAN_PERIOD)
     return {
         'points': POINTS * PLAN_LASTS + 1, 'count': len(times[PREDICTOR]),
         **{name: np.percentile(found, [50.0, 99.0]).tolist() for name, found in times.items()},

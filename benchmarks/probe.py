@@ -44,7 +44,7 @@ SEEN_EVERY_NS = 33_000_000
 COMPILED_AFTER = 5.0
 BUSY = 300e-6
 """So long (s) before a message is due nothing else is done."""
-CYCLE, PLAN_LASTS = 12, 2
+CYCLE, PLAN_LASTS = 6, 2
 """Plans are sent in the first half of so many seconds; the last is driven for so long (s)."""
 WAY, TURNS = 0.02, 2.0 * math.pi
 """Amplitude (m) and angular frequency (rad/s) of the tool."""
