@@ -189,7 +189,7 @@ class Planning:
                 grip = self.grip
             rest, body, stamp_ns = self._ahead.plan, None, message.stamp_ns
             if now is not None and not self._ahead.off:
-                rest = self._ahead.rest(now, self._coarse)  # no step of the integration is shorter
+                rest = self._ahead.rest(now, self._coarse)  # points as far apart as steps
                 body, stamp_ns = now.body, now.stamp_ns
             self._answer(
                 Run(self._live.model, grip, rest, body, TAIL, self._coarse), stamp_ns)
