@@ -17,7 +17,7 @@ def add_plan_options(
         'plan', metavar='PLAN', type=Path,
         help='a recording with a MultiDOFJointTrajectory, Path or JointTrajectory, with tool '
              'poses, joint states or transforms; a YAML file with such a message or with a '
-             'motion for bellows simulate; or a TUM or EuRoC file',
+             'motion for bellows simulate; or a TUM, KITTI or EuRoC file',
     )
     parser.add_argument(
         '--topic', metavar='TOPIC', default='',

@@ -232,8 +232,8 @@ def arm_of(
     """
     if not tool_link:
         raise NoArmError(
-            'Joints are given, and where the tool is on the arm is not. Name the link of the tool '
-            'tip: --tool-link LINK.')
+            'The input has joint positions, but the link of the tool tip is not given. Name it: '
+            '--tool-link LINK.')
     if urdf:
         return read_arm(read_text(urdf, LARGEST_URDF, 'URDF'), tool_link)
     if recording:
