@@ -8,15 +8,22 @@ from collections.abc import Mapping, Sequence
 import os
 from typing import TYPE_CHECKING
 
-from bellows_ros.core import equilibrium
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor, Prediction
-from bellows_ros.core.model import Cup, cup_of, model_tuple, Package, package_of, STANDARD_GRAVITY
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.resampling import savgol
-from bellows_ros.core.simulation import simulate, state_row
-from bellows_ros.core.trajectory import PoseStream, Trajectory
+from bellows_ros.core.model import equilibrium
+from bellows_ros.core.model.cup_package import (
+    Cup,
+    cup_of,
+    model_tuple,
+    Package,
+    package_of,
+    STANDARD_GRAVITY,
+)
+from bellows_ros.core.model.simulation import simulate, state_row
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 import numpy as np

@@ -20,7 +20,7 @@ from benchmarks.offline import parameters
 from bellows_ros.workflows.identify import identify, read_part
 if __name__ == '__main__':
     jobs, bags = int(sys.argv[1]), sys.argv[2:]
-    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+    from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
     read_part(bags[0], resolve(parameters(), PACKAGE_PARAMETERS))
     start = time.perf_counter()
     identify({**parameters(), 'bags': bags}, jobs=jobs)

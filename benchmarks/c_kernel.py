@@ -7,8 +7,8 @@ import shutil
 import subprocess
 from typing import Any
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.kernels import ModelTuple, State
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.exports import Exported, header
 import numpy as np

@@ -6,14 +6,14 @@ import tempfile
 import time
 from typing import Any
 
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.kernels import State
-from bellows_ros.core.lie import exp_so3, log_so3, rotation_to_quaternion
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.lie import exp_so3, log_so3, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.model.kernels import State
+from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.observer import Observer
-from bellows_ros.core.parameters import resolve
-from bellows_ros.core.simulation import state_row
-from bellows_ros.core.trajectory import PoseStream, Trajectory
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.parameter_files import read_parameters

@@ -21,12 +21,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bellows_ros.core import excitation
-from bellows_ros.core.arm_limits import ArmLimits, limits_from
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.commissioning import everyday
-from bellows_ros.core.excitation import all_ratios, cups_near, design, Search
-from bellows_ros.core.identification.fisher import motion_information, standard_errors, Tracking
+from bellows_ros.core.excitation import motion_design as excitation
+from bellows_ros.core.excitation.arm_limits import ArmLimits, limits_from
+from bellows_ros.core.excitation.commissioning import everyday
+from bellows_ros.core.excitation.fisher import motion_information, standard_errors, Tracking
+from bellows_ros.core.excitation.motion_design import all_ratios, cups_near, design, Search
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.minimum import Root
 from bellows_ros.core.identification.motion_equations import Segment
 from bellows_ros.core.identification.prediction_error import prediction_error
@@ -36,15 +37,14 @@ from bellows_ros.core.identification.segments import (
     measured_segments,
     PoseNoise,
 )
-from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.model import Cup, cup_of, model_tuple, Package, package_of
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.model.cup_package import Cup, cup_of, model_tuple, Package, package_of
+from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Noise
-from bellows_ros.core.simulation import simulate
-from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import Motion
 from bellows_ros.core.synthetic.recipe import read_recipe
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.excite import tracking_from

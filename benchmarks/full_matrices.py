@@ -13,16 +13,16 @@ truth, chi^2 per degree of freedom and the seconds that the fit took.
 import argparse
 import time
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.prediction_error import prediction_error
 from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.identification.segments import measured_segments
-from bellows_ros.core.model import Cup
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.recording.recording import Noise
-from bellows_ros.core.resampling import savgol
-from bellows_ros.core.structure import structure_named
+from bellows_ros.core.signals.savgol import savgol
 from benchmarks.identification import (
     cramer_rao,
     GRAVITY,

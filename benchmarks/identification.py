@@ -14,7 +14,8 @@ import argparse
 from collections.abc import Callable
 from dataclasses import replace
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.minimum import Search
 from bellows_ros.core.identification.motion_equations import Segment
@@ -27,15 +28,14 @@ from bellows_ros.core.identification.segments import (
     PoseNoise,
     SMALLEST,
 )
-from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.model.structure import Structure, structure_named
+from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.recording.recording import FilterNoise, Noise, noise_of
-from bellows_ros.core.resampling import savgol, weights
-from bellows_ros.core.settings import Settings
-from bellows_ros.core.simulation import simulate
-from bellows_ros.core.structure import Structure, structure_named
+from bellows_ros.core.signals.savgol import savgol, weights
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import motion_from
-from bellows_ros.core.trajectory import Trajectory
 import numpy as np
 from scipy.signal import lfilter
 

@@ -6,11 +6,11 @@ import tempfile
 import time
 from typing import Any
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.model import Cup
-from bellows_ros.core.resampling import savgol
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np

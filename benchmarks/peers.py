@@ -9,8 +9,8 @@ from collections.abc import Callable
 import importlib
 from typing import Any
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model.cup_package import Cup, Package
 import numpy as np
 
 from .step_case import PUSH, TURN

@@ -5,8 +5,8 @@ What does not change is worked out once, and the tool stands still, which costs 
 moves. On purpose without this package's kernels; also the right-hand side for SciPy's `solve_ivp`.
 """
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model.cup_package import Cup, Package
 import numpy as np
 from scipy.integrate import solve_ivp
 

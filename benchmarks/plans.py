@@ -4,20 +4,20 @@ import math
 from time import process_time
 from typing import Any
 
-from bellows_ros.core.fastest import fastest
-from bellows_ros.core.kernels import body_acceleration
-from bellows_ros.core.lie import (
+from bellows_ros.core.geometry.lie import (
     exp_so3,
     quaternion_to_rotation,
     rotation_to_quaternion,
     transform,
 )
-from bellows_ros.core.model import model_tuple
-from bellows_ros.core.plan import rest, Run
-from bellows_ros.core.plan_points import plan_of
-from bellows_ros.core.simulation import state_row, tool_rows
-from bellows_ros.core.steering import hanging, impulses, METHODS, shaped, steer
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.model.kernels import body_acceleration
+from bellows_ros.core.model.simulation import state_row, tool_rows
+from bellows_ros.core.planning.fastest import fastest
+from bellows_ros.core.planning.plan import rest, Run
+from bellows_ros.core.planning.points import plan_of
+from bellows_ros.core.planning.steering import hanging, impulses, METHODS, shaped, steer
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline, make_interp_spline
@@ -87,8 +87,8 @@ import json
 from time import process_time
 from timeit import timeit
 from benchmarks.plans import GRIP, MODEL, plan
-from bellows_ros.core.plan import Run
-from bellows_ros.core.steering import steer
+from bellows_ros.core.planning.plan import Run
+from bellows_ros.core.planning.steering import steer
 tool = plan()
 along = Run(MODEL, GRIP, tool, tail=0.0)
 print(json.dumps({

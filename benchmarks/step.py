@@ -5,11 +5,11 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.jit import COMPILED
-from bellows_ros.core.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.model import STANDARD_GRAVITY
-from bellows_ros.core.simulation import simulate_rows
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
+from bellows_ros.core.model.cup_package import STANDARD_GRAVITY
+from bellows_ros.core.model.simulation import simulate_rows
 from bellows_ros.errors import BellowsError
 import numpy as np
 

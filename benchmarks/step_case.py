@@ -1,10 +1,10 @@
 """The case that all integrators solve: a plate let go of beside its rest, and tool samples."""
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.kernels import State
-from bellows_ros.core.lie import apply, dexp, exp_so3, rotation_to_quaternion
-from bellows_ros.core.model import Cup, model_tuple, Package, STANDARD_GRAVITY
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import apply, dexp, exp_so3, rotation_to_quaternion
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
+from bellows_ros.core.model.equilibrium import static_equilibrium
+from bellows_ros.core.model.kernels import State
 import numpy as np
 
 CUP = Cup.thesis()

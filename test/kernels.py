@@ -14,7 +14,7 @@ def compile_most() -> None:
 
 def compile_all() -> None:
     """Compile nearly everything once, before the workers start: two halves that share little."""
-    from bellows_ros.core.jit import COMPILED
+    from bellows_ros.core.geometry.jit import COMPILED
 
     if COMPILED:
         half = multiprocessing.get_context('fork').Process(target=_compile_filters)
@@ -26,7 +26,7 @@ def compile_all() -> None:
 def _compile_live() -> Any:
     """Compile what predicts from poses, and return a model."""
     from bellows_ros.core.live import warm_up
-    from bellows_ros.core.model import Cup, model_tuple, Package
+    from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
     import numpy as np
 
     cup, package = Cup.thesis(), Package(1.0, 0.01 * np.eye(3), np.zeros(3))
@@ -37,8 +37,8 @@ def _compile_live() -> Any:
 def _compile_plans() -> None:
     """Compile what predicts, steers and tosses."""
     from bellows_ros.core.live.flight import Flight
-    from bellows_ros.core.parameters import resolve
-    from bellows_ros.core.steering import steer
+    from bellows_ros.core.parameters.checks import resolve
+    from bellows_ros.core.planning.steering import steer
 
     from .core import plans, tosses
 
@@ -51,10 +51,10 @@ def _compile_filters() -> None:
     """Compile what observes, estimates and simulates, with all derivatives."""
     from bellows_ros.core.identification.prediction_error import prediction_error
     from bellows_ros.core.live.uncertainty import warm_up_uncertainty
-    from bellows_ros.core.model import Cup, model_tuple
+    from bellows_ros.core.model.cup_package import Cup, model_tuple
+    from bellows_ros.core.model.structure import STRUCTURES
     from bellows_ros.core.observer import warm_up_observer
-    from bellows_ros.core.parameters import resolve
-    from bellows_ros.core.structure import STRUCTURES
+    from bellows_ros.core.parameters.checks import resolve
 
     from .core import tosses
     from .core.identification.recordings import segments

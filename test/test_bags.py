@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from bellows_ros.core.lie import log_so3
-from bellows_ros.core.trajectory import PoseStream
+from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.files.bags import read_streams, topics
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.simulate import simulate_recording

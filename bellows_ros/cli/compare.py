@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(result: 'Comparison', console: Console) -> None:
     """Print the tables and the verdict."""
-    from bellows_ros.core.parameter_table import short
+    from bellows_ros.core.parameters.table import short
 
     console.say(f'{result.paths[0]} (A) and {result.paths[1]} (B)', 'bold')
     for title, changes in (

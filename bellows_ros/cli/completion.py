@@ -79,7 +79,7 @@ def offers(words: list[str]) -> Mapping[str, str]:
     if command not in COMMANDS:
         return {}
     if '--set' in between[-1:]:
-        from bellows_ros.core.parameter_table import PARAMETERS
+        from bellows_ros.core.parameters.table import PARAMETERS
 
         return {f'{name}=': each.description for name, each in PARAMETERS.items()}
     parser = command_parser(command)

@@ -39,9 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Write the model, and list what the format cannot express."""
-    from bellows_ros.core.holding import grip_of
-    from bellows_ros.core.model import cup_of, package_of
-    from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve
+    from bellows_ros.core.model.cup_package import cup_of, package_of
+    from bellows_ros.core.model.grip import grip_of
+    from bellows_ros.core.parameters.checks import gravity_of, PACKAGE_PARAMETERS, resolve
     from bellows_ros.files.atomic import write_text
     from bellows_ros.files.exports import Exported, limits, TARGETS
 

@@ -197,7 +197,7 @@ def _identified(
 
     plan = None
     if arguments.typical:
-        from bellows_ros.core.parameters import resolve
+        from bellows_ros.core.parameters.checks import resolve
         from bellows_ros.workflows.plan import read_plan
         from bellows_ros.workflows.recordings import WHOLE
 
@@ -230,7 +230,7 @@ def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]
 
 def _say(result: 'Identification', console: Console) -> None:
     """Print the cup, and the samples and findings behind it."""
-    from bellows_ros.core.residuals import AXES, MILLI_UNITS
+    from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
 
     fit, verdict = result.fit, result.verdict
     causes, sentences = (verdict.cause, verdict.sentences) if verdict else ((), ())
@@ -259,7 +259,7 @@ def _say(result: 'Identification', console: Console) -> None:
 def say_cup(fit: 'Fit', console: Console, title: str = '') -> None:
     """Print K and P with standard errors, a line per direction; with couplings all entries."""
     from bellows_ros.core.identification.result import UNITS
-    from bellows_ros.core.structure import AXES, structure_named
+    from bellows_ros.core.model.structure import AXES, structure_named
 
     structure = structure_named(fit.structure)
     matrices = (('K', fit.stiffness, fit.stiffness_std), ('P', fit.damping, fit.damping_std))

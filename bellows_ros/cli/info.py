@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Look, write, report."""
     options.require_free(arguments.write_params, arguments.force)
-    from bellows_ros.core.parameter_table import PARAMETERS
+    from bellows_ros.core.parameters.table import PARAMETERS
     from bellows_ros.files.atomic import write_text
     from bellows_ros.workflows.info import info
 

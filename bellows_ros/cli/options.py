@@ -14,7 +14,7 @@ from bellows_ros.errors import BellowsError
 from .console import Console
 
 if TYPE_CHECKING:
-    from bellows_ros.core.parameter_table import Value
+    from bellows_ros.core.parameters.table import Value
 
 STDOUT = '-'
 """As `files.atomic` takes it."""
@@ -197,8 +197,8 @@ def parse_override(text: str) -> 'tuple[str, Value]':
         If there is no '=', or name or value are not allowed.
 
     """
-    from bellows_ros.core.parameter_table import lookup
-    from bellows_ros.core.parameters import validate
+    from bellows_ros.core.parameters.checks import validate
+    from bellows_ros.core.parameters.table import lookup
 
     name, equals, value = (part.strip() for part in text.partition('='))
     if not (name and equals):

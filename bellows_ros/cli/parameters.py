@@ -14,7 +14,7 @@ from . import options
 from .console import Console, OK, WIDTH
 
 if TYPE_CHECKING:
-    from bellows_ros.core.parameter_table import Parameter
+    from bellows_ros.core.parameters.table import Parameter
 
 EXAMPLES = (
     ('bellows parameters', 'all of them'),
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _chosen(prefixes: list[str]) -> 'list[Parameter]':
     """Return the parameters whose names begin with one of the prefixes; all without any."""
-    from bellows_ros.core.parameter_table import lookup, PARAMETERS
+    from bellows_ros.core.parameters.table import lookup, PARAMETERS
 
     if not prefixes:
         return list(PARAMETERS.values())

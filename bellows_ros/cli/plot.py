@@ -76,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, draw, write."""
-    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+    from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
     from bellows_ros.plots.style import FILMS, PICTURES, require_picture
     from bellows_ros.workflows.plot import data_json
 

@@ -118,7 +118,7 @@ def _say(
 
 def _say_observed(found: 'Observed', console: Console) -> None:
     """Print the gain by measured poses, and alarms."""
-    from bellows_ros.core.residuals import AXES, MILLI_UNITS
+    from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
 
     errors = [way.scores.rms for way in found.ways.values()]
     console.table([('axis', *found.ways), *(
@@ -131,7 +131,7 @@ def _say_observed(found: 'Observed', console: Console) -> None:
 
 def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
     """Return a row for each axis: errors, the part due to noise, and whether they are white."""
-    from bellows_ros.core.residuals import AXES, MILLI_UNITS
+    from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
 
     found, live = result.validation, result.live
     white = found.one_step.whiteness.verdicts if found.one_step else ('-',) * 6

@@ -18,7 +18,7 @@ from . import options
 from .console import Console, OK
 
 if TYPE_CHECKING:
-    from bellows_ros.core.parameter_table import Value
+    from bellows_ros.core.parameters.table import Value
     from bellows_ros.workflows.static import StaticBag, StaticResult
 
 EXAMPLES = (
@@ -68,7 +68,7 @@ def _bags(
     arguments: argparse.Namespace, settings: Mapping[str, 'Value']
 ) -> 'list[StaticBag]':
     """Return the recordings with their masses; those of static.bags if none is named."""
-    from bellows_ros.core.parameters import resolve
+    from bellows_ros.core.parameters.checks import resolve
     from bellows_ros.workflows.static import static_bags
 
     bags, masses = arguments.bags, arguments.masses

@@ -112,7 +112,7 @@ def _say(result: 'TossResult', console: Console) -> None:
         console.say(f'  target    {MILLI * result.aim.distance:.2f} mm{turned} away{gain}')
     if result.drawn is not None:
         counted = MILLI * np.sqrt(np.diag(result.drawn.covariance))
-        from bellows_ros.core.landing import part_inside
+        from bellows_ros.core.toss.landing import part_inside
 
         inside = 100.0 * part_inside(result.covariance, result.drawn.figures)
         console.say(

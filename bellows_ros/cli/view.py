@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Replay, then show or write."""
-    from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+    from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
     from bellows_ros.plots.viewer import open_view, require_viewer, write_view
     from bellows_ros.workflows.plot import replayed
 

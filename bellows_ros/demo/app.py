@@ -11,10 +11,10 @@ from bellows_ros.cli.console import Console, in_order, NOT_USABLE, OK, percent, 
 from bellows_ros.cli.identify import say_cup
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.live.replay import compare_recorded
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Noise
-from bellows_ros.core.residuals import AXES, MILLI_UNITS, Scores
-from bellows_ros.core.trajectory import NS_PER_S
+from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS, Scores
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import require_pictures
 from bellows_ros.files.bags import read_messages

@@ -12,7 +12,7 @@ from pathlib import Path
 import sqlite3
 from typing import Any, Literal
 
-from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, mcap, messages
 from bellows_ros.files.bag_folder import METADATA, STORED

@@ -14,7 +14,7 @@ from pathlib import Path
 import shutil
 from typing import Any, BinaryIO, NamedTuple
 
-from bellows_ros.core.trajectory import PoseStream, TwistStream
+from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files import mcap, messages
 from bellows_ros.files.bag_folder import (

@@ -11,10 +11,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import largest_step
-from bellows_ros.core.holding import Grip
-from bellows_ros.core.model import Cup, model_tuple, Package, STANDARD_GRAVITY
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
+from bellows_ros.core.model.equilibrium import largest_step
+from bellows_ros.core.model.grip import Grip
 import numpy as np
 
 # A link of SDF without a mass weighs 1 kg. The tool and the links between single joints have this

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import struct
 from types import MappingProxyType
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.lie import quaternion_to_rotation
-from bellows_ros.core.screening import unusable_stamps
-from bellows_ros.core.trajectory import PoseStream, TwistStream
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.signals.screening import unusable_stamps
+from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 import numpy as np
 

@@ -21,7 +21,7 @@ from pathlib import Path
 import re
 from typing import TextIO
 
-from bellows_ros.core.arrays import Array, Stamps
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.trajectory_files import numbers
 import numpy as np

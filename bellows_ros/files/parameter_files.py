@@ -14,8 +14,8 @@ from pathlib import Path
 import textwrap
 from typing import Any
 
-from bellows_ros.core.parameter_table import lookup, NAMED_CUP, Parameter, PARAMETERS, Value
-from bellows_ros.core.parameters import validate
+from bellows_ros.core.parameters.checks import validate
+from bellows_ros.core.parameters.table import lookup, NAMED_CUP, Parameter, PARAMETERS, Value
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
 
@@ -56,8 +56,8 @@ def read_parameters(path: str | os.PathLike[str], node: str | None = None) -> di
     Returns
     -------
     dict
-        Dotted names to values, checked and in the normal form of `core.parameters.validate`.
-        Parameters that every ROS node has, as use_sim_time, are left out.
+        Dotted names to values, checked, in the normal form of `checks.validate`. Parameters that
+        every ROS node has, as use_sim_time, are left out.
 
     Raises
     ------

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import cache
 import struct
 
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.plan_points import require_count
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.planning.points import require_count
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.messages import HEAD, Reader, with_number, with_text
 import numpy as np

@@ -13,10 +13,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arm import Arm, read_arm
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.lie import rotation_to_quaternion
-from bellows_ros.core.plan_points import require_count
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.planning.arm import Arm, read_arm
+from bellows_ros.core.planning.points import require_count
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import read_text, safe_yaml
 from bellows_ros.files.bags import decoded, messages_of

@@ -17,8 +17,8 @@ import zipfile
 import zlib
 
 from bellows_ros.core.identification.reduction import Reduced
-from bellows_ros.core.parameters import resolve
-from bellows_ros.core.structure import Structure, structure_named
+from bellows_ros.core.model.structure import Structure, structure_named
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
 from bellows_ros.files.results import format_json

@@ -12,8 +12,8 @@ from decimal import Decimal
 import os
 from pathlib import Path
 
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.lie import rotation_to_quaternion
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, read_text
 import numpy as np

@@ -9,10 +9,10 @@ from collections.abc import Mapping
 import os
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.lie import inverse_transform, quaternion_to_rotation, transform
-from bellows_ros.core.resampling import resample
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.lie import inverse_transform, quaternion_to_rotation, transform
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import decoded, messages_of
 import numpy as np

@@ -10,7 +10,7 @@ import struct
 import time
 from typing import Any
 
-from bellows_ros.core.trajectory import NS_PER_S
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.files.bag_folder import Message, Topic
 import rclpy
 from rclpy.context import Context

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from bellows_ros.core import keep_linear_algebra_single
 
 from .. import __version__
-from ..core.parameter_table import parameters_of, short
+from ..core.parameters.table import parameters_of, short
 from ..errors import BellowsError
 from ..extras import install
 

@@ -12,10 +12,10 @@ from geometry_msgs import msg as geometry
 from nav_msgs.msg import Odometry
 import numpy as np
 
+from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import Prediction
 from ..core.live.uncertainty import in_world_axes
 from ..core.observer import Payload
-from ..core.tuples import Quaternion, Vector
 
 TOOL_POSES = {
     'pose': (geometry.PoseStamped, attrgetter('pose.position', 'pose.orientation')),

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from itertools import count
 import time
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.lie import quaternion_to_rotation
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import Message
 from bellows_ros.files.messages import decode, LAYOUTS

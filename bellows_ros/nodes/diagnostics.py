@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 import time
 from typing import Any
 
-from bellows_ros.core.parameters import gravity_of
+from bellows_ros.core.parameters.checks import gravity_of
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -13,10 +13,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from .outputs import Outputs
 from .tool_inputs import SensorInput
+from ..core.geometry.tuples import rotation_matrix
 from ..core.live import health, LivePredictor, Prediction
 from ..core.live.load import Load
 from ..core.live.timing import Window
-from ..core.tuples import rotation_matrix
 
 HARDWARE = 'suction cup'
 TOPIC = '/diagnostics'

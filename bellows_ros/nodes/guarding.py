@@ -10,7 +10,7 @@ from typing import Any
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from ..core.parameter_table import short
+from ..core.parameters.table import short
 
 PACKAGE = Path(__file__).parents[1]
 NEGATIVE_TIME = 'negative time on /clock'

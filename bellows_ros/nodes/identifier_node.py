@@ -13,8 +13,8 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 
 from .parameters import ros_parameter, TableNode
-from ..core.parameter_table import parameters_of, Value
-from ..core.parameters import validate
+from ..core.parameters.checks import validate
+from ..core.parameters.table import parameters_of, Value
 from ..errors import BellowsError
 from ..report.build import write_page
 from ..workflows.identification import Identification, save

@@ -9,7 +9,7 @@ from rclpy.lifecycle.node import LifecycleNodeMixin
 from rclpy.task import Future
 
 from .parameters import TableNode
-from ..core.parameter_table import short
+from ..core.parameters.table import short
 from ..errors import BellowsError
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE

@@ -7,10 +7,10 @@ from geometry_msgs.msg import Point
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .conversions import write_header, write_quaternion, write_vector
-from ..core.kernels import ModelTuple
+from ..core.geometry.tuples import add_scaled, apply, rotation_matrix, Vector
 from ..core.live import Prediction
 from ..core.live.load import equivalent_box, lip_position
-from ..core.tuples import add_scaled, apply, rotation_matrix, Vector
+from ..core.model.kernels import ModelTuple
 
 NAMESPACE = 'bellows_ros'
 PERIOD_NS = 40_000_000

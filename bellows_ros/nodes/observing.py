@@ -16,7 +16,7 @@ from .tool_inputs import SensorInput
 from ..core.live import LivePredictor
 from ..core.live.health import input_status, Level, Status
 from ..core.observer import Alarm, Observer, VERDICTS, warm_up_observer
-from ..core.parameter_table import short
+from ..core.parameters.table import short
 
 KINDS = {
     'pose': PoseStamped, 'pose_with_covariance': PoseWithCovarianceStamped, 'odometry': Odometry,

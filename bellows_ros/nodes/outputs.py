@@ -22,11 +22,11 @@ from .conversions import (
     write_wrench,
 )
 from .markers import gone, Picture
-from ..core.kernels import ModelTuple
 from ..core.live import Prediction
 from ..core.live.load import deflection, deflection_rotation
 from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import Uncertainty, UNKNOWN_ROOT
+from ..core.model.kernels import ModelTuple
 
 QUEUE = 500
 

@@ -11,12 +11,12 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
 
 from .guarding import GuardedNode
-from ..core import parameter_table as table
-from ..core.parameters import resolve, validate
+from ..core.parameters import table
+from ..core.parameters.checks import resolve, validate
 from ..errors import BellowsError
 
 Values = dict[str, Any]
-"""Dotted names to values as `core.parameters.validate` returns them."""
+"""Dotted names to values as `core.parameters.checks.validate` returns them."""
 
 QOS_PREFIX = 'qos_overrides.'
 TOGETHER = ('cup.', 'cups.', 'package.', 'envelope.', 'vacuum.')

@@ -9,7 +9,7 @@ import sys
 import time
 from typing import Any
 
-from bellows_ros.core.equilibrium import largest_step
+from bellows_ros.core.model.equilibrium import largest_step
 from nav_msgs.msg import Odometry, Path
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -21,19 +21,19 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from .conversions import stamp_to_ns, write_odometry
 from .outputs import Topic
 from .tool_inputs import OVERRIDABLE
-from ..core.envelope import known_envelope
-from ..core.holding import grip_of
 from ..core.live import LivePredictor, Prediction
 from ..core.live.ahead import Ahead, thin_out
 from ..core.live.health import Level, number, Status
 from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import UNKNOWN_ROOT
-from ..core.plan import COARSE, predict, Run
-from ..core.plan import Prediction as Predicted
-from ..core.plan_points import rows_of
-from ..core.simulation import Rows
-from ..core.steering import steer
-from ..core.trajectory import NS_PER_S
+from ..core.model.grip import grip_of
+from ..core.model.simulation import Rows
+from ..core.model.validity_range import known_envelope
+from ..core.planning.plan import COARSE, predict, Run
+from ..core.planning.plan import Prediction as Predicted
+from ..core.planning.points import rows_of
+from ..core.planning.steering import steer
+from ..core.signals.trajectory import NS_PER_S
 from ..errors import BellowsError
 from ..files.plan_messages import decode_multi_dof, encode_multi_dof, encode_path, PlanMessage
 from ..workflows.plan import plan_message, require_frame, safety_sentence

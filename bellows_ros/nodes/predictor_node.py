@@ -5,7 +5,7 @@ import sys
 import time
 from typing import Any
 
-from bellows_ros.core.parameters import gravity_of
+from bellows_ros.core.parameters.checks import gravity_of
 from bellows_ros.files.parameter_files import with_chosen_cup
 from geometry_msgs.msg import TwistStamped
 from rclpy.clock import Clock, JumpThreshold
@@ -25,14 +25,14 @@ from .parameters import QOS_PREFIX, Values
 from .planning import Planning
 from .tool_inputs import SensorInput, TransformInput
 from .tossing import Tossing
-from ..core.holding import grip_of
+from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import LivePredictor, Prediction, warm_up
 from ..core.live.check import check_live
 from ..core.live.health import summary
 from ..core.live.uncertainty import warm_up_uncertainty
-from ..core.model import cup_of, package_of
-from ..core.parameter_table import short
-from ..core.tuples import Quaternion, Vector
+from ..core.model.cup_package import cup_of, package_of
+from ..core.model.grip import grip_of
+from ..core.parameters.table import short
 from ..errors import BellowsError
 
 TICK = 0.02

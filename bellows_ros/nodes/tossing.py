@@ -16,12 +16,12 @@ from .markers import marker, NAMESPACE
 from .outputs import Topic
 from .planning import Planning
 from .tool_inputs import OVERRIDABLE
-from ..core.arrays import Array
-from ..core.kernels import ModelTuple
-from ..core.landing import ellipse
+from ..core.geometry.arrays import Array
 from ..core.live import Prediction
 from ..core.live.flight import Flight, Landing, PATH_POINTS
-from ..core.release import flight_path
+from ..core.model.kernels import ModelTuple
+from ..core.toss.landing import ellipse
+from ..core.toss.release import flight_path
 
 AIM_PERIOD_NS = 200_000_000
 """Period (ns) of release/at."""

@@ -10,8 +10,8 @@ import shutil
 import subprocess
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.lie import quaternion_to_rotation
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install

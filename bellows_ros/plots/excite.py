@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
 import numpy as np
 
 from .panels import BELOW_HEAD, name_panel, picture
@@ -16,7 +16,7 @@ def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
 
     Parameters
     ----------
-    design : bellows_ros.core.excitation.Design
+    design : bellows_ros.core.excitation.motion_design.Design
         The motion.
     note : str
         For which cup and arm.

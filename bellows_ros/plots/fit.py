@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 import math
 from typing import Any
 
-from bellows_ros.core.residuals import AXES, Spectrum
+from bellows_ros.core.signals.residuals import AXES, Spectrum
 import numpy as np
 
 from .panels import name_panel, picture, row

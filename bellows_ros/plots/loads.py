@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from bellows_ros.core.residuals import MILLI_UNITS
+from bellows_ros.core.signals.residuals import MILLI_UNITS
 from bellows_ros.workflows.plot import Loads
 import numpy as np
 

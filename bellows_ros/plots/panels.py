@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask
-from bellows_ros.core.residuals import AXES, MILLI_UNITS
+from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
 import numpy as np
 
 from .style import drawing, Theme, THEMES

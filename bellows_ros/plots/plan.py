@@ -4,8 +4,8 @@ from collections.abc import Sequence
 import math
 from typing import Any
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.holding import MODES
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model.grip import MODES
 from bellows_ros.workflows.plan import Curves, PlanReport
 from bellows_ros.workflows.replay import Margins
 

@@ -8,8 +8,8 @@ axis, to its own scale.
 from collections.abc import Mapping
 from typing import Any
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.residuals import Comparison, MILLI_UNITS, Whiteness
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.signals.residuals import Comparison, MILLI_UNITS, Whiteness
 import numpy as np
 
 from .panels import LEFT, legend, Line, MILLI, picture, six_lines, six_pairs

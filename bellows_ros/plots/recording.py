@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from bellows_ros.core.arrays import Array, Mask
-from bellows_ros.core.lie import log_so3
+from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.residuals import MILLI_UNITS, Spectrum
+from bellows_ros.core.signals.residuals import MILLI_UNITS, Spectrum
 from bellows_ros.workflows.plot import Motion, Spectra
 import numpy as np
 

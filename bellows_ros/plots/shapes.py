@@ -1,6 +1,6 @@
 """Shapes of cup and package, for animations and pictures in space."""
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
 import numpy as np
 
 RINGS, SIDES = 25, 13  # of the drawn cup; the last point of a ring is its first one again

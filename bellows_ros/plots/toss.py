@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from bellows_ros.core.landing import ellipse
-from bellows_ros.core.lie import quaternion_to_rotation
-from bellows_ros.core.release import flight_path
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.toss.landing import ellipse
+from bellows_ros.core.toss.release import flight_path
 import numpy as np
 
 from .panels import BELOW_HEAD, picture

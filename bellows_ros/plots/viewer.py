@@ -17,9 +17,9 @@ import sys
 from types import SimpleNamespace
 from typing import Any
 
-from bellows_ros.core.arrays import Stamps
-from bellows_ros.core.lie import rotation_to_quaternion
-from bellows_ros.core.residuals import AXES, MILLI_UNITS
+from bellows_ros.core.geometry.arrays import Stamps
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
 from bellows_ros.files.atomic import scratch_folder, write_bytes

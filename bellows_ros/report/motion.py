@@ -2,7 +2,7 @@
 
 from bellows_ros.core.identification.validation import LIMIT, Validation
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.residuals import AXES, CONFIDENT, MILLI_UNITS, SMALL
+from bellows_ros.core.signals.residuals import AXES, CONFIDENT, MILLI_UNITS, SMALL
 from bellows_ros.plots.plan import margin_figure
 from bellows_ros.plots.prediction import errors_figure, prediction_figure, whiteness_figure
 from bellows_ros.plots.recording import samples_figure, spectra_figure

@@ -6,9 +6,9 @@ import os
 from typing import Any, NamedTuple
 
 from bellows_ros.core.identification.comparison import compare_fits, FitComparison, Fitted
-from bellows_ros.core.model import Cup, package_of
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.structure import structure_named
+from bellows_ros.core.model.cup_package import Cup, package_of
+from bellows_ros.core.model.structure import structure_named
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import content_of, read_result
 from bellows_ros.workflows.result_json import attributes

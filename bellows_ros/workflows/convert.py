@@ -9,9 +9,9 @@ import re
 from typing import Any
 
 from bellows_ros import __version__
-from bellows_ros.core.arrays import Mask
-from bellows_ros.core.lie import rotation_to_quaternion
-from bellows_ros.core.trajectory import PoseStream
+from bellows_ros.core.geometry.arrays import Mask
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import accepted_types, messages_of, read_streams, topics

@@ -6,27 +6,27 @@ import os
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.arm_limits import limits_from
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.commissioning import everyday, standstills
-from bellows_ros.core.excitation import cups_near, Design, design, LOADS, RAMP, REST
-from bellows_ros.core.holding import grip_of
-from bellows_ros.core.identification.fisher import (
+from bellows_ros.core.excitation.arm_limits import limits_from
+from bellows_ros.core.excitation.commissioning import everyday, standstills
+from bellows_ros.core.excitation.fisher import (
     motion_information,
     standard_errors,
     Tracking,
 )
+from bellows_ros.core.excitation.motion_design import cups_near, Design, design, LOADS, RAMP, REST
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.identification.result import parameter_units
-from bellows_ros.core.lie import log_so3
-from bellows_ros.core.model import cup_of, model_tuple, package_of
-from bellows_ros.core.parameters import gravity_of, PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
+from bellows_ros.core.model.grip import grip_of
+from bellows_ros.core.model.structure import Structure, structure_named
+from bellows_ros.core.parameters.checks import gravity_of, PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.recording.recording import Noise
-from bellows_ros.core.resampling import resample
-from bellows_ros.core.settings import Settings
-from bellows_ros.core.structure import Structure, structure_named
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import Motion
 from bellows_ros.core.synthetic.sensing import sensor_from
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.atomic import new_folder
 from bellows_ros.files.bag_writer import Encoded, require_replaceable, write_bag

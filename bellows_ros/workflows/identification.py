@@ -7,12 +7,12 @@ import os
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros import __version__
-from bellows_ros.core.envelope import Envelope, joined_envelopes
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.reduction import Reduced
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.model import Package
-from bellows_ros.core.parameters import pose_text
+from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.model.validity_range import Envelope, joined_envelopes
+from bellows_ros.core.parameters.checks import pose_text
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence

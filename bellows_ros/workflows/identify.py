@@ -15,8 +15,8 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.identification.methods import first_guess, fit, fitted, with_freed
 from bellows_ros.core.identification.reduction import Reduced, reduced
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.parameter_table import THESIS_LENGTH
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
+from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
@@ -407,7 +407,7 @@ def _identified(
         selection=(selection(whole, effective, tell, verdict)
                    if values['fit.compare_structures'] else None), verdict=verdict, **more)
     if static:
-        from bellows_ros.core.model import cup_of
+        from bellows_ros.core.model.cup_package import cup_of
         from bellows_ros.workflows.static import with_spring
 
         static = replace(static, cup_length=found.cup_length)

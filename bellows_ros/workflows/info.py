@@ -8,9 +8,9 @@ from types import MappingProxyType
 from typing import Any
 
 from bellows_ros import __version__
-from bellows_ros.core.lie import log_so3
-from bellows_ros.core.parameter_table import short
-from bellows_ros.core.parameters import ESTIMATE
+from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.parameters.checks import ESTIMATE
+from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording.alignment import (
     in_world,
     rest_of,
@@ -19,8 +19,8 @@ from bellows_ros.core.recording.alignment import (
 )
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.preparation import stream_warnings
-from bellows_ros.core.resampling import timing
-from bellows_ros.core.trajectory import NS_PER_S, PoseStream, TwistStream
+from bellows_ros.core.signals.timing import timing
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.workflows.recordings import part_of
 from bellows_ros.workflows.roles import Guess, likely_alone, likely_pair, likely_twist, Pair

@@ -5,19 +5,19 @@ from dataclasses import dataclass
 import os
 from typing import Any
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
-from bellows_ros.core.model import cup_of, package_of
+from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.observer import Alarm, Observer, Payload
 from bellows_ros.core.observer.measurement import at_com
-from bellows_ros.core.parameters import pose_text
+from bellows_ros.core.parameters.checks import pose_text
 from bellows_ros.core.recording.alignment import world_rotation
 from bellows_ros.core.recording.package_world import pose_of
 from bellows_ros.core.recording.recording import Recording, require_one_frame
-from bellows_ros.core.residuals import compare, Comparison
-from bellows_ros.core.trajectory import PoseStream, Trajectory
+from bellows_ros.core.signals.residuals import compare, Comparison
+from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams
 from bellows_ros.workflows.result_json import attributes

@@ -8,24 +8,26 @@ import os
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.envelope import known_envelope
-from bellows_ros.core.fastest import Fastest, fastest
-from bellows_ros.core.holding import Grip, grip_of
-from bellows_ros.core.kernels import ModelTuple, State
-from bellows_ros.core.lie import apply, quaternion_to_rotation, rotation_to_quaternion
-from bellows_ros.core.model import cup_of, model_tuple, package_of
-from bellows_ros.core.parameter_table import short
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.perturbed import contributions
-from bellows_ros.core.plan import Prediction, Run
-from bellows_ros.core.plan_points import plan_of, plan_of_joints
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.lie import apply, quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
+from bellows_ros.core.model.grip import Grip, grip_of
+from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.perturbed import contributions
+from bellows_ros.core.model.simulation import Rows
+from bellows_ros.core.model.validity_range import known_envelope
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.table import short
+from bellows_ros.core.planning.fastest import Fastest, fastest
+from bellows_ros.core.planning.plan import Prediction, Run
+from bellows_ros.core.planning.points import plan_of, plan_of_joints
 from bellows_ros.core.recording.alignment import levelling, world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
-from bellows_ros.core.resampling import on_grid, savgol, timing
-from bellows_ros.core.simulation import Rows
+from bellows_ros.core.signals.resampling import on_grid
+from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.timing import timing
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.core.synthetic.recipe import read_recipe
-from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import read_contents

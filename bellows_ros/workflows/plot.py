@@ -5,16 +5,16 @@ from dataclasses import dataclass, fields, replace
 import os
 from typing import Any, TypeVar
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, wrench_transform
 from bellows_ros.core.identification.samples import lip_relative, needed_wrench
-from bellows_ros.core.kernels import spring_frames
-from bellows_ros.core.lie import apply, exp_so3, log_so3, wrench_transform
 from bellows_ros.core.live.load import equivalent_box
-from bellows_ros.core.model import cup_of, package_of, regressor
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.model.cup_package import cup_of, package_of, regressor
+from bellows_ros.core.model.kernels import spring_frames
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.residuals import interpolated, relative_coordinates, score, spectrum
-from bellows_ros.core.trajectory import uniform_rate_hz
+from bellows_ros.core.signals.residuals import interpolated, relative_coordinates, score, spectrum
+from bellows_ros.core.signals.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress
 from bellows_ros.workflows.replay import Live, Margins, predicted_live, validated

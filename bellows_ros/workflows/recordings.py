@@ -6,9 +6,10 @@ import math
 import os
 from typing import Any
 
-from bellows_ros.core.arrays import Mask, Stamps
-from bellows_ros.core.model import package_of
-from bellows_ros.core.parameters import (
+from bellows_ros.core.geometry.arrays import Mask, Stamps
+from bellows_ros.core.model.cup_package import package_of
+from bellows_ros.core.model.structure import structure_named
+from bellows_ros.core.parameters.checks import (
     ESTIMATE,
     PACKAGE_PARAMETERS,
     RECORDING_PARAMETERS,
@@ -22,8 +23,7 @@ from bellows_ros.core.recording.recording import (
     require_one_frame,
     TimeOffset,
 )
-from bellows_ros.core.structure import structure_named
-from bellows_ros.core.trajectory import NS_PER_S, PoseStream, TwistStream
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files.bag_folder import digests, recording_digest
 from bellows_ros.files.bags import read_contents
@@ -79,7 +79,7 @@ def load(
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     values : mapping
-        Parameters by name, as `core.parameters.resolve` returns them.
+        Parameters by name, as `core.parameters.checks.resolve` returns them.
     name : str
         What the user calls it; the path where left out.
     with_digest : bool

@@ -6,14 +6,14 @@ import math
 import os
 from typing import Any
 
-from bellows_ros.core.holding import grip_of
-from bellows_ros.core.identification.release_fit import (
+from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
+from bellows_ros.core.model.grip import grip_of
+from bellows_ros.core.toss.release_fit import (
     LettingGo,
     tosses_of,
     valve_fit,
     ValveFit,
 )
-from bellows_ros.core.model import cup_of, model_tuple, package_of
 from bellows_ros.errors import UndeterminedError
 from bellows_ros.files.bags import messages_of
 from bellows_ros.files.messages import BOOL, decode_bool

@@ -6,20 +6,20 @@ import os
 import time
 from typing import Any
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.envelope import beyond, known_envelope
-from bellows_ros.core.holding import grip_of, Margin, margin
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import apply, rotation_to_quaternion
 from bellows_ros.core.identification.reduction import envelope_of
 from bellows_ros.core.identification.validation import LIMIT, SEED, validate, Validation
-from bellows_ros.core.lie import apply, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
-from bellows_ros.core.model import cup_of, model_tuple, package_of
-from bellows_ros.core.parameters import RECORDING_PARAMETERS, resolve
+from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
+from bellows_ros.core.model.grip import grip_of, Margin, margin
+from bellows_ros.core.model.validity_range import beyond, known_envelope
+from bellows_ros.core.parameters.checks import RECORDING_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.recording import Recording, TimeOffset
-from bellows_ros.core.residuals import AXES, Comparison, Spectrum, Whiteness
-from bellows_ros.core.trajectory import NS_PER_S
+from bellows_ros.core.signals.residuals import AXES, Comparison, Spectrum, Whiteness
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import provenance
 from bellows_ros.workflows.observe import live_predictor, Observed, observed

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 import os
 from typing import Any
 
-from bellows_ros.core.envelope import Envelope, FIELDS
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.model.validity_range import Envelope, FIELDS
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.workflows.recordings import load, Progress, values_of_each

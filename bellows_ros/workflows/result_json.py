@@ -10,7 +10,7 @@ from typing import Any
 
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS, UNITS
-from bellows_ros.core.structure import structure_named
+from bellows_ros.core.model.structure import structure_named
 
 NORMAL_95 = 1.959963984540054
 """Half width of a 95 % interval in standard errors."""

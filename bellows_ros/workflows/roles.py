@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from itertools import permutations
 import re
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.lie import apply
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.recording.alignment import world_rotation, WORLDS
-from bellows_ros.core.resampling import resample
-from bellows_ros.core.trajectory import NS_PER_S, PoseStream, TwistStream
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 import numpy as np
 
 TOOL_WORDS = frozenset({'tool', 'tcp', 'ee', 'eef', 'effector', 'flange', 'arm', 'robot',

@@ -13,16 +13,15 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import largest_step
-from bellows_ros.core.holding import grip_of, Margin, margin
-from bellows_ros.core.landing import release_deviations
-from bellows_ros.core.lie import apply, rotation_to_quaternion, transform
-from bellows_ros.core.model import Cup, cup_of, model_tuple, package_of
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import apply, rotation_to_quaternion, transform
+from bellows_ros.core.model.cup_package import Cup, cup_of, model_tuple, package_of
+from bellows_ros.core.model.equilibrium import largest_step
+from bellows_ros.core.model.grip import grip_of, Margin, margin
+from bellows_ros.core.model.simulation import lip_wrenches, simulate
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import levelling
-from bellows_ros.core.release import release_of
-from bellows_ros.core.simulation import lip_wrenches, simulate
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import Planned, sample_stamps
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
 from bellows_ros.core.synthetic.sensing import (
@@ -33,7 +32,8 @@ from bellows_ros.core.synthetic.sensing import (
     WORLDS,
 )
 from bellows_ros.core.synthetic.tossing import Thrown, tossed, Truth
-from bellows_ros.core.trajectory import NS_PER_S
+from bellows_ros.core.toss.landing import release_deviations
+from bellows_ros.core.toss.release import release_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag

@@ -12,8 +12,8 @@ from bellows_ros.core.identification.statics.static import (
     NominalLength,
     SpringCheck,
 )
-from bellows_ros.core.model import Cup, cup_of
-from bellows_ros.core.parameters import ESTIMATE, PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.model.cup_package import Cup, cup_of
+from bellows_ros.core.parameters.checks import ESTIMATE, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.errors import BellowsError, UndeterminedError

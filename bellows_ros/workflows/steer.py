@@ -7,15 +7,15 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.motion_limits import demands, Limits, NONE, read_rates, stretched
-from bellows_ros.core.perturbed import deviations_of, mean_square
-from bellows_ros.core.plan import Prediction, Run, SETTLED
-from bellows_ros.core.plan_points import timed
-from bellows_ros.core.settings import Settings
-from bellows_ros.core.steering import hanging, steer, Steered, tool_above
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
+from bellows_ros.core.model.perturbed import deviations_of, mean_square
+from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.planning.limits import demands, Limits, NONE, read_rates, stretched
+from bellows_ros.core.planning.plan import Prediction, Run, SETTLED
+from bellows_ros.core.planning.points import timed
+from bellows_ros.core.planning.steering import hanging, steer, Steered, tool_above
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import safe_yaml
 from bellows_ros.workflows.plan import NO_GRIP, plan_with_cup, Source, standing
@@ -76,7 +76,7 @@ class SteerReport:
     source : Source
         The plan.
     method : str
-        Of `core.steering.METHODS`.
+        Of `core.planning.steering.METHODS`.
     motions : mapping
         The method, 'as planned', and 'zvd' beside the inverse, where these can be predicted.
     steered : Steered
@@ -162,7 +162,7 @@ def steer_plan(
     path, settings, urdf, topic
         As `workflows.plan.plan` takes them. A plan of what frames.package names is one of B.
     method : str
-        Of `core.steering.METHODS`.
+        Of `core.planning.steering.METHODS`.
     limits : path
         YAML file with limits, see `read_limits`; '' for none.
 

@@ -6,10 +6,10 @@ import math
 import os
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.landing import Aim, aim, Case, draw, Drawn, part_inside, Parts, parts_of
-from bellows_ros.core.lie import quaternion_to_rotation
-from bellows_ros.core.release import Held, release_of, Toss, toss
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.toss.landing import Aim, aim, Case, draw, Drawn, part_inside, Parts, parts_of
+from bellows_ros.core.toss.release import Held, release_of, Toss, toss
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.plan import plan_with_cup, Source
 import numpy as np

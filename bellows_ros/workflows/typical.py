@@ -4,13 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.identification.identifiability import DIRECTIONS
-from bellows_ros.core.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.model import Cup, model_tuple, package_of
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.plan import Run
-from bellows_ros.core.structure import structure_named
+from bellows_ros.core.model.cup_package import Cup, model_tuple, package_of
+from bellows_ros.core.model.structure import structure_named
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.planning.plan import Run
 from bellows_ros.workflows.identification import Identification
 from bellows_ros.workflows.plan import Source
 import numpy as np

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.hypotheses import (
     diagnose,
     Diagnosis,
@@ -11,10 +11,10 @@ from bellows_ros.core.identification.hypotheses import (
     Finding,
 )
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
-from bellows_ros.core.model import Cup
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.residuals import AXES
-from bellows_ros.core.structure import structure_named
+from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import UnstableError
 import numpy as np
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 import tempfile
 
-from bellows_ros.core.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.parameter_files import read_parameters

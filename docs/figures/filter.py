@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.resampling import weights
+from bellows_ros.core.signals.savgol import weights
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
 from bellows_ros.workflows.identify import identify

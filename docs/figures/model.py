@@ -4,10 +4,10 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from bellows_ros.core.kernels import cup_wrench
-from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.model import Cup
-from bellows_ros.core.parameter_table import THESIS_STIFFNESS
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.kernels import cup_wrench
+from bellows_ros.core.parameters.table import THESIS_STIFFNESS
 from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
 import numpy as np
 

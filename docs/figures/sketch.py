@@ -8,7 +8,7 @@ the page.
 from dataclasses import dataclass
 from typing import Any
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.plots.style import Theme, THEMES
 import numpy as np
 

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from bellows_ros.core.holding import grip_of
-from bellows_ros.core.landing import figures
-from bellows_ros.core.model import Cup, cup_of, model_tuple, package_of
-from bellows_ros.core.parameters import resolve
-from bellows_ros.core.release import Held, release_of, toss
+from bellows_ros.core.model.cup_package import Cup, cup_of, model_tuple, package_of
+from bellows_ros.core.model.grip import grip_of
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.toss.landing import figures
+from bellows_ros.core.toss.release import Held, release_of, toss
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.plots.style import write_figure

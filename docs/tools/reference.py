@@ -13,7 +13,7 @@ import re
 
 from bellows_ros.cli.app import command_parser, COMMANDS
 from bellows_ros.cli.console import EXIT_CODES
-from bellows_ros.core.parameter_table import Parameter, PARAMETERS
+from bellows_ros.core.parameters.table import Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
 from bellows_ros.nodes.predictor import INTERFACE
 

@@ -6,8 +6,8 @@ from importlib.util import find_spec
 import json
 from pathlib import Path
 
-from bellows_ros.core.jit import COMPILED
-from bellows_ros.core.steering import impulses, steer
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.planning.steering import impulses, steer
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 from benchmarks import __main__ as command

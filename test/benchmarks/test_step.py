@@ -1,7 +1,7 @@
 """All integrators that are compared solve one case, and the C kernel is the very same one."""
 
-from bellows_ros.core.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.simulation import simulate_rows
+from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
+from bellows_ros.core.model.simulation import simulate_rows
 from bellows_ros.errors import BellowsError
 from benchmarks import step, timing
 from benchmarks.c_kernel import CKernel

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.jit import COMPILED
+from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.files.plans import plans_in
 from bellows_ros.files.trajectory_files import read_euroc
 import numpy as np

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 import shutil
 
-from bellows_ros.core.jit import COMPILED
+from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import KEYS
 import numpy as np

@@ -5,7 +5,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from bellows_ros.core.lie import apply
+from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.parameter_files import read_parameters

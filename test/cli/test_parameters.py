@@ -3,8 +3,8 @@
 import json
 from pathlib import Path
 
-from bellows_ros.core.parameter_table import PARAMETERS
-from bellows_ros.core.parameters import RECORDING_PARAMETERS, resolve
+from bellows_ros.core.parameters.checks import RECORDING_PARAMETERS, resolve
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.files.parameter_files import read_parameters
 
 from .conftest import Run

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 import re
 
-from bellows_ros.core.residuals import AXES
+from bellows_ros.core.signals.residuals import AXES
 import pytest
 
 from .conftest import Run

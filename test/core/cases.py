@@ -1,8 +1,8 @@
 """The thesis' validation case and random models, shared by the tests of the core."""
 
-from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.model import box_inertia, Cup, Package
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.model.cup_package import box_inertia, Cup, Package
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 
 K_THESIS = np.array([  # (3.45)
@@ -99,7 +99,7 @@ class ShakenTool:
 
     def at(self, t):
         """Return position, rotation and body twist at a time (s)."""
-        from bellows_ros.core.lie import dexp
+        from bellows_ros.core.geometry.lie import dexp
         s, c, w = np.sin(self.w * t), np.cos(self.w * t), self.w
         position = self.a * s + self.b * (1 - c)
         velocity = w * (self.a * c + self.b * s)

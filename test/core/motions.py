@@ -1,7 +1,7 @@
 """A motion in closed form, sampled at a rate."""
 
-from bellows_ros.core import lie
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 
 # An epoch in 2023: a float of seconds would round such stamps to 0.2 us.

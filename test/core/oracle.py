@@ -1,6 +1,6 @@
 """A second, slow implementation of the model: 6x6 matrices as the thesis prints them."""
 
-from bellows_ros.core.lie import adjoint, hat, inverse_transform, transform, vee
+from bellows_ros.core.geometry.lie import adjoint, hat, inverse_transform, transform, vee
 import numpy as np
 from scipy.integrate import solve_ivp
 

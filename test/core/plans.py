@@ -1,6 +1,6 @@
 """Plans, and a second integrator that predicts many of them at once: 6x6 matrices, plain RK4."""
 
-from bellows_ros.core.lie import (
+from bellows_ros.core.geometry.lie import (
     adjoint,
     dexp,
     exp_so3,
@@ -10,8 +10,8 @@ from bellows_ros.core.lie import (
     transform,
     vee,
 )
-from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.plan_points import plan_of
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.planning.points import plan_of
 import numpy as np
 
 CUP = Cup(

@@ -1,8 +1,8 @@
 """A throw in closed form, a cup, a box, and a second implementation of the whole toss."""
 
-from bellows_ros.core.lie import adjoint, dexp, exp_so3, hat, inverse_transform, transform
-from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.geometry.lie import adjoint, dexp, exp_so3, hat, inverse_transform, transform
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from scipy.integrate import solve_ivp
 

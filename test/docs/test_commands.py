@@ -11,8 +11,8 @@ from types import ModuleType
 from typing import Any
 
 from bellows_ros.cli.app import COMMANDS
-from bellows_ros.core.jit import COMPILED
-from bellows_ros.core.parameter_table import PARAMETERS
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.parameters.table import PARAMETERS
 import pytest
 
 from .conftest import load

@@ -18,7 +18,7 @@ import signal
 import sys
 import time
 
-from bellows_ros.core.model import Cup
+from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.files.atomic import write_bytes, write_text
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.parameter_files import write_parameters

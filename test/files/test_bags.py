@@ -6,8 +6,8 @@ import sqlite3
 import time
 import tracemalloc
 
-from bellows_ros.core.lie import quaternion_to_rotation
-from bellows_ros.core.trajectory import PoseStream, TwistStream
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bags, sqlite_storage
 from bellows_ros.files.bags import accepted_types, read_streams, topics

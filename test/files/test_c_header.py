@@ -5,12 +5,12 @@ from pathlib import Path
 import shutil
 import subprocess
 
-from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.holding import safety_factors
-from bellows_ros.core.kernels import advance, body_acceleration, lip_wrench
-from bellows_ros.core.lie import exp_so3, rotation_to_quaternion
-from bellows_ros.core.model import Cup, model_tuple, Package
-from bellows_ros.core.simulation import row_state, state_row
+from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.equilibrium import static_equilibrium
+from bellows_ros.core.model.grip import safety_factors
+from bellows_ros.core.model.kernels import advance, body_acceleration, lip_wrench
+from bellows_ros.core.model.simulation import row_state, state_row
 from bellows_ros.files.exports import Exported, header
 import numpy as np
 import pytest

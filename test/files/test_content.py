@@ -1,7 +1,7 @@
 """Results whose content is not what a fit writes: refused with their names, whatever it is."""
 
-from bellows_ros.core.model import Cup
-from bellows_ros.core.structure import structure_named
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import structure_named
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import content_of, format_json
 from bellows_ros.workflows.compare import compare_files

@@ -2,9 +2,9 @@
 
 from xml.etree import ElementTree
 
-from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.simulation import simulate
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.files.exports import Exported, limits, TARGETS
 import numpy as np
 import pytest

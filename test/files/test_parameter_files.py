@@ -1,8 +1,8 @@
 """Parameter files: what is read from them, and that what is written reads back the same."""
 
-from bellows_ros.core.model import Cup
-from bellows_ros.core.parameter_table import PARAMETERS
-from bellows_ros.core.parameters import resolve
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import parameter_files
 from bellows_ros.files.parameter_files import (

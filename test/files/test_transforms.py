@@ -1,6 +1,6 @@
 """Poses out of transforms: trees of frames with links of several rates."""
 
-from bellows_ros.core.lie import exp_se3, inverse_transform, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import exp_se3, inverse_transform, rotation_to_quaternion
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, write_bag
 from bellows_ros.files.bags import read_streams

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from typing import Any
 
-from bellows_ros.core.parameter_table import parameters_of
+from bellows_ros.core.parameters.table import parameters_of
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.nodes import identifier, predictor
 from bellows_ros.nodes.command import help_text, origin_of

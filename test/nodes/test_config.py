@@ -6,8 +6,8 @@ import re
 import runpy
 from typing import Any
 
-from bellows_ros.core.model import Cup
-from bellows_ros.core.parameter_table import parameters_of
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.parameters.table import parameters_of
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.nodes.predictor import INTERFACE
 import pytest

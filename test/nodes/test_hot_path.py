@@ -20,7 +20,7 @@ from nav_msgs.msg import Odometry
 from visualization_msgs.msg import MarkerArray
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from bellows_ros.core import jit
+from bellows_ros.core.geometry import jit
 from bellows_ros.nodes.outputs import Topic
 from bellows_ros.nodes.predictor_node import PredictorNode
 from bellows_ros.nodes.spinning import executor_for

@@ -290,6 +290,6 @@ def test_named_cups(make_predictor: Callable[..., Any]) -> None:
 
 def node_stiffness() -> list[float]:
     """Return the stiffness of the thesis as a parameter."""
-    from bellows_ros.core.model import Cup
+    from bellows_ros.core.model.cup_package import Cup
 
     return [float(x) for x in Cup.thesis().stiffness.ravel()]

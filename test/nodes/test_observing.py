@@ -4,7 +4,7 @@ from collections.abc import Callable
 import time
 from typing import Any
 
-from bellows_ros.core.model import Cup, package_of
+from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.observer.filter import changed
 import numpy as np
 import pytest

@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.model import Cup
-from bellows_ros.core.parameter_table import parameters_of
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.parameters.table import parameters_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 import numpy as np

@@ -4,18 +4,18 @@ from collections.abc import Callable
 import time
 from typing import Any
 
-from bellows_ros.core.lie import rotation_to_quaternion
-from bellows_ros.core.model import model_tuple
-from bellows_ros.core.plan import predict
-from bellows_ros.core.steering import hanging
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.planning.plan import predict
+from bellows_ros.core.planning.steering import hanging
 from bellows_ros.files.plan_messages import decode_multi_dof, encode_multi_dof, PlanMessage
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
 from .conftest import Partner
+from ..core.planning.test_steering import Smooth
 from ..core.plans import CUP, GRIP, Move, PACKAGE
-from ..core.test_steering import Smooth
 
 VALUES = {
     'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
@@ -204,7 +204,7 @@ def test_a_motion_is_steered(planner: Planner, of_package: bool) -> None:
     planner.steer_out.publish(encode_multi_dof(wanted))
     planner.wait(lambda: planner.heard['steered'])
     found = planner.heard['steered'][0]
-    from bellows_ros.core.plan_points import plan_of
+    from bellows_ros.core.planning.points import plan_of
 
     tool = plan_of(found.times_ns, found.poses[:, :3], found.poses[:, 3:], found.twists,
                    twist_frame='tool')

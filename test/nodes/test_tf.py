@@ -6,7 +6,7 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from bellows_ros.core.parameter_table import THESIS_LENGTH
+from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.errors import BellowsError
 from numpy.testing import assert_allclose
 import pytest

@@ -1,6 +1,6 @@
 """Pictures of a fit, of samples and of whiteness: what is drawn stands where the numbers say."""
 
-from bellows_ros.core.residuals import portmanteau, Spectrum
+from bellows_ros.core.signals.residuals import portmanteau, Spectrum
 from bellows_ros.plots.fit import excitation_figure, interval_figure, iteration_figure
 from bellows_ros.plots.prediction import whiteness_figure
 from bellows_ros.plots.recording import spans

@@ -6,9 +6,9 @@ import sys
 from types import SimpleNamespace
 from typing import Any
 
-from bellows_ros.core.holding import Margin
-from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.residuals import Spectrum
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.model.grip import Margin
+from bellows_ros.core.signals.residuals import Spectrum
 from bellows_ros.errors import BellowsError
 from bellows_ros.plots.animation import _ffmpeg as ffmpeg
 from bellows_ros.plots.animation import FRAMES_PER_SECOND, write_animation

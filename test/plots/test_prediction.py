@@ -5,7 +5,7 @@ import re
 from typing import Any
 import xml.etree.ElementTree as ET
 
-from bellows_ros.core.residuals import Comparison, score
+from bellows_ros.core.signals.residuals import Comparison, score
 from bellows_ros.errors import BellowsError
 from bellows_ros.plots.prediction import figures, percent, prediction_figure, with_gaps
 from bellows_ros.plots.style import drawing, inline_svg, THEMES, write_figure

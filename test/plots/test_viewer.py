@@ -4,8 +4,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.residuals import AXES
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import BellowsError
 from bellows_ros.plots.shapes import bellows_rings, RINGS, SIDES
 from bellows_ros.plots.viewer import write_view

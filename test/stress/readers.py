@@ -6,8 +6,8 @@ from pathlib import Path
 import shutil
 from typing import Any
 
-from bellows_ros.core.parameters import resolve
-from bellows_ros.core.trajectory import PoseStream
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.bag_writer import Recorded, write_bag

@@ -10,7 +10,7 @@ import tempfile
 from typing import Any
 
 from bellows_ros.cli.app import main
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.compare import compare_files

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 
 EXPENSIVE = {
-    'savgol': 'core.resampling',
+    'savgol': 'core.signals.savgol',
     'noise_of': 'core.recording.recording',
-    'regressor': 'core.model',
+    'regressor': 'core.model.cup_package',
     'with_noise': 'core.identification.reduction',
     'envelope': 'core.identification.samples',
 }

@@ -4,8 +4,8 @@ from dataclasses import replace
 import json
 import re
 
-from bellows_ros.core.jit import COMPILED
-from bellows_ros.core.parameters import resolve
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json, read_result

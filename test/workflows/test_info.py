@@ -5,9 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.lie import apply, exp_so3, rotation_to_quaternion
-from bellows_ros.core.parameters import resolve
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Recorded, write_bag

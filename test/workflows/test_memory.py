@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 
-from bellows_ros.core.jit import COMPILED
+from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.simulate import simulate_recording
 import pytest

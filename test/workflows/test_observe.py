@@ -1,7 +1,12 @@
 """A recording with a camera: what it adds to the prediction."""
 
-from bellows_ros.core.lie import exp_so3, inverse_transform, rotation_to_quaternion, transform
-from bellows_ros.core.parameters import resolve
+from bellows_ros.core.geometry.lie import (
+    exp_so3,
+    inverse_transform,
+    rotation_to_quaternion,
+    transform,
+)
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import read_streams

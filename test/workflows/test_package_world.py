@@ -3,7 +3,7 @@
 from dataclasses import replace
 import json
 
-from bellows_ros.core.lie import (
+from bellows_ros.core.geometry.lie import (
     apply,
     exp_so3,
     inverse_transform,

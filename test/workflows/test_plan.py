@@ -3,9 +3,9 @@
 from dataclasses import replace
 from pathlib import Path
 
-from bellows_ros.core.arm import read_arm
-from bellows_ros.core.lie import rotation_to_quaternion
-from bellows_ros.core.parameters import resolve
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.plan_messages import (
@@ -25,8 +25,8 @@ from numpy.testing import assert_allclose
 import pytest
 import yaml
 
+from ..core.planning.test_arm import URDF
 from ..core.plans import CUP, Move
-from ..core.test_arm import URDF
 from ..files.recordings import POSE, TWIST, TYPES
 
 MOVE = Move([0.3, -0.2, 0.1], [0.2, -0.1, 0.5], 0.6)

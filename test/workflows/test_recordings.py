@@ -1,6 +1,6 @@
 """Recordings as they are read and prepared, with one clock and with two."""
 
-from bellows_ros.core.parameters import resolve
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.recordings import load

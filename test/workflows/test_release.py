@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from bellows_ros.core.jit import COMPILED
+from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.safe_yaml import load

@@ -2,12 +2,12 @@
 
 import json
 
-from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.replay import compare_recorded
-from bellows_ros.core.model import cup_of, package_of
-from bellows_ros.core.parameters import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.model.cup_package import cup_of, package_of
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import write_json

@@ -2,7 +2,7 @@
 
 import json
 
-from bellows_ros.core.jit import COMPILED
+from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.workflows.identify import identify

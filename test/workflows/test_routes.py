@@ -11,7 +11,7 @@ import threading
 import tracemalloc
 import zipfile
 
-from bellows_ros.core.jit import COMPILED
+from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json

@@ -3,8 +3,8 @@
 import copy
 from pathlib import Path
 
-from bellows_ros.core.lie import hat, log_so3, quaternion_to_rotation
-from bellows_ros.core.settings import Settings
+from bellows_ros.core.geometry.lie import hat, log_so3, quaternion_to_rotation
+from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.synthetic.motion import KINDS
 from bellows_ros.core.synthetic.recipe import generator, read_recipe
 from bellows_ros.errors import BellowsError

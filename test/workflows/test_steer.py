@@ -1,6 +1,6 @@
 """Limits of motions as a file gives them."""
 
-from bellows_ros.core.motion_limits import NONE, RATES
+from bellows_ros.core.planning.limits import NONE, RATES
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
 from bellows_ros.workflows.steer import read_limits

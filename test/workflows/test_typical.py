@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.model import Cup, package_of
-from bellows_ros.core.parameters import resolve
-from bellows_ros.core.simulation import simulate
-from bellows_ros.core.structure import structure_named
+from bellows_ros.core.model.cup_package import Cup, package_of
+from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.model.structure import structure_named
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.plan import read_plan

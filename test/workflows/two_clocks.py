@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.lie import rotation_to_quaternion
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.bags import read_streams
 import numpy as np

@@ -9,16 +9,16 @@ shake. The standard errors of these follow from those of the parameters by first
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import linearise, static_equilibrium
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import adjoint, log_so3, quaternion_to_rotation, transform
 from bellows_ros.core.identification.result import parameter_units
-from bellows_ros.core.lie import adjoint, log_so3, quaternion_to_rotation, transform
-from bellows_ros.core.model import Cup, model_tuple, Package
-from bellows_ros.core.residuals import relative_coordinates
-from bellows_ros.core.simulation import simulate
-from bellows_ros.core.structure import common_structure, Structure
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
+from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.model.structure import common_structure, Structure
+from bellows_ros.core.signals.residuals import relative_coordinates
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import Oscillation, Pose
-from bellows_ros.core.trajectory import Trajectory
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import chdtrc, ndtr

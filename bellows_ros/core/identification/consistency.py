@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.equations import covariance_of, information_of
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.structure import structure_named
+from bellows_ros.core.model.structure import structure_named
 from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.special import chdtrc

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.lie import log_so3
-from bellows_ros.core.model import regressor
-from bellows_ros.core.structure import Structure
-from bellows_ros.core.trajectory import NS_PER_S
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.model.cup_package import regressor
+from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 BLOCK = 4096

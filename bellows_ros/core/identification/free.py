@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import variations
 from bellows_ros.core.identification.objective import (
     covariance_of,
@@ -16,11 +17,10 @@ from bellows_ros.core.identification.objective import (
     Solved,
 )
 from bellows_ros.core.identification.variations import Given, Variation
-from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.alignment import Alignment
 from bellows_ros.core.recording.package_world import closed_form, motion_of
 from bellows_ros.core.recording.recording import Recording, TimeOffset
-from bellows_ros.core.structure import Structure
 from bellows_ros.errors import BellowsError
 import numpy as np
 

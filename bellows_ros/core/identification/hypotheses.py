@@ -9,7 +9,8 @@ nearly as much, and where the change is many times its standard error.
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, TYPE_CHECKING
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.identification import variations
 from bellows_ros.core.identification.objective import (
     covariance_of,
@@ -21,11 +22,10 @@ from bellows_ros.core.identification.objective import (
     Solved,
 )
 from bellows_ros.core.identification.variations import Given, Variation
-from bellows_ros.core.lie import apply
-from bellows_ros.core.model import Package
+from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.structure import Structure, STRUCTURES
 import numpy as np
 
 if TYPE_CHECKING:

@@ -9,12 +9,12 @@ bias that it compensates where the noise is known.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.equations import joined, Solution, without
 from bellows_ros.core.identification.least_squares import noise_bias, structure_of, weighted
 from bellows_ros.core.identification.reduction import Movement, Reduced
 from bellows_ros.core.identification.samples import PassBand
-from bellows_ros.core.structure import AXES, Structure
+from bellows_ros.core.model.structure import AXES, Structure
 import numpy as np
 
 LARGEST_SHARE, SHARE_WEAK = 0.5, 0.05

@@ -8,7 +8,7 @@ on average; where it is known both are subtracted (compensated least squares).
 
 from collections.abc import Iterator, Sequence
 
-from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.equations import (
     CLUSTER_WINDOWS,
     IN_NULL_SPACE,
@@ -27,7 +27,7 @@ from bellows_ros.core.identification.result import (
     LARGEST_ERROR,
     WRENCH_UNITS,
 )
-from bellows_ros.core.structure import Structure
+from bellows_ros.core.model.structure import Structure
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 

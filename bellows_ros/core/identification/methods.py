@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 import math
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
 from bellows_ros.core.identification.result import Fit, Freed
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.model import Cup, cup_of, package_of, varied
+from bellows_ros.core.model.cup_package import Cup, cup_of, package_of, varied
+from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.recording.recording import Noise, Recording, TimeOffset
-from bellows_ros.core.structure import structure_named
 from bellows_ros.errors import BellowsError
 import numpy as np
 

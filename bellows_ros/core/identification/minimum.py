@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Places
+from bellows_ros.core.geometry.arrays import Array, Places
 from bellows_ros.core.identification.motion_equations import (
     Equations,
     Free,
@@ -24,9 +24,9 @@ from bellows_ros.core.identification.motion_equations import (
     STEPS,
 )
 from bellows_ros.core.identification.segments import Measured, PoseNoise
-from bellows_ros.core.model import Cup
-from bellows_ros.core.resampling import MAD_TO_STD
-from bellows_ros.core.structure import Structure
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.signals.timing import MAD_TO_STD
 from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.linalg import lapack

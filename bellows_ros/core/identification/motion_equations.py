@@ -15,9 +15,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import COMPILED, kernel
+from bellows_ros.core.geometry.lie import apply, exp_so3, hat, rotation_to_quaternion, twist_cross
 from bellows_ros.core.identification.segments import Measured
-from bellows_ros.core.jacobians import (
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, varied
+from bellows_ros.core.model.jacobians import (
     body_jacobians,
     COM,
     DAMPING,
@@ -30,13 +33,11 @@ from bellows_ros.core.jacobians import (
     write_column,
     write_square,
 )
-from bellows_ros.core.jit import COMPILED, kernel
-from bellows_ros.core.kernels import body_acceleration, ModelTuple
-from bellows_ros.core.lie import apply, exp_so3, hat, rotation_to_quaternion, twist_cross
-from bellows_ros.core.model import Cup, model_tuple, Package, varied
-from bellows_ros.core.resampling import resample, savgol, weights
-from bellows_ros.core.simulation import row_state
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.model.kernels import body_acceleration, ModelTuple
+from bellows_ros.core.model.simulation import row_state
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.savgol import savgol, weights
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
 REACH = 4

@@ -12,17 +12,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.equations import IN_NULL_SPACE, LipMotion, Moments, regular
 from bellows_ros.core.identification.reduction import draws
 from bellows_ros.core.identification.samples import lip_relative, samples_of
 from bellows_ros.core.identification.variations import Given, time_offset
-from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.parameter_table import THESIS_DAMPING, THESIS_STIFFNESS
+from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.parameters.table import THESIS_DAMPING, THESIS_STIFFNESS
 from bellows_ros.core.recording.recording import Colour, Recording
-from bellows_ros.core.resampling import resample, savgol
-from bellows_ros.core.structure import Structure
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
 RATE_HZ = 60.0

@@ -15,7 +15,7 @@ adding as much again.
 
 from collections.abc import Callable, Iterator, Sequence
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.equations import without
 from bellows_ros.core.identification.minimum import Found, Root, Search, Whitened
 from bellows_ros.core.identification.motion_equations import KINDS, Segment
@@ -26,8 +26,8 @@ from bellows_ros.core.identification.result import (
     LARGEST_ERROR,
 )
 from bellows_ros.core.identification.segments import Measured, SMALLEST
-from bellows_ros.core.model import Cup
-from bellows_ros.core.structure import Structure
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import Structure
 from bellows_ros.errors import BellowsError
 import numpy as np
 

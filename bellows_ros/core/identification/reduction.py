@@ -14,8 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.envelope import Envelope
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.equations import LipMotion, Moments, Rows
 from bellows_ros.core.identification.samples import (
     envelope,
@@ -24,8 +23,9 @@ from bellows_ros.core.identification.samples import (
     Samples,
     samples_of,
 )
-from bellows_ros.core.lie import apply, exp_so3
-from bellows_ros.core.model import Package
+from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.model.structure import Structure, structure_named
+from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording.recording import (
     ENOUGH,
     FilterNoise,
@@ -34,9 +34,8 @@ from bellows_ros.core.recording.recording import (
     Recording,
     TimeOffset,
 )
-from bellows_ros.core.structure import Structure, structure_named
-from bellows_ros.core.trajectory import Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.core.signals.savgol import displaced
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 
 SEED = 20210801
@@ -71,55 +70,7 @@ def _noisy(
         sigma * np.einsum('ij,jnk->ink', root, draw.standard_normal((3, len(motion), 3)))
         for sigma in noise
     )
-    return _disturbed(motion, o, phi)
-
-
-def shaken(
-    motion: Trajectory, noise: Noise, weights: Array, period: float, draw: np.random.Generator
-) -> Trajectory:
-    """
-    Return a filtered motion as it would be with white noise of its poses once more.
-
-    Parameters
-    ----------
-    motion : Trajectory
-        Of a body, with twists.
-    noise : Noise
-        Of the poses that were filtered, m and rad per axis.
-    weights : ndarray (3, 2n+1)
-        Of the filter.
-    period : float
-        Between these poses, s.
-    draw : Generator
-        Of random numbers.
-
-    """
-    at = period * np.arange(int(motion.seconds[-1] / period) + 2)
-    white = np.repeat(noise, 3) * draw.standard_normal((len(at) + weights.shape[1] - 1, 6))
-    filtered = np.array([
-        np.column_stack([np.interp(motion.seconds, at, np.correlate(column, row))
-                         for column in white.T]) for row in weights])
-    return _disturbed(motion, filtered[..., :3], filtered[..., 3:])
-
-
-def _disturbed(motion: Trajectory, o: Array, phi: Array) -> Trajectory:
-    """Return a motion with a shift and a turn and their derivatives (3, N, 3), in world axes."""
-    if motion.twist is None:
-        raise BellowsError('Samples need twists; filter the recording first.')
-    R, v, w = motion.rotation, motion.twist[:, :3], motion.twist[:, 3:]
-    R_new = exp_so3(phi[0]) @ R
-    R_inverse = np.swapaxes(R_new, -1, -2)
-    v_new = apply(R_inverse, apply(R, v) + o[1])
-    w_new = apply(R_inverse, apply(R, w) + phi[1])
-    acceleration = None
-    if motion.acceleration is not None:
-        dv, dw = motion.acceleration[:, :3], motion.acceleration[:, 3:]
-        linear = apply(R_inverse, apply(R, dv + np.cross(w, v)) + o[2]) - np.cross(w_new, v_new)
-        acceleration = np.hstack([linear, apply(R_inverse, apply(R, dw) + phi[2])])
-    return Trajectory(
-        motion.stamps_ns, motion.position + o[0], R_new, np.hstack([v_new, w_new]),
-        acceleration, motion.valid,
-    )
+    return displaced(motion, o, phi)
 
 
 def noise_products(

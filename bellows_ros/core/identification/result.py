@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.structure import Structure, structure_named, STRUCTURES
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model.structure import Structure, structure_named, STRUCTURES
 import numpy as np
 
 UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}

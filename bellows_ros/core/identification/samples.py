@@ -12,16 +12,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.envelope import Envelope
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.lie import apply, quaternion_to_rotation
 from bellows_ros.core.identification.equations import BLOCK, LipMotion
-from bellows_ros.core.lie import apply, quaternion_to_rotation
-from bellows_ros.core.model import Package
-from bellows_ros.core.parameter_table import THESIS_LENGTH
-from bellows_ros.core.parameters import ESTIMATE
+from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.model.validity_range import Envelope
+from bellows_ros.core.parameters.checks import ESTIMATE
+from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.core.recording.recording import FilterNoise, Recording
-from bellows_ros.core.residuals import interpolated, Spectrum, spectrum
-from bellows_ros.core.trajectory import Trajectory, uniform_rate_hz
+from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
+from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike

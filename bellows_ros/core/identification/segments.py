@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask
-from bellows_ros.core.lie import apply
-from bellows_ros.core.model import Package
+from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.geometry.lie import apply
+from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.recording.recording import (
     Recording,
     ripple,
@@ -14,8 +14,10 @@ from bellows_ros.core.recording.recording import (
     TOOL_HALF_WINDOW,
     TOOL_ORDER,
 )
-from bellows_ros.core.resampling import MAD_TO_STD, resample, savgol
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.timing import MAD_TO_STD
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import UndeterminedError
 import numpy as np
 

@@ -13,7 +13,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask
+from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.equations import (
     joined,
     Moments,
@@ -26,13 +27,12 @@ from bellows_ros.core.identification.least_squares import least_squares, noise_b
 from bellows_ros.core.identification.reduction import noise_products, SEED, statistics
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import Samples
-from bellows_ros.core.lie import rotation_to_quaternion
-from bellows_ros.core.model import Cup
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.simulation import simulate, state_row
+from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.recording import FilterNoise
-from bellows_ros.core.residuals import compare
-from bellows_ros.core.simulation import simulate, state_row
-from bellows_ros.core.structure import Structure, STRUCTURES
-from bellows_ros.core.trajectory import uniform_rate_hz
+from bellows_ros.core.signals.residuals import compare
+from bellows_ros.core.signals.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError, UndeterminedError, UnstableError
 import numpy as np
 from scipy.linalg import block_diag

@@ -10,16 +10,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask
-from bellows_ros.core.identification.reduction import shaken
+from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.segments import bridged, segments_of
-from bellows_ros.core.kernels import ModelTuple, State
-from bellows_ros.core.lie import rotation_to_quaternion
-from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, state_row, tool_rows
 from bellows_ros.core.recording.alignment import rest_of
 from bellows_ros.core.recording.recording import Noise, Recording
-from bellows_ros.core.resampling import savgol, weights
-from bellows_ros.core.residuals import (
+from bellows_ros.core.signals.residuals import (
     AXES,
     compare,
     Comparison,
@@ -30,8 +29,8 @@ from bellows_ros.core.residuals import (
     spectrum,
     Whiteness,
 )
-from bellows_ros.core.simulation import lip_wrenches, rest, simulate, state_row, tool_rows
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.core.signals.savgol import savgol, weights, with_filtered_noise
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -284,7 +283,7 @@ def _noise_of_errors(
     rate_hz, rng = uniform_rate_hz(tool.stamps_ns), np.random.default_rng(SEED)
     W, squares = weights(half_window_of(tool), LIGHT_ORDER, rate_hz), []
     for _ in range(NOISE_RUNS):
-        noisy = shaken(tool, noises[0], W, 1.0 / rate_hz, rng)
+        noisy = with_filtered_noise(tool, noises[0], W, 1.0 / rate_hz, rng)
         moved = (relative_coordinates(tool, simulate(cup, package, noisy, start, gravity))
                  - relative_coordinates(tool, body))
         squares.append(np.mean(moved**2, axis=0))

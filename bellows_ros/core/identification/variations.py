@@ -4,13 +4,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import adjoint, apply, exp_so3, inverse_transform, transform
 from bellows_ros.core.identification.samples import Samples
-from bellows_ros.core.lie import adjoint, apply, exp_so3, inverse_transform, transform
-from bellows_ros.core.model import varied
-from bellows_ros.core.resampling import resample
-from bellows_ros.core.structure import Structure
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.model.cup_package import varied
+from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
 LARGEST_OFFSET = 0.1

@@ -10,13 +10,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.jit import as_inputs, kernel
-from bellows_ros.core.kernels import State
-from bellows_ros.core.live.samples import Prediction
-from bellows_ros.core.simulation import row_state, Rows, tool_rows, write_row
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
-from bellows_ros.core.tuples import (
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.tuples import (
     apply,
     apply_transposed,
     dot,
@@ -29,6 +25,10 @@ from bellows_ros.core.tuples import (
     subtract,
     Vector,
 )
+from bellows_ros.core.live.samples import Prediction
+from bellows_ros.core.model.kernels import State
+from bellows_ros.core.model.simulation import row_state, Rows, tool_rows, write_row
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
 LEVER = 0.1

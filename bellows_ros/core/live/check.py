@@ -10,8 +10,8 @@ from bellows_ros.core.live.payload import prepared
 from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
 from bellows_ros.core.live.uncertainty import Uncertainty
 from bellows_ros.core.live.vacuum import check_thresholds
-from bellows_ros.core.model import cup_of, package_of
-from bellows_ros.core.parameters import ESTIMATE, gravity_of
+from bellows_ros.core.model.cup_package import cup_of, package_of
+from bellows_ros.core.parameters.checks import ESTIMATE, gravity_of
 from bellows_ros.errors import BellowsError
 import numpy as np
 

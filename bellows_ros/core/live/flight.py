@@ -6,14 +6,16 @@ from collections.abc import Callable, Mapping
 import math
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import largest_step
-from bellows_ros.core.holding import grip_of
-from bellows_ros.core.kernels import extrapolated, ModelTuple, State
-from bellows_ros.core.landing import aim, release_deviations
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.tuples import scale
 from bellows_ros.core.live.payload import MOST_SUBSTEPS
 from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
-from bellows_ros.core.release import (
+from bellows_ros.core.model.equilibrium import largest_step
+from bellows_ros.core.model.grip import grip_of
+from bellows_ros.core.model.kernels import extrapolated, ModelTuple, State
+from bellows_ros.core.model.simulation import diverged, row_state, Rows
+from bellows_ros.core.toss.landing import aim, release_deviations
+from bellows_ros.core.toss.release import (
     COARSE_STRIDE,
     flight,
     flight_path,
@@ -26,8 +28,6 @@ from bellows_ros.core.release import (
     toss_along,
     upward,
 )
-from bellows_ros.core.simulation import diverged, row_state, Rows
-from bellows_ros.core.tuples import scale
 from bellows_ros.errors import BellowsError
 import numpy as np
 

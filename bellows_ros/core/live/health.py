@@ -11,10 +11,10 @@ from enum import IntEnum
 import math
 from typing import Literal, NamedTuple
 
-from bellows_ros.core.envelope import Distance
 from bellows_ros.core.live.load import Safety, STRONGEST_BENDING
 from bellows_ros.core.live.predictor import LivePredictor, LONGEST_GAP_NS
 from bellows_ros.core.live.timing import Quantiles, Rhythm
+from bellows_ros.core.model.validity_range import Distance
 
 STRANGE_AGE = 1.0
 """Messages older or younger (s) than this carry stamps of another clock."""

@@ -6,13 +6,9 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
-from bellows_ros.core.envelope import Distance, distance, known_envelope
-from bellows_ros.core.holding import grip_of, MODES, ratio, safety_factors
-from bellows_ros.core.jit import kernel
-from bellows_ros.core.kernels import lip_relative_to_tool, ModelTuple, State
-from bellows_ros.core.lie import log_so3
-from bellows_ros.core.live.samples import Prediction
-from bellows_ros.core.tuples import (
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.geometry.tuples import (
     apply,
     Matrix,
     Quaternion,
@@ -22,6 +18,10 @@ from bellows_ros.core.tuples import (
     subtract,
     Vector,
 )
+from bellows_ros.core.live.samples import Prediction
+from bellows_ros.core.model.grip import grip_of, MODES, ratio, safety_factors
+from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple, State
+from bellows_ros.core.model.validity_range import Distance, distance, known_envelope
 import numpy as np
 
 STRONGEST_BENDING = 0.6

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 
+from bellows_ros.core.geometry.tuples import add, scale, Vector
 from bellows_ros.core.live.samples import PoseSample, TwistSample
-from bellows_ros.core.tuples import add, scale, Vector
 
 PAIRING_TOLERANCE_NS = 100_000
 """Largest difference (ns) of the stamps of a pose and its twist."""

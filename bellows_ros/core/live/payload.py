@@ -6,14 +6,18 @@ from functools import partial
 import math
 from typing import NamedTuple
 
-from bellows_ros.core.equilibrium import (
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.tuples import dot, rotation_matrix
+from bellows_ros.core.live.samples import Prediction, ZERO
+from bellows_ros.core.live.settling import Modes, modes_of, Settling
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.equilibrium import (
     largest_step,
     static_equilibrium,
     substeps_for,
     system_matrix,
 )
-from bellows_ros.core.jit import kernel
-from bellows_ros.core.kernels import (
+from bellows_ros.core.model.kernels import (
     advance,
     cup_wrench,
     extrapolated,
@@ -23,11 +27,7 @@ from bellows_ros.core.kernels import (
     State,
     Wrench,
 )
-from bellows_ros.core.live.samples import Prediction, ZERO
-from bellows_ros.core.live.settling import Modes, modes_of, Settling
-from bellows_ros.core.model import Cup, model_tuple, Package
 from bellows_ros.core.observer import Measurement, Observer
-from bellows_ros.core.tuples import dot, rotation_matrix
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike

@@ -9,21 +9,21 @@ from __future__ import annotations
 
 import math
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.holding import ratio, safety_factors
-from bellows_ros.core.kernels import ModelTuple, State
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.tuples import normalised, norms, Quaternion, Vector
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import deflection
 from bellows_ros.core.live.pairing import Pairing
 from bellows_ros.core.live.payload import LivePayload
 from bellows_ros.core.live.samples import ORIGIN, PoseSample, Prediction, TwistSample
 from bellows_ros.core.live.screening import FrameChange, Screen
+from bellows_ros.core.live.tool_twist import PoseHistory
 from bellows_ros.core.live.twist_check import BACK, measured, TwistCheck
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.grip import ratio, safety_factors
+from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer import Observer
-from bellows_ros.core.screening import LARGEST_RATE, LARGEST_SPEED, LONGEST_GAP_NS
-from bellows_ros.core.tool_twist import PoseHistory
-from bellows_ros.core.tuples import normalised, norms, Quaternion, Vector
+from bellows_ros.core.signals.screening import LARGEST_RATE, LARGEST_SPEED, LONGEST_GAP_NS
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.lie import quaternion_to_rotation
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.live.predictor import LivePredictor
 from bellows_ros.core.live.samples import Prediction
-from bellows_ros.core.resampling import resample
-from bellows_ros.core.residuals import compare, Comparison
-from bellows_ros.core.trajectory import Trajectory
-from bellows_ros.core.tuples import Vector
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.residuals import compare, Comparison
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.kernels import State
-from bellows_ros.core.tuples import Quaternion, Vector
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.model.kernels import State
 
 ZERO: Vector = (0.0, 0.0, 0.0)
 ORIGIN: State = (ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, ZERO)

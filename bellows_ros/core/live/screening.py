@@ -12,18 +12,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from bellows_ros.core.jit import kernel
-from bellows_ros.core.live.samples import ZERO
-from bellows_ros.core.screening import (
-    ACCEPTED,
-    GOOD,
-    LARGEST_RATE,
-    LARGEST_SPEED,
-    StampScreen,
-    Verdict,
-    why_no_pose,
-)
-from bellows_ros.core.tuples import (
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.tuples import (
     dot,
     log_quaternion,
     norm,
@@ -33,6 +23,16 @@ from bellows_ros.core.tuples import (
     scale,
     subtract,
     Vector,
+)
+from bellows_ros.core.live.samples import ZERO
+from bellows_ros.core.signals.screening import (
+    ACCEPTED,
+    GOOD,
+    LARGEST_RATE,
+    LARGEST_SPEED,
+    StampScreen,
+    Verdict,
+    why_no_pose,
 )
 
 FRAME_RUN = 3

@@ -11,11 +11,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.jit import kernel
-from bellows_ros.core.kernels import State
-from bellows_ros.core.live.samples import Unsettled
-from bellows_ros.core.tuples import (
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.tuples import (
     add_scaled,
     log_quaternion,
     norms,
@@ -25,6 +23,8 @@ from bellows_ros.core.tuples import (
     subtract,
     Vector,
 )
+from bellows_ros.core.live.samples import Unsettled
+from bellows_ros.core.model.kernels import State
 import numpy as np
 
 SPAN_NS = 100_000_000

@@ -6,8 +6,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Sequence
 
-from bellows_ros.core.live.samples import PoseSample, ZERO
-from bellows_ros.core.tuples import (
+from bellows_ros.core.geometry.tuples import (
     add,
     add_scaled,
     apply,
@@ -19,6 +18,7 @@ from bellows_ros.core.tuples import (
     scale,
     subtract,
 )
+from bellows_ros.core.live.samples import PoseSample, ZERO
 
 KEPT = 500
 """Transforms kept for each moving link."""

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import deque
 import math
 
-from bellows_ros.core.jit import kernel
-from bellows_ros.core.kernels import State
-from bellows_ros.core.tuples import (
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.tuples import (
     add,
     apply,
     apply_transposed,
@@ -21,6 +20,7 @@ from bellows_ros.core.tuples import (
     subtract,
     Vector,
 )
+from bellows_ros.core.model.kernels import State
 
 PERIOD_NS = 20_000_000
 """Time (ns) between two comparisons."""

@@ -23,16 +23,16 @@ from collections.abc import Mapping
 import math
 from typing import Any
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import linearise, static_equilibrium
-from bellows_ros.core.jacobians import parameter_jacobian
-from bellows_ros.core.kernels import ModelTuple, State
-from bellows_ros.core.lie import hat
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import hat
+from bellows_ros.core.geometry.tuples import rotation_matrix
 from bellows_ros.core.live.samples import ORIGIN, Prediction, Unsettled, ZERO
-from bellows_ros.core.model import Cup, model_tuple, Package
-from bellows_ros.core.parameters import matrix
-from bellows_ros.core.perturbed import at_most_whole
-from bellows_ros.core.tuples import rotation_matrix
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
+from bellows_ros.core.model.jacobians import parameter_jacobian
+from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.matrices import matrix
+from bellows_ros.core.model.perturbed import at_most_whole
 from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.linalg import expm

@@ -16,8 +16,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.jit import kernel
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.tuples import cross, Quaternion, rotation_matrix, Vector
 from bellows_ros.core.observer.filter import (
     add_product,
     FORCE,
@@ -27,7 +28,6 @@ from bellows_ros.core.observer.filter import (
     product,
 )
 from bellows_ros.core.observer.measurement import Innovation
-from bellows_ros.core.tuples import cross, Quaternion, rotation_matrix, Vector
 import numpy as np
 
 GONE, SPEED, FALL = 26, 27, 30

@@ -18,28 +18,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import linearise, moved, substeps_for
-from bellows_ros.core.jacobians import (
-    acceleration_at,
-    body_jacobians,
-    parameter_jacobian,
-    write_block,
-    write_column,
-    write_square,
-)
-from bellows_ros.core.jit import COMPILED, kernel
-from bellows_ros.core.kernels import (
-    advance,
-    lip_wrench,
-    ModelTuple,
-    State,
-    tool_at,
-    tool_segment,
-    Wrench,
-)
-from bellows_ros.core.simulation import row_state, write_row
-from bellows_ros.core.tuples import (
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import COMPILED, kernel
+from bellows_ros.core.geometry.tuples import (
     add,
     add_scaled,
     apply,
@@ -49,6 +30,25 @@ from bellows_ros.core.tuples import (
     scale_matrix,
     Vector,
 )
+from bellows_ros.core.model.equilibrium import linearise, moved, substeps_for
+from bellows_ros.core.model.jacobians import (
+    acceleration_at,
+    body_jacobians,
+    parameter_jacobian,
+    write_block,
+    write_column,
+    write_square,
+)
+from bellows_ros.core.model.kernels import (
+    advance,
+    lip_wrench,
+    ModelTuple,
+    State,
+    tool_at,
+    tool_segment,
+    Wrench,
+)
+from bellows_ros.core.model.simulation import row_state, write_row
 import numpy as np
 
 CENTRE = slice(13, 16)

@@ -6,18 +6,9 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import moved, pose_error
-from bellows_ros.core.jit import kernel
-from bellows_ros.core.kernels import State
-from bellows_ros.core.observer.filter import (
-    add_product,
-    CENTRE,
-    product,
-    turned_over,
-)
-from bellows_ros.core.screening import why_no_pose
-from bellows_ros.core.tuples import (
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.tuples import (
     add,
     apply,
     dot,
@@ -33,6 +24,15 @@ from bellows_ros.core.tuples import (
     transposed,
     Vector,
 )
+from bellows_ros.core.model.equilibrium import moved, pose_error
+from bellows_ros.core.model.kernels import State
+from bellows_ros.core.observer.filter import (
+    add_product,
+    CENTRE,
+    product,
+    turned_over,
+)
+from bellows_ros.core.signals.screening import why_no_pose
 import numpy as np
 
 Marker = tuple[Vector, Quaternion, bool]

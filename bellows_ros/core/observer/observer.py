@@ -13,10 +13,11 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import resting_on_tool, substeps_for
-from bellows_ros.core.jit import as_inputs
-from bellows_ros.core.kernels import ModelTuple, State
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import as_inputs
+from bellows_ros.core.geometry.tuples import Matrix, Vector
+from bellows_ros.core.model.equilibrium import resting_on_tool, substeps_for
+from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer.alarms import Alarm, Alarms
 from bellows_ros.core.observer.filter import (
     driving,
@@ -38,7 +39,6 @@ from bellows_ros.core.observer.measurement import (
     Sight,
     taken,
 )
-from bellows_ros.core.tuples import Matrix, Vector
 import numpy as np
 
 LATEST_NS = 500_000_000

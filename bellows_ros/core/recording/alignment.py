@@ -11,10 +11,10 @@ same transformations, with the identity in them.
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask
-from bellows_ros.core.lie import apply, exp_so3, log_so3, mean_rotation
-from bellows_ros.core.resampling import MAD_TO_STD
-from bellows_ros.core.trajectory import frozen, NS_PER_S, Trajectory
+from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, mean_rotation
+from bellows_ros.core.signals.timing import MAD_TO_STD
+from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike

@@ -12,9 +12,9 @@ alike.
 from dataclasses import dataclass
 from math import sqrt
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.lie import log_so3
-from bellows_ros.core.trajectory import any_within, NS_PER_S, Trajectory
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.signals.trajectory import any_within, NS_PER_S, Trajectory
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import median_filter

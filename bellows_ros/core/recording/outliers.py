@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask
-from bellows_ros.core.lie import log_so3
+from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.recording.jumps import (
     EVEN_WITHIN,
     increments_of,
@@ -27,7 +27,7 @@ from bellows_ros.core.recording.jumps import (
     strength_of,
     WEAKER,
 )
-from bellows_ros.core.trajectory import any_within, NS_PER_S, Trajectory
+from bellows_ros.core.signals.trajectory import any_within, NS_PER_S, Trajectory
 import numpy as np
 from scipy.ndimage import find_objects, label
 

@@ -6,8 +6,8 @@ It brings the package's poses into the frame of the tool's before anything else 
 
 from dataclasses import replace
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.lie import (
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import (
     apply,
     exp_so3,
     inverse_transform,
@@ -18,8 +18,8 @@ from bellows_ros.core.lie import (
     rotation_to_quaternion,
     transform,
 )
-from bellows_ros.core.resampling import resample
-from bellows_ros.core.trajectory import NS_PER_S, PoseStream, Trajectory
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.lie import apply, log_so3
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.recording.alignment import (
     aligned_at_rest,
     Alignment,
@@ -29,8 +29,10 @@ from bellows_ros.core.recording.recording import (
     StreamReport,
     TimeOffset,
 )
-from bellows_ros.core.resampling import on_grid, resample, savgol, Timing, timing
-from bellows_ros.core.trajectory import (
+from bellows_ros.core.signals.resampling import on_grid, resample
+from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.timing import Timing, timing
+from bellows_ros.core.signals.trajectory import (
     Filtered,
     NS_PER_S,
     PoseStream,

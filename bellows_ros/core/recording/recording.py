@@ -10,15 +10,16 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.lie import log_so3
-from bellows_ros.core.model import Package, STANDARD_GRAVITY
-from bellows_ros.core.parameter_table import short
-from bellows_ros.core.parameters import ESTIMATE
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.model.cup_package import Package, STANDARD_GRAVITY
+from bellows_ros.core.parameters.checks import ESTIMATE
+from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording.alignment import Alignment, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
-from bellows_ros.core.resampling import MAD_TO_STD, Timing, weights
-from bellows_ros.core.trajectory import (
+from bellows_ros.core.signals.savgol import weights
+from bellows_ros.core.signals.timing import MAD_TO_STD, Timing
+from bellows_ros.core.signals.trajectory import (
     any_within,
     NS_PER_S,
     PoseStream,

@@ -8,13 +8,13 @@ At rest no damper and no acceleration take part: the package hangs where spring 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.envelope import Envelope
-from bellows_ros.core.lie import log_so3, mean_rotation
-from bellows_ros.core.model import Package
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.lie import log_so3, mean_rotation
+from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording.recording import Noise, Recording
-from bellows_ros.core.residuals import relative_coordinates
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.signals.residuals import relative_coordinates
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 

@@ -9,8 +9,8 @@ rotation vector phi in the tool's axes at the start.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
-from bellows_ros.core.arrays import Array, Stamps
-from bellows_ros.core.lie import (
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.lie import (
     apply,
     dexp,
     exp_so3,
@@ -18,9 +18,9 @@ from bellows_ros.core.lie import (
     quaternion_to_rotation,
     rpy_rotation,
 )
-from bellows_ros.core.resampling import resample
-from bellows_ros.core.settings import Settings
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.random import Generator

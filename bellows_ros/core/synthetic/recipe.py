@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import re
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.settings import Settings
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.synthetic.motion import Motion, motion_from
 from bellows_ros.core.synthetic.sensing import (
     Sensor,

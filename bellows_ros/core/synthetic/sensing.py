@@ -12,12 +12,12 @@ the plate was not gripped at the markers' centre. Poses are then turned into the
 
 from dataclasses import dataclass, field
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.lie import apply, exp_so3
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.lie import apply, exp_so3
+from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.recording import alignment
-from bellows_ros.core.settings import Settings
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import sample_stamps
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.random import Generator

@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array, Mask, Stamps
-from bellows_ros.core.holding import Grip
-from bellows_ros.core.kernels import ModelTuple
-from bellows_ros.core.landing import changed
-from bellows_ros.core.lie import quaternion_to_rotation
-from bellows_ros.core.release import flight, Held, LONGEST_WAIT, Release, STRIDE, toss
-from bellows_ros.core.simulation import STILL, write_row
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.model.grip import Grip
+from bellows_ros.core.model.kernels import ModelTuple
+from bellows_ros.core.model.simulation import STILL, write_row
+from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.toss.landing import changed
+from bellows_ros.core.toss.release import flight, Held, LONGEST_WAIT, Release, STRIDE, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 

@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
+from bellows_ros.core.geometry.lie import dexp, exp_so3
 from bellows_ros.core.identification.segments import measured_segments
-from bellows_ros.core.lie import dexp, exp_so3
-from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.simulation import simulate
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 
 GRAVITY = 9.81

@@ -4,16 +4,17 @@ from dataclasses import replace
 import functools
 from types import SimpleNamespace
 
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import equations
 from bellows_ros.core.identification.equations import Moments
 from bellows_ros.core.identification.identifiability import excitation_of
 from bellows_ros.core.identification.least_squares import least_squares as fit_statistics
 from bellows_ros.core.identification.reduction import movement_of, statistics
-from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
-from bellows_ros.core.simulation import simulate
+from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.core.synthetic.motion import (
     Oscillation,
     Pose,
@@ -21,7 +22,6 @@ from bellows_ros.core.synthetic.motion import (
     Segment,
     Waypoints,
 )
-from bellows_ros.core.trajectory import PoseStream
 import numpy as np
 from scipy.signal import lfilter
 

@@ -1,10 +1,10 @@
 """Noise after the filters, against filtered recordings of nothing but noise."""
 
-from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
+from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.core.synthetic.motion import sample_stamps
-from bellows_ros.core.trajectory import PoseStream
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

@@ -1,8 +1,8 @@
 """Comparison of fits against hand calculation, and the cup's modes against textbook formulas."""
 
 from bellows_ros.core.identification.comparison import Change, compare_fits, Fitted, modes
-from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.structure import structure_named
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.structure import structure_named
 import numpy as np
 from numpy.testing import assert_allclose
 from scipy.stats import chi2, norm

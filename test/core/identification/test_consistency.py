@@ -2,7 +2,7 @@
 
 from bellows_ros.core.identification.consistency import same_cup
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest

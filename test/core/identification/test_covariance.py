@@ -1,15 +1,15 @@
 """Standard errors of the prediction error: against the bound, and against the scatter of fits."""
 
-from bellows_ros.core.equilibrium import static_equilibrium
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
 from bellows_ros.core.identification.prediction_error import prediction_error
 from bellows_ros.core.identification.segments import measured_segments
-from bellows_ros.core.jit import COMPILED
-from bellows_ros.core.lie import exp_so3, log_so3, quaternion_to_rotation
-from bellows_ros.core.model import Cup, model_tuple
+from bellows_ros.core.model.cup_package import Cup, model_tuple
+from bellows_ros.core.model.equilibrium import static_equilibrium
+from bellows_ros.core.model.simulation import simulate, simulate_rows, state_row, tool_rows
+from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.observer.filter import changed
-from bellows_ros.core.simulation import simulate, simulate_rows, state_row, tool_rows
-from bellows_ros.core.structure import STRUCTURES
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 import pytest
 from scipy.signal import lfilter

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
+from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.identification.motion_equations import KINDS, Segment
 from bellows_ros.core.identification.prediction_error import prediction_error
-from bellows_ros.core.lie import apply, exp_so3
-from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.structure import STRUCTURES
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

@@ -1,13 +1,13 @@
 """What recordings can tell, against recordings that tell it and recordings that do not."""
 
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.equations import whitening_of
 from bellows_ros.core.identification.reduction import with_noise
 from bellows_ros.core.identification.samples import Samples, samples_of
-from bellows_ros.core.lie import exp_so3
+from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import FilterNoise, Noise
-from bellows_ros.core.resampling import savgol
-from bellows_ros.core.structure import STRUCTURES
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

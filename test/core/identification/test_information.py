@@ -1,7 +1,7 @@
 """What recordings tell together."""
 
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.core.model.structure import STRUCTURES
 from numpy.testing import assert_allclose
 import pytest
 

@@ -1,14 +1,14 @@
 """Least squares: the truth recovered, the weights and the solver as the thesis has them."""
 
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.result import definiteness_warnings
 from bellows_ros.core.identification.samples import lip_relative, needed_wrench, Samples
-from bellows_ros.core.kernels import lip_relative_to_tool, lip_wrench
-from bellows_ros.core.lie import rotation_to_quaternion
-from bellows_ros.core.model import Cup, model_tuple, Package, regressor
-from bellows_ros.core.resampling import savgol
-from bellows_ros.core.simulation import simulate, state_row
-from bellows_ros.core.structure import structure_named, STRUCTURES
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, regressor
+from bellows_ros.core.model.kernels import lip_relative_to_tool, lip_wrench
+from bellows_ros.core.model.simulation import simulate, state_row
+from bellows_ros.core.model.structure import structure_named, STRUCTURES
+from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose

@@ -3,8 +3,8 @@
 from bellows_ros.core.identification.methods import fit, start_cup
 from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.parameters import resolve
-from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

@@ -2,8 +2,8 @@
 
 from bellows_ros.core.identification.reduction import noise_products
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.model import Cup
-from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import STRUCTURES
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

@@ -5,10 +5,10 @@ import re
 
 from bellows_ros.core.identification.identifiability import Axis, too_fast
 from bellows_ros.core.identification.samples import FOLLOWED, left, pass_band, PassBand, samples_of
+from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
-from bellows_ros.core.resampling import savgol, weights
-from bellows_ros.core.structure import STRUCTURES
-from bellows_ros.core.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.signals.savgol import savgol, weights
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

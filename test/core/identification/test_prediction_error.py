@@ -9,9 +9,9 @@ import sys
 from bellows_ros.core.identification.consistency import same_cup
 from bellows_ros.core.identification.minimum import innovations
 from bellows_ros.core.identification.prediction_error import prediction_error
-from bellows_ros.core.model import Cup
-from bellows_ros.core.structure import STRUCTURES
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -233,8 +233,8 @@ def test_nothing_to_compare_is_an_error():
 
 FULL_FIT = """
 from bellows_ros.core.identification.prediction_error import prediction_error
-from bellows_ros.core.model import Cup
-from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import STRUCTURES
 import numpy as np
 from test.core.cases import random_cup
 from test.core.identification.recordings import segments

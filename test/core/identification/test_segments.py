@@ -1,10 +1,10 @@
 """What the prediction error is given of a recording with gaps."""
 
 from bellows_ros.core.identification.segments import in_motion, measured_segments
-from bellows_ros.core.model import Cup
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.recording.recording import noise_of
-from bellows_ros.core.simulation import simulate
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose

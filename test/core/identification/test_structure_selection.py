@@ -2,9 +2,9 @@
 
 from bellows_ros.core.identification.samples import Samples, samples_of
 from bellows_ros.core.identification.structure_selection import effective_samples, select_structure
-from bellows_ros.core.model import Cup
-from bellows_ros.core.structure import STRUCTURES
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose

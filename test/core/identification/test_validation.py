@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.validation import smoothed_tool, validate
-from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
-from bellows_ros.core.simulation import simulate
-from bellows_ros.core.trajectory import PoseStream, Trajectory
+from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose

@@ -1,14 +1,14 @@
 """Where on its plan the tool is, however it is driven, and what is left of the plan then."""
 
-from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor, Prediction
 from bellows_ros.core.live.ahead import Ahead
 from bellows_ros.core.live.flight import steadily
 from bellows_ros.core.live.samples import ZERO
-from bellows_ros.core.model import model_tuple
-from bellows_ros.core.plan import predict
-from bellows_ros.core.resampling import resample
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.planning.plan import predict
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

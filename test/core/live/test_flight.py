@@ -1,16 +1,16 @@
 """The live package from the valve to the floor against the toss of the whole plan."""
 
-from bellows_ros.core.equilibrium import largest_step, moved
-from bellows_ros.core.holding import grip_of
-from bellows_ros.core.landing import changed, release_deviations
-from bellows_ros.core.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.flight import Flight, steadily
 from bellows_ros.core.live.samples import Prediction
-from bellows_ros.core.model import model_tuple
-from bellows_ros.core.parameters import resolve
-from bellows_ros.core.release import figures, Held, PUSHES, release_of, toss, toss_along
-from bellows_ros.core.simulation import Rows, tool_rows
+from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.model.equilibrium import largest_step, moved
+from bellows_ros.core.model.grip import grip_of
+from bellows_ros.core.model.simulation import Rows, tool_rows
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.toss.landing import changed, release_deviations
+from bellows_ros.core.toss.release import figures, Held, PUSHES, release_of, toss, toss_along
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest

@@ -4,7 +4,7 @@ import math
 
 from bellows_ros.core.live import LivePredictor, REFUSALS
 from bellows_ros.core.live.pairing import LONGEST_QUEUE
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.model.cup_package import Cup, Package
 from hypothesis import given, HealthCheck, Phase, settings
 from hypothesis import strategies as st
 import numpy as np

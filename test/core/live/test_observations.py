@@ -8,8 +8,8 @@ from bellows_ros.core.live.load import deflection, equivalent_box, lip_position,
 from bellows_ros.core.live.samples import ORIGIN, Prediction
 from bellows_ros.core.live.timing import Arrivals, KEPT, Quantiles, Rhythm, Window
 from bellows_ros.core.live.vacuum import check_thresholds, is_held, why_no_pressure
-from bellows_ros.core.model import box_inertia, Cup, model_tuple, Package
-from bellows_ros.core.parameters import resolve
+from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import with_chosen_cup
 import numpy as np

@@ -4,7 +4,7 @@ import math
 
 from bellows_ros.core.live import screening
 from bellows_ros.core.live.screening import Screen
-from bellows_ros.core.screening import BACKWARD_RUN, Verdict
+from bellows_ros.core.signals.screening import BACKWARD_RUN, Verdict
 import numpy as np
 import pytest
 

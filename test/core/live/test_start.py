@@ -4,7 +4,7 @@ import math
 
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.uncertainty import Uncertainty
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.model.cup_package import Cup, Package
 import numpy as np
 import pytest
 

@@ -2,11 +2,11 @@
 
 import math
 
-from bellows_ros.core.lie import log_so3, quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.uncertainty import in_world_axes, Uncertainty, UNKNOWN
-from bellows_ros.core.model import Cup, Package
-from bellows_ros.core.simulation import simulate
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.simulation import simulate
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

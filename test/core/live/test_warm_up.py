@@ -11,8 +11,8 @@ import sys
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.load import Load
 from bellows_ros.core.live.uncertainty import Uncertainty, warm_up_uncertainty
-from bellows_ros.core.model import cup_of, package_of
-from bellows_ros.core.parameters import resolve
+from bellows_ros.core.model.cup_package import cup_of, package_of
+from bellows_ros.core.parameters.checks import resolve
 
 values = resolve({
     'package.mass': 2.17, 'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],

@@ -1,17 +1,17 @@
 """A package whose true motion is known, under a tool seen with noise, and a camera."""
 
-from bellows_ros.core.equilibrium import (
+from bellows_ros.core.live.payload import prepared
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.equilibrium import (
     largest_step,
     pose_error,
     static_equilibrium,
     substeps_for,
 )
-from bellows_ros.core.kernels import advance, tool_at, tool_segment
-from bellows_ros.core.live.payload import prepared
-from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.model.kernels import advance, tool_at, tool_segment
 from bellows_ros.core.observer import Observer
 from bellows_ros.core.observer.filter import changed
-from bellows_ros.core.parameters import resolve
+from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 
 PERIOD_NS = 4_000_000

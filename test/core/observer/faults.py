@@ -1,11 +1,11 @@
 """Packages, cups and cameras with which something goes wrong."""
 
-from bellows_ros.core.lie import exp_so3, rotation_to_quaternion
-from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.core.geometry.tuples import quaternion_product
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.observer.alarms import Alarms, FIRSTS, LOOKED_FOR
 from bellows_ros.core.observer.filter import changed
 from bellows_ros.core.observer.observer import GATE
-from bellows_ros.core.tuples import quaternion_product
 import numpy as np
 from scipy.stats import norm
 

@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from bellows_ros.core.lie import hat, quaternion_to_rotation
+from bellows_ros.core.geometry.lie import hat, quaternion_to_rotation
 from bellows_ros.core.observer.alarms import (
     _step,
     Alarms,

@@ -2,9 +2,9 @@
 
 import itertools
 
-from bellows_ros.core.equilibrium import largest_step, pose_error, static_equilibrium
-from bellows_ros.core.kernels import tool_at, tool_segment
-from bellows_ros.core.model import model_tuple
+from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.model.equilibrium import largest_step, pose_error, static_equilibrium
+from bellows_ros.core.model.kernels import tool_at, tool_segment
 from bellows_ros.core.observer.filter import (
     changed,
     driving,

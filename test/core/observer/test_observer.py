@@ -1,12 +1,12 @@
 """Correct a package whose true motion is known."""
 
-from bellows_ros.core.equilibrium import largest_step, pose_error, substeps_for
-from bellows_ros.core.kernels import advance
+from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.live import LivePredictor
-from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.equilibrium import largest_step, pose_error, substeps_for
+from bellows_ros.core.model.kernels import advance
 from bellows_ros.core.observer.filter import changed
 from bellows_ros.core.observer.measurement import at_com
-from bellows_ros.core.tuples import quaternion_product
 import numpy as np
 import pytest
 from scipy.stats import chi2

@@ -1,6 +1,6 @@
 """Recorded marker frames brought to E, S and B, against poses that are known."""
 
-from bellows_ros.core.lie import apply, exp_so3, log_so3
+from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.recording.alignment import (
     aligned_at_rest,
     as_recorded,
@@ -8,7 +8,7 @@ from bellows_ros.core.recording.alignment import (
     standstill,
     world_rotation,
 )
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal

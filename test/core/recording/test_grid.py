@@ -1,8 +1,10 @@
 """Rates, gaps and jitter of stamps, and poses brought to a uniform rate."""
 
-from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.resampling import on_grid, savgol, timing
-from bellows_ros.core.trajectory import Trajectory, uniform_rate_hz
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.signals.resampling import on_grid
+from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.timing import timing
+from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal

@@ -1,6 +1,6 @@
 """The transform between the world of the tool's poses and that of the package's."""
 
-from bellows_ros.core.lie import (
+from bellows_ros.core.geometry.lie import (
     apply,
     exp_so3,
     inverse_transform,
@@ -8,7 +8,7 @@ from bellows_ros.core.lie import (
     rotation_to_quaternion,
     transform,
 )
-from bellows_ros.core.parameters import validate
+from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.recording.package_world import (
     closed_form,
     in_tool_world,
@@ -16,7 +16,7 @@ from bellows_ros.core.recording.package_world import (
     shifted_pose,
 )
 from bellows_ros.core.recording.recording import require_one_frame
-from bellows_ros.core.trajectory import PoseStream
+from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose

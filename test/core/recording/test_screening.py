@@ -1,6 +1,6 @@
 """Which stamps of a recording are left out: as few as the live screen would refuse, or fewer."""
 
-from bellows_ros.core.screening import StampScreen, unusable_stamps
+from bellows_ros.core.signals.screening import StampScreen, unusable_stamps
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest

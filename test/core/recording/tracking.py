@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from bellows_ros.core.lie import exp_so3
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 
 START = 1_760_000_000_000_000_000

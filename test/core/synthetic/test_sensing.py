@@ -1,7 +1,8 @@
 """What tracking makes of a motion: noise, jumps, gaps, frames, worlds and stamps."""
 
-from bellows_ros.core.lie import apply, exp_so3, log_so3
-from bellows_ros.core.settings import Settings
+from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
+from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.synthetic.sensing import (
     Faults,
@@ -14,7 +15,6 @@ from bellows_ros.core.synthetic.sensing import (
     TwistSensor,
     WORLDS,
 )
-from bellows_ros.core.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal

@@ -8,14 +8,14 @@ noise, leads to its length under none.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.lie import quaternion_to_rotation, rotation_to_quaternion
-from bellows_ros.core.model import Cup, model_tuple
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.model.cup_package import Cup, model_tuple
+from bellows_ros.core.model.equilibrium import static_equilibrium
+from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill
-from bellows_ros.core.simulation import state_row
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError, UnstableError
 import numpy as np
 from scipy.special import chdtrc

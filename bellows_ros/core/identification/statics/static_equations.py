@@ -15,13 +15,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from bellows_ros.core.arrays import Array
-from bellows_ros.core.equilibrium import displaced, linearise
-from bellows_ros.core.identification.equations import covariance_of, information_of
-from bellows_ros.core.identification.result import Fit, StandstillPart
-from bellows_ros.core.jacobians import parameter_jacobian
-from bellows_ros.core.kernels import body_acceleration
-from bellows_ros.core.lie import (
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import (
     adjoint,
     dexp_inverse,
     log_so3,
@@ -29,10 +24,15 @@ from bellows_ros.core.lie import (
     rotation_to_quaternion,
     transform,
 )
-from bellows_ros.core.model import Cup, model_tuple
+from bellows_ros.core.identification.equations import covariance_of, information_of
+from bellows_ros.core.identification.result import Fit, StandstillPart
+from bellows_ros.core.model.cup_package import Cup, model_tuple
+from bellows_ros.core.model.equilibrium import displaced, linearise
+from bellows_ros.core.model.jacobians import parameter_jacobian
+from bellows_ros.core.model.kernels import body_acceleration
+from bellows_ros.core.model.simulation import state_row
+from bellows_ros.core.model.structure import Structure, structure_named
 from bellows_ros.core.recording.standstills import Standstill
-from bellows_ros.core.simulation import state_row
-from bellows_ros.core.structure import Structure, structure_named
 from bellows_ros.errors import BellowsError
 import numpy as np
 

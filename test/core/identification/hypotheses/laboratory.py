@@ -1,14 +1,19 @@
 """Recordings of a laboratory in which one thing is not as said, or the cup is no ideal one."""
 
-from bellows_ros.core.equilibrium import static_equilibrium
-from bellows_ros.core.kernels import advance
-from bellows_ros.core.lie import apply, exp_so3, quaternion_to_rotation, rotation_to_quaternion
-from bellows_ros.core.model import Cup, model_tuple, Package
+from bellows_ros.core.geometry.lie import (
+    apply,
+    exp_so3,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+)
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.equilibrium import static_equilibrium
+from bellows_ros.core.model.kernels import advance
+from bellows_ros.core.model.simulation import row_state, tool_rows, write_row
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
-from bellows_ros.core.simulation import row_state, tool_rows, write_row
+from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.core.synthetic.motion import sample_stamps
-from bellows_ros.core.trajectory import PoseStream, Trajectory
 import numpy as np
 
 from ..simulated import GRAVITY, shake

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from bellows_ros.core.identification.free import refined_preparation
-from bellows_ros.core.model import Cup
-from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest

@@ -3,10 +3,10 @@
 from collections import Counter
 import re
 
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.geometry.lie import exp_so3, log_so3
 from bellows_ros.core.identification.hypotheses import diagnose, Finding
-from bellows_ros.core.jit import COMPILED
-from bellows_ros.core.lie import exp_so3, log_so3
-from bellows_ros.core.structure import STRUCTURES
+from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.verdict import finding_sentence, setting_of
 import numpy as np

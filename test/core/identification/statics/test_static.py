@@ -1,10 +1,10 @@
 """Recordings at rest: standstills, nominal length, the spring alone."""
 
 from bellows_ros.core.identification.statics.static import check_spring, nominal_length
-from bellows_ros.core.model import Cup, Package
+from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
-from bellows_ros.core.trajectory import Trajectory
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose

@@ -9,10 +9,10 @@ from bellows_ros.core.identification.statics.static_equations import (
     Length,
     static_equations,
 )
-from bellows_ros.core.model import Cup
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import standstills_of
-from bellows_ros.core.structure import STRUCTURES
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose

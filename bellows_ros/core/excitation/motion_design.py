@@ -1,0 +1,396 @@
+"""
+Design of the motion with the most information on K and P, within limits of arm, grip and cup.
+
+The motion is a Fourier series in each axis, with ramps at both ends. Its coefficients maximise the
+determinant of the Fisher information (D-optimal) of small motions, for the guess of K and for a
+softer and a stiffer one (`GUESS_FACTOR`). The largest ratio of a signal to its limit, as a p-norm
+over limits and time, divides the coefficients, so that only their shape is searched; p grows in
+stages. After each stage the whole model simulates the motion, and corrects the limits of the loads
+in the linear one. The most informative stage is scaled until no limit is violated.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+import math
+from typing import Any, NamedTuple
+
+from bellows_ros.core.excitation.arm_limits import ArmLimits, CHECK_RATE
+from bellows_ros.core.excitation.fisher import (
+    motion_information,
+    Response,
+    response,
+    Tracking,
+)
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import hat, rotation_to_quaternion
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.grip import Grip
+from bellows_ros.core.model.kernels import ModelTuple
+from bellows_ros.core.model.simulation import state_row
+from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.planning.plan import Run
+from bellows_ros.core.synthetic.motion import Motion, Pose, smooth_step, Vibration
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+REST, RAMP = 2.0, 1.0
+"""Durations (s): the initial rest, and each ramp of the amplitude."""
+
+GUESS_FACTOR = 1.3
+"""The true K may differ from the guess by this factor in either direction."""
+
+PRIOR = 1.0
+"""Prior information on each parameter, relative to its size: known to a factor of about 2."""
+
+STAGES = ((8, 500), (16, 500), (32, 500), *((64, 400),) * 5)
+"""Exponent of the norm that approximates the largest ratio to a limit, and most steps with it."""
+
+STARTS = 3
+"""Number of random starts; the criterion has several maxima."""
+
+POINTS_PER_PERIOD, MEMORY, ENOUGH = 8, 20, 1e-6
+STRONGER = 1.4
+"""Exponent of the correction for loads: part of a load does not shrink with the amplitude."""
+
+MARGIN = 1e-3
+"""Distance kept from a limit, as a fraction."""
+
+CHUNK = 4096
+
+LOADS = ('bending', 'torsion', 'safety factor (peel)', 'safety factor (slip)')
+
+Progress = Callable[[str, float], None]
+
+
+def window(t: Array, period: float) -> Array:
+    """Return a window with ramps up and down over a period (s), and three derivatives (4, N)."""
+    per_s = (1.0 / RAMP) ** np.arange(4)[:, None]
+    up, down = smooth_step(t / RAMP) * per_s, smooth_step((period - t) / RAMP) * per_s
+    return np.array([
+        sum(math.comb(n, m) * up[m] * (-1.0) ** (n - m) * down[n - m] for m in range(n + 1))
+        for n in range(4)])
+
+
+@dataclass(frozen=True, eq=False)
+class FourierMotion(Vibration):
+    """
+    A rest, and a Fourier series in each axis that swells and dies away.
+
+    Parameters
+    ----------
+    start : Pose
+    period : float
+        Of the fundamental, and of the whole series, s.
+    coefficients : complex array (K, 6)
+        Of its harmonics, m and rad: real part of c exp(i omega t), of the displacement in world
+        axes and of the rotation vector in the tool's axes at the start.
+
+    """
+
+    start: Pose
+    period: float
+    coefficients: Any
+    rest_duration: float = REST
+
+    @property
+    def duration(self) -> float:  # type: ignore[override]
+        """With the rest, s."""
+        return self.rest_duration + self.period
+
+    @property
+    def highest_frequency(self) -> float:
+        """Of the last harmonic, Hz."""
+        return len(self.coefficients) / self.period
+
+    def scaled(self, factor: float) -> 'FourierMotion':
+        """Return the motion multiplied by a factor."""
+        return replace(self, coefficients=factor * self.coefficients)
+
+    def displacement(self, t: Array) -> Array:
+        """Return displacement and rotation vector since the start, and their rates (2, N, 6)."""
+        tau = np.asarray(t) - self.rest_duration
+        harmonics = np.arange(1, len(self.coefficients) + 1)[:, None]
+        both = np.hstack([self.coefficients,
+                          2j * np.pi / self.period * harmonics * self.coefficients])
+        out = np.empty((2, len(tau), 6))
+        for part in (slice(i, i + CHUNK) for i in range(0, len(tau), CHUNK)):
+            first = np.exp(2j * np.pi / self.period * tau[part])
+            wave = np.cumprod(np.broadcast_to(first, (len(harmonics), len(first))), axis=0)
+            value, rate = np.split((wave.T @ both).real, 2, axis=1)
+            swell = window(tau[part], self.period)[:, :, None]
+            out[0, part] = swell[0] * value
+            out[1, part] = swell[1] * value + swell[0] * rate
+        return out
+
+
+class Search:
+    """The negative mean log determinant as a function of the coefficients' shape, with slopes."""
+
+    def __init__(
+        self, limits: ArmLimits, period: float, models: Sequence[ModelTuple], grip: Grip | None,
+        responses_at: Callable[[Array], list[Response]], rate_hz: float,
+    ) -> None:
+        """Set the limits, and the package's response at frequencies (rad/s)."""
+        self.count = max(2, math.floor(limits.highest_frequency * period))
+        wide = self.count + math.ceil(2.0 * period / RAMP)  # the ramps widen the lines
+        self.points = 2 ** math.ceil(math.log2(POINTS_PER_PERIOD * self.count))
+        omega = 2.0 * np.pi / period * np.arange(1, wide + 1, dtype=np.float64)
+        self._powers = (1j * omega[:self.count]) ** np.arange(4)[:, None, None]
+        W = window(np.arange(self.points) * period / self.points, period)
+        self._swell = {(n, m): math.comb(n, m) * W[n - m] for n in range(4) for m in range(n + 1)}
+        found = responses_at(omega)
+        self._models = len(found)
+        self._poses = rate_hz * period
+        changes = np.array([r.changes for r in found]) @ limits.axes
+        self._changes = changes.transpose(2, 0, 1, 3, 4).reshape(wide, -1, 6)
+        self._constant = self._poses * np.array([r.constant for r in found])
+        rows = [load_rows(r, model, limits, grip, omega)
+                for r, model in zip(found, models, strict=True)]
+        self._loads = np.concatenate(rows) @ limits.axes
+        self._bounds, self.allowed = limits.bounds(), np.ones(len(self._loads))
+        self._names = [b.name for b in self._bounds] + [*LOADS[:len(rows[0])]] * self._models
+        room = np.array([b.limit for b in self._bounds[:6]])
+        self.size = 0.3 * room[:, None] / (1.0 + (omega[:self.count] / 6.0) ** 2)
+
+    def _signals(self, spectrum: Any) -> Array:
+        """Return the real part (..., N) of a series of lines (..., F)."""
+        full = np.zeros((*spectrum.shape[:-1], self.points // 2 + 1), dtype=complex)
+        full[..., 1:spectrum.shape[-1] + 1] = spectrum
+        return np.asarray(np.fft.irfft(full, self.points) * (self.points / 2.0))
+
+    def _lines(self, signals: Array, count: int) -> Any:
+        """Return the adjoint of `_signals`: lines (..., F) of signals (..., N)."""
+        return np.fft.rfft(signals)[..., 1:count + 1]
+
+    def __call__(self, shape: Array, power: int) -> tuple[float, Array]:
+        """Return the value and its derivatives by the shape, a flat array of 2 6 K numbers."""
+        value, slope, _ = self._value(self._coefficients(shape), power)
+        slope = slope * self.size
+        return value, np.concatenate([slope.real.ravel(), slope.imag.ravel()])
+
+    def _coefficients(self, shape: Array) -> Any:
+        """Return the coefficients (6, K) of a shape."""
+        real, imaginary = shape.reshape(2, 6, self.count)
+        return self.size * (real + 1j * imaginary)
+
+    def within(self, shape: Array, power: int) -> tuple[Any, dict[str, float]]:
+        """Return the coefficients (K, 6), within limits, and each limit's share in stopping it."""
+        c = self._coefficients(shape)
+        _, _, (largest, shares) = self._value(c, power)
+        return c.T / largest, shares
+
+    def criterion(self, coefficients: Any) -> float:
+        """Return the criterion of coefficients (K, 6) as they are."""
+        waves = self._swell[0, 0] * self._signals(coefficients.T)
+        lines = self._lines(waves, self._loads.shape[1]).T * (2.0 / self.points)
+        return self._information(lines)[0]
+
+    def _value(self, c: Any, power: int) -> tuple[float, Any, tuple[float, dict[str, float]]]:
+        """Return value, slope by the coefficients, and largest ratio with the shares in it."""
+        rates = self._signals(self._powers * c)
+        u = np.array([sum(self._swell[n, m] * rates[m] for m in range(n + 1)) for n in range(4)])
+        first, wide = len(self._bounds), self._loads.shape[1]
+        lines = self._lines(u[0], wide).T * (2.0 / self.points)
+        loads = self._loads / self.allowed[:, None, None, None]
+        # The length of three numbers plus a fourth is bounded.
+        signals = np.zeros((first + len(loads), 4, self.points))
+        for signal, b in zip(signals, self._bounds, strict=False):
+            signal[:len(b.rows)] = b.rows @ u[b.order] / b.limit
+        signals[first:] = self._signals(np.swapaxes((loads @ lines[:, :, None])[..., 0], 1, 2))
+        lengths = np.sqrt(np.einsum('ijk,ijk->ik', signals[:, :3], signals[:, :3]))
+        ratios = np.maximum(lengths + signals[:, 3], 0.0)
+        top = float(ratios.max())
+        parts = (ratios / top) ** power
+        total = float(np.sum(parts))
+        norm = top * (total / self.points) ** (1.0 / power)
+        pulls = parts / np.maximum(ratios, 1e-6 * top) / total
+        by_signals = signals * (pulls / np.maximum(lengths, 1e-6 * top))[:, None]
+        by_signals[:, 3] = pulls
+        by_u = np.zeros_like(u)
+        for by_signal, b in zip(by_signals, self._bounds, strict=False):
+            by_u[b.order] += b.rows.T @ by_signal[:len(b.rows)] / b.limit
+        by_loads = np.swapaxes(self._lines(by_signals[first:], wide), 1, 2)[..., None]
+        by_lines = np.sum(np.swapaxes(loads, 2, 3).conj() @ by_loads, axis=0)[:, :, 0]
+        value, gained = self._information(lines / norm)
+        inner = float(np.real(np.sum(gained.conj() * lines))) / norm
+        by_u *= -inner
+        by_u[0] += self._signals((gained / norm - inner * by_lines).T) * (2.0 / self.points)
+        by_rates = np.array([sum(self._swell[n, m] * by_u[n] for n in range(m, 4))
+                             for m in range(4)])
+        slope = np.sum(np.conj(self._powers) * self._lines(by_rates, self.count), axis=0)
+        shares: dict[str, float] = {}
+        for name, part in zip(self._names, parts, strict=True):
+            shares[name] = shares.get(name, 0.0) + float(np.sum(part)) / total
+        return -value, -slope, (top, shares)
+
+    def _information(self, lines: Any) -> tuple[float, Any]:
+        """Return the criterion of the information in lines (F, 6), and its slope."""
+        y = (self._changes @ lines[:, :, None]).reshape(len(lines), self._models, -1, 6)
+        flat = y.transpose(1, 2, 0, 3).reshape(self._models, y.shape[2], -1)
+        M = self._constant + 0.5 * self._poses * np.real(flat.conj() @ np.swapaxes(flat, 1, 2))
+        M = M + PRIOR * np.eye(M.shape[1])
+        value, by_M = float(np.mean(np.linalg.slogdet(M)[1])), np.linalg.inv(M) / len(M)
+        weighted = (by_M @ flat).reshape(self._models, -1, len(lines), 6)
+        pull = weighted.transpose(2, 0, 1, 3).reshape(len(lines), -1, 1)
+        slope = (np.swapaxes(self._changes, 1, 2) @ pull.conj())[:, :, 0].conj()
+        return value, self._poses * slope
+
+
+class Design(NamedTuple):
+    """
+    A designed motion and its properties.
+
+    Parameters
+    ----------
+    motion : FourierMotion
+    ratios : mapping of str to float
+        Largest part of each limit that it takes; for bending and safety with K as bad as may be.
+    shares : mapping of str to float
+        By what part of the gain in log determinant each limit, eased, would let it grow.
+    information : array (2 n, 2 n)
+        On the parameters of K and P, of the whole model.
+
+    """
+
+    motion: FourierMotion
+    ratios: Mapping[str, float]
+    shares: Mapping[str, float]
+    information: Array
+
+
+def design(
+    cup: Cup, package: Package, gravity: Array | float, grip: Grip | None, structure: Structure,
+    limits: ArmLimits, tracking: Tracking, duration: float, seed: int, progress: Progress,
+) -> Design:
+    """
+    Return the motion that is most informative on K and P.
+
+    Parameters
+    ----------
+    cup, package, gravity, grip
+        The cup as it is guessed, what hangs on it, and how it is held; without a grip nothing is
+        known of its safety factor.
+    structure : Structure
+        Which entries of K and P are free.
+    limits : ArmLimits
+        Of the arm, the cup and the grip.
+    tracking : Tracking
+        How both bodies will be tracked.
+    duration : float
+        Of rest and motion, s; the motion takes three ramps or more.
+    seed : int
+        Of the shape from which the search begins.
+    progress : callable
+        Called with what is being done and the part (0 to 1) that is done.
+
+    Raises
+    ------
+    BellowsError
+        If the cup cannot hold the package, or no motion is within the limits.
+
+    """
+    from scipy import optimize  # late: it takes a while to load
+
+    minimise: Any = optimize.minimize
+    period = duration - REST
+    cups = cups_near(cup)
+    models = [model_tuple(each, package, gravity) for each in cups]
+    at = state_row(limits.start.position, rotation_to_quaternion(limits.start.rotation))
+
+    def responses_at(omega: Array) -> list[Response]:
+        return [response(
+            lambda x: model_tuple(Cup(*structure.matrices(x), cup.length), package, gravity),
+            structure.parameters(each.stiffness, each.damping),
+            structure.sizes(each.stiffness, each.damping), at, omega, tracking) for each in cups]
+
+    search = Search(limits, period, models, grip, responses_at, 1.0 / tracking.package_period)
+    rng = np.random.default_rng(seed)
+    best, shares, shape = -math.inf, dict[str, float](), np.empty(0)
+    motion = FourierMotion(limits.start, period, np.zeros((1, 6)))
+    for number, (power, most) in enumerate(STARTS * STAGES):
+        progress('designing the motion', number / (STARTS * len(STAGES)))
+        if number % len(STAGES) == 0:
+            shape = rng.standard_normal(2 * search.size.size)
+            search.allowed = np.ones_like(search.allowed)
+        shape = minimise(search, shape, (power,), 'L-BFGS-B', True, options={
+            'maxiter': most, 'maxfun': 2 * most, 'maxcor': MEMORY, 'ftol': ENOUGH}).x
+        coefficients, now = search.within(shape, power)
+        moved = FourierMotion(limits.start, period, coefficients)
+        worst = loads(moved, limits, models, grip).ravel()
+        reached = search.criterion(coefficients / max(1.0, float(worst.max())))
+        if reached > best:
+            best, motion, shares = reached, moved, now
+        search.allowed = np.minimum(search.allowed / np.maximum(worst, 0.1) ** STRONGER, 1.0)
+    motion, ratios = _within(motion, limits, models, grip)
+    progress('computing the expected errors', 1.0)
+    tool = motion.at_rate(1.0 / tracking.package_period)
+    return Design(motion, ratios, shares, motion_information(
+        cup, package, gravity, tool, tracking, structure))
+
+
+def cups_near(cup: Cup) -> list[Cup]:
+    """Return the guessed cup, a softer one and a stiffer one."""
+    return [replace(cup, stiffness=factor * cup.stiffness)
+            for factor in (1.0, 1.0 / GUESS_FACTOR, GUESS_FACTOR)]
+
+
+def all_ratios(
+    motion: Motion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
+) -> dict[str, float]:
+    """Return the largest part of every limit that a motion takes, whatever model is right."""
+    worst = loads(motion, limits, models, grip).max(axis=0).tolist()
+    return limits.ratios(motion) | dict(zip(LOADS, worst, strict=False))
+
+
+def loads(
+    motion: Motion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
+) -> Array:
+    """Return the largest parts (M, 4) of the limits of `LOADS`, with M models; (M, 2) gripless."""
+    tool = motion.at_rate(CHECK_RATE)
+    found = [Run(model, grip, tool).at(1.0) for model in models]
+    return np.array([
+        [each.peaks[2, 0] / limits.bending, np.abs(each.deflection[5]).max() / limits.torsion,
+         *(limits.safety * each.peaks[:2, 0] if grip else ())] for each in found])
+
+
+def load_rows(
+    found: Response, model: ModelTuple, limits: ArmLimits, grip: Grip | None, omega: Array
+) -> Array:
+    """
+    Return what makes the `LOADS`, in parts of their limits, of lines of the tool: (4, F, 4, 6).
+
+    Three numbers whose length counts, and one that adds to it. Without a grip two loads are known.
+    """
+    mass, com, inertia, _ = model[1]
+    c, g = hat(com), hat(limits.start.rotation.T @ model[2])
+    inert = np.block([
+        [mass * np.eye(3), np.zeros((3, 3))], [mass * c, np.reshape(inertia, (3, 3))]])
+    turned = mass * np.vstack([-g, -c @ g])
+    wrench = -omega[:, None, None]**2 * (inert @ found.package)  # at S, beyond that at rest
+    wrench += turned @ found.package[:, 3:]
+    turn = (found.package - np.eye(6))[:, 3:]
+    rows = np.zeros((4 if grip else 2, len(omega), 4, 6), dtype=complex)
+    rows[0, :, :2], rows[1, :, 0] = turn[:, :2] / limits.bending, turn[:, 2] / limits.torsion
+    if grip is None:
+        return rows
+    suction, radius, friction = grip
+    pressed = max(suction / limits.safety - mass * float(np.linalg.norm(model[2])), 0.1 * suction)
+    f, m = wrench[:, :3] / pressed, wrench[:, 3:] / pressed
+    rows[2, :, :2], rows[3, :, :2] = 2.0 / radius * m[:, :2], f[:, :2] / friction
+    rows[3, :, 2], rows[2:, :, 3] = m[:, 2] / (radius * friction), f[:, 2]
+    return rows
+
+
+def _within(
+    motion: FourierMotion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
+) -> tuple[FourierMotion, dict[str, float]]:
+    """Return a motion scaled up to the limits, or down until it is within, and its parts."""
+    for attempt in range(20):
+        ratios = all_ratios(motion, limits, models, grip)
+        worst = max(ratios, key=lambda name: ratios[name])
+        if ratios[worst] <= 1.0 and (attempt > 0 or ratios[worst] > 1.0 - 2.0 * MARGIN):
+            return motion, ratios
+        motion = motion.scaled((1.0 - MARGIN) / min(ratios[worst], 4.0))
+    raise BellowsError(
+        f'No motion meets the limits: even at rest, {worst} is {ratios[worst]:.3g} times its '
+        'limit. Raise the limit, or start in another pose.')

@@ -1,0 +1,1 @@
+"""The cup-package model: kernels, cup and package, equilibrium, simulation, grip."""

@@ -1,0 +1,281 @@
+"""The cup and the package as frozen data, and the model for arrays of samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from bellows_ros.core.geometry import jit
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model.kernels import (
+    Blocks,
+    cup_wrench,
+    CupTuple,
+    ModelTuple,
+    PackageTuple,
+)
+from bellows_ros.core.model.matrices import (
+    check_inertia,
+    inertia_matrix,
+    matrix,
+    require_symmetric,
+)
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+STANDARD_GRAVITY = 9.81
+"""Gravitational acceleration of the source, m/s^2."""
+
+
+def _frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
+    """Return a read-only copy of the given shape, or raise an error that names the quantity."""
+    array = np.array(values, dtype=np.float64)
+    if array.shape != shape:
+        raise BellowsError(f'The {what} must have the shape {shape}, got {array.shape}.')
+    if not np.all(np.isfinite(array)):
+        raise BellowsError(f'The {what} must be finite numbers, got {array.tolist()}.')
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True)
+class Cup:
+    """
+    A bellows suction cup under vacuum.
+
+    Parameters
+    ----------
+    stiffness : array_like (6, 6)
+        K of the potential (3.17); N/m, N/rad, N m/rad in its blocks.
+    damping : array_like (6, 6)
+        P of (3.33); N s/m, N s/rad, N m s/rad in its blocks.
+    length : float
+        Nominal length l0 (m): compressed by the vacuum, without load. Spring and damper sit at
+        its middle, l1 = l2 = l0 / 2.
+
+    Raises
+    ------
+    BellowsError
+        If a matrix is not 6x6, finite and symmetric, or the length is not positive. Definiteness
+        is not asked for: the model is defined without it.
+
+    Examples
+    --------
+    >>> K = np.diag([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35])
+    >>> P = np.diag([55.0, 55.0, 24.0, 0.06, 0.06, 0.1])
+    >>> bellows_ros.Cup(stiffness=K, damping=P, length=0.046).length
+    0.046
+
+    """
+
+    stiffness: Array
+    damping: Array
+    length: float
+
+    def __post_init__(self) -> None:
+        """Check and freeze."""
+        for name in ('stiffness', 'damping'):
+            matrix = _frozen(getattr(self, name), (6, 6), name)
+            require_symmetric(matrix, f'The {name}')
+            object.__setattr__(self, name, matrix)
+        if not (np.isfinite(self.length) and self.length > 0.0):
+            raise BellowsError(f'The cup length must be above 0 m, got {self.length}.')
+
+    @classmethod
+    def thesis(cls) -> Cup:
+        """Return the cup identified in the thesis: K (4.78), P (4.79), l0 of section 4.2."""
+        return cls(
+            stiffness=np.diag([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123]),
+            damping=np.diag([66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736]),
+            length=0.0481,
+        )
+
+    @cached_property
+    def as_tuple(self) -> CupTuple:
+        """The cup as the kernels take it."""
+        return (
+            0.5 * float(self.length), float(self.length),
+            blocks(self.stiffness), blocks(self.damping),
+        )
+
+
+@dataclass(frozen=True)
+class Package:
+    """
+    A rigid package and its place on the lip.
+
+    Parameters
+    ----------
+    mass : float
+        Mass, kg.
+    inertia : array_like (3, 3)
+        Inertia tensor at the centre of mass, in B axes, kg m^2.
+    com : array_like (3,)
+        Centre of mass B in the lip frame S, m; typically (0, 0, -d).
+
+    Raises
+    ------
+    BellowsError
+        If the mass is not positive or no rigid body can have the inertia.
+
+    Examples
+    --------
+    >>> inertia = np.diag([0.00438, 0.00654, 0.00984])
+    >>> bellows_ros.Package(mass=1.8, inertia=inertia, com=(0.0, 0.0, -0.03)).mass
+    1.8
+
+    """
+
+    mass: float
+    inertia: Array
+    com: Array
+
+    def __post_init__(self) -> None:
+        """Check and freeze."""
+        object.__setattr__(self, 'inertia', _frozen(self.inertia, (3, 3), 'package inertia'))
+        object.__setattr__(self, 'com', _frozen(self.com, (3,), 'package centre of mass'))
+        if not (np.isfinite(self.mass) and self.mass > 0.0):
+            raise BellowsError(f'The package mass must be above 0 kg, got {self.mass}.')
+        check_inertia(self.inertia)
+
+    @cached_property
+    def as_tuple(self) -> PackageTuple:
+        """The package as the kernels take it."""
+        return (
+            float(self.mass),
+            _tuple(self.com),
+            _tuple(self.inertia),
+            _tuple(np.linalg.inv(self.inertia)),
+        )
+
+
+def cup_of(values: Mapping[str, Any]) -> Cup:
+    """Return the cup that parameter values describe (see `parameters`)."""
+    return Cup(
+        stiffness=matrix(values['cup.stiffness']),
+        damping=matrix(values['cup.damping']),
+        length=values['cup.length'],
+    )
+
+
+def varied(
+    held: Package, com: ArrayLike = 0.0, mass: ArrayLike = 0.0, inertia: ArrayLike = 0.0
+) -> Package:
+    """
+    Return a package with its centre of mass shifted (3,), m, and other mass and inertia.
+
+    These are logarithms of factors: of the mass, and of each moment of inertia (3,) or all. On
+    its way a search may go a little beyond what a body can have.
+    """
+    root = np.exp(0.5 * np.broadcast_to(inertia, 3))
+    there = object.__new__(Package)
+    for name, value in (('mass', held.mass * float(np.exp(mass).item())),
+                        ('inertia', held.inertia * np.outer(root, root)),
+                        ('com', held.com + np.asarray(com))):
+        object.__setattr__(there, name, value)
+    return there
+
+
+def package_of(values: Mapping[str, Any]) -> Package:
+    """Return the package that parameter values describe (see `parameters`)."""
+    return Package(
+        mass=values['package.mass'],
+        inertia=inertia_matrix(values['package.inertia']),
+        com=values['package.com'],
+    )
+
+
+def _tuple(values: NDArray[Any]) -> Any:
+    """Return an array as a flat tuple of Python floats."""
+    return tuple(float(value) for value in values.ravel())
+
+
+def blocks(matrix: Array) -> Blocks:
+    """Return the (oo, oR, RR) blocks of a symmetric (6, 6) matrix as the kernels take them."""
+    return _tuple(matrix[:3, :3]), _tuple(matrix[:3, 3:]), _tuple(matrix[3:, 3:])
+
+
+def model_tuple(cup: Cup, package: Package, gravity: float | ArrayLike) -> ModelTuple:
+    """
+    Return the model as the kernels take it.
+
+    Gravity is the acceleration's size along -z of the world (m/s^2), or its vector (3,) there.
+    """
+    vector = np.asarray(gravity, dtype=np.float64)
+    if vector.ndim == 0:
+        vector = np.array([0.0, 0.0, -float(vector)])
+    return cup.as_tuple, package.as_tuple, _tuple(_frozen(vector, (3,), 'gravity'))
+
+
+def unit_cups(length: float, basis: list[Array]) -> list[CupTuple]:
+    """
+    Return the cups whose wrenches are the columns of the regressor L (4.67).
+
+    One for every basis matrix (6, 6) as stiffness with no damping, then one for every basis
+    matrix as damping with no stiffness: the wrench is linear in K and P.
+    """
+    zero = blocks(np.zeros((6, 6)))
+    units = [blocks(matrix) for matrix in basis]
+    half = 0.5 * length
+    return [(half, length, unit, zero) for unit in units] + [
+        (half, length, zero, unit) for unit in units
+    ]
+
+
+def regressor(
+    length: float, basis: list[Array], position: Array, rotation: Array, twist: Array
+) -> Array:
+    """
+    Return L (N, 6, 2 n) with which the cup's wrench at the lip is L x (4.67).
+
+    Parameters
+    ----------
+    length : float
+        Nominal length of the cup, m.
+    basis : list of ndarray (6, 6)
+        The n symmetric matrices that K and P are sums of; x holds the factors of K, then of P.
+    position, rotation, twist : ndarray (N, 3), (N, 3, 3), (N, 6)
+        E_o_S (m), E_R_S and the body twist of the lip relative to the tool.
+
+    """
+    cups = unit_cups(length, basis)
+    o, R = position.T.copy(), rotation.reshape(-1, 9).T.copy()
+    v, w = twist[:, :3].T.copy(), twist[:, 3:].T.copy()
+    L = np.empty((len(position), 6, len(cups)))
+    for column, cup in enumerate(cups):
+        if jit.COMPILED:
+            _wrenches(cup, o, R, v, w, L[:, :, column])
+        else:  # the kernel's arithmetic holds for tuples of arrays as well
+            columns: Any = (tuple(o), tuple(R), tuple(v), tuple(w))
+            f, m = cup_wrench(cup, *columns)
+            L[:, :3, column] = np.stack(f, axis=1)
+            L[:, 3:, column] = np.stack(m, axis=1)
+    return L
+
+
+@jit.kernel
+def _wrenches(cup: CupTuple, o: Array, R: Array, v: Array, w: Array, out: Array) -> None:
+    """Write the cup's wrench for every sample into out (N, 6)."""
+    for k in range(o.shape[1]):
+        f, m = cup_wrench(
+            cup,
+            (o[0, k], o[1, k], o[2, k]),
+            (R[0, k], R[1, k], R[2, k], R[3, k], R[4, k], R[5, k], R[6, k], R[7, k], R[8, k]),
+            (v[0, k], v[1, k], v[2, k]),
+            (w[0, k], w[1, k], w[2, k]),
+        )
+        out[k, 0], out[k, 1], out[k, 2] = f
+        out[k, 3], out[k, 4], out[k, 5] = m
+
+
+def box_inertia(mass: float, depth: float, width: float, height: float) -> Array:
+    """
+    Return the inertia tensor (3, 3) in kg m^2 of a homogeneous box at its centre (A.2).
+
+    Depth lies along x, width along y and height along z, all in m.
+    """
+    d2, w2, h2 = depth**2, width**2, height**2
+    return mass / 12.0 * np.diag([h2 + w2, h2 + d2, d2 + w2])

@@ -1,0 +1,246 @@
+"""
+Static equilibrium of the package, and its small motions about a state.
+
+Derivatives of the package's acceleration, modes, step sizes, and the static equilibrium. The
+scalar code of the last stands step for step in C, too (`bellows_equilibrium` in
+files/bellows_cup.h), so that both give the same bits; so its derivatives are differences.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.tuples import (
+    add,
+    apply,
+    apply_transposed,
+    exp_quaternion,
+    log_quaternion,
+    normalised,
+    Quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_matrix,
+    scale,
+    subtract,
+    unit,
+    Vector,
+)
+from bellows_ros.core.model.jacobians import body_jacobians, tool_jacobians
+from bellows_ros.core.model.kernels import body_acceleration, ModelTuple, State
+from bellows_ros.errors import UnstableError
+import numpy as np
+
+PHASE_PER_STEP = 0.1
+"""Largest |eigenvalue| * step (rad) of one integration step: RK4 is accurate and stable there."""
+
+_ORIGIN: State = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+@kernel
+def resting_on_tool(model: ModelTuple, tool: State) -> State:
+    """Return the package at the cup's nominal pose, [B] = [S] = [E], at rest."""
+    com, l0 = model[1][1], model[0][1]
+    R = rotation_matrix(tool[1])
+    offset = apply(R, (com[0], com[1], com[2] - l0))
+    o = tool[0]
+    zero = (0.0, 0.0, 0.0)
+    return (o[0] + offset[0], o[1] + offset[1], o[2] + offset[2]), tool[1], zero, zero
+
+
+@kernel
+def displaced(body: State, delta: Vector, phi: Vector) -> State:
+    """Return the body at rest, moved by R delta and rotated by exp(phi) in its own axes."""
+    move = apply(rotation_matrix(body[1]), delta)
+    o = body[0]
+    return (
+        (o[0] + move[0], o[1] + move[1], o[2] + move[2]),
+        quaternion_product(body[1], exp_quaternion(phi)),
+        body[2],
+        body[3],
+    )
+
+
+@kernel
+def moved(
+    body: State, shift: Vector, turn: Vector, linear: Vector, angular: Vector
+) -> State:
+    """Return a state displaced in its own axes, with its twist changed."""
+    o, q, v, w = displaced(body, shift, turn)
+    return o, normalised(q), add(v, linear), add(w, angular)
+
+
+@kernel
+def pose_error(body: State, position: Vector, q: Quaternion) -> tuple[Vector, Vector]:
+    """Return shift and turn that `moved` takes from a body to a pose: log(T_hat^-1 Z)."""
+    return (
+        apply_transposed(rotation_matrix(body[1]), subtract(position, body[0])),
+        log_quaternion(quaternion_product(quaternion_conjugate(body[1]), q)),
+    )
+
+
+class Jacobian(NamedTuple):
+    """
+    Derivatives (6, 6) of the package's acceleration about a state.
+
+    By displacements (m, rad) and by twists (m/s, rad/s) of the body and of the tool, each in its
+    own axes.
+    """
+
+    body_pose: Array
+    body_twist: Array
+    tool_pose: Array
+    tool_twist: Array
+
+
+def linearise(model: ModelTuple, tool: State, body: State) -> Jacobian:
+    """Return the derivatives of the package's acceleration about a state."""
+    of_body, of_tool = body_jacobians(model, tool, body), tool_jacobians(model, tool, body)
+    return Jacobian(*(np.reshape(square, (2, 2, 3, 3)).transpose(0, 2, 1, 3).reshape(6, 6)
+                      for square in (*of_body, *of_tool)))
+
+
+def system_matrix(
+    model: ModelTuple, tool: State = _ORIGIN, body: State | None = None
+) -> Array:
+    """
+    Return the matrix (12, 12) of small motions about a state, or the nominal pose, at rest.
+
+    The state is displacement and twist of B in its own axes; its eigenvalues are the package's
+    modes (rad/s).
+    """
+    jacobian = linearise(model, tool, body or resting_on_tool(model, tool))
+    return np.block([[np.zeros((6, 6)), np.eye(6)], [jacobian.body_pose, jacobian.body_twist]])
+
+
+def largest_step(model: ModelTuple) -> float:
+    """Return the longest integration step (s) that keeps RK4 accurate for the fastest mode."""
+    fastest = float(np.abs(np.linalg.eigvals(system_matrix(model))).max())
+    return PHASE_PER_STEP / fastest if fastest > 0.0 else math.inf
+
+
+@kernel
+def substeps_for(duration: float, longest_step: float) -> int:
+    """Return into how many integration steps a time between two tool samples is cut."""
+    return max(1, math.ceil(duration / longest_step - 1e-9))
+
+
+def substeps_of(durations: Array, longest_step: float) -> Stamps:
+    """Return `substeps_for` each of some durations."""
+    return np.maximum(1, np.ceil(durations / longest_step - 1e-9)).astype(np.int64)
+
+
+_LOADS = 8
+_ITERATIONS = 50
+_LARGEST_MOVE = 0.3  # m or rad, of one iteration
+_DIFFERENCE = 1e-6  # m or rad
+
+
+def static_equilibrium(
+    model: ModelTuple, tool: State, near: State | None = None
+) -> State:
+    """
+    Return the state in which the package hangs at rest from a tool at rest (3.9).
+
+    The load is put on in steps from the nominal pose, each solved by Newton's method, so that of
+    several equilibria the one that a real cup reaches is found; or all of it is at once on a
+    package that is near to its rest. It is sought in tool axes: where in the world the tool is
+    does not matter.
+
+    Raises
+    ------
+    UnstableError
+        If there is none: the cup is too soft for the package in this tool pose.
+
+    """
+    R_world_tool = rotation_matrix(tool[1])
+    gravity = apply_transposed(R_world_tool, model[2])
+    if near is None:
+        body, loads = resting_on_tool(model, _ORIGIN), _LOADS
+    else:
+        shift = apply_transposed(R_world_tool, subtract(near[0], tool[0]))
+        turn = quaternion_product(quaternion_conjugate(tool[1]), near[1])
+        body, loads = (shift, turn, _ORIGIN[2], _ORIGIN[3]), 1
+    rest, found = _loaded(
+        model, gravity, body, loads, *as_inputs(np.zeros((6, 6)), np.zeros(6)))
+    if not found:
+        raise UnstableError(
+            f'No static equilibrium: the cup cannot hold {model[1][0]:g} kg in this tool pose '
+            'without tipping over. Check package.mass, package.com, cup.stiffness and their '
+            'units.')
+    position = add(tool[0], apply(R_world_tool, rest[0]))
+    return position, quaternion_product(tool[1], rest[1]), rest[2], rest[3]
+
+
+@kernel
+def _loaded(
+    model: ModelTuple, gravity: Vector, body: State, loads: int, A: Any, x: Any
+) -> tuple[State, bool]:
+    """Apply gravity in steps; return the equilibrium, and whether it is stable."""
+    for load in range(1, loads + 1):
+        now = (model[0], model[1], scale(load / loads, gravity))
+        body, settled, stable = _newton(now, body, A, x)
+        if not settled or (load == loads and not stable):
+            return body, False
+    return body, True
+
+
+@kernel
+def _newton(model: ModelTuple, body: State, A: Any, x: Any) -> tuple[State, bool, bool]:
+    """Return the equilibrium near a state, and whether it exists and is a minimum."""
+    size, stable = math.inf, False
+    for _ in range(_ITERATIONS):
+        for j in range(6):
+            turn, back = unit(j - 3, _DIFFERENCE), unit(j - 3, -_DIFFERENCE)
+            up = _unbalance(model, displaced(body, unit(j, _DIFFERENCE), turn))
+            down = _unbalance(model, displaced(body, unit(j, -_DIFFERENCE), back))
+            for i in range(6):
+                A[i][j] = (down[i] - up[i]) / (2.0 * _DIFFERENCE)
+        force = _unbalance(model, body)
+        for i in range(6):
+            x[i] = force[i]
+        before = size
+        size, stable = _solve(A, x)
+        if not size < math.inf:
+            return body, False, False
+        part = _LARGEST_MOVE / size if size > _LARGEST_MOVE else 1.0
+        body = displaced(
+            body, (part * x[0], part * x[1], part * x[2]), (part * x[3], part * x[4], part * x[5]))
+        if (size < 1e-9 and size > 0.1 * before) or size < 1e-13:  # as near as rounding lets it
+            break
+    return body, size < 1e-9, stable
+
+
+@kernel
+def _solve(A: Any, x: Any) -> tuple[float, bool]:
+    """
+    Write A^-1 x into x by Gauss; return its length, and whether all pivots are positive.
+
+    At rest A is the Hessian of the energy: then it is a minimum.
+    """
+    stable, square = True, 0.0
+    for k in range(6):
+        if A[k][k] == 0.0:
+            return math.inf, False
+        stable = stable and A[k][k] > 0.0
+        for i in range(k + 1, 6):
+            c = A[i][k] / A[k][k]
+            for j in range(k, 6):
+                A[i][j] -= c * A[k][j]
+            x[i] -= c * x[k]
+    for k in range(5, -1, -1):
+        for j in range(k + 1, 6):
+            x[k] -= A[k][j] * x[j]
+        x[k] /= A[k][k]
+        square += x[k] * x[k]
+    return math.sqrt(square), stable
+
+
+@kernel
+def _unbalance(model: ModelTuple, body: State) -> tuple[float, float, float, float, float, float]:
+    """Return force and moment that accelerate a package at rest under a tool at rest."""
+    package = model[1]
+    dv, dw = body_acceleration(model, _ORIGIN, body)
+    f, m = scale(package[0], dv), apply(package[2], dw)
+    return f[0], f[1], f[2], m[0], m[1], m[2]

@@ -1,0 +1,480 @@
+"""
+Analytic derivatives of the model: of the cup's wrench and of the package's acceleration.
+
+A small change of a state is in the axes of the body itself (of the tool, of the package): shift
+(m), turn (rad), linear and angular twist (m/s, rad/s). Shift and turn are those of `displaced`:
+o + R shift, R exp(turn). A 6x6 matrix is the tuple of its 3x3 blocks, linear first.
+
+All is worked out at S1, the package's end of the spring: a shift and turn xi of B there are
+X(S1_H_B) xi, as a twist is, and the twist relative to the tool changes with xi by -ad(v_tool) xi.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.tuples import (
+    add,
+    add_scaled,
+    add_scaled_matrix,
+    apply,
+    apply_transposed,
+    cross,
+    hat,
+    Matrix,
+    multiply,
+    multiply_transposed,
+    outer,
+    rotation_matrix,
+    scale,
+    scale_matrix,
+    subtract,
+    transposed,
+    unit,
+    Vector,
+)
+from bellows_ros.core.model.kernels import (
+    Blocks,
+    body_acceleration,
+    lip_relative_to_tool,
+    lip_wrench,
+    ModelTuple,
+    multiply_blocks,
+    PackageTuple,
+    spring_frames,
+    State,
+    strain,
+    Wrench,
+)
+
+Square = tuple[Matrix, Matrix, Matrix, Matrix]
+"""A 6x6 matrix as its blocks oo, oR, Ro, RR."""
+
+STIFFNESS, DAMPING = slice(0, 21), slice(21, 42)
+LENGTH, INERTIA, GRAVITY = slice(42, 43), slice(43, 49), slice(49, 52)
+MASS, COM, WRENCH = slice(52, 53), slice(53, 56), slice(56, 62)
+PARAMETERS = 62
+"""
+The parameters, one column each: the upper triangles of K and of P (row by row), the length l0, the
+inertia (xx, yy, zz, xy, xz, yz), the gravity vector in A, the mass, the centre of mass, and a
+wrench on the package at the lip, in S axes, beside the cup's.
+"""
+
+ZERO = (0.0, 0.0, 0.0)
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+NOTHING = (0.0,) * 9
+
+
+@kernel
+def add_scaled_square(A: Square, factor: float, B: Square) -> Square:
+    """Return A + factor * B."""
+    return (
+        add_scaled_matrix(A[0], factor, B[0]), add_scaled_matrix(A[1], factor, B[1]),
+        add_scaled_matrix(A[2], factor, B[2]), add_scaled_matrix(A[3], factor, B[3]),
+    )
+
+
+@kernel
+def apply_square(A: Square, a: Vector, b: Vector) -> tuple[Vector, Vector]:
+    """Return A [a; b]."""
+    return (
+        add(apply(A[0], a), apply(A[1], b)),
+        add(apply(A[2], a), apply(A[3], b)),
+    )
+
+
+@kernel
+def shift_left(c: Vector, A: Square) -> Square:
+    """Return X^T A with X = [[I, c^], [0, I]]."""
+    return (
+        A[0], A[1],
+        add_scaled_matrix(A[2], -1.0, multiply(hat(c), A[0])),
+        add_scaled_matrix(A[3], -1.0, multiply(hat(c), A[1])),
+    )
+
+
+@kernel
+def shift_right(A: Square, c: Vector) -> Square:
+    """Return A X with X = [[I, c^], [0, I]]."""
+    return (
+        A[0], add_scaled_matrix(A[1], 1.0, multiply(A[0], hat(c))),
+        A[2], add_scaled_matrix(A[3], 1.0, multiply(A[2], hat(c))),
+    )
+
+
+@kernel
+def turn_right(A: Square, R: Matrix) -> Square:
+    """Return A diag(R^T, R^T)."""
+    T = transposed(R)
+    return multiply(A[0], T), multiply(A[1], T), multiply(A[2], T), multiply(A[3], T)
+
+
+@kernel
+def strain_jacobian(o: Vector, R: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+    """Return the blocks oo, oR, RR of J (3.23): the strain's derivative; the block Ro is zero."""
+    trace = R[0] + R[4] + R[8]
+    return (
+        (R[0] + 1.0, R[1], R[2], R[3], R[4] + 1.0, R[5], R[6], R[7], R[8] + 1.0),
+        hat(apply_transposed(R, o)),
+        (
+            trace - R[0], -R[3], -R[6],
+            -R[1], trace - R[4], -R[7],
+            -R[2], -R[5], trace - R[8],
+        ),
+    )
+
+
+@kernel
+def spring_jacobian(o: Vector, R: Matrix, K: Blocks) -> Square:
+    """
+    Return the derivative of `spring_wrench` by shift and turn of S1.
+
+    -1/4 J^T K J, and what J's own change makes of s = K h: with q = R^T o
+    -1/4 [[0, (R^T s_o)^], [s_o^, s_o^ q^ - s_R h_R^T + R s_R^]].
+    """
+    h_o, h_R = strain(o, R)
+    s_o, s_R = multiply_blocks(K, h_o, h_R)
+    J_oo, q_hat, J_RR = strain_jacobian(o, R)
+    K_Ro = transposed(K[1])
+    Z_oo = multiply(K[0], J_oo)
+    Z_oR = add_scaled_matrix(multiply(K[0], q_hat), 1.0, multiply(K[1], J_RR))
+    Z_Ro = multiply(K_Ro, J_oo)
+    Z_RR = add_scaled_matrix(multiply(K_Ro, q_hat), 1.0, multiply(K[2], J_RR))
+    far = multiply(q_hat, Z_oo), multiply(q_hat, Z_oR)  # - J_oR^T Z
+    RR = add_scaled_matrix(multiply(hat(s_o), q_hat), -1.0, outer(s_R, h_R))
+    RR = add_scaled_matrix(RR, 1.0, multiply(R, hat(s_R)))
+    RR = add_scaled_matrix(RR, 1.0, multiply_transposed(J_RR, Z_RR))
+    Ro = add_scaled_matrix(multiply_transposed(J_RR, Z_Ro), 1.0, hat(s_o))
+    oR = add_scaled_matrix(multiply_transposed(J_oo, Z_oR), 1.0, hat(apply_transposed(R, s_o)))
+    return (
+        scale_matrix(-0.25, multiply_transposed(J_oo, Z_oo)),
+        scale_matrix(-0.25, oR),
+        scale_matrix(-0.25, add_scaled_matrix(Ro, -1.0, far[0])),
+        scale_matrix(-0.25, add_scaled_matrix(RR, -1.0, far[1])),
+    )
+
+
+@kernel
+def damper_jacobians(
+    o: Vector, R: Matrix, v: Vector, w: Vector, P: Blocks
+) -> tuple[Square, Square]:
+    """
+    Return the derivatives of `damper_wrench` by shift and turn of S1, and by its twist.
+
+    By twist it is -D1 = -1/2 (P + G), G = X^T P X; by shift and turn, with F = G v1,
+    -1/2 ([[0, F_o^], [F_o^, F_R^]] - G ad(v1)).
+    """
+    o_R = multiply(hat(o), R)
+    P_R = multiply(P[0], R), multiply(P[1], R), multiply(transposed(P[1]), R), multiply(P[2], R)
+    right = (
+        P_R[0], add_scaled_matrix(P_R[1], 1.0, multiply(P[0], o_R)),
+        P_R[2], add_scaled_matrix(P_R[3], 1.0, multiply_transposed(P[1], o_R)),
+    )  # P X
+    G = (
+        multiply_transposed(R, right[0]), multiply_transposed(R, right[1]),
+        add_scaled_matrix(
+            multiply_transposed(R, right[2]), 1.0, multiply_transposed(o_R, right[0])),
+        add_scaled_matrix(
+            multiply_transposed(R, right[3]), 1.0, multiply_transposed(o_R, right[1])),
+    )
+    F_o, F_R = apply_square(G, v, w)
+    turning = times_twist(G, v, w)
+    by_pose = (
+        scale_matrix(0.5, turning[0]),
+        scale_matrix(0.5, add_scaled_matrix(turning[1], -1.0, hat(F_o))),
+        scale_matrix(0.5, add_scaled_matrix(turning[2], -1.0, hat(F_o))),
+        scale_matrix(0.5, add_scaled_matrix(turning[3], -1.0, hat(F_R))),
+    )
+    by_twist = (
+        scale_matrix(-0.5, add_scaled_matrix(P[0], 1.0, G[0])),
+        scale_matrix(-0.5, add_scaled_matrix(P[1], 1.0, G[1])),
+        scale_matrix(-0.5, add_scaled_matrix(transposed(P[1]), 1.0, G[2])),
+        scale_matrix(-0.5, add_scaled_matrix(P[2], 1.0, G[3])),
+    )
+    return by_pose, by_twist
+
+
+@kernel
+def times_twist(A: Square, v: Vector, w: Vector) -> Square:
+    """Return A ad(v) with ad(v) = [[w^, v^], [0, w^]]."""
+    return (
+        multiply(A[0], hat(w)),
+        add_scaled_matrix(multiply(A[0], hat(v)), 1.0, multiply(A[1], hat(w))),
+        multiply(A[2], hat(w)),
+        add_scaled_matrix(multiply(A[2], hat(v)), 1.0, multiply(A[3], hat(w))),
+    )
+
+
+@kernel
+def ends_of_spring(
+    model: ModelTuple, tool: State, body: State
+) -> tuple[Vector, Vector, Matrix, Vector, Vector, Vector, Vector, Vector]:
+    """
+    Return where S1 is: B in S1, S2_o_S1, E_R_S, S1_v_{S2,S1}, E_o_S1, and the tool's twist there.
+
+    The tool's twist is X(E_H_S1)^-1 E_v_AE, in S axes.
+    """
+    cup, package, _ = model
+    o_E_S, R, v, w = lip_relative_to_tool(
+        package[1],
+        tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], rotation_matrix(body[1]), body[2], body[3],
+    )
+    l1 = cup[0]
+    o_E_S1 = add_scaled(o_E_S, l1, (R[2], R[5], R[8]))
+    com = package[1]
+    return (
+        (com[0], com[1], com[2] - l1), spring_frames(cup, o_E_S, R), R,
+        (v[0] + l1 * w[1], v[1] - l1 * w[0], v[2]), w,
+        o_E_S1,
+        apply_transposed(R, add(tool[2], cross(tool[3], o_E_S1))), apply_transposed(R, tool[3]),
+    )
+
+
+@kernel
+def wrench_jacobians(
+    model: ModelTuple, tool: State, body: State
+) -> tuple[Square, Square]:
+    """Return the derivatives of the cup's wrench at S1 by shift and turn, and twist, of S1."""
+    _, o, R, v, w, _, v_tool, w_tool = ends_of_spring(model, tool, body)
+    damper, by_twist = damper_jacobians(o, R, v, w, model[0][3])
+    by_pose = add_scaled_square(spring_jacobian(o, R, model[0][2]), 1.0, damper)
+    return add_scaled_square(by_pose, -1.0, times_twist(by_twist, v_tool, w_tool)), by_twist
+
+
+@kernel
+def accelerations(package: PackageTuple, A: Square) -> Square:
+    """Return the accelerations under wrenches at B, one in each column (3.5)."""
+    inverse = 1.0 / package[0]
+    return (
+        scale_matrix(inverse, A[0]), scale_matrix(inverse, A[1]),
+        multiply(package[3], A[2]), multiply(package[3], A[3]),
+    )
+
+
+@kernel
+def body_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
+    """Return the derivatives of `body_acceleration` by shift and turn, and twist, of the body."""
+    _, package, gravity = model
+    c = ends_of_spring(model, tool, body)[0]
+    by_pose, by_twist = wrench_jacobians(model, tool, body)
+    pose = accelerations(package, shift_left(c, shift_right(by_pose, c)))
+    twist = accelerations(package, shift_left(c, shift_right(by_twist, c)))
+    g = hat(apply_transposed(rotation_matrix(body[1]), gravity))
+    v, w, inertia = body[2], body[3], package[2]
+    gyro = add_scaled_matrix(hat(apply(inertia, w)), -1.0, multiply(hat(w), inertia))
+    return (
+        (pose[0], add_scaled_matrix(pose[1], 1.0, g), pose[2], pose[3]),
+        (
+            add_scaled_matrix(twist[0], -1.0, hat(w)), add_scaled_matrix(twist[1], 1.0, hat(v)),
+            twist[2], add_scaled_matrix(twist[3], 1.0, multiply(package[3], gyro)),
+        ),
+    )
+
+
+@kernel
+def tool_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
+    """Return the derivatives of `body_acceleration` by shift and turn, and twist, of the tool."""
+    c, _, R, _, _, o_E_S1, _, _ = ends_of_spring(model, tool, body)
+    by_pose, by_twist = wrench_jacobians(model, tool, body)
+    far = scale(-1.0, o_E_S1)
+    pose = accelerations(model[1], shift_left(c, shift_right(turn_right(by_pose, R), far)))
+    twist = accelerations(model[1], shift_left(c, shift_right(turn_right(by_twist, R), far)))
+    return add_scaled_square(pose, -2.0, pose), add_scaled_square(twist, -2.0, twist)
+
+
+@kernel
+def acceleration_at(package: PackageTuple, c: Vector, f: Vector, m: Vector) -> Wrench:
+    """Return the accelerations due to a wrench, with B at c from its point of action (3.5)."""
+    return scale(1.0 / package[0], f), apply(package[3], subtract(m, cross(c, f)))
+
+
+@kernel
+def accelerations_at(
+    package: PackageTuple, c: Vector, forces: Matrix, moments: Matrix, couples: Matrix
+) -> tuple[Wrench, Wrench, Wrench, Wrench, Wrench, Wrench]:
+    """Return those that wrenches make: rows of forces with those of moments, then of couples."""
+    return (
+        acceleration_at(package, c, row(forces, 0), row(moments, 0)),
+        acceleration_at(package, c, row(forces, 1), row(moments, 1)),
+        acceleration_at(package, c, row(forces, 2), row(moments, 2)),
+        acceleration_at(package, c, ZERO, row(couples, 0)),
+        acceleration_at(package, c, ZERO, row(couples, 1)),
+        acceleration_at(package, c, ZERO, row(couples, 2)),
+    )
+
+
+@kernel
+def write_block(out: Any, i: int, j: int, block: Matrix) -> None:
+    """Write a 3x3 matrix into an array."""
+    out[i, j], out[i, j + 1], out[i, j + 2] = block[0], block[1], block[2]
+    out[i + 1, j], out[i + 1, j + 1], out[i + 1, j + 2] = block[3], block[4], block[5]
+    out[i + 2, j], out[i + 2, j + 1], out[i + 2, j + 2] = block[6], block[7], block[8]
+
+
+@kernel
+def write_square(out: Any, i: int, j: int, square: Square) -> None:
+    """Write a 6x6 matrix into an array."""
+    write_block(out, i, j, square[0])
+    write_block(out, i, j + 3, square[1])
+    write_block(out, i + 3, j, square[2])
+    write_block(out, i + 3, j + 3, square[3])
+
+
+@kernel
+def write_column(out: Any, column: int, a: Vector, b: Vector) -> None:
+    """Write two vectors into a column (6,)."""
+    out[0, column], out[1, column], out[2, column] = a
+    out[3, column], out[4, column], out[5, column] = b
+
+
+@kernel
+def parameter_jacobian(
+    model: ModelTuple, tool: State, body: State, first: int, last: int, out: Any, column: int
+) -> None:
+    """
+    Write the derivatives of `body_acceleration` by some of the parameters.
+
+    Parameters
+    ----------
+    model, tool, body : tuples
+        As `body_acceleration` takes them.
+    first, last : int
+        The parameters, of `PARAMETERS`: those from first to before last.
+    out : ndarray (6, n)
+        What is written to: m/s^2 and rad/s^2 per SI unit of the parameter.
+    column : int
+        Where the column of the first of them is.
+
+    """
+    column -= first
+    if first < 42:
+        _entries(model, tool, body, first, last, out, column)
+    if last > 42:
+        _others(model, tool, body, first, last, out, column)
+
+
+@kernel
+def _entries(
+    model: ModelTuple, tool: State, body: State, first: int, last: int, out: Any, column: int
+) -> None:
+    """
+    Write the columns of K and P: the wrench is linear in their entries (4.67).
+
+    With r_j row j of J, entry jk of K makes -1/4 (r_j h_k + r_k h_j); with X of the damper, entry
+    jk of P makes -1/2 (e_j v_k + e_k v_j + x_j u_k + x_k u_j), x_j row j of X and u = X v1.
+    """
+    c, o, R, v, w, _, _, _ = ends_of_spring(model, tool, body)
+    package = model[1]
+    J_oo, J_oR, J_RR = strain_jacobian(o, R)
+    o_R = multiply(hat(o), R)
+    u_R = apply(R, w)
+    h = _six(*strain(o, R))
+    near, far = _six(v, w), _six(add(apply(R, v), cross(o, u_R)), u_R)
+    s = accelerations_at(package, c, J_oo, J_oR, J_RR)
+    e = accelerations_at(package, c, IDENTITY, NOTHING, IDENTITY)
+    x = accelerations_at(package, c, R, o_R, R)
+    number = 0
+    for j in range(6):
+        for k in range(j, 6):
+            half = 0.5 if j == k else 1.0
+            if first <= number < last:
+                a, b = _pair(-0.25 * half, s[j], h[k], s[k], h[j])
+                write_column(out, column + number, a, b)
+            if first <= number + 21 < last:
+                a, b = _pair(-0.5 * half, e[j], near[k], e[k], near[j])
+                a_far, b_far = _pair(-0.5 * half, x[j], far[k], x[k], far[j])
+                write_column(out, column + number + 21, add(a, a_far), add(b, b_far))
+            number += 1
+
+
+@kernel
+def row(A: Matrix, i: int) -> Vector:
+    """Return a row of a matrix."""
+    return A[3 * i], A[3 * i + 1], A[3 * i + 2]
+
+
+@kernel
+def _six(a: Vector, b: Vector) -> tuple[float, float, float, float, float, float]:
+    """Return the numbers of two vectors."""
+    return a[0], a[1], a[2], b[0], b[1], b[2]
+
+
+@kernel
+def _pair(factor: float, A: Wrench, a: float, B: Wrench, b: float) -> Wrench:
+    """Return factor * (A a + B b)."""
+    return (
+        add(scale(factor * a, A[0]), scale(factor * b, B[0])),
+        add(scale(factor * a, A[1]), scale(factor * b, B[1])),
+    )
+
+
+@kernel
+def _others(
+    model: ModelTuple, tool: State, body: State, first: int, last: int, out: Any, column: int
+) -> None:
+    """
+    Write the columns of all parameters but K and P.
+
+    dv and dw are the accelerations, f the cup's force: by mass -f / m^2, by entries of the inertia
+    -I^-1 (dI dw + w x dI w). By length and by the centre of mass S1 moves, and where B is from it.
+    """
+    package = model[1]
+    w, R = body[3], rotation_matrix(body[1])
+    _, dw = body_acceleration(model, tool, body)
+    f, _ = lip_wrench(model, tool, body)
+    by_pose, by_twist = wrench_jacobians(model, tool, body)
+    c = ends_of_spring(model, tool, body)[0]
+    for i in range(max(first, 42), last):
+        a, b = ZERO, ZERO
+        if i == 42:
+            a, b = by_length(model, tool, body, f)
+        elif i < 49:
+            b = by_inertia(package[3], w, dw, i - 43)
+        elif i < 52:
+            a = row(R, i - 49)
+        elif i == 52:
+            a = scale(-1.0 / package[0] ** 2, f)
+        elif i < 56:
+            a, b = by_com(package, c, by_pose, by_twist, w, f, unit(i - 53, 1.0))
+        else:
+            a, b = acceleration_at(package, package[1], unit(i - 56, 1.0), unit(i - 59, 1.0))
+        write_column(out, column + i, a, b)
+
+
+@kernel
+def by_length(model: ModelTuple, tool: State, body: State, f: Vector) -> Wrench:
+    """Return the accelerations per metre of l0, half of which acts at each end of the spring."""
+    cup, package, _ = model
+    c, o, R, v, w, _, _, _ = ends_of_spring(model, tool, body)
+    damper, by_twist = damper_jacobians(o, R, v, w, cup[3])
+    by_pose = add_scaled_square(spring_jacobian(o, R, cup[2]), 1.0, damper)
+    shift = (0.5 * R[6], 0.5 * R[7], 0.5 * R[8] + 0.5)
+    speed = (0.5 * w[1], -0.5 * w[0], 0.0)
+    df, dm = add(apply(by_pose[0], shift), apply(by_twist[0], speed)), add(
+        apply(by_pose[2], shift), apply(by_twist[2], speed))
+    dv, dw = acceleration_at(package, c, df, dm)
+    return dv, add(dw, apply(package[3], (-0.5 * f[1], 0.5 * f[0], 0.0)))
+
+
+@kernel
+def by_inertia(inverse: Matrix, w: Vector, dw: Vector, entry: int) -> Vector:
+    """Return the angular acceleration per kg m^2 of one of the six entries of the inertia."""
+    j, k = (entry, entry) if entry < 3 else (entry // 5, min(entry - 2, 2))
+    twice = 1.0 if j != k else 0.0
+    dI_dw = add(unit(j, dw[k]), unit(k, twice * dw[j]))
+    dI_w = add(unit(j, w[k]), unit(k, twice * w[j]))
+    return scale(-1.0, apply(inverse, add(dI_dw, cross(w, dI_w))))
+
+
+@kernel
+def by_com(
+    package: PackageTuple, c: Vector, by_pose: Square, by_twist: Square,
+    w: Vector, f: Vector, along: Vector,
+) -> Wrench:
+    """Return the accelerations per metre of B along a direction: S1 moves the other way."""
+    speed = cross(along, w)
+    df = subtract(apply(by_twist[0], speed), apply(by_pose[0], along))
+    dm = subtract(apply(by_twist[2], speed), apply(by_pose[2], along))
+    return acceleration_at(package, c, df, subtract(dm, cross(along, f)))

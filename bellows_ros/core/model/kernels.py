@@ -1,0 +1,361 @@
+"""
+The cup-package model as scalar kernels, among them the spring wrench.
+
+Frames: ``A`` world, ``E`` tip of the tool arm, ``S`` centre of the lip on the package, ``B``
+centre of mass, with ``[S] = [B]``. Six-vectors are two 3-tuples, linear first, then angular.
+Twists are body twists: ``R^T do/dt`` and the body rate. SI units throughout.
+
+A cup is the tuple ``(l1, l0, K, P)`` and a 6x6 symmetric matrix its blocks ``(oo, oR, RR)``; a
+package is ``(mass, com, inertia, inertia_inverse)``; a model is ``(cup, package, gravity)`` with
+gravity the acceleration vector in ``A``. `model.Cup` and `model.Package` make these tuples.
+"""
+
+from __future__ import annotations
+
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.tuples import (
+    add,
+    add_scaled,
+    apply,
+    apply_transposed,
+    body_rate,
+    cross,
+    exp_quaternion,
+    log_quaternion,
+    Matrix,
+    multiply_transposed,
+    Quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_matrix,
+    rotation_vector_rate,
+    scale,
+    subtract,
+    Vector,
+)
+
+Blocks = tuple[Matrix, Matrix, Matrix]
+CupTuple = tuple[float, float, Blocks, Blocks]
+PackageTuple = tuple[float, Vector, Matrix, Matrix]
+ModelTuple = tuple[CupTuple, PackageTuple, Vector]
+State = tuple[Vector, Quaternion, Vector, Vector]
+"""Position (m), orientation, linear and angular body twist (m/s, rad/s) of a frame in A."""
+Wrench = tuple[Vector, Vector]
+"""Force (N) and moment (N m)."""
+
+
+@kernel
+def multiply_blocks(M: Blocks, a: Vector, b: Vector) -> tuple[Vector, Vector]:
+    """Return M [a; b] for a symmetric 6x6 matrix in blocks."""
+    return (
+        add(apply(M[0], a), apply(M[1], b)),
+        add(apply_transposed(M[1], a), apply(M[2], b)),
+    )
+
+
+@kernel
+def strain(o: Vector, R: Matrix) -> tuple[Vector, Vector]:
+    """Return h = [(I + R^T) o; (R - R^T)^vee] (3.18) of H = S2_H_S1 = (R, o)."""
+    return (
+        add(o, apply_transposed(R, o)),
+        (R[7] - R[5], R[2] - R[6], R[3] - R[1]),
+    )
+
+
+@kernel
+def spring_wrench(o: Vector, R: Matrix, K: Blocks) -> Wrench:
+    """
+    Return the spring wrench on the package at S1, f1 = -1/4 J^T K h (3.23, 3.27).
+
+    It is minus the gradient of the energy 1/8 h^T K h (3.17).
+    J = [[R + I, (R^T o)^], [0, tr(R) I - R^T]] is the derivative of the strain h.
+    """
+    h_o, h_R = strain(o, R)
+    s_o, s_R = multiply_blocks(K, h_o, h_R)
+    trace = R[0] + R[4] + R[8]
+    force = add(s_o, apply_transposed(R, s_o))
+    moment = add(
+        subtract(scale(trace, s_R), apply(R, s_R)),
+        cross(s_o, apply_transposed(R, o)),
+    )
+    return scale(-0.25, force), scale(-0.25, moment)
+
+
+@kernel
+def damper_wrench(o: Vector, R: Matrix, v: Vector, w: Vector, P: Blocks) -> Wrench:
+    """
+    Return the damper wrench on the package at S1, f1 = -1/2 (P + X^T P X) v1 (3.32, 3.33).
+
+    X = X(S2_H_S1) (2.24); (v, w) is v1 = S1_v_{S2,S1}, the twist of S1 relative to S2.
+    """
+    near_o, near_R = multiply_blocks(P, v, w)  # P v1, the port at S1
+    R_w = apply(R, w)
+    far_o, far_R = multiply_blocks(P, add(apply(R, v), cross(o, R_w)), R_w)  # P X v1, at S2
+    force = add(near_o, apply_transposed(R, far_o))
+    moment = add(near_R, apply_transposed(R, subtract(far_R, cross(o, far_o))))
+    return scale(-0.5, force), scale(-0.5, moment)
+
+
+@kernel
+def spring_frames(cup: CupTuple, o_E_S: Vector, R_E_S: Matrix) -> Vector:
+    """Return the origin of S1 in S2, o = l2 z + l1 R z + E_o_S (3.13); its rotation is R_E_S."""
+    l1, l0 = cup[0], cup[1]
+    l2 = l0 - l1
+    return (
+        o_E_S[0] + l1 * R_E_S[2],
+        o_E_S[1] + l1 * R_E_S[5],
+        o_E_S[2] + l1 * R_E_S[8] + l2,
+    )
+
+
+@kernel
+def cup_wrench(cup: CupTuple, o_E_S: Vector, R_E_S: Matrix, v_ES: Vector, w_ES: Vector) -> Wrench:
+    """
+    Return the wrench of the cup on the package at the lip, in S axes (3.7).
+
+    (v_ES, w_ES) is S_v_ES, the body twist of the lip relative to the tool.
+    """
+    l1 = cup[0]
+    o = spring_frames(cup, o_E_S, R_E_S)
+    v_S1 = (v_ES[0] + l1 * w_ES[1], v_ES[1] - l1 * w_ES[0], v_ES[2])  # X(S_H_S1)^-1 (3.34)
+    spring_f, spring_m = spring_wrench(o, R_E_S, cup[2])
+    damper_f, damper_m = damper_wrench(o, R_E_S, v_S1, w_ES, cup[3])
+    f = add(spring_f, damper_f)
+    m = add(spring_m, damper_m)
+    return f, (m[0] - l1 * f[1], m[1] + l1 * f[0], m[2])  # X(S_H_S1)^-T (3.25)
+
+
+@kernel
+def wrench_at_com(com: Vector, f: Vector, m: Vector) -> Wrench:
+    """Return the wrench moved from S to B: X(S_H_B)^T f_S (2.28) with S_H_B = (I, com)."""
+    return f, subtract(m, cross(com, f))
+
+
+@kernel
+def lip_relative_to_tool(
+    com: Vector,
+    o_A_E: Vector, R_A_E: Matrix, v_E: Vector, w_E: Vector,
+    o_A_B: Vector, R_A_B: Matrix, v_B: Vector, w_B: Vector,
+) -> tuple[Vector, Matrix, Vector, Vector]:
+    """
+    Return E_o_S, E_R_S and the body twist S_v_ES of the lip relative to the tool.
+
+    S_v_ES = X(S_H_B) B_v_AB - X(E_H_S)^-1 E_v_AE.
+    """
+    R_E_S = multiply_transposed(R_A_E, R_A_B)
+    o_A_S = subtract(o_A_B, apply(R_A_B, com))
+    o_E_S = apply_transposed(R_A_E, subtract(o_A_S, o_A_E))
+    v_S = add(v_B, cross(com, w_B))
+    v_tool = apply_transposed(R_E_S, add(v_E, cross(w_E, o_E_S)))
+    w_tool = apply_transposed(R_E_S, w_E)
+    return o_E_S, R_E_S, subtract(v_S, v_tool), subtract(w_B, w_tool)
+
+
+@kernel
+def newton_euler(
+    package: PackageTuple, gravity: Vector, R_A_B: Matrix,
+    v: Vector, w: Vector, f: Vector, tau: Vector,
+) -> tuple[Vector, Vector]:
+    """
+    Return the rate of the body twist under the wrench (f, tau) at B and gravity (3.5, 3.42).
+
+    m dv/dt = f - m w x v + m R^T g, I dw/dt = tau - w x I w.
+    """
+    mass, _, inertia, inertia_inverse = package
+    dv = add_scaled(
+        subtract(apply_transposed(R_A_B, gravity), cross(w, v)), 1.0 / mass, f
+    )
+    dw = apply(inertia_inverse, subtract(tau, cross(w, apply(inertia, w))))
+    return dv, dw
+
+
+@kernel
+def lip_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
+    """Return the wrench of the cup on the package at the lip, in S axes, for a state."""
+    cup, package, _ = model
+    o_E_S, R_E_S, v_ES, w_ES = lip_relative_to_tool(
+        package[1],
+        tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], rotation_matrix(body[1]), body[2], body[3],
+    )
+    return cup_wrench(cup, o_E_S, R_E_S, v_ES, w_ES)
+
+
+@kernel
+def body_acceleration(model: ModelTuple, tool: State, body: State) -> tuple[Vector, Vector]:
+    """Return the rate of the package's body twist, m/s^2 and rad/s^2 (3.42)."""
+    _, package, gravity = model
+    f, m = lip_wrench(model, tool, body)
+    f, m = wrench_at_com(package[1], f, m)
+    return newton_euler(package, gravity, rotation_matrix(body[1]), body[2], body[3], f, m)
+
+
+Segment = tuple[float, Vector, Vector, Vector, Vector, Quaternion, Vector, Vector, Vector]
+"""Duration (s), position cubic (four coefficients), start orientation, rotation cubic (three)."""
+
+
+@kernel
+def tool_segment(start: State, end: State, duration: float) -> Segment:
+    """
+    Return the cubic Hermite curve between two tool samples a time apart.
+
+    In s = t / duration from 0 to 1: o(s) = o0 + a1 s + a2 s^2 + a3 s^3 and
+    R(s) = R0 exp(c1 s + c2 s^2 + c3 s^3), with both poses and both twists met.
+    """
+    a1 = scale(duration, apply(rotation_matrix(start[1]), start[2]))
+    a1_end = scale(duration, apply(rotation_matrix(end[1]), end[2]))
+    step = subtract(end[0], start[0])
+    phi = log_quaternion(quaternion_product(quaternion_conjugate(start[1]), end[1]))
+    c1 = scale(duration, start[3])
+    c1_end = scale(duration, rotation_vector_rate(phi, end[3]))
+    return (
+        duration,
+        start[0], a1, hermite_quadratic(step, a1, a1_end), hermite_cubic(step, a1, a1_end),
+        start[1], c1, hermite_quadratic(phi, c1, c1_end), hermite_cubic(phi, c1, c1_end),
+    )
+
+
+@kernel
+def hermite_quadratic(step: Vector, slope: Vector, slope_end: Vector) -> Vector:
+    """Return the s^2 coefficient 3 step - 2 slope - slope_end of a cubic Hermite curve."""
+    return add_scaled(add_scaled(scale(3.0, step), -2.0, slope), -1.0, slope_end)
+
+
+@kernel
+def hermite_cubic(step: Vector, slope: Vector, slope_end: Vector) -> Vector:
+    """Return the s^3 coefficient slope + slope_end - 2 step of a cubic Hermite curve."""
+    return add_scaled(add(slope, slope_end), -2.0, step)
+
+
+@kernel
+def cubic(s: float, c1: Vector, c2: Vector, c3: Vector) -> Vector:
+    """Return c1 s + c2 s^2 + c3 s^3."""
+    return scale(s, add_scaled(c1, s, add_scaled(c2, s, c3)))
+
+
+@kernel
+def cubic_slope(s: float, c1: Vector, c2: Vector, c3: Vector) -> Vector:
+    """Return c1 + 2 c2 s + 3 c3 s^2."""
+    return add_scaled(c1, 2.0 * s, add_scaled(c2, 1.5 * s, c3))
+
+
+@kernel
+def tool_at(segment: Segment, s: float) -> State:
+    """Return the tool's pose and body twist at the fraction s of the segment."""
+    duration, o0, a1, a2, a3, q0, c1, c2, c3 = segment
+    phi = cubic(s, c1, c2, c3)
+    q = quaternion_product(q0, exp_quaternion(phi))
+    velocity = scale(1.0 / duration, cubic_slope(s, a1, a2, a3))
+    return (
+        add(o0, cubic(s, a1, a2, a3)),
+        q,
+        apply_transposed(rotation_matrix(q), velocity),
+        scale(1.0 / duration, body_rate(phi, cubic_slope(s, c1, c2, c3))),
+    )
+
+
+@kernel
+def extrapolated(tool: State, duration: float) -> State:
+    """Return the tool a time later, its tip going on straight and its rotation steadily."""
+    o, q, v, w = tool
+    velocity = apply(rotation_matrix(q), v)
+    q_later = quaternion_product(q, exp_quaternion(scale(duration, w)))
+    return (
+        add_scaled(o, duration, velocity), q_later,
+        apply_transposed(rotation_matrix(q_later), velocity), w,
+    )
+
+
+@kernel
+def stage_state(body: State, h: float, do: Vector, sigma: Vector, dv: Vector, dw: Vector) -> State:
+    """Return the state moved by h along the rates of position, rotation vector and twist."""
+    return (
+        add_scaled(body[0], h, do),
+        quaternion_product(body[1], exp_quaternion(scale(h, sigma))),
+        add_scaled(body[2], h, dv),
+        add_scaled(body[3], h, dw),
+    )
+
+
+@kernel
+def rotation_rate(sigma: Vector, w: Vector) -> Vector:
+    """
+    Return the rate of sigma in R0 exp(sigma) for the body rate w, to the order RKMK4 needs.
+
+    w + 1/2 sigma x w + 1/12 sigma x (sigma x w), the inverse of dexp(-sigma) cut off.
+    """
+    once = cross(sigma, w)
+    return add_scaled(add_scaled(w, 0.5, once), 1.0 / 12.0, cross(sigma, once))
+
+
+@kernel
+def weighted(a: Vector, b: Vector, c: Vector, d: Vector) -> Vector:
+    """Return (a + 2 b + 2 c + d) / 6, the Runge-Kutta mean of four stages."""
+    return scale(1.0 / 6.0, add(add(a, d), scale(2.0, add(b, c))))
+
+
+@kernel
+def renormalised(q: Quaternion) -> Quaternion:
+    """Return q scaled to unit length, to first order: rounding never adds up."""
+    k = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return (k * q[0], k * q[1], k * q[2], k * q[3])
+
+
+@kernel
+def stages(
+    model: ModelTuple, body: State, tool: State, tool_middle: State, tool_end: State, h: float
+) -> tuple[State, State, State, State]:
+    """Return the package's states at the second to fourth stage of a step, and at its end."""
+    half = 0.5 * h
+    do1 = apply(rotation_matrix(body[1]), body[2])
+    ds1 = body[3]
+    dv1, dw1 = body_acceleration(model, tool, body)
+
+    body2 = stage_state(body, half, do1, ds1, dv1, dw1)
+    do2 = apply(rotation_matrix(body2[1]), body2[2])
+    ds2 = rotation_rate(scale(half, ds1), body2[3])
+    dv2, dw2 = body_acceleration(model, tool_middle, body2)
+
+    body3 = stage_state(body, half, do2, ds2, dv2, dw2)
+    do3 = apply(rotation_matrix(body3[1]), body3[2])
+    ds3 = rotation_rate(scale(half, ds2), body3[3])
+    dv3, dw3 = body_acceleration(model, tool_middle, body3)
+
+    body4 = stage_state(body, h, do3, ds3, dv3, dw3)
+    do4 = apply(rotation_matrix(body4[1]), body4[2])
+    ds4 = rotation_rate(scale(h, ds3), body4[3])
+    dv4, dw4 = body_acceleration(model, tool_end, body4)
+
+    end = stage_state(
+        body,
+        h,
+        weighted(do1, do2, do3, do4),
+        weighted(ds1, ds2, ds3, ds4),
+        weighted(dv1, dv2, dv3, dv4),
+        weighted(dw1, dw2, dw3, dw4),
+    )
+    return body2, body3, body4, (end[0], renormalised(end[1]), end[2], end[3])
+
+
+@kernel
+def step(
+    model: ModelTuple, body: State, tool: State, tool_middle: State, tool_end: State, h: float
+) -> State:
+    """Return the package's state after h, for tool states at start, middle and end (RKMK4)."""
+    return stages(model, body, tool, tool_middle, tool_end, h)[3]
+
+
+@kernel
+def advance(
+    model: ModelTuple, body: State, start: State, end: State, duration: float, substeps: int
+) -> State:
+    """Return the package's state after the tool moved from one sample to the next."""
+    segment = tool_segment(start, end, duration)
+    h = duration / substeps
+    tool = start
+    for i in range(substeps):
+        middle = tool_at(segment, (i + 0.5) / substeps)
+        tool_end = end if i == substeps - 1 else tool_at(segment, (i + 1.0) / substeps)
+        body = step(model, body, tool, middle, tool_end, h)
+        tool = tool_end
+    return body

@@ -1,0 +1,127 @@
+"""
+Uncertain quantities of cup and package, and models with one of them changed.
+
+A figure's standard deviation is |J sigma| with J its derivatives by the uncertain numbers, which
+are taken to be independent. They are central differences of whole predictions, not analytic ones:
+a figure is a largest value over time, or of the instant at which a cup lets go or a box meets the
+floor, and its slope at a point can be other than that over half a sigma.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model.cup_package import blocks
+from bellows_ros.core.model.kernels import ModelTuple
+from bellows_ros.core.model.matrices import inertia_matrix, matrix
+import numpy as np
+from numpy.typing import ArrayLike
+
+STEP = 0.5
+"""Step of central differences, standard deviations."""
+
+UPPER = np.triu_indices(6)
+NAMES = (
+    *(f'{kind}[{i},{j}]' for kind in ('cup.stiffness', 'cup.damping')
+      for i, j in zip(*UPPER, strict=True)),
+    'package.mass', *(f'package.com[{axis}]' for axis in 'xyz'),
+    *(f'package.inertia[{entry}]' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')),
+)
+"""The 52 parameters, in the order of the arrays."""
+
+
+def numbers_of(values: Mapping[str, Any]) -> Array:
+    """Return the numbers (52,) of parameter values: K and P, mass, com, inertia; SI units."""
+    return np.concatenate([
+        matrix(values['cup.stiffness'])[UPPER], matrix(values['cup.damping'])[UPPER],
+        [values['package.mass']], values['package.com'], values['package.inertia']])
+
+
+def deviations_of(values: Mapping[str, Any]) -> Array:
+    """Return the standard deviations (52,) of the numbers."""
+    K, P = (at_most_whole(matrix(values[f'{kind}_std']), np.diag(matrix(values[kind])))
+            for kind in ('cup.stiffness', 'cup.damping'))
+    return np.concatenate([
+        K[UPPER], P[UPPER],
+        [values['package.mass_std']], values['package.com_std'], values['package.inertia_std']])
+
+
+def at_most_whole(std: Array, diagonal: ArrayLike) -> Array:
+    """
+    Return standard deviations (6, 6) of K or P, no larger than its diagonal (6,) allows.
+
+    An entry of which an identification knows nothing has a huge one; a linear model holds for no
+    more than entries as large as the roots of their two diagonal ones.
+    """
+    root = np.sqrt(diagonal)
+    smaller: Array = np.minimum(std, np.outer(root, root))
+    return smaller
+
+
+def model_with(model: ModelTuple, numbers: Array) -> ModelTuple:
+    """Return a model with other numbers (52,), length and gravity as they are."""
+    K, P = np.zeros((2, 6, 6))
+    K[UPPER], P[UPPER] = numbers[:21], numbers[21:42]
+    K, P = (np.triu(M) + np.triu(M, 1).T for M in (K, P))
+    inertia = inertia_matrix(numbers[46:])
+    cup = (*model[0][:2], blocks(K), blocks(P))
+    package: Any = (
+        float(numbers[42]), tuple(numbers[43:46].tolist()), tuple(inertia.ravel().tolist()),
+        tuple(np.linalg.inv(inertia).ravel().tolist()))
+    return cup, package, model[2]
+
+
+def perturbed(
+    values: Mapping[str, Any], model: ModelTuple
+) -> Iterator[tuple[str, ModelTuple, ModelTuple]]:
+    """Yield name and models with a number `STEP` sigma up and down, where sigma is not 0."""
+    numbers, std = numbers_of(values), deviations_of(values)
+    for i in np.flatnonzero(std):
+        change = np.zeros(len(std))
+        change[i] = STEP * std[i]
+        yield NAMES[i], model_with(model, numbers + change), model_with(model, numbers - change)
+
+
+def contributions(
+    values: Mapping[str, Any], model: ModelTuple, compute: Callable[[ModelTuple], Array]
+) -> tuple[list[str], Array]:
+    """
+    Return the contribution of each uncertain parameter to the standard deviations of figures.
+
+    Parameters
+    ----------
+    values : mapping
+        Parameters by name: cup.stiffness, cup.damping, package.*, each with its _std.
+    model : tuple
+        Of the same values, as the kernels take it.
+    compute : callable
+        From a model to figures, an array.
+
+    Returns
+    -------
+    names : list of str
+        M, of the uncertain numbers.
+    parts : array (M, ...)
+        Derivative times standard deviation; the root of their squares' sum is a figure's own.
+
+    """
+    names, parts = [], []
+    for name, up, down in perturbed(values, model):
+        names.append(name)
+        parts.append((compute(up) - compute(down)) / (2.0 * STEP))
+    return names, np.array(parts)
+
+
+def mean_square(
+    values: Mapping[str, Any], model: ModelTuple, compute: Callable[[ModelTuple], float]
+) -> float:
+    """
+    Return the mean square of a vector over the uncertain parameters; see `contributions`.
+
+    Of a size near zero the derivative says nothing; its square is quadratic in each number.
+    """
+    here = compute(model) ** 2
+    total = here
+    for _, up, down in perturbed(values, model):
+        total += (compute(up) ** 2 + compute(down) ** 2 - 2.0 * here) / (2.0 * STEP ** 2)
+    return max(total, 0.0)

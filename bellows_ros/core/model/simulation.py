@@ -1,0 +1,231 @@
+"""Simulation of the package under a tool motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
+from bellows_ros.core.model.equilibrium import largest_step, static_equilibrium, substeps_of
+from bellows_ros.core.model.kernels import (
+    advance,
+    lip_wrench,
+    ModelTuple,
+    State,
+)
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.errors import BellowsError, UnstableError
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+def state_row(
+    position: ArrayLike, quaternion_xyzw: ArrayLike, twist: ArrayLike = (0.0,) * 6
+) -> State:
+    """Return a pose and a body twist, at rest when left out, as the kernels take them."""
+    o = [float(value) for value in np.asarray(position)]
+    q = [float(value) for value in np.asarray(quaternion_xyzw)]
+    v = [float(value) for value in np.asarray(twist)]
+    return (o[0], o[1], o[2]), (q[0], q[1], q[2], q[3]), (v[0], v[1], v[2]), (v[3], v[4], v[5])
+
+
+STILL = (1e-3, 1e-2)
+"""A tool that is faster (m/s, rad/s) moves."""
+
+
+def stands(row: Array) -> bool:
+    """Return whether the tool of a row (13,) stands still."""
+    speed, rate = np.linalg.norm(row[7:10]), np.linalg.norm(row[10:])
+    return bool(speed <= STILL[0] and rate <= STILL[1])
+
+
+def rest(model: ModelTuple, row: Array, near: State | None = None) -> State:
+    """Return the package at rest under the tool of a row (13,), near a state if given."""
+    return static_equilibrium(model, state_row(row[:3], row[3:7]), near)
+
+
+def diverged() -> UnstableError:
+    """Return the error for a prediction that is not finite."""
+    return UnstableError(
+        'The prediction along the plan diverges. Check the plan for jumps, and cup.stiffness, '
+        'cup.damping, package.mass and their units.')
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Rows:
+    """
+    A checked motion of the tool in the form of the kernels.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        ns.
+    rows : array (N, 13)
+        As `tool_rows` returns them.
+
+    """
+
+    stamps_ns: Stamps
+    rows: Array
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.stamps_ns)
+
+    @property
+    def seconds(self) -> Array:
+        """Times since the first sample, s (N,)."""
+        return np.asarray((self.stamps_ns - self.stamps_ns[0]) / NS_PER_S)
+
+    def trajectory(self) -> Trajectory:
+        """Return it as a checked trajectory."""
+        return Trajectory(self.stamps_ns, self.rows[:, :3],
+                          quaternion_to_rotation(self.rows[:, 3:7]), self.rows[:, 7:])
+
+
+def tool_rows(tool: Trajectory | Rows) -> Array:
+    """Return a motion with twists as rows (N, 13): position, quaternion xyzw, body twist."""
+    if isinstance(tool, Rows):
+        return tool.rows
+    if tool.twist is None:
+        raise BellowsError('The tool trajectory has no twists; filter or differentiate it first.')
+    return np.hstack([tool.position, rotation_to_quaternion(tool.rotation), tool.twist])
+
+
+def simulate(
+    cup: Cup,
+    package: Package,
+    tool: Trajectory,
+    start: State | None = None,
+    gravity: float | ArrayLike = STANDARD_GRAVITY,
+    substeps: int | None = None,
+) -> Trajectory:
+    """
+    Simulate the package under a whole tool motion.
+
+    Parameters
+    ----------
+    cup : Cup
+        What connects tool and package.
+    package : Package
+        What hangs on it.
+    tool : Trajectory
+        N poses of E in the world with body twists; cubic Hermite in between.
+    start : State, optional
+        State of B in the world at the first sample; static equilibrium when left out.
+    gravity : float or array_like (3,)
+        Along -z of the world, or as a vector there, m/s^2.
+    substeps : int, optional
+        Integration steps per tool sample; chosen from the model's fastest mode when left out.
+
+    Returns
+    -------
+    Trajectory
+        N poses and body twists of B in the world, at the tool's stamps.
+
+    Raises
+    ------
+    BellowsError
+        If there is no static equilibrium to start from, or the simulation does not stay finite.
+
+    Examples
+    --------
+    A tool that moves steadily along x for a second: the package, which hung straight below it,
+    is pulled along and swings.
+
+    >>> t = np.linspace(0.0, 1.0, 501)
+    >>> tool = bellows_ros.Trajectory(
+    ...     stamps_ns=np.arange(501) * 2_000_000,
+    ...     position=np.column_stack([0.2 * t, 0.0 * t, 0.0 * t]),
+    ...     rotation=np.broadcast_to(np.eye(3), (501, 3, 3)),
+    ...     twist=np.tile([0.2, 0.0, 0.0, 0.0, 0.0, 0.0], (501, 1)))
+    >>> cup = bellows_ros.read_cup('bags/cup.yaml')
+    >>> package = bellows_ros.read_package('bags/package.yaml')
+    >>> moved = bellows_ros.simulate(cup, package, tool)
+    >>> len(moved), bool(moved.position[-1, 0] > 0.15)
+    (501, True)
+
+    """
+    model = model_tuple(cup, package, gravity)
+    rows = tool_rows(tool)
+    durations = np.diff(tool.stamps_ns) * 1e-9
+    steps = (substeps_of(durations, largest_step(model)) if substeps is None
+             else np.full(len(durations), substeps, dtype=np.int64))
+    try:
+        out = simulate_rows(model, start or rest(model, rows[0]), rows, durations, steps)
+    except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+        out = np.full(1, np.nan)
+    if not np.all(np.isfinite(out)):
+        raise UnstableError(
+            'The simulation diverged. The cup is too stiff for the sampling time, or its '
+            'damping is negative. Check cup.stiffness, cup.damping and their units.'
+        )
+    return Trajectory(
+        stamps_ns=tool.stamps_ns,
+        position=out[:, :3],
+        rotation=quaternion_to_rotation(out[:, 3:7]),
+        twist=out[:, 7:],
+    )
+
+
+def simulate_rows(
+    model: ModelTuple, start: State, tool: Array, durations: Array, substeps: Stamps
+) -> Array:
+    """Return the package's state rows (N, 13) for as many tool rows and the times between."""
+    out = np.empty((len(tool), 13))
+    _simulate(model, start, *as_inputs(tool, durations, substeps), out)
+    return out
+
+
+@kernel
+def row_state(row: Array) -> State:
+    """Return the state in one row of 13 numbers."""
+    return (
+        (row[0], row[1], row[2]),
+        (row[3], row[4], row[5], row[6]),
+        (row[7], row[8], row[9]),
+        (row[10], row[11], row[12]),
+    )
+
+
+@kernel
+def write_row(row: Array, state: State) -> None:
+    """Write a state into one row of 13 numbers."""
+    row[0], row[1], row[2] = state[0]
+    row[3], row[4], row[5], row[6] = state[1]
+    row[7], row[8], row[9] = state[2]
+    row[10], row[11], row[12] = state[3]
+
+
+@kernel
+def _simulate(
+    model: ModelTuple, start: State, tool: Any, durations: Any, substeps: Any, out: Array
+) -> None:
+    """Advance from row to row."""
+    body = start
+    write_row(out[0], body)
+    before = row_state(tool[0])
+    for k in range(len(durations)):
+        after = row_state(tool[k + 1])
+        body = advance(model, body, before, after, durations[k], substeps[k])
+        write_row(out[k + 1], body)
+        before = after
+
+
+def lip_wrenches(model: ModelTuple, tool: Trajectory, body: Trajectory) -> Array:
+    """Return the wrenches (N, 6) of the cup on the package at the lip, in S axes, N and N m."""
+    out = np.empty((len(tool), 6))
+    _lip_wrenches(model, tool_rows(tool), tool_rows(body), out)
+    return out
+
+
+@kernel
+def _lip_wrenches(model: ModelTuple, tool: Array, body: Array, out: Array) -> None:
+    """Write the wrench of every row."""
+    for k in range(len(out)):
+        f, m = lip_wrench(model, row_state(tool[k]), row_state(body[k]))
+        out[k, 0], out[k, 1], out[k, 2] = f
+        out[k, 3], out[k, 4], out[k, 5] = m

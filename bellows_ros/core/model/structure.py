@@ -1,0 +1,215 @@
+"""
+Structures of K and P: which entries are free, and which are tied by symmetry.
+
+A new structure is one entry in `STRUCTURES`: whatever depends on the structure follows from it.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations_with_replacement
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
+"""Names of the six directions: translations, then rotations."""
+
+Block = tuple[tuple[int, float], ...]
+"""Axes coupled with each other, each with its sign."""
+
+Entry = tuple[int, int, float]
+"""Row and column in the upper triangle, and the parameter's sign there."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """
+    A linear family of symmetric 6x6 matrices, the same for K and for P.
+
+    Parameters
+    ----------
+    name : str
+        As in fit.structure.
+    meaning : str
+        What it assumes of the cup, in a few words.
+    groups : tuple of str
+        Blocks of coupled axes; those joined by '=' hold the same numbers, and a minus turns an
+        axis round: with 'x ry = y -rx' K[x,x] = K[y,y], K[ry,ry] = K[rx,rx], K[x,ry] = -K[y,rx].
+        Axes of different blocks are not coupled.
+
+    """
+
+    name: str
+    meaning: str
+    groups: tuple[str, ...]
+
+    @cached_property
+    def blocks(self) -> tuple[tuple[Block, ...], ...]:
+        """The blocks of each group, which hold the same parameters."""
+        return tuple(
+            tuple(
+                tuple((AXES.index(axis.lstrip('-')), -1.0 if '-' in axis else 1.0)
+                      for axis in block.split())
+                for block in group.split('='))
+            for group in self.groups)
+
+    @cached_property
+    def entries(self) -> tuple[tuple[Entry, ...], ...]:
+        """For every parameter of one matrix the entries that it sets, the first with sign +1."""
+        parameters = []
+        for blocks in self.blocks:
+            for i, j in combinations_with_replacement(range(len(blocks[0])), 2):
+                entries = [_entry(block[i], block[j]) for block in blocks]
+                lead = min(entries)[2]
+                parameters.append(tuple(sorted(
+                    (row, column, sign * lead) for row, column, sign in entries)))
+        return tuple(sorted(parameters))
+
+    @property
+    def leads(self) -> tuple[tuple[int, int], ...]:
+        """Row and column of the first entry of every parameter, whose value it is."""
+        return tuple(entries[0][:2] for entries in self.entries)
+
+    @property
+    def size(self) -> int:
+        """Number of free parameters of one matrix."""
+        return len(self.entries)
+
+    @property
+    def couples(self) -> bool:
+        """Whether it couples directions, and so the weight of a fit the components."""
+        return any(len(blocks[0]) > 1 for blocks in self.blocks)
+
+    @property
+    def tied_axes(self) -> tuple[tuple[int, ...], ...]:
+        """Axes that share their entries on the diagonal."""
+        return tuple(
+            tuple(row for row, _, _ in entries)
+            for entries, (i, j) in zip(self.entries, self.leads, strict=True) if i == j)
+
+    @cached_property
+    def basis(self) -> list[Array]:
+        """The symmetric matrices (6, 6) of the parameters' units."""
+        matrices = []
+        for entries in self.entries:
+            unit = np.zeros((6, 6))
+            for row, column, sign in entries:
+                unit[row, column] = unit[column, row] = sign
+            matrices.append(unit)
+        return matrices
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the parameters, 'K x', 'K rx', 'K x-rz', ..., then those of P."""
+        names = [AXES[i] if i == j else f'{AXES[i]}-{AXES[j]}' for i, j in self.leads]
+        return tuple(f'{matrix} {name}' for matrix in 'KP' for name in names)
+
+    @cached_property
+    def upper(self) -> Array:
+        """The upper triangles (42, 2 n) of K and P, row by row, by the parameters."""
+        return np.kron(np.eye(2), np.transpose([unit[np.triu_indices(6)] for unit in self.basis]))
+
+    def matrices(self, x: Array) -> tuple[Array, Array]:
+        """Return K and P (6, 6) of the parameters x (2 n,)."""
+        basis = np.array(self.basis)
+        return (
+            np.tensordot(x[: self.size], basis, axes=1),
+            np.tensordot(x[self.size:], basis, axes=1),
+        )
+
+    def spread(self, errors: Array) -> tuple[Array, Array]:
+        """Return errors (2 n,) of the parameters, which may be infinite, as those of K and P."""
+        both = np.zeros((2, 6, 6))
+        for number, error in enumerate(errors.tolist()):
+            matrix, parameter = divmod(number, self.size)
+            for row, column, _ in self.entries[parameter]:
+                both[matrix, row, column] = both[matrix, column, row] = error
+        return both[0], both[1]
+
+    def parameters(self, stiffness: Array, damping: Array) -> Array:
+        """Return the parameters x (2 n,) nearest to K and P: the mean of tied entries."""
+        return np.array(
+            [
+                np.mean([sign * matrix[row, column] for row, column, sign in entries])
+                for matrix in (stiffness, damping)
+                for entries in self.entries
+            ]
+        )
+
+    def within(self, other: 'Structure') -> Array:
+        """Return T (2 m, 2 n) with which parameters x of this structure are T x of another."""
+        return np.column_stack([
+            other.parameters(*self.matrices(unit)) for unit in np.eye(2 * self.size)])
+
+    def sizes(self, stiffness: Array, damping: Array) -> Array:
+        """Return the scale of each parameter (2 n,): the root of its two diagonal entries."""
+        i, j = np.array(self.leads).T
+        return np.concatenate([
+            np.sqrt(np.abs(M[i, i] * M[j, j])) for M in (stiffness, damping)])
+
+    def contains(self, other: 'Structure') -> bool:
+        """Return whether every matrix of another structure also has this structure."""
+        return all(
+            np.array_equal(self.matrices(self.parameters(unit, unit))[0], unit)
+            for unit in other.basis)
+
+    def covariance(self, count: int, mean: Array, scatter: Array) -> Array:
+        """
+        Return Q (6, 6) of six-vectors in the form of this structure.
+
+        Whole blocks (4.69), those that are tied pooled about their common mean (4.80).
+
+        Parameters
+        ----------
+        count : int
+            How many vectors.
+        mean : ndarray (6,)
+            Of them.
+        scatter : ndarray (6, 6)
+            Sum of the products of their deviations from the mean.
+
+        """
+        Q = np.zeros((6, 6))
+        for blocks in self.blocks:
+            axes = [[axis for axis, _ in block] for block in blocks]
+            signs = [np.array([sign for _, sign in block]) for block in blocks]
+            parts = list(zip(axes, signs, strict=True))
+            means = [mean[index] * sign for index, sign in parts]
+            apart = [own - np.mean(means, axis=0) for own in means]
+            total = sum(
+                scatter[np.ix_(index, index)] * np.outer(sign, sign) + count * np.outer(off, off)
+                for (index, sign), off in zip(parts, apart, strict=True))
+            for index, sign in parts:
+                Q[np.ix_(index, index)] = (
+                    total * np.outer(sign, sign) / (len(blocks) * count - 1))
+        return Q
+
+
+def _entry(one: tuple[int, float], other: tuple[int, float]) -> Entry:
+    """Return the entry of two signed axes."""
+    (row, sign), (column, other_sign) = sorted((one, other))
+    return row, column, sign * other_sign
+
+
+STRUCTURES = {structure.name: structure for structure in (
+    Structure('axisymmetric', 'diagonal and equal laterally', ('x = y', 'z', 'rx = ry', 'rz')),
+    Structure('axisymmetric_coupled', 'as axisymmetric, with its centre of stiffness anywhere on '
+              'the axis', ('x ry = y -rx', 'z', 'rz')),
+    Structure('diagonal', 'no coupling of directions', ('x', 'y', 'z', 'rx', 'ry', 'rz')),
+    Structure('full', 'any symmetric matrix', ('x y z rx ry rz',)),
+)}
+"""From the simplest to the most general."""
+
+
+def structure_named(name: str) -> Structure:
+    """Return the structure of a name, or raise BellowsError listing those there are."""
+    if name not in STRUCTURES:
+        raise BellowsError(
+            f"fit.structure is '{str(name)[:40]}'; expected one of {', '.join(STRUCTURES)}.")
+    return STRUCTURES[name]
+
+
+def common_structure(one: Structure, other: Structure) -> Structure:
+    """Return the simplest structure that contains two."""
+    return next(s for s in STRUCTURES.values() if s.contains(one) and s.contains(other))

@@ -1,0 +1,247 @@
+"""
+Validity range of a fit: ranges of deflection, rates, frequencies and mass.
+
+A model that was fitted to small bending has not been tried at large bending, and so on: outside
+of the envelope a prediction is an extrapolation. Light enough for the live predictor; what takes
+an envelope from recordings is in `seen`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Context, ROUND_CEILING, ROUND_FLOOR
+from typing import Any
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import ArrayLike
+
+DIRECTIONS = (
+    'displacement in x', 'displacement in y', 'displacement in z',
+    'bending about x', 'bending about y', 'torsion',
+)
+"""Names of the coordinates of the lip in the tool: shift (m) and rotation vector (rad)."""
+
+UNITS = ('mm',) * 3 + ('mrad',) * 3
+
+LEAST_DEFLECTION = np.array([5e-4] * 3 + [5e-3] * 3)
+LEAST_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
+"""Smallest width of a validity range (m, rad; m/s, rad/s), so that noise does not leave it."""
+
+LEAST_FREQUENCY, FREQUENCY_MARGIN = 1.0, 1.25
+"""Bands reach at least this high (Hz), and are exceeded by a frequency this many times higher."""
+
+MASS_MARGIN = 0.1
+"""Masses within this fraction of those in the fit are inside the validity range."""
+
+DOWN, UP = (Context(prec=6, rounding=way) for way in (ROUND_FLOOR, ROUND_CEILING))
+ROUNDING = {
+    'deflection_low': (DOWN,) * 6, 'deflection_high': (UP,) * 6, 'rates': (UP,) * 6,
+    'frequencies': (DOWN, UP) * 2, 'mass': (DOWN, UP),
+}
+"""Outward, so that what is in a range stays in it."""
+
+FIELDS = tuple(ROUNDING)
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """
+    Ranges that the recordings of a fit cover.
+
+    Parameters
+    ----------
+    deflection_low, deflection_high : ndarray (6,)
+        Of the lip from its nominal pose, in tool axes: shift (m), and rotation vector (rad),
+        whose x and y are bending and whose z is torsion.
+    rates : ndarray (6,)
+        Largest absolute twist of the lip in the tool, in lip axes, m/s and rad/s.
+    frequencies : ndarray (2, 2)
+        Bands (low, high) in Hz with 95 % of the power of shift and of rotation.
+    mass : ndarray (2,)
+        Smallest and largest mass, kg.
+
+    """
+
+    deflection_low: Array
+    deflection_high: Array
+    rates: Array
+    frequencies: Array
+    mass: Array
+
+    def __post_init__(self) -> None:
+        """Check and freeze."""
+        for name, shape in zip(FIELDS, ((6,), (6,), (6,), (2, 2), (2,)), strict=True):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise BellowsError(
+                    f'Envelope: {name} must be finite numbers of shape {shape}, not '
+                    f'{array.tolist()}.'
+                )
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        ordered = (
+            (self.deflection_low <= self.deflection_high).all()
+            and (self.frequencies[:, 0] <= self.frequencies[:, 1]).all()
+            and self.mass[0] <= self.mass[1]
+            and (self.rates >= 0.0).all()
+        )
+        if not ordered:
+            raise BellowsError('Envelope: a range ends below its beginning.')
+
+    def parameters(self) -> dict[str, tuple[float, ...]]:
+        """Return the parameters of the cup file: six digits, rounded outward."""
+        return {
+            f'envelope.{name}': tuple(
+                float(way.create_decimal(repr(x)))
+                for x, way in zip(getattr(self, name).ravel().tolist(), ways, strict=True)
+            )
+            for name, ways in ROUNDING.items()
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content for the result of a fit."""
+        return {
+            'directions': DIRECTIONS,
+            'units': {
+                **dict.fromkeys(('deflection_low', 'deflection_high'), ['m'] * 3 + ['rad'] * 3),
+                'rates': ['m/s'] * 3 + ['rad/s'] * 3, 'frequencies': 'Hz', 'mass': 'kg',
+            },
+            **{name: getattr(self, name) for name in FIELDS},
+        }
+
+
+def joined_envelopes(parts: Sequence[Envelope]) -> Envelope:
+    """Return the validity range of all recordings together: the widest of each."""
+    low, high, rates, bands, mass = (
+        np.array([getattr(part, name) for part in parts])
+        for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass')
+    )
+    return Envelope(
+        low.min(axis=0),
+        high.max(axis=0),
+        rates.max(axis=0),
+        np.column_stack([bands[:, :, 0].min(axis=0), bands[:, :, 1].max(axis=0)]),
+        np.array([mass[:, 0].min(), mass[:, 1].max()]),
+    )
+
+
+@dataclass(frozen=True)
+class Distance:
+    """
+    Distance of a state from the validity range.
+
+    Parameters
+    ----------
+    value : float
+        0 in the middle of all ranges, 1 on the edge of one, above 1 outside.
+    outside : tuple of str
+        A phrase for each range that is left, the farthest first.
+
+    """
+
+    value: float
+    outside: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """Return a sentence on it."""
+        if not self.outside:
+            return 'Inside of what the fit has seen.'
+        return f'Outside the validity range: {"; ".join(self.outside)}.'
+
+
+def distance(
+    known: Envelope, deflection: ArrayLike, rates: ArrayLike, mass: float
+) -> Distance:
+    """
+    Return the distance of a state from the validity range.
+
+    A state has no frequency: a motion that is faster than any seen shows by its rates. Bands are
+    compared in `beyond`.
+
+    Parameters
+    ----------
+    known : Envelope
+        What the fit has seen.
+    deflection, rates : array_like (6,)
+        Of the lip, as in `Envelope`.
+    mass : float
+        Of the package, kg.
+
+    """
+    return _worst_first(
+        _deflections(known, np.asarray(deflection, dtype=float))
+        + _rates(known, np.asarray(rates, dtype=float)) + _mass(known, mass))
+
+
+def _worst_first(found: list[tuple[float, str]]) -> Distance:
+    """Return the largest distance, and the words for those above 1."""
+    found = sorted(found, key=lambda item: -item[0])
+    return Distance(found[0][0], tuple(words for part, words in found if part > 1.0))
+
+
+def beyond(known: Envelope, other: Envelope) -> tuple[str, ...]:
+    """Return a phrase for each range that another envelope exceeds, the worst first."""
+    ends = (_deflections(known, end) for end in (other.deflection_low, other.deflection_high))
+    found = [
+        *map(max, *ends), *_rates(known, other.rates), *_frequencies(known, other.frequencies),
+        *max(_mass(known, mass) for mass in other.mass.tolist())]
+    return _worst_first(found).outside
+
+
+def known_envelope(values: Mapping[str, Any]) -> Envelope | None:
+    """Return the envelope in parameter values, or None if all are zero: unknown."""
+    parts = {name: values.get(f'envelope.{name}', ()) for name in FIELDS}
+    if not any(any(part) for part in parts.values()):
+        return None
+    frequencies = np.reshape(parts.pop('frequencies'), (2, 2))
+    return Envelope(frequencies=frequencies, **{k: np.array(v) for k, v in parts.items()})
+
+
+def _deflections(known: Envelope, value: Array) -> list[tuple[float, str]]:
+    """Return distance and words for each deflection."""
+    middle = 0.5 * (known.deflection_high + known.deflection_low)
+    half = np.maximum(0.5 * (known.deflection_high - known.deflection_low), LEAST_DEFLECTION)
+    low, high = 1e3 * known.deflection_low, 1e3 * known.deflection_high
+    return [
+        (part, f'{DIRECTIONS[i]} is {1e3 * value[i]:.3g} {UNITS[i]}, seen {low[i]:.3g} to '
+               f'{high[i]:.3g} {UNITS[i]}')
+        for i, part in enumerate((np.abs(value - middle) / half).tolist())
+    ]
+
+
+def _rates(known: Envelope, value: Array) -> list[tuple[float, str]]:
+    """Return distance and words for each rate."""
+    parts = np.abs(value) / np.maximum(known.rates, LEAST_RATE)
+    return [
+        (part, f'the rate of {DIRECTIONS[i]} is {abs(value[i]):.3g} '
+               f'{"m/s" if i < 3 else "rad/s"}, seen up to {known.rates[i]:.3g}')
+        for i, part in enumerate(parts.tolist())
+    ]
+
+
+def _frequencies(known: Envelope, bands: Array) -> list[tuple[float, str]]:
+    """
+    Return distance and words for the upper ends of frequency bands.
+
+    Slower than seen is no extrapolation: the spring is the same at rest.
+    """
+    tops = np.maximum(known.frequencies[:, 1], LEAST_FREQUENCY)
+    if not known.frequencies.any():  # not known
+        return []
+    return [
+        (top / seen / FREQUENCY_MARGIN, f'the {name} goes up to {top:.3g} Hz, seen {seen:.3g} Hz')
+        for name, top, seen in zip(
+            ('shift', 'rotation'), bands[:, 1].tolist(), tops.tolist(), strict=True)
+    ]
+
+
+def _mass(known: Envelope, mass: float) -> list[tuple[float, str]]:
+    """Return distance and text for the mass; nothing if no mass is known."""
+    low, high = known.mass.tolist()
+    if high <= 0.0:
+        return []
+    half = 0.5 * (high - low) + MASS_MARGIN * 0.5 * (high + low)
+    words = f'{low:.4g}' if low == high else f'{low:.4g} to {high:.4g}'
+    return [(abs(mass - 0.5 * (low + high)) / half, f'the mass is {mass:.4g} kg, seen {words}')]

@@ -1,0 +1,1 @@
+"""The table of parameters, checks of their values, and nested settings."""

@@ -1,0 +1,249 @@
+"""Validation of parameter values against the table."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Iterable, Mapping
+import math
+from typing import Any
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model.matrices import (
+    check_inertia,
+    inertia_matrix,
+    matrix,
+    require_damping,
+    require_stiffness,
+)
+from bellows_ros.core.parameters.table import (
+    lookup,
+    NAMED_CUP,
+    Parameter,
+    PARAMETERS,
+    short,
+    Value,
+)
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import ArrayLike
+
+PACKAGE_PARAMETERS = ('package.mass', 'package.inertia', 'package.com')
+"""Required by both nodes, without a default."""
+
+RECORDING_PARAMETERS = ('recording.package_frame', *PACKAGE_PARAMETERS)
+"""Required to read a recording."""
+
+UNIT_WITHIN = 1e-3
+"""Tolerance of the length of a quaternion written with few digits."""
+
+ESTIMATE = 'estimate'
+"""Value of recording.package_world that asks for its estimation."""
+
+
+def validate(name: str, value: object) -> Value:
+    """
+    Check one value and return it in its normal form.
+
+    Parameters
+    ----------
+    name : str
+        Dotted name of the table.
+    value : object
+        From YAML, ROS or Python; integers are taken for doubles, arrays may be lists, tuples or
+        1-D NumPy arrays.
+
+    Returns
+    -------
+    bool, int, float, str, or tuple of float or str
+
+    Raises
+    ------
+    BellowsError
+        If the name is unknown or the value is not allowed, with the reason.
+
+    """
+    parameter = lookup(name)
+    if name == 'recording.package_world':
+        value = _world_text(parameter, value)
+    normal = convert(parameter, value)
+    check = _PHYSICAL.get(name) or _PHYSICAL.get(NAMED_CUP.sub(r'cup.\2', name))
+    if check:
+        check(parameter, normal)
+    return normal
+
+
+def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[str, Value]:
+    """
+    Check all values and fill in the defaults.
+
+    Parameters
+    ----------
+    values : mapping
+        Dotted name to value.
+    required : names, optional
+        Those that must be given because they have no default, `PACKAGE_PARAMETERS` for instance.
+
+    Returns
+    -------
+    dict
+        Every parameter of the table in the table's order, without those that have no default and
+        were not given.
+
+    Raises
+    ------
+    BellowsError
+        For an unknown name, a value that is not allowed, or a required parameter that is missing.
+
+    """
+    given = {lookup(name).name: validate(name, value) for name, value in values.items()}
+    require(given, required)
+    named = {name: value for name, value in given.items() if name not in PARAMETERS}
+    filled = {**{p.name: given.get(p.name, p.default) for p in PARAMETERS.values()}, **named}
+    resolved = {name: value for name, value in filled.items() if value is not None}
+    for body in ('filter.tool', 'filter.package'):
+        half_window, order = resolved[f'{body}.half_window'], resolved[f'{body}.order']
+        if isinstance(half_window, int) and isinstance(order, int) and 0 < 2 * half_window < order:
+            raise BellowsError(
+                f'{body}.order is {order}, but a window of {2 * half_window + 1} samples '
+                f'({body}.half_window {half_window}) determines at most order {2 * half_window}. '
+                'Widen the window or lower the order.'
+            )
+    return resolved
+
+
+def pose_text(pose: Array) -> str:
+    """Return position and quaternion (7,) as the parameter recording.package_world has them."""
+    return ' '.join(f'{x:.10g}' for x in pose)
+
+
+def convert(parameter: Parameter, value: object) -> Value:
+    """
+    Return a value of a parameter in its normal form, without physical checks.
+
+    Raises
+    ------
+    BellowsError
+        If it is not of the parameter's kind and in its range.
+
+    """
+    if parameter.kind == 'bool':
+        if not isinstance(value, bool | np.bool_):
+            raise _refuse(parameter, short(value))
+        return bool(value)
+    if parameter.kind == 'string':
+        return _text(parameter, value)
+    if parameter.kind in ('integer', 'double'):
+        return _number(parameter, value)
+    items = _items(parameter, value)
+    if parameter.kind == 'string_array':
+        return tuple(_text(parameter, x, f' at index {i}') for i, x in enumerate(items))
+    if parameter.length not in (None, len(items)):
+        raise _refuse(parameter, f'{len(items)} of them')
+    return tuple(float(_number(parameter, x, f' at index {i}')) for i, x in enumerate(items))
+
+
+def _refuse(parameter: Parameter, got: str) -> BellowsError:
+    """Return the error for an invalid value."""
+    return BellowsError(
+        f'{parameter.name} must be {parameter.constraint}, got {got}. {parameter.description}'
+        .rstrip())
+
+
+def _world_text(parameter: Parameter, value: object) -> str:
+    """Return seven numbers, given as a list or a text, as a text; other values unchanged."""
+    parts = value.replace(',', ' ').strip('[] ').split() if isinstance(value, str) else value
+    if parts in ([], [ESTIMATE]):
+        return ''.join(parts)
+    try:
+        pose = np.array(parts, dtype=np.float64, ndmin=1)
+    except (TypeError, ValueError):
+        pose = np.empty(0)
+    length = float(np.linalg.norm(pose[3:]))
+    if pose.shape != (7,) or not np.isfinite(pose).all() or abs(length - 1.0) > UNIT_WITHIN:
+        raise BellowsError(
+            f"{parameter.name} must be seven numbers 'x y z qx qy qz qw' with a quaternion of "
+            f"length 1, or {ESTIMATE}, or '', got {short(value)}. {parameter.description}")
+    pose[3:] /= length
+    return pose_text(pose)
+
+
+def _items(parameter: Parameter, value: object) -> list[object]:
+    """Return the items of a list, a tuple or a one-dimensional array."""
+    if isinstance(value, np.ndarray) and value.ndim == 1:
+        return list(value.tolist())
+    if isinstance(value, list | tuple | array):
+        return list(value)
+    if isinstance(value, str):  # which `ros2 param set` makes of a list of 0 and 0.5
+        numbers = parameter.kind == 'double_array'
+        hint = '. Write every number with a decimal point: 0.0, not 0' if numbers else ''
+        raise _refuse(parameter, f"the text '{short(value)}'{hint}")
+    raise _refuse(parameter, short(value))
+
+
+def _text(parameter: Parameter, value: object, where: str = '') -> str:
+    """Return a text, one of the choices if there are any, without control characters."""
+    if not isinstance(value, str):
+        raise _refuse(parameter, f'{short(value)} ({type(value).__name__}){where}')
+    if any(ord(c) < 32 or ord(c) == 127 for c in value):  # no file, topic or frame has them
+        raise _refuse(parameter, f"a control character in '{short(value)}'{where}")
+    if not value and (where or parameter.required_text):
+        raise _refuse(parameter, f'an empty text{where}')
+    if parameter.choices and value not in parameter.choices:
+        raise _refuse(parameter, f"'{short(value)}'{where}")
+    return value
+
+
+def _number(parameter: Parameter, value: object, where: str = '') -> int | float:
+    """Return a finite number in range, a whole one if it must be; a truth value is no number."""
+    whole = parameter.kind == 'integer'
+    kinds = (int, np.integer) if whole else (int, float, np.integer, np.floating)
+    if isinstance(value, bool) or not isinstance(value, kinds):
+        raise _refuse(parameter, f'{short(value)} ({type(value).__name__}){where}')
+    low = -math.inf if parameter.minimum is None else parameter.minimum
+    high = math.inf if parameter.maximum is None else parameter.maximum
+    above = -math.inf if parameter.above is None else parameter.above
+    try:
+        fits = math.isfinite(value) and low <= value <= high and value > above
+    except OverflowError:  # an integer no double can hold
+        fits = False
+    if not fits:
+        large = parameter.unit and (value > high or -value > high)
+        unit = f' (is it in {parameter.unit}?)' if large else ''
+        raise _refuse(parameter, f'{short(value)}{where}{unit}')
+    return int(value) if whole else float(value)
+
+
+def require(given: Mapping[str, object], required: Iterable[str]) -> None:
+    """Refuse missing required parameters, in one message with an example."""
+    missing = [lookup(name) for name in required if name not in given]
+    if missing:
+        lines = [f'    {p.name}: {p.example}  # {p.unit}{". " * bool(p.unit)}{p.description}'
+                 for p in missing]
+        names = ', '.join(p.name for p in missing)
+        raise BellowsError(
+            f'Not set, and without a default: {names}. Set in a parameter file (--params FILE; of '
+            'a node --ros-args --params-file FILE), for example:\n\n/**:\n  ros__parameters:\n'
+            + '\n'.join(lines))
+
+
+_PHYSICAL: Mapping[str, Callable[[Parameter, Any], None]] = {
+    'package.inertia': lambda p, value: check_inertia(inertia_matrix(value)),
+    'cup.stiffness': lambda p, value: require_stiffness(matrix(value), p.name),
+    'cup.damping': lambda p, value: require_damping(matrix(value), p.name),
+    'gravity.direction': lambda p, value: require_direction(value),
+}
+
+
+def require_direction(direction: ArrayLike) -> None:
+    """Raise BellowsError for a vector (3,) without a direction."""
+    if not np.linalg.norm(direction) > 1e-6:
+        raise BellowsError(
+            'gravity.direction is zero, so that nothing is down. Give the direction in which '
+            'things fall, in axes of the world: [0.0, 0.0, -1.0] where z is up.'
+        )
+
+
+def gravity_of(values: Mapping[str, Any]) -> Array:
+    """Return the acceleration (3,) of gravity in the world, m/s^2, of parameter values."""
+    direction = np.asarray(values['gravity.direction'], dtype=np.float64)
+    return np.asarray(values['gravity.magnitude'] * (direction / np.linalg.norm(direction)))

@@ -1,0 +1,1 @@
+"""Planned motions: prediction, steering without swing, the shortest time, limits, arms."""

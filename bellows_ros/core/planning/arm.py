@@ -1,0 +1,252 @@
+"""Kinematics of an arm from its URDF: pose and Jacobian of the tool for joint positions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+import math
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import (
+    adjoint,
+    apply,
+    exp_so3,
+    inverse_transform,
+    log_se3,
+    rpy_rotation,
+    transform,
+)
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+LARGEST_URDF = 10_000_000
+"""Largest number of characters in a URDF."""
+
+POSE_TOLERANCE, MOST_STEPS = 1e-9, 30
+"""Inverse kinematics: largest error of the tool pose (m, rad), and most iterations."""
+LONGEST_STEP, SINGULAR = 0.5, 1e-4
+"""Longest step (rad, m), and singular values below this fraction of the largest are dropped."""
+
+TURNING, SLIDING = ('revolute', 'continuous'), ('prismatic',)
+
+
+class Joint(NamedTuple):
+    """A joint of the chain: its child's pose is origin times the motion along the axis."""
+
+    name: str
+    kind: str
+    origin: Array
+    """(4, 4), of the joint in its parent."""
+    axis: Array
+    """(3,), of unit length, in the joint's own frame."""
+    lower: float = -math.inf
+    upper: float = math.inf
+    """Ends of its range, rad or m."""
+    speed: float = math.inf
+    """Maximum, rad/s or m/s."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """
+    The joints from the root of a URDF to the tool, in this order.
+
+    Parameters
+    ----------
+    root, tool_link : str
+        Links; poses of the tool are those of `tool_link` in `root`.
+    joints : tuple of Joint
+
+    """
+
+    root: str
+    tool_link: str
+    joints: tuple[Joint, ...]
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Names of the joints that are not fixed."""
+        return tuple(joint.name for joint in self.joints if joint.kind != 'fixed')
+
+    def columns(self, names: Sequence[str], of: str) -> list[int]:
+        """
+        Return the columns of this arm's joints among the names.
+
+        Raises
+        ------
+        BellowsError
+            If one is missing; `of` says what has the names.
+
+        """
+        missing = [name for name in self.moving if name not in names]
+        if missing:
+            raise BellowsError(
+                f"{of} lacks the joint '{missing[0]}' on the way from '{self.root}' to "
+                f"'{self.tool_link}'; it has {', '.join(names) or 'none'}. Give the URDF of this "
+                'arm, or another tool_link.')
+        return [list(names).index(name) for name in self.moving]
+
+    def tool(self, position: Array, velocity: Array | None = None) -> tuple[Array, Array]:
+        """
+        Return poses (N, 4, 4) and body twists (N, 6) of the tool.
+
+        Parameters
+        ----------
+        position, velocity : array (N, M)
+            Of the moving joints in their order, rad or m and per second; at rest without.
+
+        """
+        velocity = np.zeros_like(position) if velocity is None else velocity
+        T, twist = np.tile(np.eye(4), (len(position), 1, 1)), np.zeros((len(position), 6))
+        column = 0
+        for joint in self.joints:
+            step, along = joint.origin[None], np.zeros(6)
+            if joint.kind != 'fixed':
+                q = position[:, column, None] * joint.axis
+                turns = joint.kind in TURNING
+                motion = transform(exp_so3(q), np.zeros(3)) if turns else transform(np.eye(3), q)
+                step = joint.origin @ motion
+                along[3:] = joint.axis if turns else 0.0
+                along[:3] = 0.0 if turns else joint.axis
+                along = velocity[:, column, None] * along
+                column += 1
+            twist = apply(adjoint(inverse_transform(step)), twist) + along
+            T = T @ step
+        return T, twist
+
+    def jacobian(self, position: Array) -> Array:
+        """Return the derivative (N, 6, M) of the tool's displacement in its own axes."""
+        count, moving = position.shape
+        _, twist = self.tool(
+            np.repeat(position, moving, axis=0), np.tile(np.eye(moving), (count, 1)))
+        return np.swapaxes(twist.reshape(count, moving, 6), 1, 2)
+
+    def positions(self, T: Array, near: Array) -> Array:
+        """
+        Return the joints (N, M) for tool poses (N, 4, 4), all near the given ones (M,).
+
+        Raises
+        ------
+        BellowsError
+            If a pose is out of reach, or lies beyond a singularity.
+
+        """
+        position = np.tile(near, (len(T), 1))
+        for _ in range(MOST_STEPS):
+            error = log_se3(inverse_transform(self.tool(position)[0]) @ T)
+            if np.abs(error).max() < POSE_TOLERANCE:
+                return position
+            step = np.linalg.pinv(self.jacobian(position), rcond=SINGULAR) @ error[:, :, None]
+            position = position + np.clip(step[:, :, 0], -LONGEST_STEP, LONGEST_STEP)
+        far = int(np.argmax(np.abs(error).max(axis=1)))
+        raise BellowsError(
+            f'The arm cannot reach {np.round(T[far, :3, 3], 3).tolist()} m from the joint '
+            'positions of the start. Make the workspace smaller, or start away from '
+            'singularities and joint limits.')
+
+
+def read_arm(urdf: str, tool_link: str) -> Arm:
+    """
+    Return the chain to a link of a URDF.
+
+    Parameters
+    ----------
+    urdf : str
+        XML, as on /robot_description.
+    tool_link : str
+        The link at the tool tip E, z along the cup.
+
+    Raises
+    ------
+    BellowsError
+        If it is no URDF, the link is not in it, or a joint on the way is of another kind than
+        fixed, revolute, continuous or prismatic.
+
+    """
+    robot = _robot(urdf)
+    by_child: dict[str, ElementTree.Element] = {}
+    for joint in robot.findall('joint'):
+        by_child[_link(joint, 'child')] = joint
+    links = [link.get('name', '') for link in robot.findall('link')]
+    if tool_link not in links:
+        near = get_close_matches(tool_link, links, n=1)
+        raise BellowsError(
+            f"tool_link '{tool_link}' is not in the URDF. "
+            + (f"Did you mean '{near[0]}'?" if near else f'There are: {", ".join(links[:20])}.'))
+    chain: list[ElementTree.Element] = []
+    link = tool_link
+    while link in by_child:
+        if len(chain) > len(by_child):
+            raise BellowsError(f"The URDF has a circle of joints at the link '{link}'.")
+        chain.append(by_child[link])
+        link = _link(by_child[link], 'parent')
+    return Arm(link, tool_link, tuple(_joint(element) for element in reversed(chain)))
+
+
+def _robot(urdf: str) -> ElementTree.Element:
+    """Return the root of a URDF, which may not define entities: they can be a bomb."""
+    if len(urdf) > LARGEST_URDF or '<!ENTITY' in urdf:
+        raise BellowsError(
+            f'The URDF is larger than {LARGEST_URDF} characters or defines entities; expected '
+            'plain XML, as xacro writes it.')
+    try:
+        robot = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError as error:
+        raise BellowsError(f'The URDF is not XML: {error}. If it is a xacro file, run xacro '
+                           'first.') from None
+    if robot.tag != 'robot':
+        raise BellowsError(f'A URDF starts with <robot>, this one with <{robot.tag}>.')
+    return robot
+
+
+def _link(joint: ElementTree.Element, role: str) -> str:
+    """Return the parent's or child's name of a joint."""
+    element = joint.find(role)
+    name = '' if element is None else element.get('link', '')
+    if not name:
+        raise BellowsError(f"Joint '{joint.get('name', '')}' of the URDF has no {role} link.")
+    return name
+
+
+def _joint(element: ElementTree.Element) -> Joint:
+    """Return a joint of the chain."""
+    name, kind = element.get('name', ''), element.get('type', '')
+    if kind not in ('fixed', *TURNING, *SLIDING) or element.find('mimic') is not None:
+        raise BellowsError(
+            f"Joint '{name}' on the way to the tool is {kind or 'of no kind'}"
+            f'{" and mimics another" if element.find("mimic") is not None else ""}; fixed, '
+            'revolute, continuous and prismatic joints can be followed.')
+    origin = element.find('origin')
+    attributes: Mapping[str, str] = {} if origin is None else origin.attrib
+    axis_of = element.find('axis')
+    axis = _numbers(name, 'axis', '1 0 0' if axis_of is None else axis_of.get('xyz', '1 0 0'))
+    length = float(np.linalg.norm(axis))
+    if kind != 'fixed' and not length > 0.0:
+        raise BellowsError(f"Joint '{name}' of the URDF has an axis of zero length.")
+    pose = transform(
+        rpy_rotation(_numbers(name, 'rpy', attributes.get('rpy', '0 0 0'))),
+        _numbers(name, 'xyz', attributes.get('xyz', '0 0 0')))
+    limit = element.find('limit')
+    ends = {} if limit is None else {
+        key: _numbers(name, f'limit {key}', text, 1)[0] for key, text in limit.attrib.items()
+        if key in (('velocity',) if kind == 'continuous' else ('lower', 'upper', 'velocity'))}
+    free = math.inf if limit is None or kind == 'continuous' else 0.0  # as URDF has it
+    return Joint(
+        name, kind, pose, axis / (length or 1.0), float(ends.get('lower', -free)),
+        float(ends.get('upper', free)), float(ends.get('velocity', math.inf)))
+
+
+def _numbers(name: str, what: str, text: str, count: int = 3) -> Array:
+    """Return the numbers in an attribute."""
+    try:
+        numbers = np.array([float(word) for word in text.split()])
+    except ValueError:
+        numbers = np.array([])
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+        wanted = 'a number' if count == 1 else 'three numbers'
+        raise BellowsError(
+            f"Joint '{name}' of the URDF: {what} must be {wanted}, got '{text[:60]}'.")
+    return numbers

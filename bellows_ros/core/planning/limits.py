@@ -1,0 +1,122 @@
+"""Speed, acceleration and jerk of a motion, and its stretching in time to meet limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import apply
+from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+RATES = {
+    'speed': 'm/s', 'acceleration': 'm/s^2', 'jerk': 'm/s^3',
+    'angular_speed': 'rad/s', 'angular_acceleration': 'rad/s^2', 'angular_jerk': 'rad/s^3',
+}
+"""Limited quantities and their units."""
+
+SPACING_NS = 4_000_000
+"""Spacing (ns) of the points that accelerations and jerks are computed from, as in drives."""
+
+SLOWEST, STEP = 20.0, 1.02
+"""A motion is stretched to no more than so many times its time, in steps of this factor where it
+is not known how much is needed, ..."""
+LEAST_STEP = 1.002
+"""... and at least by this factor."""
+
+NONE = 1e12
+"""Stands for no limit."""
+
+
+def read_rates(settings: Settings, default: float | None = None) -> dict[str, float]:
+    """Return the limits by the names of `RATES`, of the blocks `linear` and `angular`."""
+    found = {}
+    for kind, names in (('linear', tuple(RATES)[:3]), ('angular', tuple(RATES)[3:])):
+        block = settings.block(kind)
+        for name in names:
+            found[name] = block.number(
+                name.removeprefix('angular_'), default, RATES[name], above=0.0)
+    return found
+
+
+class Limits(NamedTuple):
+    """Limits of a motion; `NONE`, or 0 for the safety factor, means no limit."""
+
+    rates: Mapping[str, float]
+    """By the names of `RATES`, SI units."""
+    low: Array
+    high: Array
+    """Corners (3,) of the workspace of the tool tip, m."""
+    safety_factor: float
+
+
+def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float]:
+    """
+    Return the largest speed, acceleration and jerk, and the angular ones, SI, as in `RATES`.
+
+    Of rotations (N, 3, 3) to the world and body twists (N, 6) a step (s) apart, by differences.
+    """
+    found = []
+    for part in (twist[:, :3], twist[:, 3:]):
+        rate = apply(rotation, part)
+        for order in range(3):
+            sizes = np.linalg.norm(np.diff(rate, order, axis=0), axis=1) / step ** order
+            found.append(float(sizes.max()))
+    return dict(zip(RATES, found, strict=True))
+
+
+def demands(tool: Trajectory) -> dict[str, float]:
+    """Return the `largest_rates` of a motion from rest to rest, at points `SPACING_NS` apart."""
+    count = max(3, round(float(tool.stamps_ns[-1] - tool.stamps_ns[0]) / SPACING_NS))
+    at = np.linspace(0, int(tool.stamps_ns[-1] - tool.stamps_ns[0]), count + 1).astype(np.int64)
+    points = resample(tool, tool.stamps_ns[0] + at)
+    ends = ((2, 2), (0, 0))
+    return largest_rates(
+        np.pad(points.rotation, (*ends, (0, 0)), 'edge'), np.pad(np.asarray(points.twist), ends),
+        float(at[1]) / NS_PER_S)
+
+
+def too_much(limits: Limits, tool: Trajectory, safety_factor: float) -> tuple[float, str]:
+    """Return by how much a motion must be stretched in time, as far as is known, and why."""
+    asked = demands(tool)
+    over = [((asked[name] / limits.rates[name]) ** (1.0 / (1 + i % 3)), name)
+            for i, name in enumerate(RATES)]
+    inside = (tool.position >= limits.low - 1e-9) & (tool.position <= limits.high + 1e-9)
+    over.append((1.0 if inside.all() else STEP, 'workspace'))
+    over.append((1.0 if safety_factor >= limits.safety_factor else STEP, 'safety_factor'))
+    factor, name = max(over)
+    return factor, name
+
+
+def stretched(
+    limits: Limits, motion: Callable[[float], tuple[Trajectory, float]]
+) -> tuple[float, str]:
+    """
+    Return by how much a motion is stretched to stay within limits, and the last reason.
+
+    Parameters
+    ----------
+    limits : Limits
+        To keep to.
+    motion : callable
+        From a factor on time to the motion and its smallest safety factor.
+
+    Raises
+    ------
+    BellowsError
+        If nothing helps.
+
+    """
+    scale, reason = 1.0, ''
+    while scale < SLOWEST:
+        factor, name = too_much(limits, *motion(scale))
+        if factor <= 1.0:
+            return scale, reason
+        scale, reason = scale * max(factor, LEAST_STEP), name
+    raise BellowsError(
+        f'The motion exceeds the limit {reason} even at {SLOWEST:g} times its duration. Check '
+        'the limits, and that the plan begins and ends within them.')

@@ -1,0 +1,448 @@
+"""
+Prediction of the package along a plan of the tool, in one compiled pass.
+
+A plan is a `Trajectory` of E with body twists; the tool moves between its points along the cubic
+Hermite curve, and stands still after the last one. Loads are 1 / safety factor of the grip.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.tuples import (
+    add,
+    apply,
+    apply_transposed,
+    cross,
+    log_quaternion,
+    norm,
+    Quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_matrix,
+    scale,
+    subtract,
+    Vector,
+)
+from bellows_ros.core.model.equilibrium import largest_step, substeps_for
+from bellows_ros.core.model.grip import Grip, Margin, MODES, safety_factors
+from bellows_ros.core.model.kernels import (
+    cup_wrench,
+    lip_relative_to_tool,
+    ModelTuple,
+    State,
+    step,
+    tool_at,
+    tool_segment,
+)
+from bellows_ros.core.model.simulation import (
+    diverged,
+    rest,
+    row_state,
+    Rows,
+    stands,
+    tool_rows,
+    write_row,
+)
+from bellows_ros.core.model.validity_range import beyond, Envelope
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.errors import UnstableError
+import numpy as np
+
+SETTLED = math.radians(0.5)
+"""The package has settled when its rotation from rest stays below this (rad) ..."""
+QUIET, LONGEST_TAIL = 2.0, 30.0
+"""... for this time (s); the wait ends at the latest this long (s) after the end."""
+
+OVERTURNED = 1.5
+"""The swing after the end is not followed beyond this rotation (rad): no cup goes so far."""
+
+TAIL_STEP = 4e-3
+"""Longest integration step (s) after the end, where only the swing matters ..."""
+
+COARSE = 3.0
+"""... or this multiple of the normal step, if shorter: still accurate to 1e-4."""
+
+PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_moment', 'swing')
+"""Quantities whose peaks are kept: loads, rad, m, N, N m, N m, rad."""
+
+SAME_TILT = 0.05
+"""The package hangs nearly alike if gravity turns by less than this in tool axes (rad)."""
+
+UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
+"""Passed to the kernel if the grip is unknown; the loads are then not used."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """
+    The package along a plan.
+
+    Parameters
+    ----------
+    tool : Trajectory or Rows
+        The plan, N points.
+    states : array (N, 13)
+        Of B in the world: position (m), quaternion xyzw, body twist (m/s, rad/s).
+    wrench : array (N, 6)
+        Of the cup on the package at S, in S axes, N and N m.
+    loads : array (N, 2)
+        1 / safety factor against peel and slip; meaningless where `grip_known` is False.
+    peaks : array (8, 2)
+        Largest value of each of `PEAKS` and when it is reached, s since the plan's first point.
+    settled_after : float
+        s after the last point; infinite where longer than `LONGEST_TAIL`.
+    deflection : array (6, 2)
+        Smallest and largest shift (m) and rotation vector (rad) of the lip in the tool.
+    rates : array (6,)
+        Largest absolute twist of the lip in the tool, m/s and rad/s.
+    grip_known, ends_at_rest : bool
+
+    """
+
+    tool: Trajectory | Rows
+    states: Array
+    wrench: Array
+    loads: Array
+    peaks: Array
+    settled_after: float
+    deflection: Array
+    rates: Array
+    grip_known: bool
+    ends_at_rest: bool
+
+    @property
+    def smallest_safety(self) -> Margin:
+        """Smallest safety factor of the grip."""
+        worst = int(np.argmax(self.peaks[:2, 0]))
+        load, time = self.peaks[worst].tolist()
+        return Margin(1.0 / load if load > 0.0 else math.inf, MODES[worst], time)
+
+    def figures(self) -> dict[str, float]:
+        """Return the figures of a summary, SI units; NaN for unknown ones."""
+        peak = dict(zip(PEAKS, self.peaks[:, 0].tolist(), strict=True))
+        factor, _, time = self.smallest_safety if self.grip_known else (math.nan, '', math.nan)
+        return {
+            'smallest_safety_factor': factor,
+            'smallest_safety_time': time,
+            'peak_bending': peak['bending'],
+            'peak_deflection': peak['deflection'],
+            'peak_force': peak['force'],
+            'peak_moment': peak['moment'],
+            'rigid_peak_moment': peak['rigid_moment'],
+            'swing_left': peak['swing'] if self.ends_at_rest else math.nan,
+            'settled_after': self.settled_after if self.ends_at_rest else math.nan,
+        }
+
+    def outside(self, known: Envelope | None, mass: float) -> tuple[str, ...]:
+        """Return a phrase for each validity range (see `envelope`) that is exceeded."""
+        if known is None:
+            return ()
+        here = Envelope(
+            self.deflection[:, 0], self.deflection[:, 1], self.rates, np.zeros((2, 2)),
+            np.full(2, mass))
+        return beyond(known, here)
+
+
+def predict(
+    model: ModelTuple, grip: Grip | None, tool: Trajectory | Rows, start: State | None = None,
+    tail: float = LONGEST_TAIL, longest: float = 0.0,
+) -> Prediction:
+    """
+    Predict the package along a plan and while it swings out.
+
+    Parameters
+    ----------
+    model : tuple
+        As the kernels take it.
+    grip : tuple, optional
+        As `grip_of` returns it; without it nothing is said of the safety factor.
+    tool : Trajectory or Rows
+        A plan, as `plan_points.plan_of` returns it.
+    start : State, optional
+        Of B in the world at the first point; at rest there when left out.
+    tail : float
+        How long (s) after the end the package is watched, at most.
+    longest : float
+        Longest step of the integration (s), that of the model when left out.
+
+    Raises
+    ------
+    BellowsError
+        If the package cannot rest under the tool, or the prediction does not stay finite.
+
+    """
+    return Run(model, grip, tool, start, tail, longest).at(1.0)
+
+
+class Run:
+    """
+    A plan made ready to be predicted at several speeds.
+
+    Parameters are those of `predict`; `tail` is how long after the end is looked at (s), and
+    `longest` the longest step of the integration (s), that of the model when left out.
+    """
+
+    def __init__(
+        self, model: ModelTuple, grip: Grip | None, tool: Trajectory | Rows,
+        start: State | None = None, tail: float = LONGEST_TAIL, longest: float = 0.0,
+    ) -> None:
+        """Take the plan, and find where the package rests."""
+        self.tool, self._model, self._grip = tool, model, grip
+        self._rows = rows = tool_rows(tool)
+        self._rests = start is None
+        self._start = start or rest(model, rows[0])
+        self._tail = tail if stands(rows[-1]) else 0.0
+        self._end = self._start
+        if self._tail:
+            self._end = rest_after(model, rows[0], self._start, rows[-1])
+        self._longest = longest or largest_step(model)
+        self._inputs = as_inputs(rows, np.diff(tool.stamps_ns) / NS_PER_S)
+
+    def of(self, model: ModelTuple) -> Run:
+        """Return the same run with a slightly different model."""
+        other = copy(self)
+        other._model = model
+        if self._rests:
+            other._start = rest(model, self._rows[0], self._start)
+        if self._tail:
+            other._end = rest_after(
+                model, self._rows[0], other._start, self._rows[-1], self._end)
+        return other
+
+    def load(self, duration_scale: float, ceiling: float = math.inf) -> float:
+        """Return 1 over the smallest safety factor, or a load above a ceiling if one is."""
+        if self._follow(duration_scale, ceiling):
+            self._swing_out(ceiling)
+        return float(self._out[3][:2, 0].max())
+
+    def at(self, duration_scale: float) -> Prediction:
+        """Return the prediction of the plan stretched in time by a factor."""
+        self.states(duration_scale)
+        return self.prediction()
+
+    def states(self, duration_scale: float = 1.0) -> Array:
+        """Predict along the plan alone, which is available first, as an array (N, 13)."""
+        self._follow(duration_scale, math.inf)
+        states = self._out[0].copy()
+        if not np.isfinite(states).all():
+            raise diverged()
+        return states
+
+    def prediction(self) -> Prediction:
+        """Return the whole prediction after `states`, including the time after the end."""
+        settled = self._swing_out(math.inf)
+        states, wrench, loads, peaks, lip = self._out
+        return Prediction(
+            self.tool, states, wrench, loads, peaks, settled, lip[:, :2], lip[:, 2],
+            self._grip is not None, self._tail > 0.0,
+        )
+
+    def _follow(self, duration_scale: float, ceiling: float) -> bool:
+        """Fill in the arrays along the plan; return whether all loads were below the ceiling."""
+        n = len(self._rows)
+        self._out = (np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2)),
+                     np.empty((len(PEAKS), 2)), np.empty((6, 3)))
+        self._past = np.full((len(PEAKS), 4), math.inf)  # no sample yet
+        try:
+            self._body, self._seconds, below = _follow(
+                self._model, self._grip or UNKNOWN_GRIP, self._start, *self._inputs,
+                duration_scale, self._longest, ceiling, *self._out, self._past)
+        except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+            raise diverged() from None
+        return bool(below)
+
+    def _swing_out(self, ceiling: float) -> float:
+        """Continue after the end; return the time (s) until the package has settled."""
+        h = max(self._longest, min(TAIL_STEP, COARSE * self._longest))
+        _, _, _, peaks, lip = self._out
+        try:
+            return float(_swing_out(
+                self._model, self._grip or UNKNOWN_GRIP, self._end[1],
+                row_state(self._inputs[0][-1]), self._body, self._seconds, h,
+                math.ceil(self._tail / h), ceiling, peaks, self._past, lip))
+        except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+            raise diverged() from None
+
+
+def rest_after(
+    model: ModelTuple, first: Array, start: State, last: Array, near: State | None = None
+) -> State:
+    """
+    Return the package at rest under a row, starting from its rest under another one.
+
+    Where the tool hardly tilts in between it hangs nearly alike; else it is sought near a state.
+    Where nothing is found there, it is sought from the beginning.
+    """
+    R, R_end = (rotation_matrix(tuple(row[3:7].tolist())) for row in (first, last))
+    tilt = norm(subtract(apply_transposed(R, model[2]), apply_transposed(R_end, model[2])))
+    if tilt <= SAME_TILT * norm(model[2]):
+        shift = apply_transposed(R, subtract(start[0], tuple(first[:3].tolist())))
+        turn = quaternion_product(quaternion_conjugate(tuple(first[3:7].tolist())), start[1])
+        still = (0.0, 0.0, 0.0)
+        near = (
+            add(tuple(last[:3].tolist()), apply(R_end, shift)),
+            quaternion_product(tuple(last[3:7].tolist()), turn), still, still)
+    try:
+        return rest(model, last, near)
+    except UnstableError:
+        return rest(model, last)
+
+
+@kernel
+def slowed(state: State, factor: float) -> State:
+    """Return a state with its twist divided by a factor."""
+    return state[0], state[1], scale(1.0 / factor, state[2]), scale(1.0 / factor, state[3])
+
+
+@kernel
+def rigid_velocity(tool: State, arm: Vector) -> Vector:
+    """Return the velocity in the world (m/s) of a point fixed at `arm` in the tool."""
+    return apply(rotation_matrix(tool[1]), add(tool[2], cross(tool[3], arm)))
+
+
+@kernel
+def rigid_moment(model: ModelTuple, tool: State, acceleration: Vector) -> float:
+    """Return |com x m (a - g)| (N m): the lip's moment if tool and package were one body."""
+    mass, com, _, _ = model[1]
+    return mass * norm(
+        cross(apply(rotation_matrix(tool[1]), com), subtract(acceleration, model[2])))
+
+
+@kernel
+def turn_between(p: Quaternion, q: Quaternion) -> float:
+    """Return the angle (rad) from one orientation to another."""
+    return norm(log_quaternion(quaternion_product(quaternion_conjugate(p), q)))
+
+
+@kernel
+def note(peaks: Array, past: Array, i: int, t: float, value: float) -> None:
+    """
+    Keep the largest value of a quantity: the vertex of the parabola through three samples.
+
+    past (., 4) holds time and value of the two samples before.
+    """
+    if value > peaks[i, 0]:
+        peaks[i, 0], peaks[i, 1] = value, t
+    t0, u0, t1, u1 = past[i, 0], past[i, 1], past[i, 2], past[i, 3]
+    if u1 > u0 and u1 > value and t0 < t1 and t1 < t:
+        before, after = (u1 - u0) / (t1 - t0), (value - u1) / (t - t1)
+        curve = (after - before) / (t - t0)  # half the second derivative
+        slope = before + curve * (t1 - t0)
+        top = u1 - 0.25 * slope * slope / curve
+        if top > peaks[i, 0]:
+            peaks[i, 0], peaks[i, 1] = top, t1 - 0.5 * slope / curve
+    past[i, 0], past[i, 1], past[i, 2], past[i, 3] = t1, u1, t, value
+
+
+@kernel
+def look(
+    model: ModelTuple, grip: Grip, tool: State, body: State, t: float,
+    wrench: Array, loads: Array, peaks: Array, past: Array, lip: Array,
+) -> float:
+    """Write wrench and loads of a state, update the peaks, and return the larger load."""
+    cup, package, _ = model
+    o, R, v, w = lip_relative_to_tool(
+        package[1],
+        tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], rotation_matrix(body[1]), body[2], body[3],
+    )
+    f, m = cup_wrench(cup, o, R, v, w)
+    peel, slip = safety_factors(grip, f, m)
+    loads[0] = 1.0 / peel if peel > 0.0 else math.inf
+    loads[1] = 1.0 / slip if slip > 0.0 else math.inf
+    wrench[0], wrench[1], wrench[2] = f
+    wrench[3], wrench[4], wrench[5] = m
+    shift = (o[0], o[1], o[2] + cup[1])
+    turn = log_quaternion(quaternion_product(quaternion_conjugate(tool[1]), body[1]))
+    note(peaks, past, 0, t, loads[0])
+    note(peaks, past, 1, t, loads[1])
+    note(peaks, past, 2, t, math.atan2(math.sqrt(R[2] * R[2] + R[5] * R[5]), R[8]))
+    note(peaks, past, 3, t, norm(shift))
+    note(peaks, past, 4, t, norm(f))
+    note(peaks, past, 5, t, norm(m))
+    for i in range(3):
+        lip[i, 0], lip[i, 1] = min(lip[i, 0], shift[i]), max(lip[i, 1], shift[i])
+        lip[i + 3, 0], lip[i + 3, 1] = min(lip[i + 3, 0], turn[i]), max(lip[i + 3, 1], turn[i])
+        lip[i, 2], lip[i + 3, 2] = max(lip[i, 2], abs(v[i])), max(lip[i + 3, 2], abs(w[i]))
+    return float(max(loads[0], loads[1]))
+
+
+@kernel
+def _follow(
+    model: ModelTuple, grip: Grip, start: State, rows: Any, durations: Any,
+    duration_scale: float, longest: float, ceiling: float,
+    states: Array, wrench: Array, loads: Array, peaks: Array, lip: Array, past: Array,
+) -> tuple[State, float, bool]:
+    """
+    Advance along the plan until a load is above the ceiling.
+
+    Return the state at the end, when that is (s), and whether all loads are below.
+    """
+    arm = (model[1][1][0], model[1][1][1], model[1][1][2] - model[0][1])
+    peaks[:] = 0.0
+    lip[:, 0], lip[:, 1], lip[:, 2] = math.inf, -math.inf, 0.0
+    body, tool, t = start, slowed(row_state(rows[0]), duration_scale), 0.0
+    write_row(states[0], body)
+    velocity = rigid_velocity(tool, arm)
+    if look(model, grip, tool, body, t, wrench[0], loads[0], peaks, past, lip) > ceiling:
+        return body, t, False
+    for k in range(len(durations)):
+        duration = durations[k] * duration_scale
+        after = slowed(row_state(rows[k + 1]), duration_scale)
+        segment = tool_segment(tool, after, duration)
+        n = substeps_for(duration, longest)
+        h = duration / n
+        for i in range(n):
+            middle = tool_at(segment, (i + 0.5) / n)
+            end = after if i == n - 1 else tool_at(segment, (i + 1.0) / n)
+            body = step(model, body, tool, middle, end, h)
+            tool = end
+            now = t + (i + 1.0) * h
+            load = look(
+                model, grip, tool, body, now, wrench[k + 1], loads[k + 1], peaks, past, lip)
+            if load > ceiling:
+                return body, now, False
+            before, velocity = velocity, rigid_velocity(tool, arm)
+            moment = rigid_moment(model, tool, scale(1.0 / h, subtract(velocity, before)))
+            if moment > peaks[6, 0]:
+                peaks[6, 0], peaks[6, 1] = moment, now - 0.5 * h
+        t += duration
+        write_row(states[k + 1], body)
+    return body, t, True
+
+
+@kernel
+def _swing_out(
+    model: ModelTuple, grip: Grip, rest: Quaternion, tool: State, body: State, t: float, h: float,
+    count: int, ceiling: float, peaks: Array, past: Array, lip: Array,
+) -> float:
+    """
+    Let the package swing under a tool at rest, until a load is above the ceiling.
+
+    Return after what time (s) it is turned from rest by less than `SETTLED`.
+    """
+    wrench, loads = np.empty(6), np.empty(2)
+    tool = slowed(tool, math.inf)
+    settled, turn = 0.0, turn_between(rest, body[1])
+    note(peaks, past, 7, t, turn)
+    for i in range(count):
+        before, since = turn, (i + 1.0) * h
+        body = step(model, body, tool, tool, tool, h)
+        load = look(model, grip, tool, body, t + since, wrench, loads, peaks, past, lip)
+        turn = turn_between(rest, body[1])
+        note(peaks, past, 7, t + since, turn)
+        if load > ceiling or turn > OVERTURNED:
+            return math.inf
+        if turn > SETTLED:
+            settled = math.inf
+        elif before > SETTLED:
+            settled = since - h * (SETTLED - turn) / (before - turn)
+        elif since > settled + QUIET:
+            break
+    return settled if turn <= SETTLED else math.inf

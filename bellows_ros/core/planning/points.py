@@ -1,0 +1,352 @@
+"""Conversion of the points of a plan to a trajectory of the tool, with checks."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+import math
+from typing import Any
+
+from bellows_ros.core.geometry import tuples
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.lie import (
+    apply,
+    quaternion_conjugate,
+    quaternion_product,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+)
+from bellows_ros.core.model.simulation import Rows, tool_rows, write_row
+from bellows_ros.core.planning.arm import Arm
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.screening import LARGEST_RATE, LARGEST_SPEED, UNIT_WITHIN
+from bellows_ros.core.signals.timing import subdivided
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+MOST_POINTS, LONGEST = 100_000, 600.0
+"""Most points of a plan, and its longest duration (s)."""
+
+LONGEST_GAP_NS = 10_000_000
+"""Points farther apart (ns) are interpolated."""
+
+SLACK = (1e-3, 1e-2)
+"""Points closer than this (m, rad) are no jump, however short the time."""
+
+DENSE, MISFIT = 20, 0.5
+"""With this many points, velocities that deviate from the steps by this fraction are wrong."""
+
+
+def plan_of(
+    stamps_ns: Stamps, position: Array, quaternion_xyzw: Array, twist: Array | None = None,
+    acceleration: Array | None = None, twist_frame: str = 'world', name: str = 'The plan',
+) -> Trajectory:
+    """
+    Check the points of a plan; return it with body twists and without long gaps.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        ns.
+    position, quaternion_xyzw : array (N, 3), (N, 4)
+        Of E in the world, m.
+    twist, acceleration : array (N, 6), optional
+        Velocity of the tool tip and angular velocity (m/s, rad/s), and their rates of change. Left
+        out, twists are those of a cubic spline from rest to rest. With accelerations the tool
+        moves along quintic polynomials between points, without along cubic ones.
+    twist_frame : {'world', 'tool'}
+        Axes of both.
+    name : str
+        For messages.
+
+    Raises
+    ------
+    BellowsError
+        If no arm moves so: too few or too many points, times that do not increase, numbers that
+        are not finite, quaternions not of unit length, jumps, velocities of another motion.
+
+    """
+    return rows_of(
+        stamps_ns, np.hstack([position, quaternion_xyzw]), twist, acceleration, twist_frame, name,
+    ).trajectory()
+
+
+def rows_of(
+    stamps_ns: Stamps, poses: Array, twist: Array | None = None,
+    acceleration: Array | None = None, twist_frame: str = 'world', name: str = 'The plan',
+) -> Rows:
+    """Return the rows for the kernels from poses (N, 7), in a fifth of the time."""
+    _require_points(stamps_ns, (poses, twist, acceleration), name)
+    durations = np.diff(stamps_ns) / NS_PER_S
+    rows, sizes, fit = np.empty((len(poses), 13)), np.empty((len(poses), 5)), np.zeros(4)
+    given_twist = np.zeros((len(poses), 6)) if twist is None else np.array(twist)
+    _write_motion(
+        *as_inputs(poses, given_twist, durations), twist_frame == 'world', rows, sizes, fit)
+    _refuse(np.abs(sizes[:, 0] - 1.0) > UNIT_WITHIN, name,
+            'has a quaternion that is not of unit length', f'length 1 to {UNIT_WITHIN:g}',
+            'Are its numbers x, y, z, w in this order?')
+    _require_reachable(durations, sizes, name)
+    if twist is None:
+        from scipy.interpolate import CubicSpline
+
+        t = (stamps_ns - stamps_ns[0]) / NS_PER_S
+        q = _near_quaternions(quaternion_to_rotation(poses[:, 3:]))
+        curve = CubicSpline(t, np.hstack([poses[:, :3], q]), bc_type='clamped')
+        rows[:, 7:] = body_twists(q, curve(t, 1))[1]
+    elif len(poses) >= DENSE:
+        _require_fitting(np.sqrt(fit / (3 * len(durations))), name)
+    plan = Rows(stamps_ns, rows)
+    if np.diff(stamps_ns).max() <= LONGEST_GAP_NS:
+        return plan
+    if acceleration is not None:
+        R, (linear, angular) = quaternion_to_rotation(poses[:, 3:]), np.hsplit(acceleration, 2)
+        if twist_frame == 'world':
+            angular = apply(np.swapaxes(R, -1, -2), angular)
+        else:  # d/dt R v = R (dv/dt + w x v)
+            linear = apply(R, linear + np.cross(rows[:, 10:], rows[:, 7:10]))
+        acceleration = np.hstack([linear, angular])
+    fine = refined(plan.trajectory(), acceleration)
+    return Rows(fine.stamps_ns, tool_rows(fine))
+
+
+def plan_of_joints(
+    arm: Arm, stamps_ns: Stamps, position: Array, velocity: Array | None = None,
+    acceleration: Array | None = None, name: str = 'The plan',
+) -> Trajectory:
+    """
+    Check the points of a plan of an arm's joints, and return it as a plan of the tool.
+
+    Joints move as drivers of arms interpolate: along quintic polynomials where accelerations are
+    given, cubic ones where velocities are, and a cubic spline from rest to rest otherwise.
+
+    Parameters
+    ----------
+    arm : Arm
+        Whose joints they are.
+    stamps_ns : int array (N,)
+        ns.
+    position, velocity, acceleration : array (N, M)
+        Of the moving joints of the arm in their order, rad or m.
+    name : str
+        For messages.
+
+    Raises
+    ------
+    BellowsError
+        As `plan_of`.
+
+    """
+    from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+    _require_points(stamps_ns, (position, velocity, acceleration), name)
+    t = (stamps_ns - stamps_ns[0]) / NS_PER_S
+    curve: Any
+    if velocity is None:
+        curve = CubicSpline(t, position, bc_type='clamped')
+    elif acceleration is None:
+        curve = CubicHermiteSpline(t, position, velocity)
+    else:
+        curve = _quintic(t, position, velocity, acceleration)
+    fine = _without_gaps(stamps_ns)
+    at = (fine - stamps_ns[0]) / NS_PER_S
+    T, twist = arm.tool(curve(at), curve(at, 1))
+    poses = rotation_to_quaternion(T[:, :3, :3])
+    return plan_of(fine, T[:, :3, 3], poses, twist, twist_frame='tool', name=name)
+
+
+def _without_gaps(stamps_ns: Stamps) -> Stamps:
+    """Return stamps at most `LONGEST_GAP_NS` apart."""
+    return subdivided(stamps_ns, -(-np.diff(stamps_ns) // LONGEST_GAP_NS))
+
+
+def _near_quaternions(rotation: Array) -> Array:
+    """Return quaternions (N, 4), of q and -q the one that is near to that before."""
+    q = rotation_to_quaternion(rotation)
+    q[1:] *= np.cumprod(
+        np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
+    return q
+
+
+def _path(motion: Trajectory) -> tuple[Array, Array]:
+    """Return positions and quaternions (N, 7) of a motion, and their rates."""
+    q, twist = _near_quaternions(motion.rotation), np.asarray(motion.twist)
+    return np.hstack([motion.position, q]), np.hstack(
+        [apply(motion.rotation, twist[:, :3]), _spin(q, twist[:, 3:])])
+
+
+def _spin(q: Array, rate: Array) -> Array:
+    """Return the rates of quaternions (N, 4) that body rates (N, 3) make."""
+    return 0.5 * quaternion_product(q, np.pad(rate, ((0, 0), (0, 1))))
+
+
+def curve_of(motion: Trajectory) -> Any:
+    """
+    Return a motion as cubic Hermite polynomials in time, s since its first point.
+
+    Of position and quaternion, (..., 7); the latter is of unit length at the motion's points.
+    """
+    from scipy.interpolate import CubicHermiteSpline
+
+    return CubicHermiteSpline(motion.seconds, *_path(motion))
+
+
+def body_twists(q: Array, rate: Array) -> tuple[Array, Array]:
+    """
+    Return rotations (N, 3, 3) and body twists (N, 6) from rates (N, 7) of position and quaternion.
+
+    The quaternions (N, 4) are of any length.
+    """
+    size = np.sum(q * q, axis=1)[:, None]
+    rotation = quaternion_to_rotation(q / np.sqrt(size))
+    angular = 2.0 * quaternion_product(quaternion_conjugate(q), rate[:, 3:])[:, :3] / size
+    return rotation, np.hstack([apply(np.swapaxes(rotation, -1, -2), rate[:, :3]), angular])
+
+
+def refined(plan: Trajectory, acceleration: Array | None = None) -> Trajectory:
+    """
+    Return a plan with points inserted where gaps exceed `LONGEST_GAP_NS`.
+
+    With accelerations (N, 6), of the tool tip in world axes and of rotation in its own, positions
+    and quaternions of the points put in lie on quintic polynomials, otherwise poses on cubic ones.
+    """
+    stamps = _without_gaps(plan.stamps_ns)
+    if len(stamps) == len(plan):
+        return plan
+    if acceleration is None:
+        return resample(plan, stamps)
+    path, rate = _path(plan)
+    q, squared = path[:, 3:], np.sum(np.asarray(plan.twist)[:, 3:] ** 2, axis=1)[:, None]
+    bend = np.hstack([acceleration[:, :3], _spin(q, acceleration[:, 3:]) - 0.25 * squared * q])
+    curve, at = _quintic(plan.seconds, path, rate, bend), (stamps - stamps[0]) / NS_PER_S
+    value = curve(at)
+    return Trajectory(stamps, value[:, :3], *body_twists(value[:, 3:], curve(at, 1)))
+
+
+def _quintic(t: Array, value: Array, rate: Array, bend: Array) -> Any:
+    """Return quintic polynomials between times (N,) with these values and derivatives (N, M)."""
+    from scipy.interpolate import PPoly
+
+    h = np.diff(t)[:, None]
+    v, v_end, a, a_end = h * rate[:-1], h * rate[1:], h**2 * bend[:-1], h**2 * bend[1:]
+    d, e, f = np.diff(value, axis=0) - v - 0.5 * a, v_end - v - a, a_end - a
+    return PPoly(np.array([
+        (6 * d - 3 * e + 0.5 * f) / h**5, (-15 * d + 7 * e - f) / h**4,
+        (10 * d - 4 * e + 0.5 * f) / h**3, 0.5 * bend[:-1], rate[:-1], value[:-1]]), t)
+
+
+def timed(plan: Trajectory, factor: float) -> Trajectory:
+    """Return a plan stretched in time by a factor, with the same first stamp."""
+    stamps = plan.stamps_ns[0] + np.round((plan.stamps_ns - plan.stamps_ns[0]) * factor).astype(
+        np.int64)
+    return replace(plan, stamps_ns=stamps, twist=np.asarray(plan.twist) / factor)
+
+
+# ------------------------------------------------------------------------------------- checks
+
+
+def require_count(count: int, name: str) -> None:
+    """Refuse a plan without a motion, and one that is no plan any more."""
+    if not 2 <= count <= MOST_POINTS:
+        raise BellowsError(
+            f'{name} has {count} point{"" if count == 1 else "s"}; expected 2 to {MOST_POINTS}. '
+            + ('Give where the motion ends, too.' if count < 2 else 'Thin it out, or split it.'))
+
+
+def _refuse(bad: Any, name: str, what: str, expected: str, remedy: str) -> None:
+    """Refuse a plan with bad points, naming the first."""
+    if bad.any():
+        raise BellowsError(
+            f'{name}: point {int(np.argmax(bad))} (the first is 0) {what}, as {int(bad.sum())} of '
+            f'{len(bad)} do; expected {expected}. {remedy}')
+
+
+def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str) -> None:
+    """Refuse a bad number of points, numbers that are not finite, and times that no plan has."""
+    require_count(len(stamps_ns), name)
+    given = np.hstack([part for part in parts if part is not None])
+    _refuse(~np.isfinite(given).all(axis=1), name,
+            'holds NaN or infinity', 'finite numbers', 'Leave such points out.')
+    steps = np.diff(stamps_ns)
+    if steps.min() <= 0:
+        i = int(np.argmax(steps <= 0))
+        t = (stamps_ns[i:i + 2] - stamps_ns[0]) / NS_PER_S
+        raise BellowsError(
+            f'{name}: point {i + 1} (the first is 0) is at {t[1]:.6f} s, after one at '
+            f'{t[0]:.6f} s; expected times that increase. Sort the points, and leave repeated '
+            'ones out.')
+    seconds = float(stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
+    if seconds > LONGEST:
+        raise BellowsError(
+            f'{name} takes {seconds:g} s; expected at most {LONGEST:g}. Check that its times are '
+            'in seconds.')
+
+
+@kernel
+def _write_motion(
+    poses: Any, twists: Any, durations: Any, in_world: bool, rows: Array, sizes: Array, fit: Array
+) -> None:
+    """
+    Write a plan as tool rows (N, 13), its peak rates, and the fit of twists to poses.
+
+    sizes (N, 5) are the length of the quaternion, of the step to the next point its shift (m) and
+    turn (rad), and speed (m/s) and rate (rad/s) of the twist. fit (4,), zero before, are sums of
+    squares: of the steps' linear and angular velocities, and of what the twists miss them by.
+    """
+    o, v, w = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    q = (0.0, 0.0, 0.0, 1.0)
+    for k in range(len(rows)):
+        o_before, q_before, v_before, w_before = o, q, v, w
+        pose, twist = poses[k], twists[k]
+        o, q = (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6])
+        length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+        if length > 0.0:
+            q = (q[0] / length, q[1] / length, q[2] / length, q[3] / length)
+        R = tuples.rotation_matrix(q)
+        v, w = (twist[0], twist[1], twist[2]), (twist[3], twist[4], twist[5])
+        linear = tuples.apply_transposed(R, v) if in_world else v
+        w = tuples.apply_transposed(R, w) if in_world else w
+        v = v if in_world else tuples.apply(R, v)
+        write_row(rows[k], (o, q, linear, w))
+        sizes[k, 0], sizes[k, 1], sizes[k, 2] = length, 0.0, 0.0
+        sizes[k, 3], sizes[k, 4] = math.sqrt(tuples.dot(v, v)), math.sqrt(tuples.dot(w, w))
+        if k > 0:
+            step = tuples.subtract(o, o_before)
+            turn = tuples.log_quaternion(
+                tuples.quaternion_product(tuples.quaternion_conjugate(q_before), q))
+            moved, turned = tuples.dot(step, step), tuples.dot(turn, turn)
+            sizes[k - 1, 1], sizes[k - 1, 2] = math.sqrt(moved), math.sqrt(turned)
+            h = durations[k - 1]
+            miss = tuples.add_scaled(
+                tuples.scale(1.0 / h, step), -0.5, tuples.add(v, v_before))
+            miss_turn = tuples.add_scaled(
+                tuples.scale(1.0 / h, turn), -0.5, tuples.add(w, w_before))
+            fit[0] += moved / (h * h)
+            fit[1] += tuples.dot(miss, miss)
+            fit[2] += turned / (h * h)
+            fit[3] += tuples.dot(miss_turn, miss_turn)
+
+
+def _require_reachable(durations: Array, sizes: Array, name: str) -> None:
+    """Refuse a motion that no arm can follow; sizes as in `_write_motion`."""
+    moved, turned = sizes[:-1, 1], sizes[:-1, 2]
+    jump = (moved > SLACK[0] + LARGEST_SPEED * durations) | (
+        turned > SLACK[1] + LARGEST_RATE * durations)
+    if jump.any():
+        i = int(np.argmax(jump))
+        raise BellowsError(
+            f'{name} jumps between points {i} and {i + 1}: by {moved[i]:.4g} m and '
+            f'{turned[i]:.3g} rad in {durations[i]:.3g} s; expected at most {LARGEST_SPEED:g} m/s '
+            f'and {LARGEST_RATE:g} rad/s, as no arm is faster. Check units and times.')
+    _refuse((sizes[:, 3] > LARGEST_SPEED) | (sizes[:, 4] > LARGEST_RATE), name,
+            'is faster than any arm', f'at most {LARGEST_SPEED:g} m/s and {LARGEST_RATE:g} rad/s',
+            'Check the units.')
+
+
+def _require_fitting(fit: Array, name: str) -> None:
+    """Refuse velocities that are not those of the poses; as `_write_motion` has it, but RMS."""
+    for what, (size, miss) in (('velocities', fit[:2]), ('angular velocities', fit[2:])):
+        if miss > MISFIT * size + SLACK[0]:
+            raise BellowsError(
+                f'{name}: its {what} do not fit its poses: they differ by {miss:.3g} from steps '
+                f'of {size:.3g} (RMS, m/s or rad/s); expected the same motion. Check '
+                'tool_twist.frame (world or tool) and the units, or leave velocities out.')

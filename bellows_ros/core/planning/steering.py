@@ -1,0 +1,534 @@
+"""
+Tool motions that leave the package without swing: the inverse, and input shaping.
+
+The cup carries all six axes, so the package's pose is a flat output: its motion says what wrench
+the cup must give, and the damper, linear in the relative twist, how the tool must move for that.
+Input shaping (Singer and Seering) adds up delayed copies of a motion, whose swings cancel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+import math
+from typing import Any, NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.lie import (
+    adjoint,
+    exp_se3,
+    inverse_transform,
+    log_se3,
+    log_so3,
+    quaternion_to_rotation,
+    transform,
+)
+from bellows_ros.core.geometry.lie import (
+    apply as apply_all,
+)
+from bellows_ros.core.geometry.tuples import (
+    add,
+    add_scaled,
+    add_scaled_matrix,
+    apply,
+    apply_transposed,
+    cross,
+    dot,
+    Matrix,
+    multiply,
+    normalised,
+    rotation_matrix,
+    scale,
+    subtract,
+    Vector,
+)
+from bellows_ros.core.model.equilibrium import resting_on_tool, system_matrix
+from bellows_ros.core.model.jacobians import damper_jacobians
+from bellows_ros.core.model.kernels import (
+    lip_relative_to_tool,
+    ModelTuple,
+    rotation_rate,
+    spring_frames,
+    spring_wrench,
+    stage_state,
+    State,
+    Wrench,
+)
+from bellows_ros.core.model.simulation import (
+    rest,
+    row_state,
+    state_row,
+    STILL,
+    tool_rows,
+    write_row,
+)
+from bellows_ros.core.planning.plan import predict, Prediction, rest_after, SETTLED
+from bellows_ros.core.planning.points import body_twists, curve_of
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+METHODS = ('inverse', 'zv', 'zvd')
+
+GRID = 0.001
+"""Spacing (s) of the resulting motion."""
+
+SPACING, JUMP, LITTLE = 0.005, 100.0, 0.1
+"""Spacing (s) at which the fourth derivative is looked at, and changes that are none: of this size
+(m/s^4), or this part of it."""
+STEEPEST = 0.25 * math.pi
+"""Bending (rad) at which the cup's restoring moment is largest."""
+PARTS = 5
+"""Smoothing uses points this many times closer ..."""
+SMOOTHED, LONGEST_SMOOTHING = 0.12, 0.2
+"""... over this part of its duration, but no longer than this (s): a longer time makes the rest so
+quick that a cup known to 5 % swings, a shorter one the tool jerk."""
+
+RATE_PER_STEP = 0.4
+"""Relaxation rate of the cup times step; RK4 is then accurate to 1e-4."""
+FASTEST = 1e5
+"""A cup that relaxes faster (1/s), because its damper is weak, is not inverted."""
+ARRIVED = (2e-5, 1e-4)
+"""The tool has arrived when this is left to go (m, rad)."""
+LONGEST_ARRIVAL = 12.0
+"""Longest wait for the arrival, in the cup's longest relaxation times."""
+
+SWINGING = SETTLED
+"""Modes that the plan leaves swinging by more than this (rad) are shaped ..."""
+ALIKE = 0.05
+"""... and modes whose frequencies differ by less than this fraction are shaped as one."""
+
+
+class Mode(NamedTuple):
+    """A mode of the hanging package."""
+
+    frequency: float
+    """Undamped, Hz."""
+    damping: float
+    """Ratio to the critical one."""
+    tilt: float
+    """Rotation of the package by this mode after a plan, rad."""
+
+
+# -------------------------------------------------------------------------------------- inverse
+
+
+@kernel
+def inverse3(A: Matrix) -> Matrix:
+    """Return the inverse of a 3x3 matrix."""
+    a = cross((A[3], A[4], A[5]), (A[6], A[7], A[8]))
+    b = cross((A[6], A[7], A[8]), (A[0], A[1], A[2]))
+    c = cross((A[0], A[1], A[2]), (A[3], A[4], A[5]))
+    k = 1.0 / (A[0] * a[0] + A[1] * a[1] + A[2] * a[2])
+    return (
+        k * a[0], k * b[0], k * c[0], k * a[1], k * b[1], k * c[1], k * a[2], k * b[2], k * c[2])
+
+
+@kernel
+def needed_wrench(model: ModelTuple, body: State, dv: Vector, dw: Vector) -> Wrench:
+    """Return the wrench at the lip, in S axes, that causes these rates of the package (3.5)."""
+    mass, com, inertia, _ = model[1]
+    _, q, v, w = body
+    f = scale(mass, subtract(
+        add(dv, cross(w, v)), apply_transposed(rotation_matrix(q), model[2])))
+    tau = add(apply(inertia, dw), cross(w, apply(inertia, w)))
+    return f, add(tau, cross(com, f))
+
+
+@kernel
+def leading_tool(
+    model: ModelTuple, tool: State, body: State, dv: Vector, dw: Vector
+) -> State:
+    """
+    Return the tool with the twist at which the cup causes these rates of the package.
+
+    D1(H) v1 = f_spring(H) - f_needed at S1 (3.27, 3.33) is solved for the relative twist.
+    """
+    cup, package, _ = model
+    l1, zero = cup[0], (0.0, 0.0, 0.0)
+    f, m = needed_wrench(model, body, dv, dw)
+    o_E_S, R, v_S, w_S = lip_relative_to_tool(
+        package[1], tool[0], rotation_matrix(tool[1]), zero, zero,
+        body[0], rotation_matrix(body[1]), body[2], body[3])
+    o = spring_frames(cup, o_E_S, R)
+    spring_f, spring_m = spring_wrench(o, R, cup[2])
+    a = subtract(spring_f, f)
+    b = subtract(spring_m, (m[0] + l1 * f[1], m[1] - l1 * f[0], m[2]))  # X(S_H_S1)^T
+    D = damper_jacobians(o, R, zero, zero, cup[3])[1]  # -D1, by blocks
+    near = inverse3(D[0])
+    cross_part = multiply(D[2], near)
+    w = apply(
+        inverse3(add_scaled_matrix(D[3], -1.0, multiply(cross_part, D[1]))),
+        subtract(apply(cross_part, a), b))
+    v = apply(near, subtract(scale(-1.0, a), apply(D[1], w)))
+    v_ES = (v[0] - l1 * w[1], v[1] + l1 * w[0], v[2])
+    w_E = apply(R, subtract(w_S, w))
+    v_E = subtract(apply(R, subtract(v_S, v_ES)), cross(w_E, o_E_S))
+    return tool[0], tool[1], v_E, w_E
+
+
+@kernel
+def wanted_at(rows: Any, i: int) -> tuple[State, Vector, Vector]:
+    """Return the state of a row (19,), or of the last one, and the rates of its twist."""
+    row = rows[min(i, len(rows) - 1)]
+    return row_state(row), (row[13], row[14], row[15]), (row[16], row[17], row[18])
+
+
+@kernel
+def _lead(
+    model: ModelTuple, tool: State, wanted: Any, h: float, way: float, turn: float,
+    out: Array, package: Array,
+) -> int:
+    """
+    Write the states of tool and package along a motion; return how many there are.
+
+    What is wanted of the package (N, 19) is half a step of h (s) apart; then it rests. The last
+    tool moves by less than way (m) and turn (rad) per s.
+    """
+    still = (0.0, 0.0, 0.0)
+    for k in range(len(out)):
+        do, ds, sum_o, sum_s, stage = still, still, still, still, tool
+        for i in range(4):  # of a step of RKMK4
+            body, dv, dw = wanted_at(wanted, 2 * k + (i + 1) // 2)
+            at = 0.5 * ((i + 1) // 2) * h
+            stage = leading_tool(
+                model, stage_state(tool, at, do, ds, still, still), body, dv, dw)
+            if i == 0:
+                write_row(out[k], stage)
+                write_row(package[k], body)
+                if 2 * k >= len(wanted) - 1 and dot(stage[2], stage[2]) < way * way and (
+                        dot(stage[3], stage[3]) < turn * turn):
+                    return k + 1
+            do, ds = apply(rotation_matrix(stage[1]), stage[2]), rotation_rate(
+                scale(at, ds), stage[3])
+            weight = 1.0 if i % 3 == 0 else 2.0
+            sum_o, sum_s = add_scaled(sum_o, weight, do), add_scaled(sum_s, weight, ds)
+        tool = stage_state(tool, h / 6.0, sum_o, sum_s, still, still)
+        tool = tool[0], normalised(tool[1]), tool[2], tool[3]
+    return len(out)
+
+
+def relaxation_rates(model: ModelTuple) -> Array:
+    """
+    Return the rates (1/s) at which the cup relaxes under a wrench: those of P^-1 K.
+
+    Raises
+    ------
+    BellowsError
+        If the damper is too weak for the inverse.
+
+    """
+    K, P = (np.block([[np.reshape(A, (3, 3)), np.reshape(B, (3, 3))],
+                      [np.reshape(B, (3, 3)).T, np.reshape(C, (3, 3))]])
+            for A, B, C in model[0][2:])
+    with np.errstate(all='ignore'):
+        sound = np.linalg.eigvalsh(P).min() > 0.0
+        rates = np.sort(np.linalg.eigvals(np.linalg.solve(P, K)).real) if sound else np.zeros(6)
+    if not 0.0 < rates[0] <= rates[-1] < FASTEST:
+        raise BellowsError(
+            'The cup cannot be inverted: its damping is too small for its stiffness, or not '
+            f'positive definite; the rates of P^-1 K are {rates[0]:.3g} to {rates[-1]:.3g} 1/s, '
+            f'expected above 0 and below {FASTEST:g}. Use --method zvd.')
+    return rates
+
+
+def inverse(
+    model: ModelTuple, wanted: Trajectory, start: State | None = None
+) -> tuple[Trajectory, Trajectory, float]:
+    """
+    Return the motion of the tool under which the package moves as wanted.
+
+    Parameters
+    ----------
+    model : tuple
+        As the kernels take it.
+    wanted : Trajectory
+        Poses and body twists of B, from rest to rest.
+    start : State, optional
+        The tool from which B hangs at rest at the first pose; sought when left out.
+
+    Returns
+    -------
+    tool : Trajectory
+        Of E with body twists. It goes on after the package has arrived, until the cup has relaxed.
+    package : Trajectory
+        The motion of B at the same stamps, smoothed where it was not C^4.
+    smoothed : float
+        Over what time (s); 0 where it was C^4.
+
+    Raises
+    ------
+    BellowsError
+        If the cup cannot be inverted, or would have to bend further than it can.
+
+    """
+    rates = relaxation_rates(model)
+    rows, smoothed = _smooth_rows(wanted)
+    duration = float(wanted.seconds[-1])
+    count = math.ceil(duration / min(GRID, RATE_PER_STEP / rates[-1]) - 1e-9)
+    h = duration / count
+    if start is None:
+        start = _tool_above(model, rows[0], rates)
+    out, package = np.empty((2, count + 1 + round(LONGEST_ARRIVAL / rates[0] / h), 13))
+    found = _led(
+        model, start, _wanted(rows, duration, count), h, rates[0] * np.array(ARRIVED), out,
+        package)
+    every = max(1, round(GRID / h))
+    kept = np.append(np.arange(0, found - 1, every), found - 1)
+    out[found - 1, 7:] = 0.0
+    stamps = wanted.stamps_ns[0] + np.round(kept * h * NS_PER_S).astype(np.int64)
+    tool, package = (Trajectory(stamps, rows[kept, :3], quaternion_to_rotation(rows[kept, 3:7]),
+                                rows[kept, 7:]) for rows in (out, package))
+    if np.sum(tool.rotation[:, :, 2] * package.rotation[:, :, 2], axis=1).min() < math.cos(
+            STEEPEST):
+        raise _too_far()
+    return tool, package, smoothed
+
+
+def _wanted(rows: Array, duration: float, count: int) -> Array:
+    """
+    Return states of B, and the rates of its body twist (2 count + 1, 19).
+
+    Of a quintic spline through evenly spaced poses (N, 7), from rest to rest.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    still: Any = [(1, np.zeros(7)), (2, np.zeros(7))]
+    spline = make_interp_spline(
+        np.linspace(0.0, duration, len(rows)), rows, 5, bc_type=(still, still))
+    t = np.linspace(0.0, duration, 2 * count + 1)
+    value, rate, bend = (spline(t, order) for order in range(3))
+    q = value[:, 3:]
+    size = np.linalg.norm(q, axis=1)[:, None]
+    (_, twist), (_, bent) = body_twists(q, rate), body_twists(q, bend)
+    v, w = twist[:, :3], twist[:, 3:]
+    growth = 2.0 * np.sum(q * rate[:, 3:], axis=1)[:, None] / size ** 2
+    return np.hstack([
+        value[:, :3], q / size, twist, bent - np.hstack([np.cross(w, v), growth * w])])
+
+
+def _led(
+    model: ModelTuple, tool: State, wanted: Array, h: float, arrived: Array, out: Array,
+    package: Array,
+) -> int:
+    """Fill in the states of tool and package; return how many there are."""
+    way, turn = arrived.tolist()
+    try:
+        found = int(_lead(
+            model, tool, *as_inputs(wanted), h, way, turn, out, package))
+    except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
+        found = 0
+    if not found or not np.isfinite(out[:found]).all():
+        raise _too_far()
+    return found
+
+
+def _too_far() -> BellowsError:
+    """Return the error for a motion beyond the cup's reach."""
+    return BellowsError(
+        'This motion of the package would bend the cup by more than 45 degrees. Give the motion '
+        'more time, or use --method zvd.')
+
+
+def _tool_above(model: ModelTuple, body: Array, rates: Array) -> State:
+    """Return the tool from which a package of pose (7,) hangs at rest."""
+    shift = resting_on_tool(model, state_row(np.zeros(3), [0, 0, 0, 1]))[0]
+    o = body[:3] - quaternion_to_rotation(body[3:]) @ shift
+    h = min(GRID, RATE_PER_STEP / rates[-1])
+    out = np.empty((2, round(2.0 * LONGEST_ARRIVAL / rates[0] / h), 13))
+    found = _led(model, state_row(o, body[3:]), np.pad(body, (0, 12))[None], h,
+                 1e-4 * rates[0] * np.array(ARRIVED), *out)
+    return state_row(out[0, found - 1, :3], out[0, found - 1, 3:7])
+
+
+def tool_above(model: ModelTuple, package: Trajectory) -> Trajectory:
+    """Return the motion of the tool to which a package, hanging below it, is fixed."""
+    o, q, _, _ = _tool_above(model, tool_rows(package)[0, :7], relaxation_rates(model))
+    T_B = transform(package.rotation[0], package.position[0])
+    T_E = transform(quaternion_to_rotation(np.array(q)), np.array(o))
+    return carried(package, inverse_transform(T_B) @ T_E)
+
+
+def _smooth_rows(wanted: Trajectory) -> tuple[Array, float]:
+    """Return poses (N, 7) evenly spaced from rest to rest, smoothed if need be, and how far."""
+    from scipy.ndimage import uniform_filter1d
+
+    curve, duration = curve_of(wanted), float(wanted.seconds[-1])
+    rows = curve(np.linspace(0.0, duration, max(6, round(duration / SPACING)) + 1))
+    if is_smooth(curve):
+        return rows, 0.0
+    fine = (len(rows) - 1) * PARTS
+    box = round(0.25 * fine * min(SMOOTHED, LONGEST_SMOOTHING / duration)) | 1  # has a middle
+    reach = 2 * (box - 1)
+    quick = curve(np.linspace(0.0, duration, fine + 1 - 2 * reach))
+    smooth = np.pad(quick, ((reach, reach), (0, 0)), mode='edge')
+    for _ in range(4):
+        smooth = uniform_filter1d(smooth, box, axis=0, mode='nearest')
+    smooth[:, 3:] /= np.linalg.norm(smooth[:, 3:], axis=1)[:, None]
+    return smooth[::PARTS], 2.0 * reach * duration / fine
+
+
+def is_smooth(curve: Any) -> bool:
+    """
+    Return whether a motion from rest to rest, as `curve_of` makes it, is C^4.
+
+    Where it is not, the change of the fourth derivative from one point to the next does not become
+    smaller with their distance.
+    """
+    duration = float(curve.x[-1])
+    count = round(duration / max(SPACING, float(np.median(np.diff(curve.x)))))
+    count = 2 * max(3, round(0.5 * count))
+    rows = np.pad(curve(np.linspace(0.0, duration, count + 1)), ((6, 6), (0, 0)),
+                  mode='edge')
+    fine, coarse = (np.diff(rows[::every], 4, axis=0) * (count / (every * duration)) ** 4
+                    for every in (1, 2))
+    change, before = (np.abs(np.diff(d, axis=0)).max() for d in (fine, coarse))
+    return bool(change < max(JUMP, LITTLE * np.abs(fine).max()) or change < 0.7 * before)
+
+
+# -------------------------------------------------------------------------------------- shaping
+
+
+def modes_left(model: ModelTuple, prediction: Prediction) -> list[Mode]:
+    """
+    Return the modes of the hanging package, and how far each swings after a plan.
+
+    From the model linearised at rest after the plan, slowest first; overdamped ones are left out.
+    """
+    last = tool_rows(prediction.tool)[-1]
+    tool = state_row(last[:3], last[3:7])
+    hanging = rest(model, last)
+    values, vectors = np.linalg.eig(system_matrix(model, tool, hanging))
+    R = quaternion_to_rotation(np.array(hanging[1]))
+    end = prediction.states[-1]
+    shift = R.T @ (end[:3] - hanging[0])
+    turn = log_so3(R.T @ quaternion_to_rotation(end[3:7]))
+    sizes = np.linalg.solve(vectors, np.concatenate([shift, turn, end[7:]]))
+    tilts = 2.0 * np.abs(sizes) * np.linalg.norm(vectors[3:6], axis=0)
+    found = [Mode(abs(s) / (2.0 * math.pi), -s.real / abs(s), float(tilt))
+             for s, tilt in zip(values, tilts, strict=True) if s.imag > 1e-9 * abs(s)]
+    return sorted(found)
+
+
+def impulses(modes: Sequence[Mode], method: str) -> tuple[Array, Array]:
+    """
+    Return delays (s) and sizes, of sum 1, of the ZV or ZVD shaper of some modes (M,).
+
+    k = exp(-zeta pi / sqrt(1 - zeta^2)) is what is left of a swing after half a period.
+    """
+    delays, sizes = np.zeros(1), np.ones(1)
+    for mode in modes:
+        root = math.sqrt(1.0 - mode.damping ** 2)
+        k = math.exp(-mode.damping * math.pi / root)
+        powers = np.array([1.0, k] if method == 'zv' else [1.0, 2.0 * k, k * k])
+        half = 0.5 / (mode.frequency * root)
+        delays = np.add.outer(delays, half * np.arange(len(powers))).ravel()
+        sizes = np.outer(sizes, powers / powers.sum()).ravel()
+    return delays, sizes
+
+
+def to_shape(modes: Sequence[Mode]) -> list[Mode]:
+    """Return the modes that swing; similar ones are merged, weighted by their swing."""
+    groups: list[list[Mode]] = []
+    for mode in (mode for mode in modes if mode.tilt > SWINGING):
+        if groups and mode.frequency < (1.0 + ALIKE) * groups[-1][-1].frequency:
+            groups[-1].append(mode)
+        else:
+            groups.append([mode])
+    return [Mode(*np.average(group, axis=0, weights=[mode.tilt for mode in group]).tolist())
+            for group in groups]
+
+
+def shaped(tool: Trajectory, delays: Array, sizes: Array) -> Trajectory:
+    """Return the sum of delayed copies of a motion, quaternions added up and normalised."""
+    duration, curve = float(tool.seconds[-1]), curve_of(tool)
+    seconds = np.arange(math.ceil((duration + delays.max()) / GRID - 1e-9) + 1) * GRID
+    at = np.clip(seconds - delays[:, None], 0.0, duration)
+    rows, rates = (np.tensordot(sizes, of(at), 1) for of in (curve, curve.derivative()))
+    stamps = tool.stamps_ns[0] + np.round(seconds * NS_PER_S).astype(np.int64)
+    rotation, twist = body_twists(rows[:, 3:], rates)
+    return Trajectory(stamps, rows[:, :3], rotation, twist)
+
+
+# ---------------------------------------------------------------------------------- both of them
+
+
+class Steered(NamedTuple):
+    """A motion of the tool that leaves the package without swing."""
+
+    tool: Trajectory
+    package: Trajectory
+    """Poses of B as wanted, at the tool's stamps."""
+    smoothed: float
+    """Time (s) over which the wanted motion was smoothed; 0 if it was C^4."""
+    modes: list[Mode]
+    """Modes of the package that the plan excites and that are shaped."""
+
+
+def steer(
+    model: ModelTuple, plan: Trajectory, method: str, of_package: bool = False
+) -> Steered:
+    """
+    Return a motion of the tool that leaves the package without swing.
+
+    Parameters
+    ----------
+    model : tuple
+        As the kernels take it.
+    plan : Trajectory
+        Poses and body twists from rest to rest: of the tool, with the package hanging rigidly
+        below it, or of the package's B.
+    method : {'inverse', 'zv', 'zvd'}
+        The package moves as planned, or input shaping with modes of the model at rest.
+    of_package : bool
+        Whether the plan is of B.
+
+    Raises
+    ------
+    BellowsError
+        If the plan does not begin and end at rest, the package cannot rest under the tool, or the
+        cup cannot be inverted.
+
+    """
+    twist = np.abs(np.asarray(plan.twist)[[0, -1]])
+    if (twist > np.repeat(STILL, 3)).any():
+        raise BellowsError(
+            f'The plan begins or ends in motion, at up to {twist[:, :3].max():.3g} m/s and '
+            f'{twist[:, 3:].max():.3g} rad/s; expected rest. Give a plan from rest to rest.')
+    if method == 'inverse':
+        first = None if of_package else state_row(*np.split(tool_rows(plan)[0], [3, 7]))
+        return Steered(*inverse(model, plan if of_package else hanging(model, plan), first), [])
+    tool = tool_above(model, plan) if of_package else plan
+    modes = to_shape(modes_left(model, predict(model, None, tool, tail=0.0)))
+    moved = shaped(tool, *impulses(modes, method))
+    return Steered(moved, hanging(model, moved), 0.0, modes)
+
+
+def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
+    """
+    Return the motion of the package hanging rigidly below the tool, at rest at both ends.
+
+    Where the tool tilts, so that it hangs differently at both, the one becomes the other with
+    four continuous derivatives.
+    """
+    T_E = transform(tool.rotation[[0, -1]], tool.position[[0, -1]])
+    first, last = tool_rows(tool)[[0, -1]]
+    start = rest(model, first)
+    rests = start, rest_after(model, first, start, last)
+    T_B = transform(quaternion_to_rotation(np.array([state[1] for state in rests])),
+                    np.array([state[0] for state in rests]))
+    T_E_B = inverse_transform(T_E) @ T_B
+    way = log_se3(inverse_transform(T_E_B[0]) @ T_E_B[1])
+    s = (tool.seconds / tool.seconds[-1])[:, None]
+    step = s**5 * (126.0 + s * (-420.0 + s * (540.0 + s * (-315.0 + s * 70.0))))
+    rate = 630.0 * s**4 * (1.0 - s) ** 4 / tool.seconds[-1]
+    found = carried(tool, T_E_B[0] @ exp_se3(step * way))
+    return replace(found, twist=np.asarray(found.twist) + rate * way)
+
+
+def carried(motion: Trajectory, T: Array) -> Trajectory:
+    """Return the motion of frames at poses T (4, 4) or (N, 4, 4) on a moving body."""
+    moved = transform(motion.rotation, motion.position) @ T
+    twist = apply_all(adjoint(inverse_transform(T)), np.asarray(motion.twist))
+    return Trajectory(motion.stamps_ns, moved[:, :3, 3], moved[:, :3, :3], twist)

@@ -1,0 +1,1 @@
+"""Recorded motions: trajectories, resampling, the Savitzky-Golay filter, residuals."""

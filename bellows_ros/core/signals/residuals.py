@@ -1,0 +1,304 @@
+"""
+Errors of a prediction against a measurement: per axis, their spectra and whiteness.
+
+Residuals with samples missing (NaN) are taken as they are: powers, and pairs, of the samples
+there. A motion with samples missing is interpolated first: cut to zero there, it would seem to
+have power at all frequencies.
+"""
+
+from dataclasses import dataclass
+
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.lie import apply, log_so3
+from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from scipy.special import chdtrc
+
+AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
+"""The tool-relative coordinates: position of B (m), then its rotation vector (rad), in E axes."""
+
+MILLI_UNITS = ('mm',) * 3 + ('mrad',) * 3
+"""Units in which they are read."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """
+    Errors of predicted tool-relative coordinates, each (6,): m for x, y, z and rad for rx, ry, rz.
+
+    Parameters
+    ----------
+    rms, largest : ndarray (6,)
+        RMS and largest absolute error.
+    motion : ndarray (6,)
+        RMS deviation of the measured coordinate from its mean.
+    samples : int
+        Number of samples compared.
+
+    """
+
+    rms: Array
+    largest: Array
+    motion: Array
+    samples: int
+
+    @property
+    def nrmse(self) -> Array:
+        """RMS error over RMS deviation of the measured coordinate from its mean, (6,)."""
+        ratio: Array = np.full(6, np.nan)
+        np.divide(self.rms, self.motion, out=ratio, where=self.motion > 0.0)
+        return ratio
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """
+    Predicted and measured package as seen from the tool.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray (N,)
+        Common stamps of prediction and recording.
+    measured, predicted : ndarray (N, 6)
+        Tool-relative coordinates: position of B (m) and rotation vector (rad) in E axes. NaN where
+        the tool was lost; measured ones also where the package was.
+    scores : Scores
+        Errors per axis, where both are known.
+
+    """
+
+    stamps_ns: Stamps
+    measured: Array
+    predicted: Array
+    scores: Scores
+
+    @property
+    def error(self) -> Array:
+        """Predicted minus measured (N, 6); NaN where the tool or the package was lost."""
+        return self.predicted - self.measured
+
+
+def relative_coordinates(tool: Trajectory, package: Trajectory) -> Array:
+    """
+    Return position (m) and rotation vector (rad) of the package in the tool frame (N, 6).
+
+    Both trajectories are in the world, at the same N stamps.
+    """
+    if not np.array_equal(tool.stamps_ns, package.stamps_ns):
+        raise BellowsError('Tool and package must have the same stamps; resample one of them.')
+    R_tool_world = np.swapaxes(tool.rotation, 1, 2)
+    position = apply(R_tool_world, package.position - tool.position)
+    return np.hstack([position, log_so3(R_tool_world @ package.rotation)])
+
+
+def score(measured: Array, predicted: Array) -> Scores:
+    """Return the errors of predicted against measured coordinates, both (N, 6), NaN where lost."""
+    both = np.isfinite(measured + predicted).all(axis=1)
+    if not both.any():
+        raise BellowsError('No sample has both a prediction and a measurement.')
+    measured, error = measured[both], (predicted - measured)[both]
+    return Scores(
+        rms=np.sqrt(np.mean(error**2, axis=0)),
+        largest=np.abs(error).max(axis=0),
+        motion=np.std(measured, axis=0),
+        samples=len(measured),
+    )
+
+
+def compare(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Comparison:
+    """
+    Compare a prediction with a measurement.
+
+    Parameters
+    ----------
+    predicted : Trajectory
+        Poses of B in the world.
+    tool, package : Trajectory
+        Measured poses of E and B at the same stamps, aligned but not filtered.
+
+    Raises
+    ------
+    BellowsError
+        If stamps differ, or there is no sample at which both are known.
+
+    """
+    known = np.where(tool.valid, 1.0, np.nan)[:, None]
+    measured = relative_coordinates(tool, package) * known
+    measured[~package.valid] = np.nan
+    coordinates = relative_coordinates(tool, predicted) * known
+    return Comparison(tool.stamps_ns, measured, coordinates, score(measured, coordinates))
+
+
+SEGMENT_S = 2.0
+"""Length of the segments of a spectrum, s: separates lines half a hertz apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """
+    One-sided power spectral densities of C channels.
+
+    Parameters
+    ----------
+    frequency : ndarray (F,)
+        Hz.
+    density : ndarray (F, C)
+        Square of the channel's unit per Hz; its integral is the channel's mean square.
+
+    """
+
+    frequency: Array
+    density: Array
+
+    @property
+    def peak(self) -> Array:
+        """Frequency (Hz) of the largest density of each channel (C,)."""
+        return np.asarray(self.frequency[np.argmax(self.density, axis=0)])
+
+    def band(self, part: float) -> tuple[Array, Array]:
+        """
+        Return the bands (C,), (C,) in Hz with the middle part of each channel's power.
+
+        The rest is left out in equal shares below and above. NaN where there is no power.
+        """
+        total = np.cumsum(self.density, axis=0)
+        share = np.full_like(total, np.nan)
+        np.divide(total, total[-1], out=share, where=total[-1] > 0.0)
+        low, high = (
+            np.where(np.isfinite(share[-1]), self.frequency[np.argmax(share >= level, axis=0)],
+                     np.nan)
+            for level in (0.5 * (1.0 - part), 0.5 * (1.0 + part)))
+        return low, high
+
+
+def _there(values: Array) -> Mask:
+    """Return which samples (N,) of values (N, C) are not missing, or refuse values without any."""
+    there = np.isfinite(values).all(axis=1)
+    if not there.any():
+        raise BellowsError('There is no sample of which to take a spectrum.')
+    return np.asarray(there)
+
+
+def interpolated(values: Array) -> Array:
+    """Return values (N, C) with the samples that are missing (NaN) on lines between the others."""
+    there = np.flatnonzero(_there(values))
+    every = np.arange(len(values))
+    return np.column_stack([np.interp(every, there, channel[there]) for channel in values.T])
+
+
+def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spectrum:
+    """
+    Return power spectral densities by Welch's method: Hann windows that overlap by half.
+
+    Parameters
+    ----------
+    values : ndarray (N, C)
+        At a uniform rate; their mean is taken out. NaN where a sample is missing: it counts as
+        zero, and the density is made up for the power that is missing so. That is right for what
+        is white; see `interpolated` for the rest.
+    rate_hz : float
+        Samples per second.
+    segment_s : float
+        Length of a segment, s.
+
+    """
+    there = _there(values)
+    from scipy.signal import welch  # late: it takes 0.4 s and 25 MB
+
+    length = min(len(values), round(segment_s * rate_hz))
+    filled = np.where(there[:, None], values - values[there].mean(axis=0), 0.0)
+    frequency, density = welch(filled, rate_hz, nperseg=length, detrend=False, axis=0)
+    return Spectrum(frequency, len(values) / np.count_nonzero(there) * density)
+
+
+LAGS = 20
+"""Lags of the portmanteau test."""
+
+CONFIDENT = 0.01
+"""p-value below which a residual is not white."""
+
+SMALL = 0.1
+"""Autocorrelation below which colour is negligible: it explains 1 % of the next residual."""
+
+
+@dataclass(frozen=True, eq=False)
+class Whiteness:
+    """
+    The portmanteau test of Ljung and Box on C channels.
+
+    Parameters
+    ----------
+    samples : int
+        Samples of each channel.
+    autocorrelation : ndarray (L, C)
+        At lags 1 to L, without unit.
+    statistic : ndarray (C,)
+        Q = n (n + 2) sum of r_k^2 / n_k over the lags k, with n_k pairs of samples k apart; for a
+        white channel distributed as chi^2 with L degrees of freedom. NaN for a constant channel.
+    p_value : ndarray (C,)
+        Probability of at least this Q for a white channel.
+
+    """
+
+    samples: int
+    autocorrelation: Array
+    statistic: Array
+    p_value: Array
+
+    @property
+    def lags(self) -> int:
+        """Number of lags."""
+        return len(self.autocorrelation)
+
+    @property
+    def verdicts(self) -> tuple[str, ...]:
+        """'white', 'nearly white' or 'coloured' for each channel."""
+        small = self.largest < SMALL
+        return tuple(
+            'white' if white else 'nearly white' if little else 'coloured'
+            for white, little in zip(self.white.tolist(), small.tolist(), strict=True)
+        )
+
+    @property
+    def white(self) -> Mask:
+        """Which channels pass the test of whiteness (C,)."""
+        return ~(self.p_value < CONFIDENT)
+
+    @property
+    def largest(self) -> Array:
+        """Largest autocorrelation of any lag (C,): how coloured, however many the samples are."""
+        return np.asarray(np.abs(self.autocorrelation).max(axis=0))
+
+
+def portmanteau(residuals: Array, lags: int = LAGS) -> Whiteness:
+    """
+    Test whether residuals are white.
+
+    Parameters
+    ----------
+    residuals : ndarray (N, C)
+        At a uniform rate, about zero; NaN where a sample is missing.
+    lags : int
+        How many lags count.
+
+    Raises
+    ------
+    BellowsError
+        If there are too few samples for the lags.
+
+    """
+    there = np.asarray(np.isfinite(residuals).all(axis=1))
+    count = int(np.count_nonzero(there))
+    pairs = np.array([np.count_nonzero(there[k:] & there[:-k]) for k in range(1, lags + 1)])
+    if count <= lags or len(residuals) <= lags or pairs.min() == 0:
+        raise BellowsError(
+            f'{count} residuals are too few to test whether they are white over {lags} lags.'
+        )
+    e = np.where(there[:, None], residuals, 0.0)
+    power = np.sum(e**2, axis=0)
+    products = np.array([np.sum(e[k:] * e[:-k], axis=0) for k in range(1, lags + 1)])
+    r = np.full_like(products, np.nan)
+    np.divide(products, power, out=r, where=power > 0.0)
+    Q = count * (count + 2) * np.sum(r**2 / pairs[:, None], axis=0)
+    return Whiteness(count, r, Q, chdtrc(lags, Q))

@@ -1,0 +1,278 @@
+"""
+Checks of stamps and poses, live and recorded.
+
+Stamps are judged by a state machine over header stamps and times of arrival. A stamp that is wrong
+once is refused; one that goes on in a consistent way is believed after a short run: then a clock
+was set, or a recording has started again. Recorded messages are judged by the same, but with
+hindsight: where a clock was set back, the stamps before and after overlap, and as few messages as
+possible are left out.
+"""
+
+import math
+from typing import NamedTuple
+
+from bellows_ros.core.geometry.arrays import Mask, Stamps
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
+import numpy as np
+
+LARGEST_SPEED = 20.0
+"""Largest speed of an arm, m/s."""
+
+LARGEST_RATE = 60.0
+"""Largest angular speed of an arm, rad/s."""
+
+UNIT_WITHIN = 0.01
+"""A quaternion whose length is off by more is refused; otherwise it is normalised."""
+
+
+LONGEST_GAP_NS = 500_000_000
+"""After a longer gap (ns) the package's motion is unknown, and prediction restarts from rest."""
+
+BACKWARD_RUN = 5
+"""Consecutive backward stamps, increasing among themselves, that mean a clock set back."""
+
+FAR_BACKWARD_RUN = 3
+"""The same, further back than any late message: a recording that starts again."""
+
+LEAP_NS = 20_000_000
+LEAP_PERIODS = 4
+"""Lead (periods) over earlier stamps relative to arrival that makes a stamp a leap."""
+
+SETTLED_AFTER = 10
+"""Poses needed to know the delay between stamps and arrivals."""
+
+ACCEPTED = ''
+
+
+class Verdict(NamedTuple):
+    """The decision on a pose."""
+
+    refused: str
+    """Why the pose is refused, or ''."""
+    restart: str
+    """Why prediction restarts with this pose, or ''."""
+
+
+GOOD = Verdict(ACCEPTED, '')
+
+
+def why_no_pose(o: Vector, q: Quaternion) -> str:
+    """Return why numbers are not a pose, or ''."""
+    squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    if not math.isfinite(o[0] + o[1] + o[2] + squared):
+        return 'nan'
+    if squared < 1e-12:
+        return 'zero_quaternion'
+    if abs(squared - 1.0) > 2.0 * UNIT_WITHIN:
+        return 'not_unit'
+    return ''
+
+
+class StampScreen:
+    """
+    Judge stamps one after the other.
+
+    Attributes
+    ----------
+    newest_ns : int
+        The newest accepted stamp, -1 before the first.
+
+    """
+
+    def __init__(self) -> None:
+        """Take whatever stamp comes next."""
+        self.forget_stamps()
+
+    def forget_stamps(self) -> None:
+        """Take whatever stamp comes next."""
+        self.newest_ns = -1
+        self._period_ns = 0
+        self._newest_arrival_ns: int | None = None
+        self._least_age_ns = self._accepted = 0
+        self._leap_ns = -1
+        self._backward_run = 0
+        self._backward_last_ns = -1
+        self._ahead_ns = -1
+        self._leaps = False
+
+    def judge_stamp(self, stamp_ns: int, arrival_ns: int | None) -> Verdict:
+        """
+        Return whether a stamp can be used.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Header stamp, ns.
+        arrival_ns : int or None
+            When the message came, on a clock that nobody sets. Tells a pause of the driver from a
+            stamp that lies in the future; without it a late stamp is taken for a pause.
+
+        """
+        if self.newest_ns < 0:
+            return GOOD
+        if stamp_ns == self.newest_ns:
+            return Verdict('duplicate_stamp', '')
+        if stamp_ns < self.newest_ns:
+            return self._judge_backward(stamp_ns)
+        if stamp_ns - self.newest_ns > LONGEST_GAP_NS:
+            return self._judge_ahead(stamp_ns, arrival_ns)
+        if arrival_ns is not None and self._leaps_alone(stamp_ns, arrival_ns - stamp_ns):
+            return Verdict('future_stamp', '')
+        self._ahead_ns = -1
+        return GOOD
+
+    def accept_stamp(self, stamp_ns: int, arrival_ns: int | None, restart: str) -> None:
+        """Make this stamp the reference; after a restart, the only one."""
+        if restart:
+            self.forget_stamps()
+        elif self.newest_ns >= 0:
+            self._period_ns = stamp_ns - self.newest_ns
+        self.newest_ns = stamp_ns
+        if arrival_ns is not None:
+            self._note_age(arrival_ns - stamp_ns)
+        self._newest_arrival_ns = arrival_ns
+        self._backward_run = 0
+        self._ahead_ns = -1
+        self._leaps = restart == 'clock_set_forward'
+
+    def _note_age(self, age_ns: int) -> None:
+        """Keep the least time between stamp and arrival; it grows again, as clocks drift."""
+        above = age_ns - self._least_age_ns
+        self._least_age_ns = self._least_age_ns + above // 1024 if (
+            self._accepted and above > 0) else age_ns
+        self._accepted += 1
+
+    def _leaps_alone(self, stamp_ns: int, age_ns: int) -> bool:
+        """Return whether a stamp, unlike the previous one, lies in the future."""
+        ahead_ns = self._least_age_ns - age_ns
+        if ahead_ns <= LEAP_NS or self._accepted < SETTLED_AFTER:
+            self._leap_ns = -1
+            return False
+        if ahead_ns <= LEAP_PERIODS * self._period_ns:
+            return False
+        before, self._leap_ns = self._leap_ns, stamp_ns
+        return not 0 <= before < stamp_ns
+
+    def _judge_backward(self, stamp_ns: int) -> Verdict:
+        """Refuse stamps that go back until this persists."""
+        if self._backward_run and stamp_ns <= self._backward_last_ns:
+            self._backward_run = 0
+        self._backward_run += 1
+        self._backward_last_ns = stamp_ns
+        far = self.newest_ns - stamp_ns > LONGEST_GAP_NS
+        if self._backward_run >= (FAR_BACKWARD_RUN if far else BACKWARD_RUN):
+            return Verdict(ACCEPTED, 'clock_set_back')
+        return Verdict('backward_stamp', '')
+
+    def _judge_ahead(self, stamp_ns: int, arrival_ns: int | None) -> Verdict:
+        """Distinguish a pause, after which prediction restarts, from a stamp in the future."""
+        if arrival_ns is None or self._newest_arrival_ns is None:
+            return Verdict(ACCEPTED, 'gap')
+        waited = arrival_ns - self._newest_arrival_ns
+        if 2 * waited >= stamp_ns - self.newest_ns:
+            return Verdict(ACCEPTED, 'gap')
+        before, self._ahead_ns = self._ahead_ns, stamp_ns
+        if self._leaps or 0 <= before < stamp_ns:  # the next one too: the clock, or fast playback
+            return Verdict(ACCEPTED, 'clock_set_forward')
+        return Verdict('future_stamp', '')
+
+
+REASONS = ('duplicate_stamp', 'backward_stamp', 'future_stamp')
+
+
+def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps | None) -> dict[str, Mask]:
+    """
+    Return which messages have stamps that cannot be used, by reason.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        Header stamps in the order the messages came in, ns.
+    arrivals_ns : int array (N,), optional
+        When they came, ns, not decreasing; without them a stamp that lies ahead is known only by
+        those behind it.
+
+    Returns
+    -------
+    dict of str to bool array (N,)
+        The messages left, those under no reason, have stamps that increase strictly.
+
+    """
+    unusable = {reason: np.zeros(len(stamps_ns), dtype=bool) for reason in REASONS}
+    if _are_plain(stamps_ns, arrivals_ns):
+        return unusable
+    kept: list[Stamps] = []
+    for part in _parts(stamps_ns, arrivals_ns, unusable):
+        while len(part) and kept and stamps_ns[kept[-1][-1]] >= stamps_ns[part[0]]:
+            before = kept.pop()
+            ahead = stamps_ns[before] >= stamps_ns[part[0]]
+            behind = stamps_ns[part] <= stamps_ns[before[-1]]
+            if _is_rather_lost((ahead, before), (behind, part)):
+                unusable['future_stamp'][before[ahead]] = True
+                before = before[~ahead]
+            else:
+                unusable['backward_stamp'][part[behind]] = True
+                part = part[~behind]
+            if len(before):
+                kept.append(before)
+        if len(part):
+            kept.append(part)
+    unusable['backward_stamp'] &= ~_in_place(stamps_ns, unusable)
+    return unusable
+
+
+def _in_place(stamps_ns: Stamps, unusable: dict[str, Mask]) -> Mask:
+    """Return which messages that seemed to be late lie between their neighbours after all."""
+    bad = np.logical_or.reduce(list(unusable.values()))
+    before = np.maximum.accumulate(np.where(bad, -1, stamps_ns))
+    after = np.minimum.accumulate(np.where(bad, np.iinfo(np.int64).max, stamps_ns)[::-1])[::-1]
+    found: Mask = unusable['backward_stamp'] & (before < stamps_ns) & (stamps_ns < after)
+    stamps = stamps_ns[found]
+    largest_before = np.maximum.accumulate(np.concatenate([[-1], stamps]))[:-1]
+    found[found] = stamps > largest_before
+    return found
+
+
+def _is_rather_lost(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps]) -> bool:
+    """
+    Return whether what overlaps is rather taken from one part than from the other.
+
+    Where it costs both about as much, as after a clock was set back, the shorter part decides:
+    that is the same for all topics of a recording, as chance is not.
+    """
+    costs = np.count_nonzero(one[0]), np.count_nonzero(other[0])
+    if max(costs) > 2 * min(costs):
+        return bool(costs[0] < costs[1])
+    return len(one[1]) < len(other[1])
+
+
+def _are_plain(stamps_ns: Stamps, arrivals_ns: Stamps | None) -> bool:
+    """Return whether the screen would accept all stamps, so that checking each is unnecessary."""
+    steps = np.diff(stamps_ns)
+    if np.any(steps <= 0):
+        return False
+    if arrivals_ns is None or not len(steps):
+        return True
+    ages = arrivals_ns - stamps_ns
+    leaps = np.maximum.accumulate(ages)[:-1] - ages[1:] > LEAP_NS
+    unexplained = (steps > LONGEST_GAP_NS) & (2 * np.diff(arrivals_ns) < steps)
+    return not np.any(leaps | unexplained)
+
+
+def _parts(
+    stamps_ns: Stamps, arrivals_ns: Stamps | None, unusable: dict[str, Mask]
+) -> list[Stamps]:
+    """Return the indices of the usable messages between the moments at which a clock was set."""
+    screen = StampScreen()
+    parts: list[list[int]] = [[]]
+    arrivals = [None] * len(stamps_ns) if arrivals_ns is None else arrivals_ns.tolist()
+    for i, (stamp_ns, arrival_ns) in enumerate(zip(stamps_ns.tolist(), arrivals, strict=True)):
+        verdict = screen.judge_stamp(stamp_ns, arrival_ns)
+        if verdict.refused:
+            unusable[verdict.refused][i] = True
+            continue
+        if verdict.restart:
+            parts.append([])
+        parts[-1].append(i)
+        screen.accept_stamp(stamp_ns, arrival_ns, verdict.restart)
+    return [np.array(part, dtype=np.int64) for part in parts if part]

@@ -1,0 +1,352 @@
+"""
+Recorded streams and trajectories: stamped poses and twists.
+
+All check themselves once, on construction, and are read-only from then on.
+Stamps are integer nanoseconds throughout; only their differences become seconds.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# Largest entry of R^T R - I that is still taken for rounding of a recorded rotation.
+ORTHONORMAL_WITHIN = 1e-6
+# Largest deviation of a step from the mean step, as a part of it, at which a rate counts as
+# uniform. At 360 Hz and 1 m/s it moves a sample by 28 um, less than the noise of a motion capture
+# system.
+UNIFORM_WITHIN = 0.01
+NS_PER_S = 1e9
+# Rotations whose entries are in the processor's cache while they are checked.
+CHECKED_AT_ONCE = 2048
+
+
+@dataclass(frozen=True, eq=False)
+class PoseStream:
+    """
+    Poses of one body as recorded on one topic.
+
+    Parameters
+    ----------
+    name : str
+        Topic or other source, for messages.
+    frame_id : str
+        Frame the poses are given in.
+    stamps_ns : int array (N,)
+        Header stamps, strictly increasing, ns.
+    position : array (N, 3)
+        Origin of the body in the frame, m.
+    rotation : array (N, 3, 3)
+        R_world_body.
+    refused : mapping of str to tuple of int
+        Reason to the indices, in the recording's order for this topic, of the messages that were
+        left out.
+    covariance : array (N, 6, 6), optional
+        Of position (m) and rotation (rad) about axes of the frame, as the messages have it.
+
+    Raises
+    ------
+    BellowsError
+        If shapes disagree, stamps do not increase, a number is not finite or a rotation is not
+        orthonormal.
+
+    """
+
+    name: str
+    frame_id: str
+    stamps_ns: Stamps
+    position: Array
+    rotation: Array
+    refused: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    covariance: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Check and freeze the arrays."""
+        _freeze_arrays(self, f"Poses '{self.name}'", position=(3,), rotation=(3, 3))
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.stamps_ns)
+
+    def trajectory(self) -> 'Trajectory':
+        """Return the poses as a trajectory whose samples are all valid."""
+        return Trajectory(self.stamps_ns, self.position, self.rotation)
+
+
+@dataclass(frozen=True, eq=False)
+class TwistStream:
+    """
+    Twists of one body as recorded on one topic, in the axes they were recorded in.
+
+    Parameters
+    ----------
+    name : str
+        Topic or other source, for messages.
+    frame_id : str
+        Frame named by the recording.
+    stamps_ns : int array (N,)
+        Header stamps, strictly increasing, ns.
+    linear, angular : array (N, 3)
+        m/s and rad/s.
+    refused : mapping of str to tuple of int
+        Reason to the indices, in the recording's order for this topic, of the messages that were
+        left out.
+
+    Raises
+    ------
+    BellowsError
+        If shapes disagree, stamps do not increase or a number is not finite.
+
+    """
+
+    name: str
+    frame_id: str
+    stamps_ns: Stamps
+    linear: Array
+    angular: Array
+    refused: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check and freeze the arrays."""
+        _freeze_arrays(self, f"Twists '{self.name}'", linear=(3,), angular=(3,))
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.stamps_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """
+    Poses of one body over time, with body twists and their derivatives if known.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        Strictly increasing, ns.
+    position : array (N, 3)
+        Origin of the body in the world, m.
+    rotation : array (N, 3, 3)
+        R_world_body.
+    twist : array (N, 6), optional
+        Body twist, linear first: R^T do/dt (m/s) and body rate (rad/s) (4.30).
+    acceleration : array (N, 6), optional
+        Time derivative of the body twist, m/s^2 and rad/s^2.
+    valid : bool array (N,) or bool, optional
+        False where a sample must not be used; one value stands for all. Invalid samples still hold
+        finite poses.
+
+    Raises
+    ------
+    BellowsError
+        If shapes disagree, stamps do not increase, a number is not finite or a rotation is not
+        orthonormal.
+
+    Examples
+    --------
+    >>> poses = bellows_ros.Trajectory(
+    ...     stamps_ns=[0, 10_000_000], position=np.zeros((2, 3)), rotation=[np.eye(3)] * 2)
+    >>> poses.seconds.tolist()
+    [0.0, 0.01]
+
+    """
+
+    stamps_ns: Stamps
+    position: Array
+    rotation: Array
+    twist: Array | None = None
+    acceleration: Array | None = None
+    valid: Mask = field(default_factory=lambda: np.array(True))
+
+    def __post_init__(self) -> None:
+        """Check and freeze the arrays."""
+        _freeze_arrays(self, 'Trajectory', position=(3,), rotation=(3, 3), twist=(6,),
+                       acceleration=(6,))
+        mask = np.array(self.valid)
+        if mask.ndim == 0:
+            mask = np.full(len(self), mask)
+        if mask.shape != (len(self),) or mask.dtype != np.bool_:
+            raise BellowsError(
+                f'Trajectory: valid must be booleans of shape ({len(self)},), not {mask.dtype} '
+                f'of shape {mask.shape}.'
+            )
+        _store(self, 'valid', mask)
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.stamps_ns)
+
+    @property
+    def seconds(self) -> Array:
+        """Times since the first sample, s (N,)."""
+        return (self.stamps_ns - self.stamps_ns[:1]) / NS_PER_S
+
+    def select(self, index: slice | Mask | Stamps) -> 'Trajectory':
+        """
+        Return the samples that a slice, a mask or increasing indices pick.
+
+        What was checked is not checked again, and a slice copies nothing.
+        """
+        picked = object.__new__(Trajectory)
+        _store(picked, 'stamps_ns', checked_stamps(self.stamps_ns[index], 'Picked samples'))
+        for name in ('position', 'rotation', 'twist', 'acceleration', 'valid'):
+            array = getattr(self, name)
+            if array is None:
+                object.__setattr__(picked, name, None)
+            else:
+                _store(picked, name, array[index])
+        return picked
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered(Trajectory):
+    """
+    A trajectory whose twists and accelerations were estimated from poses.
+
+    Parameters
+    ----------
+    weights : array (3, 2n+1), keyword only
+        How the value, the first and the second derivative (rows; 1, 1/s, 1/s^2) at a sample weigh
+        the positions, and the rotation vectors relative to the sample, from n samples before to n
+        after it. With independent noise of standard deviation sigma in each, their standard
+        deviations are sigma times the rows' Euclidean norms.
+
+    Notes
+    -----
+    The other fields are those of `Trajectory`; twist and acceleration are always there.
+
+    """
+
+    twist: Array
+    acceleration: Array
+    weights: Array = field(kw_only=True)
+
+
+def uniform_rate_hz(stamps_ns: Stamps) -> float:
+    """
+    Return the rate of uniformly spaced stamps.
+
+    Parameters
+    ----------
+    stamps_ns : int array (N,)
+        Strictly increasing, ns.
+
+    Returns
+    -------
+    float
+        Hz.
+
+    Raises
+    ------
+    BellowsError
+        With fewer than two stamps, or where a step differs from the mean step by more than
+        `UNIFORM_WITHIN` of it.
+
+    """
+    if len(stamps_ns) < 2:
+        raise BellowsError(f'A rate needs at least 2 stamps, not {len(stamps_ns)}.')
+    steps = np.diff(stamps_ns)
+    mean = float(stamps_ns[-1] - stamps_ns[0]) / len(steps)
+    worst = int(np.argmax(np.abs(steps - mean)))
+    if abs(steps[worst] - mean) > UNIFORM_WITHIN * mean:
+        raise BellowsError(
+            f'A uniform rate is needed, but sample {worst + 1} comes {steps[worst]} ns after the '
+            f'one before, and the mean step is {mean:.1f} ns. Resample the poses to a uniform '
+            'rate first.'
+        )
+    return NS_PER_S / mean
+
+
+def any_within(mask: Mask, width: int) -> Mask:
+    """Return whether any of each `width` neighbours is set (N - width + 1,)."""
+    total = np.concatenate([[0], np.cumsum(mask)])
+    return np.asarray(total[width:] > total[:-width])
+
+
+def checked_stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
+    """Return stamps as a read-only int64 array, or raise an error."""
+    stamps = np.asarray(stamps_ns)
+    if stamps.ndim != 1 or not (stamps.size == 0 or np.issubdtype(stamps.dtype, np.integer)):
+        raise BellowsError(
+            f'{of}: stamps must be integers (ns) of shape (N,), not '
+            f'{stamps.dtype} of shape {stamps.shape}.'
+        )
+    if not (_is_frozen(stamps) and stamps.dtype == np.int64):
+        stamps = stamps.astype(np.int64)
+    backward = np.flatnonzero(np.diff(stamps) <= 0)
+    if len(backward):
+        i = int(backward[0])
+        raise BellowsError(
+            f'{of}: stamps must increase strictly, but sample {i + 1} has {stamps[i + 1]} ns '
+            f'after {stamps[i]} ns. Sort the samples and leave repeated stamps out.'
+        )
+    return stamps
+
+
+def _freeze_arrays(owner: Any, of: str, **shapes: tuple[int, ...]) -> None:
+    """Check and freeze the owner's stamps and arrays with so many numbers for each, if given."""
+    _store(owner, 'stamps_ns', checked_stamps(owner.stamps_ns, of))
+    for name, shape in shapes.items():
+        if getattr(owner, name) is not None:
+            _freeze(owner, of, name, (len(owner), *shape))
+    if 'rotation' in shapes:
+        _require_rotations(owner.rotation, of)
+
+
+def _freeze(owner: object, of: str, name: str, shape: tuple[int, ...]) -> None:
+    """Check one of the owner's float arrays and store it, or a copy if it is writeable."""
+    array = np.asarray(getattr(owner, name), dtype=np.float64)
+    if not _is_frozen(array):
+        array = np.array(array, order='C')
+    if array.shape != shape:
+        raise BellowsError(
+            f'{of}: {name} must have shape {shape} for {shape[0]} stamps, not {array.shape}.'
+        )
+    if not np.all(np.isfinite(array)):
+        finite = np.isfinite(array).reshape(shape[0], -1).all(axis=1)
+        raise BellowsError(
+            f'{of}: {name} of sample {int(np.argmin(finite))} is not finite. '
+            'Leave such samples out.'
+        )
+    _store(owner, name, array)
+
+
+def frozen(array: Array | Stamps) -> Any:
+    """Return an array made read-only, so that objects built from it need not copy it."""
+    array.setflags(write=False)
+    return array
+
+
+def _is_frozen(array: NDArray[Any]) -> bool:
+    """Return whether an array, and the array that it views, is read-only."""
+    base = array.base
+    owner_frozen = base is None or (isinstance(base, np.ndarray) and not base.flags.writeable)
+    return owner_frozen and not array.flags.writeable
+
+
+def _store(owner: object, name: str, array: NDArray[np.generic]) -> None:
+    """Make an array read-only and set it on a frozen owner."""
+    array.setflags(write=False)
+    object.__setattr__(owner, name, array)
+
+
+def _require_rotations(rotation: Array, of: str) -> None:
+    """Refuse matrices that are not rotations."""
+    for start in range(0, len(rotation), CHECKED_AT_ONCE):
+        # Entry by entry along the samples: seven times faster than matrix by matrix.
+        R = rotation[start:start + CHECKED_AT_ONCE].transpose(1, 2, 0).copy()
+        product = np.sum(R[:, :, None] * R[:, None, :], axis=0)
+        error = np.abs(product - np.eye(3)[:, :, None]).max(axis=(0, 1))
+        volume = np.sum(np.cross(R[:, 0], R[:, 1], axis=0) * R[:, 2], axis=0)
+        bad = np.flatnonzero((error > ORTHONORMAL_WITHIN) | (volume < 0.0))
+        if len(bad):
+            i = int(bad[0])
+            raise BellowsError(
+                f'{of}: the rotation of sample {start + i} is not orthonormal and right-handed '
+                f'to {ORTHONORMAL_WITHIN:g} (R^T R differs from I by {error[i]:.3g}). '
+                'Normalise the quaternions before converting them.'
+            )

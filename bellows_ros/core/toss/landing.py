@@ -1,0 +1,240 @@
+"""
+Covariance of a landing, its contributions, and the time of release for a target.
+
+A landing is six figures: position in the plane of the floor (m), with no part along gravity, and
+the rotation vector from a nominal landing, in world axes (rad). Each toss lands at its own
+instant, so that the shift along the flight is projected out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from typing import Any, NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
+from bellows_ros.core.model.grip import Grip
+from bellows_ros.core.model.kernels import ModelTuple
+from bellows_ros.core.model.perturbed import (
+    contributions,
+    deviations_of,
+    model_with,
+    NAMES,
+    numbers_of,
+    STEP,
+)
+from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.toss.release import figures, Held, Release, Toss, toss
+from bellows_ros.errors import NoLandingError, UnstableError
+import numpy as np
+
+RELEASE_NAMES = ('release.delay', 'release.tau', 'release.impulse')
+
+MARGIN = 0.25
+"""A cup with changed parameters may let go up to this much (s) after the nominal instant."""
+
+SCAN, TOLERANCE = 4e-3, 1e-6
+"""Spacing (s) of the release times in the scan, and accuracy of the best one."""
+
+CANDIDATES = 8
+"""Number of the best times in the scan that are refined."""
+
+ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
+"""Standard deviations to the edge of the ellipse that holds 95 % in a plane."""
+
+
+class Parts(NamedTuple):
+    """The contribution of each uncertain parameter to a landing."""
+
+    names: tuple[str, ...]
+    std: Array
+    """Standard deviation of each number (M,), SI units."""
+    parts: Array
+    """Derivative times standard deviation (M, 6), m and rad."""
+
+    @property
+    def covariance(self) -> Array:
+        """Of the six figures (6, 6)."""
+        return np.asarray(self.parts.T @ self.parts)
+
+
+class Case(NamedTuple):
+    """A toss, and all that it depends on."""
+
+    values: Mapping[str, Any]
+    model: ModelTuple
+    grip: Grip | None
+    tool: Trajectory
+    release: Release
+    switched: float
+    """Time of the valve, s since the first point of the plan."""
+
+    def with_numbers(self, model: ModelTuple, release: Release, until: float) -> Toss:
+        """Return the toss with another model and release, up to a time (s)."""
+        return toss(Held(model, self.grip, self.tool, until=until), release, self.switched)
+
+    def figures(self, found: Toss, nominal: Toss) -> Array:
+        """Return the six figures of a landing, from a nominal one."""
+        return np.concatenate(figures(found.landing, nominal.landing, self.model[2]))
+
+
+def changed(release: Release, by: Array) -> Release:
+    """Return a release with delay, tau and impulse changed by (3,)."""
+    delay, tau = release.valve
+    return release._replace(
+        valve=(delay + float(by[0]), tau + float(by[1])), impulse=release.impulse + float(by[2]))
+
+
+def release_deviations(values: Mapping[str, Any]) -> Array:
+    """Return the standard deviations (3,) of delay, tau and impulse."""
+    return np.array([float(values[f'{name}_std']) for name in RELEASE_NAMES])
+
+
+def parts_of(case: Case, held: Held, nominal: Toss) -> Parts:
+    """Return what cup, package and release contribute, by differences as in `perturbed`."""
+    until = nominal.release_time + MARGIN
+    names, parts = contributions(case.values, case.model, lambda model: case.figures(
+        case.with_numbers(model, case.release, until), nominal))
+    std, rows = list(deviations_of(case.values)[[NAMES.index(name) for name in names]]), []
+    for name, sigma, unit in zip(
+            RELEASE_NAMES, release_deviations(case.values), np.eye(3), strict=True):
+        if sigma > 0.0:
+            up, down = (
+                case.figures(
+                    toss(held, changed(case.release, side * sigma * unit), case.switched), nominal)
+                for side in (STEP, -STEP))
+            names.append(name)
+            std.append(sigma)
+            rows.append((up - down) / (2.0 * STEP))
+    return Parts(
+        tuple(names), np.array(std), np.concatenate([parts.reshape(-1, 6), *[[r] for r in rows]]))
+
+
+class Drawn(NamedTuple):
+    """Landings with all uncertain numbers drawn."""
+
+    figures: Array
+    """(N, 6), of the tosses that succeed."""
+    failed: int
+    """Number of tosses in which the cup does not hold, or does not let go."""
+
+    @property
+    def covariance(self) -> Array:
+        """Of the six figures (6, 6)."""
+        return np.cov(self.figures.T)
+
+
+def draw(case: Case, nominal: Toss, count: int, seed: int = 0) -> Drawn:
+    """Return random tosses with every parameter drawn from its normal distribution."""
+    rng = np.random.default_rng(seed)
+    numbers, std = numbers_of(case.values), deviations_of(case.values)
+    of_release = release_deviations(case.values)
+    until, rows, failed = nominal.release_time + MARGIN, [], 0
+    for _ in range(count):
+        model = model_with(case.model, numbers + std * rng.standard_normal(len(std)))
+        release = changed(case.release, of_release * rng.standard_normal(3))
+        try:
+            found = case.with_numbers(model, release, until)
+        except (NoLandingError, UnstableError):
+            failed += 1
+        else:
+            rows.append(case.figures(found, nominal))
+    return Drawn(np.array(rows).reshape(-1, 6), failed)
+
+
+def ellipse(covariance: Array, count: int) -> Array:
+    """Return points (N, 2) of the 95 % ellipse of x and y, about the origin, closed."""
+    angle = np.linspace(0.0, 2.0 * math.pi, count)
+    values, vectors = np.linalg.eigh(covariance[:2, :2])
+    circle = np.array([np.cos(angle), np.sin(angle)])
+    return np.asarray(
+        ((vectors * (ELLIPSE * np.sqrt(np.maximum(values, 0.0)))) @ circle).T)
+
+
+def part_inside(covariance: Array, landings: Array) -> float:
+    """Return the part of landings (N, 6) in the 95 % ellipse of x and y about the nominal one."""
+    xy = landings[:, :2]
+    squared = np.einsum('ni,ni->n', xy, np.linalg.solve(covariance[:2, :2], xy.T).T)
+    return float(np.mean(squared <= ELLIPSE ** 2))
+
+
+class Aim(NamedTuple):
+    """When to switch the valve for a target, and how far from it the package lands."""
+
+    switched: float
+    distance: float
+    """In the plane, m."""
+    angle: float
+    """From the wanted rotation, rad; 0 if none is given."""
+
+
+def aim(
+    held: Held, release: Release, target: tuple[float, float], rotation: Array | None = None,
+    until: float = math.inf, scan: float = SCAN, candidates: int = CANDIDATES,
+) -> Aim:
+    """
+    Return the time of the valve with which the package lands nearest to a target.
+
+    Parameters
+    ----------
+    held : Held
+        The package along the plan.
+    release : Release
+        Valve, package and floor.
+    target : (x, y)
+        Of B at landing, in the world, m.
+    rotation : array (3, 3), optional
+        R_world_package wanted at landing; an angle counts as the way of the farthest corner.
+    until : float
+        The latest time, s; that of the plan's end when left out.
+    scan, candidates : float, int
+        Step (s) of the scan, and how many of the best times are looked at closely.
+
+    Raises
+    ------
+    NoLandingError
+        If no release during the plan leads to a landing.
+
+    """
+    from scipy.optimize import minimize_scalar
+
+    reach = float(np.linalg.norm(np.abs(release.box[1]) + np.array(release.box[0])))
+
+    def miss(switched: float) -> Array:
+        try:
+            found = toss(held, release, switched)
+        except (NoLandingError, UnstableError):
+            return np.full(5, np.nan)
+        turn = np.zeros(3)
+        if rotation is not None:
+            turn = log_so3(rotation.T @ quaternion_to_rotation(np.array(found.landing[1])))
+        return np.concatenate([np.subtract(found.landing[0][:2], target), reach * turn])
+
+    def cost(switched: float) -> float:
+        size = float(np.linalg.norm(miss(switched)))
+        return size if math.isfinite(size) else 1e6
+
+    lost = held.lost_before(held.duration)
+    last = min(held.duration if lost is None else lost, until)
+    times = np.linspace(0.0, last, max(2, math.ceil(last / scan) + 1))
+    ends = np.array([miss(t) for t in times])
+    step = np.diff(ends, axis=0)
+    squared = np.maximum(np.einsum('ni,ni->n', step, step), 1e-30)
+    along = np.clip(-np.einsum('ni,ni->n', ends[:-1], step) / squared, 0.0, 1.0)
+    near = np.linalg.norm(ends[:-1] + along[:, None] * step, axis=1)
+    near = np.where(np.isfinite(near), near, np.inf)
+    tried = []
+    for k in np.argsort(near)[:candidates]:
+        if near[k] <= 1.5 * near.min() + 1e-3:
+            best = minimize_scalar(
+                cost, bounds=(times[k], times[k + 1]), method='bounded',
+                options={'xatol': TOLERANCE})
+            tried += [(cost(t), float(t)) for t in (best.x, times[k], times[k + 1])]
+    size, switched = min(tried, default=(1e6, 0.0))
+    if size >= 1e6:
+        raise NoLandingError(
+            'No release during the plan leads to a landing. Check landing.height, release.*, and '
+            'whether the plan throws the package.')
+    left = miss(switched)
+    return Aim(switched, float(np.linalg.norm(left[:2])), float(np.linalg.norm(left[2:])) / reach)

@@ -1,0 +1,243 @@
+"""A designed motion: within its limits by differences and simulation, and better than ours."""
+
+from bellows_ros.core.excitation import motion_design as excitation
+from bellows_ros.core.excitation.arm_limits import ArmLimits, limits_from
+from bellows_ros.core.excitation.fisher import response, standard_errors
+from bellows_ros.core.excitation.motion_design import (
+    design,
+    FourierMotion,
+    load_rows,
+    loads,
+    Search,
+)
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion, rpy_rotation
+from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.model.grip import safety_factors
+from bellows_ros.core.model.kernels import lip_wrench
+from bellows_ros.core.model.simulation import row_state, simulate, state_row, tool_rows
+from bellows_ros.core.synthetic.motion import Pose
+from bellows_ros.core.synthetic.recipe import read_recipe
+from bellows_ros.errors import BellowsError
+from bellows_ros.files import safe_yaml
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from .test_fisher import (
+    cup_of,
+    estimates,
+    expected,
+    model_of,
+    PACKAGE,
+    STRUCTURE,
+    TRACKING,
+    TRUTH,
+)
+from ...conftest import ROOT
+
+pytestmark = pytest.mark.skipif(
+    not COMPILED, reason='numba is not installed: a design takes minutes interpreted')
+
+GRIP = (170.0, 0.03, 0.5)
+CONTENT = safe_yaml.load(ROOT / 'config' / 'limits_example.yaml')
+LIMITS = limits_from(CONTENT, 1.5)[0]
+
+
+def designed(guess=TRUTH, limits=LIMITS, duration=20.0, grip=None, seed=0):
+    return design(cup_of(guess), PACKAGE, 9.81, grip, STRUCTURE, limits, TRACKING, duration, seed,
+                  lambda what, part: None)
+
+
+def errors_of(motion):
+    tool = motion.trajectory(
+        10**9 + np.round(np.arange(7200) / 360 * 1e9).astype(np.int64), 10**9)
+    return expected(tool)
+
+
+def require_within(found, limits, guess, grip=None):
+    """Check a motion at 1 kHz by differences of its poses alone, and by plain simulations."""
+    tool = found.motion.at_rate(1000.0)
+    o, R = tool.position, tool.rotation
+    assert (o > limits.lower).all() and (o < limits.upper).all()
+    still = slice(0, 1900)
+    assert np.ptp(o[still], axis=0).max() < 1e-12 and np.abs(o[-1] - o[0]).max() < 1e-9
+    turned = np.einsum('nji,njk->nik', R[:-1], R[1:])
+    rate = 1e3 * 0.5 * np.stack([turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2]
+                                 - turned[:, 2, 0], turned[:, 1, 0] - turned[:, 0, 1]], axis=1)
+    allowed = list(limits.rates.values())
+    for moved, most in ((1e3 * np.diff(o, axis=0), allowed[:3]),
+                        (np.einsum('nij,nj->ni', R[1:], rate), allowed[3:])):
+        for limit in most:
+            assert np.linalg.norm(moved, axis=1).max() <= limit * (1.0 + 1e-6)
+            moved = 1e3 * np.diff(moved, axis=0)
+    for factor in (1.0, 1.3, 1.0 / 1.3):
+        x = guess * np.repeat([factor, 1.0], 4)
+        body = simulate(cup_of(x), PACKAGE, tool)
+        bent = np.arccos(np.sum(R[:, :, 2] * body.rotation[:, :, 2], axis=1))
+        assert bent.max() <= limits.bending * 1.001
+        if grip:
+            poses = np.hstack([body.position, rotation_to_quaternion(body.rotation), body.twist])
+            held = [safety_factors(grip, *lip_wrench(model_of(x), row_state(a), row_state(b)))
+                    for a, b in zip(tool_rows(tool)[::7], poses[::7], strict=True)]
+            assert np.min(held) >= limits.safety * 0.999
+
+
+@pytest.fixture(scope='module')
+def quick():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(excitation, 'STAGES', ((8, 60), (16, 20)))
+        patch.setattr(excitation, 'STARTS', 1)
+        return designed(grip=GRIP)
+
+
+@pytest.fixture(scope='module')
+def found():
+    return designed()
+
+
+@pytest.fixture(scope='module')
+def ours():
+    recipe = read_recipe(safe_yaml.load(ROOT / 'bags' / 'identification.yaml'), PACKAGE.com)
+    return errors_of(recipe.motion)
+
+
+def test_no_limit_is_violated(quick):
+    require_within(quick, LIMITS, TRUTH)
+    assert 0.97 < max(quick.ratios.values()) <= 1.0
+    assert sum(quick.shares.values()) == pytest.approx(1.0)
+
+
+def test_a_search_cut_short_is_better_than_our_multisine(quick, ours):
+    new = errors_of(quick.motion)
+    assert_allclose(new, standard_errors(quick.information), rtol=1e-3)
+    assert (new <= ours / 2.0).all(), ours / new
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('grip', [None, GRIP])
+def test_all_errors_are_a_third_of_those_of_our_multisine(grip, seed, ours):
+    new = errors_of(designed(grip=grip, seed=seed).motion)
+    assert (new <= ours / 3.0).all(), ours / new
+
+
+@pytest.mark.stress
+def test_estimates_scatter_as_expected(found):
+    """A hundred recordings of the designed motion, estimated by one step from the truth."""
+    scatter = np.array(list(estimates(found.motion, 20.0, 100)))
+    assert abs(np.sqrt(np.mean(scatter**2)) - 1.0) < 0.1
+    # one number's standard deviation of 100 draws is known to 7 %
+    assert_allclose(np.sqrt(np.mean(scatter**2, axis=0)), 1.0, atol=0.25)
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize('factor', [0.7, 1.3])
+def test_a_guess_that_is_off_costs_little(found, factor, ours):
+    """With K guessed 30 % off all errors are less than half of those of our multisine."""
+    other = designed(TRUTH * np.repeat([factor, 1.0], 4))
+    new = errors_of(other.motion)
+    assert (new < 0.45 * ours).all(), new / ours
+    assert np.exp(np.mean(np.log(new / errors_of(found.motion)))) < 1.25
+
+
+@pytest.mark.parametrize('seeds', [range(1), *(
+    pytest.param(range(s, s + 50), marks=[pytest.mark.stress, pytest.mark.timeout(600)])
+    for s in range(1, 1001, 50))])
+def test_short_motions_of_a_tilted_tool_hold_the_grip(monkeypatch, seeds):
+    """No limit is violated at 1 kHz, from 1,000 seeds of the search and of the arm's limits."""
+    monkeypatch.setattr(excitation, 'STAGES', ((8, 30), (64, 30)))
+    monkeypatch.setattr(excitation, 'STARTS', 1)
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        start = Pose(LIMITS.start.position, rpy_rotation(np.array([0.2, -0.1, 1.0])))
+        limits = ArmLimits(
+            start, LIMITS.lower, LIMITS.upper, LIMITS.turn,
+            LIMITS.rates | {
+                name: most * rng.uniform(0.2, 1.0)
+                for name, most in LIMITS.rates.items() if 'angular' not in name},
+            LIMITS.bending, LIMITS.torsion, 1.5, 6.0, None, np.zeros(0))
+        short = designed(limits=limits, duration=6.0, grip=GRIP, seed=seed)
+        require_within(short, limits, TRUTH, GRIP)
+        assert max(short.ratios.values()) <= 1.0
+
+
+def test_slopes_of_the_search_are_its_differences():
+    rng = np.random.default_rng(4)
+    models = [model_of(TRUTH)]
+    at = state_row(LIMITS.start.position, [0.0, 0.0, 0.0, 1.0], np.zeros(6))
+
+    def responses(omega):
+        return [response(model_of, TRUTH, TRUTH, at, omega, TRACKING)]
+
+    search = Search(LIMITS, 4.0, models, GRIP, responses, 360.0)
+    shape = rng.standard_normal(2 * search.size.size)
+    for power in (8, 60):
+        value, slope = search(shape, power)
+        way = rng.standard_normal(len(shape))
+        up, down = (search(shape + s * 1e-6 * way, power)[0] for s in (1, -1))
+        assert (up - down) / 2e-6 == pytest.approx(slope @ way, rel=1e-4)
+        assert search(3.0 * shape, power)[0] == pytest.approx(value)  # only the shape counts
+
+
+def test_small_loads_are_linear():
+    """Bending and grip of a slow small motion, simulated, against the rows the search takes."""
+    c = np.zeros((30, 6), dtype=complex)
+    c[27] = [0.001, 0.0005j, 0.0, 0.002j, 0.004, 0.01]
+    motion = FourierMotion(LIMITS.start, 8.0, c)
+    omega = 2.0 * np.pi * np.array([28 / 8.0])
+    at = state_row(LIMITS.start.position, [0.0, 0.0, 0.0, 1.0], np.zeros(6))
+    rows = load_rows(response(model_of, TRUTH, TRUTH, at, omega, TRACKING), model_of(TRUTH),
+                     LIMITS, None, omega)
+    wave = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400))
+    expected = [np.linalg.norm((np.outer(wave, row[0] @ c[27])).real, axis=1).max()
+                for row in rows]
+    found = loads(motion, LIMITS, [model_of(TRUTH)], None)[0, :2]
+    assert_allclose(found, expected, rtol=0.1)  # the ramps add a little
+
+
+def test_small_motions_tell_what_the_linear_response_says():
+    rng = np.random.default_rng(8)
+    c = 3e-4 * (rng.standard_normal((60, 6)) + 1j * rng.standard_normal((60, 6)))
+    c *= np.array([1, 1, 1, 5, 5, 5]) / (1.0 + np.arange(60)[:, None] / 6.0)
+    motion = FourierMotion(LIMITS.start, 8.0, c)
+    whole = expected(motion.at_rate(360.0))
+    u = motion.displacement(2.0 + np.arange(1024) / 128.0)[0]
+    lines = np.fft.rfft(u, axis=0)[1:120] / 512.0
+    at = state_row(LIMITS.start.position, [0.0, 0.0, 0.0, 1.0], np.zeros(6))
+    omega = 2.0 * np.pi * np.arange(1, 120) / 8.0
+    found = response(model_of, TRUTH, TRUTH, at, omega, TRACKING)
+    y = np.einsum('nfij,fj->nfi', found.changes, lines).reshape(8, -1)
+    linear = 0.5 * 360.0 * 8.0 * np.real(y.conj() @ y.T) + 360.0 * 10.0 * found.constant
+    assert_allclose(standard_errors(linear), whole / TRUTH, rtol=0.05)
+
+
+def test_motion_moves_as_it_says():
+    rng = np.random.default_rng(1)
+    c = 0.01 * (rng.standard_normal((10, 6)) + 1j * rng.standard_normal((10, 6)))
+    motion = FourierMotion(Pose(np.ones(3), exp_so3([0.1, 0.2, 0.3])), 5.0, c)
+    t, h = np.linspace(0.0, 7.0, 200), 1e-6
+    o, v, R, w = motion.state(t)
+    (o0, _, R0, _), (o1, _, R1, _) = motion.state(t - h), motion.state(t + h)
+    assert_allclose((o1 - o0) / (2 * h), v, atol=1e-6)
+    W = np.einsum('nji,njk->nik', R, R1 - R0) / (2 * h)
+    assert_allclose(W[:, [2, 0, 1], [1, 2, 0]], w, atol=1e-6)
+
+
+@pytest.mark.parametrize('change, message', [
+    ({'linear': {'speed': 1.0, 'acceleration': 3.0}}, "'linear.jerk' is missing.*m/s\\^3"),
+    ({'linear': {'speed': -1.0, 'acceleration': 3.0, 'jerk': 1.0}}, 'above 0 .m/s.'),
+    ({'start': {'position': [9.0, 0.0, 0.0]}}, 'not inside of .workspace.'),
+    ({'sped': 1.0}, "Unknown setting 'sped'"),
+])
+def test_bad_limits_are_refused(change, message):
+    with pytest.raises(BellowsError, match=message):
+        limits_from(CONTENT | change, 1.5)
+
+
+def test_what_cannot_be_is_said():
+    weak = (10.0, 0.03, 0.5)  # does not hold the package's weight
+    with pytest.raises(BellowsError, match='No motion meets the limits.*safety factor'):
+        excitation._within(
+            FourierMotion(LIMITS.start, 4.0, np.full((2, 6), 1e-3 + 0j)), LIMITS,
+            [model_tuple(cup_of(TRUTH), PACKAGE, 9.81)], weak)

@@ -1,0 +1,95 @@
+"""Compiled and interpreted kernels are one source; a changed source is compiled again."""
+
+import json
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+
+from bellows_ros.core.geometry import jit
+from numpy.testing import assert_allclose
+import pytest
+
+PACKAGE = Path(jit.__file__).parents[1]
+
+SCRIPT = """
+import json
+from bellows_ros.core.geometry import jit
+from bellows_ros.core.model import kernels
+from bellows_ros.core.model import cup_package as model
+from bellows_ros.core.model import simulation
+cup, package = model.Cup.thesis(), model.Package(
+    2.0, [[.01, .001, 0], [.001, .01, 0], [0, 0, .012]], [.01, 0, -.05])
+m = model.model_tuple(cup, package, 9.81)
+tool = ((0., 0., 0.), (0., 0., 0., 1.), (.1, .2, 0.), (.3, 0., .5))
+later = kernels.tool_at(kernels.tool_segment(tool, tool, .01), .5)
+body = simulation.static_equilibrium(m, tool)
+for _ in range(50):
+    body = kernels.advance(m, body, tool, later, .005, 2)
+print(json.dumps([jit.COMPILED, body]))
+"""
+
+
+def run(script, path=PACKAGE.parent, **environment):
+    """Run a script in a new interpreter and return what it prints, from JSON."""
+    env = {**os.environ, 'PYTHONPATH': str(path), **environment}
+    out = subprocess.run(
+        [sys.executable, '-c', script], cwd=path, env=env, capture_output=True, text=True,
+        check=False)
+    assert out.returncode == 0, out.stderr
+    return json.loads(out.stdout)
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing to compare')
+def test_interpreted_kernels_give_the_same_numbers():
+    (compiled, fast), (interpreted, slow) = run(SCRIPT), run(SCRIPT, NUMBA_DISABLE_JIT='1')
+    assert compiled
+    assert not interpreted
+    for got, wanted in zip(fast, slow, strict=True):
+        assert_allclose(got, wanted, rtol=0, atol=1e-13)
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing is kept on disk')
+def test_a_change_in_one_file_reaches_its_callers_in_others_and_no_more(tmp_path):
+    shutil.copytree(PACKAGE, tmp_path / 'bellows_ros', ignore=shutil.ignore_patterns('*.nb?'))
+    script = """
+import json
+from bellows_ros.core.model.grip import ratio
+from bellows_ros.core.model.kernels import strain
+first = strain((1., 0., 0.), (1., 0., 0., 0., 1., 0., 0., 0., 1.))[0][0]
+second = ratio(4., 2.)
+hits = [sum(kernel.stats.cache_hits.values()) for kernel in (strain, ratio)]
+print(json.dumps([first, second, *hits]))
+"""
+    cache = {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
+    assert run(script, tmp_path, **cache) == [2.0, 2.0, 0, 0]
+    assert run(script, tmp_path, **cache) == [2.0, 2.0, 1, 1]
+    assert list((tmp_path / 'cache').rglob('*.nbi'))
+    tuples = tmp_path / 'bellows_ros/core/geometry/tuples.py'
+    text = tuples.read_text()
+    line = 'return (a[0] + b[0], a[1] + b[1], a[2] + b[2])'
+    assert line in text
+    tuples.write_text(text.replace(line, 'return (a[0] + 5 * b[0], a[1] + b[1], a[2] + b[2])'))
+    assert run(script, tmp_path, **cache) == [6.0, 2.0, 0, 1]
+
+
+@pytest.mark.parametrize('line', ['LIMIT = 2.0', 'LIMIT = (1.0, 2.0)'])
+def test_a_kernel_is_of_its_constants(line):
+    def digest(text):
+        names = {}
+        exec(f'{text}\ndef kernel(x):\n    """Compare."""\n    return x > LIMIT', names)
+        return jit._source_digest(names['kernel'])
+
+    assert digest(line) == digest(line) == digest(f'OTHER = 3\n{line}')
+    assert digest(line) != digest(line.replace('2', '3'))
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing is kept on disk')
+@pytest.mark.skipif(os.geteuid() == 0, reason='root can write everywhere')
+def test_kernels_work_where_nothing_can_be_written(tmp_path):
+    copy = tmp_path / 'bellows_ros'
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns('__pycache__'))
+    for folder in (copy, copy / 'core'):
+        folder.chmod(0o555)
+    assert run(SCRIPT, tmp_path, HOME='/nonexistent', PYTHONDONTWRITEBYTECODE='1')[0]

@@ -1,0 +1,302 @@
+"""Lie-group functions against their definitions: series, finite differences and group laws."""
+
+from fractions import Fraction
+from math import factorial, pi
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.errors import BellowsError
+from hypothesis import given, settings, strategies
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+NEAR_ZERO = [0.0, 1e-300, 1e-160, 1e-12, 1e-9, 1e-6, 1e-3, 0.1]
+MIDDLE = [0.5, lie.SERIES_BELOW - 1e-9, lie.SERIES_BELOW, lie.SERIES_BELOW + 1e-9, 2.0, 3.0]
+NEAR_PI = [pi - 1e-3, pi - 1e-6, pi - 1e-9, pi - 1e-12]
+# Three roundings to each side, for those of the unit vectors.
+AROUND_THRESHOLD = [lie.SERIES_BELOW * (1.0 - 4e-16), lie.SERIES_BELOW * (1.0 + 4e-16)]
+ANGLES = NEAR_ZERO + MIDDLE + NEAR_PI
+# A few roundings of numbers up to pi.
+ROUNDING = 2e-15
+
+
+def directions(count=200, seed=1):
+    """Return unit vectors: the axes, both ways, and random ones."""
+    random = np.random.default_rng(seed).normal(size=(count, 3))
+    random /= np.linalg.norm(random, axis=1, keepdims=True)
+    return np.concatenate([np.eye(3), -np.eye(3), random])
+
+
+def random_poses(count, seed=2):
+    rng = np.random.default_rng(seed)
+    return lie.transform(lie.exp_so3(rng.normal(size=(count, 3))), rng.normal(size=(count, 3)))
+
+
+def rotation_vectors(longest):
+    """Return a strategy for rotation vectors up to a length."""
+    part = strategies.floats(-1.0, 1.0)
+    angle = strategies.floats(0.0, longest)
+    return strategies.tuples(part, part, part, angle).map(_scaled)
+
+
+def _scaled(drawn):
+    v, norm = np.array(drawn[:3]), np.linalg.norm(drawn[:3])
+    return drawn[3] * v / norm if norm > 1e-3 else np.array([drawn[3], 0.0, 0.0])
+
+
+def test_hat_is_the_cross_product_and_vee_its_inverse():
+    rng = np.random.default_rng(0)
+    v, u = rng.normal(size=(2, 4, 5, 3))
+    assert lie.hat(v).shape == (4, 5, 3, 3)
+    assert_allclose(lie.apply(lie.hat(v), u), np.cross(v, u), atol=1e-15)
+    assert_array_equal(lie.vee(lie.hat(v)), v)
+
+
+@pytest.mark.parametrize('angle', ANGLES)
+def test_exp_is_the_matrix_exponential(angle):
+    for u in directions(5):
+        phi = angle * u
+        # SciPy's expm is itself good to some 1e-15 here.
+        assert_allclose(lie.exp_so3(phi), expm(lie.hat(phi)), atol=5e-15)
+
+
+@pytest.mark.parametrize('angle', ANGLES)
+def test_log_inverts_exp(angle):
+    phi = angle * directions()
+    # Relative at small angles, absolute (a rounding of pi) at large ones.
+    assert_allclose(lie.log_so3(lie.exp_so3(phi)), phi, atol=min(ROUNDING, 2e-15 * angle), rtol=0)
+
+
+@pytest.mark.parametrize('angle', [*ANGLES, pi])
+def test_exp_inverts_log(angle):
+    R = lie.exp_so3(angle * directions())
+    assert_allclose(lie.exp_so3(lie.log_so3(R)), R, atol=ROUNDING)
+
+
+def test_log_at_pi_exactly():
+    half_turns = [np.diag(2.0 * axis - 1.0) for axis in np.eye(3)]
+    assert_array_equal(lie.log_so3(half_turns), pi * np.eye(3))
+    u = directions()
+    R = 2.0 * u[:, :, None] * u[:, None, :] - np.eye(3)
+    phi = lie.log_so3(R)
+    assert_allclose(np.linalg.norm(phi, axis=1), pi, rtol=1e-15)
+    assert_allclose(np.abs(np.sum(phi * u, axis=1)), pi, rtol=1e-15)
+
+
+def test_log_is_zero_and_not_nan_at_the_identity():
+    assert_array_equal(lie.log_so3(np.eye(3)), np.zeros(3))
+    assert_array_equal(lie.log_se3(np.eye(4)), np.zeros(6))
+
+
+def test_log_of_a_turn_past_pi_is_the_short_way_round():
+    phi = np.array([0.0, 0.0, pi + 0.5])
+    assert_allclose(lie.log_so3(lie.exp_so3(phi)), [0.0, 0.0, 0.5 - pi], atol=ROUNDING)
+
+
+def test_log_agrees_with_scipy():
+    R = Rotation.random(500, random_state=3)
+    # Away from pi, where the two equivalent vectors could differ in sign.
+    kept = R[R.magnitude() < pi - 1e-6]
+    assert_allclose(lie.log_so3(kept.as_matrix()), kept.as_rotvec(), atol=5e-15)
+
+
+@pytest.mark.parametrize('function', ['_alpha', '_half_beta', '_gamma', '_delta', '_eps'])
+def test_series_and_closed_form_are_exact_on_both_sides_of_the_threshold(function):
+    t2 = np.array([0.0, 1e-300, 1e-8, 0.1, 0.5, *AROUND_THRESHOLD, 1.5, 2.0, 3.0]) ** 2
+    exact = np.array([_exact(function, x) for x in t2])
+    # delta and eps (1/12 and 1/60) have lost a digit or two just above the threshold. They enter
+    # matrices with entries of order 1, so there it is the absolute error that counts.
+    assert_allclose(getattr(lie, function)(t2), exact, rtol=1e-15, atol=2e-16)
+
+
+def _exact(function, t2):
+    """Sum a function's power series in exact fractions, from the definitions of the module."""
+    x, terms = Fraction(t2), range(30)
+    alpha = [Fraction((-1) ** k, factorial(2 * k + 1)) for k in terms]
+    half_beta = [Fraction((-1) ** k, factorial(2 * k + 2)) for k in terms]
+    gamma = [-a for a in alpha[1:]]
+    delta = [a - 2 * b for a, b in zip(alpha[1:], half_beta[1:], strict=True)]
+    eps = [b - 3 * g for b, g in zip(half_beta[1:], gamma[1:], strict=False)]
+    series = {'_alpha': alpha, '_half_beta': half_beta, '_gamma': gamma, '_delta': delta}
+    return float(sum(c * x**k for k, c in enumerate(series.get(function, eps))))
+
+
+@pytest.mark.parametrize('name', ['exp_so3', 'dexp', 'dexp_inverse'])
+def test_continuous_across_the_threshold(name):
+    function = getattr(lie, name)
+    u = directions()
+    below, above = (function(angle * u) for angle in AROUND_THRESHOLD)
+    # The entries are at most 1; two roundings of the argument and those of the sums remain.
+    assert_allclose(below, above, atol=1e-15)
+
+
+@pytest.mark.parametrize('angle', [0.0, 1e-9, 1e-4, 0.5, 0.999, 1.001, 2.0, 3.0, 5.0, 9.0])
+def test_dexp_is_the_spatial_rate_of_exp(angle):
+    rng = np.random.default_rng(4)
+    phi = angle * directions(20)
+    rate, h = rng.normal(size=phi.shape), 1e-4
+    turned = lie.exp_so3(phi + h * rate) @ np.swapaxes(lie.exp_so3(phi - h * rate), -1, -2)
+    # Central differences: O(h^2) of the third derivative.
+    assert_allclose(lie.apply(lie.dexp(phi), rate), lie.log_so3(turned) / (2 * h), atol=3e-7)
+    body = np.swapaxes(lie.exp_so3(phi - h * rate), -1, -2) @ lie.exp_so3(phi + h * rate)
+    assert_allclose(lie.apply(lie.dexp(-phi), rate), lie.log_so3(body) / (2 * h), atol=3e-7)
+
+
+@pytest.mark.parametrize('angle', [0.0, 1e-9, 1e-4, 0.5, 0.999, 1.001, 2.0, 3.0, 5.0, 9.0])
+def test_d2exp_is_the_derivative_of_dexp(angle):
+    rng = np.random.default_rng(5)
+    phi = angle * directions(20)
+    a, b = rng.normal(size=(2, *phi.shape))
+    h = 1e-5
+    slope = (lie.dexp(phi + h * b) - lie.dexp(phi - h * b)) / (2 * h)
+    # Rounding of dexp over h dominates.
+    assert_allclose(lie.d2exp(phi, a, b), lie.apply(slope, a), atol=1e-9)
+
+
+def test_d2exp_at_zero():
+    a, b = np.array([1.0, 2.0, 3.0]), np.array([-0.5, 0.2, 0.7])
+    assert_allclose(lie.d2exp(np.zeros(3), a, b), 0.5 * np.cross(b, a), rtol=1e-15)
+    assert_array_equal(lie.d2exp(np.zeros(3), a, a), np.zeros(3))
+
+
+def test_d2exp_is_continuous_across_the_threshold():
+    rng = np.random.default_rng(6)
+    u = directions()
+    a, b = rng.normal(size=(2, *u.shape))
+    below, above = (lie.d2exp(angle * u, a, b) for angle in AROUND_THRESHOLD)
+    assert_allclose(below, above, atol=1e-15 * np.abs(above).max())
+
+
+@pytest.mark.parametrize('angle', [*ANGLES, 4.0, 6.0])
+def test_dexp_inverse(angle):
+    phi = angle * directions()
+    # At 6 rad, close to 2 pi, dexp is nearly singular.
+    product = lie.dexp_inverse(phi) @ lie.dexp(phi)
+    assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-13)
+
+
+@settings(max_examples=200)
+@given(rotation_vectors(pi - 1e-9))
+def test_log_and_exp_for_any_rotation(phi):
+    assert_allclose(lie.log_so3(lie.exp_so3(phi)), phi, atol=ROUNDING)
+
+
+@settings(max_examples=100)
+@given(rotation_vectors(20.0))
+def test_exp_is_orthonormal(phi):
+    R = lie.exp_so3(phi)
+    assert_allclose(R @ R.T, np.eye(3), atol=2e-14)
+    assert_allclose(np.linalg.det(R), 1.0, atol=2e-14)
+
+
+def test_quaternions_and_scipy_agree():
+    R = Rotation.random(300, random_state=7)
+    q = R.as_quat()
+    assert_allclose(lie.quaternion_to_rotation(q), R.as_matrix(), atol=1e-15)
+    assert_allclose(lie.quaternion_to_rotation(-3.0 * q), R.as_matrix(), atol=1e-15)
+    positive = q * np.where(q[:, 3:] < 0.0, -1.0, 1.0)
+    assert_allclose(lie.rotation_to_quaternion(R.as_matrix()), positive, atol=1e-15)
+
+
+def test_quaternion_product_composes_rotations():
+    p, q = Rotation.random(2, random_state=8).as_quat()
+    composed = lie.quaternion_to_rotation(p) @ lie.quaternion_to_rotation(q)
+    assert_allclose(lie.quaternion_to_rotation(lie.quaternion_product(p, q)), composed, atol=1e-15)
+    identity = lie.quaternion_product(p, lie.quaternion_conjugate(p))
+    assert_allclose(identity, [0.0, 0.0, 0.0, 1.0], atol=1e-15)
+
+
+@pytest.mark.parametrize('bad', [[0.0] * 4, [np.nan, 0.0, 0.0, 1.0], [np.inf, 0.0, 0.0, 1.0]])
+def test_a_quaternion_that_is_no_rotation_is_refused(bad):
+    with pytest.raises(BellowsError, match='not a rotation'):
+        lie.quaternion_to_rotation([[0.0, 0.0, 0.0, 1.0], bad])
+
+
+@pytest.mark.parametrize('angle', ANGLES)
+def test_se3_log_inverts_exp_with_a_metre_of_translation(angle):
+    xi = np.concatenate([directions(seed=9), angle * directions(seed=10)], axis=1)
+    T = lie.exp_se3(xi)
+    # dexp is closest to singular at pi, where its inverse is pi/2 large.
+    assert_allclose(lie.log_se3(T), xi, atol=5e-15)
+    assert_allclose(lie.exp_se3(lie.log_se3(T)), T, atol=5e-15)
+
+
+def test_exp_se3_is_the_matrix_exponential():
+    rng = np.random.default_rng(11)
+    for xi in rng.normal(size=(10, 6)):
+        M = np.zeros((4, 4))
+        M[:3, :3], M[:3, 3] = lie.hat(xi[3:]), xi[:3]
+        assert_allclose(lie.exp_se3(xi), expm(M), atol=5e-15)
+
+
+def test_inverse_transform():
+    T = random_poses(50)
+    assert_allclose(lie.inverse_transform(T) @ T, np.broadcast_to(np.eye(4), T.shape), atol=1e-14)
+
+
+def test_adjoint_is_a_homomorphism():
+    T_a_b, T_b_c = random_poses(50, 12), random_poses(50, 13)
+    product = lie.adjoint(T_a_b) @ lie.adjoint(T_b_c)
+    assert_allclose(lie.adjoint(T_a_b @ T_b_c), product, atol=1e-14)
+    identity = lie.adjoint(T_a_b) @ lie.adjoint(lie.inverse_transform(T_a_b))
+    assert_allclose(identity, np.broadcast_to(np.eye(6), identity.shape), atol=1e-14)
+
+
+def test_adjoint_conjugates_the_exponential():
+    rng = np.random.default_rng(14)
+    T, xi = random_poses(20), rng.normal(size=(20, 6))
+    moved = lie.exp_se3(lie.apply(lie.adjoint(T), xi))
+    assert_allclose(moved, T @ lie.exp_se3(xi) @ lie.inverse_transform(T), atol=1e-13)
+
+
+def test_adjoint_and_wrench_transform_keep_the_power():
+    rng = np.random.default_rng(15)
+    T_a_b = random_poses(50)
+    twist_b, wrench_b = rng.normal(size=(2, 50, 6))
+    twist_a = lie.apply(lie.adjoint(T_a_b), twist_b)
+    wrench_a = lie.apply(lie.wrench_transform(T_a_b), wrench_b)
+    power = np.sum(wrench_b * twist_b, axis=1)
+    assert_allclose(np.sum(wrench_a * twist_a, axis=1), power, atol=1e-13)
+
+
+def test_a_force_at_a_lever_makes_a_torque():
+    T_a_b = lie.transform(np.eye(3), [0.0, 2.0, 0.0])
+    wrench_a = lie.wrench_transform(T_a_b) @ [0.0, 0.0, 3.0, 0.0, 0.0, 0.0]
+    assert_allclose(wrench_a, [0.0, 0.0, 3.0, 6.0, 0.0, 0.0], atol=1e-15)
+
+
+def test_twist_cross_is_the_rate_of_the_adjoint():
+    rng = np.random.default_rng(16)
+    T, twist, h = random_poses(20), rng.normal(size=(20, 6)), 1e-5
+    after, before = (lie.adjoint(T @ lie.exp_se3(s * h * twist)) for s in (1.0, -1.0))
+    rate = lie.adjoint(T) @ lie.twist_cross(twist)
+    # Central differences: h^2 times the third derivative, and rounding over h.
+    assert_allclose(rate, (after - before) / (2 * h), atol=5e-9)
+    assert_allclose(lie.apply(lie.twist_cross(twist), twist), np.zeros((20, 6)), atol=1e-15)
+
+
+def test_leading_axes_and_single_elements_are_alike():
+    rng = np.random.default_rng(17)
+    xi = rng.normal(size=(2, 3, 6))
+    T = lie.exp_se3(xi)
+    assert T.shape == (2, 3, 4, 4)
+    assert lie.adjoint(T).shape == lie.wrench_transform(T).shape == (2, 3, 6, 6)
+    assert_allclose(T[1, 2], lie.exp_se3(xi[1, 2]), atol=1e-15)
+    assert_allclose(lie.log_se3(T)[0, 1], lie.log_se3(T[0, 1]), atol=1e-15)
+    assert lie.log_so3(np.zeros((0, 3, 3))).shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    'function, argument',
+    [
+        (lie.exp_so3, np.zeros(4)),
+        (lie.log_so3, np.eye(4)),
+        (lie.adjoint, np.eye(3)),
+        (lie.hat, 1.0),
+    ],
+)
+def test_wrong_shapes_are_named(function, argument):
+    with pytest.raises(BellowsError, match='shape'):
+        function(argument)

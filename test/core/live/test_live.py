@@ -1,0 +1,451 @@
+"""The live predictor without ROS: pairing, refusals, recovery, and the rig's truth."""
+
+import math
+
+from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.live import LivePredictor, pairing
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.signals.screening import BACKWARD_RUN, LONGEST_GAP_NS
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from ..cases import ShakenTool
+
+START = 1_760_000_000_000_000_000
+PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
+PERIOD = 2_777_778
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+
+
+class Messages:
+    """A tool motion as messages: stamps, poses and twists in world axes."""
+
+    def __init__(self, duration=1.0, rate_hz=360, seed=4):
+        self.tool = ShakenTool(np.random.default_rng(seed)).trajectory(duration, rate_hz)
+        R = self.tool.rotation
+        self.stamps = [START + int(stamp) for stamp in self.tool.stamps_ns]
+        self.positions = list(map(tuple, self.tool.position.tolist()))
+        self.quaternions = list(map(tuple, rotation_to_quaternion(R).tolist()))
+        in_world = np.einsum('nij,naj->nai', R, self.tool.twist.reshape(-1, 2, 3))
+        self.linear = list(map(tuple, in_world[:, 0].tolist()))
+        self.angular = list(map(tuple, in_world[:, 1].tolist()))
+
+    def __len__(self):
+        return len(self.stamps)
+
+    def pose(self, predictor, k, frame='base', stamp=None):
+        """Send one pose."""
+        stamp = self.stamps[k] if stamp is None else stamp
+        return predictor.on_pose(stamp, frame, self.positions[k], self.quaternions[k])
+
+    def twist(self, predictor, k):
+        """Send one twist."""
+        return predictor.on_twist(self.stamps[k], self.linear[k], self.angular[k])
+
+
+@pytest.fixture(scope='module')
+def messages():
+    return Messages()
+
+
+@pytest.fixture
+def predictor():
+    return LivePredictor(Cup.thesis(), PLATE, 9.81)
+
+
+def errors(predictions, truth):
+    """Return the largest position error (m) and rotation error (rad)."""
+    position = np.array([p.position for p in predictions])
+    rotation = quaternion_to_rotation(np.array([p.quaternion_xyzw for p in predictions]))
+    turn = log_so3(np.swapaxes(rotation, 1, 2) @ truth.rotation)
+    return np.abs(position - truth.position).max(), np.abs(turn).max()
+
+
+def is_finite(prediction):
+    """Return whether all numbers of a prediction are finite."""
+    parts = (*prediction.body, prediction.force, prediction.moment, *prediction.tool)
+    return all(math.isfinite(x) for part in parts for x in part)
+
+
+@pytest.mark.parametrize('order', ['pose first', 'twist first', 'twists in bursts of three'])
+def test_equals_the_simulation_whatever_comes_first(messages, predictor, order):
+    out, predictor.expect_twists = [], True
+    if order == 'twists in bursts of three':
+        for k in range(0, len(messages) - 2, 3):
+            for j in range(3):
+                out += messages.pose(predictor, k + j)
+            for j in range(3):
+                out += messages.twist(predictor, k + j)
+    else:
+        calls = [messages.pose, messages.twist]
+        for k in range(len(messages)):
+            for call in calls if order == 'pose first' else calls[::-1]:
+                out += call(predictor, k)
+    body = simulate(Cup.thesis(), PLATE, messages.tool)
+    assert [p.stamp_ns for p in out] == messages.stamps[:len(out)]
+    assert len(out) >= len(messages) - 2
+    assert predictor.twists_estimated == 0
+    moved = type(body)(*(part[:len(out)] for part in (
+        body.stamps_ns, body.position, body.rotation)))
+    position, turn = errors(out, moved)
+    assert position < 1e-12
+    assert turn < 1e-11
+
+
+def test_an_arm_on_a_wall_is_one_on_the_floor_turned(messages, predictor):
+    turn = quaternion_to_rotation(np.array([0.5, 0.5, -0.5, 0.5]))  # -z becomes y
+    wall = LivePredictor(Cup.thesis(), PLATE, turn @ [0.0, 0.0, -9.81])
+    q = rotation_to_quaternion(turn @ messages.tool.rotation)
+    for live in (predictor, wall):
+        live.expect_twists = True
+    for k in range(len(messages)):
+        messages.pose(predictor, k)
+        (expected,) = messages.twist(predictor, k)
+        wall.on_pose(messages.stamps[k], 'base', tuple((turn @ messages.positions[k]).tolist()),
+                     tuple(q[k].tolist()))
+        (out,) = wall.on_twist(messages.stamps[k], tuple((turn @ messages.linear[k]).tolist()),
+                               tuple((turn @ messages.angular[k]).tolist()))
+        assert_allclose(out.position, turn @ expected.position, atol=1e-11)
+        assert_allclose([out.linear, out.angular, out.force],
+                        [expected.linear, expected.angular, expected.force], atol=1e-7)
+
+
+def test_twists_are_waited_for_once_they_are_seen_to_come(messages, predictor):
+    for k in range(10):
+        messages.pose(predictor, k)
+        messages.twist(predictor, k)
+    assert predictor.expect_twists
+    assert messages.pose(predictor, 10) == []
+    assert len(messages.twist(predictor, 10)) == 1
+
+
+def test_a_lost_twist_costs_neither_a_prediction_nor_the_pairing(messages, predictor):
+    predictor.expect_twists = True
+    out = []
+    for k in range(60):
+        out += messages.pose(predictor, k)
+        if k != 30:
+            out += messages.twist(predictor, k)
+    assert [p.stamp_ns for p in out] == messages.stamps[:60]
+    assert (predictor.twists_interpolated, predictor.twists_estimated) == (1, 0)
+
+
+def test_twists_that_stop_are_not_waited_for_longer_than_the_limit(messages, predictor):
+    predictor.expect_twists = True
+    out = []
+    for k in range(60):
+        out += messages.pose(predictor, k)
+        if k < 20:
+            messages.twist(predictor, k)
+            continue
+        assert predictor.waiting * PERIOD <= pairing.LONGEST_WAIT_NS + PERIOD
+    assert not predictor.expect_twists
+    assert predictor.waiting == 0
+    assert predictor.predictions == 60
+
+
+def test_flush_predicts_for_what_waits(messages, predictor):
+    predictor.expect_twists = True
+    assert messages.pose(predictor, 0) == []
+    assert [p.stamp_ns for p in predictor.flush()] == messages.stamps[:1]
+
+
+def test_poses_alone_come_close(messages, predictor):
+    out = [p for k in range(len(messages)) for p in messages.pose(predictor, k)]
+    body = simulate(Cup.thesis(), PLATE, messages.tool)
+    position, turn = errors(out, body)
+    assert position < 0.1e-3
+    assert turn < 1e-3
+
+
+@pytest.mark.parametrize('poll', [0.01, 0.02])
+def test_poses_stamped_in_bursts_lose_no_more_than_their_stamps(messages, predictor, poll):
+    period_ns = round(poll * 1e9)  # of a driver that fetches the poses and stamps them then
+    worst, stamp = 0.0, 0
+    truth = simulate(Cup.thesis(), PLATE, messages.tool)
+    for k in range(len(messages)):
+        fetched = -(-messages.stamps[k] // period_ns) * period_ns
+        stamp = max(stamp + 20_000, fetched)  # 20 us from one to the next
+        (out,) = messages.pose(predictor, k, stamp=stamp)
+        worst = max(worst, math.dist(out.position, truth.position[k]))
+    assert not any(predictor.refused.values()) and not any(predictor.restarts.values())
+    speed = np.linalg.norm(messages.tool.twist[:, :3], axis=1).max()
+    assert worst < poll * speed  # by which the tool itself moves while its stamp is wrong
+
+
+def test_tool_axes_and_world_axes_are_distinguished(messages):
+    in_tool = LivePredictor(Cup.thesis(), PLATE, 9.81, twist_frame='tool')
+    in_world = LivePredictor(Cup.thesis(), PLATE, 9.81)
+    in_tool.expect_twists = in_world.expect_twists = True
+    for k in range(200):
+        messages.pose(in_world, k)
+        messages.pose(in_tool, k)
+        expected = messages.twist(in_world, k)
+        v = messages.tool.twist[k].tolist()
+        got = in_tool.on_twist(messages.stamps[k], tuple(v[:3]), tuple(v[3:]))
+        assert_allclose(got[0].position, expected[0].position, atol=1e-14)
+        assert_allclose(got[0].quaternion_xyzw, expected[0].quaternion_xyzw, atol=1e-13)
+
+
+NAN = math.nan
+
+
+@pytest.mark.parametrize(('reason', 'pose'), [
+    ('nan', (START + PERIOD, 'base', (NAN, 0.0, 0.0), IDENTITY)),
+    ('nan', (START + PERIOD, 'base', (0.0, math.inf, 0.0), IDENTITY)),
+    ('nan', (START + PERIOD, 'base', (0.0, 0.0, 0.0), (NAN, 0.0, 0.0, 1.0))),
+    ('zero_quaternion', (START + PERIOD, 'base', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))),
+    ('not_unit', (START + PERIOD, 'base', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.1))),
+    ('nan', (START + PERIOD, 'base', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1e200))),
+    ('frame_id', (START + PERIOD, 'map', (0.0, 0.0, 0.0), IDENTITY)),
+    ('zero_stamp', (0, 'base', (0.0, 0.0, 0.0), IDENTITY)),
+    ('duplicate_stamp', (START, 'base', (0.0, 0.0, 0.0), IDENTITY)),
+    ('backward_stamp', (START - PERIOD, 'base', (0.0, 0.0, 0.0), IDENTITY)),
+])
+def test_what_cannot_be_used_is_refused_and_counted(predictor, reason, pose):
+    first = predictor.on_pose(START, 'base', (0.0, 0.0, 0.0), IDENTITY)
+    assert len(first) == 1
+    assert predictor.on_pose(*pose) == []
+    counts = {name: count for name, count in predictor.refused.items() if count}
+    assert counts == {reason: 1}
+    after = predictor.on_pose(START + 2 * PERIOD, 'base', (0.0, 0.0, 0.0), IDENTITY)
+    assert_allclose(after[0].position, first[0].position, atol=1e-12)
+
+
+def test_nan_twist_is_refused_and_its_pose_predicted_all_the_same(messages, predictor):
+    out = []
+    for k in range(20):
+        out += messages.pose(predictor, k)
+        linear = messages.linear[k] if k != 10 else (NAN, 0.0, 0.0)
+        out += predictor.on_twist(messages.stamps[k], linear, messages.angular[k])
+    assert predictor.refused['twist_nan'] == 1
+    assert len(out) == 20
+    assert all(map(is_finite, out))
+
+
+def test_quaternion_nearly_of_unit_length_is_used_as_unit(predictor):
+    out = predictor.on_pose(START, 'base', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.004))
+    assert_allclose(out[0].quaternion_xyzw, IDENTITY, atol=1e-12)
+
+
+def test_long_gap_starts_from_rest(messages, predictor):
+    for k in range(100):
+        messages.pose(predictor, k)
+    late = messages.stamps[99] + LONGEST_GAP_NS + 1
+    (out,) = messages.pose(predictor, 99, stamp=late)
+    assert predictor.restarts['gap'] == 1
+    assert out.linear == (0.0, 0.0, 0.0)
+    assert predictor.poses_in == predictor.predictions == 101
+
+
+def test_clock_set_back_is_noticed_after_a_few_poses(messages, predictor):
+    for k in range(50, 100):
+        messages.pose(predictor, k)
+    out = [p for k in range(10) for p in messages.pose(predictor, k)]
+    assert predictor.restarts['clock_set_back'] == 1
+    assert predictor.refused['backward_stamp'] == BACKWARD_RUN - 1
+    assert [p.stamp_ns for p in out] == messages.stamps[BACKWARD_RUN - 1:10]
+
+
+def test_reset_takes_any_stamp_and_frame(messages, predictor):
+    for k in range(50, 60):
+        messages.pose(predictor, k)
+    predictor.reset()
+    (out,) = messages.pose(predictor, 0, frame='map')
+    assert out.stamp_ns == messages.stamps[0]
+    assert not any(predictor.refused.values())
+
+
+def test_model_changes_between_steps_without_a_restart(messages, predictor):
+    for k in range(100):
+        (before,) = messages.pose(predictor, k)
+    predictor.set_model(Cup(2 * Cup.thesis().stiffness, Cup.thesis().damping, 0.0481), PLATE)
+    (after,) = messages.pose(predictor, 100)
+    assert np.linalg.norm(np.subtract(after.position, before.position)) < 1e-2
+    assert not any(predictor.restarts.values())
+
+
+def test_absurd_motion_never_gives_anything_but_finite_numbers(predictor):
+    out = []
+    rng = np.random.default_rng(9)
+    for k in range(300):
+        scale = 10.0 ** rng.uniform(-3, 200 if k % 2 else 0)
+        o = tuple((scale * rng.standard_normal(3)).tolist())
+        q = rng.standard_normal(4)
+        stamp = START + k * 100_000_000
+        out += predictor.on_pose(stamp, 'base', o, tuple((q / np.linalg.norm(q)).tolist()))
+    assert all(map(is_finite, out))
+    assert predictor.refused['jump'] > 100
+    good = [p for k in range(300, 420) for p in predictor.on_pose(
+        START + k * 100_000_000, 'base', (0.0, 0.0, 0.0), IDENTITY)]
+    assert good
+    assert_allclose(good[-1].force, [0.0, 0.0, 2.17 * 9.81], rtol=1e-3)
+
+
+@pytest.mark.parametrize('speed', [1e3, 1e150, 1e308])
+def test_absurd_twists_are_refused(messages, predictor, speed):
+    predictor.expect_twists = True
+    out = []
+    for k in range(40):
+        out += messages.pose(predictor, k)
+        out += predictor.on_twist(messages.stamps[k], (speed, 0.0, 0.0), (0.0, speed, 0.0))
+    out += predictor.flush()
+    assert all(map(is_finite, out))
+    assert (len(out), predictor.refused['twist_too_fast']) == (40, 40)
+
+
+def test_model_that_cannot_be_integrated_is_started_from_rest(messages, predictor):
+    messages.pose(predictor, 0)
+    predictor.set_model(Cup(1e16 * Cup.thesis().stiffness, Cup.thesis().damping, 0.0481), PLATE)
+    (out,) = messages.pose(predictor, 1)
+    assert is_finite(out)
+    assert predictor.restarts['diverged'] == 1
+
+
+def test_pause_is_bridged_for_a_while_and_then_nothing_is_said(messages):
+    live = LivePredictor(Cup.thesis(), PLATE, 9.81, coast_limit_ns=100_000_000)
+    truth = simulate(Cup.thesis(), PLATE, messages.tool)
+    arrivals = [stamp - START for stamp in messages.stamps]
+    for k in range(180):
+        live.on_pose(
+            messages.stamps[k], 'base', messages.positions[k], messages.quaternions[k],
+            arrivals[k])
+        live.on_twist(messages.stamps[k], messages.linear[k], messages.angular[k])
+    assert live.coast(arrivals[179] + 5_000_000) == []  # nothing is missing yet
+    bridged = [p for ms in range(25, 300, 5) for p in live.coast(arrivals[179] + ms * 1_000_000)]
+    assert [p.stamp_ns - messages.stamps[179] for p in bridged] == [
+        ms * 1_000_000 for ms in range(25, 101, 5)]
+    assert all(p.coasting and is_finite(p) for p in bridged)
+    phases = [live.phase(arrivals[179] + ms * 1_000_000) for ms in (0, 50, 101, 5000)]
+    assert phases == ['settling', 'coasting', 'lost', 'lost']  # the tool moved at the start
+    first = int(np.searchsorted(messages.stamps, bridged[0].stamp_ns))
+    assert np.linalg.norm(bridged[0].position - truth.position[first]) < 5e-3
+    # The pause has left no trace: the next pose continues from the last one.
+    (back,) = live.on_pose(
+        messages.stamps[216], 'base', messages.positions[216], messages.quaternions[216],
+        arrivals[216]) or live.flush()
+    assert not back.coasting
+    assert live.restarts['gap'] == 0
+    assert np.linalg.norm(back.position - truth.position[216]) < 5e-3
+
+
+def test_pauses_between_bursts_are_nothing_to_be_said():
+    live = LivePredictor(Cup.thesis(), PLATE, 9.81)
+    period, burst, said = 2_777_778, 33_333_333, []
+    for k in range(720):
+        arrival = k * period // burst * burst + burst
+        if k and k * period // burst > (k - 1) * period // burst:
+            said.append(live.phase(arrival - 1))
+        live.on_pose(START + k * period, 'base', (0.0, 0.0, 0.0), IDENTITY, arrival)
+    assert len(said) > 50 and set(said[5:]) == {'predicting'}
+    last = live.arrival_ns
+    assert live.phase(last + 60_000_000) == 'coasting'  # longer than they usually are
+
+
+def test_nothing_is_bridged_without_leave(messages):
+    live = LivePredictor(Cup.thesis(), PLATE, 9.81, coast_limit_ns=0)
+    live.on_pose(START, 'base', (0.0, 0.0, 0.0), IDENTITY, 0)
+    assert [p for ms in range(300) for p in live.coast(ms * 1_000_000)] == []
+    assert live.phase(50_000_000) == 'lost'
+
+
+def test_detached_means_no_prediction_and_attached_a_start_from_rest(messages, predictor):
+    for k in range(50):
+        messages.pose(predictor, k)
+    predictor.set_attached(False)
+    assert [p for k in range(50, 100) for p in messages.pose(predictor, k)] == []
+    assert predictor.phase(0) == 'detached'
+    assert predictor.coast(10**12) == []
+    predictor.set_attached(True)
+    assert predictor.phase(0) == 'waiting'
+    (out,) = messages.pose(predictor, 100)
+    assert out.linear == (0.0, 0.0, 0.0)
+    assert not any(predictor.refused.values())
+
+
+def test_two_rates_come_close_to_the_truth(messages, predictor):
+    slow = [k for k in range(len(messages)) if k % 4 == 1]
+    out = []
+    for k in range(len(messages)):
+        out += messages.pose(predictor, k)
+        if k in slow:
+            out += messages.twist(predictor, k)
+    out += predictor.flush()
+    position, turn = errors(out, simulate(Cup.thesis(), PLATE, messages.tool))
+    assert position < 0.1e-3
+    assert turn < 1e-3
+
+
+@pytest.mark.parametrize(('sent_in', 'said', 'verdict'), [
+    ('world', 'world', 'fits'), ('tool', 'tool', 'fits'),
+    ('tool', 'world', 'other_axes'), ('world', 'tool', 'other_axes'),
+    ('nonsense', 'world', 'does_not_fit'),
+])
+def test_twists_in_other_axes_are_noticed(messages, sent_in, said, verdict):
+    live = LivePredictor(Cup.thesis(), PLATE, 9.81, twist_frame=said)
+    live.expect_twists = True
+    turn = np.diag([-1.0, -1.0, 1.0])  # a tool that points the other way
+    for k in range(len(messages)):
+        R = turn @ messages.tool.rotation[k]
+        q = tuple(rotation_to_quaternion(R).tolist())
+        o = tuple((turn @ messages.positions[k]).tolist())
+        v = np.reshape(messages.tool.twist[k], (2, 3))
+        v = {'world': v @ R.T, 'tool': v, 'nonsense': 3.0 * v + 0.5}[sent_in]
+        live.on_pose(messages.stamps[k], 'base', o, q)
+        live.on_twist(messages.stamps[k], tuple(v[0].tolist()), tuple(v[1].tolist()))
+    assert live.twist_check.verdict == verdict
+
+
+def test_twist_in_another_frame_id_is_refused(messages, predictor):
+    for k in range(20):
+        messages.pose(predictor, k)
+        predictor.on_twist(
+            messages.stamps[k], messages.linear[k], messages.angular[k],
+            'elsewhere' if k == 10 else 'base')
+    assert predictor.refused['twist_frame_id'] == 1
+
+
+def test_twists_in_a_new_frame_id_are_believed_after_a_while(messages, predictor):
+    for k in range(200):
+        messages.pose(predictor, k)
+        predictor.on_twist(
+            messages.stamps[k], messages.linear[k], messages.angular[k],
+            'base' if k < 50 else 'elsewhere')
+    refused = predictor.refused['twist_frame_id']
+    assert 0 < refused * (messages.stamps[1] - messages.stamps[0]) < 200_000_000
+
+
+@pytest.mark.parametrize(('twists', 'within_m', 'within_rad'), [
+    (True, 0.05e-6, 0.5e-6), (False, 1e-6, 10e-6)])
+def test_clean_recording_is_predicted(rig, twists, within_m, within_rad):
+    truth = np.load(rig / 'clean_truth.npz')
+    predictor = LivePredictor(Cup(truth['K'], truth['P'], 0.0481), PLATE, 9.81)
+    predictor.expect_twists = twists
+    T, R = truth['tool'], truth['tool'][:, :3, :3]
+    q = rotation_to_quaternion(R)
+    v = np.einsum('nij,naj->nai', R, truth['tool_twist'].reshape(-1, 2, 3))
+    out = []
+    for k, t in enumerate(truth['t']):
+        stamp = START + round(t * 1e9)
+        out += predictor.on_pose(stamp, 'world', tuple(T[k, :3, 3].tolist()), tuple(q[k].tolist()))
+        if twists:
+            out += predictor.on_twist(stamp, tuple(v[k, 0].tolist()), tuple(v[k, 1].tolist()))
+    assert len(out) == 7201
+    position = np.array([p.position for p in out]) - truth['package'][:, :3, 3]
+    rotation = quaternion_to_rotation(np.array([p.quaternion_xyzw for p in out]))
+    turn = log_so3(np.swapaxes(rotation, 1, 2) @ truth['package'][:, :3, :3])
+    assert np.linalg.norm(position, axis=1).max() < within_m
+    assert np.linalg.norm(turn, axis=1).max() < within_rad
+
+
+def test_twists_that_always_come_one_pose_late_are_waited_for(messages, predictor):
+    predictor.expect_twists = True
+    out = list(messages.pose(predictor, 0)) + predictor.flush()
+    for k in range(1, 200):
+        out += messages.pose(predictor, k)
+        out += messages.twist(predictor, k - 1)
+    assert predictor.twists_estimated < 5
+    assert [p.stamp_ns for p in out] == messages.stamps[:len(out)]
+    assert len(out) >= 199

@@ -1,0 +1,170 @@
+"""The safety factor of the grip against a linear programme, neighbours' formulas, mathematics."""
+
+import math
+from time import thread_time
+from timeit import timeit
+
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.model.grip import (
+    grip_of,
+    margin,
+    safety_factors,
+    safety_factors_of,
+)
+from bellows_ros.core.parameters.table import PARAMETERS
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from scipy.optimize import linprog
+
+SUCTION, RADIUS, FRICTION = 60.0, 0.025, 0.5
+GRIP = (SUCTION, RADIUS, FRICTION)
+CASES = range(20)
+
+
+def wrench(seed):
+    """Return a force (N) and a moment (N m) of the size of those in a transport."""
+    rng = np.random.default_rng(seed)
+    return tuple(rng.normal(0, 12, 3).tolist()), tuple(rng.normal(0, 0.15, 3).tolist())
+
+
+def tip_factor(f, m):
+    """Return the safety factor against tipping over the edge of a rigid ring: m_t / r <= N."""
+    load = f[2] + math.hypot(m[0], m[1]) / RADIUS
+    return SUCTION / load if load > 0.0 else math.inf
+
+
+def ring(points, turn=0.0):
+    """Return the (x, y) of points on the lip."""
+    angle = turn + 2 * np.pi * np.arange(points) / points
+    return RADIUS * np.cos(angle), RADIUS * np.sin(angle)
+
+
+def largest_scale(columns, f, m):
+    """
+    Return the largest s for which pressing forces p >= 0 on the ring balance s (f, m).
+
+    The package feels the vacuum's V upwards and the lip's p downwards: V - sum p = s f_z, and
+    their moments about x and y are s (m_x, m_y).
+    """
+    x, y = columns
+    A = np.vstack([
+        np.append(np.ones(len(x)), f[2]), np.append(-y, -m[0]), np.append(x, -m[1])])
+    out = linprog(np.append(np.zeros(len(x)), -1.0), A_eq=A, b_eq=[SUCTION, 0, 0],
+                  bounds=[(0, None)] * len(x) + [(0, 1e6)])
+    assert out.success, out.message
+    return out.x[-1]
+
+
+@pytest.mark.parametrize('seed', CASES)
+def test_tip_is_that_of_a_linear_programme_over_64_points(seed):
+    f, m = wrench(seed)
+    expected = largest_scale(ring(64), f, m)
+    assert_allclose(min(tip_factor(f, m), 1e6), expected, rtol=0.01)
+
+
+@pytest.mark.parametrize('seed', CASES)
+def test_at_the_peel_factor_the_pressure_is_zero_at_one_point(seed):
+    f, m = wrench(seed)
+    s = safety_factors(GRIP, f, m)[0]
+    if math.isinf(s):
+        s = 1e3  # any load of this direction presses
+    x, y = ring(64, math.atan2(-m[0], m[1]))  # the first point lies in the moment's plane
+    # linear across the ring: p = (N + 2 (x m_y - y m_x) s / r^2) / 64 has this sum and moments
+    p = ((SUCTION - s * f[2]) + 2 * s * (x * m[1] - y * m[0]) / RADIUS ** 2) / 64
+    assert_allclose([p.sum(), (-y * p).sum(), (x * p).sum()],
+                    [SUCTION - s * f[2], s * m[0], s * m[1]], atol=1e-9)
+    assert p.min() >= -1e-9
+    if s != 1e3:
+        assert_allclose(p.min(), 0.0, atol=1e-9 * SUCTION)
+
+
+@pytest.mark.parametrize('seed', CASES)
+def test_at_the_slip_factor_friction_is_used_up(seed):
+    f, m = wrench(seed)
+    s = safety_factors(GRIP, f, m)[1]
+    if math.isinf(s):
+        pytest.skip('pressed so that it never slips')
+    normal = SUCTION - s * f[2]
+    q = s * math.hypot(f[0], f[1], m[2] / RADIUS)
+    assert_allclose(q, FRICTION * normal, rtol=1e-12)
+
+
+@pytest.mark.parametrize('seed', CASES)
+def test_six_points_of_pham_lose_contact_between_peel_and_tip(seed):
+    """Their six points press or not, each for itself: a rigid hexagon inside the circle."""
+    f, m = wrench(seed)
+    hexagon = largest_scale(ring(6), f, m)
+    assert min(safety_factors(GRIP, f, m)[0], 1e6) <= hexagon * (1 + 1e-9)
+    assert hexagon <= min(tip_factor(f, m), 1e6) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize('seed', CASES)
+def test_slip_against_the_box_of_dex_net(seed):
+    """
+    Compare with sqrt(3) |f_x|, sqrt(3) |f_y| <= mu N and sqrt(3) |m_z| <= r mu N.
+
+    Their box lies in the ball of the same friction, so what it passes holds here too.
+    """
+    f, m = wrench(seed)
+    largest = math.sqrt(3) * max(abs(f[0]), abs(f[1]), abs(m[2]) / RADIUS)
+    load = largest + FRICTION * f[2]
+    box = FRICTION * SUCTION / load if load > 0 else math.inf
+    assert box <= safety_factors(GRIP, f, m)[1] * (1 + 1e-12)
+
+
+@pytest.mark.parametrize('seed', CASES)
+def test_factors_scale_with_the_load_and_with_the_vacuum(seed):
+    f, m = wrench(seed)
+    factors = np.array(safety_factors(GRIP, f, m))
+    half = safety_factors(GRIP, tuple(0.5 * x for x in f), tuple(0.5 * x for x in m))
+    more = safety_factors((3 * SUCTION, RADIUS, FRICTION), f, m)
+    assert_allclose(half, 2 * factors)
+    assert_allclose(more, 3 * factors)
+
+
+def test_infinite_where_the_cup_is_pushed():
+    pushed = (0.0, 0.0, -30.0)
+    assert safety_factors(GRIP, pushed, (0.0, 0.0, 0.0)) == (math.inf, math.inf)
+    assert safety_factors(GRIP, pushed, (0.5, 0.0, 0.0))[0] == SUCTION / 10.0
+    assert safety_factors(GRIP, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) == (math.inf, math.inf)
+
+
+def test_without_vacuum_nothing_holds():
+    assert safety_factors((0.0, RADIUS, FRICTION), (0.0, 0.0, 10.0), (0.0, 0.0, 0.0)) == (0.0, 0.0)
+
+
+def test_rows_are_the_kernel():
+    loads = [wrench(seed) for seed in CASES]
+    rows = safety_factors_of(GRIP, np.array([[*f, *m] for f, m in loads]))
+    assert_allclose(rows, [safety_factors(GRIP, f, m) for f, m in loads], rtol=1e-15)
+
+
+@pytest.mark.skipif(not COMPILED, reason='the limit is for compiled kernels')
+def test_a_sample_takes_less_than_a_microsecond():
+    rows = np.random.default_rng(0).normal(0, 1, (10_000, 6))
+    safety_factors_of(GRIP, rows)
+    assert any(timeit(lambda: safety_factors_of(GRIP, rows), number=1, timer=thread_time) < 0.01
+               for _ in range(20))
+
+
+def test_the_grip_of_parameters():
+    values = {name: p.default for name, p in PARAMETERS.items()}
+    assert grip_of(values) is None
+    values['cup.lip_radius'] = 0.02
+    assert grip_of(values) is None
+    assert_allclose(grip_of(values, 5e4), (5e4 * math.pi * 4e-4, 0.02, 0.5))
+    assert grip_of(values, -100.0)[0] == 0.0  # heard, and above ambient
+    values.update({'vacuum.holding': 6e4, 'cup.suction_area': 1e-3})
+    assert_allclose(grip_of(values), (60.0, 0.02, 0.5))
+
+
+def test_the_margin_is_the_smallest_of_all_and_says_when():
+    """As counted one by one, with a sample that is not known left out."""
+    rows = np.array([[*f, *m] for f, m in map(wrench, range(50))])
+    found = margin(GRIP, np.vstack([rows, np.full((1, 6), np.nan)]), 0.1 * np.arange(51))
+    each = [(factor, mode, 0.1 * k) for k in range(50) for factor, mode in zip(
+        safety_factors(GRIP, *wrench(k)), ('peel', 'slip'), strict=True)]
+    assert tuple(found) == min(each)
+    assert f'{found.factor:.3g} ({found.mode}, at {found.time:.2f} s)' in found.sentence
+    assert ('let go' in found.sentence) == (found.factor < 1.0)

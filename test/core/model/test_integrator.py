@@ -1,0 +1,226 @@
+"""The integrator: order, energy, agreement with an independent one, and staying on SO(3)."""
+
+from bellows_ros.core.geometry import jit
+from bellows_ros.core.geometry.lie import (
+    log_so3,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+    transform,
+)
+from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.model.kernels import advance, lip_wrench, tool_at, tool_segment
+from bellows_ros.core.model.simulation import simulate, state_row
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from .. import oracle
+from ..cases import (
+    orthonormal,
+    random_cup,
+    random_package,
+    ShakenTool,
+    still_tool,
+    T_WORLD_PACKAGE,
+    T_WORLD_TOOL,
+    thesis_cup,
+    thesis_package,
+)
+
+GRAVITY = 9.81
+
+
+def start_of(T, twist=(0.0,) * 6):
+    """Return a state from a pose (4, 4) and a twist."""
+    return state_row(T[:3, 3], rotation_to_quaternion(T[:3, :3]), twist)
+
+
+def angle_between(Ra, Rb):
+    """Return the angles (rad) between rotations."""
+    return np.linalg.norm(log_so3(np.swapaxes(Ra, -1, -2) @ Rb), axis=-1)
+
+
+def thesis_energies(damping, steps, seconds=2):
+    """Return the energies (3, N) of the thesis' validation case (3.45)-(3.49)."""
+    cup, package = thesis_cup(damping), thesis_package()
+    tool = still_tool(orthonormal(T_WORLD_TOOL), seconds * 10**9, steps)
+    body = simulate(cup, package, tool, start_of(orthonormal(T_WORLD_PACKAGE)), substeps=1)
+    gravity = np.array([0.0, 0.0, -GRAVITY])
+    return np.array([
+        oracle.energies(cup, package, gravity, *each) for each in zip(
+            transform(tool.rotation, tool.position), transform(body.rotation, body.position),
+            body.twist, strict=True)]).T
+
+
+def test_start_energies_of_the_thesis():
+    kinetic, elastic, gravity = thesis_energies(damping=False, steps=2000)[:, 0]
+    # the poses are printed with four digits
+    assert_allclose(kinetic, 0.0, atol=1e-15)
+    assert_allclose(elastic, 2.0425, rtol=5e-4)
+    assert_allclose(gravity, 0.5906, rtol=5e-4)
+
+
+def test_energy_is_constant_without_damping_and_its_drift_falls_with_h4():
+    drifts = []
+    for steps in (500, 1000, 2000):
+        total = thesis_energies(damping=False, steps=steps).sum(axis=0)
+        drifts.append(np.abs(total - total[0]).max())
+    assert drifts[-1] < 1e-6
+    orders = np.log2(np.divide(drifts[:-1], drifts[1:]))
+    assert np.all(orders > 3.7), orders
+
+
+def test_energy_never_grows_with_damping():
+    total = thesis_energies(damping=True, steps=4000, seconds=4).sum(axis=0)
+    assert np.all(np.diff(total) <= 1e-12)
+    assert total[-1] < total[0] - 1.0
+
+
+@pytest.fixture(scope='module')
+def shaken():
+    """Return a model, an analytic tool motion, a start, and DOP853's solution of 1 s at 1 ms."""
+    rng = np.random.default_rng(7)
+    cup, package, motion = random_cup(rng), random_package(rng), ShakenTool(rng)
+    T = np.eye(4)
+    T[:3, 3] = package.com - np.array([0.0, 0.0, cup.length])
+    times = np.arange(0, 1001) * 1e-3
+    gravity = np.array([0.0, 0.0, -GRAVITY])
+    twist = np.zeros(6)
+    solution = oracle.solve(cup, package, gravity, motion.at, T, twist, times)
+    return cup, package, motion, start_of(T, twist), solution
+
+
+def test_agrees_with_dop853_on_the_plain_equations(shaken):
+    cup, package, motion, start, (position, rotation, twist) = shaken
+    body = simulate(cup, package, motion.trajectory(1.0, 1000), start)
+    assert np.abs(body.position - position).max() < 1e-8
+    assert angle_between(body.rotation, rotation).max() < 1e-8
+    assert_allclose(body.twist, twist, atol=1e-5)
+
+
+def test_agrees_with_dop853_on_the_case_of_the_thesis_at_a_millisecond():
+    cup, package, T = thesis_cup(), thesis_package(), orthonormal(T_WORLD_PACKAGE)
+    tool = still_tool(orthonormal(T_WORLD_TOOL), 5 * 10**9, 5000)
+    body = simulate(cup, package, tool, start_of(T), substeps=1)
+
+    def at(_):
+        return tool.position[0], tool.rotation[0], tool.twist[0]
+
+    gravity = np.array([0.0, 0.0, -GRAVITY])
+    position, rotation, _ = oracle.solve(
+        cup, package, gravity, at, T, np.zeros(6), tool.stamps_ns * 1e-9)
+    assert np.abs(body.position - position).max() < 1e-8
+    assert angle_between(body.rotation, rotation).max() < 1e-8
+
+
+def test_observed_order_is_four(shaken):
+    cup, package, motion, start, (position, rotation, _) = shaken
+    errors = []
+    for rate in (125, 250, 500):
+        body = simulate(cup, package, motion.trajectory(1.0, rate), start, substeps=1)
+        truth = slice(None, None, 1000 // rate)
+        error = np.abs(body.position - position[truth]).max()
+        errors.append([error, angle_between(body.rotation, rotation[truth]).max()])
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert np.all(orders > 3.7), orders
+
+
+def test_substeps_converge_to_the_same_motion(shaken):
+    cup, package, motion, start, _ = shaken
+    tool = motion.trajectory(0.5, 200)
+    ends = [simulate(cup, package, tool, start, substeps=n).position[-1] for n in (2, 4, 8)]
+    coarse, fine = (np.abs(ends[i] - ends[i + 1]).max() for i in (0, 1))
+    assert np.log2(coarse / fine) > 3.5
+
+
+@jit.kernel
+def repeat(model, body, tool, later, h, count):
+    """Advance many times with the same tool motion."""
+    for _ in range(count):
+        body = advance(model, body, tool, later, h, 1)
+    return body
+
+
+def test_rotation_stays_orthonormal_after_a_million_steps():
+    rng = np.random.default_rng(3)
+    model = model_tuple(random_cup(rng), random_package(rng), GRAVITY)
+    tool = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.1, 0.4, 3.0)
+    turned = tool_at(tool_segment(tool, tool, 1e-3), 0.5)  # a tool that goes on turning
+    body = (0.0, 0.0, -0.1), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.5, -0.2, 1.0)
+    count = 1_000_000 if jit.COMPILED else 20_000  # 250 times slower interpreted
+    body = repeat(model, body, tool, turned, 1e-3, count)
+    R = quaternion_to_rotation(np.array(body[1]))
+    length = np.linalg.norm(body[1])
+    assert abs(length - 1.0) < 1e-14
+    assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert np.all(np.isfinite(np.concatenate(body)))
+
+
+def test_moving_and_turning_the_world_changes_nothing_but_gravity():
+    rng = np.random.default_rng(11)
+    cup, package, motion = random_cup(rng), random_package(rng), ShakenTool(rng)
+    T = np.eye(4)
+    T[:3, 3] = package.com - np.array([0.0, 0.0, cup.length])
+    gravity = np.array([0.0, 0.0, -GRAVITY])
+    tool = motion.trajectory(1.0, 250)
+    body = simulate(cup, package, tool, start_of(T), gravity)
+    G = oracle.transform(quaternion_to_rotation(rng.standard_normal(4)), [3.0, -2.0, 1.0])
+    moved = type(tool)(
+        tool.stamps_ns, tool.position @ G[:3, :3].T + G[:3, 3], G[:3, :3] @ tool.rotation,
+        tool.twist)
+    other = simulate(cup, package, moved, start_of(G @ T), G[:3, :3] @ gravity)
+    assert_allclose(other.position, body.position @ G[:3, :3].T + G[:3, 3], atol=1e-12)
+    assert_allclose(other.rotation, G[:3, :3] @ body.rotation, atol=1e-11)
+    assert_allclose(other.twist, body.twist, atol=1e-10)
+
+
+def test_hermite_curve_meets_both_samples_and_its_twist_is_its_derivative():
+    rng = np.random.default_rng(5)
+    motion, h = ShakenTool(rng, frequency=3.0), 0.02
+    (o0, R0, v0), (o1, R1, v1) = motion.at(0.3), motion.at(0.3 + h)
+    start, end = (
+        state_row(o, rotation_to_quaternion(R), v) for o, R, v in ((o0, R0, v0), (o1, R1, v1)))
+    segment = tool_segment(start, end, h)
+    for s, sample in ((0.0, start), (1.0, end)):
+        for got, wanted in zip(tool_at(segment, s), sample, strict=True):
+            sign = np.sign(np.dot(got, wanted)) if len(got) == 4 else 1.0
+            assert_allclose(np.array(got) * sign, wanted, atol=1e-12)
+    for s in (0.2, 0.5, 0.9):
+        before, now, after = (tool_at(segment, s + d) for d in (-1e-5, 0.0, 1e-5))
+        R = quaternion_to_rotation(np.array(now[1]))
+        velocity = R.T @ (np.array(after[0]) - before[0]) / (2e-5 * h)
+        turn = [log_so3(R.T @ quaternion_to_rotation(np.array(x[1]))) for x in (before, after)]
+        assert_allclose(now[2], velocity, atol=1e-7)
+        assert_allclose(now[3], (turn[1] - turn[0]) / (2e-5 * h), atol=1e-7)
+
+
+def test_hermite_curve_is_of_fourth_order():
+    rng = np.random.default_rng(6)
+    motion = ShakenTool(rng, frequency=3.0)
+    errors = []
+    for h in (0.016, 0.008, 0.004):
+        samples = [motion.at(0.3 + d) for d in (0.0, h)]
+        start, end = (state_row(o, rotation_to_quaternion(R), v) for o, R, v in samples)
+        middle = tool_at(tool_segment(start, end, h), 0.5)
+        o, R, _ = motion.at(0.3 + h / 2)
+        errors.append([
+            np.abs(np.array(middle[0]) - o).max(),
+            angle_between(quaternion_to_rotation(np.array(middle[1])), R)])
+    assert np.all(np.log2(np.divide(errors[:-1], errors[1:])) > 3.8)
+
+
+def test_package_stays_put_in_equilibrium_and_the_cup_carries_its_weight():
+    from bellows_ros.core.model.equilibrium import static_equilibrium
+    rng = np.random.default_rng(2)
+    cup, package = random_cup(rng), random_package(rng)
+    model = model_tuple(cup, package, GRAVITY)
+    T = orthonormal(T_WORLD_TOOL)
+    tool = start_of(T)
+    rest = static_equilibrium(model, tool)
+    body = simulate(cup, package, still_tool(T, 10**9, 500), rest)
+    assert_allclose(body.position[-1], rest[0], atol=1e-11)
+    assert_allclose(body.twist[-1], 0.0, atol=1e-10)
+    force, moment = lip_wrench(model, tool, rest)
+    R = quaternion_to_rotation(np.array(rest[1]))
+    assert_allclose(R @ force, [0.0, 0.0, package.mass * GRAVITY], atol=1e-9)
+    assert_allclose(moment, np.cross(package.com, force), atol=1e-10)

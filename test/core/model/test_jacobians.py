@@ -1,0 +1,94 @@
+"""Analytic derivatives against those by a complex step of an independent implementation."""
+
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.model.jacobians import (
+    body_jacobians,
+    parameter_jacobian,
+    PARAMETERS,
+    tool_jacobians,
+)
+from bellows_ros.core.model.simulation import state_row
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from .. import complex_step
+from ..cases import random_cup, random_package, random_pose
+
+GRAVITY = np.array([0.4, -0.7, -9.6])
+
+
+class Case:
+    """A cup, a package and a tool, as kernels and as the second implementation."""
+
+    def __init__(self, seed):
+        """Draw them."""
+        rng = np.random.default_rng(seed)
+        cup, package = random_cup(rng), random_package(rng)
+        self.model = model_tuple(cup, package, GRAVITY)
+        self.numbers = complex_step.Numbers.of(cup, package, GRAVITY)
+        T = random_pose(rng)
+        self.tool = T[:3, 3], T[:3, :3], rng.standard_normal(6)
+        T_tool_package = random_pose(rng, 0.3, 0.01)
+        T_tool_package[2, 3] -= 0.1
+        T = T @ T_tool_package
+        self.body = T[:3, 3], T[:3, :3], rng.standard_normal(6)
+
+    @staticmethod
+    def row(state):
+        """Return a state as the kernels take it."""
+        return state_row(state[0], rotation_to_quaternion(state[1]), state[2])
+
+
+def six_by_six(square):
+    a, b, c, d = (np.reshape(block, (3, 3)) for block in square)
+    return np.block([[a, b], [c, d]])
+
+
+def near(actual, expected, part):
+    """Compare two matrices, relative to the largest of the second."""
+    assert_allclose(actual, expected, rtol=0, atol=part * np.abs(expected).max())
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_accelerations_follow_states(seed):
+    case = Case(seed)
+    rows = case.model, case.row(case.tool), case.row(case.body)
+
+    def of_body(x):
+        return complex_step.acceleration(
+            case.numbers, case.tool, complex_step.changed(case.body, x))
+
+    def of_tool(x):
+        return complex_step.acceleration(
+            case.numbers, complex_step.changed(case.tool, x), case.body)
+
+    for function, jacobians in ((of_body, body_jacobians), (of_tool, tool_jacobians)):
+        pose, twist = jacobians(*rows)
+        expected = complex_step.derivative(function, np.zeros(12))
+        near(six_by_six(pose), expected[:, :6], 1e-12)
+        near(six_by_six(twist), expected[:, 6:], 1e-12)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_accelerations_follow_parameters(seed):
+    case = Case(seed)
+    out = np.zeros((6, PARAMETERS))
+    parameter_jacobian(
+        case.model, case.row(case.tool), case.row(case.body), 0, PARAMETERS, out, 0)
+    expected = complex_step.derivative(
+        lambda p: complex_step.acceleration(p, case.tool, case.body), case.numbers)
+    for column in range(PARAMETERS):
+        near(out[:, column], expected[:, column], 1e-11)
+
+
+def test_some_of_the_parameters_stand_where_they_are_asked_for():
+    case = Case(3)
+    rows = case.model, case.row(case.tool), case.row(case.body)
+    whole, part = np.zeros((6, PARAMETERS)), np.zeros((6, 20))
+    parameter_jacobian(*rows, 0, PARAMETERS, whole, 0)
+    parameter_jacobian(*rows, 35, 50, part, 3)
+    assert_allclose(part[:, 3:18], whole[:, 35:50])
+    assert not part[:, :3].any()
+    assert not part[:, 18:].any()

@@ -1,0 +1,144 @@
+"""Simulations of whole recordings against the rig's truth, equilibria, and clear errors."""
+
+from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, transform
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.equilibrium import (
+    displaced,
+    largest_step,
+    linearise,
+    static_equilibrium,
+    substeps_for,
+    system_matrix,
+)
+from bellows_ros.core.model.kernels import body_acceleration
+from bellows_ros.core.model.simulation import lip_wrenches, simulate, state_row
+from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from .. import oracle
+from ..cases import still_tool
+from ..plans import CUP, Move, PACKAGE
+
+PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
+LEVEL = state_row((0, 0, 0), (0, 0, 0, 1), np.zeros(6))
+
+
+@pytest.mark.parametrize('name', ['clean', 'lab', 'lab_validation'])
+def test_recordings_of_a_known_cup_are_reproduced(rig, name):
+    truth = np.load(rig / f'{name}_truth.npz')
+    tool = Trajectory(
+        np.round(truth['t'] * 1e9).astype(np.int64), truth['tool'][:, :3, 3],
+        truth['tool'][:, :3, :3], truth['tool_twist'])
+    body = simulate(Cup(truth['K'], truth['P'], 0.0481), PLATE, tool)
+    package = truth['package']
+    assert np.abs(body.position - package[:, :3, 3]).max() < 0.05e-6
+    turn = log_so3(np.swapaxes(body.rotation, 1, 2) @ package[:, :3, :3])
+    assert np.abs(turn).max() < 0.5e-6
+    assert_allclose(body.twist, truth['package_twist'], atol=2e-5)
+
+
+def test_plate_under_a_level_tool_hangs_straight_and_lengthens_the_cup():
+    cup = Cup.thesis()
+    rest = static_equilibrium(model_tuple(cup, PLATE, 9.81), LEVEL)
+    # axially the potential is 1/2 k z^2: the stretch is m g / k
+    expected = -cup.length - 2.17 * 9.81 / 11530 - 0.03
+    assert_allclose(rest[0], [0.0, 0.0, expected], atol=1e-12)
+    assert_allclose(rest[1], [0.0, 0.0, 0.0, 1.0], atol=1e-12)
+
+
+def test_equilibrium_of_a_tilted_tool_minimises_the_energy():
+    from scipy.optimize import minimize
+    tilt = np.deg2rad(60.0)
+    tool = state_row((0, 0, 0), (np.sin(tilt / 2), 0, 0, np.cos(tilt / 2)), np.zeros(6))
+    model = model_tuple(Cup.thesis(), PLATE, 9.81)
+    rest = static_equilibrium(model, tool)
+
+    def energy(x):
+        body = displaced(rest, tuple(0.01 * x[:3]), tuple(0.1 * x[3:]))
+        poses = [transform(quaternion_to_rotation(np.array(q)), np.array(o))
+                 for o, q, _, _ in (tool, body)]
+        return oracle.energies(
+            Cup.thesis(), PLATE, np.array(model[2]), *poses, np.zeros(6)).sum()
+
+    found = minimize(energy, np.full(6, 0.3), method='BFGS', options={'gtol': 1e-10})
+    assert_allclose(found.x, 0.0, atol=2e-4)  # where differences of energies end
+
+
+def test_a_cup_too_soft_for_its_package_has_no_equilibrium():
+    soft = Cup(np.diag([10.0, 10.0, 10.0, 1e-3, 1e-3, 1e-3]), np.zeros((6, 6)), 0.05)
+    tilted = state_row((0, 0, 0), (np.sin(0.7), 0, 0, np.cos(0.7)), np.zeros(6))
+    with pytest.raises(BellowsError, match='No static equilibrium.*2.17 kg'):
+        static_equilibrium(model_tuple(soft, PLATE, 9.81), tilted)
+
+
+def test_modes_of_the_thesis_plate():
+    modes = np.linalg.eigvals(system_matrix(model_tuple(Cup.thesis(), PLATE, 0.0)))
+    frequencies = np.sort(np.abs(modes[modes.imag > 0])) / (2 * np.pi)
+    assert_allclose(frequencies[0], np.sqrt(1.123 / 0.0173) / (2 * np.pi), rtol=1e-5)  # torsion
+    axial = np.sqrt(11530 / 2.17) / (2 * np.pi)
+    assert np.min(np.abs(frequencies - axial)) < 1e-3
+
+
+def test_slopes_predict_small_changes():
+    rng = np.random.default_rng(4)
+    model = model_tuple(Cup.thesis(), PLATE, 9.81)
+    tool, body = LEVEL, static_equilibrium(model, LEVEL)
+    jacobian = linearise(model, tool, body)
+    d, v, e, u = 1e-5 * rng.standard_normal((4, 6))
+
+    def moved(state, pose, twist):
+        o, q, _, _ = displaced(state, tuple(pose[:3]), tuple(pose[3:]))
+        return o, q, tuple(twist[:3]), tuple(twist[3:])
+
+    ends = [
+        np.ravel(body_acceleration(model, moved(tool, s * e, s * u), moved(body, s * d, s * v)))
+        for s in (1.0, -1.0)]
+    expected = (jacobian.body_pose @ d + jacobian.body_twist @ v
+                + jacobian.tool_pose @ e + jacobian.tool_twist @ u)
+    assert_allclose((ends[0] - ends[1]) / 2, expected, rtol=1e-6, atol=1e-8)
+
+
+def test_steps_are_short_enough_for_stiff_cups():
+    stiff = Cup(100 * Cup.thesis().stiffness, Cup.thesis().damping, 0.0481)
+    longest = largest_step(model_tuple(stiff, PLATE, 9.81))
+    assert longest < largest_step(model_tuple(Cup.thesis(), PLATE, 9.81)) / 8
+    assert substeps_for(0.008, 0.0041) == 2
+    assert substeps_for(0.008, 0.1) == 1
+    body = simulate(stiff, PLATE, still_tool(np.eye(4), 10**9, 125))
+    assert np.ptp(body.position, axis=0).max() < 1e-12
+
+
+def test_a_tool_without_twists_is_refused():
+    tool = Trajectory(np.arange(3), np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1)))
+    with pytest.raises(BellowsError, match='no twists'):
+        simulate(Cup.thesis(), PLATE, tool)
+
+
+def test_a_simulation_that_blows_up_says_so():
+    driven = Cup(Cup.thesis().stiffness, -50 * Cup.thesis().damping, 0.0481)
+    start = state_row((0, 0, -0.08), (0, 0, 0, 1), np.full(6, 0.1))
+    with pytest.raises(BellowsError, match='diverged'):
+        simulate(driven, PLATE, still_tool(np.eye(4), 10 * 10**9, 1000), start)
+
+
+def test_a_package_that_would_fall_over_has_no_equilibrium():
+    on_top = Package(50.0, np.eye(3), (0.0, 0.0, 0.5))
+    with pytest.raises(BellowsError, match='tipping over'):
+        static_equilibrium(model_tuple(Cup.thesis(), on_top, 9.81), LEVEL)
+
+
+def test_the_wrench_at_the_lip_is_what_the_motion_needs():
+    """Newton and Euler of the simulated motion, differentiated: m (a - g), moved to the lip."""
+    tool = Move([0.4, -0.2, 0.1], [0.3, -0.2, 0.6], 0.6).plan(2000)
+    body = simulate(CUP, PACKAGE, tool)
+    rate = np.gradient(body.twist, 1.0 / 2000.0, axis=0)
+    v, w = body.twist[:, :3], body.twist[:, 3:]
+    gravity = np.swapaxes(body.rotation, 1, 2) @ [0.0, 0.0, -9.81]
+    f = PACKAGE.mass * (rate[:, :3] + np.cross(w, v) - gravity)
+    L = w @ PACKAGE.inertia
+    m = rate[:, 3:] @ PACKAGE.inertia + np.cross(w, L) + np.cross(PACKAGE.com, f)
+    found = lip_wrenches(model_tuple(CUP, PACKAGE, 9.81), tool, body)
+    assert_allclose(found[1:-1], np.hstack([f, m])[1:-1], atol=2e-3)

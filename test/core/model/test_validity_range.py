@@ -1,0 +1,185 @@
+"""What a fit has seen, against motions made by hand."""
+
+from dataclasses import replace
+
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification.samples import envelope, Samples
+from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.model.validity_range import (
+    beyond,
+    Distance,
+    distance,
+    Envelope,
+    joined_envelopes,
+    known_envelope,
+)
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.recording.recording import Noise
+from bellows_ros.core.recording.standstills import Standstill, with_standstills
+from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+LENGTH = 0.05
+COM = np.array([0.0, 0.0, -0.03])
+RATE = 200.0
+
+
+def samples(mass=2.0, frequency=2.0, valid=None):
+    """Return 10 s in which the lip moves 3 mm along x and turns 0.1 rad about z, at rest tool."""
+    t = np.arange(2000) / RATE
+    stamps = (t * 1e9).round().astype(np.int64)
+    omega = 2 * np.pi * frequency
+    x, v = 3e-3 * np.sin(omega * t), 3e-3 * omega * np.cos(omega * t)
+    angle, w = 0.1 * np.sin(omega * t), 0.1 * omega * np.cos(omega * t)
+    z, zero = np.array([0.0, 0.0, 1.0]), np.zeros_like(t)
+    R = exp_so3(angle[:, None] * z)
+    lip = np.column_stack([x, zero, np.full_like(t, -LENGTH)])
+    velocity = np.einsum('nji,nj->ni', R, np.column_stack([v, zero, zero]))
+    twist = np.hstack([velocity, np.column_stack([zero, zero, w])])
+    eye = np.tile(np.eye(3), (len(t), 1, 1))
+    # B lies on the axis of torsion, so its velocity is that of the lip
+    package = Trajectory(stamps, lip + COM, R, twist, np.zeros((len(t), 6)),
+                         True if valid is None else valid)
+    tool = Trajectory(stamps, np.zeros((len(t), 3)), eye, np.zeros((len(t), 6)))
+    return Samples(tool, package, Package(mass, np.eye(3) * 0.01, COM), 9.81, 0.1)
+
+
+def test_ranges_are_those_of_the_motion():
+    """Find the amplitudes, the largest rates and the frequency."""
+    found = envelope(samples(), LENGTH)
+    amplitude = np.array([3e-3, 0, 0, 0, 0, 0.1])
+    assert_allclose(found.deflection_high, amplitude, rtol=1e-3, atol=1e-12)
+    assert_allclose(found.deflection_low, -amplitude, rtol=1e-3, atol=1e-12)
+    omega = 2 * np.pi * 2.0
+    # where the lip is fastest its torsion is zero, and its own axes are the tool's
+    assert_allclose(found.rates[[0, 5]], [3e-3 * omega, 0.1 * omega], rtol=1e-3)
+    assert np.all(found.frequencies[:, 0] >= 1.0) and np.all(found.frequencies[:, 1] <= 3.0)
+    assert_allclose(found.mass, 2.0)
+
+
+def test_several_recordings_widen_every_range():
+    """Take the smallest and the largest of all."""
+    both = joined_envelopes(
+        [envelope(samples(1.5, 2.0), LENGTH), envelope(samples(2.5, 5.0), LENGTH)])
+    assert_allclose(both.mass, [1.5, 2.5])
+    assert_allclose(both.rates[5], 0.1 * 2 * np.pi * 5.0, rtol=1e-3)
+    assert np.all(both.frequencies[:, 0] <= 2.0) and np.all(both.frequencies[:, 1] >= 5.0)
+
+
+def test_samples_that_are_not_valid_do_not_count():
+    """See half of a motion."""
+    whole = samples()
+    half = whole.package.position[:, 0] > 0
+    found = envelope(samples(valid=half), LENGTH)
+    assert found.deflection_low[0] > 0.0
+    with pytest.raises(BellowsError, match='has no valid samples'):
+        envelope(samples(valid=np.zeros(2000, dtype=bool)), LENGTH)
+
+
+KNOWN = Envelope(
+    np.array([-0.01, -0.01, -0.004, -0.2, -0.3, -0.1]),
+    np.array([0.01, 0.01, 0.0, 0.2, 0.3, 0.1]),
+    np.array([0.1, 0.1, 0.05, 2.0, 2.0, 1.0]),
+    np.array([[0.5, 5.0], [0.5, 4.0]]), np.array([2.0, 2.0]))
+
+
+def test_distance_is_one_on_the_edge():
+    """Be 0 in the middle, 1 on the edge, and say which direction is left beyond it."""
+    middle = np.array([0.0, 0.0, -0.002, 0.0, 0.0, 0.0])
+    assert distance(KNOWN, middle, np.zeros(6), 2.0).value == 0.0
+    edge = np.where(np.arange(6) == 4, 0.3, middle)
+    assert_allclose(distance(KNOWN, edge, np.zeros(6), 2.0).value, 1.0)
+    far = distance(KNOWN, np.where(np.arange(6) == 4, 0.45, middle), np.zeros(6), 2.0)
+    assert_allclose(far.value, 1.5)
+    assert far.outside == ('bending about y is 450 mrad, seen -300 to 300 mrad',)
+    assert 'bending about y' in far.text
+
+
+def test_a_mass_that_is_not_known_is_not_checked():
+    known = Envelope([-0.01] * 6, [0.01] * 6, [1.0] * 6, np.zeros((2, 2)), [0.0, 0.0])
+    assert distance(known, np.zeros(6), np.zeros(6), 2.0) == Distance(0.0, ())
+    assert distance(known, [0.02] * 6, np.zeros(6), 2.0).value == pytest.approx(2.0)
+    assert beyond(known, known) == ()
+
+
+def test_the_farthest_is_named_first():
+    """Sort what is outside."""
+    far = distance(KNOWN, np.zeros(6), np.array([0.2, 0, 0, 0, 0, 5.0]), 3.0)
+    assert far.outside[0].startswith('the rate of torsion is 5 rad/s')
+    assert far.outside[1] == 'the mass is 3 kg, seen 2'
+    assert far.outside[2].startswith('the rate of displacement in x')
+    assert_allclose(far.value, 5.0)
+
+
+def test_a_direction_at_rest_still_allows_for_noise():
+    """Do not call a tenth of a millimetre an excursion where nothing moved."""
+    still = Envelope(np.zeros(6), np.zeros(6), np.zeros(6), np.zeros((2, 2)), np.ones(2))
+    assert distance(still, np.full(6, 1e-4), np.full(6, 1e-3), 1.05).value < 1.0
+
+
+def test_beyond_names_what_another_recording_leaves():
+    """Say nothing about ranges inside, and the end that is farther outside."""
+    assert beyond(KNOWN, KNOWN) == ()
+    low = KNOWN.deflection_low.copy()
+    low[5] = -0.2
+    wider = Envelope(low, KNOWN.deflection_high, KNOWN.rates, KNOWN.frequencies, [2.0, 2.6])
+    assert beyond(KNOWN, wider) == (
+        'the mass is 2.6 kg, seen 2', 'torsion is -200 mrad, seen -100 to 100 mrad')
+
+
+def test_parameters_hold_it():
+    """Come back from a parameter file as it was; know nothing where all is zero."""
+    values = resolve(KNOWN.parameters())
+    back = known_envelope(values)
+    for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass'):
+        np.testing.assert_array_equal(getattr(back, name), getattr(KNOWN, name))
+    assert known_envelope(resolve({})) is None
+
+
+def test_a_file_holds_at_least_what_was_seen():
+    """Round outward: what the fit has seen is not beyond the six digits of it in a file."""
+    ends = np.random.default_rng(6).uniform(-1.0, 1.0, size=(500, 6))
+    for low, high in zip(ends - 2.0, ends + 2.0, strict=True):
+        seen = Envelope(low, high, high, high[:4].reshape(2, 2) + [0.0, 3.0], np.sort(high[:2]))
+        written = known_envelope(seen.parameters())
+        assert beyond(written, seen) == ()
+        for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass'):
+            assert_allclose(getattr(written, name), getattr(seen, name), rtol=2e-5)
+
+
+@pytest.mark.parametrize('change', [
+    {'mass': [3.0, 2.0]}, {'rates': [-1.0] * 6}, {'rates': [1.0] * 5}, {'mass': [np.nan, 1.0]},
+])
+def test_what_is_no_range_is_refused(change):
+    """Check on construction."""
+    with pytest.raises(BellowsError, match='Envelope'):
+        Envelope(**{**vars(KNOWN), **change})
+
+
+def test_faster_motions_than_seen_are_beyond_and_slower_ones_are_not():
+    """Compare bands, of motions whose rates and deflections are the same or less."""
+    slow, fast = envelope(samples(frequency=2.0), LENGTH), envelope(samples(), LENGTH)
+    frequencies = fast.frequencies.copy()
+    frequencies[1] = [5.0, 9.0]
+    faster = replace(fast, frequencies=frequencies)
+    phrases = beyond(slow, faster)
+    assert len(phrases) == 1 and 'the rotation goes up to 9 Hz, seen' in phrases[0]
+    assert beyond(faster, slow) == ()
+    unknown = replace(slow, frequencies=np.zeros((2, 2)))
+    assert beyond(unknown, faster) == ()
+
+
+def test_standstills_widen_deflections_and_nothing_else():
+    known = envelope(samples(), LENGTH)
+    at = np.array([0])
+    tool = Trajectory(at, np.zeros((1, 3)), np.eye(3)[None])
+    package = Trajectory(at, np.array([[0.0, 0.0, -LENGTH - 0.002]]) + COM, np.eye(3)[None])
+    payload = Package(2.0, np.eye(3) * 0.01, COM)
+    still = Standstill(0, 1.0, tool, package, 100, Noise(1e-6, 1e-6), payload)
+    wide = with_standstills(known, [still], LENGTH)
+    assert_allclose(wide.deflection_low[2], -0.002, atol=1e-12)
+    assert_allclose(wide.deflection_high, np.maximum(known.deflection_high, 0.0))
+    assert_allclose(wide.rates, known.rates)

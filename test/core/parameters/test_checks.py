@@ -1,0 +1,318 @@
+"""The parameter table, and what its values may be."""
+
+from array import array
+
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.matrices import inertia_matrix, matrix
+from bellows_ros.core.parameters import checks as parameters
+from bellows_ros.core.parameters.checks import (
+    PACKAGE_PARAMETERS,
+    RECORDING_PARAMETERS,
+    resolve,
+    validate,
+)
+from bellows_ros.core.parameters.table import lookup, PARAMETERS, parameters_of
+from bellows_ros.errors import BellowsError
+from hypothesis import given, strategies
+import numpy as np
+from numpy.testing import assert_array_equal
+import pytest
+
+PACKAGE = {
+    'package.mass': 2.17,
+    'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
+    'package.com': [0.0, 0.0, -0.03],
+}
+PYTHON = {
+    'bool': bool,
+    'integer': int,
+    'double': float,
+    'string': str,
+    'double_array': tuple,
+    'string_array': tuple,
+}
+IDENTITY = np.eye(6)
+
+
+def changed(values, index, value):
+    """Return 36 numbers with one changed."""
+    items = list(np.ravel(values))
+    items[index] = value
+    return items
+
+
+def refused(name, value):
+    """Return the message a value is refused with."""
+    with pytest.raises(BellowsError) as error:
+        validate(name, value)
+    assert error.value.exit_code == 2
+    return str(error.value)
+
+
+@pytest.mark.parametrize('parameter', PARAMETERS.values(), ids=lambda p: p.name)
+def test_every_parameter_says_what_it_is(parameter):
+    assert parameter.description.endswith('.')
+    assert parameter.used_by and set(parameter.used_by) <= {'identifier', 'predictor'}
+    assert parameter.constraint
+    assert (parameter.length is None) == (parameter.kind != 'double_array')
+    if parameter.default is None:
+        assert parameter.example
+    else:
+        assert validate(parameter.name, parameter.default) == parameter.default
+        assert isinstance(parameter.default, PYTHON[parameter.kind])
+
+
+def test_the_default_cup_is_that_of_the_thesis():
+    values = resolve({})
+    stiffness, damping = matrix(values['cup.stiffness']), matrix(values['cup.damping'])
+    assert_array_equal(stiffness, np.diag([6417, 6417, 11530, 3.868, 3.868, 1.123]))
+    assert_array_equal(damping, np.diag([66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736]))
+    assert values['cup.length'] == 0.0481
+    cup = Cup.thesis()
+    assert_array_equal(stiffness, cup.stiffness)
+    assert_array_equal(damping, cup.damping)
+    assert values['cup.length'] == cup.length
+
+
+def test_parameters_are_found_by_their_user():
+    names = {p.name for p in parameters_of('predictor')}
+    assert {'cup.stiffness', 'package.mass', 'frames.package'} <= names
+    assert 'bags' not in names
+
+
+def test_resolve_fills_in_defaults_but_not_the_package():
+    values = resolve({'gravity.magnitude': 9})
+    assert values['gravity.magnitude'] == 9.0
+    assert isinstance(values['gravity.magnitude'], float)
+    assert values['filter.tool.half_window'] == 0
+    assert not set(RECORDING_PARAMETERS) & set(values)
+    known = {**PACKAGE, 'recording.package_frame': 'lip'}
+    assert set(resolve(known, RECORDING_PARAMETERS)) == set(PARAMETERS)
+
+
+def test_gravity_alone_is_its_magnitude():
+    assert resolve({'gravity': 9})['gravity.magnitude'] == 9.0
+    assert 'gravity' not in resolve({'gravity': 9})
+
+
+def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
+    with pytest.raises(BellowsError) as error:
+        resolve({'package.com': [0, 0, 0]}, PACKAGE_PARAMETERS)
+    message = str(error.value)
+    assert 'package.mass: 2.17  # kg' in message
+    assert 'package.inertia: [' in message
+    assert 'package.com' not in message
+
+
+@pytest.mark.parametrize('wrong, meant', [
+    ('package.wieght', 'package.mass'),
+    ('weight', 'package.mass'),
+    ('cup.weight', 'package.mass'),
+    ('mass', 'package.mass'),
+    ('cup.lenght', 'cup.length'),
+    ('envelop.mass', 'envelope.mass'),
+    ('tool_noise.pos', 'tool_noise.position'),
+    ('cups.soft.stifness', 'cups.soft.stiffness'),
+    ('filter.tol.order', 'filter.tool.order'),
+])
+def test_a_wrong_name_suggests_the_one_that_was_meant(wrong, meant):
+    with pytest.raises(BellowsError, match=rf"Did you mean '{meant}'\?"):
+        lookup(wrong)
+
+
+def test_a_letter_left_out_of_any_name_finds_it_again():
+    wrong = {(name[:k] + name[k + 1:], name) for name in PARAMETERS for k in range(len(name))}
+    missed = []
+    for typo, name in wrong:
+        with pytest.raises(BellowsError) as error:
+            lookup(typo)
+        if f"Did you mean '{name}'?" not in str(error.value):
+            missed.append(typo)
+    assert missed in ([], ['envelopemass'])  # which has lost its dot
+
+
+@pytest.mark.parametrize('name, known', [
+    ('package.xyzzy', 'Known there are: package.mass, package.inertia, package.com'),
+    ('package', 'Known there are: package.mass, package.inertia, package.com'),
+    ('cups.soft.xyzzy', 'Known there are: cups.soft.length, cups.soft.stiffness'),
+])
+def test_a_wrong_name_in_a_group_is_shown_the_group(name, known):
+    with pytest.raises(BellowsError, match=known):
+        lookup(name)
+
+
+def test_unknown_names_are_refused_with_the_nearest_known():
+    with pytest.raises(BellowsError, match=r"'package.mas'.*mean 'package.mass'"):
+        resolve({'package.mas': 1.0})
+    with pytest.raises(BellowsError, match='Known are: bags, topics.tool_pose'):
+        lookup('zzzzzzzzzz')
+    with pytest.raises(BellowsError, match='letters, digits and underscores'):
+        lookup('cups.my-cup.stiffness')
+    with pytest.raises(BellowsError) as error:
+        lookup('q' * 10_000 + '\x1b[2J')
+    assert len(str(error.value)) < 2000
+    assert '\x1b' not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    'name, value, normal',
+    [
+        ('package.mass', 2, 2.0),
+        ('package.mass', np.float32(2.5), 2.5),
+        ('package.mass', np.int64(3), 3.0),
+        ('package.com', np.array([0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
+        ('package.com', array('d', [0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
+        ('package.com', (0, 1, 2), (0.0, 1.0, 2.0)),
+        ('filter.tool.order', np.int32(3), 3),
+        ('recording.align_at_rest', True, True),
+        ('bags', ['a', 'b'], ('a', 'b')),
+        ('topics.tool_twist', '', ''),
+    ],
+)
+def test_values_are_brought_to_their_normal_form(name, value, normal):
+    result = validate(name, value)
+    assert result == normal
+    assert type(result) is type(normal)
+    if isinstance(normal, tuple):
+        assert {type(x) for x in result} <= {float, str}
+
+
+@pytest.mark.parametrize(
+    'name, value, reason',
+    [
+        ('package.mass', True, 'a number'),
+        ('package.mass', '2.17', 'a number'),
+        ('package.mass', None, 'a number'),
+        ('package.mass', 0.0, 'above 0'),
+        ('package.mass', -1.0, 'above 0'),
+        ('package.mass', float('nan'), 'nan'),
+        ('package.mass', float('inf'), 'inf'),
+        ('package.mass', 10**400, 'above 0'),
+        ('package.com', [0.0, 0.0], '3 numbers.*got 2'),
+        ('package.com', [0.0, 0.0, float('nan')], 'at index 2'),
+        ('package.com', [0.0, True, 0.0], 'at index 1'),
+        ('package.com', 0.0, '3 numbers'),
+        ('package.com', {0: 1}, '3 numbers'),
+        ('cup.length', 0, 'above 0'),
+        ('cup.length', 53.5, r'got 53.5 \(is it in m\?\)'),
+        ('gravity', -9.81, 'gravity.magnitude must be a number, at least 0'),
+        ('gravity.direction', [0.0, 0.0, 0.0], 'nothing is down'),
+        ('filter.tool.half_window', 25.0, 'a whole number'),
+        ('filter.tool.half_window', True, 'a whole number'),
+        ('filter.tool.half_window', -1, 'at least 0'),
+        ('filter.tool.order', 1, 'at least 2'),
+        ('recording.align_at_rest', 1, 'true or false'),
+        ('recording.align_at_rest', 'yes', 'true or false'),
+        ('recording.world', 'y_up', 'z_up, motive_y_up'),
+        ('fit.structure', 'Full', 'axisymmetric, axisymmetric_coupled, diagonal, full'),
+        ('topics.tool_pose', '', 'empty'),
+        ('topics.tool_pose', 'a\nb', 'control character'),
+        ('topics.tool_pose', 7, 'a text'),
+        ('frames.package', '', 'empty'),
+        ('bags', 'a', 'a list of texts'),
+        ('bags', ['a', ''], 'index 1'),
+        ('bags', ['a', 1], 'a list of texts'),
+        ('cup.stiffness', [1.0] * 35, '36 numbers.*got 35'),
+        ('cup.stiffness', [[1.0] * 6] * 6, '36 numbers.*got 6'),
+        ('cup.stiffness', np.eye(6), 'list of 36'),
+    ],
+)
+def test_values_are_refused_with_the_reason(name, value, reason):
+    message = refused(name, value)
+    assert name in message
+    with pytest.raises(BellowsError, match=reason):
+        validate(name, value)
+
+
+def test_matrices_must_be_symmetric():
+    message = refused('cup.stiffness', changed(IDENTITY, 3, 0.25))
+    assert 'not symmetric: row 1, column 4 is 0.25, row 4, column 1 is 0' in message
+    rounded = np.diag([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123])
+    rounded[0, 4], rounded[4, 0] = 12.3456789012, 12.3456789013
+    assert validate('cup.stiffness', list(rounded.ravel()))
+
+
+def test_stiffness_must_be_positive_definite():
+    assert 'smallest eigenvalue is -2,' in refused('cup.stiffness', changed(IDENTITY, 7, -2.0))
+    assert 'smallest eigenvalue is 0,' in refused('cup.stiffness', changed(IDENTITY, 7, 0.0))
+    assert 'positive definite' in refused('cup.stiffness', [0.0] * 36)
+
+
+def test_damping_must_be_positive_semidefinite():
+    assert validate('cup.damping', [0] * 36) == (0.0,) * 36
+    singular = np.outer(np.arange(6.0), np.arange(6.0))
+    assert validate('cup.damping', list(singular.ravel()))
+    assert 'eigenvalue is -0.001,' in refused('cup.damping', changed(IDENTITY, 7, -1e-3))
+
+
+@pytest.mark.parametrize(
+    'inertia, reason',
+    [
+        ([1.0, 1.0, 2.1, 0.0, 0.0, 0.0], 'at most the sum'),
+        ([0.0, 1.0, 1.0, 0.0, 0.0, 0.0], 'above zero'),
+        ([-1.0, 1.0, 1.0, 0.0, 0.0, 0.0], 'above zero'),
+        ([1.0, 1.0, 1.0, 2.0, 0.0, 0.0], 'above zero'),
+        ([1.0, 1.0, 1.0, 0.7, 0.0, 0.0], 'at most the sum'),
+    ],
+)
+def test_inertia_that_no_body_can_have_is_refused(inertia, reason):
+    assert reason in refused('package.inertia', inertia)
+
+
+@given(
+    strategies.lists(
+        strategies.lists(strategies.floats(-1.0, 1.0), min_size=3, max_size=3),
+        min_size=4,
+        max_size=8,
+    )
+)
+def test_inertia_of_any_body_is_taken(points):
+    # Point masses: the integral of (r^2 I - r r^T), which is what an inertia is.
+    r = np.array(points)
+    moments = np.einsum('ni,ni->', r, r) * np.eye(3) - r.T @ r
+    if np.linalg.eigvalsh(moments)[0] <= 1e-9:
+        return  # all on one line, no body
+    xx, xy, xz, yy, yz, zz = moments[np.triu_indices(3)]
+    values = [xx, yy, zz, xy, xz, yz]
+    assert validate('package.inertia', values) == tuple(values)
+    assert_array_equal(inertia_matrix(values), moments)
+
+
+def test_the_filter_needs_enough_samples_for_its_order():
+    assert resolve({'filter.tool.half_window': 2, 'filter.tool.order': 4})
+    with pytest.raises(BellowsError, match=r'filter.tool.order is 5.*at most order 4'):
+        resolve({'filter.tool.half_window': 2, 'filter.tool.order': 5})
+    with pytest.raises(BellowsError, match=r'filter.package.order is 6.*at most order 2'):
+        resolve({'filter.package.half_window': 1})
+
+
+def test_the_table_cannot_be_changed():
+    with pytest.raises(TypeError):
+        PARAMETERS['package.mass'] = None
+    with pytest.raises(AttributeError):
+        PARAMETERS['package.mass'].default = 1.0
+
+
+anything = strategies.recursive(
+    strategies.none()
+    | strategies.booleans()
+    | strategies.integers()
+    | strategies.floats()
+    | strategies.text(max_size=5)
+    | strategies.binary(max_size=5)
+    | strategies.dates(),
+    lambda inner: strategies.lists(inner, max_size=36)
+    | strategies.dictionaries(strategies.text(max_size=2), inner, max_size=2),
+    max_leaves=40,
+)
+
+
+@given(strategies.sampled_from(sorted(PARAMETERS)), anything)
+def test_any_value_is_either_normal_or_refused(name, value):
+    try:
+        normal = validate(name, value)
+    except BellowsError as error:
+        assert len(str(error)) < 1000
+    else:
+        assert validate(name, normal) == normal
+        assert isinstance(normal, PYTHON[parameters.PARAMETERS[name].kind])

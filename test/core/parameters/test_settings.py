@@ -1,0 +1,89 @@
+"""Nested settings: what is read, and the words in which the rest is refused."""
+
+from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.errors import BellowsError
+import pytest
+
+BLOCK = {
+    'rate': 3,
+    'count': 2,
+    'on': False,
+    'kind': 'b',
+    'name': 'x',
+    'vector': [1, 2.5, -3],
+    'inner': {'size': 0.5},
+    'list': [{'a': 1}, {'a': 2}],
+    'huge': 10**400,
+    'none': None,
+}
+
+
+def test_values_are_given_as_asked_for():
+    settings = Settings(BLOCK)
+    assert settings.number('rate') == 3.0 and isinstance(settings.number('rate'), float)
+    assert settings.whole('count', 0) == 2
+    assert settings.flag('on', True) is False
+    assert settings.choice('kind', ('a', 'b')) == 'b'
+    assert settings.text('name') == 'x'
+    assert settings.vector('vector', 3).tolist() == [1.0, 2.5, -3.0]
+    assert settings.numbers('vector').tolist() == [1.0, 2.5, -3.0]
+    assert settings.block('inner').number('size') == 0.5
+    assert [block.number('a') for block in settings.blocks('list')] == [1.0, 2.0]
+
+
+def test_what_is_not_given_has_its_default():
+    settings = Settings(None)
+    assert settings.number('rate', 1.5) == 1.5
+    assert settings.vector('vector', 2, (0.0, 1.0)).tolist() == [0.0, 1.0]
+    assert settings.block('inner').number('size', 2.0) == 2.0
+    settings.done()
+
+
+@pytest.mark.parametrize(
+    ('read', 'message'),
+    [
+        (
+            lambda s: s.number('rate', unit='Hz', above=3.0),
+            "'rate' must be a number, above 3 (Hz), got 3.",
+        ),
+        (lambda s: s.number('missing', unit='Hz'), "'missing' is missing; it must be a number"),
+        (lambda s: s.number('none'), "'none' is missing"),
+        (lambda s: s.number('on'), "'on' must be a number, got False (bool)."),
+        (lambda s: s.number('huge'), "'huge' must be a number, got 1000"),
+        (lambda s: s.number('count', least=0.0, most=1.0), 'at least 0 and at most 1, got 2.'),
+        (lambda s: s.whole('rate', 0, most=2),
+         "'rate' must be a whole number, at least 0 and at most 2, got"),
+        (lambda s: s.flag('rate', True), "'rate' must be true or false, got 3."),
+        (lambda s: s.choice('kind', ('a', 'c')), "'kind' must be one of a, c, got 'b'."),
+        (lambda s: s.text('rate'), "'rate' must be a text, got 3 (int)."),
+        (lambda s: s.vector('vector', 2, unit='m'), 'a list of 2 numbers (m), got 3 of them.'),
+        (lambda s: s.numbers('vector', 'Hz', least=0.0),
+         'numbers, each at least 0 (Hz), got -3 at index 2.'),
+        (lambda s: s.block('rate'), "Setting 'rate' must hold names and values, got 3."),
+        (lambda s: s.blocks('inner'), "'inner' must be a list of one or more blocks"),
+        (lambda s: s.blocks('list')[1].number('b'), "'list[1].b' is missing"),
+        (lambda s: s.block('inner').text('size'), "'inner.size' must be a text"),
+    ],
+)
+def test_a_wrong_value_is_named_with_what_it_must_be(read, message):
+    with pytest.raises(BellowsError) as caught:
+        read(Settings(BLOCK))
+    assert message in str(caught.value)
+
+
+def test_unknown_names_are_refused_with_the_nearest():
+    settings = Settings({'noise': {'postion': 1.0, 'zzz': 2.0}}).block('noise')
+    settings.number('position', 0.0)
+    settings.number('rotation', 0.0)
+    with pytest.raises(BellowsError, match="'noise.postion'. Did you mean 'noise.position'?"):
+        settings.done()
+    with pytest.raises(BellowsError, match=r"'zzz'. Known here: size\."):
+        other = Settings({'zzz': 1})
+        other.number('size', 0.0)
+        other.done()
+
+
+@pytest.mark.parametrize('content', [3, 'text', [1], {1: 2}])
+def test_a_file_that_is_no_block_is_refused(content):
+    with pytest.raises(BellowsError, match='must hold names and values, got'):
+        Settings(content)

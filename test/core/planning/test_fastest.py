@@ -1,0 +1,141 @@
+"""The shortest safe time against an exhaustive scan; standard deviations against Monte Carlo."""
+
+from time import thread_time
+from timeit import timeit
+
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.model.cup_package import Cup, model_tuple
+from bellows_ros.core.model.perturbed import (
+    contributions,
+    deviations_of,
+    model_with,
+    NAMES,
+    numbers_of,
+    perturbed,
+)
+from bellows_ros.core.planning.fastest import fastest
+from bellows_ros.core.planning.plan import predict, Run
+from bellows_ros.core.planning.points import plan_of, timed
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from ..plans import CUP, GRIP, Move, PACKAGE
+
+MODEL = model_tuple(CUP, PACKAGE, 9.81)
+VALUES = {
+    'cup.stiffness': CUP.stiffness.ravel(), 'cup.damping': CUP.damping.ravel(),
+    'cup.stiffness_std': 0.01 * CUP.stiffness.ravel(),
+    'cup.damping_std': 0.05 * CUP.damping.ravel(),
+    'package.mass': 1.8, 'package.com': PACKAGE.com,
+    'package.inertia': (0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0),
+    'package.mass_std': 0.01, 'package.com_std': (0.001, 0.001, 0.001),
+    'package.inertia_std': (1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0),
+}
+EXACT = {**VALUES, **{name: np.zeros_like(value) for name, value in VALUES.items()
+                      if name.endswith('_std')}}
+
+
+def shake(size, duration=2.0, cycles=6):
+    """Return a tool that shakes sideways, swelling and fading: it meets the bending mode."""
+    t = np.linspace(0.0, duration, 501)
+    w = 2 * np.pi * cycles / duration
+    swell, slope = np.sin(np.pi * t / duration) ** 2, np.pi / duration * np.sin(
+        2 * np.pi * t / duration)
+    o, v = np.zeros((len(t), 3)), np.zeros((len(t), 6))
+    o[:, 0] = size * swell * np.sin(w * t)
+    v[:, 0] = size * (slope * np.sin(w * t) + swell * w * np.cos(w * t))
+    return plan_of(np.round(t * 1e9).astype(np.int64), o, np.tile([0, 0, 0, 1.0], (len(t), 1)), v)
+
+
+def smallest(model, plan, scale):
+    """Return the smallest safety factor of a plan driven so many times as slowly."""
+    return np.array(predict(model, GRIP, timed(plan, scale), tail=1.0).smallest_safety[0])
+
+
+def lower_end(values, model, plan, scale):
+    """Return the smallest safety factor minus two standard deviations."""
+    _, parts = contributions(values, model, lambda m: smallest(m, plan, scale))
+    return smallest(model, plan, scale) - 2 * np.linalg.norm(parts)
+
+
+@pytest.mark.parametrize(('plan', 'count'), [
+    (Move([0.3, 0.2, -0.2], [0.5, 0.0, 0.8], 0.7).plan(250), 6),
+    pytest.param(Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0).plan(500), 60,
+                 marks=pytest.mark.stress)])
+def test_is_that_of_an_exhaustive_scan(plan, count):
+    found = fastest(VALUES, MODEL, GRIP, plan, 1.5)
+    scales = found.scale * np.concatenate([np.geomspace(0.3, 0.98, count), [0.9975, 1.0025]])
+    ends = [lower_end(VALUES, MODEL, plan, scale) for scale in scales]
+    assert max(ends[:-1]) < 1.5 <= ends[-1]
+    assert_allclose(found.factor - 2 * found.std, 1.5, rtol=2e-3)
+
+
+@pytest.mark.parametrize('least', [1.2, 1.27])
+def test_finds_the_window_below_a_resonance(least):
+    """Faster than the resonance is safe again, in a window of time scales however narrow."""
+    model = model_tuple(Cup(CUP.stiffness, 0.3 * CUP.damping, CUP.length), PACKAGE, 9.81)
+    plan = shake(0.005)
+    scales = np.geomspace(0.1, 2.0, 300)
+    truth = np.array([smallest(model, plan, scale) for scale in scales])
+    first = scales[np.argmax(truth >= least)]
+    found = fastest(EXACT, model, GRIP, plan, least)
+    assert_allclose(found.scale, first, rtol=0.01)
+    assert found.std == 0.0 and found.factor >= least
+    slower = truth[(scales > 1.3 * first) & (scales < 1.6 * first)]
+    assert slower.max() < least  # a search that assumes more time is safer misses it
+
+
+def test_nothing_helps_a_package_that_is_too_heavy():
+    weak = (GRIP[0] / 3, *GRIP[1:])
+    assert fastest(VALUES, MODEL, weak, Move([0.1, 0, 0], [0, 0, 0], 1.0).plan(100), 1.5) is None
+
+
+@pytest.mark.skipif(not COMPILED, reason='the limit is for compiled kernels')
+def test_a_plan_of_a_second_takes_a_tenth():
+    """Of the processor, once in many runs: whatever else the machine does only adds to it."""
+    plan = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0).plan()
+    fastest(VALUES, MODEL, GRIP, plan, 1.5)
+    assert any(timeit(lambda: fastest(VALUES, MODEL, GRIP, plan, 1.5), number=1,
+                      timer=thread_time) < 0.1 for _ in range(20))
+
+
+def test_each_number_is_changed_in_its_place():
+    names = [name for name, _, _ in perturbed(VALUES, MODEL)]
+    assert len(names) == 12 + 1 + 3 + 3
+    for name, up, down in perturbed(VALUES, MODEL):
+        if name == 'package.com[y]':
+            assert_allclose((up[1][1], down[1][1]), [(0, 5e-4, -0.03), (0, -5e-4, -0.03)])
+            assert up[0] == down[0] == MODEL[0]
+        if name == 'cup.stiffness[3,3]':
+            assert_allclose(np.array(up[0][2][2]) - MODEL[0][2][2], 0.021 * np.eye(3)[0].repeat(
+                [1, 4, 4]), atol=1e-12)
+    again = model_with(MODEL, numbers_of(VALUES))
+    assert again[0] == MODEL[0] and again[1][:3] == MODEL[1][:3]
+    assert len(NAMES) == len(numbers_of(VALUES)) == len(deviations_of(VALUES))
+
+
+def test_an_entry_of_which_nothing_is_known_counts_whole():
+    unknown = {**EXACT, 'cup.stiffness_std': np.full(36, 1e9)}
+    assert_allclose(deviations_of(unknown)[0], 5400.0)
+    assert_allclose(deviations_of(unknown)[2], np.sqrt(5400.0 * 9200.0))
+
+
+@pytest.mark.parametrize(('count', 'within'), [
+    (200, 0.15),  # three deviations of what chance does to so many
+    pytest.param(2000, 0.03, marks=pytest.mark.stress)])
+def test_standard_deviations_are_those_of_monte_carlo(count, within):
+    plan = Move([0.5, 0.2, -0.1], [0.2, 0.0, 0.4], 0.7).plan(250)
+    names = ('smallest_safety_factor', 'peak_bending', 'peak_deflection', 'peak_force',
+             'peak_moment', 'rigid_peak_moment', 'swing_left')
+    run = Run(MODEL, GRIP, plan, tail=0.5)
+
+    def figures(model):
+        found = run.of(model).at(1.0).figures()
+        return np.array([found[name] for name in names])
+
+    _, parts = contributions(VALUES, MODEL, figures)
+    rng = np.random.default_rng(8)
+    draws = numbers_of(VALUES) + deviations_of(VALUES) * rng.standard_normal((count, 52))
+    spread = np.std([figures(model_with(MODEL, numbers)) for numbers in draws], axis=0)
+    assert_allclose(np.linalg.norm(parts, axis=0), spread, rtol=within)

@@ -1,0 +1,48 @@
+"""What a motion asks of an arm against closed forms, and motions stretched into limits."""
+
+import math
+
+from bellows_ros.core.planning.limits import demands, Limits, NONE, RATES, stretched
+from bellows_ros.core.planning.points import timed
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from ..plans import Move
+
+FREE = Limits(dict.fromkeys(RATES, NONE), np.full(3, -NONE), np.full(3, NONE), 0.0)
+PLAN = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.9], 0.8).plan()
+
+
+def test_demands_are_those_of_the_quintic():
+    """15/8 D/T, 10/sqrt(3) D/T^2 and 60 D/T^3, the last one reached at the very ends."""
+    found = demands(PLAN)
+    for names, size in ((tuple(RATES)[:3], 0.6), (tuple(RATES)[3:], 0.9)):
+        truth = (15 / 8 * size / 0.8, 10 / math.sqrt(3) * size / 0.8**2, 60 * size / 0.8**3)
+        assert_allclose([found[name] for name in names[:2]], truth[:2], rtol=1e-3)
+        assert_allclose(found[names[2]], truth[2], rtol=0.03)
+
+
+@pytest.mark.parametrize('name', list(RATES))
+def test_a_motion_is_stretched_no_further_than_needed(name):
+    asked = demands(PLAN)[name]
+    order = 1 + list(RATES).index(name) % 3
+    limits = FREE._replace(rates={**FREE.rates, name: asked / 2.0**order})
+    scale, reason = stretched(limits, lambda s: (timed(PLAN, s), math.inf))
+    assert reason == name
+    assert_allclose(scale, 2.0, rtol=0.01)
+    assert demands(timed(PLAN, scale))[name] <= limits.rates[name]
+
+
+def test_safety_and_workspace_count():
+    limits = FREE._replace(safety_factor=2.0)
+    scale, reason = stretched(limits, lambda s: (timed(PLAN, s), 1.5 * s))
+    assert reason == 'safety_factor'
+    assert 4 / 3 <= scale < 1.02 * 4 / 3
+    assert stretched(limits, lambda s: (PLAN, 3.0)) == (1.0, '')
+    inside = FREE._replace(low=np.full(3, -0.1), high=np.array([0.7, 0.1, 0.1]))
+    assert stretched(inside, lambda s: (PLAN, 0.0)) == (1.0, '')
+    inside.high[0] = 0.5
+    with pytest.raises(BellowsError, match='limit workspace even at 20 times its duration'):
+        stretched(inside, lambda s: (PLAN, 0.0))

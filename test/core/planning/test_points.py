@@ -1,0 +1,118 @@
+"""From points to a plan: splines against known motions, and what no arm does refused."""
+
+from bellows_ros.core.geometry.lie import log_so3, rotation_to_quaternion
+from bellows_ros.core.planning.points import MOST_POINTS, plan_of, refined, timed
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from ..plans import Move
+
+MOVE = Move([0.5, -0.3, 0.2], [0.4, -0.6, 0.9], 0.8)
+
+
+def points(rate_hz=250, move=MOVE):
+    """Return stamps, positions, quaternions and body twists of a move."""
+    count = round(float(move.duration) * rate_hz)
+    stamps = np.round(np.linspace(0, float(move.duration), count + 1) * 1e9).astype(np.int64)
+    o, R, v = move.at(stamps * 1e-9)
+    return stamps, o, rotation_to_quaternion(R), v
+
+
+def in_world(R, v):
+    """Return body twists in world axes."""
+    return np.hstack([np.einsum('nij,nj->ni', R, part) for part in (v[:, :3], v[:, 3:])])
+
+
+def rates(function, t, h=1e-4):
+    """Return the derivative of a function of time by central differences of fourth order."""
+    return (8 * (function(t + h) - function(t - h))
+            - (function(t + 2 * h) - function(t - 2 * h))) / (12 * h)
+
+
+def test_twists_in_either_axes_are_the_same_plan():
+    stamps, o, q, v = points()
+    R = MOVE.at(stamps * 1e-9)[1]
+    tool = plan_of(stamps, o, q, v, twist_frame='tool')
+    world = plan_of(stamps, o, q, in_world(R, v))
+    assert_allclose(world.twist, tool.twist, atol=1e-14)
+    assert_allclose(tool.twist, v)
+
+
+def test_twists_of_a_path_are_those_of_a_spline_from_rest_to_rest():
+    stamps, o, q, v = points(100)
+    plan = plan_of(stamps, o, -q * np.where(np.arange(len(q)) % 2, 1, -1)[:, None])  # either sign
+    assert_allclose(plan.twist, v, atol=2e-3)  # m/s, rad/s; h^3 of the spline
+    two = plan_of(stamps[[0, -1]], o[[0, -1]], q[[0, -1]])
+    middle = two.select(slice(len(two) // 2, len(two) // 2 + 1))
+    assert_allclose(middle.twist[0, :3] @ middle.twist[0, :3], (1.5 / 0.8) ** 2 * 0.38, rtol=1e-6)
+
+
+@pytest.mark.parametrize('rate_hz', [10, 20])
+def test_sparse_points_are_joined_by_quintics_where_accelerations_are_given(rate_hz):
+    stamps, o, q, v = points(rate_hz)
+    t = stamps * 1e-9
+    body = rates(lambda at: MOVE.at(at)[2], np.clip(t, 3e-4, 0.8 - 3e-4))
+    world = rates(lambda at: in_world(*MOVE.at(at)[1:]), np.clip(t, 3e-4, 0.8 - 3e-4))
+    world[[0, -1]] = body[[0, -1]] = 0.0
+    cubic = plan_of(stamps, o, q, v, twist_frame='tool')
+    in_tool = plan_of(stamps, o, q, v, body, 'tool')
+    R = MOVE.at(t)[1]
+    in_world_axes = plan_of(stamps, o, q, in_world(R, v), world)
+    fine_o, fine_R, fine_v = MOVE.at(in_tool.stamps_ns * 1e-9)
+    errors = [np.abs(plan.position - fine_o).max() for plan in (in_tool, cubic)]
+    turns = [np.abs(log_so3(np.swapaxes(fine_R, -1, -2) @ plan.rotation)).max()
+             for plan in (in_tool, cubic)]
+    assert errors[0] < 0.05 * errors[1] and turns[0] < 0.2 * turns[1]
+    assert np.diff(in_tool.stamps_ns).max() <= 10_000_000
+    assert_allclose(in_world_axes.position, in_tool.position, atol=1e-7)
+    assert_allclose(in_world_axes.twist, in_tool.twist, atol=1e-5)
+
+
+def test_dense_points_stay_as_they_are():
+    stamps, o, q, v = points(500)
+    plan = plan_of(stamps, o, q, v, twist_frame='tool')
+    assert refined(plan) is plan and len(plan) == len(stamps)
+
+
+def test_half_as_fast_is_twice_as_long():
+    plan = MOVE.plan(100)
+    slow = timed(plan, 2.0)
+    assert slow.seconds[-1] == 2 * plan.seconds[-1]
+    assert_allclose(slow.twist, 0.5 * plan.twist)
+
+
+def changed(index, where, value):
+    """Return the points with one number changed."""
+    parts = [part.astype(part.dtype).copy() for part in points()]
+    parts[index][where] = value
+    return parts
+
+
+@pytest.mark.parametrize(('parts', 'words'), [
+    ([part[:1] for part in points()], 'has 1 point; expected 2 to 100000'),
+    ([np.repeat(part[:1], MOST_POINTS + 1, axis=0) for part in points()],
+     'has 100001 points; expected 2 to 100000. Thin it out'),
+    (changed(1, (7, 0), np.nan), 'point 7 .* holds NaN or infinity, as 1 of 201 do'),
+    (changed(3, (7, 5), np.inf), 'point 7 .* holds NaN or infinity'),
+    (changed(2, 9, [0.0, 0.0, 0.0, 2.0]), 'point 9 .* quaternion that is not of unit length'),
+    (changed(2, 9, 0.0), 'not of unit length'),
+    (changed(0, 20, 1), r'point 20 .* is at 0.000000 s, after one at 0.076000 s'),
+    (changed(0, -1, 700 * 10 ** 9), 'takes 700 s; expected at most 600'),
+    (changed(1, (50, 2), 3.0), r'jumps between points 49 and 50: by 2.\d+ m'),
+    (changed(2, 50, [1.0, 0.0, 0.0, 0.0]), 'jumps between points 49 and 50'),
+    (changed(3, (60, 1), 30.0), 'point 60 .* is faster than any arm'),
+])
+def test_what_no_arm_does_is_refused(parts, words):
+    with pytest.raises(BellowsError, match=words):
+        plan_of(*parts, twist_frame='tool')
+
+
+def test_velocities_in_the_wrong_axes_are_noticed():
+    turned = Move([0.5, 0.0, 0.0], [0.0, 0.0, 3.0], 0.8)
+    stamps, o, q, v = points(250, turned)
+    with pytest.raises(BellowsError, match='velocities do not fit its poses.*tool_twist.frame'):
+        plan_of(stamps, o, q, v, twist_frame='world')
+    with pytest.raises(BellowsError, match='angular velocities do not fit'):
+        plan_of(stamps, o, q, v * [1, 1, 1, 5, 5, 5.0], twist_frame='tool')

@@ -1,0 +1,121 @@
+"""Resampling against motions in closed form."""
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+from ..motions import EPOCH_NS, motion, poses_at, stamps
+
+
+def errors(trajectory):
+    """Return the largest errors of position, rotation and twist of a trajectory on the motion."""
+    o, R, twist = poses_at(trajectory.stamps_ns)
+    turn = lie.log_so3(np.swapaxes(R, -1, -2) @ trajectory.rotation)
+    twist_error = 0.0 if trajectory.twist is None else np.abs(trajectory.twist - twist).max()
+    return np.array([np.abs(trajectory.position - o).max(), np.abs(turn).max(), twist_error])
+
+
+def test_hermite_is_of_fourth_order():
+    wanted = EPOCH_NS + np.arange(10_000_000, 1_900_000_000, 1_234_567)
+    coarse, fine = (errors(resample(motion(2 * f + 1, f), wanted)) for f in (50, 100))
+    order = np.log2(coarse / fine)
+    assert np.all(order[:2] > 3.9)
+    # The twist is the derivative of a fourth-order interpolant.
+    assert order[2] > 2.9
+    assert np.all(fine[:2] < 1e-6)
+
+
+def test_geodesic_is_of_second_order_and_has_no_twist():
+    wanted = EPOCH_NS + np.arange(10_000_000, 1_900_000_000, 1_234_567)
+    results = [resample(motion(2 * f + 1, f, with_twist=False), wanted) for f in (50, 100)]
+    assert results[0].twist is None
+    order = np.log2(errors(results[0])[:2] / errors(results[1])[:2])
+    assert_allclose(order, 2.0, atol=0.1)
+
+
+@pytest.mark.parametrize('with_twist', [True, False])
+def test_constant_twist_is_interpolated_exactly(with_twist):
+    twist = np.array([0.0, 0.0, 0.4, 0.0, 0.0, 2.0])  # a screw: both interpolants hold it
+    coarse, fine = stamps(11, 10.0), stamps(101, 100.0)
+    T = lie.exp_se3(np.multiply.outer((fine - EPOCH_NS) / 1e9, twist))
+    twists = np.tile(twist, (11, 1)) if with_twist else None
+    result = resample(Trajectory(coarse, T[::10, :3, 3], T[::10, :3, :3], twists), fine)
+    assert_allclose(result.position, T[:, :3, 3], atol=1e-15)
+    assert_allclose(result.rotation, T[:, :3, :3], atol=2e-15)
+    if with_twist:
+        assert_allclose(result.twist, np.tile(twist, (101, 1)), atol=1e-13)
+
+
+def test_twist_is_the_derivative_of_the_interpolated_pose():
+    trajectory, h = motion(11, 10.0), 10_000
+    at = trajectory.stamps_ns[:-1] + 37_000_000
+    here, before, after = (resample(trajectory, at + s * h) for s in (0, -1, 1))
+    R_inverse = np.swapaxes(here.rotation, -1, -2)
+    v = lie.apply(R_inverse, after.position - before.position) / (2 * h * 1e-9)
+    turn = lie.log_so3(np.swapaxes(before.rotation, -1, -2) @ after.rotation) / (2 * h * 1e-9)
+    # Rounding of poses over 20 us, and h^2 times third derivatives of some 1e3.
+    assert_allclose(here.twist, np.concatenate([v, turn], axis=1), atol=2e-7)
+
+
+def test_interpolation_does_not_depend_on_the_world_frame():
+    trajectory = motion(21, 20.0)
+    R_new_old, shift = lie.exp_so3([0.3, -2.0, 1.0]), np.array([10.0, -3.0, 5.0])
+    moved = Trajectory(
+        trajectory.stamps_ns,
+        lie.apply(R_new_old, trajectory.position) + shift,
+        R_new_old @ trajectory.rotation,
+        trajectory.twist,
+    )
+    wanted = trajectory.stamps_ns[:-1] + 12_345_678
+    here, there = resample(trajectory, wanted), resample(moved, wanted)
+    assert_allclose(there.position, lie.apply(R_new_old, here.position) + shift, atol=1e-14)
+    assert_allclose(there.rotation, R_new_old @ here.rotation, atol=1e-14)
+    assert_allclose(there.twist, here.twist, atol=1e-12)
+
+
+@pytest.mark.parametrize('with_twist', [True, False])
+def test_coinciding_stamps_repeat_the_samples(with_twist):
+    trajectory = motion(11, 10.0, with_twist)
+    result = resample(trajectory, trajectory.stamps_ns)
+    assert_array_equal(result.position, trajectory.position)
+    assert_array_equal(result.rotation, trajectory.rotation)
+    if with_twist:
+        assert_array_equal(result.twist, trajectory.twist)
+
+
+def test_one_sample_and_no_stamps():
+    one = motion(1, 10.0)
+    assert_array_equal(resample(one, one.stamps_ns).position, one.position)
+    assert len(resample(one, [])) == 0
+
+
+@pytest.mark.parametrize('offset_ns', [-1, 1])
+def test_never_extrapolates(offset_ns):
+    trajectory = motion(11, 10.0)
+    with pytest.raises(BellowsError, match='never extrapolated'):
+        resample(trajectory, trajectory.stamps_ns + offset_ns)
+    with pytest.raises(BellowsError, match='empty'):
+        resample(trajectory.select(slice(0, 0)), trajectory.stamps_ns)
+
+
+def test_validity_of_resampled_samples():
+    trajectory = motion(6, 10.0)
+    valid = np.array([True, True, False, True, True, True])
+    trajectory = Trajectory(
+        trajectory.stamps_ns, trajectory.position, trajectory.rotation, valid=valid
+    )
+    wanted = EPOCH_NS + np.array([100, 150, 200, 250, 300, 350]) * 1_000_000
+    result = resample(trajectory, wanted)
+    assert_array_equal(result.valid, [True, False, False, False, True, True])
+
+
+def test_long_gaps_are_not_valid():
+    trajectory = motion(11, 10.0).select(np.array([0, 1, 2, 6, 7, 8]))
+    wanted = EPOCH_NS + np.array([150, 200, 300, 500, 600, 650]) * 1_000_000
+    result = resample(trajectory, wanted, longest_gap_ns=100_000_000)
+    assert_array_equal(result.valid, [True, True, False, False, True, True])
+    assert resample(trajectory, wanted).valid.all()

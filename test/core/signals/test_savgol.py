@@ -1,0 +1,409 @@
+"""The filter against polynomials, a slow reference, and the synthetic motions of the thesis."""
+
+from fractions import Fraction
+from math import factorial, pi
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.signals import savgol as module
+from bellows_ros.core.signals.savgol import savgol, weights
+from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+RATE_HZ = 360.0
+# Its period is a whole number of nanoseconds, so stamps do not round it.
+WHOLE_RATE_HZ = 250.0
+# The thesis' settings for its synthetic motions.
+HALF_WINDOW, ORDER = 23, 2
+
+
+def trajectory_of(position, rotation, rate_hz=RATE_HZ, valid=True):
+    stamps = 1_700_000_000_000_000_000 + np.round(np.arange(len(position)) * 1e9 / rate_hz)
+    return Trajectory(stamps.astype(np.int64), position, rotation, valid=np.array(valid))
+
+
+def noisy_motion(count=120, seed=0):
+    """Give a smooth motion with 1 mm and 20 mrad of noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(count)[:, None] / RATE_HZ
+    position = np.sin(t * [3.0, 7.0, 11.0]) + 1e-3 * rng.normal(size=(count, 3))
+    phi = 2.0 * np.cos(t * [11.0, 5.0, 8.0]) + 0.02 * rng.normal(size=(count, 3))
+    return trajectory_of(position, lie.exp_so3(phi))
+
+
+def thesis_motion(count):
+    """Give positions, rotation vectors, spatial twists and their derivatives (4.34-4.61)."""
+    w, t = 2.0 * pi, np.arange(count)[:, None] / RATE_HZ
+
+    def sine(a0, a1):
+        a0, a1 = np.array(a0), np.array(a1)
+        return a0 + a1 * np.sin(w * t), a1 * w * np.cos(w * t), -a1 * w**2 * np.sin(w * t)
+
+    o, o_rate, o_rate2 = sine([0.2, 0.1, -0.2], [0.6, -0.4, 0.5])
+    xi, xi_rate, xi_rate2 = sine([0.05, -0.15, 0.2], [0.4, 0.7, -0.7])
+    rate = lie.apply(lie.dexp(xi), xi_rate)
+    rate2 = lie.d2exp(xi, xi_rate, xi_rate) + lie.apply(lie.dexp(xi), xi_rate2)
+    v = o_rate - np.cross(rate, o)
+    # (4.38) with the covariant derivative, dw^, in place of R'' R^T.
+    v_rate = o_rate2 - np.cross(rate, o_rate) - np.cross(rate2, o)
+    return o, xi, np.concatenate([v, rate], axis=1), np.concatenate([v_rate, rate2], axis=1)
+
+
+def spatial(filtered):
+    """Return the spatial twist (4.32) and its rate (4.33): X(T) of the body's, as X' v = 0."""
+    X = lie.adjoint(lie.transform(filtered.rotation, filtered.position))
+    return lie.apply(X, filtered.twist), lie.apply(X, filtered.acceleration)
+
+
+def rms(error):
+    return np.sqrt(np.mean(error**2, axis=0))
+
+
+@pytest.mark.parametrize('half_window, order', [(1, 2), (3, 2), (5, 4), (15, 3), (25, 4), (30, 7)])
+def test_weights_are_the_exact_rational_ones(half_window, order):
+    result = weights(half_window, order, 1.0)
+    for row, expected in zip(result, rational_weights(half_window, order), strict=True):
+        assert_allclose(row, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
+
+
+def rational_weights(half_window, order):
+    """Solve the normal equations of the fit in whole samples by elimination, without rounding."""
+    times, size = range(-half_window, half_window + 1), order + 1
+    rows = [
+        [Fraction(sum(t ** (i + j) for t in times)) for j in range(size)]
+        + [Fraction(i == derivative) for derivative in range(3)] for i in range(size)]
+    for i in range(size):
+        pivot = rows[i][i]  # positive, as the matrix is positive definite
+        rows[i] = [value / pivot for value in rows[i]]
+        for k in set(range(size)) - {i}:
+            factor = rows[k][i]
+            rows[k] = [a - factor * b for a, b in zip(rows[k], rows[i], strict=True)]
+    return np.array([
+        [float(factorial(d) * sum(row[size + d] * t**i for i, row in enumerate(rows)))
+         for t in times]
+        for d in range(3)])
+
+
+@pytest.mark.parametrize('half_window, order', [(1, 2), (5, 2), (25, 4), (50, 6), (4, 8)])
+def test_weights_are_exact_on_polynomials(half_window, order):
+    offset = np.arange(-half_window, half_window + 1) / half_window
+    moments = np.array([offset**power for power in range(order + 1)])
+    expected = np.zeros((3, order + 1))
+    for derivative in range(3):
+        expected[derivative, derivative] = factorial(derivative)
+    scale = (RATE_HZ / half_window) ** np.arange(3)[:, None]
+    result = weights(half_window, order, RATE_HZ) / scale
+    # The second derivative's weights are large, and rounding grows with them.
+    assert_allclose(result @ moments.T, expected, atol=2e-13)
+
+
+def test_weights_are_even_odd_and_even():
+    value, first, second = weights(25, 4, RATE_HZ)
+    assert_array_equal(value, value[::-1])
+    assert_array_equal(first, -first[::-1])
+    assert_array_equal(second, second[::-1])
+
+
+@pytest.mark.parametrize('half_window, order', [(2, 2), (7, 3), (25, 4)])
+def test_exact_on_polynomials_of_the_position(half_window, order):
+    rng = np.random.default_rng(1)
+    count = 2 * half_window + 41
+    t = np.arange(count) / WHOLE_RATE_HZ - 0.1
+    coefficients = rng.normal(size=(order + 1, 3))
+    power = np.polynomial.polynomial
+    rotation = np.tile(Rotation.random(random_state=1).as_matrix(), (count, 1, 1))
+    position = power.polyval(t, coefficients).T
+    result = savgol(trajectory_of(position, rotation, WHOLE_RATE_HZ), half_window, order)
+    centre = slice(half_window, count - half_window)
+    expected = [
+        power.polyval(t[centre], power.polyder(coefficients, k) if k else coefficients).T
+        for k in range(3)
+    ]
+    world = np.swapaxes(rotation[centre], -1, -2)
+    assert_allclose(result.position, expected[0], atol=1e-13)
+    # Rounding of positions times the norms of the weights, 1e2 and 1e5 for the shortest window.
+    assert_allclose(result.twist[:, :3], lie.apply(world, expected[1]), atol=1e-12)
+    assert_allclose(result.acceleration[:, :3], lie.apply(world, expected[2]), atol=1e-9)
+    assert_array_equal(result.twist[:, 3:], 0.0)
+    assert_array_equal(result.acceleration[:, 3:], 0.0)
+
+
+@pytest.mark.parametrize('half_window, order', [(3, 2), (10, 3), (25, 4)])
+def test_exact_on_polynomials_of_the_rotation(half_window, order):
+    rng = np.random.default_rng(2)
+    t = np.arange(-half_window, half_window + 1)[:, None] / WHOLE_RATE_HZ
+    size = np.array([0.0, 3.0, 10.0, 40.0, 100.0])[: order + 1, None]
+    coefficients = size * rng.normal(size=(order + 1, 3))
+    xi = sum(c * t**k for k, c in enumerate(coefficients))
+    R_centre = Rotation.random(random_state=2).as_matrix()
+    rotation = lie.exp_so3(xi) @ R_centre
+    trajectory = trajectory_of(np.zeros_like(xi), rotation, WHOLE_RATE_HZ)
+    result = savgol(trajectory, half_window, order)
+    assert_allclose(result.rotation[0], R_centre, atol=1e-14)
+    # At xi = 0 dexp is I and d2exp of twice the same vector is 0: w = xi', dw = xi''.
+    assert_allclose(result.twist[0, 3:], R_centre.T @ coefficients[1], atol=1e-11)
+    assert_allclose(result.acceleration[0, 3:], R_centre.T @ (2 * coefficients[2]), atol=1e-9)
+
+
+def slow_reference(trajectory, half_window, order):
+    """Fit every window by least squares as printed (4.18-4.21, 4.43-4.45), sample by sample."""
+    offsets = range(-half_window, half_window + 1)
+    period = 1e-9 * (trajectory.stamps_ns[-1] - trajectory.stamps_ns[0]) / (len(trajectory) - 1)
+    A = [[(w * period) ** j / factorial(j) for j in range(order + 1)] for w in offsets]
+    rows = []
+    for k in range(half_window, len(trajectory) - half_window):
+        o = [trajectory.position[k + w] for w in offsets]
+        R_k = trajectory.rotation[k]
+        turns = [Rotation.from_matrix(trajectory.rotation[k + w] @ R_k.T) for w in offsets]
+        o = np.linalg.lstsq(A, o, rcond=None)[0]
+        e = np.linalg.lstsq(A, [turn.as_rotvec() for turn in turns], rcond=None)[0]
+        R, R_rate, R_rate2 = (M @ R_k for M in exponential_of_a_parabola(*e[:3]))
+        rows.append(body_quantities(o[:3], R, R_rate, R_rate2))
+    return [np.array(column) for column in zip(*rows, strict=True)]
+
+
+def exponential_of_a_parabola(e0, e1, e2):
+    """Differentiate exp(e0 + e1 t + e2 t^2/2) twice at t = 0, by the exponential of its jet."""
+    E0, E1, E2 = (np.cross(np.eye(3), e) for e in (e0, e1, e2))
+    zero = np.zeros((3, 3))
+    jet = expm(np.block([[E0, E1, E2 / 2], [zero, E0, E1], [zero, zero, E0]]))
+    return jet[:3, :3], jet[:3, 3:6], 2 * jet[:3, 6:]
+
+
+def body_quantities(o, R, R_rate, R_rate2):
+    """Return position, rotation, body twist and its derivative from plain derivatives."""
+    W = R.T @ R_rate
+    dW = R_rate.T @ R_rate + R.T @ R_rate2
+    v, dv = R.T @ o[1], R_rate.T @ o[1] + R.T @ o[2]
+    twist, acceleration = (
+        np.concatenate([linear, [S[2, 1], S[0, 2], S[1, 0]]]) for linear, S in ((v, W), (dv, dW))
+    )
+    return o[0], R, twist, acceleration
+
+
+@pytest.mark.parametrize('half_window, order', [(2, 2), (23, 2), (15, 3), (25, 4)])
+def test_agrees_with_a_slow_least_squares_fit_per_window(half_window, order):
+    trajectory = noisy_motion()
+    result = savgol(trajectory, half_window, order)
+    position, rotation, twist, acceleration = slow_reference(trajectory, half_window, order)
+    assert len(result) == len(trajectory) - 2 * half_window
+    assert_array_equal(result.stamps_ns, trajectory.stamps_ns[half_window:-half_window])
+    assert_allclose(result.position, position, atol=1e-9)
+    assert_allclose(result.rotation, rotation, atol=1e-9)
+    assert_allclose(result.twist, twist, atol=1e-9, rtol=1e-9)
+    assert_allclose(result.acceleration, acceleration, atol=1e-9, rtol=1e-9)
+
+
+def test_standstill_gives_zeros():
+    R = Rotation.random(random_state=3).as_matrix()
+    count = 60
+    still = trajectory_of(np.tile([1.1, -2.3, 0.7], (count, 1)), np.tile(R, (count, 1, 1)))
+    result = savgol(still, 25, 4)
+    assert_array_equal(result.position, still.position[25:35])
+    assert_allclose(result.rotation, still.rotation[25:35], atol=1e-15)
+    assert_array_equal(result.twist, 0.0)
+    assert_array_equal(result.acceleration, 0.0)
+    assert result.valid.all()
+
+
+@pytest.mark.parametrize('rate', [5.0, -5.0])
+def test_right_through_several_turns(rate):
+    """A wobbling spin, R = Rz(rate t) Rx(a sin(w t)): its body rate follows from the product."""
+    a, w, count = 0.4, 6.0, 2000
+    t = np.arange(count) / RATE_HZ
+    tilt, tilt_rate = a * np.sin(w * t), a * w * np.cos(w * t)
+    zero = np.zeros(count)
+    spin = lie.exp_so3(np.stack([zero, zero, rate * t], axis=1))
+    R = spin @ lie.exp_so3(np.stack([tilt, zero, zero], axis=1))
+    assert rate * t[-1] / (2 * pi) > 4 or rate < 0
+    s, c = np.sin(tilt), np.cos(tilt)
+    body_rate = np.stack([tilt_rate, rate * s, rate * c], axis=1)
+    body_rate2 = np.stack([-(w**2) * tilt, rate * c * tilt_rate, -rate * s * tilt_rate], axis=1)
+    result = savgol(trajectory_of(np.zeros((count, 3)), R), 15, 4)
+    assert result.valid.all()
+    # What a quartic over 31 samples leaves of motions of 6 rad/s; a jump of 2 pi would make 1e2.
+    assert_allclose(result.twist[:, 3:], body_rate[15:-15], atol=1e-4)
+    assert_allclose(result.acceleration[:, 3:], body_rate2[15:-15], atol=1e-2)
+
+
+def test_constant_rotation_through_pi_is_exact():
+    rate = np.array([3.0, -2.0, 6.0])
+    R = lie.exp_so3(np.multiply.outer(np.arange(1500) / RATE_HZ, rate))
+    result = savgol(trajectory_of(np.zeros((1500, 3)), R), 25, 3)
+    # The body rate of a constant rotation is the spatial one.
+    assert_allclose(result.twist[:, 3:], np.tile(rate, (1450, 1)), atol=1e-11)
+    assert_allclose(result.acceleration[:, 3:], 0.0, atol=1e-9)
+
+
+def test_windows_beyond_the_reach_of_the_logarithm_are_not_valid():
+    t = np.arange(400) / 125.0
+    angle = 2.0 * t + 20.0 * np.clip(t - 1.6, 0.0, None)  # 0.4 rad and then 4.4 rad in 0.2 s
+    R = lie.exp_so3(np.multiply.outer(angle, [0.0, 0.6, 0.8]))
+    result = savgol(trajectory_of(np.zeros((400, 3)), R, 125.0), 25, 2)
+    assert result.valid[:150].all()
+    assert not result.valid[200:].any()
+    assert_allclose(np.linalg.norm(result.twist[:150, 3:], axis=1), 2.0, rtol=1e-9)
+
+
+def test_windows_that_touch_an_invalid_sample_are_not_valid():
+    good, n = noisy_motion(), 10
+    position, rotation = good.position.copy(), good.rotation.copy()
+    valid = np.full(len(good), True)
+    position[50], rotation[50], valid[50] = [9.0, 9.0, 9.0], np.diag([-1.0, 1.0, -1.0]), False
+    result = savgol(trajectory_of(position, rotation, valid=valid), n, 3)
+    expected = np.full(len(good) - 2 * n, True)
+    expected[40 - n:40 + n + 1] = False
+    assert_array_equal(result.valid, expected)
+    # Only those samples differ; they are finite all the same.
+    clean = savgol(good, n, 3)
+    assert_array_equal(result.twist[expected], clean.twist[expected])
+    assert_array_equal(result.acceleration[expected], clean.acceleration[expected])
+
+
+def test_as_short_as_one_window():
+    longer, n = noisy_motion(60), 10
+    one = savgol(longer.select(slice(30, 51)), n, 3)
+    assert len(one) == 1
+    assert_allclose(one.acceleration[0], savgol(longer, n, 3).acceleration[30], rtol=1e-6)
+
+
+def test_blocks_leave_no_seams(monkeypatch):
+    trajectory = noisy_motion(200)
+    whole = savgol(trajectory, 12, 3)
+    for block in (1, 7, 176, 177):
+        monkeypatch.setattr(module, 'BLOCK', block)
+        parts = savgol(trajectory, 12, 3)
+        assert_allclose(parts.acceleration, whole.acceleration, atol=1e-12, rtol=1e-12)
+        assert_allclose(parts.rotation, whole.rotation, atol=1e-15)
+
+
+def test_moving_the_world_changes_nothing_in_the_body():
+    trajectory = noisy_motion()
+    R, shift = Rotation.random(random_state=4).as_matrix(), np.array([5.0, -3.0, 2.0])
+    moved = trajectory_of(lie.apply(R, trajectory.position) + shift, R @ trajectory.rotation)
+    here, there = savgol(trajectory, 10, 3), savgol(moved, 10, 3)
+    assert_allclose(there.twist, here.twist, atol=1e-11)
+    assert_allclose(there.acceleration, here.acceleration, atol=1e-8)
+    assert_allclose(there.position, lie.apply(R, here.position) + shift, atol=1e-13)
+
+
+@pytest.mark.parametrize('order, expected', [(2, 2.0), (4, 4.0)])
+def test_noise_free_errors_fall_with_the_order_of_the_fit(order, expected):
+    """By parity a fit of even order p errs with h^p in both derivatives."""
+    errors = []
+    for half_window in (12, 24):
+        count = 361
+        o, xi, twist, acceleration = thesis_motion(count)
+        result = savgol(trajectory_of(o, lie.exp_so3(xi)), half_window, order)
+        centre = slice(half_window, count - half_window)
+        v, dv = spatial(result)
+        errors.append([rms(v - twist[centre]), rms(dv - acceleration[centre])])
+    observed = np.log2(np.array(errors[1]) / np.array(errors[0]))
+    # n (n + 1) and not n^2 enters, and each axis sums several terms.
+    assert_allclose(observed, expected, atol=0.25)
+
+
+def test_noise_free_sine_is_damped_as_the_weights_say():
+    """A symmetric filter scales a sine (4.34) by its frequency response."""
+    o, _, _, _ = thesis_motion(400)
+    still = np.tile(np.eye(3), (400, 1, 1))
+    result = savgol(trajectory_of(o, still), HALF_WINDOW, ORDER)
+    phase = 2.0 * pi * np.arange(-HALF_WINDOW, HALF_WINDOW + 1) / RATE_HZ
+    value, first, second = weights(HALF_WINDOW, ORDER, RATE_HZ)
+    a0, a1 = np.array([0.2, 0.1, -0.2]), np.array([0.6, -0.4, 0.5])
+    at = 2.0 * pi * np.arange(HALF_WINDOW, 400 - HALF_WINDOW)[:, None] / RATE_HZ
+    assert_allclose(result.position, a0 + a1 * np.sin(at) * (value @ np.cos(phase)), atol=1e-8)
+    assert_allclose(result.twist[:, :3], a1 * np.cos(at) * (first @ np.sin(phase)), atol=1e-8)
+    damped = a1 * np.sin(at) * (second @ np.cos(phase))
+    # Stamps are whole nanoseconds, so the rate is known to 1e-9 only.
+    assert_allclose(result.acceleration[:, :3], damped, atol=1e-6)
+
+
+def central_differences(poses):
+    """Return spatial twists and accelerations by central differences (F.49-F.54)."""
+    R, o, step = poses.rotation, poses.position, np.diff(poses.stamps_ns)[0] * 2e-9
+    rate = lie.log_so3(R[2:] @ R[:-2].swapaxes(1, 2)) / step
+    velocity = (o[2:] - o[:-2]) / step + np.cross(o[1:-1], rate)
+    twist = np.concatenate([velocity, rate], axis=1)
+    return twist[1:-1], (twist[2:] - twist[:-2]) / step
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_synthetic_motions_of_the_thesis(seed):
+    """Both cases at once (4.34-4.39, 4.56-4.62), with its noise, rate, window and order."""
+    rng, count, sigma = np.random.default_rng(seed), 1081, 1e-3
+    o, xi, twist, acceleration = thesis_motion(count)
+    noisy = trajectory_of(
+        o + sigma * rng.normal(size=o.shape), lie.exp_so3(xi + sigma * rng.normal(size=xi.shape))
+    )
+    found = {
+        name: spatial(result)
+        for name, result in (('parabola', savgol(noisy, HALF_WINDOW, ORDER)),
+                             ('quartic', savgol(noisy, HALF_WINDOW, 4)))}
+    errors = {}
+    for name, own in {**found, 'differences': central_differences(noisy)}.items():
+        k = (count - len(own[0])) // 2
+        errors[name] = (
+            rms(own[0] - twist[k:count - k]), rms(own[1] - acceleration[k:count - k]))
+    v, dv = zip(errors['parabola'], errors['differences'], strict=True)
+    # Noise makes 0.25 m/s and 80 m/s^2 of the differences, 0.004 and 0.2 of the parabola. Its
+    # velocities are limited by the bend that 47 samples of a parabola cannot follow (0.05 m/s).
+    assert np.all(v[0] < v[1] / 4)
+    assert np.all(dv[0] < dv[1] / 100)
+    # A quartic follows, and leaves the noise alone.
+    v, dv = zip(errors['quartic'], errors['differences'], strict=True)
+    assert np.all(v[0] < v[1] / 20)
+    assert np.all(dv[0] < dv[1] / 50)
+
+
+def test_weights_tell_the_noise_of_the_result():
+    rng, sigma, count = np.random.default_rng(5), 1e-3, 20_000
+    noise = sigma * rng.normal(size=(2, count, 3))
+    result = savgol(trajectory_of(noise[0], lie.exp_so3(noise[1])), 10, 3)
+    expected = sigma * np.linalg.norm(result.weights, axis=1)
+    # 60,000 samples, of which some 3,000 are independent: 5 % is four standard deviations.
+    assert_allclose(result.position.std(), expected[0], rtol=0.05)
+    assert_allclose(result.twist[:, :3].std(), expected[1], rtol=0.05)
+    assert_allclose(result.twist[:, 3:].std(), expected[1], rtol=0.05)
+    assert_allclose(result.acceleration[:, 3:].std(), expected[2], rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    'half_window, order, message',
+    [(5, 1, 'from 2'), (5, 11, 'to 10'), (0, 2, 'at least 1'), (40, 2, 'at least 81 samples')],
+)
+def test_impossible_fits_are_refused(half_window, order, message):
+    with pytest.raises(BellowsError, match=message):
+        savgol(noisy_motion(80), half_window, order)
+
+
+def test_a_rate_that_is_not_uniform_is_refused():
+    with pytest.raises(BellowsError, match='Resample'):
+        savgol(noisy_motion().select(np.delete(np.arange(120), 60)), 10, 2)
+
+
+@pytest.mark.parametrize('rate_hz', [0.0, -1.0, np.nan, np.inf])
+def test_a_rate_that_is_none_is_refused(rate_hz):
+    with pytest.raises(BellowsError, match='positive'):
+        weights(5, 2, rate_hz)
+
+
+@pytest.mark.parametrize('body', ['tool', 'package'])
+def test_agrees_with_the_twists_of_an_independent_simulation(rig, body):
+    truth = np.load(rig / 'clean_truth.npz')
+    poses = truth[body]
+    n = 6
+    result = savgol(trajectory_of(poses[:, :3, 3], poses[:, :3, :3]), n, 4)
+    twist = truth[f'{body}_twist']
+    size = np.abs(twist).max(axis=0)
+    # What a quartic over 36 ms leaves of motions of 3 Hz, and of the cup's axial mode at 11.6 Hz.
+    assert np.all(np.abs(result.twist - twist[n:-n]).max(axis=0) < 1e-4 * size)
+    slope = (twist[2:] - twist[:-2]) * RATE_HZ / 2
+    size = np.abs(slope).max(axis=0)
+    # The differences of the true twists have an error of their own, (w h)^2 / 6 = 5e-4 at 3 Hz.
+    error = np.abs(result.acceleration - slope[n - 1:1 - n]).max(axis=0)
+    assert np.all(error < 1e-3 * size)

@@ -1,0 +1,103 @@
+"""Streams and trajectories: their checks, and what is derived from them."""
+
+from bellows_ros.core.signals.trajectory import (
+    any_within,
+    PoseStream,
+    Trajectory,
+    TwistStream,
+    uniform_rate_hz,
+)
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+from ..motions import motion, stamps
+
+
+def test_uniform_rate():
+    assert_allclose(uniform_rate_hz(stamps(7201, 360.0)), 360.0, rtol=1e-9)
+    jumpy = stamps(100, 360.0)
+    jumpy[50] += 40_000
+    with pytest.raises(BellowsError, match='Resample'):
+        uniform_rate_hz(jumpy)
+    with pytest.raises(BellowsError, match='at least 2'):
+        uniform_rate_hz(jumpy[:1])
+
+
+def test_a_dropout_is_no_uniform_rate():
+    with pytest.raises(BellowsError, match='sample 40 comes'):
+        uniform_rate_hz(np.delete(stamps(100, 360.0), 40))
+
+
+def test_neighbours_of_a_sample_are_found():
+    assert_array_equal(any_within(np.arange(10) == 4, 3), np.abs(np.arange(1, 9) - 4) <= 1)
+
+
+def test_seconds_and_select():
+    trajectory = motion(11, 10.0)
+    assert_allclose(trajectory.seconds, np.arange(11) / 10, atol=1e-15)
+    part = trajectory.select(trajectory.seconds > 0.45)
+    assert len(part) == 6
+    assert_array_equal(part.twist, trajectory.twist[5:])
+    assert_array_equal(part.valid, True)
+
+
+def test_arrays_are_copies_and_read_only():
+    position = np.zeros((2, 3))
+    trajectory = Trajectory(stamps(2, 1.0), position, np.tile(np.eye(3), (2, 1, 1)))
+    position[:] = 1.0
+    assert_array_equal(trajectory.position, 0.0)
+    for name in ('position', 'rotation', 'stamps_ns', 'valid'):
+        array = getattr(trajectory, name)
+        with pytest.raises(ValueError, match='read-only'):
+            array[0] = 0
+    with pytest.raises(AttributeError):
+        trajectory.position = position
+
+
+def test_streams():
+    eyes = np.tile(np.eye(3), (2, 1, 1))
+    stream = PoseStream('/pose', 'world', stamps(2, 1.0), np.ones((2, 3)), eyes, {'nan': (3,)})
+    assert len(stream) == 2
+    assert stream.refused == {'nan': (3,)}
+    assert_array_equal(stream.trajectory().position, 1.0)
+    assert stream.trajectory().valid.all()
+    twists = TwistStream('/twist', 'world', stamps(2, 1.0), np.ones((2, 3)), np.zeros((2, 3)))
+    assert len(twists) == 2
+    empty = PoseStream('/pose', 'world', [], np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    assert len(empty) == len(empty.trajectory()) == 0
+
+
+GOOD = {
+    'stamps_ns': stamps(3, 10.0),
+    'position': np.zeros((3, 3)),
+    'rotation': np.tile(np.eye(3), (3, 1, 1)),
+}
+BAD = [
+    ({'stamps_ns': stamps(3, 10.0) / 1e9}, 'integers'),
+    ({'stamps_ns': stamps(3, 10.0)[[0, 2, 1]]}, 'increase strictly'),
+    ({'stamps_ns': stamps(3, 10.0)[[0, 1, 1]]}, 'increase strictly'),
+    ({'position': np.zeros((2, 3))}, r'position must have shape \(3, 3\)'),
+    ({'position': np.array([[0.0] * 3, [np.nan] * 3, [0.0] * 3])}, 'position of sample 1'),
+    ({'rotation': np.full((3, 3, 3), np.inf)}, 'rotation of sample 0'),
+    ({'rotation': np.stack([np.eye(3), np.eye(3), np.diag([1, 1, 1.0001])])}, 'sample 2'),
+    ({'rotation': np.tile(np.diag([1.0, 1.0, -1.0]), (3, 1, 1))}, 'right-handed'),
+    ({'twist': np.zeros((3, 3))}, r'twist must have shape \(3, 6\)'),
+    ({'acceleration': np.full((3, 6), np.nan)}, 'acceleration of sample 0'),
+    ({'valid': np.ones(3)}, 'booleans'),
+    ({'valid': np.array([True])}, 'booleans'),
+]
+
+
+@pytest.mark.parametrize('changed, message', BAD)
+def test_a_bad_trajectory_is_refused(changed, message):
+    with pytest.raises(BellowsError, match=message):
+        Trajectory(**{**GOOD, **changed})
+
+
+@pytest.mark.parametrize('changed, message', BAD[:8])
+def test_a_bad_pose_stream_is_refused_by_name(changed, message):
+    with pytest.raises(BellowsError, match=message) as refusal:
+        PoseStream('/arm/pose', 'world', **{**GOOD, **changed})
+    assert "'/arm/pose'" in str(refusal.value)

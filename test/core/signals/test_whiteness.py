@@ -1,0 +1,133 @@
+"""Portmanteau test and spectra against their definitions, and against noise of known colour."""
+
+from bellows_ros.core.signals.residuals import (
+    interpolated,
+    portmanteau,
+    SEGMENT_S,
+    Spectrum,
+    spectrum,
+)
+from bellows_ros.errors import BellowsError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from scipy.signal import welch
+from scipy.stats import gamma, kstest
+
+
+def test_statistic_is_that_of_ljung_and_box():
+    """Meet Q = n (n + 2) sum of r_k^2 / (n - k), written out, and its tail as a gamma's."""
+    e = np.random.default_rng(1).normal(size=(200, 2))
+    found = portmanteau(e, 7)
+    for channel in range(2):
+        x, total = e[:, channel], 0.0
+        for k in range(1, 8):
+            r = sum(x[t] * x[t - k] for t in range(k, 200)) / sum(x**2)
+            assert_allclose(found.autocorrelation[k - 1, channel], r, rtol=1e-12)
+            total += r**2 / (200 - k)
+        assert_allclose(found.statistic[channel], 200 * 202 * total, rtol=1e-12)
+        # chi^2 with 7 degrees of freedom is a gamma distribution with shape 3.5 and scale 2
+        assert_allclose(
+            found.p_value[channel], gamma.sf(found.statistic[channel], 3.5, scale=2), rtol=1e-9)
+
+
+@pytest.mark.parametrize('missing', [0.0, 0.3])
+def test_white_noise_has_uniform_probabilities(missing):
+    """Find any probability as often as any other, with samples missing or not."""
+    rng = np.random.default_rng(2)
+    e = rng.normal(size=(400, 600))
+    e[rng.random(400) < missing] = np.nan
+    p = portmanteau(e, 10).p_value
+    assert kstest(p, 'uniform').pvalue > 0.01
+
+
+def test_coloured_noise_is_found():
+    """Call an autoregressive channel coloured and the white one beside it white."""
+    rng = np.random.default_rng(3)
+    white = rng.normal(size=(2000, 2))
+    for t in range(1, 2000):
+        white[t, 0] += 0.3 * white[t - 1, 0]
+    found = portmanteau(white)
+    assert found.verdicts == ('coloured', 'white')
+    assert_allclose(found.autocorrelation[0, 0], 0.3, atol=0.07)  # three standard errors
+
+
+def test_small_but_certain_colour_is_nearly_white():
+    """Weigh how coloured a channel is, not only how sure that is."""
+    rng = np.random.default_rng(4)
+    e = rng.normal(size=(100_000, 1))
+    e[1:] += 0.02 * e[:-1]
+    found = portmanteau(e)
+    assert found.p_value[0] < 1e-3
+    assert found.verdicts == ('nearly white',)
+
+
+def test_too_few_residuals_are_refused():
+    """Ask for more samples than lags."""
+    with pytest.raises(BellowsError, match='too few'):
+        portmanteau(np.zeros((20, 6)))
+
+
+@pytest.mark.parametrize('missing', [0.0, 0.1])
+def test_spectrum_integrates_to_the_mean_square(missing):
+    """Keep the power, also where samples are missing."""
+    rng = np.random.default_rng(5)
+    x = rng.normal(size=(20_000, 1)) * 3.0
+    x[rng.random(20_000) < missing] = np.nan
+    found = spectrum(x, 100.0)
+    power = found.density.sum(axis=0) * (found.frequency[1] - found.frequency[0])
+    assert_allclose(power, 9.0, rtol=0.03)
+    # flat: the density of white noise is 2 s^2 / rate
+    assert_allclose(np.median(found.density[5:-5]), 0.18, rtol=0.05)
+
+
+@pytest.mark.parametrize(('count', 'rate_hz'), [(5000, 360.0), (4999, 125.5), (150, 360.0)])
+def test_spectrum_is_that_of_scipy(count, rate_hz):
+    values = np.cumsum(np.random.default_rng(8).standard_normal((count, 2)), axis=0)
+    found = spectrum(values, rate_hz)
+    length = min(count, round(SEGMENT_S * rate_hz))
+    frequency, density = welch(
+        values - values.mean(axis=0), rate_hz, 'hann', length, detrend=False, axis=0)
+    assert_allclose(found.frequency, frequency, rtol=1e-12)
+    assert_allclose(found.density, density, rtol=1e-9, atol=1e-12 * density.max())
+
+
+def test_sine_has_its_peak_at_its_frequency():
+    """Find 3 Hz, with the power of the sine in a narrow band around it."""
+    t = np.arange(4000) / 200.0
+    found = spectrum(np.sin(2 * np.pi * 3.0 * t)[:, None], 200.0)
+    assert found.peak[0] == 3.0
+    low, high = found.band(0.95)
+    assert 2.0 <= low[0] <= 3.0 <= high[0] <= 4.0
+
+
+def test_a_motion_with_lost_samples_has_no_power_elsewhere():
+    """Keep the spectrum of a slow sine beside its own band where one sample in fifty is lost."""
+    t = np.arange(4000) / 200.0
+    motion = np.sin(2 * np.pi * 2.0 * t)[:, None]
+    lost = np.where(np.random.default_rng(9).random(4000) < 0.02, np.nan, t)
+    seen = np.where(np.isfinite(lost)[:, None], motion, np.nan)
+    filled = interpolated(seen)
+    assert_allclose(filled, motion, atol=5e-3)  # (omega h)^2 / 2 for two lost in a row
+    found = spectrum(filled, 200.0)
+    assert found.density[found.frequency > 5.0].max() < 1e-5 * found.density.max()
+    straight = np.column_stack([t, 1.0 - t])
+    assert_allclose(interpolated(np.where(np.isfinite(lost)[:, None], straight, np.nan))[1:-1],
+                    straight[1:-1], atol=1e-12)
+    with pytest.raises(BellowsError, match='no sample'):
+        interpolated(np.full((10, 2), np.nan))
+
+
+def test_segments_may_be_longer():
+    """Have lines as dense as the segments are long."""
+    values = np.random.default_rng(10).standard_normal((4000, 1))
+    assert_allclose(np.diff(spectrum(values, 200.0, 5.0).frequency), 0.2)
+
+
+def test_band_holds_the_middle_of_the_power():
+    """Cut 5 % of a flat spectrum from either end; know nothing of one without power."""
+    frequency = np.arange(1.0, 101.0)
+    found = Spectrum(frequency, np.column_stack([np.ones(100), np.zeros(100)]))
+    low, high = found.band(0.9)
+    assert (low[0], high[0]) == (5.0, 95.0)
+    assert np.isnan(low[1]) and np.isnan(high[1])

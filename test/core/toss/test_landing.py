@@ -1,0 +1,118 @@
+"""How sure a landing is against Monte Carlo, and aiming against a scan of all times."""
+
+from time import thread_time
+from timeit import timeit
+
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.toss.landing import aim, Case, draw, part_inside, parts_of
+from bellows_ros.core.toss.release import Held, release_of, toss
+from bellows_ros.errors import BellowsError
+import numpy as np
+import pytest
+
+from .. import tosses
+
+MODEL = model_tuple(tosses.CUP, tosses.PACKAGE, 9.81)
+PACKAGE_STD = {'package.mass_std': 0.005, 'package.com_std': (5e-4, 5e-4, 5e-4)}
+
+
+@pytest.fixture(scope='module')
+def case():
+    """Return the throw, released in the middle."""
+    values = resolve({**tosses.values(), **PACKAGE_STD})
+    return Case(values, MODEL, tosses.GRIP, tosses.plan(), release_of(values), 0.5)
+
+
+@pytest.fixture(scope='module')
+def held(case):
+    """Return the package along the throw."""
+    return Held(case.model, case.grip, case.tool)
+
+
+@pytest.mark.parametrize(('count', 'inside', 'within'), [
+    (200, 0.06, 0.15),  # four deviations of what chance does to so many
+    pytest.param(1000, 0.02, 0.03, marks=pytest.mark.stress),
+])
+def test_linear_against_monte_carlo_and_the_ellipse_is_true(case, held, count, inside, within):
+    """Of 1,000 tosses standard deviations within 3 %, and 93 to 97 % in the ellipse."""
+    if not COMPILED:
+        pytest.skip('a thousand interpreted tosses take too long; see numba')
+    nominal = toss(held, case.release, case.switched)
+    covariance = parts_of(case, held, nominal).covariance
+    drawn = draw(case, nominal, count)
+    assert drawn.failed == 0
+    assert abs(part_inside(covariance, drawn.figures) - 0.95) <= inside
+    linear, counted = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(drawn.covariance))
+    assert linear[2] < 1e-12  # on the floor
+    np.testing.assert_allclose(linear[[0, 1, 3, 4, 5]], counted[[0, 1, 3, 4, 5]], rtol=within)
+
+
+def test_a_millisecond_later_is_what_the_flight_makes_of_it(case, held):
+    """The part of the delay is the difference of two tosses so far apart in time."""
+    nominal = toss(held, case.release, case.switched)
+    parts = parts_of(case, held, nominal)
+    part = parts.parts[parts.names.index('release.delay')]
+    valve = case.release.valve
+    late, early = (
+        toss(held, case.release._replace(valve=(valve[0] + by, valve[1])), case.switched)
+        for by in (1e-5, -1e-5))
+    slope = np.subtract(late.landing[0], early.landing[0]) / 2e-5
+    np.testing.assert_allclose(part[:2], 5e-4 * slope[:2], rtol=1e-3)
+    assert set(parts.names) >= {'release.tau', 'release.impulse', 'package.mass', 'package.com[x]'}
+
+
+@pytest.mark.parametrize(('target', 'turned'), [
+    ((1.3, 0.1), False), ((1.75, 0.15), True),
+    pytest.param((1.3, 0.1), True, marks=pytest.mark.stress),
+    pytest.param((1.75, 0.15), False, marks=pytest.mark.stress)])
+def test_aims_as_near_as_a_scan_of_all_times(case, held, target, turned):
+    """Within 0.1 ms of the best of steps of 10 us."""
+    wanted = quaternion_to_rotation(np.array(
+        toss(held, case.release, 0.45).landing[1])) if turned else None
+    reach = np.linalg.norm(np.abs(tosses.CENTRE) + tosses.HALF)
+
+    def distance(switched):
+        found = toss(held, case.release, switched)
+        off = np.hypot(*np.subtract(found.landing[0][:2], target))
+        if wanted is None:
+            return off
+        R = quaternion_to_rotation(np.array(found.landing[1]))
+        cosine = 0.5 * (np.trace(wanted.T @ R) - 1.0)
+        return np.hypot(off, reach * np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+    every = 1e-4 if COMPILED else 2e-2
+    rough = np.arange(0.0, tosses.DURATION, every)
+    best = rough[np.argmin([distance(t) for t in rough])]
+    fine = np.arange(max(0.0, best - every), best + every, 1e-5 if COMPILED else 1e-3)
+    best = fine[np.argmin([distance(t) for t in fine])]
+    found = aim(held, case.release, target, wanted)
+    assert abs(found.switched - best) <= (1e-4 if COMPILED else 1e-3)
+    assert found.distance == pytest.approx(
+        np.hypot(*np.subtract(toss(held, case.release, found.switched).landing[0][:2], target)),
+        abs=1e-6)
+
+
+def test_aiming_is_fast(case, held):
+    """Within 50 ms of the processor for a plan of 1 s, once in many runs."""
+    if not COMPILED:
+        pytest.skip('interpreted; see numba')
+    assert any(timeit(lambda: aim(held, case.release, (1.3, 0.1)), number=1,
+                      timer=thread_time) < 0.05 for _ in range(20))
+
+
+def test_refuses_to_aim_where_nothing_lands(case, held):
+    """The floor is above the package all the time."""
+    with pytest.raises(BellowsError, match='No release during the plan'):
+        aim(held, case.release._replace(height=5.0), (1.0, 0.0))
+
+
+def test_what_cannot_be_tossed_is_counted(case):
+    """A valve that may not open in time fails now and then, and the rest counts."""
+    nominal = toss(Held(case.model, case.grip, case.tool), case.release, case.switched)
+    loose = case._replace(values={**case.values, 'release.delay_std': 0.4})
+    drawn = draw(loose, nominal, 12, seed=1)
+    assert 0 < drawn.failed < 12
+    assert len(drawn.figures) == 12 - drawn.failed

@@ -1,0 +1,167 @@
+"""The toss: letting go and landing against SciPy with events, the flight against its constants."""
+
+import math
+
+from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
+from bellows_ros.core.model.cup_package import model_tuple, Package
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.toss.release import (
+    flight,
+    flight_path,
+    Held,
+    Release,
+    release_of,
+    STRIDE,
+    toss,
+)
+from bellows_ros.errors import BellowsError
+import numpy as np
+import pytest
+
+from .. import tosses
+
+MODEL = model_tuple(tosses.CUP, tosses.PACKAGE, 9.81)
+RELEASE = release_of(resolve(tosses.values()))
+
+
+@pytest.fixture(scope='module')
+def held():
+    """Return the package along the throw."""
+    return Held(MODEL, tosses.GRIP, tosses.plan())
+
+
+def plain(row):
+    """Return a state row with the rotation's nine entries."""
+    return np.concatenate([row[:3], quaternion_to_rotation(row[3:7]).ravel(), row[7:]])
+
+
+def turned(rotation, state):
+    """Return the angle (rad) between a rotation and that of a state."""
+    return np.linalg.norm(log_so3(rotation.T @ quaternion_to_rotation(np.array(state[1]))))
+
+
+@pytest.mark.parametrize('switched', [
+    0.5, *(pytest.param(time, marks=pytest.mark.stress) for time in (0.25, 0.61))])
+def test_is_let_go_and_lands_where_an_independent_integrator_says(held, switched):
+    """The instant to 1 us, the place to 1 um, the rotation to 10 urad."""
+    found = toss(held, RELEASE, switched)
+    released, landed = tosses.integrate(
+        plain(held.states[0]), switched, *RELEASE.valve, RELEASE.impulse, RELEASE.height)
+    assert found.release_mode == 'peel'
+    assert found.release_time > switched + RELEASE.valve[0]
+    assert abs(found.release_time - released[0]) < 1e-6
+    assert abs(found.landing_time - landed[0]) < 1e-6
+    assert np.abs(found.landing[0] - landed[1]).max() < 1e-6
+    assert turned(landed[2], found.landing) < 1e-5
+    assert np.abs(np.concatenate(found.landing[2:]) - landed[3]).max() < 1e-5
+
+
+def test_without_a_grip_it_is_let_go_after_the_delay():
+    """The instant is that of the valve and the delay, exactly."""
+    held = Held(MODEL, None, tosses.plan())
+    found = toss(held, RELEASE, 0.4)
+    assert found.release_mode == 'delay'
+    assert abs(found.release_time - 0.4 - RELEASE.valve[0]) < 1e-9
+
+
+def test_the_more_vacuum_the_later_and_by_tau_times_the_logarithm(held):
+    """At an exponential fall the load L is met at delay + tau ln(V0 / L)."""
+    found = toss(held, RELEASE, 0.9)  # where the load hardly changes
+    j = int(np.searchsorted(held.times, found.release_time))
+    late = found.release_time - 0.9
+    expected = RELEASE.valve[0] + RELEASE.valve[1] * math.log(tosses.GRIP[0] / held.loads[j])
+    assert abs(late - expected) < 2e-4
+    at_once = toss(held, RELEASE._replace(valve=(0.012, 0.0)), 0.9)
+    assert abs(at_once.release_time - 0.912) < 1e-9
+
+
+def test_a_grip_that_is_lost_before_is_found(held):
+    """The instant from which the load is above the suction, and letting go with the valve."""
+    weak = Held(MODEL, (60.0, *tosses.GRIP[1:]), tosses.plan())
+    early = weak.lost_before(1.0)
+    j = int(np.searchsorted(weak.times, early))
+    assert weak.loads[j] >= 60.0 > weak.loads[j - 1]
+    assert toss(weak, RELEASE, early + 1e-4).release_time == pytest.approx(early + 1e-4, abs=1e-9)
+    assert held.lost_before(1.0) is None
+
+
+@pytest.mark.parametrize('rate', [(0.5, 9.0, 0.4), (8.0, -7.0, 5.0), (0.0, 0.0, 0.0)])
+def test_the_flight_keeps_energy_and_angular_momentum(rate):
+    """Over 2 s to 1e-10, about an unsteady axis too; the centre of mass follows the parabola."""
+    R = exp_so3(np.array([0.3, 0.5, -0.2]))
+    inertia = R @ np.diag([0.00438, 0.00654, 0.00984]) @ R.T
+    package = Package(1.8, inertia, (0.0, 0.0, -0.03))
+    start = ((0.0, 0.1, 2.0), (0.1, 0.2, 0.3, math.sqrt(0.86)), (1.0, 0.5, 2.0), rate)
+    gravity = (0.0, 0.0, -9.81)
+    end = flight(package.as_tuple, gravity, start, 2.0, STRIDE)
+
+    def constants(state):
+        o, q, v, w = (np.array(part) for part in state)
+        turn = quaternion_to_rotation(q)
+        spin = 0.5 * w @ inertia @ w
+        return 0.9 * v @ v + 1.8 * 9.81 * o[2] + spin, spin, turn @ inertia @ w, turn @ v
+
+    before, after = constants(start), constants(end)
+    assert after[0] == pytest.approx(before[0], rel=1e-10)
+    assert after[1] == pytest.approx(before[1], rel=1e-10, abs=1e-14)
+    assert np.linalg.norm(after[2] - before[2]) <= 1e-10 * np.linalg.norm(before[2])
+    fallen = before[3] * 2.0 + 0.5 * np.array(gravity) * 4.0
+    np.testing.assert_allclose(np.array(end[0]) - start[0], fallen, atol=1e-11)
+
+
+def test_the_landing_box_touches_the_floor_with_one_corner(held):
+    """The lowest of its eight corners is at the height, and the path leads there."""
+    found = toss(held, RELEASE._replace(height=-0.3), 0.5)
+    path = flight_path(MODEL, found, 7)
+    for row, state in ((path[0], found.release), (path[-1], found.landing)):
+        np.testing.assert_allclose(row, np.concatenate(state), atol=1e-7)
+    R = quaternion_to_rotation(np.array(found.landing[1]))
+    heights = np.sort(found.landing[0][2] + tosses.corners() @ R[2])
+    assert heights[0] == pytest.approx(-0.3, abs=1e-8)
+    assert heights[1] > -0.3 + 1e-3
+    assert found.tumbling == pytest.approx(np.linalg.norm(found.landing[3]))
+
+
+def test_in_a_tilted_world_the_same_package_lands_on_the_same_floor(held):
+    """Where gravity points elsewhere, height is measured against it."""
+    Q = exp_so3(np.array([0.9, -0.4, 0.3]))
+    plan = tosses.plan()
+    tilted = Trajectory(
+        plan.stamps_ns, plan.position @ Q.T, Q @ plan.rotation, plan.twist)
+    model = model_tuple(tosses.CUP, tosses.PACKAGE, Q @ tosses.GRAVITY)
+    expected = toss(held, RELEASE, 0.5)
+    found = toss(Held(model, tosses.GRIP, tilted), RELEASE, 0.5)
+    assert found.landing_time == pytest.approx(expected.landing_time, abs=1e-8)
+    np.testing.assert_allclose(found.landing[0], Q @ expected.landing[0], atol=1e-7)
+
+
+@pytest.mark.parametrize('switched, change, words', [
+    (1.2, {}, 'outside the plan'),
+    (-0.1, {}, 'outside the plan'),
+    (0.5, {'height': 2.0}, 'floor is above'),
+    (0.5, {'valve': (0.0, 1e9)}, 'does not let go'),
+])
+def test_refuses_what_is_no_toss(held, switched, change, words):
+    """Each with its own message."""
+    with pytest.raises(BellowsError, match=words):
+        toss(held, RELEASE._replace(**change), switched)
+
+
+def test_refuses_a_plan_that_ends_in_motion_before_it_lets_go():
+    """Nothing is known of the tool after the end."""
+    plan = tosses.plan()
+    with pytest.raises(BellowsError, match='ends earlier, in motion'):
+        toss(Held(MODEL, tosses.GRIP, plan.select(slice(500))), RELEASE, 0.49)
+
+
+def test_refuses_a_package_without_a_size():
+    """Its corners say where it lands."""
+    with pytest.raises(BellowsError, match='package.size'):
+        release_of(resolve({**tosses.values(), 'package.size': (0.1, 0.0, 0.1)}))
+
+
+def test_release_is_what_the_parameters_say():
+    """Half sides, centre, valve and pulse."""
+    assert Release((0.012, 0.02), 0.05, (
+        tuple(tosses.HALF), tuple(tosses.CENTRE)), 0.0) == RELEASE
