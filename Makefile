@@ -69,6 +69,10 @@ docs: $(VENV)/docs-ready  ## build the pages in docs/ with Sphinx; warnings are 
 	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 	@echo 'docs: build/docs/index.html'
 
+.PHONY: count
+count: $(VENV)/ready  ## print lines of code, modules, and words of the pages
+	@$(BIN)/python docs/tools/count.py $(ARGS)
+
 .PHONY: reference
 reference: $(VENV)/ready  ## write docs/reference/ from the declarations
 	@$(BIN)/python docs/tools/reference.py
