@@ -3,9 +3,7 @@ Identify the stiffness K and damping P of a cup from recordings of the tool arm 
 
 The parameter file gives the known quantities (the package, the cup's length, the topics), the
 method, and optional inputs: standstills, recordings for validation, a comparison of structures.
---summary-out only reduces one recording to its sufficient statistics for least squares, anywhere
-and with any scheduler; --summaries fits all of them by least squares. --release takes the cup as
-known and identifies the valve from recordings of tosses.
+--release takes the cup as known and identifies the valve from recordings of tosses.
 """
 
 import argparse
@@ -36,10 +34,6 @@ EXAMPLES = (
      'with standstills under three masses, which also give the nominal length'),
     ('bellows identify recording --params my_cell.yaml --json - | jq .stiffness',
      'use the result in a script'),
-    ('parallel bellows identify {} --params cell.yaml --summary-out {/}.npz ::: bags/*',
-     'reduce many recordings to small files, here with GNU parallel, and then'),
-    ('bellows identify --summaries *.npz --out cup.yaml --json fit.json',
-     'fit a cup to all of them'),
     ('bellows identify tosses --release --params bags/tossing.yaml --out release.yaml',
      'identify delay, tau and blow-off of the valve, and their scatter'),
 )
@@ -75,13 +69,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='read them on the workers of a Dask scheduler instead (extra dask), for example '
              'tcp://host:8786; the workers must see the recordings under the same paths',
     )
-    options.add_output(
-        parser, '--summary-out', kind=options.Binary,
-        what='only reduce the recording to its sufficient statistics, written here (.npz)')
-    parser.add_argument(
-        '--summaries', metavar='FILE', nargs='+', default=[], type=Path,
-        help='fit a cup to files written by --summary-out, instead of BAG',
-    )
     parser.add_argument(
         '--release', action='store_true',
         help='identify release.* instead, from tosses with the cup given by the parameters; the '
@@ -97,8 +84,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     options.require_outputs((cup_file, json_file, page), options.inputs_of(settings))
     if arguments.release:
         return _release(arguments, settings, console)
-    if arguments.summary_out:
-        return _reduce(arguments, settings, console)
     from bellows_ros.workflows.identification import save
 
     with console.progress() as progress:
@@ -131,8 +116,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: Console) -> int:
     """Identify the valve, write, report."""
-    others = ('summaries', 'summary_out', 'report', 'jobs', 'dask')
-    given = [f'--{name.replace("_", "-")}' for name in others if getattr(arguments, name)]
+    others = ('report', 'jobs', 'dask')
+    given = [f'--{name}' for name in others if getattr(arguments, name)]
     if given:
         raise BellowsError(f'--release cannot be combined with {", ".join(given)}. Leave it out.')
     from bellows_ros.files.parameter_files import write_parameters
@@ -174,26 +159,11 @@ def _say_release(result: 'ReleaseResult', console: Console) -> None:
     console.warn(*result.warnings)
 
 
-def _reduce(arguments: argparse.Namespace, settings: dict[str, Any], console: Console) -> int:
-    """Write a recording's summary."""
-    from bellows_ros.workflows.identify import write_summary
-
-    part = write_summary(settings, arguments.summary_out, arguments.params)
-    found = part.statistics
-    options.put_json(arguments.json, {
-        'file': str(arguments.summary_out), 'structure': found.structure.name,
-        'samples_used': found.used, 'samples_rejected': found.rejected,
-        'recording': part.report})
-    console.say(f'{found.used} samples used, {found.rejected} rejected, {found.structure.name}.')
-    console.wrote(arguments.summary_out, arguments.json)
-    return OK
-
-
 def _identified(
     arguments: argparse.Namespace, settings: dict[str, Any], progress: Progress
 ) -> 'Identification':
     """Return the result, with the accuracy along a typical motion where one is given."""
-    from bellows_ros.workflows.identify import identify, identify_summaries
+    from bellows_ros.workflows.identify import identify
 
     plan = None
     if arguments.typical:
@@ -203,8 +173,7 @@ def _identified(
 
         filled: dict[str, Any] = resolve({'package.com': (0.0, 0.0, 0.0), **settings})
         plan = read_plan(arguments.typical, {**filled, **WHOLE})  # before a long fit
-    result = identify_summaries(arguments.summaries, settings, progress) if arguments.summaries \
-        else identify(settings, progress, arguments.params, arguments.jobs, arguments.dask,
+    result = identify(settings, progress, arguments.params, arguments.jobs, arguments.dask,
                       arguments.force)
     if plan is None or not result.fit.usable:
         return result
@@ -222,10 +191,7 @@ def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]
     named = {
         'bags': [str(bag) for bag in arguments.bags], 'output.parameters': str(arguments.out),
         'output.json': str(arguments.json), 'output.report': str(arguments.report)}
-    settings = {**values, **{name: value for name, value in named.items() if value}}
-    if arguments.summaries and (settings.get('bags') or arguments.summary_out):
-        raise BellowsError('--summaries replace the recordings: leave out BAG and --summary-out.')
-    return settings
+    return {**values, **{name: value for name, value in named.items() if value}}
 
 
 def _say(result: 'Identification', console: Console) -> None:

@@ -36,8 +36,8 @@ NO_CUP = 'This cup cannot hold a package: see the warnings.'
 """Reason for refusing a fit that no predictor can use."""
 
 NO_VERDICT = (
-    'Summaries hold no poses: what the cup is worth in mm and mrad, and whether what was given is '
-    'right, is not known. Give two or three of the recordings themselves to bellows identify.')
+    'None of the first recordings could be used: the error of a free simulation, and whether the '
+    'given data are right, is not known. Leave these recordings out.')
 """Reason for a missing verdict."""
 
 UNKNOWN_STD = 1e9

@@ -2,8 +2,8 @@
 Identify a cup: recordings in, K and P with their uncertainty out.
 
 Every recording is reduced to what a fit needs of it, and the fit is made of what they are reduced
-to. Who reads them, one after the other, processes or a cluster, or whether they were reduced to
-files before, makes no difference. What needs the recordings themselves gets them here.
+to. Who reads them, one after the other, processes or a cluster, makes no difference. What needs
+the recordings themselves gets them here.
 """
 
 from collections.abc import Callable, Container, Mapping, Sequence
@@ -20,7 +20,7 @@ from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
-from bellows_ros.workflows.identification import Identification, names_of, NOT_OF_THE_CUP
+from bellows_ros.workflows.identification import Identification, names_of
 from bellows_ros.workflows.recordings import (
     Failed,
     load,
@@ -50,21 +50,14 @@ MOST_ON_A_PAGE = 20
 """Most recordings shown in a report."""
 
 BY_LEAST_SQUARES = {'fit.method': 'least_squares'}
-"""How summaries are fitted, which hold no poses, and recordings whose data are certainly wrong."""
+"""How recordings are fitted whose data are certainly wrong."""
+
+NEEDING_RECORDINGS = ('static.length', 'fit.compare_structures', 'output.report')
+"""Parameters that need the recordings themselves, not only their statistics."""
 
 ONLY_QUICK = (
     'K and P are those of least squares: something given is wrong, so the prediction error was '
     'not fitted. --force fits it all the same.')
-
-ONLY_SUMS = (
-    'Summaries are fitted by least squares, regardless of fit.method: they contain no poses. '
-    'Give the recordings themselves for the prediction error.')
-
-OF_ALL_SUMMARIES = (
-    'bags', 'fit.compare_recordings', 'static.bags', 'static.files', 'validation.bags',
-    'output.parameters', 'output.json', 'package.mass', 'package.inertia', 'package.com',
-)
-"""Parameters that may differ from those of the reduction."""
 
 
 def identify(
@@ -109,7 +102,8 @@ def identify(
     of_files = _origins(parameter_files)
     static = _static(values, tell)
     effective = {**values, 'cup.length': static.cup_length} if static else values
-    keep = bool(needing_recordings(values))
+    keep = values['fit.method'] != 'least_squares' or any(
+        values[name] for name in NEEDING_RECORDINGS)
     read = partial(read_all, keep=keep, tell=tell, jobs=jobs, dask=dask)
     parts, failed = read(effective)
     whole = [part for part in parts if isinstance(part, Recording)]
@@ -124,105 +118,6 @@ def identify(
             effective, notes = {**effective, **BY_LEAST_SQUARES}, (*notes, ONLY_QUICK)
     return _identified(values, effective, parts, static, tell, read, failed=tuple(failed),
                        assumed=notes, parameter_files=of_files)
-
-
-def identify_summaries(
-    paths: Sequence[str | os.PathLike[str]],
-    settings: Mapping[str, object] | None = None,
-    progress: Progress | None = None,
-) -> Identification:
-    """
-    Identify a cup from the files that `write_summary` has written.
-
-    Parameters
-    ----------
-    paths : sequence of path
-        Of one cup.
-    settings : mapping, optional
-        Parameters that differ from those with which recordings were reduced: those of
-        `OF_ALL_SUMMARIES`.
-    progress : callable, optional
-        Called with what is being done and the part (0 to 1) that is done.
-
-    Raises
-    ------
-    BellowsError
-        If a file is not usable or a recording is there twice, they are not of one cup, or all
-        together do not determine it.
-
-    """
-    from bellows_ros.files.summary_files import read_summary
-
-    tell = progress or (lambda what, part: None)
-    files = [read_summary(path) for path in paths]
-    parts = [file.part for file in files]
-    for _, sentence in repeats((part.name, part.digest) for part in parts):
-        raise BellowsError(sentence)
-    shared = resolve({
-        name: value for name, value in files[0].settings.items()
-        if all(file.settings.get(name) == value for file in files)
-    })
-    values: dict[str, Any] = resolve({
-        **shared, **(settings or {}), **BY_LEAST_SQUARES,
-        'bags': tuple(part.name for part in parts)})
-    for name, value in shared.items():
-        if values[name] != value and name not in OF_ALL_SUMMARIES:
-            raise BellowsError(
-                f"{name} is {values[name]!r}, but '{paths[0]}' was reduced with {value!r}. Leave "
-                'it out, or reduce the recordings again.'
-            )
-    _require_reducible(values)
-    static = _static(values, tell)
-    origins = {str(origin): origin for file in files for origin in file.parameter_files}
-    assumptions = dict.fromkeys(text for file in files for text in file.assumed)
-    if (settings or {}).get('fit.method', 'least_squares') != 'least_squares':
-        assumptions[ONLY_SUMS] = None
-    return _identified(values, values, parts, static, tell, assumed=tuple(assumptions),
-                       parameter_files=tuple(origins.values()))
-
-
-def write_summary(
-    settings: Mapping[str, object], out: str | os.PathLike[str],
-    parameter_files: Sequence[str | os.PathLike[str]] = (),
-) -> Reduced:
-    """
-    Write the sufficient statistics of the one recording in `bags` for least squares.
-
-    Raises
-    ------
-    BellowsError
-        If a parameter or the recording is not usable, or the file cannot be written.
-
-    """
-    from bellows_ros.files.summary_files import Summary
-    from bellows_ros.files.summary_files import write_summary as write
-
-    values = resolved({**settings, **BY_LEAST_SQUARES})
-    if len(values['bags']) != 1:
-        raise BellowsError(
-            f'A summary contains one recording, got {len(values["bags"])}. Write one for each.')
-    _require_reducible(values)
-    part: Reduced = read_part(os.fspath(values['bags'][0]), values_of_each(values)[0])
-    kept = {name: value for name, value in values.items() if name not in NOT_OF_THE_CUP}
-    write(out, Summary(part, kept, assumed(settings), _origins(parameter_files)))
-    return part
-
-
-def needing_recordings(values: Mapping[str, Any]) -> str:
-    """Return the parameter that needs the recordings, not only their statistics; '' for none."""
-    if values['fit.method'] != 'least_squares':
-        return f'fit.method: {values["fit.method"]}'
-    wanted = ('static.length', 'fit.compare_structures', 'output.report')
-    return next((name for name in wanted if values[name]), '')
-
-
-def _require_reducible(values: Mapping[str, Any]) -> None:
-    """Refuse parameters that need the recordings themselves."""
-    if name := needing_recordings(values):
-        raise BellowsError(
-            f'{name} needs the recordings themselves, not their summaries. Leave it out, or give '
-            'all recordings to bellows identify.'
-        )
 
 
 def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
@@ -266,7 +161,7 @@ def _with_free(values: dict[str, Any]) -> dict[str, Any]:
     given = sorted(free - {'time_offset', 'package_world'})
     for wrong, remedy in (
         (given and values['fit.method'] != 'prediction_error',
-         'they need fit.method: prediction_error. Set it, and give the recordings themselves'),
+         'they need fit.method: prediction_error. Set it'),
         (set(given) - {'length'} and values['package.files'],
          'package.files gives each recording a package of its own. Fit the recordings of one '
          'package alone'),
@@ -376,7 +271,7 @@ def read_all(
 
 def _identified(
     values: Mapping[str, Any], effective: Mapping[str, Any], parts: Sequence[Part],
-    static: 'StaticResult | None', tell: Progress, read: Read | None = None, **more: Any,
+    static: 'StaticResult | None', tell: Progress, read: Read, **more: Any,
 ) -> Identification:
     """
     Fit the recordings; return the result.
@@ -391,7 +286,7 @@ def _identified(
         parts, effective,
         lambda what, part: tell(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
         static.standstills if static else (), uncertain.length_std if uncertain else 0.0)
-    if read and result.fit.freed and result.fit.converged:
+    if result.fit.freed and result.fit.converged:
         values, effective = (with_freed(own, result.fit.freed) for own in (values, effective))
         parts, _ = read(effective)
     whole = tuple(part for part in parts if isinstance(part, Recording))

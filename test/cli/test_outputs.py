@@ -94,7 +94,6 @@ def test_text_goes_to_stdout_where_its_name_is_a_dash(
 
 @pytest.mark.parametrize(('line', 'words'), [
     (('simulate', *CUP, '--motion', 'motion.yaml', '--out', '-'), 'is for text'),
-    (('identify', 'recording', *PARAMS, '--summary-out', '-'), 'is for text'),
     (('plot', 'motion', 'recording', *PARAMS, '--out', '-'), 'is for text'),
     (('export', 'cup.yaml', '--to', 'c', '--out', '-', '--json', '-'), 'has room for one'),
 ])
@@ -120,6 +119,6 @@ def test_every_output_is_known_as_one() -> None:
                 outputs.setdefault(command, []).append(action.option_strings[0])
             elif action.metavar in ('FILE', 'BAG'):
                 assert action.type is Path, (command, action)
-    assert outputs['identify'] == ['--out', '--json', '--report', '--summary-out']
+    assert outputs['identify'] == ['--out', '--json', '--report']
     assert outputs['info'] == ['--write-params', '--json']
     assert set(COMMANDS) - set(outputs) == {'completion'}

@@ -1,4 +1,4 @@
-"""`bellows identify` through files and on several cores, as a user calls it."""
+"""`bellows identify` on several cores and with a page, as a user calls it."""
 
 import importlib.util
 import json
@@ -18,27 +18,6 @@ def call(root, monkeypatch):
 QUICK = ('--set', 'fit.method=least_squares')
 
 
-def test_summaries_are_fitted(call, tmp_path, capsys):
-    files = []
-    for name in ('identification', 'validation'):
-        files.append(tmp_path / f'{name}.npz')
-        assert call('identify', f'bags/{name}', '--params', 'bags/package.yaml',
-                    '--summary-out', files[-1], '--json', '-') == 0
-        said = capsys.readouterr()
-        assert f'Wrote {files[-1]}.\n' in said.err
-        assert json.loads(said.out)['samples_used'] > 1000
-    assert call('identify', 'bags/validation', '--params', 'bags/package.yaml', '--summary-out',
-                tmp_path / 'again.npz', '--json', tmp_path / 'again.json') == 0
-    assert f'\nWrote {tmp_path / "again.json"}.\n' in capsys.readouterr().out
-    cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
-    assert call('identify', '--summaries', *files, '--out', cup, '--json', fit) == 0
-    out = capsys.readouterr().out
-    assert f'Wrote {fit}.' in out
-    assert 'Cup identified from bags/identification and bags/validation' in out
-    assert json.loads(fit.read_text())['usable']
-    assert call('replay', 'bags/validation', '--params', cup) == 0
-
-
 def test_identify_on_two_cores_leaves_out_what_is_bad(call, tmp_path, capsys):
     pytest.importorskip('joblib', reason='extra parallel')
     cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
@@ -48,18 +27,6 @@ def test_identify_on_two_cores_leaves_out_what_is_bad(call, tmp_path, capsys):
     assert "Recording 'bags/none' was left out" in warnings.replace('\n  ', ' ')
     assert json.loads(fit.read_text())['failed'][0]['bag'] == 'bags/none'
     assert cup.exists()
-
-
-def test_summaries_must_be_there_and_alone(call, tmp_path, capsys):
-    assert call('identify', '--summaries', tmp_path / 'none.npz', '--out',
-                tmp_path / 'cup.yaml') == 2
-    assert 'cannot be read' in capsys.readouterr().err
-    assert not (tmp_path / 'cup.yaml').exists()
-    assert call('identify', 'bags/validation', '--summaries', tmp_path / 'none.npz') == 2
-    assert 'replace the recordings' in ' '.join(capsys.readouterr().err.split())
-    assert call('identify', 'bags/identification', 'bags/validation', '--params',
-                'bags/package.yaml', '--summary-out', tmp_path / 'one.npz') == 2
-    assert 'one recording, got 2' in ' '.join(capsys.readouterr().err.split())
 
 
 def test_a_page_shows_the_recordings_of_a_batch_too(call, tmp_path):

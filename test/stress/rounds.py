@@ -6,7 +6,7 @@ from importlib.util import find_spec
 from .frame import Round
 from .messages import messages
 from .readers import bags, metadata, motions, parameters, recordings, tables
-from .results import fits, summaries
+from .results import fits
 from .writers import disks, kills
 
 ROUNDS: Mapping[str, Round] = {
@@ -18,7 +18,6 @@ ROUNDS: Mapping[str, Round] = {
     'motions': Round(motions, patience=60.0, short=3),
     'kills': Round(kills, patience=120.0, short=0),  # test/files/test_killed.py does it
     'disks': Round(disks, short=20),
-    'summaries': Round(summaries, patience=120.0, short=20),
     'fits': Round(fits, patience=120.0, short=10),
     **({'messages': Round(messages, patience=60.0, short=4)} if find_spec('rclpy') else {}),
 }

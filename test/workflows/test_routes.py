@@ -1,30 +1,20 @@
-"""Any route to a fit: one after the other, on cores, on a cluster, through files."""
+"""Any route to a fit: one after the other, on cores, on a cluster."""
 
 import gc
-import io
 import json
 import os
 from pathlib import Path
 import shutil
 import signal
 import threading
-import tracemalloc
-import zipfile
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
-from bellows_ros.files.summary_files import FORMAT, read_summary
 from bellows_ros.workflows import workers
-from bellows_ros.workflows.compare import compare_files
-from bellows_ros.workflows.identification import NO_VERDICT, save, UNKNOWN_STD
-from bellows_ros.workflows.identify import (
-    identify,
-    identify_summaries,
-    read_part,
-    write_summary,
-)
+from bellows_ros.workflows.identification import UNKNOWN_STD
+from bellows_ros.workflows.identify import identify, read_part
 from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -69,27 +59,9 @@ def assert_same(fit, wanted):
     assert fit.samples_rejected == wanted.samples_rejected
 
 
-def through_files(settings, folder):
-    """Return the result of a summary of each recording."""
-    files = []
-    for number, bag in enumerate(settings['bags']):
-        files.append(folder / f'{number}.npz')
-        write_summary({**settings, 'bags': [bag]}, files[-1])
-    return identify_summaries(files)
-
-
 def content_of(result):
     """Return the content of a result's JSON file as it is read."""
     return json.loads(format_json(result.as_json()))
-
-
-def without_verdict(result):
-    """Return the content but for what the recordings themselves are needed for."""
-    content = content_of(result)
-    content['findings'] = content['findings'][len(result.verdict.sentences
-                                                  if result.verdict else (NO_VERDICT,)):]
-    del content['verdict']
-    return content
 
 
 def differences(one, other, path=''):
@@ -111,7 +83,7 @@ def differences(one, other, path=''):
 @pytest.mark.parametrize('structure', [
     'axisymmetric', *(pytest.param(name, marks=pytest.mark.stress)
                       for name in ('diagonal', 'full'))])
-def test_every_route_gives_the_same_keys_and_the_same_numbers(settings, structure, tmp_path):
+def test_every_route_gives_the_same_keys_and_the_same_numbers(settings, structure):
     pytest.importorskip('joblib', reason='extra parallel')
     asked = {**settings, 'fit.structure': structure, 'fit.compare_recordings': True}
     at_once = identify(asked)
@@ -119,36 +91,6 @@ def test_every_route_gives_the_same_keys_and_the_same_numbers(settings, structur
     assert wanted['recordings'][0]['noise'] and wanted['one_cup'] and wanted['envelope']
     for route in (identify(asked, jobs=1), identify(asked, jobs=2)):
         assert list(differences(content_of(route), wanted)) == []
-    merged = through_files(asked, tmp_path)
-    assert merged.verdict is None and merged.findings[0] == NO_VERDICT
-    assert list(differences(without_verdict(merged), without_verdict(at_once))) == []
-
-
-def test_results_of_different_routes_can_be_compared(settings, one_result, tmp_path):
-    save(one_result, '', tmp_path / 'one.json')
-    save(through_files(settings, tmp_path), '', tmp_path / 'other.json')
-    found = compare_files(tmp_path / 'one.json', tmp_path / 'other.json')
-    assert found.settings == () and len(found.shared) == len(NAMES)
-    assert not found.fits.matters
-
-
-def test_the_cup_file_is_that_of_any_route(settings, one_result, tmp_path):
-    found, wanted = through_files(settings, tmp_path).parameters(), one_result.parameters()
-    assert list(differences(found, wanted)) == []
-
-
-def test_what_is_reduced_once_can_be_asked_more(settings, root, tmp_path):
-    """Ask of files whether it is one cup, and for standstills; but not for another structure."""
-    files = [tmp_path / f'{number}.npz' for number in range(2)]
-    for file, bag in zip(files, settings['bags'], strict=True):
-        write_summary({**settings, 'bags': [bag]}, file)
-    asked = {'fit.compare_recordings': True, 'static.bags': [str(root / 'bags/static')]}
-    found = identify_summaries(files, asked)
-    wanted = identify({**settings, **asked})
-    assert_allclose(found.fit.stiffness, wanted.fit.stiffness, rtol=1e-9, atol=1e-9)
-    assert found.fit.standstills.count > 3 and not found.consistency.differs
-    with pytest.raises(BellowsError, match="fit.structure is 'full', but"):
-        identify_summaries(files, {'fit.structure': 'full'})
 
 
 def test_one_process_after_the_other(settings, one_result):
@@ -179,22 +121,20 @@ def identifiable_in(content):
 
 @pytest.mark.stress
 @pytest.mark.parametrize('structure', ['axisymmetric', 'full'])
-def test_what_is_not_identifiable_is_claimed_nowhere(flat, structure, tmp_path):
-    """One fit, summaries at once and summaries from files: the same of noise and the package."""
+def test_what_is_not_identifiable_is_claimed_nowhere(flat, structure):
+    """Let recordings read at once and by others give the same of noise and the package."""
     settings = {**flat, 'fit.structure': structure}
     whole, apart = identify(settings), identify(settings, jobs=1)
-    merged = through_files(settings, tmp_path)
     assert np.isinf(whole.fit.damping_std[2, 2])
     said = whole.warnings
     assert any(text.startswith('Axial motion is hardly excited') for text in said)
-    for other in (apart, merged):
-        assert_array_equal(np.isinf(other.fit.covariance), np.isinf(whole.fit.covariance))
-        assert other.warnings == said
-        assert other.parameters()['cup.damping_std'][14] == UNKNOWN_STD
-        for found, wanted in zip(other.excitation.axes, whole.excitation.axes, strict=True):
-            assert_allclose(found.strain_noise, wanted.strain_noise, rtol=1e-9)
-        found, wanted = (json.loads(format_json(r.as_json())) for r in (other, whole))
-        assert identifiable_in(found) == identifiable_in(wanted)
+    assert_array_equal(np.isinf(apart.fit.covariance), np.isinf(whole.fit.covariance))
+    assert apart.warnings == said
+    assert apart.parameters()['cup.damping_std'][14] == UNKNOWN_STD
+    for found, wanted in zip(apart.excitation.axes, whole.excitation.axes, strict=True):
+        assert_allclose(found.strain_noise, wanted.strain_noise, rtol=1e-9)
+    found, wanted = (json.loads(format_json(r.as_json())) for r in (apart, whole))
+    assert identifiable_in(found) == identifiable_in(wanted)
 
 
 def test_bad_recording_is_reported_and_not_fatal(settings, one_result, tmp_path):
@@ -358,34 +298,6 @@ def test_the_prediction_error_of_recordings_that_others_read(settings, cluster, 
         assert apart.warnings[1:] == whole.warnings and str(broken) in apart.warnings[0]
 
 
-def test_summaries_mean_least_squares_and_say_so_once(settings, tmp_path):
-    other = {**settings, 'bags': settings['bags'][1:], 'fit.method': 'prediction_error'}
-    file = tmp_path / 'one.npz'
-    write_summary(other, file)
-    quiet, noted = identify_summaries([file]), identify_summaries(
-        [file], {'fit.method': 'prediction_error'})
-    assert_same(noted.fit, quiet.fit)
-    assert quiet.fit.method == noted.values['fit.method'] == 'least_squares'
-    said = [text for text in noted.warnings if 'by least squares' in text]
-    assert len(said) == 1 and set(noted.warnings) - set(said) == set(quiet.warnings)
-
-
-def test_summaries_of_two_structures_are_refused(settings, tmp_path):
-    files = [tmp_path / 'a.npz', tmp_path / 'b.npz']
-    for file, bag, structure in zip(
-            files, settings['bags'], ('axisymmetric', 'diagonal'), strict=True):
-        write_summary({**settings, 'bags': [bag], 'fit.structure': structure}, file)
-    with pytest.raises(BellowsError, match='axisymmetric with .* diagonal with'):
-        identify_summaries(files)
-
-
-def test_a_summary_of_another_version_is_said(tmp_path):
-    header = np.frombuffer(b'{"format": "bellows_ros summary 1"}', np.uint8)
-    np.savez(tmp_path / 'old.npz', header=header)
-    with pytest.raises(BellowsError, match="its format is 'bellows_ros summary 1', not '"):
-        read_summary(tmp_path / 'old.npz')
-
-
 @pytest.fixture
 def spelled(settings, tmp_path):
     """Return one recording by three names: as it is, as the file in it, and as a copy."""
@@ -394,72 +306,21 @@ def spelled(settings, tmp_path):
     return [str(whole), str(next(whole.glob('*.mcap'))), str(tmp_path / 'copy')]
 
 
-def test_a_recording_counts_once_by_whatever_name(settings, spelled, tmp_path):
-    files = [tmp_path / 'a.npz', tmp_path / 'b.npz']
-    write_summary({**settings, 'bags': spelled[:1]}, files[0])
+def test_a_recording_counts_once_by_whatever_name(settings, spelled):
     for again in range(3):
         two = {**settings, 'bags': [spelled[0], spelled[again]]}
         with pytest.raises(BellowsError, match=f"'{spelled[again]}' and .* would count twice"):
             identify(two)
-        write_summary({**settings, 'bags': two['bags'][1:]}, files[1])
-        with pytest.raises(BellowsError, match=f"'{spelled[again]}' and .* would count twice"):
-            identify_summaries(files)
     bags = [spelled[0], settings['bags'][0], *spelled[1:]]
     result = identify({**settings, 'bags': bags}, jobs=1)
     assert [failed.bag for failed in result.failed] == spelled[1:]
     assert list(result.bags) == bags[:2]
 
 
-def test_two_recordings_of_one_name_are_two(settings, one_result, tmp_path, monkeypatch):
-    files = []
-    for number, bag in enumerate(settings['bags']):
-        folder = tmp_path / str(number)
-        shutil.copytree(bag, folder / 'bag')
-        monkeypatch.chdir(folder)
-        files.append(folder / 'summary.npz')
-        write_summary({**settings, 'bags': ['bag']}, files[-1])
-    assert_same(identify_summaries(files).fit, one_result.fit)
-
-
-@pytest.mark.parametrize('damage', ['text', 'empty', 'cut', 'missing', 'flipped'])
-def test_damaged_summary(settings, tmp_path, damage):
-    file = tmp_path / 'a.npz'
-    if damage in ('cut', 'flipped'):
-        write_summary({**settings, 'bags': settings['bags'][1:]}, file)
-        data = bytearray(file.read_bytes())
-        data[len(data) // 2] ^= 0xff
-        file.write_bytes(data[: len(data) // 2] if damage == 'cut' else data)
-    elif damage != 'missing':
-        file.write_text('' if damage == 'empty' else 'no summary')
-    with pytest.raises(BellowsError, match='summar|Summar'):
-        read_summary(file)
-
-
-@pytest.mark.parametrize('held, says', [(10**8, 0), (8, 10**10)])
-def test_a_summary_that_asks_for_much_is_refused(tmp_path, held, says):
-    array = io.BytesIO()
-    np.lib.format.write_array_header_1_0(
-        array, {'descr': '<f8', 'fortran_order': False, 'shape': (says or held // 8,)})
-    header = np.frombuffer(json.dumps({'format': FORMAT, 'content': {}}).encode(), np.uint8)
-    np.savez(tmp_path / 'a.npz', header=header)
-    with zipfile.ZipFile(tmp_path / 'a.npz', 'a', zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr('content.npy', array.getvalue() + bytes(held))
-    tracemalloc.start()
-    try:
-        with pytest.raises(BellowsError, match='holds 100000.* bytes|cannot reshape'):
-            read_summary(tmp_path / 'a.npz')
-        assert tracemalloc.get_traced_memory()[1] < 10**6
-    finally:
-        tracemalloc.stop()
-
-
-def test_a_length_that_is_not_given_is_said(settings, tmp_path):
+def test_a_length_that_is_not_given_is_said(settings):
     values = {name: value for name, value in settings.items() if name != 'cup.length'}
     values['bags'] = values['bags'][1:]
     assert identify(values, jobs=1).warnings[0].startswith('cup.length is not set')
-    write_summary(values, tmp_path / 'one.npz')
-    warnings = identify_summaries([tmp_path / 'one.npz']).warnings
-    assert any('cup.length is not set' in warning for warning in warnings)
 
 
 def test_time_offsets_are_those_of_one_fit(settings, one_result):
@@ -470,7 +331,7 @@ def test_time_offsets_are_those_of_one_fit(settings, one_result):
     assert_allclose(fit.stiffness, one_result.fit.stiffness, rtol=1e-3)
 
 
-def test_standstills_join_summaries_as_they_join_recordings(settings, root, tmp_path):
+def test_standstills_join_recordings_that_others_read(settings, root, tmp_path):
     rest = {'static.bags': [str(root / 'bags/static')]}
     whole, apart = identify({**settings, **rest}), identify({**settings, **rest}, jobs=1)
     assert apart.fit.standstills.count == whole.fit.standstills.count > 3

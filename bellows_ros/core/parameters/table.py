@@ -278,8 +278,8 @@ _TABLE = (
     Parameter('fit.method', 'prediction_error', '', _IDENTIFIER,
               choices=('prediction_error', 'least_squares'),
               description='Method of the fit. prediction_error, on poses, is unbiased by noise. '
-              'least_squares, on accelerations (section 4.3.2), is for a quick look and for '
-              'summaries of recordings.'),
+              'least_squares, on accelerations (section 4.3.2), is for a quick look and '
+              'for very many recordings.'),
     Parameter('fit.structure', 'axisymmetric', '', _IDENTIFIER, choices=tuple(STRUCTURES),
               description='Form of K and P: ' + '; '.join(
                   f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)'
