@@ -35,7 +35,6 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         'static': "find the cup's nominal length from standstills, and check its spring alone",
         'replay': 'predict a recording with a cup, and report how well it does',
         'compare': 'report what differs between two fits, and whether it matters',
-        'report': 'write a page with plots of a fit',
         'plan': 'predict what a planned motion does to the package, and if it holds',
         'steer': 'change a planned motion so that the package does not swing',
         'toss': 'predict where a tossed package lands, and what limits the accuracy',

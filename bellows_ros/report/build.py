@@ -8,14 +8,14 @@ from typing import Any
 from bellows_ros.core.identification.reduction import SEED as EXCITATION_SEED
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.validation import SEED
+from bellows_ros.core.model.validity_range import Envelope, FIELDS
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import UnstableError
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import format_json, provenance
 from bellows_ros.workflows.identification import Identification
-from bellows_ros.workflows.recordings import offset_sentence
+from bellows_ros.workflows.recordings import offset_sentence, values_of_each
 from bellows_ros.workflows.replay import Replay, validated
-from bellows_ros.workflows.report import values_of_recordings
 
 from .cup import (
     cup_content,
@@ -27,6 +27,9 @@ from .cup import (
 )
 from .motion import motion_content, observed_content, samples_content
 from .page import bullets, folded, page, paragraph, section, table, warnings
+
+INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Entries of package.inertia in the tensor."""
 
 
 def identification_report(
@@ -115,6 +118,29 @@ def write_page(result: Identification, path: str | os.PathLike[str]) -> None:
     """
     content = json.loads(format_json(result.as_json()))
     write_text(path, identification_report(content, result.recordings, result.validations))
+
+
+def cup_values(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a result with its cup and its validity range in them."""
+    flat = {f'cup.{key}': tuple(x for row in content[key] for x in row)
+            for key in ('stiffness', 'damping')}
+    known = Envelope(**{name: content['envelope'][name] for name in FIELDS}).parameters()
+    return {**content['settings'], **flat, **known, 'cup.length': content['cup_length']}
+
+
+def values_of_recordings(content: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the settings of a result for each of its recordings, with cup and package."""
+    values, each = cup_values(content), []
+    own = dict(zip(map(str, values['bags']), values_of_each(values), strict=True))
+    for recording in content['recordings']:
+        payload = recording['package']
+        each.append({
+            **own[str(recording['bag'])],
+            'package.mass': payload['mass'],
+            'package.inertia': tuple(payload['inertia'][i][j] for i, j in INERTIA),
+            'package.com': tuple(payload['com']),
+        })
+    return each
 
 
 def _simulated(values: Mapping[str, Any], recording: Recording) -> list[str]:

@@ -176,10 +176,6 @@ def test_packages_of_files_need_no_other(
     text = ' '.join(done.stdout.split())
     assert 'K and P are the same for recording and ' in text
     assert (tmp_path / 'page.html').read_text().count('The model ran freely') == 2
-    again = bellows('report', tmp_path / 'fit.json', '--out', tmp_path / 'again.html',
-                    cwd=workshop)
-    assert (again.returncode, again.stderr) == (0, '')
-    assert 'The model ran freely' in (tmp_path / 'again.html').read_text()
 
 
 def test_structures_validation_and_page_by_parameters_alone(

@@ -8,11 +8,10 @@ from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.report import page as pages
-from bellows_ros.report.build import identification_report, replay_report
+from bellows_ros.report.build import cup_values, identification_report, replay_report
 from bellows_ros.report.page import page, table, warnings
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.replay import replay
-from bellows_ros.workflows.report import cup_values
 import numpy as np
 import pytest
 
