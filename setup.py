@@ -12,6 +12,8 @@ EXTRAS = {
     # Compiles the integration step; without it the same source is interpreted.
     'fast': ['numba>=0.59'],
     'plot': ['matplotlib>=3.8'],
+    # Completes commands, options and parameters in the shell; ROS brings it.
+    'complete': ['argcomplete>=2'],
     # The program ffmpeg, for animations as .mp4 where the system has none (170 MB).
     'video': ['imageio-ffmpeg>=0.5'],
     # The viewer Rerun, for `bellows view` (600 MB with what it needs).
@@ -23,6 +25,7 @@ EXTRAS = {
     'parallel': ['joblib>=1.3'],
     'dask': ['distributed>=2024.1'],
     'test': [
+        'argcomplete>=2',
         'pytest>=7.4,<9.2',  # with 9.2 pytest-xdist 3.8 keeps no group of tests together
         'pytest-timeout>=2.2',
         'pytest-xdist>=3.4',

@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """
 The command `bellows`: the package from a shell, without ROS.
 

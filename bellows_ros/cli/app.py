@@ -16,6 +16,7 @@ import argparse
 from collections.abc import Mapping, Sequence
 import difflib
 import importlib
+import os
 import sys
 import textwrap
 from types import MappingProxyType
@@ -47,7 +48,6 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
                    'tf',
         'export': 'write a cup for MuJoCo, Drake, SDF or OpenPLX, or as C',
         'parameters': 'list all parameters, or write a parameter file to fill in',
-        'completion': 'print a script that completes commands and options in the shell',
     }
 )
 
@@ -107,6 +107,8 @@ def main(args: Sequence[str] | None = None) -> int:
         After --help and --version, and when the command line itself is wrong.
 
     """
+    if '_ARGCOMPLETE' in os.environ:
+        _complete()
     arguments = list(sys.argv[1:] if args is None else args)
     return in_order(lambda console: _run(arguments, console))
 
@@ -126,6 +128,22 @@ def _run(arguments: list[str], console: Console) -> int:
     console.warn(*console.remarks)
     sys.stdout.flush()  # now: an error at the very end could not be reported
     return code
+
+
+def _complete() -> None:
+    """Print what can follow a command line, which the shell gives in its environment, and end."""
+    import argcomplete
+
+    parser = argparse.ArgumentParser('bellows')
+    commands = parser.add_subparsers()
+    for name, text in COMMANDS.items():
+        command = commands.add_parser(name, help=text)
+        importlib.import_module(f'{__package__}.{name}').add_arguments(command)
+        for action in command._actions:
+            if action.dest == 'overrides':
+                action.completer = (  # type: ignore[attr-defined]
+                    options.parameter_assignments)
+    argcomplete.autocomplete(parser)
 
 
 def _answer(arguments: list[str]) -> NoReturn:

@@ -184,6 +184,13 @@ def given_span(arguments: argparse.Namespace) -> 'dict[str, Value]':
                 if (text := getattr(arguments, name, '')))
 
 
+def parameter_assignments(**_: object) -> 'dict[str, str]':
+    """Return the beginnings of --set with their descriptions, for completion in the shell."""
+    from bellows_ros.core.parameters.table import PARAMETERS
+
+    return {f'{name}=': each.description for name, each in PARAMETERS.items()}
+
+
 def parse_override(text: str) -> 'tuple[str, Value]':
     """
     Return name and checked value of 'name=value'.

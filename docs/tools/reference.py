@@ -125,8 +125,8 @@ def commands() -> Iterator[str]:
     """Yield the lines of the page of commands."""
     yield from ('# The command bellows', '', GENERATED, '',
                 'The work of the nodes from a shell, without ROS. Each command has `--help` with '
-                'examples; `source <(bellows completion)` completes commands, options and '
-                'parameters in bash.', '')
+                'examples; `eval "$(register-python-argcomplete bellows)"` completes commands, '
+                'options and parameters in the shell (extra `complete`).', '')
     for name, text in COMMANDS.items():
         module = importlib.import_module(f'bellows_ros.cli.{name}')
         yield from (f'## bellows {name}', '', f'{text[0].upper()}{text[1:]}.', '',

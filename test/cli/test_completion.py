@@ -1,95 +1,38 @@
-"""`bellows completion`, as bash and zsh use it."""
+"""Completion in the shell, by argcomplete."""
 
 import os
 from pathlib import Path
-import shutil
 import subprocess
 import sys
-from typing import Any
 
 from bellows_ros.cli.app import COMMANDS
-from bellows_ros.cli.completion import offers, SHELLS
 import pytest
 
-BASH = """{script}
-COMP_WORDS=({line}); COMP_CWORD={last}; _bellows bellows; printf "%s\\n" "${{COMPREPLY[@]}}"
-"""
-# What zsh's own functions do with the words they get, without a terminal.
-ZSH = """
-compdef() {{ }}
-_describe() {{ print -rl -- ${{(P)2%%:*}} }}
-_files() {{ print -rl -- $words[CURRENT]*(N) }}
-{script}
-words=({line}); CURRENT={count}; _bellows; true
-"""
+pytest.importorskip('argcomplete', reason="no argcomplete here (pip install '.[complete]')")
 
 
-def complete(shell: str, *words: str) -> list[str]:
-    """Return what a shell offers for the last of some words."""
-    if shutil.which(shell) is None:
-        pytest.skip(f'no {shell} here')
-    line = ' '.join(f"'{word}'" for word in words)
-    code = {'bash': BASH, 'zsh': ZSH}[shell].format(
-        script=SHELLS[shell], line=line, last=len(words) - 1, count=len(words))
-    plain = {'bash': ['--norc'], 'zsh': ['-f']}[shell]
-    path = f'{Path(sys.executable).parent}{os.pathsep}{os.environ["PATH"]}'
-    done = subprocess.run([shell, *plain, '-c', code], capture_output=True, text=True,
-                          env={**os.environ, 'PATH': path})
-    assert done.stderr == ''
-    return done.stdout.split()
+def complete(line: str, folder: Path) -> list[str]:
+    """Return what can stand for the last word of a line."""
+    offered = folder / 'offered'
+    done = subprocess.run(
+        [sys.executable, '-m', 'bellows_ros.cli'], cwd=folder, capture_output=True, text=True,
+        env={**os.environ, '_ARGCOMPLETE': '1', 'COMP_LINE': line, 'COMP_POINT': str(len(line)),
+             '_ARGCOMPLETE_SUPPRESS_SPACE': '1', '_ARGCOMPLETE_IFS': '\n',
+             '_ARGCOMPLETE_STDOUT_FILENAME': str(offered)})
+    assert done.returncode == 0, done.stderr
+    return [word.strip() for word in offered.read_text().split('\n')]
 
 
-shells = pytest.mark.parametrize('shell', ['bash', 'zsh'])
-
-
-@shells
-def test_commands_are_offered(shell: str) -> None:
-    """List all, and those that begin so."""
-    assert set(COMMANDS) <= set(complete(shell, 'bellows', ''))
-    assert complete(shell, 'bellows', 'ide') == ['identify']
-
-
-@shells
-def test_options_are_offered(shell: str) -> None:
-    """List those of the command."""
-    offered = complete(shell, 'bellows', 'simulate', '--seed', '1', '--')
-    assert {'--help', '--motion', '--params'} <= set(offered)
-
-
-@pytest.mark.parametrize('name', COMMANDS)
-def test_options_of_every_command_are_offered(name: str) -> None:
-    """Know --help everywhere, and what belongs to one command only there; all with a sentence."""
-    offered = offers([name, '--'])
-    assert '--help' in offered and all(offered.values())
-    assert ('--motion' in offered) == (name == 'simulate')
-
-
-@shells
-def test_parameters_are_offered_behind_set(shell: str) -> None:
-    """Leave the value to be typed."""
-    assert complete(shell, 'bellows', 'identify', '--set', 'fit.st') == ['fit.structure=']
-
-
-@shells
-def test_known_values_are_offered(shell: str) -> None:
-    """Complete the kinds of pictures, and the values of an option."""
-    assert complete(shell, 'bellows', 'plot', 'sp') == ['spectra']
-    assert complete(shell, 'bellows', 'export', 'cup.yaml', '--to', 'm') == ['mjcf']
-
-
-@shells
-def test_files_are_offered_elsewhere(
-    shell: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Complete recordings and parameter files."""
+@pytest.mark.parametrize(('line', 'expected'), [
+    ('bellows ', {*COMMANDS}),
+    ('bellows simulate --seed 1 --', {'--motion', '--params', '--help'}),
+    ('bellows identify --set fit.st', {'fit.structure='}),
+    ('bellows plot sp', {'spectra'}),
+    ('bellows export cup.yaml --to m', {'mjcf'}),
+    ('bellows identify --params my', {'my_arm.yaml', 'my_cell.yaml'}),
+])
+def test_what_can_follow_is_offered(line: str, expected: set[str], tmp_path: Path) -> None:
+    """Offer commands, their options and values, parameters, and files elsewhere."""
     for name in ('my_cell.yaml', 'my_arm.yaml'):
         (tmp_path / name).touch()
-    monkeypatch.chdir(tmp_path)
-    offered = complete(shell, 'bellows', 'identify', '--params', 'my')
-    assert set(offered) == {'my_cell.yaml', 'my_arm.yaml'}
-
-
-def test_the_shell_in_use_is_the_default(bellows: Any) -> None:
-    """Print what `source` takes in the user's shell; that for bash where it is another."""
-    for shell, first in (('/bin/zsh', '#compdef'), ('/bin/bash', '# '), ('/bin/fish', '# ')):
-        assert bellows('completion', SHELL=shell).stdout.startswith(first)
+    assert expected <= set(complete(line, tmp_path))
