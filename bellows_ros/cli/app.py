@@ -46,7 +46,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         'play': 'play the poses and twists of a recording to ROS',
         'convert': 'make recordings from files of Motive, TUM, EuRoC or KITTI, from joints or '
                    'tf',
-        'export': 'write a cup for MuJoCo, Drake, SDF or OpenPLX, or as C',
+        'export': 'write a cup for MuJoCo, as SDF, or as C',
         'parameters': 'list all parameters, or write a parameter file to fill in',
     }
 )

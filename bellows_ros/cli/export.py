@@ -1,8 +1,8 @@
 """
 Write a cup and its package as a model for a simulator, or as a header in C.
 
-For MuJoCo (MJCF), Drake, OpenPLX and any simulator that reads SDF. List what the format cannot
-express.
+For MuJoCo (MJCF) and any simulator that reads SDF, like Gazebo and Drake. List what the format
+cannot express.
 """
 
 import argparse
@@ -13,10 +13,10 @@ from .console import Console, OK
 
 EXAMPLES = (
     ('bellows export cup.yaml --to mjcf --out cup.xml', 'six joints for MuJoCo'),
-    ('bellows export cup.yaml --to drake --out cup.sdf', 'a roll-pitch-yaw bushing for Drake'),
+    ('bellows export cup.yaml --to sdf --out cup.sdf', 'the same for Gazebo and Drake'),
     ('bellows export cup.yaml --to c --out cup.h', 'step, equilibrium and safety factor in C'),
 )
-FORMATS = ('mjcf', 'drake', 'sdf', 'openplx', 'c')
+FORMATS = ('mjcf', 'sdf', 'c')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,8 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--to', choices=FORMATS, required=True,
-        help='mjcf: MuJoCo; drake: SDF with a Drake bushing; sdf: joints in series; openplx: '
-             'SixDofSuctionCup; c: a header in C11',
+        help='mjcf: MuJoCo; sdf: Gazebo, Drake and others; c: a header in C11',
     )
     options.add_output(parser, '--out', 'model to write', required=True)
     options.add_json_option(parser, 'what the format cannot express')

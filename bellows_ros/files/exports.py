@@ -1,5 +1,5 @@
 """
-Cups for other programs: MuJoCo (MJCF), Drake, SDF, OpenPLX and C, and the limits of each.
+Cups for other programs: MuJoCo (MJCF), SDF and C, and the limits of each.
 
 The simulators put a spring with the diagonals of K and P between the tool tip and the package, in
 the middle of the cup. None has the energy (3.17) of the thesis, off-diagonal entries, or a damper
@@ -111,25 +111,12 @@ def mjcf(exported: Exported) -> str:
     ])
 
 
-def drake(exported: Exported) -> str:
-    """Return a model for Drake: SDF with its roll-pitch-yaw bushing."""
-    cup, package, *_ = exported
-    return _sdf('1.7" xmlns:drake="http://drake.mit.edu', exported, [
-        f'    <frame name="middle_tool" attached_to="tool"><pose>{_middle(cup)}</pose></frame>',
-        '    <frame name="middle_package" attached_to="package"/>',
-        '    <drake:linear_bushing_rpy>',
-        '      <drake:bushing_frameA>middle_tool</drake:bushing_frameA>',
-        '      <drake:bushing_frameC>middle_package</drake:bushing_frameC>',
-        *(f'      <drake:bushing_{kind}_{name}>{_numbers(np.diag(matrix)[part])}'
-          f'</drake:bushing_{kind}_{name}>'
-          for kind, part in (('torque', slice(3, 6)), ('force', slice(3)))
-          for name, matrix in (('stiffness', cup.stiffness), ('damping', cup.damping))),
-        '    </drake:linear_bushing_rpy>',
-    ])
-
-
 def sdf(exported: Exported) -> str:
-    """Return a model in SDF: six joints in a row, with dummy links between them."""
+    """
+    Return a model in SDF: six joints in a row, with dummy links between them.
+
+    The frame of the package is in the middle of the cup.
+    """
     cup, package, *_ = exported
     chain = ['tool', *(f'between_{i}' for i in range(1, 6)), 'package']
     lines = []
@@ -150,15 +137,9 @@ def sdf(exported: Exported) -> str:
             '      </axis>',
             '    </joint>',
         ]
-    return _sdf('1.9', exported, lines)
-
-
-def _sdf(version: str, exported: Exported, connection: list[str]) -> str:
-    """Return a model in SDF: tool and package, whose frame is in the middle of the cup."""
-    cup, package, *_ = exported
     return '\n'.join([
         '<?xml version="1.0"?>',
-        f'<sdf version="{version}">',
+        '<sdf version="1.9">',
         '  <model name="bellows_cup">',
         '    <!-- Fix "tool" to the end of your arm. -->',
         '    <link name="tool">', *_dummy(package), '    </link>',
@@ -168,7 +149,7 @@ def _sdf(version: str, exported: Exported, connection: list[str]) -> str:
         f'        {_tensor(_inertia(package))}',
         '      </inertial>',
         '    </link>',
-        *connection,
+        *lines,
         '  </model>',
         '</sdf>',
         '',
@@ -222,38 +203,6 @@ def _braced(values: Any) -> str:
     return f'{{{{{inner}}}}}' if len(values) == 9 else f'{{{inner}}}'
 
 
-def openplx(exported: Exported) -> str:
-    """
-    Return the six-dof suction cup of OpenPLX, equivalent at rest and while it holds.
-
-    Its z is that of the tool. Its springs are where its connectors meet, by default at the tool.
-    """
-    cup = exported.cup
-    middle = f'Math.Vec3.from_xyz(0, 0, {-0.5 * cup.length!r})'
-    lines = [
-        '# A bellows suction cup. Put it on your gripper; geometry and package are yours.',
-        'BellowsCup is Robotics.EndEffectors.SixDofSuctionCup:',
-        f'    resting_height: {cup.length!r}',
-        f'    collapsed_height: {cup.length!r}',
-        '    holder_relative_position: Math.Vec3.from_xyz(0, 0, 0)',
-        *(f'    {name}_connector.position: {middle}'
-          for name in ('gripper', 'resting_mounting', 'collapsed_mounting')),
-    ]
-    if exported.grip:
-        lines += [f'    {name}_radius: {exported.grip[1]!r}' for name in ('lip', 'mounting')]
-    axes = {
-        'lip_normal': (2, 2), 'radial_axis': (0, 1), 'around_lip_normal': (5, 5),
-        'around_radial_axis': (3, 4)}
-    for state in ('resting', 'collapsed'):
-        for axis, (i, j) in axes.items():
-            for what, unit, matrix in (
-                    ('flexibility', 'stiffness', cup.stiffness),
-                    ('dissipation', 'damping_constant', cup.damping)):
-                mean = 0.5 * float(matrix[i, i] + matrix[j, j])
-                lines.append(f'    {state}_elasto_dynamics.{axis}_{what}.{unit}: {mean!r}')
-    return '\n'.join([*lines, ''])
-
-
 _ANGLES = (
     'Rotation angles are taken one after the other and springs are linear in them; (3.17) '
     'has the sine of one rotation. The difference is below 5 % up to 15 degrees.'
@@ -271,24 +220,11 @@ TARGETS: Mapping[str, Target] = {
         'A tool that is a mocap body has no velocity in MuJoCo, so the damper would act against '
         'the world: move the tool with joints.',
     )),
-    'drake': Target('Drake (SDF with linear_bushing_rpy)', drake, (
-        'Roll, pitch and yaw are linear springs of their angles; (3.17) has the sine of one '
-        'rotation. The difference is below 5 % up to 15 degrees.',
-        f'The tool weighs {100 * DUMMY:g} % of the package.',
-    )),
     'sdf': Target('SDF', sdf, (
         _ANGLES,
         f'Five dummy links stand between the joints. They and the tool weigh {100 * DUMMY:g} % of '
         'the package each, and need time steps of 0.1 ms or less.',
         _TOOL_AXES,
-    )),
-    'openplx': Target('OpenPLX (SixDofSuctionCup)', openplx, (
-        'The cup is round: x and y share the mean of their stiffness and damping, and so do the '
-        'turns about them.',
-        'The springs are linear in the six deflections; (3.17) has the sine of one rotation.',
-        'The package is left out: give your own body its mass and inertia.',
-        'Names and connectors follow the Robotics bundle of OpenPLX 0.19.0. The export was not '
-        'tried with a simulator.',
     )),
     'c': Target('C11 (a header)', header, (
         'Release, flight and uncertainties are left out; the model itself is complete.',

@@ -26,7 +26,7 @@ def test_a_recording_goes_out_as_text_and_comes_back(
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize('name', ['mjcf', 'drake', 'sdf', 'openplx', 'c'])
+@pytest.mark.parametrize('name', ['mjcf', 'sdf', 'c'])
 def test_cups_go_out_with_a_word_on_what_is_lost(
     name: str, bellows: Run, workshop: Path, tmp_path: Path
 ) -> None:
