@@ -136,7 +136,6 @@ def _say_series(found: 'Excitation', console: Console) -> None:
                 for _, errors in found.series.values())])
     console.table(rows, right=True)
     console.paragraph('Each column is for this recording alone, with the nominal length known; '
-                      '- is not identifiable. Then identify the cup from all of them, with an '
-                      'everyday motion of yours as PLAN:')
+                      '- is not identifiable. Then identify the cup from all of them:')
     console.say('  bellows identify RECORDING_2 --params PARAMS --set static.bags=RECORDING_1 \\')
-    console.say('      --set validation.bags=RECORDING_3 --typical PLAN --report page.html')
+    console.say('      --set validation.bags=RECORDING_3 --report page.html')

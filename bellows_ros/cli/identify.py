@@ -8,13 +8,12 @@ method, and optional inputs: standstills, recordings for validation, a compariso
 
 import argparse
 import math
-from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
 
 from . import options
-from .console import Console, listed, many, NOT_USABLE, OK, Progress, uninterrupted, with_error
+from .console import Console, listed, many, NOT_USABLE, OK, uninterrupted, with_error
 
 if TYPE_CHECKING:
     from bellows_ros.core.identification.result import Fit
@@ -51,11 +50,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_json_option(parser, 'the result with its uncertainties')
     options.add_output(parser, '--report', 'write a page with plots (HTML; extra plot)')
     parser.add_argument(
-        '--typical', metavar='PLAN', default=None, type=Path,
-        help='report first how well the cup predicts this motion of yours, a plan as for '
-             'bellows plan, and what to record to improve it',
-    )
-    parser.add_argument(
         '--force', action='store_true',
         help='also write the cup file of a refused cup; its header says so',
     )
@@ -85,9 +79,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.release:
         return _release(arguments, settings, console)
     from bellows_ros.workflows.identification import save
+    from bellows_ros.workflows.identify import identify
 
     with console.progress() as progress:
-        result = _identified(arguments, settings, progress)
+        result = identify(settings, progress, arguments.params, arguments.jobs, arguments.dask,
+                          arguments.force)
     usable = not result.refusals
     written = usable or (arguments.force and result.fit.usable)
     with uninterrupted():  # all of it, even when Ctrl-C comes in between
@@ -159,31 +155,6 @@ def _say_release(result: 'ReleaseResult', console: Console) -> None:
     console.warn(*result.warnings)
 
 
-def _identified(
-    arguments: argparse.Namespace, settings: dict[str, Any], progress: Progress
-) -> 'Identification':
-    """Return the result, with the accuracy along a typical motion where one is given."""
-    from bellows_ros.workflows.identify import identify
-
-    plan = None
-    if arguments.typical:
-        from bellows_ros.core.parameters.checks import resolve
-        from bellows_ros.workflows.plan import read_plan
-        from bellows_ros.workflows.recordings import WHOLE
-
-        filled: dict[str, Any] = resolve({'package.com': (0.0, 0.0, 0.0), **settings})
-        plan = read_plan(arguments.typical, {**filled, **WHOLE})  # before a long fit
-    result = identify(settings, progress, arguments.params, arguments.jobs, arguments.dask,
-                      arguments.force)
-    if plan is None or not result.fit.usable:
-        return result
-    from dataclasses import replace
-
-    from bellows_ros.workflows.typical import typical
-
-    return replace(result, typical=typical(plan, result))
-
-
 def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
     """Return the parameters of files and --set, with those that have an argument of their own."""
     values = options.cup_parameters(arguments, console, 'identifier') if arguments.release \
@@ -204,7 +175,6 @@ def _say(result: 'Identification', console: Console) -> None:
     console.say(f'Cup identified from {listed(result.bags)}', 'bold')
     console.say(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     console.say()
-    console.paragraph(*([result.typical.sentence] if result.typical else []))
     for simulated in verdict.simulated if verdict else ():
         if not all(map(math.isfinite, simulated.rms)):
             console.paragraph(simulated.sentence)

@@ -58,15 +58,14 @@ def identification_report(
     settings = content['settings']
     bags = [recording.name for recording in recordings]
     spectra = {own.name: samples_of(own).twist_spectrum for own in recordings}
-    typical, refusals = content.get('typical'), ' '.join(content.get('refusals', ()))
+    refusals = ' '.join(content.get('refusals', ()))
     method = str(content['method']).replace('_', ' ')
     origin = dict(content['provenance'])  # and of what the fit has not seen
     origin['recordings'] = [*origin['recordings'],
                             *provenance([v.bag for v in validations])['recordings']]
     sections = [
-        section('Cup', *([paragraph(typical['sentence'])] if typical else []),
-                paragraph('The fit can be used.' if content['usable'] else
-                          f'The fit cannot be used: {refusals or "the warnings say why."}'),
+        section('Cup', paragraph('The fit can be used.' if content['usable'] else
+                                 f'The fit cannot be used: {refusals or "the warnings say why."}'),
                 *(paragraph(v.sentence) for v in validations),
                 warnings(content['warnings']), bullets(content.get('findings', ())),
                 *cup_content(content)),

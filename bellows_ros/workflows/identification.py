@@ -23,7 +23,6 @@ if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.core.identification.structure_selection import StructureSelection
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
-    from bellows_ros.workflows.typical import Typical
     from bellows_ros.workflows.verdict import Verdict
 
 NOT_OF_THE_CUP = (
@@ -89,8 +88,6 @@ class Identification:
         What was not given and taken from the thesis, in sentences.
     parameter_files : tuple of mapping
         Path and digests of files that the parameters are from.
-    typical : Typical or None
-        The accuracy along the user's own motion, where one was given.
 
     """
 
@@ -107,7 +104,6 @@ class Identification:
     failed: tuple[Failed, ...] = ()
     assumed: tuple[str, ...] = ()
     parameter_files: tuple[Mapping[str, Any], ...] = ()
-    typical: 'Typical | None' = None
 
     @property
     def bags(self) -> tuple[str, ...]:
@@ -224,7 +220,6 @@ class Identification:
             *self.parts, *(self.static.recordings if self.static else ())]
         return with_units({
             **fit_json(self.fit),
-            'typical': self.typical and self.typical.as_json(),
             'warnings': self.warnings,
             'findings': self.findings,
             'cup_length': self.cup_length,

@@ -273,27 +273,3 @@ def test_finds_a_valve_in_tosses(bellows: Run, root: Path, tmp_path: Path) -> No
     assert len(found['tosses']) == 20 and 'From toss to toss' in done.stdout
     done = bellows('identify', bag, '--release', '--params', cup, '--jobs', 2, '--out', out)
     assert done.returncode == 2 and '--release cannot be combined with --jobs' in done.stderr
-
-
-def test_opens_with_the_accuracy_at_a_typical_motion(
-    bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
-    """Say it first, on the page too; refuse a plan that is none before the fit."""
-    plan = write_yaml(tmp_path / 'plan.yaml', {
-        'kind': 'waypoints', 'rest_duration': 0.0,
-        'waypoints': {'poses': [{'position': [0.3, 0.0, 0.0], 'move': 0.5}]},
-        'tool': {'rate_hz': 500.0}, 'package': {'rate_hz': 360.0}})
-    command = ('identify', workshop / 'recording', '--params', workshop / 'package.yaml',
-               '--json', 'fit.json', '--report', 'page.html', '--typical')
-    done = bellows(*command, plan, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    said = ' '.join(done.stdout.split())
-    assert said.index('the prediction of the package is accurate to') < said.index('stiffness K')
-    accuracy = json.loads((tmp_path / 'fit.json').read_text())['typical']
-    assert 0.0 < accuracy['position_std_rms'] < accuracy['position_std_max'] < 0.01
-    page = (tmp_path / 'page.html').read_text()
-    assert page.index('is accurate to') < page.index('The fit can be used.')
-    before = contents(tmp_path)
-    done = bellows(*command, tmp_path / 'none.yaml', cwd=tmp_path)
-    assert done.returncode == 2 and 'none.yaml' in done.stderr
-    assert contents(tmp_path) == before
