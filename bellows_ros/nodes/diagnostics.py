@@ -145,7 +145,7 @@ class Diagnostics:
         """Return the line on the load; a safety factor that became too small is logged too."""
         safety, away, bending = self.load.take()
         status = health.load_status(
-            'load', safety, away, bending, self.load.limits_known, self.load.envelope_known,
+            'load', safety, away, bending, self.load.grip is not None, self.load.envelope_known,
             self.load.least)
         self._log(status, safety is not None and safety.factor < self.load.least)
         return status

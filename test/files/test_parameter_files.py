@@ -124,7 +124,7 @@ STIFF = tuple(Cup.thesis().stiffness.ravel().tolist())
 SOFT = tuple(0.5 * x for x in STIFF)
 NAMED = {
     'cups.soft.stiffness': SOFT, 'cups.hard.length': 0.05, 'cup.name': 'soft',
-    'cups.hard.stiffness': STIFF, 'cups.soft.max_force': 80.0, 'package.mass': 2.0,
+    'cups.hard.stiffness': STIFF, 'cups.soft.friction': 0.3, 'package.mass': 2.0,
     'cups.soft.damping': tuple(Cup.thesis().damping.ravel().tolist()),
     'cups.hard.stiffness_std': (0.0,) * 36,
 }

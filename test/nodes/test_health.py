@@ -213,14 +213,6 @@ def test_vacuum_signal_that_nobody_sends_is_named(
     assert listener.sees('vacuum', WARN, 'the package counts as held')
 
 
-def test_force_near_its_limit_warns(
-        make_partner: Callable[..., Any], listener: Listener) -> None:
-    """Warn when little of the holding force is left."""
-    partner = make_partner({**PACKAGE, 'cup.max_force': 22.0}, with_twists=False)
-    with sending(partner):
-        assert listener.sees('load', WARN, '1.03 (force), below safety.least')
-
-
 def test_safety_factor_is_published_and_follows_the_vacuum(
         make_partner: Callable[..., Any], listener: Listener) -> None:
     """Send peel, slip and the smaller one; warn, then say an error, as the vacuum goes."""

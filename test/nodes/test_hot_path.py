@@ -27,8 +27,7 @@ from bellows_ros.nodes.spinning import executor_for
 
 VALUES = {
     'package.mass': 2.17, 'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
-    'package.com': [0.0, 0.0, -0.03], 'cup.max_force': 100.0, 'cup.max_moment': 10.0,
-    'cup.lip_radius': 0.02, 'vacuum.holding': 60000.0,
+    'package.com': [0.0, 0.0, -0.03], 'cup.lip_radius': 0.02, 'vacuum.holding': 60000.0,
     'cup.stiffness_std': [100.0] * 36, 'cup.damping_std': [1.0] * 36, 'coast.limit': 0.2,
 }
 OUTPUTS = {

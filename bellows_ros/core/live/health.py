@@ -305,11 +305,11 @@ def _judge_prediction(seen: PredictionSeen) -> tuple[Level, str]:
 
 def load_status(
     name: str, safety: Safety | None, away: Distance | None, bending: float,
-    limits_known: bool, envelope_known: bool, least: float,
+    grip_known: bool, envelope_known: bool, least: float,
 ) -> Status:
     """Return the line on the cup's load: safety factor and validity range."""
     values = {
-        'safety factor': 'not known' if not limits_known else number(
+        'safety factor': 'not known' if not grip_known else number(
             math.nan if safety is None else safety.factor),
         'limited by': 'nothing' if safety is None else safety.mode,
         'distance from envelope': 'not known' if not envelope_known else number(
@@ -327,9 +327,9 @@ def load_status(
             f'The cup bends by {bending:.2g} rad, where its restoring moment hardly grows.')
     elif away is not None and away.outside:
         level, message = Level.WARN, away.text
-    elif not (limits_known or envelope_known):
+    elif not (grip_known or envelope_known):
         message = ('The limits of the cup are unknown. Set cup.lip_radius with vacuum.holding, '
-                   'cup.max_force, cup.max_moment and envelope.*.')
+                   'and envelope.*.')
     elif safety is None and away is None:
         message = 'No load: no package is held.'
     return Status(name, level, message, values)

@@ -19,7 +19,7 @@ from bellows_ros.core.geometry.tuples import (
     Vector,
 )
 from bellows_ros.core.live.samples import Prediction
-from bellows_ros.core.model.grip import grip_of, MODES, ratio, safety_factors
+from bellows_ros.core.model.grip import grip_of, MODES, safety_factors
 from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple, State
 from bellows_ros.core.model.validity_range import Distance, distance, known_envelope
 import numpy as np
@@ -94,7 +94,7 @@ class Safety(NamedTuple):
 
     factor: float
     mode: str
-    """'peel', 'slip', or 'force' or 'moment' where cup.max_force or cup.max_moment does."""
+    """'peel' or 'slip'."""
 
 
 class Load:
@@ -104,8 +104,8 @@ class Load:
     Parameters
     ----------
     values : mapping
-        Parameters by name: those of `grip_of`, cup.max_force, cup.max_moment, vacuum.ambient,
-        safety.least, package.mass, envelope.*.
+        Parameters by name: those of `grip_of`, vacuum.ambient, safety.least, package.mass,
+        envelope.*.
     pressure : float, optional
         Absolute pressure in the cup as it was heard last, Pa.
 
@@ -125,8 +125,6 @@ class Load:
         self._values = values
         self.hear(pressure)
         self.least = float(values['safety.least'])
-        self._max_force = values['cup.max_force']
-        self._max_moment = values['cup.max_moment']
         self._mass = values['package.mass']
         self._envelope = known_envelope(values)
         self._clear()
@@ -136,11 +134,6 @@ class Load:
         self._safety: Safety | None = None
         self._distance: Distance | None = None
         self._bending = 0.0
-
-    @property
-    def limits_known(self) -> bool:
-        """Whether any limit of the cup is known."""
-        return self.grip is not None or self._max_force > 0.0 or self._max_moment > 0.0
 
     def hear(self, pressure: float | None) -> None:
         """Store the absolute pressure (Pa) in the cup, if it is measured."""
@@ -155,21 +148,13 @@ class Load:
 
     def watch_force(self, prediction: Prediction) -> tuple[float, float] | None:
         """Record the safety factors of a prediction; return those of the grip if known."""
-        factors = None
-        if self.grip is not None:
-            factors = safety_factors(self.grip, prediction.force, prediction.moment)
-            for factor, mode in zip(factors, MODES, strict=True):
-                self._note(factor, mode)
-        if self._max_force > 0.0:
-            self._note(ratio(self._max_force, math.hypot(*prediction.force)), 'force')
-        if self._max_moment > 0.0:
-            self._note(ratio(self._max_moment, math.hypot(*prediction.moment)), 'moment')
+        if self.grip is None:
+            return None
+        factors = safety_factors(self.grip, prediction.force, prediction.moment)
+        for factor, mode in zip(factors, MODES, strict=True):
+            if self._safety is None or factor < self._safety.factor:
+                self._safety = Safety(factor, mode)
         return factors
-
-    def _note(self, factor: float, mode: str) -> None:
-        """Keep the smallest safety factor."""
-        if self._safety is None or factor < self._safety.factor:
-            self._safety = Safety(factor, mode)
 
     def watch_deflection(self, model: ModelTuple, prediction: Prediction) -> None:
         """Record how far a prediction is outside the validity range."""

@@ -238,11 +238,6 @@ _TABLE = (
               maximum=1e9,
               description='Standard deviations of the entries of P, 6x6 row-major; 0 for an exact '
               'entry, 1e9 for an unknown one.'),
-    Parameter('cup.max_force', 0.0, 'N', _PREDICTOR, minimum=0.0, maximum=1e6,
-              description='Largest force that the cup can hold, for the holding margin; 0 if '
-              'unknown.'),
-    Parameter('cup.max_moment', 0.0, 'N m', _PREDICTOR, minimum=0.0, maximum=1e6,
-              description='Largest moment at the lip that the cup can hold; 0 if unknown.'),
     Parameter('cup.lip_radius', 0.0, 'm', _PREDICTOR, minimum=0.0, maximum=1.0,
               description='Radius of the lip on the package, for the safety factor of the grip; 0 '
               'if unknown.'),

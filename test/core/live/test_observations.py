@@ -76,24 +76,24 @@ def test_deflection_is_that_of_the_lip():
 
 def test_smallest_margin_and_largest_distance_are_kept():
     values = resolve({
-        **PACKAGE, 'cup.max_force': 40.0, 'cup.max_moment': 2.0,
+        **PACKAGE, 'cup.lip_radius': 0.02, 'vacuum.holding': 6e4,
         'envelope.deflection_low': [-1e-3] * 6, 'envelope.deflection_high': [1e-3] * 6,
         'envelope.rates': [1.0] * 6, 'envelope.frequencies': [0.0, 9.0, 0.0, 9.0],
         'envelope.mass': [2.0, 2.0]})
     load = Load(values)
-    assert load.limits_known and load.envelope_known
-    for case in (prediction(), prediction((0.0, 0.0, 30.0)), prediction(moment=(0.0, 1.2, 0.0))):
+    assert load.grip and load.envelope_known
+    for case in (prediction(), prediction((0.0, 0.0, 30.0)), prediction(moment=(0.0, 0.05, 0.0))):
         load.watch_force(case)
     load.watch_deflection(MODEL, prediction(tilt=0.2))
     safety, away, bending = load.take()
-    assert_allclose(safety.factor, 4 / 3)
-    assert safety.mode == 'force'
+    assert_allclose(safety.factor, 6e4 * math.pi * 0.02**2 / 30.0)
+    assert safety.mode == 'peel'
     assert away.value > 1.0 and 'bending about x' in away.text
     assert_allclose(bending, 0.2)
     assert load.take() == (None, None, 0.0)
     unknown = Load(resolve(PACKAGE))
     unknown.watch_force(prediction())
-    assert not unknown.limits_known and not unknown.envelope_known and unknown.take()[0] is None
+    assert not unknown.grip and not unknown.envelope_known and unknown.take()[0] is None
 
 
 def test_box_of_an_inertia_is_the_box():

@@ -16,7 +16,7 @@ from bellows_ros.core.parameters.checks import resolve
 
 values = resolve({
     'package.mass': 2.17, 'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
-    'package.com': [0.0, 0.0, -0.03], 'cup.max_force': 100.0, 'cup.lip_radius': 0.02,
+    'package.com': [0.0, 0.0, -0.03], 'cup.lip_radius': 0.02,
     'vacuum.holding': 6e4, 'tool_twist.frame': '%s'})
 model = (cup_of(values), package_of(values), 9.81, values['tool_twist.frame'])
 warm_up(*model)
