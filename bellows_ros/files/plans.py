@@ -29,6 +29,8 @@ JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
 LARGEST_URDF = 2**26
+LARGEST_YAML = 2**27
+"""Largest files, in bytes; as much YAML holds `MOST_POINTS` with all their digits."""
 
 
 class NoArmError(BellowsError):
@@ -79,14 +81,18 @@ def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPl
     message = _with_attributes(content)
     try:
         if 'poses' in content:
-            return path_points(message)
-        points = content['points'] or []
-        require_count(len(points), 'The plan')
-        return multi_dof(message) if 'transforms' in points[0] else joint_plan(message)
-    except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
-        missing = error.name if isinstance(error, AttributeError) else (
-            error.args[0] if isinstance(error, KeyError) else '')
-        why = f"'{missing}' is missing" if missing else 'a part of it has another form'
+            read: PlanMessage | JointPlan = path_points(message)
+        else:
+            points = message.points or []
+            require_count(len(points), 'The plan')
+            read = multi_dof(message) if hasattr(points[0], 'transforms') else joint_plan(message)
+        for name in (read.frame_id, *read.names):
+            if not isinstance(name, str):
+                raise TypeError(f'{name} as name of a frame or joint')
+        return read
+    except (AttributeError, IndexError, OverflowError, TypeError, ValueError) as error:
+        missing = isinstance(error, AttributeError)
+        why = f"'{error.name}' is missing" if missing else f'a part has another form ({error})'
         raise BellowsError(
             f"'{name}' holds no plan: {why}. Expected a {MULTI_DOF}, {PATH} or {JOINTS} as 'ros2 "
             "topic echo --once --full-length' prints it, or a motion of 'bellows simulate'."
@@ -246,8 +252,8 @@ def arm_of(
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Mapping[str, Any]:
-    """Return the content of a YAML file, without what `ros2 topic echo` appends."""
-    content = safe_yaml.load(Path(path))
+    """Return the content of a YAML file; points of a message have attributes."""
+    content = safe_yaml.load_records(Path(path), ('points', 'poses'), LARGEST_YAML)
     if not isinstance(content, Mapping):
         raise BellowsError(f"'{path}' holds no names and values, so no plan.")
     return content
@@ -264,7 +270,10 @@ def _seven(vector: Any, q: Any) -> tuple[float, ...]:
 
 
 def _ns(stamp: Any) -> int:
-    """Return a stamp or duration in ns."""
+    """Return a stamp or duration in ns, of integers as large as ROS has them."""
+    for count, lowest, highest in ((stamp.sec, -2**31, 2**31), (stamp.nanosec, 0, 2**32)):
+        if not isinstance(count, int | np.integer) or not lowest <= count < highest:
+            raise ValueError(f'{count} as seconds or nanoseconds')
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 

@@ -16,11 +16,14 @@ from bellows_ros.files.motive import read_motive
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.trajectory_files import read_euroc, read_tum
 from bellows_ros.workflows.info import info
+from bellows_ros.workflows.plan import read_plan
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
+import yaml
 
 from .frame import CLEAN, COUNTED, damaged, Failed, REFUSED, scrambled, SILENT
+from ..files.yaml_plans import BAD, damaged_at, places_in, plan_messages
 
 ROOT = Path(__file__).parents[2]
 POSE = 'geometry_msgs/msg/PoseStamped'
@@ -269,6 +272,27 @@ def motions(rng: np.random.Generator, folder: Path) -> Iterator[str]:
         contents = read_contents(out, {'tool_pose': '/tool_arm/pose'})
         for stream in contents.streams.values():
             require_sound(stream)
+        yield CLEAN
+
+
+def plans(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+    """Scramble plans as YAML, and put bad values in every place of them."""
+    file, messages = folder / 'plan.yaml', plan_messages()
+    values = resolve({})
+    for _ in range(ATTEMPTS):
+        content = messages[str(rng.choice(list(messages)))]
+        if rng.random() < 0.5:
+            places = list(places_in(content))
+            value = (*BAD, ...)[rng.integers(len(BAD) + 1)]
+            text = yaml.safe_dump(damaged_at(content, places[rng.integers(len(places))], value))
+        else:
+            text = scrambled(rng, yaml.safe_dump(content))
+        file.write_text(text, errors='replace')
+        try:
+            require_finite(read_plan(file, values).tool.position.tolist())
+        except BellowsError as error:
+            yield refused_well(error)
+            continue
         yield CLEAN
 
 

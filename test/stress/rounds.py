@@ -5,7 +5,7 @@ from importlib.util import find_spec
 
 from .frame import Round
 from .messages import messages
-from .readers import bags, metadata, motions, parameters, recordings, tables
+from .readers import bags, metadata, motions, parameters, plans, recordings, tables
 from .results import fits
 from .writers import disks, kills
 
@@ -16,6 +16,7 @@ ROUNDS: Mapping[str, Round] = {
     'tables': Round(tables),
     'parameters': Round(parameters, short=20),
     'motions': Round(motions, patience=60.0, short=3),
+    'plans': Round(plans, patience=60.0, short=20),
     'kills': Round(kills, patience=120.0, short=0),  # test/files/test_killed.py does it
     'disks': Round(disks, short=20),
     'fits': Round(fits, patience=120.0, short=10),

@@ -1,6 +1,7 @@
 """Plans in every form they come in, what is said of them, and bad ones refused."""
 
 from dataclasses import replace
+import json
 from pathlib import Path
 
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
@@ -15,19 +16,20 @@ from bellows_ros.files.plan_messages import (
     PATH,
     PlanMessage,
 )
-from bellows_ros.files.plans import DESCRIPTION, JOINTS, STATES
+from bellows_ros.files.plans import DESCRIPTION, JOINTS, plan_in_yaml, read_yaml, STATES
 from bellows_ros.files.trajectory_files import write_tum
 from bellows_ros.files.transforms import TF
 from bellows_ros.workflows.convert import to_bag, tool_of_joints
 from bellows_ros.workflows.plan import plan, read_plan, standing, write_prediction
 import numpy as np
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 import yaml
 
 from ..core.planning.test_arm import URDF
 from ..core.plans import CUP, Move
 from ..files.recordings import POSE, TWIST, TYPES
+from ..files.yaml_plans import BAD, damaged_at, places_in, plan_messages
 
 MOVE = Move([0.3, -0.2, 0.1], [0.2, -0.1, 0.5], 0.6)
 VALUES = {
@@ -344,7 +346,7 @@ def spoiled(part, where, value):
     (message(times_ns=np.zeros(1, dtype=int), poses=samples()[1][:1], twists=None), {},
      'has 1 point; expected 2 to 100000'),
     (spoiled('times_ns', 50, 10), {}, 'expected times that increase'),
-    (spoiled('poses', (3, 1), np.nan), {}, 'point 3 .* holds NaN or infinity'),
+    (spoiled('poses', (3, 1), np.nan), {}, 'point 3 .* holds NaN'),
     (PlanMessage(0, 'base', ('tool',), np.arange(10**5 + 1),
                  np.tile(samples()[1][:1], (10**5 + 1, 1))), {},
      'has 100001 points; expected 2 to 100000'),
@@ -371,3 +373,57 @@ def test_what_is_no_plan_is_refused(tmp_path: Path):
     elsewhere = poses_of.replace(b'base', b'else')[:24] + poses_of[24:]
     with pytest.raises(BellowsError, match="is in frame 'else', but has poses in 'base'"):
         figures(bag_of(tmp_path / 'frames', PATH, elsewhere))
+
+
+@pytest.mark.parametrize('kind', ['multi', 'path', 'joints'])
+def test_damaged_yaml_is_refused_or_a_plan(tmp_path, kind):
+    content, file = plan_messages()[kind], tmp_path / 'plan.yaml'
+    (tmp_path / 'arm.urdf').write_text(URDF)
+    values, refused = resolve({'tool_link': 'tool'}), 0
+    damages = [(keys, value) for keys in places_in(content) for value in (*BAD, ...)]
+    damages = damages[::5]  # make stress has all of them
+    for keys, value in [((), ()), *damages]:
+        file.write_text(yaml.safe_dump(damaged_at(content, keys, value) if keys else content))
+        try:
+            source = read_plan(file, values, str(tmp_path / 'arm.urdf'))
+        except BellowsError as error:
+            assert keys, error
+            refused += 1
+            continue
+        assert np.isfinite(source.tool.position).all() and isinstance(source.frame_id, str)
+    assert 0.5 * len(damages) < refused < len(damages)
+
+
+def test_a_plan_of_very_many_points_is_read_from_yaml(tmp_path):
+    count = 30_000
+    head, point = yaml.safe_dump(plan_messages(1)['multi']).split('points:\n')
+    point = point.replace('nanosec: 0', 'nanosec: {at}').replace('z: 1.0e-05', 'z: {z!r}')
+    assert point.count('{') == 2 and 'velocities' in point
+    z = 1e-6 * np.cumsum(np.random.default_rng(5).normal(size=count))
+    (tmp_path / 'plan.yaml').write_text(head + 'points:\n' + ''.join(
+        point.format(at=10_000 * k, z=float(z[k])) for k in range(count)))
+    message = read_yaml(tmp_path / 'plan.yaml')
+    found = plan_in_yaml(message, 'plan.yaml')
+    assert found.frame_id == 'base' and found.names == ('tool',)
+    assert found.times_ns.tolist() == (10_000 * np.arange(count)).tolist()
+    assert (found.poses[:, 2] == z).all() and (found.twists[:, 0] == 0.1).all()
+
+
+@pytest.mark.parametrize('kind', ['multi', 'path'])
+def test_points_that_are_not_alike_are_the_same_plan(tmp_path, kind):
+    content = plan_messages()[kind]
+    text = yaml.safe_dump(content)
+    found = []
+    for each in (text, text.replace('y: -0.0', 'y: -0.0  # here', 1), json.dumps(content)):
+        (tmp_path / 'plan.yaml').write_text(each)
+        found.append(plan_in_yaml(read_yaml(tmp_path / 'plan.yaml'), ''))
+    for other in found[1:]:
+        assert_array_equal(other.poses, found[0].poses)
+        assert_array_equal(other.times_ns, found[0].times_ns)
+
+
+def test_too_much_yaml_names_the_remedy(tmp_path):
+    text = yaml.safe_dump(plan_messages(4000)['multi'])
+    (tmp_path / 'plan.yaml').write_text(text.replace('x: 0.02', 'x: 0.02  # turn', 1))
+    with pytest.raises(BellowsError, match='ros2 bag record'):
+        read_yaml(tmp_path / 'plan.yaml')

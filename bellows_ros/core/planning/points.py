@@ -27,6 +27,9 @@ import numpy as np
 MOST_POINTS, LONGEST = 100_000, 600.0
 """Most points of a plan, and its longest duration (s)."""
 
+LARGEST_NUMBER = 1e9
+"""No number of a plan (m, rad, and their rates) is as large; more overflows in its polynomials."""
+
 LONGEST_GAP_NS = 10_000_000
 """Points farther apart (ns) are interpolated."""
 
@@ -264,8 +267,9 @@ def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str)
     """Refuse a bad number of points, numbers that are not finite, and times that no plan has."""
     require_count(len(stamps_ns), name)
     given = np.hstack([part for part in parts if part is not None])
-    _refuse(~np.isfinite(given).all(axis=1), name,
-            'holds NaN or infinity', 'finite numbers', 'Leave such points out.')
+    _refuse(~(np.abs(given) < LARGEST_NUMBER).all(axis=1), name,
+            'holds NaN, infinity or a huge number', f'numbers below {LARGEST_NUMBER:g}',
+            'Leave such points out.')
     steps = np.diff(stamps_ns)
     if steps.min() <= 0:
         i = int(np.argmax(steps <= 0))
