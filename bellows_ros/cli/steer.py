@@ -79,7 +79,8 @@ def _say(report: 'SteerReport', console: Console) -> None:
     """Print the effects of the motions, and which one to use."""
     console.say(f'Plan {report.source.path}, steered by {report.method}', 'bold')
     rows = [(
-        'motion of the tool', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'safety')]
+        'motion', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'settled',
+        'safety')]
     for name, motion in report.motions.items():
         found = motion.figures()
         factor = found['smallest_safety_factor']
@@ -87,6 +88,7 @@ def _say(report: 'SteerReport', console: Console) -> None:
             name, f'{found["duration"]:.3f} s', f'{1e3 * found["added_time"]:.0f} ms',
             _degrees(found['largest_tilt']), _degrees(found['swing_left']),
             _degrees(found['expected_swing']) if report.uncertain else '-',
+            f'{found["settled_after"]:.2f} s' if math.isfinite(found['settled_after']) else '-',
             f'{factor:.2f}' if math.isfinite(factor) else '-'))
     console.table(rows, right=True)
     own = report.motions[report.method].figures()

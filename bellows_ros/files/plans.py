@@ -91,8 +91,8 @@ def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPl
                 raise TypeError(f'{name} as name of a frame or joint')
         return read
     except (AttributeError, IndexError, OverflowError, TypeError, ValueError) as error:
-        missing = isinstance(error, AttributeError)
-        why = f"'{error.name}' is missing" if missing else f'a part has another form ({error})'
+        missing = getattr(error, 'name', '')
+        why = f"'{missing}' is missing" if missing else f'a part has another form ({error})'
         raise BellowsError(
             f"'{name}' holds no plan: {why}. Expected a {MULTI_DOF}, {PATH} or {JOINTS} as 'ros2 "
             "topic echo --once --full-length' prints it, or a motion of 'bellows simulate'."

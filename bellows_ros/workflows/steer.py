@@ -54,9 +54,9 @@ class Motion(NamedTuple):
         return {
             'duration': float(self.tool.seconds[-1]), 'added_time': self.added_time,
             'largest_tilt': float(self.tilt.max()), 'path_error': float(off.max()),
-            'swing_left': self.prediction.figures()['swing_left'],
             'expected_swing': self.expected_swing,
-            'smallest_safety_factor': self.prediction.figures()['smallest_safety_factor'],
+            **{name: size for name, size in self.prediction.figures().items()
+               if name in ('swing_left', 'settled_after', 'smallest_safety_factor')},
             **demands(self.tool),
         }
 
@@ -175,7 +175,7 @@ def steer_plan(
     kept = read_limits(safe_yaml.load(Path(limits)) if limits else {})
     source = plan_with_cup(path, settings, urdf, topic)
     model, of_package = source.model, source.moves == source.values['frames.package']
-    scale, limit = _scale(source, method, of_package, kept)
+    scale, limit = _scale(source, method, of_package, kept) if limits else (1.0, '')
     wanted = timed(source.tool, scale)
     steered = steer(model, wanted, method, of_package)
     arrival = float((wanted if method == 'inverse' else steered.tool).seconds[-1])
@@ -228,6 +228,14 @@ def _scale(
     grip = source.grip
     if grip is None and limits.safety_factor > 0.0:
         raise BellowsError(f'The limit safety_factor cannot be met. {NO_GRIP}')
+    low, high = source.tool.position.min(axis=0), source.tool.position.max(axis=0)
+    for axis, least, most, lower, upper in zip(
+            'xyz', low, high, limits.low, limits.high, strict=True):
+        if not of_package and (least < lower or most > upper):
+            raise BellowsError(
+                f'The plan leaves the limit workspace at any speed: {axis} from {least:.4g} to '
+                f'{most:.4g} m; expected {lower:g} to {upper:g}. Plan another motion, or correct '
+                'workspace.')
 
     def motion(scale: float) -> tuple[Trajectory, float]:
         tool = steer(source.model, timed(source.tool, scale), method, of_package).tool
@@ -242,8 +250,7 @@ def _scale(
 def _motion(source: Source, tool: Trajectory, wanted: Trajectory, arrival: float) -> Motion:
     """Return the effect of a motion of the tool on the package, which arrives then (s)."""
     model = source.model
-    run = Run(model, source.grip, tool, tail=TAIL)
-    longer = standing(tool, TAIL)
+    run, longer = Run(model, source.grip, tool), standing(tool, TAIL)
     square = mean_square(
         source.values, model,
         lambda changed: float(run.of(changed).at(1.0).figures()['swing_left']))

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 from bellows_ros.files.bags import topics
+import numpy as np
 import pytest
 
 from .conftest import contents, Run, write_yaml
@@ -31,6 +32,8 @@ def test_steers_says_writes_and_draws(
     planned, zvd = found['beside']['as planned'], found['beside']['zvd']
     assert found['swing_left'] < 1.7e-4 < zvd['swing_left'] < 0.1 * planned['swing_left']
     assert found['added_time'] == 0.0 < zvd['added_time']
+    assert found['settled_after'] == 0.0 < planned['settled_after']
+    assert 'settled' in done.stdout
     assert found['path_error'] < 0.05e-3
     assert zvd['expected_swing'] < found['expected_swing']
     said = ' '.join(done.stdout.split())
@@ -67,6 +70,9 @@ def test_keeps_to_limits(
             'speed', 'acceleration', 'angular_acceleration', 'safety_factor')
         assert found['speed'] <= 1.0 and found['acceleration'] <= 8.0
         assert found['angular_acceleration'] <= 40.0 and found['smallest_safety_factor'] >= 1.5
+        assert np.isclose(max(
+            found['speed'] / 1.0, found['acceleration'] / 8.0,
+            found['angular_acceleration'] / 40.0), 1.0, rtol=0.02)  # no time is lost
         assert 'Slowed down to' in ' '.join(done.stderr.split())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+import math
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
@@ -19,14 +20,14 @@ RATES = {
 }
 """Limited quantities and their units."""
 
-SPACING_NS = 4_000_000
+SPACING_NS = 1_000_000
 """Spacing (ns) of the points that accelerations and jerks are computed from, as in drives."""
 
-SLOWEST, STEP = 20.0, 1.02
-"""A motion is stretched to no more than so many times its time, in steps of this factor where it
-is not known how much is needed, ..."""
-LEAST_STEP = 1.002
-"""... and at least by this factor."""
+SLOWEST, STEP, RESOLUTION = 20.0, 1.02, 1.001
+"""The time is sought up to this factor, in steps of at least this factor, and to this factor."""
+STEEPNESS = 4
+"""What is asked of the tool falls at most with so many powers of the time more than for a rigid
+package: the inverse differentiates the package's motion twice more, and smooths it."""
 
 NONE = 1e12
 """Stands for no limit."""
@@ -41,6 +42,15 @@ def read_rates(settings: Settings, default: float | None = None) -> dict[str, fl
             found[name] = block.number(
                 name.removeprefix('angular_'), default, RATES[name], above=0.0)
     return found
+
+
+class TooFastError(BellowsError):
+    """A motion does not exist within a limit of this name; it may in more time."""
+
+    def __init__(self, message: str, limit: str) -> None:
+        """Name the limit."""
+        super().__init__(message)
+        self.limit = limit
 
 
 class Limits(NamedTuple):
@@ -80,30 +90,30 @@ def demands(tool: Trajectory) -> dict[str, float]:
         float(at[1]) / NS_PER_S)
 
 
-def too_much(limits: Limits, tool: Trajectory, safety_factor: float) -> tuple[float, str]:
-    """Return by how much a motion must be stretched in time, as far as is known, and why."""
+def excess(limits: Limits, tool: Trajectory, safety_factor: float) -> tuple[float, str]:
+    """Return the factor on time that is needed at least, 1 if none is, and the limit."""
     asked = demands(tool)
-    over = [((asked[name] / limits.rates[name]) ** (1.0 / (1 + i % 3)), name)
+    over = [((asked[name] / limits.rates[name]) ** (1.0 / (1 + i % 3 + STEEPNESS)), name)
             for i, name in enumerate(RATES)]
     inside = (tool.position >= limits.low - 1e-9) & (tool.position <= limits.high + 1e-9)
     over.append((1.0 if inside.all() else STEP, 'workspace'))
     over.append((1.0 if safety_factor >= limits.safety_factor else STEP, 'safety_factor'))
-    factor, name = max(over)
-    return factor, name
+    return max([(1.0, ''), *(each for each in over if each[0] > 1.0)])
 
 
 def stretched(
     limits: Limits, motion: Callable[[float], tuple[Trajectory, float]]
 ) -> tuple[float, str]:
     """
-    Return by how much a motion is stretched to stay within limits, and the last reason.
+    Return the smallest factor on time with which a motion keeps to limits, and the last exceeded.
 
     Parameters
     ----------
     limits : Limits
         To keep to.
     motion : callable
-        From a factor on time to the motion and its smallest safety factor.
+        From a factor on time to the motion and its smallest safety factor; raises `TooFastError`
+        where there is no motion that fast.
 
     Raises
     ------
@@ -111,12 +121,28 @@ def stretched(
         If nothing helps.
 
     """
-    scale, reason = 1.0, ''
-    while scale < SLOWEST:
-        factor, name = too_much(limits, *motion(scale))
-        if factor <= 1.0:
-            return scale, reason
-        scale, reason = scale * max(factor, LEAST_STEP), name
+    def tried(scale: float) -> tuple[float, str]:
+        try:
+            return excess(limits, *motion(scale))
+        except TooFastError as error:
+            if scale >= SLOWEST:
+                raise
+            return STEP, error.limit
+
+    below, scale, reason = 1.0, 1.0, ''
+    while (found := tried(scale))[1]:
+        if scale >= SLOWEST:
+            break
+        below, reason = scale, found[1]
+        scale = min(scale * max(found[0], STEP), SLOWEST)
+    else:
+        while scale > RESOLUTION * below:
+            middle = math.sqrt(scale * below)
+            found = tried(middle)
+            below, scale, reason = (middle, scale, found[1]) if found[1] else (
+                below, middle, reason)
+        return scale, reason
+    reason = found[1]
     raise BellowsError(
         f'The motion exceeds the limit {reason} even at {SLOWEST:g} times its duration. Check '
-        'the limits, and that the plan begins and ends within them.')
+        'the limits.')

@@ -63,6 +63,7 @@ from bellows_ros.core.model.simulation import (
     tool_rows,
     write_row,
 )
+from bellows_ros.core.planning.limits import TooFastError
 from bellows_ros.core.planning.plan import predict, Prediction, rest_after, SETTLED
 from bellows_ros.core.planning.points import body_twists, curve_of
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
@@ -93,6 +94,8 @@ ARRIVED = (2e-5, 1e-4)
 """The tool has arrived when this is left to go (m, rad)."""
 LONGEST_ARRIVAL = 12.0
 """Longest wait for the arrival, in the cup's longest relaxation times."""
+FADE = 0.02
+"""After it the motion fades out over this time (s), without a step of twist or acceleration."""
 
 SWINGING = SETTLED
 """Modes that the plan leaves swinging by more than this (rad) are shaped ..."""
@@ -183,10 +186,10 @@ def _lead(
     """
     Write the states of tool and package along a motion; return how many there are.
 
-    What is wanted of the package (N, 19) is half a step of h (s) apart; then it rests. The last
-    tool moves by less than way (m) and turn (rad) per s.
+    What is wanted of the package (N, 19) is half a step of h (s) apart; then it rests. Once the
+    tool moves by less than way (m) and turn (rad) per s, it stops over `FADE`.
     """
-    still = (0.0, 0.0, 0.0)
+    still, faded, fading = (0.0, 0.0, 0.0), 0, math.ceil(FADE / h)
     for k in range(len(out)):
         do, ds, sum_o, sum_s, stage = still, still, still, still, tool
         for i in range(4):  # of a step of RKMK4
@@ -194,11 +197,18 @@ def _lead(
             at = 0.5 * ((i + 1) // 2) * h
             stage = leading_tool(
                 model, stage_state(tool, at, do, ds, still, still), body, dv, dw)
+            if i == 0 and faded == 0 and 2 * k >= len(wanted) - 1 and (
+                    dot(stage[2], stage[2]) < way * way and (
+                        dot(stage[3], stage[3]) < turn * turn)):
+                faded = k
+            if faded > 0:
+                s = min(1.0, (k - faded + 0.5 * ((i + 1) // 2)) / fading)
+                part = (1.0 - s) ** 3 * (1.0 + s * (3.0 + 6.0 * s))
+                stage = stage[0], stage[1], scale(part, stage[2]), scale(part, stage[3])
             if i == 0:
                 write_row(out[k], stage)
                 write_row(package[k], body)
-                if 2 * k >= len(wanted) - 1 and dot(stage[2], stage[2]) < way * way and (
-                        dot(stage[3], stage[3]) < turn * turn):
+                if faded > 0 and k >= faded + fading:
                     return k + 1
             do, ds = apply(rotation_matrix(stage[1]), stage[2]), rotation_rate(
                 scale(at, ds), stage[3])
@@ -270,13 +280,12 @@ def inverse(
     h = duration / count
     if start is None:
         start = _tool_above(model, rows[0], rates)
-    out, package = np.empty((2, count + 1 + round(LONGEST_ARRIVAL / rates[0] / h), 13))
+    out, package = np.empty((2, count + 2 + round((LONGEST_ARRIVAL / rates[0] + FADE) / h), 13))
     found = _led(
         model, start, _wanted(rows, duration, count), h, rates[0] * np.array(ARRIVED), out,
         package)
     every = max(1, round(GRID / h))
     kept = np.append(np.arange(0, found - 1, every), found - 1)
-    out[found - 1, 7:] = 0.0
     stamps = wanted.stamps_ns[0] + np.round(kept * h * NS_PER_S).astype(np.int64)
     tool, package = (Trajectory(stamps, rows[kept, :3], quaternion_to_rotation(rows[kept, 3:7]),
                                 rows[kept, 7:]) for rows in (out, package))
@@ -324,11 +333,11 @@ def _led(
     return found
 
 
-def _too_far() -> BellowsError:
+def _too_far() -> TooFastError:
     """Return the error for a motion beyond the cup's reach."""
-    return BellowsError(
+    return TooFastError(
         'This motion of the package would bend the cup by more than 45 degrees. Give the motion '
-        'more time, or use --method zvd.')
+        'more time, by --limits for example, or use --method zvd.', 'bending')
 
 
 def _tool_above(model: ModelTuple, body: Array, rates: Array) -> State:
@@ -336,7 +345,7 @@ def _tool_above(model: ModelTuple, body: Array, rates: Array) -> State:
     shift = resting_on_tool(model, state_row(np.zeros(3), [0, 0, 0, 1]))[0]
     o = body[:3] - quaternion_to_rotation(body[3:]) @ shift
     h = min(GRID, RATE_PER_STEP / rates[-1])
-    out = np.empty((2, round(2.0 * LONGEST_ARRIVAL / rates[0] / h), 13))
+    out = np.empty((2, 2 + round((2.0 * LONGEST_ARRIVAL / rates[0] + FADE) / h), 13))
     found = _led(model, state_row(o, body[3:]), np.pad(body, (0, 12))[None], h,
                  1e-4 * rates[0] * np.array(ARRIVED), *out)
     return state_row(out[0, found - 1, :3], out[0, found - 1, 3:7])
@@ -428,10 +437,17 @@ def impulses(modes: Sequence[Mode], method: str) -> tuple[Array, Array]:
     return delays, sizes
 
 
-def to_shape(modes: Sequence[Mode]) -> list[Mode]:
-    """Return the modes that swing; similar ones are merged, weighted by their swing."""
+def to_shape(modes: Sequence[Mode], method: str) -> list[Mode]:
+    """
+    Return the modes that swing; similar ones are merged, weighted by their swing.
+
+    Those are left out whose swing decays below `SWINGING` sooner than their shaper ends.
+    """
     groups: list[list[Mode]] = []
-    for mode in (mode for mode in modes if mode.tilt > SWINGING):
+    for mode in modes:
+        if mode.tilt <= SWINGING or math.log(mode.tilt / SWINGING) < (
+                2.0 * math.pi * mode.frequency * mode.damping * impulses([mode], method)[0][-1]):
+            continue
         if groups and mode.frequency < (1.0 + ALIKE) * groups[-1][-1].frequency:
             groups[-1].append(mode)
         else:
@@ -500,7 +516,7 @@ def steer(
         first = None if of_package else state_row(*np.split(tool_rows(plan)[0], [3, 7]))
         return Steered(*inverse(model, plan if of_package else hanging(model, plan), first), [])
     tool = tool_above(model, plan) if of_package else plan
-    modes = to_shape(modes_left(model, predict(model, None, tool, tail=0.0)))
+    modes = to_shape(modes_left(model, predict(model, None, tool, tail=0.0)), method)
     moved = shaped(tool, *impulses(modes, method))
     return Steered(moved, hanging(model, moved), 0.0, modes)
 

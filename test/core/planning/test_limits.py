@@ -1,8 +1,9 @@
 """What a motion asks of an arm against closed forms, and motions stretched into limits."""
 
+from dataclasses import replace
 import math
 
-from bellows_ros.core.planning.limits import demands, Limits, NONE, RATES, stretched
+from bellows_ros.core.planning.limits import demands, Limits, NONE, RATES, stretched, TooFastError
 from bellows_ros.core.planning.points import timed
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -46,3 +47,36 @@ def test_safety_and_workspace_count():
     inside.high[0] = 0.5
     with pytest.raises(BellowsError, match='limit workspace even at 20 times its duration'):
         stretched(inside, lambda s: (PLAN, 0.0))
+
+
+@pytest.mark.parametrize('power', [0.5, 1.0, 5.0])
+def test_the_shortest_time_is_found_however_fast_the_demand_falls(power):
+    """The acceleration of a motion that is 2 at first falls with a power of the time."""
+    limits = FREE._replace(rates={**FREE.rates, 'speed': demands(PLAN)['speed'] / 2.0})
+
+    def motion(scale):
+        return timed(PLAN, scale ** power), math.inf
+
+    assert_allclose(stretched(limits, motion)[0], 2.0 ** (1.0 / power), rtol=2e-3)
+
+
+def test_what_is_possible_in_more_time_alone_is_sought_there():
+    def motion(scale):
+        if scale < 1.3:
+            raise TooFastError('It bends too far.', 'bending')
+        return timed(PLAN, scale), math.inf
+
+    scale, reason = stretched(FREE, motion)
+    assert reason == 'bending'
+    assert_allclose(scale, 1.3, rtol=2e-3)
+    with pytest.raises(TooFastError, match='bends too far'):
+        stretched(FREE, lambda _: motion(1.0))
+
+
+def test_a_step_of_one_millisecond_counts():
+    """Drives take set points at 1 kHz; between points 4 ms apart this jolt is four times less."""
+    rows = PLAN.twist.copy()
+    at = np.linspace(0.0, 0.8, len(PLAN))
+    rows[:, 0] += 0.01 * np.exp(-((at - 0.4) / 7e-4) ** 2)
+    jolted = replace(PLAN, twist=rows)
+    assert demands(jolted)['acceleration'] > 1.5 * demands(PLAN)['acceleration']
