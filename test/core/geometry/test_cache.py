@@ -15,13 +15,14 @@ pytestmark = [
     pytest.mark.timeout(600),
 ]
 
-PACKAGE = Path(jit.__file__).parents[1]
+PACKAGE = Path(jit.__file__).parents[2]
 ONE_KERNEL = """
 import json
 from bellows_ros.core.model.kernels import strain
 R = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 print(json.dumps([strain((1.0, 2.0, 3.0), R), sum(strain.stats.cache_hits.values())]))
 """
+NO_COMPILER = "import sys; assert 'numba.np.arrayobj' not in sys.modules"
 STRAIN = [[3.0, 1.0, 6.0], [0.0, 0.0, 2.0]]
 
 
@@ -42,6 +43,12 @@ def started(path, script=ONE_KERNEL, **environment):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
+def blocked_caches(copy):
+    """Put files where the folders of the package's caches would be."""
+    for room in ('geometry', 'model'):
+        (copy / f'bellows_ros/core/{room}/__pycache__').write_text('in the way, for root too')
+
+
 def ended(process):
     """Return what a process has printed, and its errors."""
     out, err = process.communicate(timeout=110)
@@ -52,12 +59,12 @@ def ended(process):
 def test_processes_that_start_at_once_share_the_cache(copy):
     first, second = [ended(p) for p in [started(copy), started(copy)]]
     assert first[0][0] == second[0][0] == STRAIN
-    assert list((copy / 'bellows_ros/core/__pycache__').glob('*.nbi'))
-    assert ended(started(copy)) == ([STRAIN, 1], '')
+    assert list((copy / 'bellows_ros/core/model/__pycache__').glob('*.nbi'))
+    assert ended(started(copy, ONE_KERNEL + NO_COMPILER)) == ([STRAIN, 1], '')
 
 
 def test_package_that_cannot_be_written_is_cached_for_the_user(copy):
-    (copy / 'bellows_ros/core/__pycache__').write_text('in the way, for root too')
+    blocked_caches(copy)
     user = copy / 'user'
     home = {'XDG_CACHE_HOME': str(user), 'HOME': str(user)}
     assert ended(started(copy, **home))[0] == [STRAIN, 0]
@@ -66,7 +73,7 @@ def test_package_that_cannot_be_written_is_cached_for_the_user(copy):
 
 
 def test_runs_where_nothing_can_be_written(copy):
-    (copy / 'bellows_ros/core/__pycache__').write_text('in the way, for root too')
+    blocked_caches(copy)
     blocked = copy / 'no folder'
     blocked.write_text('')
     home = {'XDG_CACHE_HOME': str(blocked), 'HOME': str(blocked)}
@@ -85,15 +92,15 @@ def damaged(path, number):
 
 @pytest.mark.parametrize('pattern', ['*.nbi', '*.nbc'])
 def test_damaged_cache_is_said_and_made_anew(copy, pattern):
-    folder = copy / 'bellows_ros/core/__pycache__'
+    folder = copy / 'bellows_ros/core'
     ended(started(copy))
-    files = sorted(folder.glob(pattern))
+    files = sorted(folder.rglob(pattern))
     assert len(files) == 3  # with what it calls
     for number, path in enumerate(files):
         damaged(path, number)
     out, err = ended(started(copy))
     assert out == [STRAIN, 0]
-    assert f'Compiled code in {folder} cannot be used' in err
+    assert f'Compiled code in {folder}/model/__pycache__ cannot be used' in err
     assert ended(started(copy)) == ([STRAIN, 1], '')
 
 
@@ -107,7 +114,7 @@ print(json.dumps([add((1, 2, 3), (4, 5, 6)), add((0.5, 2.0, 3.0), (4.0, 5.0, 6.0
 def test_code_for_other_arguments_is_not_used(copy):
     """Two processes that start at once can leave one's code under the name of the other's."""
     first = ended(started(copy, TWO_KINDS))
-    one, two = sorted((copy / 'bellows_ros/core/__pycache__').glob('tuples.add-*.nbc'))
+    one, two = sorted((copy / 'bellows_ros/core/geometry/__pycache__').glob('tuples.add-*.nbc'))
     both = one.read_bytes(), two.read_bytes()
     two.write_bytes(both[0])
     one.write_bytes(both[1])

@@ -1,17 +1,25 @@
 """Compiled and interpreted kernels are one source; a changed source is compiled again."""
 
+import ast
+import contextlib
+import importlib
+import inspect
 import json
 import os
 from pathlib import Path
+import pkgutil
 import shutil
 import subprocess
 import sys
+import textwrap
+import types
 
+from bellows_ros import core
 from bellows_ros.core.geometry import jit
 from numpy.testing import assert_allclose
 import pytest
 
-PACKAGE = Path(jit.__file__).parents[1]
+PACKAGE = Path(jit.__file__).parents[2]
 
 SCRIPT = """
 import json
@@ -93,3 +101,56 @@ def test_kernels_work_where_nothing_can_be_written(tmp_path):
     for folder in (copy, copy / 'core'):
         folder.chmod(0o555)
     assert run(SCRIPT, tmp_path, HOME='/nonexistent', PYTHONDONTWRITEBYTECODE='1')[0]
+
+
+def kernels():
+    """Return all kernels of the package, by module and name."""
+    found = {}
+    for module in pkgutil.walk_packages(core.__path__, f'{core.__name__}.'):
+        for name, value in vars(importlib.import_module(module.name)).items():
+            if hasattr(value, 'py_func') and value.py_func.__module__ == module.name:
+                found[f'{module.name}.{name}'] = value
+    return found
+
+
+def used(function):
+    """Return the kernels and constants that a function's source names, also as x of a module."""
+    values, own = {}, function.__code__.co_varnames
+    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]):
+        name = ast.unparse(node) if isinstance(node, ast.Attribute | ast.Name) else ''
+        if name and name.split('.')[0] not in own:
+            with contextlib.suppress(NameError, AttributeError):
+                values[name] = eval(name, function.__globals__)
+    return values
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing is kept on disk')
+def test_every_kernel_is_of_all_that_it_calls():
+    calls = 0
+    for name, kernel in kernels().items():
+        before = jit._source_digest(kernel.py_func)
+        for called, value in used(kernel.py_func).items():
+            if hasattr(value, 'py_func') and value is not kernel:
+                code = value.py_func.__code__
+                value.py_func.__code__ = code.replace(co_consts=(*code.co_consts, 'changed'))
+                jit._source_digest.cache_clear()
+                assert jit._source_digest(kernel.py_func) != before, f'{name}: {called}'
+                value.py_func.__code__ = code
+                calls += 1
+        jit._source_digest.cache_clear()
+    assert calls > 300
+
+
+@pytest.mark.parametrize('change', ['module.x', 'module.LIMIT'])
+def test_a_kernel_is_of_what_it_names_in_modules(change):
+    module = types.ModuleType('module')
+    module.LIMIT, names = 2.0, {'module': module}
+    module.x = types.SimpleNamespace(py_func=lambda y: y)
+    exec('def kernel(y):\n    return module.x(y) > module.LIMIT', names)
+    before = jit._source_digest(names['kernel'])
+    if change == 'module.x':
+        module.x = types.SimpleNamespace(py_func=lambda y: y + 1)
+    else:
+        module.LIMIT = 3.0
+    jit._source_digest.cache_clear()
+    assert jit._source_digest(names['kernel']) != before
