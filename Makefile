@@ -54,10 +54,11 @@ stress: $(VENV)/ready  ## damage files, kill writers, fill disks for an hour, or
 	@$(BIN)/python -m test.stress $(ARGS)
 
 .PHONY: lint
-lint: $(VENV)/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict
+lint: $(VENV)/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict, hadolint
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/flake8
 	@$(BIN)/mypy --no-error-summary
+	@$(BIN)/hadolint docker/Dockerfile
 	@echo 'lint: nothing found'
 
 .PHONY: fix
@@ -103,6 +104,10 @@ venv: $(VENV)/ready  ## only make the environment
 
 .PHONY: extras
 extras: $(VENV)/extras-ready  ## add the viewer Rerun, ffmpeg, a notebook kernel and MuJoCo for their tests
+
+.PHONY: release
+release: $(VENV)/ready  ## build sdist and wheel, install each in an empty environment, and use it
+	@.ci/release $(BIN)/python
 
 .PHONY: clean
 clean:  ## remove the environments and all that was built

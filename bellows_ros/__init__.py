@@ -7,9 +7,8 @@ The names in `__all__` are the library, which is loaded when one of them is aske
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
+    __version__: str
     from bellows_ros.library import *  # noqa: F403
-
-__version__ = '0.1.0'
 
 __all__ = [  # noqa: F405
     'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'identify',
@@ -19,7 +18,11 @@ __all__ = [  # noqa: F405
 
 
 def __getattr__(name: str) -> Any:
-    """Load the library when one of its names is asked for."""
+    """Load the library, or the version that is installed, when it is asked for."""
+    if name == '__version__':
+        from importlib.metadata import version
+
+        return version(__name__)
     if name not in __all__:
         raise AttributeError(f"module 'bellows_ros' has no attribute '{name}'")
     from bellows_ros import library

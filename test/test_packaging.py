@@ -6,8 +6,10 @@ from importlib.metadata import PathDistribution
 from importlib.util import find_spec
 from pathlib import Path
 import py_compile
+import re
 import runpy
 import shlex
+import shutil
 import subprocess
 import sys
 from xml.etree import ElementTree
@@ -82,6 +84,7 @@ def test_wheel_holds_the_package_and_its_share_and_no_tests(
     metadata = PathDistribution(next((tmp_path / 'wheel_contents').glob('*.dist-info')))
     scripts = metadata.entry_points.select(group='console_scripts')
     assert {script.name: script.value for script in scripts} == COMMANDS
+    assert str(metadata.metadata.get_payload()).startswith('# bellows_ros')
     hard = {need for need in metadata.requires or () if 'extra' not in need}
     assert {need.split('>')[0] for need in hard} == {'numpy', 'scipy', 'rosbags', 'PyYAML'}
 
@@ -93,16 +96,39 @@ def test_every_command_leads_to_a_module(target: str) -> None:
 
 
 def test_version_and_licence_agree_everywhere(root: Path) -> None:
-    """Give setup.py, package.xml, the package and the changelog one version and one licence."""
+    """Take the version of package.xml into the package, and describe it in the changelog."""
     manifest = ElementTree.parse(root / 'package.xml').getroot()
-    arguments = setup_arguments(root)
     version = bellows_ros.__version__
 
-    assert manifest.findtext('version') == arguments['version'] == version
-    assert manifest.findtext('license') == arguments['license'] == 'Apache-2.0'
+    assert manifest.findtext('version') == version
+    assert manifest.findtext('license') == setup_arguments(root)['license'] == 'Apache-2.0'
     assert 'Apache License' in (root / 'LICENSE').read_text()
-    changelog = (root / 'CHANGELOG.rst').read_text()
-    assert 'Forthcoming\n-' in changelog or f'\n{version} (' in changelog
+    assert re.search(rf'^{re.escape(version)} \(\d{{4}}-\d\d-\d\d\)$',
+                     (root / 'CHANGELOG.rst').read_text(), re.MULTILINE)
+
+
+@pytest.mark.skipif(not shutil.which('dpkg-deb'), reason='Debian packages are built by dpkg-deb')
+def test_package_xml_makes_a_debian_package(root: Path, tmp_path: Path) -> None:
+    """Build a control file as the ROS build farm names packages, and let dpkg check it."""
+    manifest = ElementTree.parse(root / 'package.xml').getroot()
+    needs = [str(need.text) for need in manifest.findall('exec_depend')]
+    depends = [need if need.startswith('python3-') else f'ros-jazzy-{need.replace("_", "-")}'
+               for need in needs]
+    fields = {
+        'Package': 'ros-jazzy-bellows-ros', 'Version': f"{manifest.findtext('version')}-0noble",
+        'Architecture': 'all', 'Depends': ', '.join(depends),
+        'Maintainer': f"{manifest.findtext('maintainer')} "
+                      f"<{manifest.find('maintainer').get('email')}>",  # type: ignore[union-attr]
+        'Description': ' '.join(str(manifest.findtext('description')).split())}
+    control = tmp_path / 'tree' / 'DEBIAN' / 'control'
+    control.parent.mkdir(parents=True)
+    control.write_text(''.join(f'{name}: {value}\n' for name, value in fields.items()))
+    file = tmp_path / 'bellows.deb'
+    subprocess.run(['dpkg-deb', '--build', str(tmp_path / 'tree'), str(file)], check=True,
+                   capture_output=True)
+    found = subprocess.run(['dpkg-deb', '--field', str(file), 'Depends'], check=True,
+                           capture_output=True, text=True).stdout.strip().split(', ')
+    assert found == depends and len(set(found)) == len(found)
 
 
 def test_package_xml_is_valid_and_asks_rosdep_for_nothing_it_lacks(root: Path) -> None:

@@ -22,7 +22,6 @@ import textwrap
 from types import MappingProxyType
 from typing import Any, NoReturn
 
-from bellows_ros import __version__
 from bellows_ros.core import keep_linear_algebra_single
 
 from . import options
@@ -153,11 +152,14 @@ def _answer(arguments: list[str]) -> NoReturn:
     parser = Parser(
         'bellows', DESCRIPTION, f'commands:\n{commands}\n\nEach has its own help: bellows '
         f'COMMAND --help\n\n{TRY}\n{EXIT_CODES}', usage='bellows COMMAND [ARGUMENTS]')
-    parser.add_argument('--version', action='version', version=f'bellows {__version__}')
+    parser.add_argument('--version', action='store_true', help='print the version and exit')
     if not arguments:
         parser.print_help(sys.stderr)
         sys.exit(USER_ERROR)
-    parser.parse_known_args(arguments[:1])
+    if parser.parse_known_args(arguments[:1])[0].version:
+        from bellows_ros import __version__
+        print(f'bellows {__version__}')
+        sys.exit(0)
     first = arguments[0]
     near = difflib.get_close_matches(first, COMMANDS, n=1)
     hint = f"Did you mean '{near[0]}'?" if near else f'There are: {", ".join(COMMANDS)}.'

@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 from bellows_ros.core import keep_linear_algebra_single
 
-from .. import __version__
 from ..core.parameters.table import parameters_of, short
 from ..errors import BellowsError
 from ..extras import install
@@ -105,6 +104,7 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
         print(help_text(interface), end='')
         return 0
     if '--version' in own:
+        from .. import __version__
         print(f'{interface.name} {__version__}')
         return 0
     # Only noted: an exception would come up anywhere, in the middle of a callback from C too.
