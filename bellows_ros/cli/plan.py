@@ -51,8 +51,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             arguments.plan, values, str(arguments.urdf or ''), arguments.topic,
             arguments.fastest),
         draw, _say, lambda report: write_prediction(
-            arguments.out, report.source, report.source.tool, report.prediction.states,
-            arguments.force))
+            arguments.out, report.source, report.driven[0], report.driven[1], arguments.force))
 
 
 def _say(report: 'PlanReport', console: Console) -> None:
@@ -63,6 +62,10 @@ def _say(report: 'PlanReport', console: Console) -> None:
     console.say(f'({len(source.tool)} points, {source.duration:.3f} s{where})', 'dim')
     console.table(figure_rows(report))
     console.warn(*report.warnings)
+    if report.fastest and report.driven[2]:
+        console.paragraph(
+            f'The limit {report.driven[2]} of the arm needs '
+            f'{report.driven[0].seconds[-1]:.3f} s; --out writes that motion.')
     if not report.warnings:
         known = any(source.values['envelope.rates'])
         console.say('The grip holds' + (

@@ -301,15 +301,15 @@ def decoded(data: bytes, type_name: str) -> Any:
     from rosbags.serde import SerdeError
 
     try:
-        return _types().deserialize_cdr(data, type_name)
+        return message_types().deserialize_cdr(data, type_name)
     except SerdeError as error:
         raise BellowsError(
             f'A {type_name} cannot be decoded: {error} Record it again.') from None
 
 
 @cache
-def _types() -> Any:
-    """Return the store of message types that decodes messages."""
+def message_types() -> Any:
+    """Return the store of message types that encodes and decodes messages."""
     from rosbags.typesys import get_typestore, Stores  # late: takes long, and is rarely needed
 
     return get_typestore(Stores.ROS2_JAZZY)

@@ -19,7 +19,7 @@ from bellows_ros.core.planning.arm import Arm, read_arm
 from bellows_ros.core.planning.points import require_count
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import read_text, safe_yaml
-from bellows_ros.files.bags import decoded, messages_of
+from bellows_ros.files.bags import decoded, message_types, messages_of
 from bellows_ros.files.plan_messages import decode_multi_dof, MULTI_DOF, PATH, PlanMessage
 from bellows_ros.files.transforms import poses_in, read_transforms
 import numpy as np
@@ -163,6 +163,21 @@ def joint_plan(message: Any) -> JointPlan:
     return JointPlan(
         message.header.frame_id, _ns(message.header.stamp), names, _durations(points), position,
         velocity, acceleration)
+
+
+def encode_joints(plan: JointPlan) -> bytes:
+    """Encode a JointTrajectory with velocities and accelerations."""
+    store = message_types()
+    Header, Time, Duration, Point, Message = (store.types[name] for name in (
+        'std_msgs/msg/Header', 'builtin_interfaces/msg/Time', 'builtin_interfaces/msg/Duration',
+        'trajectory_msgs/msg/JointTrajectoryPoint', JOINTS))
+    points = [
+        Point(q, v, a, np.zeros(0), Duration(*divmod(int(time), NS_PER_S)))
+        for time, q, v, a in zip(
+            plan.times_ns, plan.position, np.asarray(plan.velocity),
+            np.asarray(plan.acceleration), strict=True)]
+    header = Header(Time(*divmod(plan.stamp_ns, NS_PER_S)), plan.frame_id)
+    return bytes(store.serialize_cdr(Message(header, list(plan.names), points), JOINTS))
 
 
 def recorded_joints(path: str | os.PathLike[str], arm: Arm) -> PlanMessage:

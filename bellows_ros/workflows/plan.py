@@ -18,9 +18,11 @@ from bellows_ros.core.model.simulation import Rows
 from bellows_ros.core.model.validity_range import known_envelope
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import short
+from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.planning.fastest import Fastest, fastest
+from bellows_ros.core.planning.joint_path import joint_excess, joint_path, JointPath
 from bellows_ros.core.planning.plan import Prediction, Run
-from bellows_ros.core.planning.points import plan_of, plan_of_joints
+from bellows_ros.core.planning.points import plan_of, plan_of_joints, timed
 from bellows_ros.core.recording.alignment import levelling, world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
 from bellows_ros.core.signals.resampling import on_grid
@@ -41,7 +43,9 @@ from bellows_ros.files.plan_messages import (
 )
 from bellows_ros.files.plans import (
     arm_of,
+    encode_joints,
     JointPlan,
+    JOINTS,
     joints_or_tf,
     plan_in_yaml,
     plans_in,
@@ -59,6 +63,12 @@ YAML, TEXT = ('.yaml', '.yml'), ('.tum', '.txt', '.kitti', '.csv')
 MOTION_RATE = 500.0
 """Points per second taken from a motion of `bellows simulate`, Hz."""
 
+TIME_ROUNDING = 1.001
+"""Factor on time beside that of a limit, as peaks are sought at points 1 ms apart."""
+
+LARGEST_JOINT_STEP = 0.01
+"""Largest time between points of a motion of joints, s, however few the request had."""
+
 AFTER, STANDING_STEP = 1.5, 0.005
 """Time (s) shown after the end, and the spacing of its points."""
 
@@ -69,6 +79,58 @@ NO_GRIP = (
     'The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
 ENDS_IN_MOTION = (
     'The plan ends in motion, so the swing after its end is unknown.')
+
+
+@dataclass(frozen=True, eq=False)
+class Joints:
+    """
+    Joint positions of a plan of an arm's joints.
+
+    Parameters
+    ----------
+    arm : Arm
+    stamps_ns : int array (N,)
+        ns.
+    position : array (N, M)
+        Of the moving joints in their order, rad or m.
+
+    """
+
+    arm: Arm
+    stamps_ns: Stamps
+    position: Array
+
+    def along(self, tool: Trajectory, planned: Trajectory) -> JointPath:
+        """
+        Return the motion of the same joints that moves the tool as given.
+
+        Its points are points of the tool, about as dense as the plan's, or as
+        `LARGEST_JOINT_STEP` where the plan's are further apart.
+
+        Parameters
+        ----------
+        tool : Trajectory
+            To follow, of the tool link in the arm's root.
+        planned : Trajectory
+            The tool by the plan: joints at the same part of its time tell the configuration.
+
+        Raises
+        ------
+        BellowsError
+            As `joint_path`.
+
+        """
+        from scipy.interpolate import CubicSpline
+
+        step = min(float(np.median(np.diff(self.stamps_ns))) / NS_PER_S, LARGEST_JOINT_STEP)
+        every = max(1, round(step / float(np.median(np.diff(tool.seconds)))))
+        rows = np.arange(0, len(tool), every)
+        rows[-1] = len(tool) - 1  # at rest, where the plan ends at rest
+        points = tool.select(np.isin(np.arange(len(tool)), rows))
+        part = points.seconds / points.seconds[-1]
+        since, until = (int(stamp - self.stamps_ns[0]) for stamp in planned.stamps_ns[[0, -1]])
+        near = CubicSpline(self.stamps_ns - self.stamps_ns[0], self.position)
+        return joint_path(self.arm, points, near(since + part * (until - since)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +153,8 @@ class Source:
         The file.
     values : mapping
         All parameters.
+    joints : Joints or None
+        Where it is a plan of an arm's joints.
 
     """
 
@@ -101,6 +165,7 @@ class Source:
     recorded_ns: Stamps | None = None
     path: str = ''
     values: Mapping[str, Any] = field(default_factory=dict)
+    joints: Joints | None = None
 
     @property
     def duration(self) -> float:
@@ -181,6 +246,23 @@ class PlanReport:
     def least(self) -> float:
         """Safety factor that is needed."""
         return float(self.source.values['safety.least'])
+
+    @cached_property
+    def driven(self) -> tuple[Trajectory, Array, str]:
+        """
+        The motion to write: the plan, or in its shortest safe time where that was sought.
+
+        The tool, the package's states (N, 13), and the limit of a joint that needs more time, ''.
+        """
+        source = self.source
+        if self.fastest is None:
+            return source.tool, self.prediction.states, ''
+        tool, limit = timed(source.tool, self.fastest.scale), ''
+        if source.joints is not None:
+            factor, limit = joint_excess(
+                source.joints.arm, source.joints.along(tool, source.tool), math.inf)
+            tool = timed(tool, factor * TIME_ROUNDING if limit else 1.0)
+        return tool, Run(source.model, None, tool, tail=0.0).at(1.0).states, limit
 
     @cached_property
     def curves(self) -> Curves:
@@ -396,7 +478,8 @@ def _checked(
         columns = arm.columns(read.names, 'The plan')
         parts = [None if part is None else part[:, columns]
                  for part in (read.position, read.velocity, read.acceleration)]
-        return Source(plan_of_joints(arm, stamps, *parts), arm.root)  # type: ignore[arg-type]
+        tool = plan_of_joints(arm, stamps, *parts)  # type: ignore[arg-type]
+        return Source(tool, arm.root, joints=Joints(arm, stamps, np.asarray(parts[0])))
     tool = plan_of(
         stamps, read.poses[:, :3], read.poses[:, 3:], read.twists, read.accelerations,
         values['tool_twist.frame'])
@@ -490,7 +573,8 @@ def write_prediction(
     Write a motion of the tool, and the package along it, as a recording.
 
     Its topics: tool_arm/plan and package/plan (MultiDOFJointTrajectory), package/plan_path
-    (Path), tool_arm/pose, tool_arm/twist and package/pose, stamped from the plan's start.
+    (Path), tool_arm/pose, tool_arm/twist and package/pose, stamped from the plan's start; and
+    tool_arm/plan_joints (JointTrajectory) where the plan was one of an arm's joints.
 
     Parameters
     ----------
@@ -516,8 +600,15 @@ def write_prediction(
     plan = plan_message(tool, 0, frame, 'tool', axes)
     package = plan_message(Rows(stamps, states).trajectory(), start, frame,
                            source.values['frames.package'], axes)
+    joints = []
+    if source.joints is not None:
+        found = source.joints.along(tool, source.tool)
+        joints.append(('/tool_arm/plan_joints', JOINTS, encode_joints(JointPlan(
+            frame, 0, source.joints.arm.moving,
+            np.round(found.seconds * NS_PER_S).astype(np.int64), *found[1:]))))
     write_bag(path, [
         *(Encoded(topic, kind, stamps[:1], [data]) for topic, kind, data in (
+            *joints,
             ('/tool_arm/plan', MULTI_DOF, encode_multi_dof(plan)),
             ('/package/plan', MULTI_DOF, encode_multi_dof(package)),
             ('/package/plan_path', PATH,

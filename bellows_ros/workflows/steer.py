@@ -11,6 +11,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model.perturbed import deviations_of, mean_square
 from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.planning.joint_path import joint_excess
 from bellows_ros.core.planning.limits import demands, Limits, NONE, read_rates, stretched
 from bellows_ros.core.planning.plan import Prediction, Run, SETTLED
 from bellows_ros.core.planning.points import timed
@@ -175,7 +176,8 @@ def steer_plan(
     kept = read_limits(safe_yaml.load(Path(limits)) if limits else {})
     source = plan_with_cup(path, settings, urdf, topic)
     model, of_package = source.model, source.moves == source.values['frames.package']
-    scale, limit = _scale(source, method, of_package, kept) if limits else (1.0, '')
+    bound = bool(limits) or source.joints is not None
+    scale, limit = _scale(source, method, of_package, kept) if bound else (1.0, '')
     wanted = timed(source.tool, scale)
     steered = steer(model, wanted, method, of_package)
     arrival = float((wanted if method == 'inverse' else steered.tool).seconds[-1])
@@ -213,12 +215,13 @@ def read_limits(content: object) -> Limits:
     box = settings.block('workspace')
     lower, upper = (box.vector(name, 3, (size,) * 3, 'm')
                     for name, size in (('lower', -NONE), ('upper', NONE)))
+    acceleration = settings.number('joint_acceleration', NONE, 'rad/s^2 or m/s^2', above=0.0)
     settings.done(ignored=OF_EXCITE)
     if (lower >= upper).any():
         raise BellowsError(
             f'workspace.lower is {lower.tolist()} and workspace.upper {upper.tolist()}; expected '
             'each number of lower below that of upper.')
-    return Limits(rates, lower, upper, safety)
+    return Limits(rates, lower, upper, safety, acceleration)
 
 
 def _scale(
@@ -237,12 +240,17 @@ def _scale(
                 f'{most:.4g} m; expected {lower:g} to {upper:g}. Plan another motion, or correct '
                 'workspace.')
 
-    def motion(scale: float) -> tuple[Trajectory, float]:
+    def motion(scale: float) -> tuple[Trajectory, float, tuple[float, str]]:
         tool = steer(source.model, timed(source.tool, scale), method, of_package).tool
         factor = math.inf
         if grip is not None and limits.safety_factor > 0.0:
             factor = 1.0 / Run(source.model, grip, tool, tail=TAIL).load(1.0)
-        return tool, factor
+        needed = (1.0, '')
+        if source.joints is not None:
+            needed = joint_excess(
+                source.joints.arm, source.joints.along(tool, source.tool),
+                limits.joint_acceleration)
+        return tool, factor, needed
 
     return stretched(limits, motion)
 

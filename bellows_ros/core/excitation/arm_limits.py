@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, transform
 from bellows_ros.core.parameters.settings import Settings
-from bellows_ros.core.planning.arm import Arm, Joint
+from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.planning.limits import largest_rates, read_rates
 from bellows_ros.core.synthetic.motion import Motion, Pose, pose_from
 from bellows_ros.errors import BellowsError
@@ -95,7 +95,7 @@ class ArmLimits:
             found.append(Bound(name.replace('_', ' '), 1 + i % 3, eye[part], limit))
         if self.arm is not None:
             rows = np.linalg.pinv(self.arm.jacobian(self.joints[None])[0], rcond=1e-3) @ self.axes
-            for joint, row, at in zip(_moving(self.arm), rows, self.joints, strict=True):
+            for joint, row, at in zip(self.arm.moving_joints, rows, self.joints, strict=True):
                 ends = min(joint.upper - at, at - joint.lower)
                 found += [Bound(f'{joint.name} {what}', order, row[None], float(limit))
                           for what, order, limit in (('range', 0, ends), ('speed', 1, joint.speed))
@@ -118,18 +118,13 @@ class ArmLimits:
             spline = CubicSpline(
                 tool.seconds[few], self.arm.positions(transform(R[few], o[few]), self.joints))
             q, speed = spline(tool.seconds), spline(tool.seconds, 1)
-            for i, joint in enumerate(_moving(self.arm)):
+            for i, joint in enumerate(self.arm.moving_joints):
                 off = q[:, i] - self.joints[i]
                 ends = np.where(off > 0.0, joint.upper, -joint.lower)
                 ends = ends - np.where(off > 0.0, self.joints[i], -self.joints[i])
                 found[f'{joint.name} range'] = np.abs(off / ends).max()
                 found[f'{joint.name} speed'] = np.abs(speed[:, i]).max() / joint.speed
         return {name: float(ratio) for name, ratio in found.items()}
-
-
-def _moving(arm: Arm) -> list[Joint]:
-    """Return the joints that are not fixed."""
-    return [joint for joint in arm.joints if joint.kind != 'fixed']
 
 
 def limits_from(
@@ -160,7 +155,7 @@ def limits_from(
     else:
         block = settings.block('joints')
         joints = np.array([block.number(name, unit='rad or m') for name in arm.moving])
-        for joint, at in zip(_moving(arm), joints.tolist(), strict=True):
+        for joint, at in zip(arm.moving_joints, joints.tolist(), strict=True):
             if not joint.lower < at < joint.upper:
                 raise block.refuse(joint.name, f'in its range, {joint.lower:g} to '
                                    f'{joint.upper:g}', at)
@@ -182,5 +177,5 @@ def limits_from(
         settings.number('highest_frequency', HIGHEST_FREQUENCY, 'Hz', above=0.0, most=50.0),
         arm, joints)
     tracking = settings.block('tracking')
-    settings.done(ignored=('tracking',))
+    settings.done(ignored=('tracking', 'joint_acceleration'))
     return found, tracking

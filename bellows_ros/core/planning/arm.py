@@ -11,7 +11,6 @@ from xml.etree import ElementTree
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import (
-    adjoint,
     apply,
     exp_so3,
     inverse_transform,
@@ -69,7 +68,12 @@ class Arm:
     @property
     def moving(self) -> tuple[str, ...]:
         """Names of the joints that are not fixed."""
-        return tuple(joint.name for joint in self.joints if joint.kind != 'fixed')
+        return tuple(joint.name for joint in self.moving_joints)
+
+    @property
+    def moving_joints(self) -> tuple[Joint, ...]:
+        """Joints that are not fixed."""
+        return tuple(joint for joint in self.joints if joint.kind != 'fixed')
 
     def columns(self, names: Sequence[str], of: str) -> list[int]:
         """
@@ -99,34 +103,41 @@ class Arm:
             Of the moving joints in their order, rad or m and per second; at rest without.
 
         """
-        velocity = np.zeros_like(position) if velocity is None else velocity
-        T, twist = np.tile(np.eye(4), (len(position), 1, 1)), np.zeros((len(position), 6))
-        column = 0
-        for joint in self.joints:
-            step, along = joint.origin[None], np.zeros(6)
-            if joint.kind != 'fixed':
-                q = position[:, column, None] * joint.axis
-                turns = joint.kind in TURNING
-                motion = transform(exp_so3(q), np.zeros(3)) if turns else transform(np.eye(3), q)
-                step = joint.origin @ motion
-                along[3:] = joint.axis if turns else 0.0
-                along[:3] = 0.0 if turns else joint.axis
-                along = velocity[:, column, None] * along
-                column += 1
-            twist = apply(adjoint(inverse_transform(step)), twist) + along
-            T = T @ step
-        return T, twist
+        T, axes = self._chain(position)
+        twist = np.zeros((len(position), 6))
+        return T, twist if velocity is None else apply(self._columns(T, axes), velocity)
 
     def jacobian(self, position: Array) -> Array:
         """Return the derivative (N, 6, M) of the tool's displacement in its own axes."""
-        count, moving = position.shape
-        _, twist = self.tool(
-            np.repeat(position, moving, axis=0), np.tile(np.eye(moving), (count, 1)))
-        return np.swapaxes(twist.reshape(count, moving, 6), 1, 2)
+        return self._columns(*self._chain(position))
+
+    def _chain(self, position: Array) -> tuple[Array, list[tuple[bool, Array, Array]]]:
+        """Return poses of the tool, and of each joint if it turns, its place and its axis."""
+        T = np.tile(np.eye(4), (len(position), 1, 1))
+        axes: list[tuple[bool, Array, Array]] = []
+        for joint in self.joints:
+            T = T @ joint.origin
+            if joint.kind == 'fixed':
+                continue
+            q = np.multiply.outer(position[:, len(axes)], joint.axis)
+            turns = joint.kind in TURNING
+            axes.append((turns, T[:, :3, 3], T[:, :3, :3] @ joint.axis))
+            T = T @ (transform(exp_so3(q), np.zeros(3)) if turns else transform(np.eye(3), q))
+        return T, axes
+
+    @staticmethod
+    def _columns(T: Array, axes: list[tuple[bool, Array, Array]]) -> Array:
+        """Return the Jacobian (N, 6, M): each joint's twist of the tool, in axes of the tool."""
+        columns = [
+            np.hstack([np.cross(axis, T[:, :3, 3] - place), axis]) if turns else
+            np.hstack([axis, np.zeros_like(axis)]) for turns, place, axis in axes]
+        J = np.stack(columns, axis=2).reshape(len(T), 2, 3, len(axes))
+        return np.asarray((np.swapaxes(T[:, None, :3, :3], -1, -2) @ J).reshape(
+            len(T), 6, len(axes)))
 
     def positions(self, T: Array, near: Array) -> Array:
         """
-        Return the joints (N, M) for tool poses (N, 4, 4), all near the given ones (M,).
+        Return the joints (N, M) for tool poses (N, 4, 4), near the given ones, (M,) or (N, M).
 
         Raises
         ------
@@ -134,7 +145,7 @@ class Arm:
             If a pose is out of reach, or lies beyond a singularity.
 
         """
-        position = np.tile(near, (len(T), 1))
+        position = np.array(np.broadcast_to(near, (len(T), len(self.moving))))
         for _ in range(MOST_STEPS):
             error = log_se3(inverse_transform(self.tool(position)[0]) @ T)
             if np.abs(error).max() < POSE_TOLERANCE:

@@ -62,6 +62,8 @@ class Limits(NamedTuple):
     high: Array
     """Corners (3,) of the workspace of the tool tip, m."""
     safety_factor: float
+    joint_acceleration: float = NONE
+    """Of each joint of the arm, rad/s^2 or m/s^2; their speeds are in its URDF."""
 
 
 def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float]:
@@ -90,7 +92,9 @@ def demands(tool: Trajectory) -> dict[str, float]:
         float(at[1]) / NS_PER_S)
 
 
-def excess(limits: Limits, tool: Trajectory, safety_factor: float) -> tuple[float, str]:
+def excess(
+    limits: Limits, tool: Trajectory, safety_factor: float, joints: tuple[float, str] = (1.0, '')
+) -> tuple[float, str]:
     """Return the factor on time that is needed at least, 1 if none is, and the limit."""
     asked = demands(tool)
     over = [((asked[name] / limits.rates[name]) ** (1.0 / (1 + i % 3 + STEEPNESS)), name)
@@ -98,11 +102,12 @@ def excess(limits: Limits, tool: Trajectory, safety_factor: float) -> tuple[floa
     inside = (tool.position >= limits.low - 1e-9) & (tool.position <= limits.high + 1e-9)
     over.append((1.0 if inside.all() else STEP, 'workspace'))
     over.append((1.0 if safety_factor >= limits.safety_factor else STEP, 'safety_factor'))
+    over.append(joints)
     return max([(1.0, ''), *(each for each in over if each[0] > 1.0)])
 
 
 def stretched(
-    limits: Limits, motion: Callable[[float], tuple[Trajectory, float]]
+    limits: Limits, motion: Callable[[float], tuple[Trajectory, float, tuple[float, str]]]
 ) -> tuple[float, str]:
     """
     Return the smallest factor on time with which a motion keeps to limits, and the last exceeded.
@@ -112,7 +117,8 @@ def stretched(
     limits : Limits
         To keep to.
     motion : callable
-        From a factor on time to the motion and its smallest safety factor; raises `TooFastError`
+        From a factor on time to the motion, its smallest safety factor, and the factor on time
+        that the joints of the arm need with their limit, (1, '') if none; raises `TooFastError`
         where there is no motion that fast.
 
     Raises

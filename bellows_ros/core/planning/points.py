@@ -149,7 +149,7 @@ def plan_of_joints(
     elif acceleration is None:
         curve = CubicHermiteSpline(t, position, velocity)
     else:
-        curve = _quintic(t, position, velocity, acceleration)
+        curve = quintic(t, position, velocity, acceleration)
     fine = _without_gaps(stamps_ns)
     at = (fine - stamps_ns[0]) / NS_PER_S
     T, twist = arm.tool(curve(at), curve(at, 1))
@@ -220,12 +220,12 @@ def refined(plan: Trajectory, acceleration: Array | None = None) -> Trajectory:
     path, rate = _path(plan)
     q, squared = path[:, 3:], np.sum(np.asarray(plan.twist)[:, 3:] ** 2, axis=1)[:, None]
     bend = np.hstack([acceleration[:, :3], _spin(q, acceleration[:, 3:]) - 0.25 * squared * q])
-    curve, at = _quintic(plan.seconds, path, rate, bend), (stamps - stamps[0]) / NS_PER_S
+    curve, at = quintic(plan.seconds, path, rate, bend), (stamps - stamps[0]) / NS_PER_S
     value = curve(at)
     return Trajectory(stamps, value[:, :3], *body_twists(value[:, 3:], curve(at, 1)))
 
 
-def _quintic(t: Array, value: Array, rate: Array, bend: Array) -> Any:
+def quintic(t: Array, value: Array, rate: Array, bend: Array) -> Any:
     """Return quintic polynomials between times (N,) with these values and derivatives (N, M)."""
     from scipy.interpolate import PPoly
 
