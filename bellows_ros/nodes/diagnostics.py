@@ -137,9 +137,10 @@ class Diagnostics:
             self._due = {other: due for other, due in self._due.items() if other[0] != line.name}
         elif now >= self._due.setdefault(key, now + after):
             self._due[key] = now + LOGGED_EVERY
-            is_error = line.level == health.Level.ERROR and line.name in OWN
-            log = self._node.get_logger()
-            (log.error if is_error else log.warning)(line.message)
+            if line.level == health.Level.ERROR and line.name in OWN:
+                self._node.get_logger().error(line.message)
+            else:  # a line of its own: rclpy refuses a second severity from one
+                self._node.get_logger().warning(line.message)
 
     def _load(self) -> health.Status:
         """Return the line on the load; a safety factor that became too small is logged too."""

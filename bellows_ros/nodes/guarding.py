@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial, wraps
 from pathlib import Path
 import traceback
@@ -32,23 +33,21 @@ class GuardedNode(Node):
         self.failures: Counter[str] = Counter()
         super().__init__(*arguments, **options)
 
-    def on_failure(self) -> None:
-        """Repair the state after a callback has failed, perhaps half-way through."""
-
     def note_failure(self, error: Exception) -> None:
-        """Count an exception by its place, log it where it is new, and start afresh."""
+        """Count an exception by its place, and log it where it is new."""
         frames = traceback.extract_tb(error.__traceback__)
         ours = [frame for frame in frames if PACKAGE in Path(frame.filename).parents]
         innermost = (ours[1:] or frames)[-1]  # the first of ours is the guard itself
         place = f'{Path(innermost.filename).name}:{innermost.lineno}'
         self.failures[place] += 1
-        if self.failures[place] == 1:
+        if self.failures[place] > 1:
+            return
+        with suppress(Exception):  # a failure to log one must not end the node either
             self.get_logger().error(
                 f'A callback failed at {place}: {type(error).__name__}: {short(str(error))}. The '
                 'node continues, and only counts further failures there. Please report it, with '
                 'the traceback from --log-level debug.')
             self.get_logger().debug(''.join(traceback.format_exception(error)))
-        self.on_failure()
 
     def guarded(
         self, callback: Callable[..., Any], otherwise: Callable[[], Any] = lambda: None

@@ -33,8 +33,8 @@ class Observing:
 
     Parameters
     ----------
-    node : rclpy.lifecycle.LifecycleNode
-        Subscribes.
+    node : PredictorNode
+        Subscribes, and starts afresh where a measured pose fails.
     kind : str
         Of `KINDS`.
 
@@ -78,9 +78,9 @@ class Observing:
         pose, covariance = message.pose, None
         if self._with_covariance:
             pose, covariance = pose.pose, np.reshape(pose.covariance, (6, 6))
-        live.on_measured(
-            stamp_ns, header.frame_id, vector(pose.position), quaternion_xyzw(pose.orientation),
-            covariance)
+        self._node.advance(
+            live.on_measured, stamp_ns, header.frame_id, vector(pose.position),
+            quaternion_xyzw(pose.orientation), covariance)
         self._outputs.model = live.model
         own_world = live.observer is not None and live.observer.sight.has_own_world
         if header.frame_id != live.frame_id and not own_world:

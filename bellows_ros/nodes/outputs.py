@@ -117,6 +117,7 @@ class Outputs:
         self._factors = geometry.Vector3Stamped()
         self._said = ''
         self._extrapolated_ns = -1
+        self._is_late = self._is_due = False
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Go on with another cup or package; compile all that is shown of a prediction."""
@@ -128,23 +129,31 @@ class Outputs:
         deflection_rotation(still)
         Picture(values).of('', model, still)
 
-    def publish(
-        self, prediction: Prediction, frame_id: str, factors: tuple[float, float] | None
-    ) -> None:
+    def publish(self, prediction: Prediction, frame_id: str) -> None:
         """
-        Send a prediction and its safety factors; a message is serialised at once and used again.
+        Send the pose of a prediction; a message is serialised at once and used again.
 
         One for each pose goes where no other goes. Elsewhere stamps never go back behind one that
         was extrapolated.
         """
-        stamp_ns, values = prediction.stamp_ns, self._values
-        late = 0 <= self._extrapolated_ns - stamp_ns < LATE_WITHIN_NS
-        if not late:
+        stamp_ns = prediction.stamp_ns
+        self._is_late = 0 <= self._extrapolated_ns - stamp_ns < LATE_WITHIN_NS
+        if not self._is_late:
             self._extrapolated_ns = stamp_ns if prediction.coasting else -1
-        if not (late if values['coast.poses'] else prediction.coasting):
-            pose, twist, wrench = self._messages
+        self._is_due = not (
+            self._is_late if self._values['coast.poses'] else prediction.coasting)
+        if self._is_due:
+            pose = self._messages[0]
             write_pose(pose, frame_id, prediction)
             self.pose.publish(pose)
+
+    def publish_more(
+        self, prediction: Prediction, frame_id: str, factors: tuple[float, float] | None
+    ) -> None:
+        """Send all else of the prediction that was published last, and its safety factors."""
+        values = self._values
+        if self._is_due:
+            _, twist, wrench = self._messages
             if self._twist.wanted:
                 write_twist(twist, values['frames.package'], prediction)
                 self._twist.publish(twist)
@@ -153,13 +162,13 @@ class Outputs:
                 self._wrench.publish(wrench)
             if factors and self._safety.wanted:
                 peel, slip = (min(factor, LARGEST_FACTOR) for factor in factors)
-                write_header(self._factors, stamp_ns, values['frames.lip'])
+                write_header(self._factors, prediction.stamp_ns, values['frames.lip'])
                 write_vector(self._factors.vector, (peel, slip, min(peel, slip)))
                 self._safety.publish(self._factors)
-        if not late:
-            self._publish_more(prediction, frame_id)
+        if not self._is_late:
+            self._publish_continuing(prediction, frame_id)
 
-    def _publish_more(self, prediction: Prediction, frame_id: str) -> None:
+    def _publish_continuing(self, prediction: Prediction, frame_id: str) -> None:
         """Publish the outputs that continue while the tool is extrapolated."""
         stamp_ns, values = prediction.stamp_ns, self._values
         if self._odometry.wanted:

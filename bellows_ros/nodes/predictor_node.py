@@ -1,6 +1,6 @@
 """The node that publishes the pose of the held package: convert, predict, convert back."""
 
-from collections.abc import Iterable
+from collections.abc import Callable
 import sys
 import time
 from typing import Any
@@ -91,6 +91,7 @@ class PredictorNode(ManagedNode):
         self._was_late = False
         self._arrival_at_last_tick: int | None = None
         self._last: Prediction | None = None
+        self._publish_more = self.guarded(self._publish_beside)
         self._diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=BACKWARD, on_clock_change=True),
@@ -222,7 +223,7 @@ class PredictorNode(ManagedNode):
         arrival_ns = time.monotonic_ns()
         self._pose_in.note(arrival_ns, stamp_ns)
         self._publish(
-            self._live.on_pose(stamp_ns, frame_id, position, orientation, arrival_ns))
+            self._live.on_pose, stamp_ns, frame_id, position, orientation, arrival_ns)
         self._diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
 
     def _on_twist(self, message: TwistStamped) -> None:
@@ -233,18 +234,30 @@ class PredictorNode(ManagedNode):
         stamp_ns = stamp_to_ns(header.stamp)
         self._twist_in.note(arrival_ns, stamp_ns)
         self._publish(
-            self._live.on_twist(
-                stamp_ns, vector(twist.linear), vector(twist.angular), header.frame_id)
-        )
+            self._live.on_twist,
+            stamp_ns, vector(twist.linear), vector(twist.angular), header.frame_id)
         self._diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
 
-    def _publish(self, predictions: Iterable[Prediction]) -> None:
-        """Send predictions, and watch the load on the cup."""
-        for prediction in predictions:
-            factors = self._diagnostics.load.watch_force(prediction)
-            self._outputs.publish(prediction, self._live.frame_id, factors)
+    def advance(self, step: Callable[..., Any], *arguments: Any) -> Any:
+        """Return what a step of the live prediction does; start afresh where it raises."""
+        try:
+            return step(*arguments)
+        except Exception:
+            self._start_afresh('failure')
+            raise
+
+    def _publish(self, step: Callable[..., list[Prediction]], *arguments: Any) -> None:
+        """Send the predictions of a step; what fails beside their poses does not touch them."""
+        for prediction in self.advance(step, *arguments):
             self._last = prediction
-            self._planning.follow()
+            self._outputs.publish(prediction, self._live.frame_id)
+            self._publish_more(prediction)
+
+    def _publish_beside(self, prediction: Prediction) -> None:
+        """Send all but the pose, and watch the load on the cup."""
+        factors = self._diagnostics.load.watch_force(prediction)
+        self._outputs.publish_more(prediction, self._live.frame_id, factors)
+        self._planning.follow()
 
     # ----------------------------------------------------------------- events
 
@@ -255,11 +268,7 @@ class PredictorNode(ManagedNode):
             return
         self._live.expect_twists = self._twists_exist
         if self._active and not self._twists_exist:
-            self._publish(self._live.flush())
-
-    def on_failure(self) -> None:
-        """Start afresh where a callback stopped half-way."""
-        self._start_afresh('failure')
+            self._publish(self._live.flush)
 
     def _start_afresh(self, reason: str) -> None:
         """Start again from rest, as after a failure, or where simulated time was set."""
@@ -274,7 +283,7 @@ class PredictorNode(ManagedNode):
         response.success = self._active
         response.message = 'The node is not active.'
         if self._active:
-            self._publish(self._live.flush())
+            self._publish(self._live.flush)
             self._live.reset()
             self._live.expect_twists = self._twists_exist
             response.message = 'Starts from static equilibrium at the next tool pose.'
@@ -294,7 +303,7 @@ class PredictorNode(ManagedNode):
             stamp_ns = newest_ns
         if on and self._tossing.flight.state:
             self._last = None  # of the package before
-        self._live.switch_valve(on, stamp_ns)
+        self.advance(self._live.switch_valve, on, stamp_ns)
         self._say_state()
 
     def _on_pressure(self, pressure: float) -> None:
@@ -311,7 +320,7 @@ class PredictorNode(ManagedNode):
             return False
         if not held and self._tossing.flight.state:  # the vacuum falls, as the valve has it
             return True
-        self._publish(self._live.set_attached(held))
+        self._publish(self._live.set_attached, held)
         self._last, self._outputs.model = None, self._live.model
         self.get_logger().info(f'{"Attached" if held else "Detached"} ({why}).')
         self._say_state()
@@ -330,9 +339,9 @@ class PredictorNode(ManagedNode):
         self._idle_ticks = self._idle_ticks + 1 if idle else 0
         self._arrival_at_last_tick = live.arrival_ns
         if live.waiting and self._idle_ticks >= IDLE_TICKS:
-            self._publish(live.flush())
+            self._publish(live.flush)
         if idle:
-            self._publish(live.coast(self._ticked_ns))
+            self._publish(live.coast, self._ticked_ns)
         held = self._planning.held
         if held is not None and self._ticks % LOAD_TICKS == 0:
             self._diagnostics.load.watch_deflection(live.model, held)

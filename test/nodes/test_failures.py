@@ -1,6 +1,7 @@
 """What must not end the node: exceptions in its callbacks, negative times, odd parameters."""
 
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 
 import pytest
@@ -99,6 +100,71 @@ def test_a_negative_time_is_left_out(
     assert capfd.readouterr().err.count('A negative time on /clock was ignored: -1 s') == 1
     tell(101)
     assert ros.spin_until(lambda: predictor.get_clock().now().nanoseconds == 101 * 10**9)
+
+
+ALL_PAIRS = (0, 0, 1, 1, 2, 2, 0, 2, 1, 0)  # of levels that follow each other
+
+
+def test_every_pair_of_severities_is_reported_and_logged(
+        make_partner: Callable[..., Any], listener: Listener, monkeypatch: pytest.MonkeyPatch,
+        capfd: pytest.CaptureFixture[str]) -> None:
+    """Log each line at each level after each other, and let no prediction start again for it."""
+    from bellows_ros.core.live.load import Safety
+    from bellows_ros.nodes import diagnostics
+
+    partner = make_partner(with_twists=False)
+    predictor = partner.predictor
+    for name in ('LOGGED_AFTER', 'LOGGED_EVERY'):
+        monkeypatch.setattr(diagnostics, name, 0.0)
+    monkeypatch.setattr(predictor._diagnostics.load, 'take', lambda: (
+        Safety(0.5, 'peel'), None, 0.0))
+    for number, level in enumerate(ALL_PAIRS):
+        for name in ('prediction', 'input', 'twist', 'load'):
+            monkeypatch.setattr(
+                diagnostics.health, f'{name}_status',
+                lambda name, *_, level=level, number=number: diagnostics.health.Status(
+                    name, diagnostics.health.Level(level), f'{name} {number} is {level}', {}))
+        partner.send_pose(START + number * MS)
+        partner.wait_for_poses(number + 1)
+        predictor._live.restarts['gap'] += 1  # a start is logged at once
+        for line in ('prediction', 'tool pose', 'tool twist', 'load'):
+            assert listener.sees(line, bytes([level]), f'{line} {number} is')
+    assert not predictor.failures and not predictor._live.restarts['failure']
+    log = capfd.readouterr().err
+    for line, word in (('prediction', 'ERROR'), ('load', 'ERROR'), ('tool pose', 'WARN')):
+        assert any(f'[{word}]' in text and f'{line} 4 is 2' in text for text in log.splitlines())
+        assert any('[WARN]' in text and f'{line} 8 is 1' in text for text in log.splitlines())
+
+
+@pytest.mark.parametrize(('part', 'name'), [
+    ('_diagnostics', 'report'), ('_diagnostics.load', 'watch_force'),
+    ('_outputs', 'publish_more'), ('_outputs', 'say_state'), ('_planning', 'follow'),
+    ('_tossing', 'publish')])
+def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
+        part: str, name: str, make_partner: Callable[..., Any], listener: Listener) -> None:
+    """Publish the pose of each sample, in the motion that it has."""
+    from bellows_ros.core.live import LivePredictor
+    from bellows_ros.core.model import cup_of, package_of
+
+    partner = make_partner({**PACKAGE, 'package.size': [0.1] * 3}, with_twists=False)
+    predictor = partner.predictor
+    thing = attrgetter(part)(predictor)
+
+    def fail(*arguments: Any) -> Any:
+        raise ZeroDivisionError('broken')
+
+    setattr(thing, name, fail)
+    alone = LivePredictor(cup_of(predictor.values), package_of(predictor.values), 9.81)
+    expected = []
+    for k in range(60):
+        position = (0.2e-4 * k * k, 0.0, 0.0)
+        partner.send_pose(START + 2 * k * MS, position)
+        expected += alone.on_pose(START + 2 * k * MS, 'world', position, (0.0, 0.0, 0.0, 1.0))
+        partner.wait_for_poses(k + 1)
+    assert partner.ros.spin_until(lambda: predictor.failures)
+    found = [(p.pose.position.x, p.pose.position.z) for p in partner.poses]
+    assert found == [(p.position[0], p.position[2]) for p in expected]
+    assert not predictor._live.restarts['failure']
 
 
 ENVELOPE = {
