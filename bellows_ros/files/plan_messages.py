@@ -7,12 +7,17 @@ of 2,000 points in the time in which Python objects of 20 are made.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 import struct
+from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.lie import apply, rotation_to_quaternion
+from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.points import require_count
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.messages import HEAD, Reader, with_number, with_text
 import numpy as np
@@ -174,3 +179,32 @@ def encode_path(stamp_ns: int, frame_id: str, times_ns: Stamps, poses: Array) ->
 def _header(stamp_ns: int, frame_id: str) -> bytes:
     """Return a header."""
     return with_text(struct.pack('<iI', *divmod(stamp_ns, NS_PER_S)), frame_id)
+
+
+def require_frame(frame_id: str, values: Mapping[str, Any]) -> None:
+    """
+    Refuse a plan in a frame other than plan.frame.
+
+    Raises
+    ------
+    BellowsError
+        If plan.frame names another one.
+
+    """
+    wanted = values['plan.frame']
+    if wanted and frame_id not in ('', wanted):
+        raise BellowsError(
+            f"The plan is in frame '{short(frame_id)}'; expected plan.frame, '{wanted}'. "
+            'Transform the plan, or set plan.frame.')
+
+
+def plan_message(
+    motion: Trajectory, stamp_ns: int, frame_id: str, name: str, axes: str
+) -> PlanMessage:
+    """Return a motion as the plan of a body, with twists in axes of the 'world' or its own."""
+    twist = np.asarray(motion.twist)
+    if axes == 'world':
+        twist = apply(motion.rotation[:, None], twist.reshape(-1, 2, 3)).reshape(-1, 6)
+    return PlanMessage(
+        stamp_ns, frame_id, (name,), motion.stamps_ns - motion.stamps_ns[0],
+        np.hstack([motion.position, rotation_to_quaternion(motion.rotation)]), twist)

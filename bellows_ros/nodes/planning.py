@@ -26,7 +26,7 @@ from ..core.live.ahead import Ahead, thin_out
 from ..core.live.health import Level, number, Status
 from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import UNKNOWN_ROOT
-from ..core.model.grip import grip_of
+from ..core.model.grip import grip_of, safety_sentence
 from ..core.model.simulation import Rows
 from ..core.model.validity_range import known_envelope
 from ..core.planning.plan import COARSE, predict, Run
@@ -35,8 +35,14 @@ from ..core.planning.points import rows_of
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import NS_PER_S
 from ..errors import BellowsError
-from ..files.plan_messages import decode_multi_dof, encode_multi_dof, encode_path, PlanMessage
-from ..workflows.plan import plan_message, require_frame, safety_sentence
+from ..files.plan_messages import (
+    decode_multi_dof,
+    encode_multi_dof,
+    encode_path,
+    plan_message,
+    PlanMessage,
+    require_frame,
+)
 
 LONGEST_REQUEST = 10.0
 """How far ahead (s) package/predict_at may ask."""

@@ -30,10 +30,10 @@ from bellows_ros.core.synthetic.sensing import sensor_from
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.atomic import new_folder
 from bellows_ros.files.bag_writer import Encoded, require_replaceable, write_bag
-from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, PlanMessage
+from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, plan_message, PlanMessage
 from bellows_ros.files.plans import arm_of
 from bellows_ros.files.trajectory_files import write_euroc, write_urscript
-from bellows_ros.workflows.plan import plan_message, read_plan
+from bellows_ros.workflows.plan import read_plan
 import numpy as np
 
 Progress = Callable[[str, float], None]

@@ -11,13 +11,12 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
-from bellows_ros.core.model.grip import Grip, grip_of
+from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.perturbed import contributions
 from bellows_ros.core.model.simulation import Rows
 from bellows_ros.core.model.validity_range import known_envelope
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.planning.fastest import Fastest, fastest
 from bellows_ros.core.planning.joint_path import joint_excess, joint_path, JointPath
@@ -39,7 +38,9 @@ from bellows_ros.files.plan_messages import (
     encode_path,
     MULTI_DOF,
     PATH,
+    plan_message,
     PlanMessage,
+    require_frame,
 )
 from bellows_ros.files.plans import (
     arm_of,
@@ -303,18 +304,6 @@ class PlanReport:
         }
 
 
-def safety_sentence(factor: float, mode: str, time: float, std: float, least: float) -> str:
-    """Return a sentence about a safety factor that is too small, else ''."""
-    sigma = f' ± {std:.2g}' if std > 0.0 else ''
-    finding = f'The smallest safety factor is {factor:.3g}{sigma} ({mode}, at {time:.3f} s)'
-    if factor < 1.0:
-        return f'{finding}: the cup lets go. Move slower, or raise the vacuum.'
-    if factor - 2.0 * std < least:
-        less = ' less two standard deviations' if std > 0.0 else ''
-        return f'{finding},{less} below safety.least, {least:g}. Move slower, or raise the vacuum.'
-    return ''
-
-
 def plan(
     path: str | os.PathLike[str], settings: Mapping[str, object], urdf: str = '',
     topic: str = '', seek_fastest: bool = False,
@@ -486,23 +475,6 @@ def _checked(
     return Source(tool, read.frame_id, moves=(*read.names, '')[0])
 
 
-def require_frame(frame_id: str, values: Mapping[str, Any]) -> None:
-    """
-    Refuse a plan in a frame other than plan.frame.
-
-    Raises
-    ------
-    BellowsError
-        If plan.frame names another one.
-
-    """
-    wanted = values['plan.frame']
-    if wanted and frame_id not in ('', wanted):
-        raise BellowsError(
-            f"The plan is in frame '{short(frame_id)}'; expected plan.frame, '{wanted}'. "
-            'Transform the plan, or set plan.frame.')
-
-
 def _motion(content: Mapping[str, Any], values: Mapping[str, Any]) -> Source:
     """Return the tool's motion in a motion file."""
     recipe = read_recipe(content, np.array(values['package.com']))
@@ -617,15 +589,3 @@ def write_prediction(
         Recorded('/tool_arm/twist', TWIST, stamps, np.asarray(plan.twists), frame),
         Recorded('/package/pose', POSE, stamps, package.poses, frame),
     ], replace=replace_bag)
-
-
-def plan_message(
-    motion: Trajectory, stamp_ns: int, frame_id: str, name: str, axes: str
-) -> PlanMessage:
-    """Return a motion as the plan of a body, with twists in axes of the 'world' or its own."""
-    twist = np.asarray(motion.twist)
-    if axes == 'world':
-        twist = apply(motion.rotation[:, None], twist.reshape(-1, 2, 3)).reshape(-1, 6)
-    return PlanMessage(
-        stamp_ns, frame_id, (name,), motion.stamps_ns - motion.stamps_ns[0],
-        np.hstack([motion.position, rotation_to_quaternion(motion.rotation)]), twist)
