@@ -1,7 +1,6 @@
 """Topics of plans: prediction before and during the motion; steering."""
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
 import gc
@@ -21,8 +20,9 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from .conversions import stamp_to_ns, write_odometry
 from .outputs import Topic
 from .tool_inputs import OVERRIDABLE
+from .worker import Worker
 from ..core.live import LivePredictor, Prediction
-from ..core.live.ahead import Ahead, thin_out
+from ..core.live.ahead import Ahead, LONGEST_WAIT, thin_out
 from ..core.live.health import Level, number, Status
 from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import UNKNOWN_ROOT
@@ -47,8 +47,11 @@ from ..files.plan_messages import (
 LONGEST_REQUEST = 10.0
 """How far ahead (s) package/predict_at may ask."""
 
+FARTHEST_BEGIN = 3600.0
+"""A plan stamped further ahead (s) has the stamp of another clock."""
+
 MOST_WAITING = 4
-"""Messages that may wait for an answer; more are refused."""
+"""Requests that may wait for an answer; more are refused."""
 
 SWITCH = 5e-5
 """The live prediction gets the interpreter back from an answer within this time (s)."""
@@ -58,6 +61,9 @@ TAIL = 2.0
 
 DELIVERED = 4e-4
 """Wait (s) after a prediction before a plan is predicted anew: its listeners come first."""
+
+PLAN, STEERING = 'plan', 'steering'
+"""Kinds of work of which only the newest is wanted."""
 
 STILL = Prediction(1, *ORIGIN, ZERO, ZERO)
 """Stands for a package of unknown state."""
@@ -92,15 +98,17 @@ class Planning:
         self._steered = Topic(node, MultiDOFJointTrajectory, 'tool_arm/steered')
         self._at = Topic(node, Odometry, 'package/predicted_at')
         self._compiled: list[Callable[[], None]] = []
-        self._pool = ThreadPoolExecutor(1, 'plans')
-        self._jobs: list[Future[None]] = []
+        self._worker = Worker(node, 'plans')
         sys.setswitchinterval(SWITCH)
         for kind, topic, callback, compile_it, raw in (
-                (MultiDOFJointTrajectory, 'tool_arm/plan', self._on_plan, self._compile, True),
-                (MultiDOFJointTrajectory, 'tool_arm/steer', self._on_steer, self._compile, True),
+                (MultiDOFJointTrajectory, 'tool_arm/plan',
+                 partial(self._worker.submit, PLAN, self._on_plan), self._compile, True),
+                (MultiDOFJointTrajectory, 'tool_arm/steer',
+                 partial(self._worker.submit, STEERING, self._on_steer), self._compile_steering,
+                 True),
                 (Header, 'package/predict_at', self._on_request, self._compile_later, False)):
             node.create_subscription(
-                kind, topic, partial(self.submit, callback), QoSProfile(depth=10), raw=raw,
+                kind, topic, callback, QoSProfile(depth=10), raw=raw,
                 event_callbacks=SubscriptionEventCallbacks(
                     matched=node.guarded(partial(self._on_publishers, compile_it))),
                 qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
@@ -112,24 +120,18 @@ class Planning:
         now = self._now()
         return None if now is None or now.flies else now
 
-    def submit(self, work: Callable[..., None], *arguments: Any) -> None:
-        """Run work beside the live prediction; refuse it if too much is waiting."""
-        self._jobs = [job for job in self._jobs if not job.done()]
-        if len(self._jobs) < MOST_WAITING:
-            self._jobs.append(self._pool.submit(self._node.guarded(work), *arguments))
-            return
-        self._node.get_logger().warning(
-            'Plans arrive faster than they can be answered, and some are skipped. Send fewer.',
-            throttle_duration_sec=1.0)
-
     @property
     def is_busy(self) -> bool:
         """Whether something is being answered."""
-        return any(not job.done() for job in self._jobs)
+        return self._worker.is_busy
+
+    def close(self) -> None:
+        """End the answers for good."""
+        self._worker.close()
 
     def forget(self) -> None:
-        """Drop the plan, after waiting for running answers."""
-        wait(self._jobs)
+        """Drop the plan and all answers."""
+        self._worker.forget()
         self._ahead: Ahead | None = None
         self._found: Predicted | Status | None = None
         self._predicted_ns = 0
@@ -144,7 +146,7 @@ class Planning:
         """Compile what answers a topic once a possible publisher appears."""
         if matched.current_count and compile_it not in self._compiled:
             self._compiled.append(compile_it)
-            self.submit(compile_it)
+            self._worker.submit(compile_it, compile_it)
 
     def _compile_later(self) -> None:
         """Compile the answer to a request, by making one."""
@@ -155,19 +157,21 @@ class Planning:
 
     def _compile(self) -> None:
         """Compile the answer to a plan, by answering a dummy plan."""
-        still = rows_of(np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
-                        np.zeros((9, 6)))
-        at_rest = Ahead(still, 0)
+        at_rest = Ahead(_still(), 0)
         at_rest.follow(STILL)
         predict(self._live.model, grip_of(self._values), at_rest.rest(STILL), tail=0.1)
         thin_out(np.zeros(1, np.int64), np.zeros((1, 13)), 1.0, True)
-        steer(self._live.model, still.trajectory(), self._values['steer.method'])
+        gc.freeze()
+
+    def _compile_steering(self) -> None:
+        """Compile the answer to a motion to be steered, by answering one."""
+        steer(self._live.model, _still().trajectory(), self._values['steer.method'])
         gc.freeze()
 
     def rest(self, now: Prediction) -> Rows | None:
         """Return the tool from a prediction on, by its plan, or None where it drives none."""
         ahead = self._ahead
-        return None if ahead is None or ahead.done or ahead.off else ahead.rest(now)
+        return ahead.rest(now) if ahead is not None and ahead.is_driven(now) else None
 
     # --------------------------------------------------------------- messages
 
@@ -188,17 +192,24 @@ class Planning:
         """Predict a plan, and follow it from now on."""
         try:
             message, tool = self._read(data)
-            self._ahead = Ahead(tool, message.stamp_ns)
+            ahead = Ahead(tool, message.stamp_ns)
             now, grip = self.held, grip_of(self._values)
+            rest, body, stamp_ns = ahead.plan, None, message.stamp_ns
             if now is not None:
-                self._ahead.follow(now)
+                wait = (stamp_ns - now.stamp_ns) / NS_PER_S
+                if wait > FARTHEST_BEGIN:
+                    raise BellowsError(
+                        f'It begins {wait:.3g} s after the newest pose of the tool; expected at '
+                        f'most {FARTHEST_BEGIN:g} s. Stamp plans and poses with one clock, or '
+                        'give the plan the stamp 0.')
+                ahead.follow(now)
                 grip = self.grip
-            rest, body, stamp_ns = self._ahead.plan, None, message.stamp_ns
-            if now is not None and not self._ahead.off:
-                rest = self._ahead.rest(now, self._coarse)  # points as far apart as steps
-                body, stamp_ns = now.body, now.stamp_ns
-            self._answer(
-                Run(self._live.model, grip, rest, body, TAIL, self._coarse), stamp_ns)
+                if wait <= LONGEST_WAIT and not ahead.off:
+                    rest = ahead.rest(now, self._coarse)  # points as far apart as steps
+                    body, stamp_ns = now.body, now.stamp_ns
+            self._ahead = ahead
+            self._answer(Run(self._live.model, grip, rest, body, TAIL, self._coarse,
+                             self._worker.stop), stamp_ns)
         except BellowsError as error:
             self._refuse('plan', error)
             return
@@ -207,31 +218,32 @@ class Planning:
 
     def _refuse(self, what: str, error: BellowsError) -> None:
         """Log why a message is refused; the prediction goes on."""
+        if self._worker.stop[0]:  # nobody waits for it any more
+            return
         self._ahead = self._ahead if what != 'plan' else None
         self._found = Status('plan', Level.WARN, f'The last {what} was refused. {error}', {})
         self._node.get_logger().warning(f'A {what} was refused. {error}')
 
     def follow(self) -> None:
-        """Predict the rest of the plan from where tool and package are, as often as asked for."""
-        if self._ahead is None or time.monotonic_ns() - self._predicted_ns < self._period_ns:
+        """Find the tool on its plan; predict the rest of it as often as asked for."""
+        ahead, now = self._ahead, self.held
+        if ahead is None or now is None or now.coasting:
             return
-        now = self.held
-        if now is not None and not self.is_busy:
+        ahead.follow(now)
+        if ahead.done:
+            self._ahead = None
+        elif (ahead.progress > 0.0 and ahead.is_driven(now) and not self.is_busy
+                and time.monotonic_ns() - self._predicted_ns >= self._period_ns):
             self._predicted_ns = time.monotonic_ns()
-            self.submit(self._predict_rest, self._ahead, now)
+            self._worker.submit(PLAN, self._predict_rest, ahead, now)
 
     def _predict_rest(self, ahead: Ahead, now: Prediction) -> None:
         """Predict the rest of a plan from a live state, once that has been delivered."""
         time.sleep(DELIVERED)
-        ahead.follow(now)
-        if ahead.done and ahead is self._ahead:
-            self._ahead = None
-        if ahead.done or ahead.off or ahead.progress == 0.0:
-            return
         try:
             self._answer(Run(
-                self._live.model, self.grip, ahead.rest(now), now.body, 0.0, self._coarse),
-                now.stamp_ns)
+                self._live.model, self.grip, ahead.rest(now), now.body, 0.0, self._coarse,
+                self._worker.stop), now.stamp_ns)
         except BellowsError as error:
             self._refuse('plan', error)
 
@@ -271,6 +283,15 @@ class Planning:
         return Status('plan', level, said or 'Nothing speaks against the plan.', values)
 
     def _on_request(self, request: Header) -> None:
+        """Answer a request for the package at a stamp beside the live prediction."""
+        if self._worker.waiting(int) < MOST_WAITING:
+            self._worker.submit(stamp_to_ns(request.stamp), self._predict_at, request)
+            return
+        self._node.get_logger().warning(
+            'Requests on package/predict_at arrive faster than they can be answered, and some are '
+            'skipped. Send fewer.', throttle_duration_sec=1.0)
+
+    def _predict_at(self, request: Header) -> None:
         """Publish the package at a stamp, with the tool moving as planned or steadily."""
         live, now = self._live, self._now()
         try:
@@ -283,8 +304,6 @@ class Planning:
                 raise BellowsError(
                     f'Its stamp is {duration:.6g} s after the newest pose of the tool; expected '
                     f'above 0 and up to {LONGEST_REQUEST:g} s.')
-            if self._ahead is not None and not now.flies:
-                self._ahead.follow(now)
             assert live.flight is not None  # set with the values
             body = live.flight.later(live.model, now, duration)
         except BellowsError as error:
@@ -312,3 +331,9 @@ class Planning:
         self._steered.publish(encode_multi_dof(plan_message(
             found.tool, message.stamp_ns, message.frame_id, 'tool',
             self._values['tool_twist.frame'])))
+
+
+def _still() -> Rows:
+    """Return a plan of a tool that stands."""
+    return rows_of(np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
+                   np.zeros((9, 6)))

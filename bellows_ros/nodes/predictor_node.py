@@ -82,6 +82,8 @@ class PredictorNode(ManagedNode):
     """
 
     _live: LivePredictor = None  # type: ignore[assignment]  # none until it is configured
+    _planning: Planning = None  # type: ignore[assignment]
+    _tossing: Tossing = None  # type: ignore[assignment]
 
     def __init__(self, **options: Any) -> None:
         """Check the parameters, and start unless autostart is off."""
@@ -186,6 +188,14 @@ class PredictorNode(ManagedNode):
         self._diagnostics.forget()
         del self._live
         self.give_back()
+
+    def give_back(self) -> None:
+        """End the threads, too."""
+        for part in (self._planning, self._tossing):
+            if part is not None:
+                part.close()
+        self._planning = self._tossing = None  # type: ignore[assignment]
+        super().give_back()
 
     def _say_model(self, values: Values) -> None:
         """Log the cup and the package that are used."""

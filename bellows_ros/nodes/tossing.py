@@ -1,7 +1,6 @@
 """Topics of the toss: predicted landing, time of release, and the valve."""
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 import time
 from typing import Any
 
@@ -16,6 +15,7 @@ from .markers import marker, NAMESPACE
 from .outputs import Topic
 from .planning import Planning
 from .tool_inputs import OVERRIDABLE
+from .worker import Worker
 from ..core.geometry.arrays import Array
 from ..core.live import Prediction
 from ..core.live.flight import Flight, Landing, PATH_POINTS
@@ -52,9 +52,8 @@ class Tossing:
         self, node: Any, on_valve: Callable[[bool], None], planning: Planning
     ) -> None:
         """Advertise, and listen to the valve."""
-        self._planning, self._aim = planning, node.guarded(self._say_when)
-        self._pool = ThreadPoolExecutor(1, 'release')  # no plan waits behind a search
-        self._aiming: Future[None] | None = None
+        self._planning = planning
+        self._worker = Worker(node, 'release')  # no plan waits behind a search
         self._landing = Topic(node, PoseWithCovarianceStamped, 'package/landing')
         self._at = Topic(node, Header, 'release/at')
         self._message = PoseWithCovarianceStamped()
@@ -65,8 +64,12 @@ class Tossing:
         self._landed_ns = self._aimed_ns = 0
 
     def forget(self) -> None:
-        """Wait for a running search."""
-        wait([self._aiming] if self._aiming else [])
+        """Drop a running search."""
+        self._worker.forget()
+
+    def close(self) -> None:
+        """End the searches for good."""
+        self._worker.close()
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Use other values; compile what a landing needs."""
@@ -91,14 +94,14 @@ class Tossing:
                     path = flight_path(model, found.toss, PATH_POINTS)
                     self._picture.publish(_picture(found, path, prediction.stamp_ns, frame_id))
         if (self._at.wanted and now_ns - self._aimed_ns >= AIM_PERIOD_NS
-                and (self._aiming is None or self._aiming.done())):
+                and not self._worker.is_busy):
             self._aimed_ns = now_ns
-            self._aiming = self._pool.submit(self._aim, model, prediction, frame_id)
+            self._worker.submit('aim', self._say_when, model, prediction, frame_id)
 
     def _say_when(self, model: ModelTuple, prediction: Prediction, frame_id: str) -> None:
         """Publish when to switch the valve for the target."""
         after = self.flight.time_to_target(model, prediction)
-        if after is not None:
+        if after is not None and not self._worker.stop[0]:
             message = Header(frame_id=frame_id)
             write_stamp(message.stamp, prediction.stamp_ns + round(after * 1e9))
             self._at.publish(message)

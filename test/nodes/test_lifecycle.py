@@ -1,6 +1,7 @@
 """The predictor as a managed node: transitions over services, and silence unless active."""
 
 from collections.abc import Callable
+from threading import active_count
 from typing import Any
 
 from bellows_ros.errors import BellowsError
@@ -112,6 +113,7 @@ def test_every_transition(make_predictor: Callable[..., Any], manager: Manager) 
     """Go through all states twice; publish only while active."""
     node = make_predictor({**PACKAGE, 'autostart': False})
     assert manager.state() == 'unconfigured'
+    threads = active_count()
     for _ in range(2):
         assert manager.change(Transition.TRANSITION_CONFIGURE)
         assert manager.state() == 'inactive'
@@ -128,6 +130,7 @@ def test_every_transition(make_predictor: Callable[..., Any], manager: Manager) 
         manager.send()
         assert manager.change(Transition.TRANSITION_CLEANUP)
         assert manager.state() == 'unconfigured' and manager.heard == []
+        assert manager.ros.spin_until(lambda: active_count() == threads)
     assert manager.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
     assert manager.state() == 'finalized'
 

@@ -12,6 +12,7 @@ from bellows_ros.files.plan_messages import decode_multi_dof, encode_multi_dof, 
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
+from rclpy.parameter import Parameter
 
 from .conftest import Partner
 from ..core.planning.test_steering import Smooth
@@ -74,7 +75,7 @@ class Planner:
         planning = partner.predictor._planning
         assert partner.ros.spin_until(lambda: (
             all(end.get_publisher_count() for end in ends)
-            and len(planning._compiled) == 2
+            and len(planning._compiled) == 3
             and not planning.is_busy
             and all(out.get_subscription_count()
                     for out in (self.plan_out, self.steer_out, self.request_out))
@@ -241,3 +242,63 @@ def test_a_bad_plan_is_refused_and_the_prediction_goes_on(
     assert not planner.partner.predictor.failures
     planner.send(message())
     planner.wait(lambda: planner.plans and planning.status.level == 0)
+
+
+def test_a_plan_of_another_clock_ends_nothing(planner: Planner) -> None:
+    """Refuse what begins in ten years, and answer the next plan; know what begins later too."""
+    start_ns = 1_700_000_000_000_000_000
+    predictor = planner.partner.predictor
+    predictor.set_parameters([Parameter('package.size', value=[0.1, 0.1, 0.1]),
+                              Parameter('landing.height', value=-1.0),
+                              Parameter('landing.aim', value=True)])
+    planning, flight = predictor._planning, predictor._tossing.flight
+    planner.send(message(stamp_ns=start_ns + 300_000_000 * 10**9))  # before any pose
+    planner.wait(lambda: planner.plans)
+    planner.drive(start_ns, 0.0)
+    planner.partner.wait_for_poses(1)
+    for ahead_ns in (300_000_000 * 10**9, 86_400 * 10**9, 60 * 10**9, 2 * 10**9):
+        now, before = predictor._last, len(planner.plans)
+        assert flight.landing(MODEL, now, lambda _: np.zeros((12, 12))) is not None
+        flight.time_to_target(MODEL, now)
+        assert_allclose(flight.later(MODEL, now, 0.5)[0], now.position, atol=1e-3)
+        planner.send(message(stamp_ns=start_ns + ahead_ns))
+        if ahead_ns > 3600 * 10**9:
+            planner.wait(lambda: planning.status and 'one clock' in planning.status.message)
+        else:
+            planner.wait(lambda: len(planner.plans) > before)  # noqa: B023
+    assert not predictor.failures
+
+
+def test_a_newer_plan_replaces_one_that_takes_long(planner: Planner) -> None:
+    """Stop what is not wanted any more: for a newer plan, for the end of the active state."""
+    predictor = planner.partner.predictor
+    planning = predictor._planning
+    planner.send(message())
+    planner.wait(lambda: planner.plans and not planning.is_busy)
+    planning._coarse = 1e-4  # 10 minutes of a plan take seconds then, or hours without numba
+    times = np.arange(0, 600 * 10**9 + 1, 10 * MS)
+    long = message(times_ns=times, poses=np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (len(times), 1)),
+                   twists=np.zeros((len(times), 6)))
+    for _ in range(3):
+        planner.send(long)
+        planner.wait(lambda: planning._worker._running == 'plan')
+    planner.plans.clear()
+    planner.send(message())
+    begun = time.monotonic()
+    planner.wait(lambda: planner.plans)
+    assert time.monotonic() - begun < 2.0 and len(planner.plans[0].times_ns) == 101
+    planner.send(long)
+    planner.wait(lambda: planning._worker._running == 'plan')
+    begun = time.monotonic()
+    predictor.trigger_deactivate()
+    assert time.monotonic() - begun < 1.0 and not planning.is_busy
+    assert planning.status is None and not predictor.failures
+
+
+def test_what_takes_too_many_steps_is_refused(planner: Planner) -> None:
+    """Say how many, before any memory is taken."""
+    planning = planner.partner.predictor._planning
+    planning._coarse = 1e-9
+    planner.send(message())
+    planner.wait(lambda: planning.status)
+    assert planning.status.level == 1 and '1e+09 integration steps' in planning.status.message

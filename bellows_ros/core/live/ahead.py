@@ -33,10 +33,15 @@ import numpy as np
 
 LEVER = 0.1
 """Distance (m) that counts as much as a rotation by 1 rad."""
-WINDOW = 0.25
+WINDOW = 0.05
 """The tool is searched up to this far (s of the plan) ahead of its expected place."""
+LATEST = 0.1
+"""A tool that stands for longer (s) than its plan does at the beginning, waits."""
+LONGEST_WAIT = 10.0
+"""A plan that begins later than this (s) is not ahead yet, and one that should have ended longer
+ago begins with the tool, as its stamp may be of another clock."""
 AT_ONCE = 2e-4
-"""Places of the plan whose distances differ by less (m) are distinguished by the clock."""
+"""Places of the plan within this distance (m) of the tool are distinguished by the clock."""
 OFF_THE_PLAN = 0.05
 """A tool farther than this (m) from the plan does not follow it."""
 
@@ -70,6 +75,19 @@ def along(v: Vector, w: Vector, linear: Vector, angular: Vector) -> float:
 
 
 @kernel
+def index_at(seconds: Any, t: float) -> int:
+    """Return the index of the last time that is not after t (s), or of the first."""
+    low, high = 0, len(seconds) - 1
+    while low < high:
+        middle = (low + high + 1) // 2
+        if seconds[middle] <= t:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+@kernel
 def locate(
     rows: Any, seconds: Any, reach: Any, slow: float, tool: State, progress: float, expected: float
 ) -> tuple[float, float, float]:
@@ -77,23 +95,24 @@ def locate(
     Return how far (m) a tool is from a plan, where on it (s), and at how many times its speed.
 
     It is sought from the progress on, and of places as near as each other where it is expected.
-    The speed is negative where the plan is slow.
+    The speed is infinite where the plan is slow.
     """
     o, q, v, w = tool
-    until = max(expected, progress) + WINDOW
-    nearest, last = math.inf, len(seconds) - 1
-    for i in range(len(seconds)):
-        if progress - 1e-9 <= seconds[i] <= until:
-            nearest = min(nearest, apart(rows[i], o, q))
-    found, beside = last, math.inf
-    for i in range(len(seconds)):
-        if (progress - 1e-9 <= seconds[i] <= until and abs(seconds[i] - expected) < beside
-                and apart(rows[i], o, q) <= nearest + AT_ONCE + reach[i]):
+    last = len(seconds) - 1
+    first, end = index_at(seconds, progress), 1 + min(
+        last, 1 + index_at(seconds, max(expected, progress) + WINDOW))
+    nearest = math.inf
+    for i in range(first, end):
+        nearest = min(nearest, apart(rows[i], o, q))
+    found, beside = first, math.inf
+    for i in range(first, end):
+        if (abs(seconds[i] - expected) < beside
+                and apart(rows[i], o, q) <= max(nearest, AT_ONCE) + reach[i]):
             found, beside = i, abs(seconds[i] - expected)
     point = row_state(rows[found])
     speed = along(point[2], point[3], point[2], point[3])
     if speed <= slow * slow:
-        return nearest, seconds[found], -1.0
+        return nearest, seconds[found], math.inf
     R = rotation_matrix(point[1])
     turn = log_quaternion(quaternion_product(quaternion_conjugate(point[1]), q))
     way = along(apply_transposed(R, subtract(o, point[0])), turn, point[2], point[3])
@@ -101,6 +120,16 @@ def locate(
         nearest, min(max(seconds[found] + way / speed, 0.0), seconds[last]),
         along(v, w, point[2], point[3]) / speed,
     )
+
+
+@kernel
+def leaving(rows: Any, reach: Any) -> int:
+    """Return the index of the first point at which the tool is seen to have left, or the last."""
+    start = row_state(rows[0])
+    for i in range(len(rows)):
+        if apart(rows[i], start[0], start[1]) > AT_ONCE + reach[i]:
+            return i
+    return len(rows) - 1
 
 
 @kernel
@@ -114,13 +143,13 @@ def left(
     The plan starts after a wait (s) and is driven at so many times its speed; its points are
     thinned to a spacing (s). Return how many points that makes.
     """
-    last, here = len(seconds) - 1, 0
-    for i in range(len(seconds)):
-        if abs(seconds[i] - progress) < abs(seconds[here] - progress):
-            here = i
+    last, here = len(seconds) - 1, index_at(seconds, progress)
+    if here < last and seconds[here + 1] - progress < progress - seconds[here]:
+        here += 1
     join = min(LONGEST_JOIN, apart(rows[here], tool[0], tool[1]) / JOIN_SPEED)
-    first, k = progress + max(join, 1e-4 if wait == 0.0 else 0.0), 0
-    while k < last and seconds[k] < first:
+    first = progress + max(join, 1e-4 if wait == 0.0 else 0.0)
+    k = index_at(seconds, first)
+    if k < last and seconds[k] < first:
         k += 1
     gap = max(seconds[last] - seconds[k], 1e-9) / max(1, last - k)
     stride, count = max(1, round(spacing / gap)), 1
@@ -177,8 +206,8 @@ class Ahead:
         s of the plan.
     rate : float
         Its speed is so many times that of the plan.
-    done, off : bool
-        Whether the tool has arrived, and whether it is elsewhere.
+    done, off, paused : bool
+        Whether the tool has arrived, is elsewhere, or stands where the plan moves.
 
     """
 
@@ -192,34 +221,68 @@ class Ahead:
         reach = 0.5 * speed * np.maximum(np.append(gaps, 0.0), np.append(0.0, gaps))
         self._inputs = as_inputs(self._rows, self._seconds, reach)
         self._slow = MOVING * float(speed.max())
-        self.progress, self.rate = 0.0, 1.0
-        self.done = self.off = False
-        self._seen_ns = -1
+        self._leaves = float(self._seconds[leaving(self._inputs[0], self._inputs[2])])
+        self.done = self.off = self.paused = False
+        self._anchor = -1, 0.0, 1.0
+
+    @property
+    def progress(self) -> float:
+        """Time in the plan at which the tool was seen last, s."""
+        return self._anchor[1]
+
+    @property
+    def rate(self) -> float:
+        """Speed of the tool relative to the plan."""
+        return self._anchor[2]
 
     def follow(self, now: Prediction) -> None:
-        """Find where on the plan the tool is, and how fast it is driven."""
-        far, progress, rate = locate(
-            *self._inputs, self._slow, now.tool, self.progress, self._expected(now.stamp_ns))
-        self._seen_ns = now.stamp_ns
+        """Find where on the plan the tool is, and how fast it is driven; for each of its poses."""
+        _, before, rate = self._anchor
+        far, progress, measured = locate(
+            *self._inputs, self._slow, now.tool, before, self._expected(now.stamp_ns))
         self.off = far > OFF_THE_PLAN
-        self.progress = max(self.progress, progress)
+        if self.off:
+            return
+        self.paused = measured <= SLOWEST
+        if SLOWEST < measured < math.inf:
+            rate += SMOOTHING * (min(measured, QUICKEST) - rate)
+        self._anchor = now.stamp_ns, max(before, progress), rate  # at once: threads read it
         self.done = self.progress >= self._seconds[-1] - 1e-3
-        if rate > SLOWEST:  # else the driver pauses
-            self.rate += SMOOTHING * (min(rate, QUICKEST) - self.rate)
 
     def _expected(self, stamp_ns: int) -> float:
         """Return the expected time in the plan according to the clock, s."""
-        if self._seen_ns >= 0 and self.progress > 0.0:
-            return self.progress + self.rate * (stamp_ns - self._seen_ns) / NS_PER_S
-        return max(0.0, (stamp_ns - self._stamp_ns) / NS_PER_S) if self._stamp_ns else 0.0
+        seen_ns, progress, rate = self._anchor
+        late = -self._wait(stamp_ns)
+        if seen_ns < 0 or (progress == 0.0 and late <= 0.0):
+            return max(0.0, late)
+        return progress + rate * (stamp_ns - seen_ns) / NS_PER_S
+
+    def _wait(self, stamp_ns: int) -> float:
+        """Return the time (s) until the plan begins; infinite where it does with the tool."""
+        wait = (self._stamp_ns - stamp_ns) / NS_PER_S if self._stamp_ns else math.inf
+        is_near = -LONGEST_WAIT - self._seconds[-1] <= wait <= LONGEST_WAIT
+        return wait if is_near else math.inf
+
+    def is_driven(self, now: Prediction) -> bool:
+        """Return whether the tool is on the plan, or will be soon."""
+        return not (self.done or self.off or self.paused) and (
+            self.progress > self._leaves
+            or -LATEST - self._leaves <= self._wait(now.stamp_ns) < math.inf)
 
     def rest(self, now: Prediction, spacing: float = SPACING) -> Rows:
-        """Return the rest of the plan from the current tool pose, with stamps from now."""
+        """
+        Return the rest of the plan from the current tool pose, with stamps from now.
+
+        A plan that has not begun and has no time to begin, begins now.
+        """
+        seen_ns, progress, rate = self._anchor
         wait = 0.0
-        if self.progress == 0.0 and self._stamp_ns > now.stamp_ns:
-            wait = (self._stamp_ns - now.stamp_ns) / NS_PER_S
+        if progress > 0.0:  # the poses seen last and now need not be the same
+            progress = min(self._expected(now.stamp_ns), float(self._seconds[-1]))
+        elif self._wait(now.stamp_ns) < math.inf:
+            wait = max(0.0, self._wait(now.stamp_ns))
         stamps_ns = np.empty(len(self._rows) + 1, np.int64)
         rows = np.empty((len(stamps_ns), 13))
-        count = left(*self._inputs[:2], now.tool, self.progress, self.rate, wait, spacing,
+        count = left(*self._inputs[:2], now.tool, progress, rate, wait, spacing,
                      stamps_ns, rows)
         return Rows(stamps_ns[:count], rows[:count])

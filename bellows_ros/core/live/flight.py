@@ -13,7 +13,7 @@ from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
 from bellows_ros.core.model.equilibrium import largest_step
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.kernels import extrapolated, ModelTuple, State
-from bellows_ros.core.model.simulation import diverged, row_state, Rows
+from bellows_ros.core.model.simulation import diverged, require_steps, row_state, Rows
 from bellows_ros.core.toss.landing import aim, release_deviations
 from bellows_ros.core.toss.release import (
     COARSE_STRIDE,
@@ -39,6 +39,9 @@ AIMED_SCAN, AIMED_CLOSELY = 0.01, 1
 """Spacing (s) of that scan, and how many of its times are refined."""
 COARSE = 2.0
 """Steps are so many times as long as elsewhere: the landing is within 0.02 mm, 0.2 mrad."""
+MOST_AIMED = 100_000
+"""Most integration steps of that time; and of any other answer:"""
+MOST_STEPS = 2_000_000
 RENEWED = 10
 """The covariance of the package's state is renewed once in this many landings."""
 PATH_POINTS = 24
@@ -185,6 +188,7 @@ class Flight:
         """
         released, body, landed = 0.0, now.body, math.inf
         if not now.flies:
+            require_steps(seconds / self._longest_step(model), MOST_STEPS)
             switched = (self._switched_ns - now.stamp_ns) * 1e-9 if self.state else math.inf
             try:
                 released, body, landed, _ = self._toss(
@@ -261,12 +265,12 @@ class Flight:
         """Return the time (s) until the valve should be switched for the target, or None."""
         if not self.known or self.state or not self._values['landing.aim']:
             return None
+        if 2.0 * AIMED_AHEAD > MOST_AIMED * self._longest_step(model):
+            return None  # so many steps take too long
         x, y = self._values['landing.target']
         try:
-            held = Held(
-                model, self.grip,
-                steadily(prediction, self._future(prediction), 2.0 * AIMED_AHEAD),
-                prediction.body, 2.0 * AIMED_AHEAD)
+            tool = steadily(prediction, self._future(prediction), 2.0 * AIMED_AHEAD)
+            held = Held(model, self.grip, tool, prediction.body, 2.0 * AIMED_AHEAD)
             found = aim(held, self._release, (x, y), None, AIMED_AHEAD, AIMED_SCAN, AIMED_CLOSELY)
         except (BellowsError, ArithmeticError, ValueError):
             return None

@@ -47,6 +47,19 @@ def rest(model: ModelTuple, row: Array, near: State | None = None) -> State:
     return static_equilibrium(model, state_row(row[:3], row[3:7]), near)
 
 
+MOST_STEPS = 10_000_000
+"""Most integration steps of a prediction, which take seconds."""
+
+
+def require_steps(steps: float, most: int = MOST_STEPS) -> None:
+    """Refuse a prediction of too many integration steps."""
+    if not steps <= most:
+        raise BellowsError(
+            f'The prediction takes {steps:.3g} integration steps; expected at most {most:.3g}. '
+            'Shorten what is predicted, or check cup.stiffness, cup.damping, package.mass and '
+            'package.inertia, whose fastest mode sets the step.')
+
+
 def diverged() -> UnstableError:
     """Return the error for a prediction that is not finite."""
     return UnstableError(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import (
     add,
@@ -42,6 +42,7 @@ from bellows_ros.core.model.kernels import (
 )
 from bellows_ros.core.model.simulation import (
     diverged,
+    require_steps,
     rest,
     row_state,
     Rows,
@@ -51,7 +52,7 @@ from bellows_ros.core.model.simulation import (
 )
 from bellows_ros.core.model.validity_range import beyond, Envelope
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
-from bellows_ros.errors import UnstableError
+from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 
 SETTLED = math.radians(0.5)
@@ -73,6 +74,9 @@ PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_mome
 
 SAME_TILT = 0.05
 """The package hangs nearly alike if gravity turns by less than this in tool axes (rad)."""
+
+NEVER = np.zeros(1, np.bool_)
+"""Does not stop a prediction."""
 
 UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
 """Passed to the kernel if the grip is unknown; the loads are then not used."""
@@ -185,12 +189,14 @@ class Run:
     A plan made ready to be predicted at several speeds.
 
     Parameters are those of `predict`; `tail` is how long after the end is looked at (s), and
-    `longest` the longest step of the integration (s), that of the model when left out.
+    `longest` the longest step of the integration (s), that of the model when left out. `stop`
+    (1,) ends the work with a BellowsError as soon as another thread sets it to true.
     """
 
     def __init__(
         self, model: ModelTuple, grip: Grip | None, tool: Trajectory | Rows,
         start: State | None = None, tail: float = LONGEST_TAIL, longest: float = 0.0,
+        stop: Mask = NEVER,
     ) -> None:
         """Take the plan, and find where the package rests."""
         self.tool, self._model, self._grip = tool, model, grip
@@ -201,7 +207,8 @@ class Run:
         self._end = self._start
         if self._tail:
             self._end = rest_after(model, rows[0], self._start, rows[-1])
-        self._longest = longest or largest_step(model)
+        self._longest, self._stop = longest or largest_step(model), stop
+        require_steps(float(tool.seconds[-1]) / self._longest)
         self._inputs = as_inputs(rows, np.diff(tool.stamps_ns) / NS_PER_S)
 
     def of(self, model: ModelTuple) -> Run:
@@ -252,9 +259,10 @@ class Run:
         try:
             self._body, self._seconds, below = _follow(
                 self._model, self._grip or UNKNOWN_GRIP, self._start, *self._inputs,
-                duration_scale, self._longest, ceiling, *self._out, self._past)
+                duration_scale, self._longest, ceiling, *self._out, self._past, self._stop)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             raise diverged() from None
+        self._require_wanted()
         return bool(below)
 
     def _swing_out(self, ceiling: float) -> float:
@@ -262,12 +270,19 @@ class Run:
         h = max(self._longest, min(TAIL_STEP, COARSE * self._longest))
         _, _, _, peaks, lip = self._out
         try:
-            return float(_swing_out(
+            settled = float(_swing_out(
                 self._model, self._grip or UNKNOWN_GRIP, self._end[1],
                 row_state(self._inputs[0][-1]), self._body, self._seconds, h,
-                math.ceil(self._tail / h), ceiling, peaks, self._past, lip))
+                math.ceil(self._tail / h), ceiling, peaks, self._past, lip, self._stop))
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             raise diverged() from None
+        self._require_wanted()
+        return settled
+
+    def _require_wanted(self) -> None:
+        """Raise where another thread has stopped the prediction."""
+        if self._stop[0]:
+            raise BellowsError('The prediction was stopped before its end.')
 
 
 def rest_after(
@@ -378,6 +393,7 @@ def _follow(
     model: ModelTuple, grip: Grip, start: State, rows: Any, durations: Any,
     duration_scale: float, longest: float, ceiling: float,
     states: Array, wrench: Array, loads: Array, peaks: Array, lip: Array, past: Array,
+    stop: Mask,
 ) -> tuple[State, float, bool]:
     """
     Advance along the plan until a load is above the ceiling.
@@ -393,6 +409,8 @@ def _follow(
     if look(model, grip, tool, body, t, wrench[0], loads[0], peaks, past, lip) > ceiling:
         return body, t, False
     for k in range(len(durations)):
+        if stop[0]:
+            break
         duration = durations[k] * duration_scale
         after = slowed(row_state(rows[k + 1]), duration_scale)
         segment = tool_segment(tool, after, duration)
@@ -420,7 +438,7 @@ def _follow(
 @kernel
 def _swing_out(
     model: ModelTuple, grip: Grip, rest: Quaternion, tool: State, body: State, t: float, h: float,
-    count: int, ceiling: float, peaks: Array, past: Array, lip: Array,
+    count: int, ceiling: float, peaks: Array, past: Array, lip: Array, stop: Mask,
 ) -> float:
     """
     Let the package swing under a tool at rest, until a load is above the ceiling.
@@ -437,7 +455,7 @@ def _swing_out(
         load = look(model, grip, tool, body, t + since, wrench, loads, peaks, past, lip)
         turn = turn_between(rest, body[1])
         note(peaks, past, 7, t + since, turn)
-        if load > ceiling or turn > OVERTURNED:
+        if load > ceiling or turn > OVERTURNED or stop[0]:
             return math.inf
         if turn > SETTLED:
             settled = math.inf

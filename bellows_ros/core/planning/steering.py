@@ -56,6 +56,7 @@ from bellows_ros.core.model.kernels import (
     Wrench,
 )
 from bellows_ros.core.model.simulation import (
+    require_steps,
     rest,
     row_state,
     state_row,
@@ -88,6 +89,8 @@ quick that a cup known to 5 % swings, a shorter one the tool jerk."""
 
 RATE_PER_STEP = 0.4
 """Relaxation rate of the cup times step; RK4 is then accurate to 1e-4."""
+MOST_STEPS = 1_000_000
+"""Most steps of the inverse, each of which is kept."""
 FASTEST = 1e5
 """A cup that relaxes faster (1/s), because its damper is weak, is not inverted."""
 ARRIVED = (2e-5, 1e-4)
@@ -278,9 +281,11 @@ def inverse(
     duration = float(wanted.seconds[-1])
     count = math.ceil(duration / min(GRID, RATE_PER_STEP / rates[-1]) - 1e-9)
     h = duration / count
+    arrival = (LONGEST_ARRIVAL / rates[0] + FADE) / h
+    require_steps(count + 2.0 * arrival, MOST_STEPS)
     if start is None:
         start = _tool_above(model, rows[0], rates)
-    out, package = np.empty((2, count + 2 + round((LONGEST_ARRIVAL / rates[0] + FADE) / h), 13))
+    out, package = np.empty((2, count + 2 + round(arrival), 13))
     found = _led(
         model, start, _wanted(rows, duration, count), h, rates[0] * np.array(ARRIVED), out,
         package)
@@ -459,6 +464,7 @@ def to_shape(modes: Sequence[Mode], method: str) -> list[Mode]:
 def shaped(tool: Trajectory, delays: Array, sizes: Array) -> Trajectory:
     """Return the sum of delayed copies of a motion, quaternions added up and normalised."""
     duration, curve = float(tool.seconds[-1]), curve_of(tool)
+    require_steps(len(delays) * (duration + delays.max()) / GRID, 5 * MOST_STEPS)
     seconds = np.arange(math.ceil((duration + delays.max()) / GRID - 1e-9) + 1) * GRID
     at = np.clip(seconds - delays[:, None], 0.0, duration)
     rows, rates = (np.tensordot(sizes, of(at), 1) for of in (curve, curve.derivative()))

@@ -58,6 +58,7 @@ from bellows_ros.core.model.kernels import (
 )
 from bellows_ros.core.model.simulation import (
     diverged,
+    require_steps,
     rest,
     row_state,
     Rows,
@@ -79,6 +80,9 @@ INSTANT = 1e-10
 
 LONGEST_WAIT, LONGEST_FLIGHT = 2.0, 10.0
 """Longest time (s) from the valve to letting go, and from there to landing."""
+
+MOST_STEPS = 1_000_000
+"""Most steps of the package held along a plan, each of which is kept."""
 
 PUSHES = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (1.0,) * 3
 """Steps of differences by shift (m), turn (rad), linear and angular twist (m/s, rad/s), and by
@@ -480,6 +484,7 @@ class Held:
         self._longest = largest_step(model)
         durations = np.diff(starts[:count])
         counts = substeps_of(durations, self._longest)
+        require_steps(float(counts.sum()), MOST_STEPS)
         self._steps = int(counts.sum())
         self._plan = as_inputs(rows[:count], durations, counts)
         self._follow(start or rest(model, rows[0]))

@@ -3,9 +3,10 @@
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor, Prediction
 from bellows_ros.core.live.ahead import Ahead
-from bellows_ros.core.live.flight import steadily
+from bellows_ros.core.live.flight import Flight, steadily
 from bellows_ros.core.live.samples import ZERO
 from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.planning.plan import predict
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -17,6 +18,8 @@ from ..plans import CUP, Move, PACKAGE
 
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 T0 = 1_700_000_000_000_000_000
+TOSSED = {'package.size': [0.1, 0.1, 0.1], 'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
+          'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0], 'landing.height': -9.0}
 MOVE = Move([0.5, -0.2, 0.1], [0.2, 0.0, 0.6], 0.8)
 
 
@@ -128,3 +131,73 @@ def test_a_plan_replayed_as_live_poses_agrees_with_its_prediction():
     q = np.array([row.quaternion_xyzw for row in rows])
     q *= np.sign(np.sum(q * found.states[:, 3:7], axis=1))[:, None]
     assert 2.0 * np.linalg.norm(found.states[:, 3:7] - q, axis=1).max() < 3e-6
+
+
+def ahead_of_time(late=0.0, speed=1.0, pause=None):
+    """Return time in the plan, and its rate, of a tool that starts late, is slow, or pauses."""
+    def at(t):
+        t = np.maximum(0.0, np.asarray(t) - late)
+        if pause is None:
+            return t * speed, np.where(t > 0.0, speed, 0.0)
+        brake, begin, end = 0.05, pause[0], pause[1]  # from full speed to none, and back
+        x = np.clip((t - begin) / brake, 0.0, 1.0)
+        y = np.clip((t - end) / brake, 0.0, 1.0)
+        rate = 1.0 - (3.0 * x * x - 2.0 * x**3) + (3.0 * y * y - 2.0 * y**3)
+        stood = np.minimum(t, begin) + brake * (x - x**3 + 0.5 * x**4) + (
+            brake * (y**3 - 0.5 * y**4) + np.maximum(t - end - brake, 0.0))
+        return stood, rate
+    return at
+
+
+@pytest.mark.parametrize('every', [1, 25], ids=['each pose', 'seldom'])
+@pytest.mark.parametrize(('driven_as', 'stamped'), [
+    ({}, True), ({}, False), ({'late': 0.3}, True), ({'speed': 0.5}, True),
+    ({'speed': 0.5, 'late': 0.2}, False), ({'pause': (0.35, 0.8)}, True)])
+def test_the_package_is_where_it_was_said_to_be(driven_as, stamped, every):
+    """
+    Say it 0.1 s before: to 0.5 mm, where the tool goes on as it did for as long.
+
+    To 1.5 mm at poses some time after that at which the tool was found on the plan.
+    """
+    at, step = ahead_of_time(**driven_as), 0.002
+    live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
+    live.expect_twists = True
+    ahead = Ahead(MOVE.plan(500), T0 if stamped else 0)
+    flight = Flight(resolve(TOSSED), lambda now: ahead.rest(now) if ahead.is_driven(now) else None)
+    times = step * np.arange(round(1.8 / step))
+    seconds, rates = at(times)
+    o, R, v = MOVE.at(np.minimum(seconds, 0.8))
+    v = v * (rates * (seconds < 0.8))[:, None]
+    quaternions, seen, said = rotation_to_quaternion(R).tolist(), [], {}
+    for k, t in enumerate(times):
+        stamp = T0 + round(t * 1e9)
+        live.on_pose(stamp, 'world', tuple(o[k].tolist()), tuple(quaternions[k]))
+        seen += live.on_twist(stamp, tuple(v[k, :3].tolist()), tuple(v[k, 3:].tolist()))
+        if k % every == 0:
+            ahead.follow(seen[-1])
+        if k % 25 == 12 and k + 50 < len(times) and np.ptp(rates[k - 12:k + 51]) < 1e-9 and (
+                seconds[k] > 0.1 or (seconds[k] == 0.0 and t > 0.14)):
+            said[k] = flight.later(MODEL, seen[-1], 0.1)
+    errors = {k: np.linalg.norm(np.subtract(body[0], seen[k + 50].position))
+              for k, body in said.items()}
+    assert len(errors) > 15 and max(errors.values()) < (5e-4 if every == 1 else 1.5e-3), errors
+
+
+def test_a_tool_that_waits_for_a_plan_without_a_stamp_stands():
+    """Take the plan as driven once the tool moves, or is about to by the plan's stamp."""
+    for stamp_ns, is_driven in ((0, False), (T0 + 5 * 10**9, True), (T0 + 10**17, False)):
+        ahead = Ahead(MOVE.plan(250), stamp_ns)
+        for t in (0.0, 0.1, 0.2):
+            ahead.follow(driven(0.0)._replace(stamp_ns=T0 + round(t * 1e9)))
+        now = driven(0.0)._replace(stamp_ns=T0 + 200_000_000)
+        assert ahead.is_driven(now) is is_driven and ahead.progress == 0.0
+        assert ahead.rest(now).stamps_ns[-1] <= round(6e9)  # nor is there ever a long wait
+
+
+def test_a_tool_that_comes_to_the_plan_later_is_followed_from_its_start():
+    """Although before it was nearest to the plan's middle."""
+    ahead = Ahead(MOVE.plan(250), 0)
+    ahead.follow(driven(0.4, off=(0.0, 0.0, 0.2)))
+    for t in (0.0, 0.1, 0.2, 0.3):
+        ahead.follow(driven(t)._replace(stamp_ns=T0 + 10**10 + round(t * 1e9)))
+    assert abs(ahead.progress - 0.3) < 2e-3 and not ahead.off
