@@ -183,15 +183,19 @@ def _header(stamp_ns: int, frame_id: str) -> bytes:
 
 def require_frame(frame_id: str, values: Mapping[str, Any]) -> None:
     """
-    Refuse a plan in a frame other than plan.frame.
+    Refuse a plan in a frame other than plan.frame, or one that moves with the tool.
 
     Raises
     ------
     BellowsError
-        If plan.frame names another one.
+        If plan.frame names another one, or the frame is that of the tool, the lip or the package.
 
     """
     wanted = values['plan.frame']
+    if frame_id in (values['frames.tool'], values['frames.lip'], values['frames.package']):
+        raise BellowsError(
+            f"The plan is in frame '{short(frame_id)}', which moves; expected one in which "
+            "gravity keeps its direction, such as the arm's base. Transform the plan.")
     if wanted and frame_id not in ('', wanted):
         raise BellowsError(
             f"The plan is in frame '{short(frame_id)}'; expected plan.frame, '{wanted}'. "

@@ -130,6 +130,22 @@ def poses_in(
     return stamps[valid], T[valid], root, sum(links[name].bad for name in (*up, *down))
 
 
+def rotations_in_root(
+    links: Mapping[str, Link], frame: str, of: str
+) -> tuple[Array, str]:
+    """
+    Return rotations (N, 3, 3) of a frame in the farthest one above it, and the name of that.
+
+    All of each link, with the last ones of the others; parameters as of `poses_in`.
+    """
+    R: Array = np.eye(3)[None]
+    way = _way(links, frame, of)
+    for name in way:
+        own = links[name].poses[:, :3, :3]
+        R = np.concatenate([own @ R[-1], own[-1:] @ R])
+    return R, links[way[-1]].parent if way else frame
+
+
 def _way(links: Mapping[str, Link], frame: str, of: str) -> list[str]:
     """Return the frames from this one up to below the root; refuse circles."""
     if frame not in links and frame not in {link.parent for link in links.values()}:

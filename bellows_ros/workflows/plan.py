@@ -1,6 +1,6 @@
 """Predict a planned motion: read the plan, predict the package, and the uncertainty."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 import math
@@ -14,7 +14,7 @@ from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.perturbed import contributions
-from bellows_ros.core.model.simulation import Rows
+from bellows_ros.core.model.simulation import Rows, stands
 from bellows_ros.core.model.validity_range import known_envelope
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.planning.arm import Arm
@@ -53,6 +53,7 @@ from bellows_ros.files.plans import (
     read_yaml,
 )
 from bellows_ros.files.trajectory_files import read_trajectory
+from bellows_ros.files.transforms import read_transforms, rotations_in_root
 from bellows_ros.workflows.recordings import inside
 import numpy as np
 
@@ -73,11 +74,17 @@ LARGEST_JOINT_STEP = 0.01
 AFTER, STANDING_STEP = 1.5, 0.005
 """Time (s) shown after the end, and the spacing of its points."""
 
+LARGEST_TILT = 0.02
+"""A frame tilts where gravity turns by more than this in it (rad)."""
+
 LARGEST_FACTOR = 1000.0
 """Largest safety factor drawn."""
 
 NO_GRIP = (
     'The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
+BEGINS_IN_MOTION = (
+    'The plan begins in motion: the package is taken to hang as if its first acceleration had '
+    'lasted. What swings from before is unknown.')
 ENDS_IN_MOTION = (
     'The plan ends in motion, so the swing after its end is unknown.')
 
@@ -172,6 +179,11 @@ class Source:
     def duration(self) -> float:
         """Of the plan, s."""
         return float(self.tool.seconds[-1])
+
+    @property
+    def begins_at_rest(self) -> bool:
+        """Whether the tool stands at its first point."""
+        return stands(np.asarray(np.append(np.zeros(7), np.asarray(self.tool.twist)[0])))
 
     @cached_property
     def gravity(self) -> Array:
@@ -282,6 +294,8 @@ class PlanReport:
         elif sentence := safety_sentence(
                 *self.prediction.smallest_safety, self.std['smallest_safety_factor'], self.least):
             found.append(sentence)
+        if not self.source.begins_at_rest:
+            found.append(BEGINS_IN_MOTION)
         if not self.prediction.ends_at_rest:
             found.append(ENDS_IN_MOTION)
         if self.outside:
@@ -342,10 +356,10 @@ def plan(
     if seek_fastest:
         if grip is None:
             raise BellowsError(f'The shortest safe time cannot be found. {NO_GRIP}')
-        if not prediction.ends_at_rest:
+        if not (source.begins_at_rest and prediction.ends_at_rest):
             raise BellowsError(
-                'The shortest safe time cannot be found, because the plan ends in motion. Give '
-                'a plan that ends at rest.')
+                'The shortest safe time cannot be found, because the plan begins or ends in '
+                'motion. Give a plan from rest to rest.')
         found = fastest(values, model, grip, source.tool, float(values['safety.least']))
     return PlanReport(
         source, prediction, dict(zip(names, std.tolist(), strict=True)),
@@ -453,8 +467,25 @@ def _read_plan(file: Path, values: Mapping[str, Any], urdf: str, topic: str) -> 
     if plans:
         notes = ([f"'{file}' has {len(plans)} plans; using the first, on {plans[0][0]}."]
                  if len(plans) > 1 else [])
-        return replace(_checked(plans[0][1], values, urdf, file), notes=tuple(notes))
+        found = replace(_checked(plans[0][1], values, urdf, file), notes=tuple(notes))
+        _require_level(file, found.frame_id, values['gravity.direction'])
+        return found
     return _recorded(file, values, urdf, topic)
+
+
+def _require_level(file: Path, frame_id: str, direction: Sequence[float]) -> None:
+    """Refuse a plan in a frame that the transforms of its recording turn against gravity."""
+    links = read_transforms(file)
+    if frame_id not in links:
+        return
+    R, root = rotations_in_root(links, frame_id, f"'{file}'")
+    down = np.asarray(direction) / np.linalg.norm(direction)
+    tilt = float(np.max(np.linalg.norm(R @ down - down, axis=1)))
+    if tilt > LARGEST_TILT:
+        raise BellowsError(
+            f"The plan is in frame '{short(frame_id)}', which transforms in the recording tilt by "
+            f"{math.degrees(tilt):.3g} degrees from '{short(root)}'; expected one in which "
+            'gravity has gravity.direction. Transform the plan.')
 
 
 def _checked(

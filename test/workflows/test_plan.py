@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 import json
+import math
 from pathlib import Path
 
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
@@ -427,3 +428,44 @@ def test_too_much_yaml_names_the_remedy(tmp_path):
     (tmp_path / 'plan.yaml').write_text(text.replace('x: 0.02', 'x: 0.02  # turn', 1))
     with pytest.raises(BellowsError, match='ros2 bag record'):
         read_yaml(tmp_path / 'plan.yaml')
+
+
+def test_a_plan_that_begins_in_motion_says_so_and_starts_in_it(tmp_path):
+    """In the middle of a pull of 3 m/s^2; from rest the package would swing to twice that."""
+    times = np.arange(200) * 5_000_000
+    at = times * 1e-9
+    poses = np.zeros((200, 7))
+    poses[:, 0], poses[:, 6] = 0.5 * at + 1.5 * at**2, 1.0
+    twists = np.pad((0.5 + 3.0 * at)[:, None], ((0, 0), (0, 5)))
+    content = message(times_ns=times, poses=poses, twists=twists)
+    bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(content))
+    found = figures(bag)
+    assert any('begins in motion' in warning for warning in found['warnings'])
+    assert_allclose(found['peak_force'], 1.8 * math.hypot(3.0, 9.81), rtol=1e-3)
+    with pytest.raises(BellowsError, match='begins or ends in motion'):
+        figures(bag, seek_fastest=True)
+
+
+@pytest.mark.parametrize('values', [{}, {'plan.frame': 'tool0'}])
+def test_a_plan_in_a_frame_that_moves_is_refused(tmp_path, values):
+    bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message(frame_id='tool0')))
+    with pytest.raises(BellowsError, match="is in frame 'tool0', which moves"):
+        figures(bag, values=values)
+
+
+def test_a_plan_in_a_frame_that_transforms_tilt_is_refused(tmp_path):
+    if TF not in t:
+        pytest.skip('this rosbags does not know tf2_msgs')
+    half = math.radians(15.0)
+    stamped = t['geometry_msgs/msg/TransformStamped'](
+        header('base'), 'camera', t['geometry_msgs/msg/Transform'](
+            t['geometry_msgs/msg/Vector3'](0.0, 0.0, 1.0),
+            t['geometry_msgs/msg/Quaternion'](math.sin(half), 0.0, 0.0, math.cos(half))))
+    for frame in ('base', 'camera'):
+        write_bag(tmp_path / frame, [
+            Encoded('/tf_static', TF, np.array([T0]), [encoded(TF, t[TF]([stamped]))]),
+            Encoded('/plan', MULTI_DOF, np.array([T0]),
+                    [encode_multi_dof(message(frame_id=frame))])])
+    assert figures(tmp_path / 'base')['frame_id'] == 'base'
+    with pytest.raises(BellowsError, match="'camera', which .* tilt by .* degrees from 'base'"):
+        figures(tmp_path / 'camera')

@@ -3,18 +3,40 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import as_inputs, kernel
-from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import (
+    adjoint,
+    apply,
+    inverse_transform,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+    transform,
+)
+from bellows_ros.core.geometry.tuples import (
+    apply_transposed,
+    cross,
+    rotation_matrix,
+    scale,
+    subtract,
+)
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
-from bellows_ros.core.model.equilibrium import largest_step, static_equilibrium, substeps_of
+from bellows_ros.core.model.equilibrium import (
+    largest_step,
+    moved,
+    static_equilibrium,
+    substeps_of,
+)
 from bellows_ros.core.model.kernels import (
     advance,
+    body_acceleration,
     lip_wrench,
     ModelTuple,
     State,
+    tool_segment,
 )
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
@@ -58,6 +80,55 @@ def require_steps(steps: float, most: int = MOST_STEPS) -> None:
             f'The prediction takes {steps:.3g} integration steps; expected at most {most:.3g}. '
             'Shorten what is predicted, or check cup.stiffness, cup.damping, package.mass and '
             'package.inertia, whose fastest mode sets the step.')
+
+
+def steady_start(
+    model: ModelTuple, tool: Trajectory | Rows, near: State | None = None
+) -> State:
+    """
+    Return the package in steady motion at a plan's first point: at rest where the tool is.
+
+    Where the tool moves, the package hangs as if the plan's first acceleration had lasted: it
+    moves with the tool like one body. It is sought near a state if given.
+
+    Raises
+    ------
+    UnstableError
+        If the package cannot hang so.
+
+    """
+    from scipy.optimize import root
+
+    rows = tool_rows(tool)
+    hanging = rest(model, rows[0], near if stands(rows[0]) else None)
+    if stands(rows[0]):
+        return hanging
+    first = row_state(rows[0])
+    duration = float(tool.seconds[1])
+    _, _, _, bend, _, _, _, turn_bend, _ = tool_segment(first, row_state(rows[1]), duration)
+    R, (v, w) = rotation_matrix(first[1]), first[2:]
+    dv = subtract(apply_transposed(R, scale(2.0 / duration**2, bend)), cross(w, v))
+    rates = np.array([v, w, dv, scale(2.0 / duration**2, turn_bend)]).reshape(2, 6)
+    T_world_tool = transform(quaternion_to_rotation(rows[0, 3:7]), rows[0, :3])
+
+    def carried(offset: Array) -> tuple[State, Array]:
+        state = moved(hanging, *map(tuple, offset.reshape(2, 3).tolist()), still, still)
+        T_world_package = transform(quaternion_to_rotation(np.array(state[1])), state[0])
+        at_package = apply(adjoint(inverse_transform(T_world_package) @ T_world_tool), rates)
+        return state_row(state[0], state[1], at_package[0]), at_package[1]
+
+    def unbalance(offset: Array) -> Array:
+        state, needed = carried(offset)
+        return np.ravel(body_acceleration(model, first, state)) - needed
+
+    still = (0.0, 0.0, 0.0)
+    found = root(unbalance, np.zeros(6), tol=1e-9)
+    state, _ = carried(found.x)
+    if not found.success:
+        raise UnstableError(
+            'The plan begins in motion, and the cup cannot hold the package in steady motion at '
+            f'the first acceleration, {math.hypot(*dv):.3g} m/s^2. Give the plan from rest.')
+    return state
 
 
 def diverged() -> UnstableError:

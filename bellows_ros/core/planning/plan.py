@@ -47,6 +47,7 @@ from bellows_ros.core.model.simulation import (
     row_state,
     Rows,
     stands,
+    steady_start,
     tool_rows,
     write_row,
 )
@@ -169,7 +170,7 @@ def predict(
     tool : Trajectory or Rows
         A plan, as `plan_points.plan_of` returns it.
     start : State, optional
-        Of B in the world at the first point; at rest there when left out.
+        Of B in the world at the first point; in steady motion there when left out.
     tail : float
         How long (s) after the end the package is watched, at most.
     longest : float
@@ -201,8 +202,8 @@ class Run:
         """Take the plan, and find where the package rests."""
         self.tool, self._model, self._grip = tool, model, grip
         self._rows = rows = tool_rows(tool)
-        self._rests = start is None
-        self._start = start or rest(model, rows[0])
+        self._steady = start is None
+        self._start = start or steady_start(model, tool)
         self._tail = tail if stands(rows[-1]) else 0.0
         self._end = self._start
         if self._tail:
@@ -215,8 +216,8 @@ class Run:
         """Return the same run with a slightly different model."""
         other = copy(self)
         other._model = model
-        if self._rests:
-            other._start = rest(model, self._rows[0], self._start)
+        if self._steady:
+            other._start = steady_start(model, self.tool, self._start)
         if self._tail:
             other._end = rest_after(
                 model, self._rows[0], other._start, self._rows[-1], self._end)

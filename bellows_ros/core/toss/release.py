@@ -59,10 +59,10 @@ from bellows_ros.core.model.kernels import (
 from bellows_ros.core.model.simulation import (
     diverged,
     require_steps,
-    rest,
     row_state,
     Rows,
     stands,
+    steady_start,
     tool_rows,
     write_row,
 )
@@ -448,7 +448,7 @@ class Held:
     tool : Trajectory or Rows
         The plan: poses and body twists of E; it stands still after the last one, if it does there.
     start : State, optional
-        Of B in the world at the first point; at rest there when left out.
+        Of B in the world at the first point; in steady motion there when left out.
     until : float
         Time (s since the first point) up to which it is looked at.
 
@@ -487,7 +487,7 @@ class Held:
         require_steps(float(counts.sum()), MOST_STEPS)
         self._steps = int(counts.sum())
         self._plan = as_inputs(rows[:count], durations, counts)
-        self._follow(start or rest(model, rows[0]))
+        self._follow(start or steady_start(model, tool))
 
     def _follow(self, start: State) -> None:
         """Fill in states and loads."""

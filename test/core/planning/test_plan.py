@@ -5,11 +5,12 @@ from time import process_time
 from timeit import repeat
 
 from bellows_ros.core.geometry.jit import COMPILED
-from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, transform
+from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation, transform
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.planning.plan import LONGEST_TAIL, predict, Run, SETTLED
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -208,3 +209,23 @@ def test_predicting_a_plan_takes_no_longer_than_simulating_its_motion():
 def test_settling_is_waited_for():
     assert LONGEST_TAIL > 10.0
     assert 0.2 < predict(MODEL, GRIP, SLIDE.plan()).settled_after < 5.0
+
+
+@pytest.mark.parametrize(('pull', 'rate'), [
+    ([4.0, 0.0, 0.0], 0.0), ([1.0, -2.0, 0.5], 0.0), ([0.0, 0.0, 0.0], 3.0)])
+def test_a_plan_that_begins_in_steady_motion_goes_on_so(pull, rate):
+    """Constant acceleration, or a turn at constant rate 0.4 m from its axis, keep the package."""
+    t = np.arange(301) * 2e-3
+    R = exp_so3(np.outer(rate * t, [0.0, 0.0, 1.0]))
+    arm = np.array([0.4, 0.0, 0.0]) * (rate > 0.0)
+    at = np.einsum('nij,j->ni', R, arm) + np.outer(0.3 * t, [1, 0, 0]) * (rate == 0.0) + (
+        np.outer(0.5 * t * t, pull))
+    v = np.cross([0.0, 0.0, rate], at) * (rate > 0.0) + [0.3 * (rate == 0.0), 0.0, 0.0] + (
+        np.outer(t, pull))
+    twist = np.hstack([np.einsum('nji,nj->ni', R, v), np.tile([0.0, 0.0, rate], (len(t), 1))])
+    tool = Trajectory((t * 1e9).round().astype(np.int64), at, R, twist)
+    found = predict(model_tuple(CUP, PACKAGE, 9.81), None, tool, tail=0.0)
+    R_tool_package = np.swapaxes(R, -1, -2) @ quaternion_to_rotation(found.states[:, 3:7])
+    shift = np.einsum('nji,nj->ni', R, found.states[:, :3] - at)
+    assert np.ptp(R_tool_package, axis=0).max() < 2e-6 and np.ptp(shift, axis=0).max() < 1e-7
+    assert np.arccos(R_tool_package[0, 2, 2]) > math.radians(2.0)
