@@ -17,10 +17,11 @@ from bellows_ros.core.model.perturbed import contributions
 from bellows_ros.core.model.simulation import Rows, stands
 from bellows_ros.core.model.validity_range import known_envelope
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.planning.fastest import Fastest, fastest
 from bellows_ros.core.planning.joint_path import joint_excess, joint_path, JointPath
-from bellows_ros.core.planning.plan import Prediction, Run
+from bellows_ros.core.planning.plan import LONGEST_TAIL, Prediction, Run
 from bellows_ros.core.planning.points import plan_of, plan_of_joints, timed
 from bellows_ros.core.recording.alignment import levelling, world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
@@ -349,9 +350,14 @@ def plan(
     values, model, grip = source.values, source.model, source.grip
     run = Run(model, grip, source.tool)
     prediction = run.at(1.0)
-    names = tuple(prediction.figures())
-    std = _deviations(values, model, lambda changed: np.array(
-        list(run.of(changed).at(1.0).figures().values())))
+
+    def figures(changed: ModelTuple) -> Array:
+        found = run.of(changed).at(1.0).figures()
+        found['settled_after'] = min(found['settled_after'], LONGEST_TAIL)  # it jumps there
+        return np.array(list(found.values()))
+
+    std = dict(zip(
+        prediction.figures(), _deviations(values, model, figures).tolist(), strict=True))
     found = None
     if seek_fastest:
         if grip is None:
@@ -362,7 +368,7 @@ def plan(
                 'motion. Give a plan from rest to rest.')
         found = fastest(values, model, grip, source.tool, float(values['safety.least']))
     return PlanReport(
-        source, prediction, dict(zip(names, std.tolist(), strict=True)),
+        source, prediction, std,
         prediction.outside(known_envelope(values), float(values['package.mass'])), found,
         seek_fastest)
 

@@ -112,7 +112,8 @@ def steady_start(
     T_world_tool = transform(quaternion_to_rotation(rows[0, 3:7]), rows[0, :3])
 
     def carried(offset: Array) -> tuple[State, Array]:
-        state = moved(hanging, *map(tuple, offset.reshape(2, 3).tolist()), still, still)
+        x, y, z, rx, ry, rz = offset.tolist()
+        state = moved(hanging, (x, y, z), (rx, ry, rz), still, still)
         T_world_package = transform(quaternion_to_rotation(np.array(state[1])), state[0])
         at_package = apply(adjoint(inverse_transform(T_world_package) @ T_world_tool), rates)
         return state_row(state[0], state[1], at_package[0]), at_package[1]
