@@ -97,19 +97,6 @@ def test_a_wrong_command_line_is_explained(
     assert len(done.stderr.splitlines()) == 2
 
 
-def test_without_a_command_help_goes_to_stderr(bellows: Run) -> None:
-    """Treat an empty command line as a mistake, but help at once."""
-    done = bellows()
-    assert (done.returncode, done.stdout) == (2, '')
-    assert 'commands:' in done.stderr
-
-
-def test_output_has_no_colour_in_a_file(bellows: Run) -> None:
-    """Write escape sequences only to a terminal."""
-    done = bellows('parameters')
-    assert done.returncode == 0 and '\x1b' not in done.stdout + done.stderr
-
-
 @pytest.mark.parametrize(('no_colour', 'coloured'), [('', True), ('1', False)])
 def test_colour_on_a_terminal_honours_no_color(
     no_colour: str, coloured: bool, user_environment: dict[str, str]

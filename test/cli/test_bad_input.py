@@ -10,7 +10,6 @@ import pytest
 import yaml
 
 from .conftest import contents, diagonal, PACKAGE, Run, STIFFNESS, TOPICS, write_yaml
-from ..conftest import ROOT
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 RATE_HZ = 200.0
@@ -83,13 +82,6 @@ def apart_in_time(folder: Path, good: Path) -> Path:
     return bag_of(
         folder, still('/tool_arm/pose', 5.0), still('/tool_arm/twist', 5.0, kind=TWIST),
         still('/package/pose', 5.0, start_s=60.0))
-
-
-def too_short(folder: Path, good: Path) -> Path:
-    """Record less than a window of the filter."""
-    return bag_of(
-        folder, still('/tool_arm/pose', 0.1), still('/tool_arm/twist', 0.1, kind=TWIST),
-        still('/package/pose', 0.1))
 
 
 BAD_BAGS: dict[str, tuple[Callable[[Path, Path], Path], list[str]]] = {
@@ -188,28 +180,6 @@ def test_a_bad_recording(
     check_refusal(done, outputs, before, words)
 
 
-def test_a_recording_too_short_for_the_filter(
-    bellows: Run, workshop: Path, outputs: Path, tmp_path: Path
-) -> None:
-    """Say how long it is and how long it must be."""
-    bag, before = too_short(tmp_path, workshop), contents(outputs)
-    command = identify_command(bag, workshop / 'package.yaml', outputs)
-    done = bellows(*command, '--set', 'filter.tool.half_window=25')
-    check_refusal(done, outputs, before, [
-        '/tool_arm/pose', 'at least 51 samples, got 20', 'longer recording'])
-
-
-def test_a_bad_recording_among_good_ones(
-    bellows: Run, workshop: Path, outputs: Path, tmp_path: Path
-) -> None:
-    """Name the one that is bad, and write nothing."""
-    before = contents(outputs)
-    done = bellows(
-        'identify', workshop / 'recording', other_topics(tmp_path, workshop),
-        '--params', workshop / 'package.yaml', '--out', outputs / 'cup.yaml')
-    check_refusal(done, outputs, before, [str(tmp_path / 'bad')])
-
-
 @pytest.mark.parametrize('command', COMMANDS)
 @pytest.mark.parametrize('name', BAD_PARAMETERS)
 def test_a_bad_parameter(
@@ -245,13 +215,6 @@ def test_a_bad_parameter_file(
     check_refusal(done, outputs, before, words)
 
 
-def test_a_missing_parameter_file(bellows: Run, workshop: Path, outputs: Path) -> None:
-    """Name the file."""
-    before = contents(outputs)
-    done = bellows(*identify_command(workshop / 'recording', Path('nowhere.yaml'), outputs))
-    check_refusal(done, outputs, before, ["'nowhere.yaml' does not exist"])
-
-
 @pytest.mark.parametrize(
     ('override', 'words'),
     [
@@ -275,24 +238,6 @@ def test_a_bad_override(
     check_refusal(bellows(*command, '--set', override), outputs, before, words)
 
 
-@pytest.mark.parametrize('command', [
-    ['plan', 'PLAN', '--out', 'NAME'], ['plan', 'PLAN', '--json', 'NAME'],
-    ['plan', 'PLAN', '--out', 'no/bag'], ['info', 'NAME'], ['export', 'NAME', '--to', 'c'],
-    ['info', 'BAG', '--write-params', 'NAME'], ['convert', 'NAME', '--out', 'bag'],
-])
-def test_names_that_cannot_be(
-    command: list[str], bellows: Run, workshop: Path, outputs: Path
-) -> None:
-    """Refuse a name that is too long, and a folder that is not there, before the work."""
-    words = {'NAME': 'x' * 300, 'PLAN': ROOT / 'bags' / 'transport.yaml',
-             'BAG': workshop / 'recording', 'no/bag': outputs / 'no' / 'bag'}
-    before = contents(outputs)
-    done = bellows(*(words.get(word, word) for word in command),
-                   *(['--out', outputs / 'cup.h'] if command[0] == 'export' else []))
-    named = words.get('no/bag') if 'no/bag' in command else 'x' * 300
-    check_refusal(done, outputs, before, [str(named)])
-
-
 def test_no_recording_at_all(bellows: Run, workshop: Path, outputs: Path) -> None:
     """Ask for one."""
     before = contents(outputs)
@@ -310,22 +255,6 @@ def test_an_output_that_cannot_be_written_is_found_before_the_work(
         done = bellows('identify', workshop / 'missing', '--params', workshop / 'package.yaml',
                        option, bad)
         check_refusal(done, outputs, before, [words, str(bad)])
-
-
-def test_two_outputs_of_one_name(bellows: Run, workshop: Path, outputs: Path) -> None:
-    """Refuse to write one over the other, or into it."""
-    before = contents(outputs)
-    done = bellows(
-        'identify', workshop / 'recording', '--params', workshop / 'package.yaml',
-        '--out', outputs / 'cup.yaml', '--json', outputs / 'cup.yaml')
-    check_refusal(done, outputs, before, ['same name', 'cup.yaml'])
-    (outputs / 'motion').mkdir()
-    before = contents(outputs)
-    for name in ('motion', 'motion/m.json'):
-        done = bellows(
-            'plan', ROOT / 'bags' / 'transport.yaml', '--params', workshop / 'package.yaml',
-            '--out', outputs / 'motion', '--force', '--json', outputs / name)
-        check_refusal(done, outputs, before, ['motion'])
 
 
 @pytest.mark.parametrize(
@@ -347,14 +276,3 @@ def test_a_bad_motion(
         'simulate', '--params', workshop / 'cup.yaml', '--out', outputs / 'new',
         '--motion', write_yaml(tmp_path / 'motion.yaml', motion))
     check_refusal(done, outputs, before, words)
-
-
-def test_a_recording_is_not_replaced_unasked(
-    bellows: Run, workshop: Path, outputs: Path
-) -> None:
-    """Refuse to write over a recording without --force, and over anything else even with it."""
-    before = contents(outputs)
-    command = ['simulate', '--params', workshop / 'cup.yaml', '--motion', workshop / 'motion.yaml',
-               '--out', outputs]
-    check_refusal(bellows(*command), outputs, before, ['exists', '--force'])
-    check_refusal(bellows(*command, '--force'), outputs, before, ['not just a recording'])

@@ -44,15 +44,6 @@ def test_what_matters_exits_with_1(bellows: Run, fits: tuple[Path, Path]) -> Non
     assert 'The difference matters' in done.stdout
 
 
-def test_json_to_stdout(bellows: Run, fits: tuple[Path, Path]) -> None:
-    """Print JSON and nothing else on stdout."""
-    done = bellows('compare', *fits, '--json', '-')
-    assert done.returncode == 1
-    content = json.loads(done.stdout)
-    assert content['matters'] is True
-    assert 'The difference matters' in done.stderr
-
-
 def test_a_file_that_is_no_result_exits_with_2(bellows: Run, workshop: Path) -> None:
     """Say what it is not."""
     done = bellows('compare', workshop / 'cup.yaml', workshop / 'cup.yaml')

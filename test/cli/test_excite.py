@@ -18,8 +18,6 @@ pytestmark = pytest.mark.skipif(
     not COMPILED, reason='numba is not installed: a design takes minutes interpreted')
 
 LIMITS: dict[str, Any] = yaml.safe_load((ROOT / 'config' / 'limits_example.yaml').read_text())
-ARM = """<robot name="arm"><link name="base"/><link name="tool"/>
-{links}{joints}</robot>"""
 
 
 @pytest.fixture(scope='module')
@@ -54,38 +52,6 @@ def test_designs_and_writes(bellows: Run, workshop: Path, limits: Path, tmp_path
     assert (tmp_path / 'm.png').read_bytes().startswith(b'\x89PNG')
     again = bellows('plan', 'motion', '--params', workshop / 'cup.yaml', cwd=tmp_path)
     assert again.returncode == 0 and 'swing left at the end' in again.stdout
-
-
-def test_joints_of_an_arm_limit_it(
-    bellows: Run, workshop: Path, limits: Path, tmp_path: Path
-) -> None:
-    """A gantry with three turning axes, one of which is slow and another short of way."""
-    kinds = ('prismatic', '1 0 0', 1.0), ('prismatic', '0 1 0', 1.0), ('prismatic', '0 0 1', 1.0)
-    kinds += ('revolute', '0 0 1', 0.5), ('revolute', '0 1 0', 9.0), ('revolute', '1 0 0', 9.0)
-    names = ['base', *'abcde', 'tool']
-    joints = ''.join(
-        f'<joint name="q{i}" type="{kind}"><parent link="{names[i]}"/><child link="{names[i + 1]}"'
-        f'/><axis xyz="{axis}"/><limit lower="-0.05" upper="0.9" velocity="{speed}"/></joint>'
-        for i, (kind, axis, speed) in enumerate(kinds))
-    links = ''.join(f'<link name="{name}"/>' for name in 'abcde')
-    (tmp_path / 'arm.urdf').write_text(ARM.format(links=links, joints=joints))
-    content = {**yaml.safe_load(limits.read_text()), 'joints': {
-        'q0': 0.45, 'q1': 0.0, 'q2': 0.6, 'q3': 0.0, 'q4': 0.1, 'q5': 0.0}}
-    del content['start']
-    content['workspace']['upper'] = [0.57, 0.22, 0.72]
-    limited = write_yaml(tmp_path / 'limits.yaml', content)
-    command = ['excite', '--params', workshop / 'cup.yaml', '--limits', limited, '--time', '6',
-               '--out', 'motion', '--urdf', 'arm.urdf', '--tool-link', 'tool']
-    done = bellows(*command, '--json', 'm.json', cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    parts = json.loads((tmp_path / 'm.json').read_text())['parts_of_limits']
-    assert 0.5 < parts['q3 speed'] <= 1.0 and parts['q1 range'] <= 1.0
-    (_, plan), = plans_in(tmp_path / 'motion')
-    assert plan.poses[:, 1].min() >= -0.05
-    content['joints']['q1'] = 3.0
-    write_yaml(limited, content)
-    done = bellows(*command, '--force', cwd=tmp_path)
-    assert done.returncode == 2 and "'joints.q1' must be in its range, -0.05 to 0.9" in done.stderr
 
 
 @pytest.mark.parametrize('change, time, message', [

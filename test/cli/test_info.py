@@ -5,14 +5,10 @@ from pathlib import Path
 import re
 from typing import Any
 
-from bellows_ros.core.geometry.lie import apply
-from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 import pytest
-
-from ..workflows.test_info import motion, poses
 
 Run = Any
 
@@ -34,16 +30,6 @@ def test_it_says_the_noise_and_which_axis_is_up(bellows: Run, root: Path) -> Non
     for size, axes in zip((0.1, 0.5), found.groups(), strict=True):
         assert [float(x) for x in axes.split()] == pytest.approx([size] * 3, rel=0.03)
     assert 'World    probably z up (recording.world: z_up).' in done.stdout
-
-
-def test_a_world_with_y_up_is_said(bellows: Run, tmp_path: Path) -> None:
-    """Name Motive's world in words and by its parameter."""
-    m, up = motion(), R_WORLD_MOTIVE.T
-    write_bag(tmp_path / 'bag', [
-        poses('/arm', m['t'], apply(up, m['o']), up @ m['R']),
-        poses('/plate', m['t'], apply(up, m['o_p']), up @ m['R_p'])])
-    done = bellows('info', tmp_path / 'bag')
-    assert "World    probably Motive's, y up (recording.world: motive_y_up)." in done.stdout
 
 
 def test_the_parameter_file_serves_once_the_package_is_filled_in(
@@ -77,15 +63,6 @@ def test_the_parameter_file_serves_once_the_package_is_filled_in(
     done = bellows('identify', '--params', file, '--out', tmp_path / 'cup.yaml', cwd=workshop)
     assert done.returncode == 0, done.stderr
     assert read_parameters(tmp_path / 'cup.yaml')['topics.tool_pose'] == '/tool_arm/pose'
-
-
-def test_json_goes_to_stdout_alone(bellows: Run, workshop: Path) -> None:
-    """Leave the words to stderr."""
-    done = bellows('info', 'recording', '--json', '-', cwd=workshop)
-    content = json.loads(done.stdout)
-    assert content['tool']['topic'] == '/tool_arm/pose'
-    assert content['settings']['topics.package_pose'] == '/package/pose'
-    assert 'probably' in done.stderr
 
 
 def test_bad_input_ends_with_2_and_writes_nothing(

@@ -1,10 +1,9 @@
 """Values from the command line, and what else the commands share."""
 
-import io
 import os
 import signal
 
-from bellows_ros.cli.console import CLEAR_LINE, Console, progress_line, uninterrupted
+from bellows_ros.cli.console import progress_line, uninterrupted
 from bellows_ros.cli.options import parse_override
 import pytest
 
@@ -63,27 +62,3 @@ def test_progress_says_how_far_and_how_long(
 ) -> None:
     """Show a bar and the time left once it is known."""
     assert progress_line('reading', fraction, elapsed) == line
-
-
-def test_a_stage_that_tells_the_time_left_is_not_contradicted() -> None:
-    """Show one time, that of the work itself."""
-    assert progress_line('step 3, 9 s left', 0.5, 60.0).endswith('50%  step 3, 9 s left')
-
-
-class Terminal(io.StringIO):
-    """A stream that is a terminal."""
-
-    def isatty(self) -> bool:
-        """Say so."""
-        return True
-
-
-def test_a_long_stage_is_shown_without_the_bar(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep cost, time left and parameters of an iteration on a narrow terminal."""
-    monkeypatch.setenv('COLUMNS', '80')
-    monkeypatch.setenv('TERM', 'xterm')
-    stream = Terminal()
-    words = 'step 4: chi^2 0.9969, 3 s left; K 5414 9193 4.2 1.35, P 57.6 24.2 0.0599 0.1'
-    with Console(stream, stream).progress() as progress:
-        progress(words, 0.5)
-    assert f'{CLEAR_LINE}{words}' in stream.getvalue()

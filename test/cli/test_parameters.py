@@ -55,14 +55,6 @@ def test_the_template_can_be_filled_in(bellows: Run, tmp_path: Path) -> None:
     assert list(resolve(read_parameters(file), names)) == list(PARAMETERS)
 
 
-def test_the_template_of_some_is_a_parameter_file(bellows: Run, tmp_path: Path) -> None:
-    """Write only those asked for."""
-    file = tmp_path / 'some.yaml'
-    file.write_text(bellows('parameters', '--yaml', 'fit').stdout)
-    assert set(read_parameters(file)) == {  # ROS has no empty lists
-        name for name, p in PARAMETERS.items() if name.startswith('fit') and p.default != ()}
-
-
 def test_the_table_is_there_as_json(bellows: Run) -> None:
     """Give scripts unit, default and constraint."""
     content = json.loads(bellows('parameters', 'package', '--json', '-').stdout)

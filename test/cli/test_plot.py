@@ -2,14 +2,9 @@
 
 import json
 from pathlib import Path
-import shlex
 from typing import Any
 
-from bellows_ros.cli.plot import EXAMPLES
-from bellows_ros.files.parameter_files import read_parameters
 import pytest
-
-from .conftest import write_yaml
 
 pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
 
@@ -31,27 +26,6 @@ def test_pictures_are_written(
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout == f'Wrote {tmp_path / name}.\n'
     assert (tmp_path / name).read_bytes().startswith(start)
-
-
-@pytest.fixture(scope='module')
-def checkout(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give a folder with what the examples of the help name."""
-    folder = tmp_path_factory.mktemp('checkout')
-    (folder / 'bags').symlink_to(root / 'bags')
-    (folder / 'recording').symlink_to(root / 'bags' / 'validation')
-    files = (root / 'bags' / name for name in ('package.yaml', 'cup.yaml'))
-    known = {name: value for file in files for name, value in read_parameters(file).items()}
-    write_yaml(folder / 'cup.yaml', known)
-    return folder
-
-
-@pytest.mark.parametrize('example', [command for command, _ in EXAMPLES])
-def test_the_examples_of_the_help_draw(example: str, bellows: Run, checkout: Path) -> None:
-    """Run them as they stand there, with the recordings of the repository."""
-    words = shlex.split(example)[1:]
-    done = bellows(*words, cwd=checkout)
-    assert (done.returncode, done.stderr) == (0, ''), done.stderr
-    assert (checkout / words[words.index('--out') + 1]).stat().st_size > 1000
 
 
 @pytest.mark.parametrize('what', ['motion', 'path', 'spectra'])
@@ -111,22 +85,3 @@ def test_bad_input_ends_with_2_and_draws_nothing(
     done = bellows('plot', *arguments, '--params', 'cup.yaml', cwd=workshop)
     assert done.returncode == 2 and words in done.stderr, done.stderr
     assert 'Traceback' not in done.stderr and list(tmp_path.iterdir()) == []
-
-
-def test_what_a_cup_leaves_over_needs_a_package(
-    bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
-    """Name what is missing for the prediction in the spectra."""
-    cup = read_parameters(workshop / 'cup.yaml')
-    write_yaml(tmp_path / 'cup.yaml', {'cup.stiffness': list(cup['cup.stiffness'])})
-    done = bellows('plot', 'spectra', 'recording', '--params', tmp_path / 'cup.yaml', '--out',
-                   tmp_path / 'a.svg', cwd=workshop)
-    assert done.returncode == 2 and 'package.mass' in done.stderr
-    assert not (tmp_path / 'a.svg').exists()
-
-
-def test_a_missing_cup_is_said(bellows: Run, workshop: Path, tmp_path: Path) -> None:
-    """Warn where a picture shows the cup of the thesis."""
-    done = bellows('plot', 'deflection', 'recording', '--params', 'package.yaml', '--out',
-                   tmp_path / 'a.png', cwd=workshop)
-    assert done.returncode == 0 and 'cup of the thesis' in done.stderr

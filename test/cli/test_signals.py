@@ -1,6 +1,5 @@
 """Commands that are ended from outside: by SIGTERM in order, and after SIGKILL by the next one."""
 
-from collections.abc import Iterator
 import os
 from pathlib import Path
 import shutil
@@ -9,7 +8,7 @@ import subprocess
 import sys
 import time
 
-from bellows_ros.files.atomic import hidden_name, PREFIX
+from bellows_ros.files.atomic import PREFIX
 from bellows_ros.files.messages import encode, LAYOUTS
 import numpy as np
 import pytest
@@ -77,13 +76,6 @@ def compressed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def elsewhere(user_environment: dict[str, str], tmp_path: Path) -> Iterator[dict[str, str]]:
-    """Give an environment with a folder of its own for temporary files."""
-    (tmp_path / 'tmp').mkdir()
-    yield {**user_environment, 'TMPDIR': str(tmp_path / 'tmp')}
-
-
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_in_order(
     number: int, workshop: Path, tmp_path: Path, elsewhere: dict[str, str]
@@ -103,24 +95,6 @@ def test_a_signal_ends_in_order(
     assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_the_workers_too(
-    number: int, workshop: Path, compressed: Path, tmp_path: Path, elsewhere: dict[str, str]
-) -> None:
-    """Leave no process, no open pipe and no decompressed recording, whoever gets the signal."""
-    pytest.importorskip('joblib', reason="no joblib here (pip install '.[parallel]')")
-    process = start(
-        elsewhere, 'identify', 'r0', 'r1', 'r2', '--params', workshop / 'package.yaml',
-        '--set', 'topics.tool_twist=', '--jobs', 2, '--out', tmp_path / 'cup.yaml', cwd=compressed)
-    wait_until_hidden(tmp_path / 'tmp', process, 2)
-    process.send_signal(number)
-    process.communicate(timeout=WITHIN)  # until nobody holds its pipes any more
-    assert process.returncode == 128 + number
-    wait_for_none(process.pid)
-    assert [path.name for path in tmp_path.iterdir()] == ['tmp']
-    assert list((tmp_path / 'tmp').glob(f'{PREFIX}*')) == []
-
-
 def test_workers_end_with_a_command_that_is_killed(
     workshop: Path, compressed: Path, tmp_path: Path, elsewhere: dict[str, str]
 ) -> None:
@@ -138,26 +112,3 @@ def test_workers_end_with_a_command_that_is_killed(
     _, err = next_one.communicate(timeout=WITHIN)
     assert next_one.returncode == 0, err
     assert list((tmp_path / 'tmp').glob(f'{PREFIX}*')) == []
-
-
-def test_what_others_still_write_is_left_alone(tmp_path: Path) -> None:
-    """Remove what dead processes left, of files and folders, and nothing else."""
-    code = ('from bellows_ros.files.atomic import hidden_name, remove_abandoned; '
-            'import sys; print(hidden_name()); remove_abandoned(sys.argv[1])')
-    dead = subprocess.run(
-        [sys.executable, '-c', code, tmp_path], capture_output=True, text=True, check=True
-    ).stdout.strip()
-    alive = hidden_name()
-    elsewhere = dead.replace(dead.split('-')[2], 'ffffffff')
-    (tmp_path / dead).mkdir()
-    (tmp_path / dead / 'file').write_text('x')
-    (tmp_path / dead.replace('.tmp', '1.tmp')).write_text('x')
-    zombie = subprocess.Popen([sys.executable, '-c', ''])
-    os.waitid(os.P_PID, zombie.pid, os.WEXITED | os.WNOWAIT)
-    (tmp_path / alive.replace(str(os.getpid()), str(zombie.pid))).write_text('x')
-    kept = [alive, elsewhere, '.bellows-notes', f'{PREFIX}1-x.tmp']
-    for name in kept:
-        (tmp_path / name).write_text('x')
-    subprocess.run([sys.executable, '-c', code, tmp_path], check=True, capture_output=True)
-    zombie.wait()
-    assert sorted(os.listdir(tmp_path)) == sorted(kept)

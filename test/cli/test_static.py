@@ -67,32 +67,3 @@ def test_mistakes_are_explained(
     done = bellows('static', *arguments, '--params', workshop / 'package.yaml', cwd=weights)
     assert (done.returncode, done.stdout) == (2, '')
     assert words in done.stderr and 'Traceback' not in done.stderr
-
-
-def test_recordings_from_the_parameter_file(
-    bellows: Run, workshop: Path, weights: Path
-) -> None:
-    """Take the same parameters as the identifier does."""
-    for number, mass in enumerate(MASSES):
-        write_yaml(weights / f'package{number}.yaml', {'package': {'mass': mass}})
-    numbers = range(len(MASSES))
-    cell = write_yaml(weights / 'cell.yaml', {'static': {
-        'bags': [str(weights / f'm{n}') for n in numbers],
-        'files': [str(weights / f'package{n}.yaml') for n in numbers]}})
-    done = bellows('static', '--params', workshop / 'package.yaml', '--params', cell,
-                   '--json', '-')
-    assert done.returncode == 0, done.stderr
-    content = json.loads(done.stdout)
-    assert [recording['package']['mass'] for recording in content['recordings']] == list(MASSES)
-    assert abs(content['nominal_length']['length'] - PACKAGE['cup.length']) < 1e-4
-    assert content['spring'] is None
-    assert 'Nominal length' in done.stderr
-    fit = bellows(
-        'identify', workshop / 'recording', '--params', workshop / 'package.yaml', '--params',
-        cell, '--set', 'static.length=true', '--set', 'cup.length=0.04', '--json', '-')
-    assert fit.returncode == 0, fit.stderr
-    found = json.loads(fit.stdout)
-    assert abs(found['cup_length'] - PACKAGE['cup.length']) < 1e-4
-    assert found['with_standstills']['standstills'] == 2 * len(MASSES)
-    assert '8 standstills are part of the fit' in ' '.join(fit.stderr.split())
-    assert 'The spring holds in all 8 poses.' in fit.stderr

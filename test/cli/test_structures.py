@@ -23,15 +23,6 @@ def test_summary_and_json(bellows: Run, workshop: Path, tmp_path: Path) -> None:
     assert content['structures']['advised'] == 'axisymmetric'
 
 
-def test_json_to_stdout_leaves_the_summary_to_stderr(bellows: Run, workshop: Path) -> None:
-    """Print JSON and nothing else."""
-    done = bellows('structures', workshop / 'recording', '--params', workshop / 'package.yaml',
-                   '--set', 'fit.structure=full', '--json', '-')
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)['excitation']['size'] == 42
-    assert 'Structures' in done.stderr
-
-
 def test_no_recording_is_explained(bellows: Run, workshop: Path) -> None:
     """Say that none is given, and end with 2."""
     done = bellows('structures', '--params', workshop / 'package.yaml')

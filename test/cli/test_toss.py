@@ -37,22 +37,6 @@ def test_lands_and_says_what_to_fix_first(bellows: Run, tmp_path: Path) -> None:
     assert picture.stat().st_size > 20_000
 
 
-def test_the_cup_that_is_named_throws(bellows: Run, tmp_path: Path) -> None:
-    """Land where the same cup lands when its stiffness is given without a name."""
-    soft = np.diag([2700.0, 2700.0, 4600.0, 2.1, 2.1, 0.7]).ravel().tolist()
-    named, plain = tmp_path / 'named.json', tmp_path / 'plain.json'
-    for file, content in (
-            (named, {'cup.name': 'soft', 'cups.soft.stiffness': soft}),
-            (plain, {'cup.stiffness': soft})):
-        file.write_text(json.dumps({'/**': {'ros__parameters': content}}))
-    first, second, other = (
-        json.loads(bellows('toss', PLAN, '--params', PARAMS, *more, '--release', 3.0,
-                           '--json', '-').stdout)['landing_position']
-        for more in (('--params', named), ('--params', plain), ()))
-    assert first == second
-    assert np.linalg.norm(np.subtract(first, other)) > 0.01
-
-
 def test_finds_the_time_for_a_target(bellows: Run) -> None:
     """Land where a known time lands, and say what that gains over the time that is given."""
     known = json.loads(bellows(

@@ -104,15 +104,6 @@ def test_motion_is_drawn_from_the_start_and_interrupted(motion: Any, loads: Any)
     assert np.isnan(package.get_ydata()).sum() == np.count_nonzero(~motion.valid)
 
 
-def test_paths_have_equal_scales(motion: Any, loads: Any) -> None:
-    """Show as much of x as of y and z, and all of both paths."""
-    space, = draw_all(motion, loads, 'light')['path'].axes
-    limits = np.array([space.get_xlim(), space.get_ylim(), space.get_zlim()])
-    np.testing.assert_allclose(np.ptp(limits, axis=1), np.ptp(limits[0]))
-    for points in (motion.tool_position, motion.package_position):
-        assert (points > limits[:, 0]).all() and (points < limits[:, 1]).all()
-
-
 def test_stiffness_is_the_line_through_the_loads(motion: Any, loads: Any) -> None:
     """Draw the cup's line with its own slope."""
     figure = draw_all(motion, loads, 'light')['deflection']
@@ -122,17 +113,6 @@ def test_stiffness_is_the_line_through_the_loads(motion: Any, loads: Any) -> Non
         line = panel.get_lines()[1]
         (x0, x1), (y0, y1) = line.get_xdata(), line.get_ydata()
         assert (y1 - y0) / (x1 - x0) == pytest.approx(1e-3 * loads.stiffness[axis])
-
-
-def test_residuals_say_their_part_of_the_load(motion: Any, loads: Any) -> None:
-    """Name RMS and percent; draw them below the load, about zero."""
-    figure = draw_all(motion, loads, 'light')['residual']
-    for axis, (upper, lower) in enumerate(zip(figure.axes[::2], figure.axes[1::2], strict=True)):
-        assert '10 % of the load' in upper.get_title('right')
-        np.testing.assert_array_equal(upper.get_lines()[0].get_ydata(), loads.load[:, axis])
-        zero, left = lower.get_lines()
-        assert set(zero.get_ydata()) == {0.0}
-        np.testing.assert_array_equal(left.get_ydata(), loads.residual[:, axis])
 
 
 def test_margins_are_drawn_with_two_standard_deviations(motion: Any, loads: Any) -> None:
@@ -164,22 +144,6 @@ def test_an_animation_runs_at_recorded_speed(replayed: Any, tmp_path: Path) -> N
         assert picture.n_frames == round(SPAN * FRAMES_PER_SECOND['.gif'])
         shown = picture.n_frames * picture.info['duration'] / 1e3
         assert shown == pytest.approx(SPAN, rel=0.05)  # GIF counts in hundredths of a second
-
-
-def test_an_animation_can_be_slower_than_real_time(replayed: Any, tmp_path: Path) -> None:
-    """Write the more pictures, and show them at the same rate."""
-    image = pytest.importorskip('PIL.Image', reason='Pillow comes with matplotlib')
-    write_animation(tmp_path / 'a.gif', replayed, 'note', speed=0.25)
-    with image.open(tmp_path / 'a.gif') as picture:
-        shown = picture.n_frames * picture.info['duration'] / 1e3
-        assert shown == pytest.approx(4.0 * SPAN, rel=0.05)
-
-
-def test_an_animation_with_another_ending_is_refused(replayed: Any, tmp_path: Path) -> None:
-    """Say which endings there are."""
-    with pytest.raises(BellowsError, match=r'\.gif or \.mp4'):
-        write_animation(tmp_path / 'a.png', replayed, 'note')
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.extras

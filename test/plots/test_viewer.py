@@ -6,8 +6,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.signals.residuals import AXES
-from bellows_ros.errors import BellowsError
-from bellows_ros.plots.shapes import bellows_rings, RINGS, SIDES
+from bellows_ros.plots.shapes import bellows_rings
 from bellows_ros.plots.viewer import write_view
 import numpy as np
 import pytest
@@ -66,19 +65,6 @@ def test_what_is_written_is_what_was_replayed(replayed: Any, tmp_path: Path) -> 
     np.testing.assert_allclose(times, 1e9 * replayed.seconds, atol=1.0)
 
 
-@pytest.mark.extras
-def test_the_cup_is_drawn_sixty_times_a_second(replayed: Any, tmp_path: Path) -> None:
-    """Move the corners of a mesh that stays the same."""
-    pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")
-    write_view(tmp_path / 'a.rrd', replayed, 'a recording')
-    found = read(tmp_path / 'a.rrd')
-    corners = found['/world/cup', 'Mesh3D:vertex_positions']
-    assert [len(x) for x in corners.to_pylist()] == [RINGS * SIDES] * (COUNT // 2)
-    (triangles,) = found['/world/cup', 'Mesh3D:triangle_indices'].to_pylist()
-    assert len(triangles) == 2 * (RINGS - 1) * (SIDES - 1)
-    assert np.max(triangles) == RINGS * SIDES - 1
-
-
 def test_a_bellows_begins_at_the_tool_and_ends_at_the_lip() -> None:
     """Leave along one z axis and arrive along the other."""
     R = exp_so3([0.2, 0.1, 0.0])
@@ -87,10 +73,3 @@ def test_a_bellows_begins_at_the_tool_and_ends_at_the_lip() -> None:
     centres = rings[:, :-1].mean(axis=1)
     np.testing.assert_allclose(centres[[0, -1]], [np.zeros(3), lip], atol=1e-12)
     np.testing.assert_allclose((rings[-1] - lip) @ R[:, 2], 0.0, atol=1e-12)
-
-
-def test_another_ending_is_refused(replayed: Any, tmp_path: Path) -> None:
-    """Say which one there is."""
-    with pytest.raises(BellowsError, match=r'must end in \.rrd'):
-        write_view(tmp_path / 'a.png', replayed, 'a recording')
-    assert list(tmp_path.iterdir()) == []

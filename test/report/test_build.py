@@ -2,14 +2,12 @@
 
 from html.parser import HTMLParser
 import json
-import re
 
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.report import page as pages
 from bellows_ros.report.build import cup_values, identification_report, replay_report
-from bellows_ros.report.page import page, table, warnings
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.replay import replay
 import numpy as np
@@ -118,18 +116,6 @@ def test_files_and_versions_are_named(html, root):
     assert np.__version__ in html
 
 
-def test_light_and_dark(html):
-    """Follow the reader's system: every colour is a variable with two meanings."""
-    style = re.search(r'<style>(.*?)</style>', html, re.DOTALL).group(1)
-    light, dark = re.findall(r':root\{(.*?)\}', style)
-    assert re.findall(r'--(\w+):', light) == re.findall(r'--(\w+):', dark)
-    rules = style.split('}}\n')[1]
-    assert '#' not in rules
-    body = html.partition('<body>')[2]
-    assert not re.search(r'(fill|stroke|color)="|[^&\w]#[0-9a-f]{3,8}\b', body)
-    assert set(re.findall(r'var\(--(\w+)\)', body)) <= set(re.findall(r'--(\w+):', light))
-
-
 def test_a_validation_is_shown_before_the_fit(content, result, root, words_only):
     """Put what the fit has not seen first."""
     other = replay(root / 'bags/static', cup_values(content))
@@ -164,40 +150,3 @@ def test_parameters_that_are_not_identifiable_are_named(content, result):
     html = identification_report(
         {**content, 'damping_std': std}, result.recordings)
     assert 'P z, not identifiable' in html
-
-
-def test_times_count_from_the_first_stamp_recorded(content, result, root, monkeypatch):
-    """Show samples and motion at their times in the recording, before which filters know none."""
-    drawn = {}
-    monkeypatch.setattr(
-        pages, 'inline_svg', lambda figure: drawn.update({figure.get_label(): figure}) or '')
-    validated = replay(root / 'bags/validation', cup_values(content))
-    replay_report(validated)
-    start_ns = validated.recording.aligned_package.stamps_ns[0]  # the tool begins with it
-    used = validated.recording.package.stamps_ns[validated.recording.valid]
-    strip = drawn['Used and lost samples'].axes[0].collections[0].get_paths()[0].vertices
-    assert strip[:, 0].min() == pytest.approx((used[0] - start_ns) / 1e9) and used[0] > start_ns
-    seconds = drawn['Measured and simulated'].axes[0].lines[0].get_xdata()
-    expected = (validated.validation.stamps_ns - start_ns) / 1e9
-    np.testing.assert_allclose(seconds[np.isfinite(seconds)], expected)
-
-
-def test_nothing_becomes_markup():
-    """Escape titles, cells and warnings."""
-    html = page('<b>', '&', [table(['<i>'], [['<u>']]), warnings(['<s>'])])
-    found = parsed(html)
-    assert not {tag for tag, _ in found.tags} & {'b', 'i', 'u', 's'}
-
-
-def test_pages_open_with_their_verdict(content, result, root, words_only):
-    """Say in the first sentence whether the cup can be used, or how it has predicted."""
-    found = replay(root / 'bags/validation', cup_values(content))
-    for html, verdict in (
-        (identification_report(content, result.recordings),
-         'The fit can be used.'),
-        (identification_report(
-            {**content, 'usable': False}, result.recordings),
-         'The fit cannot be used'),
-        (replay_report(found), 'All axes that move are predicted within 5 % of the motion.'),
-    ):
-        assert html.partition('</h2>')[2].lstrip().startswith(f'<p>{verdict}')

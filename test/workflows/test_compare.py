@@ -61,14 +61,6 @@ def test_a_softer_cup_matters(files, tmp_path):
     assert found.fits.matters and found.fits.significant
 
 
-def test_other_settings_are_listed(files, tmp_path):
-    """Name what was set differently, with both values."""
-    settings = {**json.loads(files[0].read_text())['settings'], 'filter.tool.order': 4}
-    found = compare_files(files[0], changed(files[0], tmp_path, settings=settings))
-    assert [d._asdict() for d in found.settings] == [
-        {'name': 'filter.tool.order', 'before': 6, 'after': 4}]
-
-
 @pytest.mark.parametrize(('change', 'word'), [
     ({'parameters': {}}, 'labels'), ({'settings': None}, 'no settings'),
     ({'structure': 'round'}, 'round'), ({'cup_length': None}, 'damaged'),

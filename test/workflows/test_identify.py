@@ -13,7 +13,6 @@ from bellows_ros.report.build import write_page
 from bellows_ros.workflows.compare import compare_files
 from bellows_ros.workflows.identification import save, UNKNOWN_STD
 from bellows_ros.workflows.identify import identify
-from bellows_ros.workflows.replay import replay
 from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 from numpy.testing import assert_allclose
@@ -62,12 +61,6 @@ def test_clean_recording_of_the_rig(rig):
     assert result.warnings == ()
 
 
-def test_twists_in_other_axes_are_named(rig):
-    result = identify({**CLEAN, 'bags': [str(rig / 'clean')], 'tool_twist.frame': 'tool'})
-    assert "The tool's twists match its poses only in axes of the world" in result.findings[0]
-    assert 'tool_twist.frame' in result.refusals[0]
-
-
 @pytest.fixture(scope='module')
 def shipped(root):
     """Return the identification of the recording that is shipped, and the truth."""
@@ -95,16 +88,6 @@ def test_shipped_recording(shipped):
     assert_allclose(np.diag(result.fit.stiffness), np.diag(K), rtol=0.03)
     assert_allclose(np.diag(result.fit.damping)[[0, 1, 3, 4, 5]], np.diag(P)[[0, 1, 3, 4, 5]],
                     rtol=0.1)
-
-
-def test_wrong_axes_of_the_world_is_said(shipped, root):
-    result, _ = shipped
-    assert result.warnings == ()
-    wrong = identify({
-        **read_parameters(root / 'bags/package.yaml'), 'bags': [str(root / 'bags/validation')],
-        'recording.world': 'motive_y_up', 'fit.method': 'least_squares'})
-    assert 'Set recording.world: z_up.' in wrong.findings[0]
-    assert not any('does not explain' in warning for warning in wrong.warnings)  # the cause does
 
 
 def test_files_hold_the_result_and_the_cup_file_serves_both_nodes(shipped, tmp_path):
@@ -155,15 +138,6 @@ def test_two_recordings_are_one_fit(shipped, root):
     assert len(both.parts) == 2
     K = np.reshape(truth['cup.stiffness'], (6, 6))
     assert_allclose(np.diag(both.fit.stiffness), np.diag(K), rtol=0.03)
-
-
-def test_progress_goes_from_reading_to_done(shipped):
-    found = []
-    identify(shipped[0].values, lambda what, part: found.append((what, part)))
-    assert found[0][0].startswith('reading')
-    assert found[-1] == ('done', 1.0)
-    parts = [part for _, part in found]
-    assert parts == sorted(parts)
 
 
 def test_a_cup_that_is_not_definite_is_not_written(shipped, tmp_path, root):
@@ -277,20 +251,6 @@ def test_each_recording_may_have_its_own_topics(two_packages, root, tmp_path):
                   'recording.package_frame': 'com', 'cup.length': truth['cup.length']})
 
 
-def test_pages_of_several_packages(two_packages, root, tmp_path):
-    """Simulate each recording with what it held: with another package it would be far off."""
-    bags, files = two_packages
-    result = identify({
-        'bags': bags, 'package.files': files, 'topics.tool_pose': '/tool_arm/pose',
-        'topics.package_pose': '/package/pose', 'fit.method': 'least_squares',
-        'cup.length': read_parameters(root / 'bags/cup.yaml')['cup.length'],
-        'output.report': str(tmp_path / 'page.html')})
-    write_page(result, tmp_path / 'page.html')
-    page = (tmp_path / 'page.html').read_text()
-    assert page.count('The model ran freely') == 2
-    assert 'leaves the validity range of the fit' not in page
-
-
 MASSES = (0.6, 1.2, 2.0)
 RESTING = {
     'kind': 'static', 'rest_duration': 1.5,
@@ -340,30 +300,6 @@ def test_standstills_join_the_fit_and_tell_the_length(shipped, at_rest, tmp_path
     assert len(content['provenance']['recordings']) == 1 + len(MASSES)
 
 
-def test_a_length_that_standstills_contradict_is_warned_about(shipped, at_rest):
-    result = identify({**shipped[0].values, **at_rest, 'cup.length': 0.044})
-    assert result.values['cup.length'] == 0.044
-    assert any('cup.length is 44.00 mm, but these' in warning for warning in result.warnings)
-    assert result.findings[0].startswith('cup.length is 1.999')
-
-
-@pytest.mark.parametrize(('change', 'word'), [
-    ({'static.length': True}, 'static.bags is empty'),
-    ({'static.bags': ['nowhere']}, 'nowhere'),
-    ({'static.bags': ['a', 'b'], 'static.files': ['c']}, 'static.files has 1 files for 2'),
-    ({'validation.bags': ['./bag/'], 'bags': ['bag']}, 'both in bags and in validation.bags'),
-])
-def test_mistakes_with_other_recordings_are_named(shipped, change, word):
-    with pytest.raises(BellowsError, match=word):
-        identify({**shipped[0].values, **change})
-
-
-def test_one_mass_tells_no_length(shipped, at_rest):
-    one = {name: value[:1] for name, value in at_rest.items()}
-    with pytest.raises(BellowsError, match='static.length is set, but: .* two or more'):
-        identify({**shipped[0].values, **one, 'static.length': True})
-
-
 def test_structures_and_validation_come_with_the_fit(shipped, root):
     result = identify({
         **shipped[0].values, 'fit.compare_structures': True,
@@ -378,24 +314,6 @@ def test_structures_and_validation_come_with_the_fit(shipped, root):
     content = json.loads(format_json(result.as_json()))
     assert content['structures']['advised'] == 'axisymmetric'
     assert content['validations'][0]['above_limit'] == []
-
-
-def test_the_recording_of_a_fit_is_not_beyond_it(shipped, root):
-    """Warn of nothing where a cup is tried on what it is from."""
-    known = shipped[0].parameters()
-    assert replay(root / 'bags/identification', known).warnings == ()
-
-
-def test_a_length_that_is_not_given_is_said_to_be_that_of_the_thesis(shipped, root, at_rest):
-    values = {**shipped[0].values, 'bags': [str(root / 'bags/validation')]}
-    del values['cup.length']
-    result = identify(values)
-    assert not result.fit.usable
-    assert result.warnings[0].startswith("cup.length is not set: using the thesis's 0.0481 m")
-    assert result.findings[0].startswith('cup.length is 2.1') and len(result.warnings) == 1
-    assert not any('is not set' in warning for warning in shipped[0].warnings)
-    found = identify({**values, **at_rest, 'static.length': True})
-    assert not any('is not set' in warning for warning in found.warnings)
 
 
 def test_a_wrong_centre_of_mass_is_suspected(shipped):
@@ -442,19 +360,6 @@ def test_streams_of_two_clocks_give_the_cup_of_one(shipped, behind, tmp_path):
     assert 'ms behind those of the package' in (tmp_path / 'cup.yaml').read_text()
 
 
-@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes interpreted')
-def test_the_prediction_error_finds_what_is_left_of_an_offset(shipped, behind):
-    result = identify({
-        **shipped[0].values, 'bags': behind[:1], 'fit.time_offset': True,
-        'fit.method': 'prediction_error'})
-    K, P = (np.reshape(shipped[1][f'cup.{name}'], (6, 6)) for name in ('stiffness', 'damping'))
-    for found, std, true in ((result.fit.stiffness, result.fit.stiffness_std, K),
-                             (result.fit.damping, result.fit.damping_std, P)):
-        assert np.all(np.abs(np.diag(found - true)) < 4.0 * np.diag(std))
-    assert abs(result.fit.delays[0] - 0.005) < 4.0 * result.fit.delays_std[0] < 1e-4
-    assert result.fit.chi2 < 1.05
-
-
 @pytest.fixture(scope='module')
 def sideways(tmp_path_factory, root):
     """Return a recording that only moves along x: nothing turns about z."""
@@ -495,19 +400,6 @@ def test_what_is_not_identifiable_is_infinite_everywhere(shipped, sideways, tmp_
     compared = compare_files(tmp_path / 'a.json', tmp_path / 'b.json')
     (torsion,) = (c for c in compared.fits.parameters if c.name == 'K rz')
     assert np.isinf(torsion.before_std) and not torsion.significant
-
-
-@pytest.mark.skipif(not COMPILED, reason='numba is not installed: the fit takes minutes')
-def test_prediction_error_names_what_is_not_identifiable(shipped, sideways):
-    result = identify(
-        {**shipped[0].values, 'bags': [sideways], 'fit.method': 'prediction_error'})
-    assert np.isinf(result.fit.stiffness_std[5, 5]) and np.isinf(result.fit.damping_std[5, 5])
-    assert np.isfinite(result.fit.damping_std[0, 0])
-    assert any('Torsion is hardly excited' in warning for warning in result.warnings)
-    assert not any('least squares' in warning for warning in result.warnings)
-    # what least squares thinks of noise is not said of it
-    assert all(np.isnan(own.noise_share) for own in result.excitation.parameters)
-    assert not any(own.weak for own in result.excitation.parameters)
 
 
 @pytest.mark.parametrize('method', ['least_squares', 'prediction_error'])

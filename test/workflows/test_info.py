@@ -7,12 +7,9 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
-from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
-from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.workflows.info import info, TopicInfo
-from bellows_ros.workflows.recordings import load
 import numpy as np
 import pytest
 
@@ -109,35 +106,6 @@ def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(tmp_path: Path) -> None:
     assert found.twist and found.twist.topic == '/speed' and 'too little' in found.twist.why[0]
 
 
-@pytest.mark.parametrize(('fault', 'words'), [
-    ('slow', 'has only 67 Hz'), ('jitter', 'jitter by'), ('repeats', 'repeats its pose'),
-    ('step', 'does not return'), ('turned', 'two frames are rotated by 45.8 degrees')])
-def test_what_is_found_before_a_fit_is_said_with_it(
-    fault: str, words: str, tmp_path: Path
-) -> None:
-    """Warn of the same when the recording is read for a fit, in the same words."""
-    m = motion()
-    t, o, R = m['t'], m['o_p'].copy(), m['R_p']
-    if fault == 'slow':
-        t, o, R = (x[::3] for x in (t, o, R))
-    if fault == 'jitter':
-        t = t + np.random.default_rng(3).uniform(-1e-3, 1e-3, len(t))
-    if fault == 'repeats':
-        again = np.arange(len(t)) // 2 * 2
-        o, R = o[again], R[again]
-    if fault == 'step':
-        o[len(t) // 2:] += [0.0, 0.03, 0.0]
-    if fault == 'turned':
-        R = R @ exp_so3(np.array([0.0, 0.0, 0.8]))
-    write_bag(tmp_path / 'bag', [poses('/tool', m['t'], m['o'], m['R']), poses('/box', t, o, R)])
-    (note,) = [note for note in info(tmp_path / 'bag').notes if words in note]
-    values = resolve({
-        'topics.tool_pose': '/tool', 'topics.package_pose': '/box', 'topics.tool_twist': '',
-        'package.mass': 1.0, 'package.inertia': (0.01, 0.01, 0.01, 0.0, 0.0, 0.0),
-        'package.com': (0.0, 0.0, 0.0), 'recording.package_frame': 'com'})
-    assert note in load(tmp_path / 'bag', values).report.warnings
-
-
 def test_what_moves_at_once_does_not_stand_still(tmp_path: Path) -> None:
     """Measure a rest by the noise, which a motion from the first pose on is not."""
     m = motion()
@@ -190,17 +158,6 @@ def test_gaps_jitter_and_repeats_are_counted(tmp_path: Path) -> None:
     assert found['/box'].rate_hz == pytest.approx(RATE_HZ, rel=1e-6)
 
 
-def test_gaps_count_from_the_recordings_first_stamp(tmp_path: Path) -> None:
-    """Give the time of a gap as `from` and `to` are given, whenever its topic begins."""
-    m = motion()
-    kept = (m['t'] >= 0.5) & ((m['t'] < 3.0) | (m['t'] > 3.1))
-    write_bag(tmp_path / 'bag', [
-        poses('/tcp', m['t'], m['o'], m['R']),
-        poses('/box', m['t'][kept], m['o_p'][kept], m['R_p'][kept])])
-    ((start, _),) = by_name(info(tmp_path / 'bag').topics)['/box'].gaps
-    assert start == pytest.approx(2.995, abs=1e-6)
-
-
 def test_one_body_alone_is_named_and_said_to_be_too_little(tmp_path: Path) -> None:
     """Use the name where there is nothing to compare with."""
     m = motion()
@@ -209,22 +166,6 @@ def test_one_body_alone_is_named_and_said_to_be_too_little(tmp_path: Path) -> No
     assert found.tool and found.tool.topic == '/ur/tcp_pose'
     assert found.package is None
     assert any('needs the poses of tool and package' in note for note in found.notes)
-
-
-def test_one_unreadable_topic_does_not_hide_the_others(tmp_path: Path) -> None:
-    """Say what is wrong with it."""
-    m = motion()
-    broken = poses('/broken', m['t'], np.full_like(m['o'], np.nan), m['R'])
-    write_bag(tmp_path / 'bag', [poses('/tcp', m['t'], m['o'], m['R']), broken])
-    found = info(tmp_path / 'bag')
-    assert 'no usable message' in by_name(found.topics)['/broken'].problem
-    assert found.tool and found.tool.topic == '/tcp'
-
-
-def test_a_missing_recording_is_an_error(tmp_path: Path) -> None:
-    """Refuse what is not there."""
-    with pytest.raises(BellowsError, match='does not exist'):
-        info(tmp_path / 'none')
 
 
 @pytest.mark.parametrize(
@@ -240,18 +181,3 @@ def test_recordings_with_known_truth_are_read_right(
     keys = ('topics.tool_pose', 'topics.package_pose', 'recording.world',
             'recording.align_at_rest')
     assert tuple(settings[key] for key in keys) == expected
-
-
-def test_topics_with_few_poses_or_poses_in_pairs_are_described(tmp_path: Path) -> None:
-    """Describe all of a sound recording beside three clicks of a goal and a driver of pairs."""
-    m = motion()
-    k = np.arange(len(m['t']))
-    write_bag(tmp_path / 'bag', [
-        poses('/tcp/pose', m['t'], m['o'], m['R']), poses('/box/pose', m['t'], m['o_p'], m['R_p']),
-        poses('/goal_pose', np.array([0.1, 2.2, 5.9]), m['o'][:3], m['R'][:3]),
-        poses('/pairs', (k // 2 * 2 + 0.1 * (k % 2)) / RATE_HZ, m['o'], m['R'])])
-    found = info(tmp_path / 'bag')
-    assert found.tool and found.tool.topic in ('/tcp/pose', '/pairs')
-    rates = {name: topic.rate_hz for name, topic in by_name(found.topics).items()}
-    assert rates['/pairs'] == pytest.approx(RATE_HZ, rel=0.01)
-    assert 0.1 < rates['/goal_pose'] < 1.0

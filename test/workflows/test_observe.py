@@ -11,7 +11,6 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.report.build import replay_report
 from bellows_ros.workflows.observe import observed
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import replay, tool_messages
@@ -95,23 +94,6 @@ def test_two_worlds_are_brought_into_one(filmed, tmp_path):
     assert two.counts == one.counts and one.counts['used'] < 130  # of 4 s
     for way in one.ways:
         np.testing.assert_allclose(two.ways[way].scores.rms, one.ways[way].scores.rms, rtol=1e-3)
-
-
-def test_a_page_shows_it(filmed):
-    """Draw all three ways."""
-    bag, values = filmed
-    result = replay(bag, values, observe='/camera/box')
-    page = replay_report(result)
-    for words in ('With /camera/box', 'prediction alone', 'camera alone', 'both'):
-        assert words in page
-    assert result.as_json()['observed']['counts']['used'] > 300
-
-
-def test_a_topic_that_is_not_there(filmed):
-    """Name those that are."""
-    bag, values = filmed
-    with pytest.raises(BellowsError, match=r'camera/box.* Set --observe\.'):
-        replay(bag, values, observe='camera/other')
 
 
 def test_poses_of_no_use_are_counted_with_what_to_check(filmed, tmp_path):

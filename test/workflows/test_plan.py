@@ -21,7 +21,7 @@ from bellows_ros.files.plans import DESCRIPTION, JOINTS, plan_in_yaml, read_yaml
 from bellows_ros.files.trajectory_files import write_tum
 from bellows_ros.files.transforms import TF
 from bellows_ros.workflows.convert import to_bag, tool_of_joints
-from bellows_ros.workflows.plan import plan, read_plan, standing, write_prediction
+from bellows_ros.workflows.plan import plan, read_plan, write_prediction
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -96,13 +96,6 @@ def test_a_plan_has_all_its_figures(truth):
     assert truth['peak_force_std'] > 0.0
     assert truth['smallest_safety_mode'] in ('peel', 'slip')
     assert truth['outside_validity'] == [] and 'fastest_scale' not in truth
-
-
-def test_a_path_is_the_same_plan(truth, tmp_path):
-    times, poses, _ = samples()
-    found = figures(bag_of(tmp_path / 'bag', PATH, encode_path(T0, 'base', times, poses)))
-    for name in FIGURES:
-        assert_allclose(found[name], truth[name], rtol=2e-3, err_msg=name)
 
 
 def test_text_and_yaml_are_the_same_plan(truth, tmp_path):
@@ -269,16 +262,6 @@ def test_a_part_of_a_plan_is_taken(tmp_path):
         read_plan(plan_bag, {**values, 'recording.start': 0.1, 'recording.end': 0.103})
 
 
-def test_of_several_plans_the_first_is_taken_and_said(tmp_path):
-    data = encode_multi_dof(message())
-    write_bag(tmp_path / 'bag', [
-        Encoded('/a', MULTI_DOF, np.array([T0]), [data]),
-        Encoded('/b', MULTI_DOF, np.array([T0 + 5]), [encode_multi_dof(message(frame_id='b'))])])
-    found = figures(tmp_path / 'bag')
-    assert 'has 2 plans; using the first, on /a' in found['warnings'][0]
-    assert figures(tmp_path / 'bag', topic='/b')['frame_id'] == 'b'
-
-
 def test_what_is_predicted_can_be_read_again(truth, tmp_path):
     source = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
     report = plan(source, VALUES)
@@ -325,14 +308,6 @@ def test_what_lets_go_and_what_is_not_known_is_said(tmp_path):
             'envelope.rates': [0.1] * 6, 'envelope.mass': [1.8, 1.8]}
     outside = figures(source, values=seen)['outside_validity']
     assert any('bending about' in phrase for phrase in outside)
-
-
-def test_standing_goes_on_at_the_end():
-    tool = MOVE.plan()
-    longer = standing(tool, 0.1)
-    assert len(longer) == len(tool) + 20
-    assert (longer.position[-1] == tool.position[-1]).all() and not longer.twist[-1].any()
-    assert standing(tool, 0.0) is tool
 
 
 def spoiled(part, where, value):

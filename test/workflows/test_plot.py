@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.workflows.info import info
 from bellows_ros.workflows.plot import loads, motion, replayed, spectra, within
 import numpy as np
 import pytest
@@ -52,32 +51,6 @@ def test_spectra_show_the_noise_floor(root: Path, settings: dict[str, Any]) -> N
     assert found.error is not None
     low = (found.frequency_hz > 0.5) & (found.frequency_hz < 5.0)
     assert np.all(found.error[low, :3] < 0.2 * found.measured[low, :3].max(axis=0))
-
-
-def test_missing_poses_are_not_valid(root: Path, settings: dict[str, Any]) -> None:
-    """Mark what was lost."""
-    found = motion(root / 'bags' / 'identification', settings)
-    assert 0 < np.count_nonzero(~found.valid) < 200
-    assert len(found.seconds) == len(found.relative)
-
-
-def test_times_are_those_of_info(root: Path, settings: dict[str, Any]) -> None:
-    """Count from the first stamp recorded, not from the first that is filtered."""
-    bag = root / 'bags' / 'identification'
-    (package,) = (topic for topic in info(bag).topics if topic.name == '/package/pose')
-    start, length = package.gaps[0]
-    for half_window in (0, 100):
-        own = {**settings, 'filter.package.half_window': half_window}
-        found = motion(bag, own)
-        inside = (found.seconds > start + 1e-6) & (found.seconds < start + length - 1e-6)
-        assert np.count_nonzero(inside) > 3 and not found.valid[inside].any()
-        edges = found.seconds[found.valid]
-        assert np.abs(edges - start).min() < 1e-6 and np.abs(edges - start - length).min() < 1e-6
-        np.testing.assert_array_equal(loads(bag, own).seconds, found.seconds)
-    validation = root / 'bags' / 'validation'
-    shown, moved = replayed(validation, settings), motion(validation, settings)
-    np.testing.assert_array_equal(shown.seconds, moved.seconds[np.isin(
-        moved.seconds, shown.seconds)])
 
 
 def test_a_part_of_a_replay_has_its_own_scores(

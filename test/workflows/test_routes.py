@@ -6,18 +6,15 @@ import os
 from pathlib import Path
 import shutil
 import signal
-import threading
 
-from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.workflows import workers
-from bellows_ros.workflows.identification import UNKNOWN_STD
 from bellows_ros.workflows.identify import identify, read_part
 from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 import pytest
 import yaml
 
@@ -100,43 +97,6 @@ def test_one_process_after_the_other(settings, one_result):
     assert said[0] == 0.0 and said[-1] == 1.0 and said == sorted(said)
 
 
-AXES_HZ = {'x': 0.3, 'y': 0.37}
-
-
-@pytest.fixture(scope='module')
-def flat(root, tmp_path_factory):
-    """Return the parameters of two noisy recordings that hardly move along z and about it."""
-    lines = {axis: {'amplitude': [0.05], 'frequency': [f]} for axis, f in AXES_HZ.items()}
-    bags = simulated(root, tmp_path_factory.mktemp('flat'),
-                     multi_sine={'position': lines, 'rotation': lines})
-    return {**read_parameters(root / 'bags/package.yaml'), 'package.com': (0.0, 0.004, -0.03),
-            'bags': bags, 'fit.method': 'least_squares'}
-
-
-def identifiable_in(content):
-    """Return which parameters are identifiable, by a JSON file's content."""
-    return {label: own['identifiable']
-            for label, own in content['excitation']['parameters'].items()}
-
-
-@pytest.mark.stress
-@pytest.mark.parametrize('structure', ['axisymmetric', 'full'])
-def test_what_is_not_identifiable_is_claimed_nowhere(flat, structure):
-    """Let recordings read at once and by others give the same of noise and the package."""
-    settings = {**flat, 'fit.structure': structure}
-    whole, apart = identify(settings), identify(settings, jobs=1)
-    assert np.isinf(whole.fit.damping_std[2, 2])
-    said = whole.warnings
-    assert any(text.startswith('Axial motion is hardly excited') for text in said)
-    assert_array_equal(np.isinf(apart.fit.covariance), np.isinf(whole.fit.covariance))
-    assert apart.warnings == said
-    assert apart.parameters()['cup.damping_std'][14] == UNKNOWN_STD
-    for found, wanted in zip(apart.excitation.axes, whole.excitation.axes, strict=True):
-        assert_allclose(found.strain_noise, wanted.strain_noise, rtol=1e-9)
-    found, wanted = (json.loads(format_json(r.as_json())) for r in (apart, whole))
-    assert identifiable_in(found) == identifiable_in(wanted)
-
-
 def test_bad_recording_is_reported_and_not_fatal(settings, one_result, tmp_path):
     pytest.importorskip('joblib', reason='extra parallel')
     broken = tmp_path / 'broken'
@@ -193,18 +153,6 @@ class Deadly(dict):
     def __getitem__(self, name):
         """Do what the kernel does where memory is short."""
         os.kill(os.getpid(), signal.SIGKILL)
-
-
-class Endless(dict):
-    """Parameters that nobody is ever done with."""
-
-    def __contains__(self, name):
-        """Hold everything."""
-        return True
-
-    def __getitem__(self, name):
-        """Wait longer than any test."""
-        threading.Event().wait(120.0)
 
 
 def processes():
@@ -265,37 +213,10 @@ def test_a_recording_that_kills_its_dask_worker_is_left_out(cluster):
     assert 'KilledWorker' in results[0][1].reason
 
 
-def test_a_scheduler_that_is_lost_is_said(cluster):
-    work = [(0, 'a', {}), (1, 'endless', Endless())]
-    results = workers.on_dask(work, cluster.scheduler_address, read_part)
-    assert next(results)[0] == 0
-    cluster.close(timeout=10.0)
-    with pytest.raises(BellowsError, match='was lost during the work'):
-        next(results)
-
-
 def test_missing_extra_is_said(settings, monkeypatch):
     monkeypatch.setitem(__import__('sys').modules, 'joblib', None)
     with pytest.raises(BellowsError, match="--jobs needs 'joblib'.*pip install joblib"):
         identify(settings, jobs=2)
-
-
-@pytest.mark.stress
-@pytest.mark.skipif(not COMPILED, reason='numba is not installed: the fit takes minutes')
-def test_the_prediction_error_of_recordings_that_others_read(settings, cluster, tmp_path):
-    broken = tmp_path / 'broken.mcap'
-    broken.write_bytes(b'no recording')
-    other = {**settings, 'fit.method': 'prediction_error'}
-    whole = identify(other)
-    bags = [*settings['bags'][:1], str(broken), *settings['bags'][1:]]
-    for apart in (identify({**other, 'bags': bags}, jobs=2),
-                  identify({**other, 'bags': bags}, dask=cluster.scheduler_address)):
-        assert_allclose(apart.fit.covariance, whole.fit.covariance, rtol=1e-9)
-        for name in ('stiffness', 'damping'):
-            assert_allclose(getattr(apart.fit, name), getattr(whole.fit, name), rtol=1e-9)
-        assert [failed.bag for failed in apart.failed] == [str(broken)]
-        assert apart.bags == tuple(settings['bags'])
-        assert apart.warnings[1:] == whole.warnings and str(broken) in apart.warnings[0]
 
 
 @pytest.fixture
@@ -315,12 +236,6 @@ def test_a_recording_counts_once_by_whatever_name(settings, spelled):
     result = identify({**settings, 'bags': bags}, jobs=1)
     assert [failed.bag for failed in result.failed] == spelled[1:]
     assert list(result.bags) == bags[:2]
-
-
-def test_a_length_that_is_not_given_is_said(settings):
-    values = {name: value for name, value in settings.items() if name != 'cup.length'}
-    values['bags'] = values['bags'][1:]
-    assert identify(values, jobs=1).warnings[0].startswith('cup.length is not set')
 
 
 def test_time_offsets_are_those_of_one_fit(settings, one_result):

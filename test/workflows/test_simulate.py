@@ -3,10 +3,10 @@
 import copy
 from pathlib import Path
 
-from bellows_ros.core.geometry.lie import hat, log_so3, quaternion_to_rotation
+from bellows_ros.core.geometry.lie import hat, log_so3
 from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.synthetic.motion import KINDS
-from bellows_ros.core.synthetic.recipe import generator, read_recipe
+from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams, topics
 from bellows_ros.workflows.simulate import simulate_recording
@@ -192,36 +192,6 @@ def test_streams_have_their_own_rates_and_are_the_truth_without_noise(tmp_path):
     assert report.duration_s == 2.0 and report.events == () and report.warnings == ()
 
 
-def test_the_lip_is_recorded_where_the_lip_is(tmp_path):
-    centre, _ = recorded(tmp_path, MOTION, 'com')
-    offset = motion(**{'package.frame': 'lip', 'package.pickup_offset': [0.001, -0.002]})
-    lip, _ = recorded(tmp_path, offset, 'lip')
-    lever = np.array([0.001, -0.002, 0.0]) - COM
-    expected = centre['pose'].position + centre['pose'].rotation @ lever
-    assert_allclose(lip['pose'].position, expected, atol=1e-14)
-
-
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-@pytest.mark.parametrize('compression', ['none', 'zstd'])
-def test_every_storage_is_read_by_rosbags_and_here(tmp_path, storage, compression):
-    streams, report = recorded(tmp_path, motion(storage=storage, compression=compression))
-    suffix = {'mcap': '.mcap', 'sqlite3': '.db3'}[storage]
-    assert {p.suffix for p in (tmp_path / 'bag').iterdir()} == {suffix, '.yaml'}
-    with AnyReader([tmp_path / 'bag']) as reader:
-        wanted = [c for c in reader.connections if c.topic == '/package/pose']
-        poses = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(wanted)]
-    assert len(poses) == report.messages['/package/pose'] == len(streams['pose'])
-    last = poses[-1].pose
-    assert_array_equal(
-        [last.position.x, last.position.y, last.position.z], streams['pose'].position[-1]
-    )
-    q = [getattr(last.orientation, axis) for axis in 'xyzw']
-    assert_allclose(quaternion_to_rotation(q), streams['pose'].rotation[-1], atol=1e-15)
-    assert poses[-1].header.stamp.sec * 10**9 + poses[-1].header.stamp.nanosec == (
-        START_NS + 2 * 10**9
-    )
-
-
 NOISY = {
     'tool.noise': {'position': 1e-5, 'rotation': 1e-5},
     'package.noise': {'position': 1e-4, 'rotation': 5e-4},
@@ -241,19 +211,6 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path):
     assert np.abs(other['tool_pose'].position - first['tool_pose'].position).max() > 1e-3
 
 
-def test_random_numbers_of_one_purpose_do_not_depend_on_others(tmp_path):
-    """Change the tool's noise, and the package's recording stays as it was."""
-    first, _ = recorded(tmp_path, motion(**NOISY), 'first')
-    changes = {**NOISY, 'tool.noise': {}, 'tool.rate_hz': 100.0, 'tool.twist': {'publish': False}}
-    report = simulate_recording(PARAMETERS, motion(**changes), tmp_path / 'second')
-    second = read_streams(tmp_path / 'second', {'pose': '/package/pose'})
-    assert set(report.messages) == {'/tool_arm/pose', '/package/pose'}
-    assert_array_equal(second['pose'].stamps_ns, first['pose'].stamps_ns)
-    assert_allclose(second['pose'].position, first['pose'].position, atol=1e-9)
-    draws = [generator(0, purpose).normal() for purpose in ('tool', 'package', 'phases')]
-    assert len(set(draws)) == 3
-
-
 def test_events_of_the_report_are_where_they_are_in_the_recording(tmp_path):
     streams, report = recorded(tmp_path, motion(**NOISY))
     assert [event.kind for event in report.events].count('outlier') == 2
@@ -271,16 +228,6 @@ def test_events_of_the_report_are_where_they_are_in_the_recording(tmp_path):
             assert np.linalg.norm(step) > 0.04
 
 
-def test_latency_is_between_stamp_and_recording(tmp_path):
-    recorded(tmp_path, motion(**{'package.stamps': {'latency': 0.004}}))
-    with AnyReader([tmp_path / 'bag']) as reader:
-        delays = {'/tool_arm/pose': set(), '/tool_arm/twist': set(), '/package/pose': set()}
-        for connection, log_time_ns, raw in reader.messages():
-            stamp = reader.deserialize(raw, connection.msgtype).header.stamp
-            delays[connection.topic].add(log_time_ns - stamp.sec * 10**9 - stamp.nanosec)
-    assert delays == {'/tool_arm/pose': {0}, '/tool_arm/twist': {0}, '/package/pose': {4_000_000}}
-
-
 def test_bending_beyond_45_degrees_is_warned_about_with_its_time(tmp_path):
     shake = {'position': {'y': {'amplitude': [0.08], 'frequency': [3.0]}}}
     soft = {**PARAMETERS, 'cup.damping': (0.2 * P).ravel().tolist()}
@@ -295,13 +242,6 @@ def test_bending_beyond_45_degrees_is_warned_about_with_its_time(tmp_path):
     said = float(warning.split(' from ')[1].split(' s')[0])
     assert passed - 1.0 / 120.0 <= said <= passed
     assert 'may flip' in warning
-
-
-def test_progress_is_reported(tmp_path):
-    said = []
-    simulate_recording(PARAMETERS, MOTION, tmp_path / 'bag', said.append)
-    assert said[0] == 'simulating 2 s'
-    assert said[1].startswith('writing 1243 messages')
 
 
 def without(name):
@@ -342,14 +282,6 @@ def test_errors_leave_nothing_behind(tmp_path, parameters, content, message):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_recording_that_exists_is_not_touched(tmp_path):
-    (tmp_path / 'bag').mkdir()
-    (tmp_path / 'bag' / 'metadata.yaml').write_text('mine')
-    with pytest.raises(BellowsError, match='exists. Give another name, or remove it first'):
-        simulate_recording(PARAMETERS, MOTION, tmp_path / 'bag')
-    assert content_of(tmp_path) == {Path('bag/metadata.yaml'): b'mine'}
-
-
 def test_a_recording_is_replaced_where_that_is_allowed(tmp_path):
     for seed in (1, 2):
         changed = motion(seed=seed, storage='mcap' if seed == 1 else 'sqlite3')
@@ -360,13 +292,6 @@ def test_a_recording_is_replaced_where_that_is_allowed(tmp_path):
     with pytest.raises(BellowsError, match="not just a recording: it holds 'notes.txt'"):
         simulate_recording(PARAMETERS, MOTION, tmp_path / 'bag', replace=True)
     assert content_of(tmp_path) == before
-
-
-def test_a_folder_that_is_missing_is_named_before_the_work(tmp_path):
-    said = []
-    with pytest.raises(BellowsError, match='does not exist. Make it first'):
-        simulate_recording(PARAMETERS, MOTION, tmp_path / 'no' / 'bag', said.append)
-    assert said == []
 
 
 # ---- Tosses. ----

@@ -2,7 +2,6 @@
 
 import json
 
-from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.workflows.identify import selection
@@ -41,18 +40,6 @@ def test_json_is_complete(shipped):
     assert set(content['excitation']['axes']) == {'x', 'y', 'z', 'rx', 'ry', 'rz'}
     found = content['excitation']['parameters']['P z']
     assert found['identifiable'] is True and found['signal_to_noise'] > 1.0
-
-
-def test_progress_goes_from_reading_to_done(shipped):
-    found = []
-    structures(shipped.values, lambda what, part: found.append((what, part)))
-    assert found[0][0].startswith('reading') and found[-1] == ('done', 1.0)
-    assert [part for _, part in found] == sorted(part for _, part in found)
-
-
-def test_no_recording_is_a_mistake(shipped):
-    with pytest.raises(BellowsError, match='bags is empty'):
-        structures({**shipped.values, 'bags': []})
 
 
 @pytest.mark.parametrize(('fault', 'word'), [

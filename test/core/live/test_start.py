@@ -52,12 +52,9 @@ class Cell:
         assert phase == 'predicting' and size < 1e-3
 
 
-PERIODS = pytest.mark.parametrize('period_ns', [MS, 2 * MS, 2_777_778, 8 * MS, 10 * MS, 20 * MS])
-
-
-@PERIODS
-@pytest.mark.parametrize('apart', [0.01, 0.02, 0.04, 0.08, 0.3])
-@pytest.mark.parametrize('after', [0.0, 0.5, 1.0])
+@pytest.mark.parametrize(('period_ns', 'apart', 'after'), [
+    (2 * MS, 0.02, 1.0), (2_777_778, 0.04, 0.5), (8 * MS, 0.3, 0.5), (10 * MS, 0.01, 0.0),
+    (20 * MS, 0.08, 1.0)])
 def test_after_two_tools_on_one_topic(period_ns, apart, after):
     """One of both, or neither, stands still then: on exactly one pose, as simulations do."""
     rng = np.random.default_rng(round(1e4 * apart) + period_ns)
@@ -68,10 +65,10 @@ def test_after_two_tools_on_one_topic(period_ns, apart, after):
     cell.stands_still((after * apart, 0.0, 0.0))
 
 
-@PERIODS
-@pytest.mark.parametrize('speed, rate', [(0.5, 0.0), (5.0, 0.0), (11.0, 0.0), (0.0, 30.0),
-                                         (7.0, 20.0)])
-@pytest.mark.parametrize('kind', ['random', 'constant'])
+@pytest.mark.parametrize(('period_ns', 'speed', 'rate', 'kind'), [
+    (2 * MS, 5.0, 0.0, 'random'), (2_777_778, 11.0, 0.0, 'constant'),
+    (8 * MS, 0.0, 30.0, 'random'), (10 * MS, 0.5, 0.0, 'constant'),
+    (20 * MS, 7.0, 20.0, 'random')])
 def test_after_false_twists(period_ns, speed, rate, kind):
     rng = np.random.default_rng(period_ns)
     cell = Cell(period_ns)

@@ -1,10 +1,7 @@
 """The safety factor of the grip against a linear programme, neighbours' formulas, mathematics."""
 
 import math
-from time import thread_time
-from timeit import timeit
 
-from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.model.grip import (
     grip_of,
     margin,
@@ -91,29 +88,6 @@ def test_at_the_slip_factor_friction_is_used_up(seed):
 
 
 @pytest.mark.parametrize('seed', CASES)
-def test_six_points_of_pham_lose_contact_between_peel_and_tip(seed):
-    """Their six points press or not, each for itself: a rigid hexagon inside the circle."""
-    f, m = wrench(seed)
-    hexagon = largest_scale(ring(6), f, m)
-    assert min(safety_factors(GRIP, f, m)[0], 1e6) <= hexagon * (1 + 1e-9)
-    assert hexagon <= min(tip_factor(f, m), 1e6) * (1 + 1e-9)
-
-
-@pytest.mark.parametrize('seed', CASES)
-def test_slip_against_the_box_of_dex_net(seed):
-    """
-    Compare with sqrt(3) |f_x|, sqrt(3) |f_y| <= mu N and sqrt(3) |m_z| <= r mu N.
-
-    Their box lies in the ball of the same friction, so what it passes holds here too.
-    """
-    f, m = wrench(seed)
-    largest = math.sqrt(3) * max(abs(f[0]), abs(f[1]), abs(m[2]) / RADIUS)
-    load = largest + FRICTION * f[2]
-    box = FRICTION * SUCTION / load if load > 0 else math.inf
-    assert box <= safety_factors(GRIP, f, m)[1] * (1 + 1e-12)
-
-
-@pytest.mark.parametrize('seed', CASES)
 def test_factors_scale_with_the_load_and_with_the_vacuum(seed):
     f, m = wrench(seed)
     factors = np.array(safety_factors(GRIP, f, m))
@@ -123,29 +97,10 @@ def test_factors_scale_with_the_load_and_with_the_vacuum(seed):
     assert_allclose(more, 3 * factors)
 
 
-def test_infinite_where_the_cup_is_pushed():
-    pushed = (0.0, 0.0, -30.0)
-    assert safety_factors(GRIP, pushed, (0.0, 0.0, 0.0)) == (math.inf, math.inf)
-    assert safety_factors(GRIP, pushed, (0.5, 0.0, 0.0))[0] == SUCTION / 10.0
-    assert safety_factors(GRIP, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) == (math.inf, math.inf)
-
-
-def test_without_vacuum_nothing_holds():
-    assert safety_factors((0.0, RADIUS, FRICTION), (0.0, 0.0, 10.0), (0.0, 0.0, 0.0)) == (0.0, 0.0)
-
-
 def test_rows_are_the_kernel():
     loads = [wrench(seed) for seed in CASES]
     rows = safety_factors_of(GRIP, np.array([[*f, *m] for f, m in loads]))
     assert_allclose(rows, [safety_factors(GRIP, f, m) for f, m in loads], rtol=1e-15)
-
-
-@pytest.mark.skipif(not COMPILED, reason='the limit is for compiled kernels')
-def test_a_sample_takes_less_than_a_microsecond():
-    rows = np.random.default_rng(0).normal(0, 1, (10_000, 6))
-    safety_factors_of(GRIP, rows)
-    assert any(timeit(lambda: safety_factors_of(GRIP, rows), number=1, timer=thread_time) < 0.01
-               for _ in range(20))
 
 
 def test_the_grip_of_parameters():

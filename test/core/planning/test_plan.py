@@ -1,15 +1,12 @@
 """Prediction along plans against an independent integrator, brute force and Monte Carlo."""
 
 import math
-from time import process_time
-from timeit import repeat
 
-from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation, transform
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.simulation import simulate, state_row
-from bellows_ros.core.planning.plan import LONGEST_TAIL, predict, Run, SETTLED
+from bellows_ros.core.planning.plan import LONGEST_TAIL, predict, SETTLED
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
@@ -193,17 +190,6 @@ def test_a_thousand_random_plans():
     print(f'Of 1,000 random plans {lets_go} let go: {wrong} of them are said to hold, and '
           f'{rigid_wrong} by the rigid load; {afraid} that hold are said to let go.')
     assert (lets_go, wrong, afraid, rigid_wrong) == (421, 0, 0, 95)
-
-
-@pytest.mark.skipif(not COMPILED, reason='the limit is for compiled kernels')
-def test_predicting_a_plan_takes_no_longer_than_simulating_its_motion():
-    """Take 0.7 ms for 1 s at 1 kHz where a simulation takes 0.9 ms: both share the load."""
-    plan = Move([0.6, 0, 0], [0, 0, 0], 1.0).plan()
-    run = Run(MODEL, GRIP, plan, tail=0.0)
-    predicted, simulated = (
-        min(repeat(work, setup=work, number=5, repeat=10, timer=process_time))
-        for work in (lambda: run.at(1.0), lambda: simulate(CUP, PACKAGE, plan)))
-    assert predicted < simulated
 
 
 def test_settling_is_waited_for():

@@ -1,10 +1,7 @@
 """Steered motions against an independent integrator, closed forms and Monte Carlo."""
 
 import math
-from time import thread_time
-from timeit import timeit
 
-from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, transform
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.perturbed import deviations_of, mean_square, model_with, numbers_of
@@ -197,12 +194,6 @@ def test_modes_are_those_of_mass_and_spring():
         assert near.tilt < 1e-6  # a slide does not drive them
 
 
-def test_modes_alike_are_one():
-    found = to_shape([Mode(3.0, 0.1, 0.1), Mode(3.1, 0.2, 0.3), Mode(5.0, 0.1, 0.001),
-                      Mode(11.0, 0.4, 0.1)], 'zv')
-    assert_allclose(found, [(3.075, 0.175, 0.25), (11.0, 0.4, 0.1)])
-
-
 @pytest.mark.parametrize('method', ['zv', 'zvd'])
 def test_a_mode_that_decays_before_its_shaper_ends_is_left_alone(method):
     """At 0.998 of the critical damping 5 degrees decay to 0.5 in 0.2 s; the shaper takes 4 s."""
@@ -263,13 +254,3 @@ def test_the_expected_swing_is_that_of_monte_carlo():
     draws = numbers_of(VALUES) + deviations_of(VALUES) * rng.standard_normal((100, 52))
     drawn = math.sqrt(np.mean([swing(model_with(MODEL, numbers)) ** 2 for numbers in draws]))
     assert_allclose(math.sqrt(mean_square(VALUES, MODEL, swing)), drawn, rtol=0.15)
-
-
-@pytest.mark.skipif(not COMPILED, reason='the limit is for compiled kernels')
-@pytest.mark.parametrize('method', ['inverse', 'zv', 'zvd'])
-def test_a_second_is_steered_in_10_ms(method):
-    """Of the processor, once in many runs: whatever else the machine does only adds to it."""
-    plan = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0).plan()
-    steer(MODEL, plan, method)
-    assert any(timeit(lambda: steer(MODEL, plan, method), number=1, timer=thread_time) < 0.01
-               for _ in range(100))
