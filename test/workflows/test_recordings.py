@@ -72,5 +72,5 @@ def test_a_part_of_a_recording_is_what_lies_there(root, values):
         assert_array_equal(getattr(part, stream).stamps_ns, wanted)
     assert 2.5 < part.tool.seconds[-1] <= 3.0
     for start, end in ((3.0, 2.0), (1e5, 0.0)):
-        with pytest.raises(BellowsError, match='no messages from recording.start, .* lasts'):
+        with pytest.raises(BellowsError, match=r'recording\.start'):
             load(bag, {**values, 'recording.start': start, 'recording.end': end})

@@ -88,5 +88,5 @@ def test_a_recording_without_tosses_is_refused(tmp_path):
     """Say how many were found, and how many are needed."""
     motion = {**load(BAGS / 'throw.yaml'), 'package': {'rate_hz': 120.0}}
     simulate_recording(VALUES, motion, tmp_path / 'bag')
-    with pytest.raises(BellowsError, match='A valve needs 3 or more usable tosses, got 0'):
+    with pytest.raises(BellowsError, match=r'\b3\b.*\b0\b'):
         identify_release({**VALUES, 'bags': [str(tmp_path / 'bag')]})

@@ -114,7 +114,7 @@ def test_bad_recording_is_reported_and_not_fatal(settings, one_result, tmp_path)
 
 
 def test_nothing_usable(settings):
-    with pytest.raises(BellowsError, match="None of 2 recordings can be used. The first, 'a'"):
+    with pytest.raises(BellowsError, match="2.*'a'"):
         identify({**settings, 'bags': ['a', 'b']}, jobs=1)
 
 
@@ -215,7 +215,7 @@ def test_a_recording_that_kills_its_dask_worker_is_left_out(cluster):
 
 def test_missing_extra_is_said(settings, monkeypatch):
     monkeypatch.setitem(__import__('sys').modules, 'joblib', None)
-    with pytest.raises(BellowsError, match="--jobs needs 'joblib'.*pip install joblib"):
+    with pytest.raises(BellowsError, match="--jobs.*'joblib'"):
         identify(settings, jobs=2)
 
 

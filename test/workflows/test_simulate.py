@@ -289,7 +289,7 @@ def test_a_recording_is_replaced_where_that_is_allowed(tmp_path):
     assert {p.name for p in (tmp_path / 'bag').iterdir()} == {'bag.db3', 'metadata.yaml'}
     (tmp_path / 'bag' / 'notes.txt').write_text('mine')
     before = content_of(tmp_path)
-    with pytest.raises(BellowsError, match="not just a recording: it holds 'notes.txt'"):
+    with pytest.raises(BellowsError, match=r"'notes\.txt'"):
         simulate_recording(PARAMETERS, MOTION, tmp_path / 'bag', replace=True)
     assert content_of(tmp_path) == before
 

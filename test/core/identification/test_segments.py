@@ -67,7 +67,7 @@ def test_a_long_gap_of_the_tool_cuts_the_recording():
 
 def test_nothing_but_gaps_is_an_error():
     often = [(k, k + 40) for k in range(0, 1160, 60)]
-    with pytest.raises(BellowsError, match='No segment of 1 s'):
+    with pytest.raises(BellowsError, match=r'\b1\b'):
         measured_segments(lost(MOTION, *often), lost(BODY), PLATE, GRAVITY)
 
 

@@ -38,6 +38,6 @@ def test_a_world_upside_down_is_turned_about_x():
 
 
 def test_no_direction_is_refused():
-    with pytest.raises(BellowsError, match='nothing is down'):
+    with pytest.raises(BellowsError):
         require_direction((0.0, 0.0, 0.0))
     require_direction(exp_so3(np.ones(3))[0])

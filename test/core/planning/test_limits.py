@@ -45,7 +45,7 @@ def test_safety_and_workspace_count():
     inside = FREE._replace(low=np.full(3, -0.1), high=np.array([0.7, 0.1, 0.1]))
     assert stretched(inside, lambda s: (PLAN, 0.0)) == (1.0, '')
     inside.high[0] = 0.5
-    with pytest.raises(BellowsError, match='limit workspace even at 20 times its duration'):
+    with pytest.raises(BellowsError, match=r'\b20\b'):
         stretched(inside, lambda s: (PLAN, 0.0))
 
 

