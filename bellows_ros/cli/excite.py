@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.workflows.excite import excite, write_motion
 
     def draw(found: 'Excitation') -> Any:
-        from bellows_ros.plots.excite import excite_figure
+        from bellows_ros.plots.plan import excite_figure
 
         return excite_figure(found.design, f'{arguments.time:g} s, for {arguments.limits}')
 

@@ -110,10 +110,15 @@ def _drawn(
 ) -> Any:
     """Read, draw and write; return what the picture shows."""
     from bellows_ros.plots.animation import write_animation
-    from bellows_ros.plots.loads import deflection_figure, residual_figure
     from bellows_ros.plots.plan import margin_figure
     from bellows_ros.plots.prediction import prediction_figure
-    from bellows_ros.plots.recording import motion_figure, path_figure, spectra_figure
+    from bellows_ros.plots.recording import (
+        deflection_figure,
+        motion_figure,
+        path_figure,
+        residual_figure,
+        spectra_figure,
+    )
     from bellows_ros.plots.style import write_figure
     from bellows_ros.workflows.plot import loads, margins, motion, replayed, spectra, within
 

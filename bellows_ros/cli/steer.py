@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     def draw(report: 'SteerReport') -> Any:
         if not arguments.plot.lower().endswith(style.FILMS):
-            from bellows_ros.plots.steer import steer_figure
+            from bellows_ros.plots.plan import steer_figure
 
             return steer_figure(report.motions, f'{arguments.plan}')
         from bellows_ros.plots.animation import write_steering

@@ -12,7 +12,7 @@ from . import options
 from .console import Console, NOT_USABLE, OK
 
 if TYPE_CHECKING:
-    from bellows_ros.workflows.structures import StructureAdvice
+    from bellows_ros.workflows.identify import StructureAdvice
 
 EXAMPLES = (
     ('bellows structures bags/identification --params bags/package.yaml',
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     settings: dict[str, Any] = options.given_parameters(arguments, 'identifier')
     if arguments.bags:
         settings['bags'] = [str(bag) for bag in arguments.bags]
-    from bellows_ros.workflows.structures import structures
+    from bellows_ros.workflows.identify import structures
 
     with console.progress() as progress:
         result = structures(settings, progress)

@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.workflows.toss import toss_plan
 
     def draw(result: 'TossResult') -> Any:
-        from bellows_ros.plots.toss import toss_figure
+        from bellows_ros.plots.plan import toss_figure
 
         return toss_figure(result, f'Toss of {arguments.plan.name}')
 

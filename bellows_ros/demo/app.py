@@ -1,8 +1,12 @@
-"""The steps of the demonstration."""
+"""The steps of the demonstration, with the node predictor as a process of its own."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+import signal
+import subprocess
+import sys
 import tempfile
 import time
 from typing import Any, TYPE_CHECKING
@@ -28,7 +32,6 @@ from bellows_ros.workflows.recordings import load as load_recording
 import numpy as np
 
 from .domain import isolate
-from .predictor_process import predictor
 
 if TYPE_CHECKING:
     from bellows_ros.nodes.demo_player import Exchange
@@ -139,3 +142,53 @@ def _say(
     console.say(f'Messages in {np.ptp(answers) / NS_PER_S:.0f} s: {poses} poses and {twists} '
                 f'twists to the node, {len(answers)} predictions back, {lost or "none"} lost')
     return lost
+
+
+END_TIMEOUT = 10.0
+LAST_LINES = 15
+
+
+@contextmanager
+def predictor(parameters: Path, log: Path) -> Iterator[Callable[[], None]]:
+    """
+    Run the node while the context lasts.
+
+    Parameters
+    ----------
+    parameters : Path
+        For --params-file.
+    log : Path
+        Gets all that the node says.
+
+    Yields
+    ------
+    callable
+        Raises BellowsError, with the end of the log, when the node has ended by itself.
+
+    """
+    command = [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args',
+               '--params-file', str(parameters)]
+    with log.open('wb') as output:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
+        )
+
+    def require_alive() -> None:
+        if process.poll() is not None:
+            lines = log.read_text(errors='replace').splitlines()[-LAST_LINES:]
+            end = '\n'.join(f'  {line}' for line in lines) or '  (it is empty)'
+            raise BellowsError(
+                f'The predictor exited with code {process.returncode}. The end of its log, '
+                f'{log}:\n{end}')
+
+    try:
+        yield require_alive
+        require_alive()
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)  # as Ctrl-C does
+        try:
+            process.wait(END_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

@@ -20,8 +20,7 @@ from bellows_ros.workflows.plot import Replayed
 from bellows_ros.workflows.steer import SteerReport
 import numpy as np
 
-from .panels import picture
-from .shapes import bellows_rings, box_corners, BOX_EDGES, BOX_FACES, SIDES
+from .panels import bellows_rings, box_corners, BOX_EDGES, BOX_FACES, picture, SIDES
 from .style import FILMS, require_picture, Theme
 
 Progress = Callable[[str, float], None]

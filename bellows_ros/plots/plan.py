@@ -1,15 +1,19 @@
-"""Pictures of a predicted plan, and of the safety factor over time."""
+"""Pictures of plans: predicted, steered, tossed, designed; and of the safety factor over time."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import math
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model.grip import MODES
+from bellows_ros.core.toss.landing import ellipse
+from bellows_ros.core.toss.release import flight_path
 from bellows_ros.workflows.plan import Curves, PlanReport
 from bellows_ros.workflows.replay import Margins
+import numpy as np
 
-from .panels import BELOW_HEAD, MILLI, name_panel, picture, row
+from .panels import BELOW_HEAD, box_corners, BOX_EDGES, MILLI, name_panel, picture, row
 from .style import Theme
 
 WIDE = (9.4, 4.2)  # inches
@@ -151,3 +155,185 @@ def _draw_margins(panel: Any, margins: Margins, colours: Theme) -> None:
         panel.text(0.99, height, words, fontsize=7.5, va=place, ha='right',
                    transform=panel.get_yaxis_transform(), color=colours.quiet)
     panel.set_ylim(0.0, max(LARGEST_SHOWN * margins.least, 1.5 * factor))
+
+
+PARTS = ((slice(0, 3), 1e3, 'mm'), (slice(3, 6), 180.0 / np.pi, 'degrees'))
+
+
+def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
+    """
+    Draw a motion, its spectrum, and how much of each limit it uses.
+
+    Parameters
+    ----------
+    design : bellows_ros.core.excitation.motion_design.Design
+        The motion.
+    note : str
+        For which cup and arm.
+    theme : {'light', 'dark'}
+        Colours for a light or a dark background.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    motion = design.motion
+    t = np.arange(0.0, motion.duration, 0.01)
+    u: Array = motion.displacement(t)[0]
+    lines = np.abs(motion.coefficients)
+    hertz = np.arange(1, len(lines) + 1) / motion.period
+    with picture('Motion for identifying stiffness and damping', note, theme) as (figure, colours):
+        grid = figure.add_gridspec(3, 2, **BELOW_HEAD, hspace=0.42, wspace=0.2)
+        for line, (part, factor, unit) in enumerate(PARTS):
+            of_time, of_frequency = (figure.add_subplot(grid[line, i]) for i in (0, 1))
+            for i, colour in enumerate(colours.three):
+                axis = part.start + i
+                name = ('', 'r')[line] + 'xyz'[i]
+                of_time.plot(t, factor * u[:, axis], color=colour, linewidth=0.7, label=name)
+                of_frequency.semilogy(
+                    hertz, factor * lines[:, axis], color=colour, linewidth=0.8, label=name)
+            name_panel(of_time, f'{("shift", "turn")[line]} of the tool ({unit})')
+            name_panel(of_frequency, f'amplitude of each line ({unit})')
+            of_frequency.legend(fontsize=8, ncols=3, loc='upper right')
+            of_time.set_xlabel('time (s)')
+            of_frequency.set_xlabel('frequency (Hz)')
+        panel = figure.add_subplot(grid[2, :])
+        names = list(design.ratios)
+        panel.bar(range(len(names)), [100.0 * design.ratios[name] for name in names],
+                  color=colours.measured, width=0.6)
+        panel.axhline(100.0, color=colours.text, linewidth=0.8, linestyle='--')
+        panel.set_xticks(range(len(names)), [name.replace(' ', '\n') for name in names],
+                         fontsize=7)
+        name_panel(panel, 'largest part of each limit (%)')
+    return figure
+
+
+AFTER = 1.0
+"""Time (s) shown after the end of the last motion."""
+
+
+def steer_figure(motions: Mapping[str, Any], note: str, theme: str = 'light') -> Any:
+    """
+    Draw the tilt of the package, and the way and tilt of the tool, of several motions.
+
+    Parameters
+    ----------
+    motions : mapping of str to workflows.steer.Motion
+        By name; the first is the one that is recommended.
+    note : str
+        Which plan and cup.
+    theme : {'light', 'dark'}
+        Colours for a light or a dark background.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    note = f'{note}; dotted: the motion of the tool ends'
+    with picture('The same way, with and without swing', note, theme) as (figure, colours):
+        panels = figure.subplots(3, 1, sharex=True, gridspec_kw={
+            **BELOW_HEAD, 'hspace': 0.28, 'height_ratios': [2.0, 1.0, 1.0]})
+        lines = (colours.predicted, colours.measured, colours.error)
+        for (name, motion), colour in zip(motions.items(), lines, strict=False):
+            tool, end = motion.tool, float(motion.tool.seconds[-1])
+            way = np.linalg.norm(tool.position - tool.position[0], axis=1)
+            z = np.clip(tool.rotation[:, :, 2] @ tool.rotation[0, :, 2], -1.0, 1.0)
+            curves = (np.degrees(motion.tilt), way, np.degrees(np.arccos(z)))
+            for panel, values in zip(panels, curves, strict=True):
+                seconds = motion.along.seconds if values is curves[0] else tool.seconds
+                panel.plot(seconds, values, color=colour, linewidth=1.4, label=name)
+                panel.axvline(end, color=colour, linewidth=0.8, linestyle=':')
+        for panel, title in zip(panels, (
+                'tilt of the package from where it is wanted (degrees)',
+                'way of the tool (m)', 'tilt of the tool (degrees)'), strict=True):
+            name_panel(panel, title)
+        longest = max(float(motion.tool.seconds[-1]) for motion in motions.values())
+        panels[0].set_xlim(0.0, longest + AFTER)
+        panels[0].legend(fontsize=9, loc='upper right', frameon=False)
+        panels[-1].set_xlabel('time (s)')
+    return figure
+
+
+SIZE = (11.0, 7.2)
+GHOSTS, PATH_POINTS = 6, 60
+
+
+def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
+    """
+    Draw a toss.
+
+    Parameters
+    ----------
+    result : workflows.toss.TossResult
+        What is drawn.
+    title : str
+        Over the picture.
+    theme : {'light', 'dark'}
+        Colours for a light or a dark background.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    found, tool = result.toss, result.case.tool
+    path = flight_path(result.case.model, found, PATH_POINTS)
+    half, middle = map(np.array, result.case.release.box)
+    held = result.held.states[result.held.times <= found.release_time]
+    spread = 1e3 * np.sqrt(np.diag(result.covariance))
+    x, y, _ = found.landing[0]
+    note = (f'valve {result.case.switched:.3f} s, lets go {found.release_time:.3f} s, lands '
+            f'{found.landing_time:.3f} s at x {x:.3f} m, y {y:.3f} m ± {spread[0]:.1f}, '
+            f'{spread[1]:.1f} mm')
+    with picture(title, note, theme, SIZE) as (figure, colours):
+        reach = np.vstack([tool.position, path[:, :3]])
+        spans = np.ptp(reach, axis=0) + 0.3
+        grid = figure.add_gridspec(
+            2, 2, **BELOW_HEAD, width_ratios=(3.0, 1.0), height_ratios=(spans[2], spans[1]),
+            hspace=0.12, wspace=0.14)
+        side = figure.add_subplot(grid[0, 0])
+        above = figure.add_subplot(grid[1, 0], sharex=side)
+        close = figure.add_subplot(grid[1, 1])
+        for panel, (i, j) in ((side, (0, 2)), (above, (0, 1))):
+            panel.plot(tool.position[:, i], tool.position[:, j], color=colours.measured,
+                       linewidth=3.0, label='tool')
+            panel.plot(held[:, i], held[:, j], color=colours.quiet, linewidth=1.2,
+                       label='package, held')
+            panel.plot(path[:, i], path[:, j], color=colours.predicted, linewidth=1.2,
+                       label='package, flying')
+            for k in np.linspace(0, len(path) - 1, GHOSTS).astype(int):
+                last = k == len(path) - 1
+                R = quaternion_to_rotation(path[k, 3:7])
+                corners = box_corners(path[k, :3] + R @ middle, R, 2.0 * half)
+                for line in corners[BOX_EDGES]:
+                    panel.plot(line[:, i], line[:, j], color=colours.predicted,
+                               linewidth=0.9 if last else 0.6, alpha=1.0 if last else 0.35)
+            panel.set_aspect('equal', adjustable='box')
+        side.axhline(result.case.release.height, color=colours.text, linewidth=1.0)
+        side.set_ylabel('z (m), from the side')
+        above.set_ylabel('y (m), from above')
+        above.set_xlabel('x (m)')
+        _draw_landing(above, close, result, colours)
+        handles, labels = above.get_legend_handles_labels()
+        figure.legend(handles, labels, loc='upper right', bbox_to_anchor=(0.99, 0.985), ncols=3)
+    return figure
+
+
+def _draw_landing(above: Any, close: Any, result: Any, colours: Any) -> None:
+    """Draw ellipse, drawn landings and target from above, and the ellipse once more closely."""
+    centre = np.array(result.toss.landing[0][:2])
+    ring = ellipse(result.covariance, 121)
+    for panel, about, scale in ((above, centre, 1.0), (close, np.zeros(2), 1e3)):
+        panel.plot(*(scale * ring + about).T, color=colours.error, linewidth=1.4,
+                   label='95 % ellipse')
+        if result.drawn is not None:
+            panel.plot(*(scale * result.drawn.figures[:, :2] + about).T, '.', markersize=2.0,
+                       color=colours.error, alpha=0.5, label='drawn tosses')
+    if result.target is not None:
+        above.plot(*result.target, '+', color=colours.text, markersize=10, label='target')
+    close.set_aspect('equal', adjustable='datalim')
+    close.set_title('where B lands (mm)', fontsize=10)
+    close.set_xlabel('x')
+    close.set_ylabel('y')

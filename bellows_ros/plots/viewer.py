@@ -26,8 +26,7 @@ from bellows_ros.files.atomic import scratch_folder, write_bytes
 from bellows_ros.workflows.plot import Replayed
 import numpy as np
 
-from .panels import MILLI
-from .shapes import bellows_rings, RINGS, SIDES
+from .panels import bellows_rings, MILLI, RINGS, SIDES
 from .style import THEMES
 
 NO_RERUN = (

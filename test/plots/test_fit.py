@@ -1,6 +1,6 @@
 """Pictures of a fit, of samples and of whiteness: what is drawn stands where the numbers say."""
 
-from bellows_ros.plots.fit import interval_figure
+from bellows_ros.plots.prediction import interval_figure
 from bellows_ros.plots.recording import spans
 import numpy as np
 import pytest

@@ -12,10 +12,15 @@ from bellows_ros.core.signals.residuals import Spectrum
 from bellows_ros.errors import BellowsError
 from bellows_ros.plots.animation import _ffmpeg as ffmpeg
 from bellows_ros.plots.animation import FRAMES_PER_SECOND, write_animation
-from bellows_ros.plots.fit import interval_figure
-from bellows_ros.plots.loads import deflection_figure, residual_figure
 from bellows_ros.plots.plan import margin_figure
-from bellows_ros.plots.recording import motion_figure, path_figure, spectra_figure
+from bellows_ros.plots.prediction import interval_figure
+from bellows_ros.plots.recording import (
+    deflection_figure,
+    motion_figure,
+    path_figure,
+    residual_figure,
+    spectra_figure,
+)
 from bellows_ros.plots.style import THEMES
 from bellows_ros.workflows.replay import Margins
 import numpy as np

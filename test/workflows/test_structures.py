@@ -4,8 +4,7 @@ import json
 
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
-from bellows_ros.workflows.identify import selection
-from bellows_ros.workflows.structures import structures
+from bellows_ros.workflows.identify import selection, structures
 import pytest
 
 from ..core.identification.hypotheses.laboratory import FAULTS, Laboratory
