@@ -10,6 +10,12 @@ from bellows_ros.files.atomic import new_folder, require_file_target, write_byte
 import pytest
 
 
+def test_text_is_written_in_utf8(tmp_path):
+    write_text(tmp_path / 'a', 'K = 6417 N/m, 45°\n')
+    assert (tmp_path / 'a').read_text(encoding='utf-8') == 'K = 6417 N/m, 45°\n'
+    assert os.listdir(tmp_path) == ['a']
+
+
 def test_new_files_get_the_permissions_of_any_new_file(tmp_path):
     write_bytes(tmp_path / 'a', b'x')
     (tmp_path / 'b').write_bytes(b'x')
@@ -115,6 +121,16 @@ def test_a_folder_is_exchanged_where_the_system_can(tmp_path, monkeypatch, in_on
         (folder / 'new').write_text('x')
     assert os.listdir(path) == ['new']
     assert [name for name in os.listdir(tmp_path) if name.startswith('.')] == []
+
+
+def test_a_folder_that_appears_meanwhile_is_not_touched(tmp_path):
+    path = tmp_path / 'bag'
+    with pytest.raises(BellowsError, match='meanwhile|meantime'), new_folder(path) as folder:
+        folder.mkdir()
+        path.mkdir()
+    assert os.listdir(tmp_path) == ['bag']
+    with pytest.raises(BellowsError, match='exists'), new_folder(path):
+        pass
 
 
 def test_a_folder_replaces_neither_files_nor_links(tmp_path):

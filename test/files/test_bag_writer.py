@@ -9,7 +9,7 @@ from bellows_ros.files import messages as cdr
 from bellows_ros.files.bag_writer import Recorded, STORAGES, write_bag
 from bellows_ros.files.bags import read_streams, topics
 import numpy as np
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from rosbags.highlevel import AnyReader
 import yaml
@@ -64,6 +64,38 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, no_room, storage, 
     with pytest.raises(BellowsError):
         write_bag(tmp_path / 'bag', [recorded()], storage, zstd)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize('kind', sorted(cdr.LAYOUTS))
+def test_every_type_comes_back(tmp_path, kind):
+    write_bag(tmp_path / 'b', [recorded(kind, frame_id='map', child_frame_id='tool')])
+    layout = cdr.LAYOUTS[kind]
+    if layout.pose:
+        stream = read_streams(tmp_path / 'b', {'p': 'a'})['p']
+        assert_array_equal(stream.position, made.pose_values(COUNT)[:, :3])
+        assert stream.frame_id == 'map'
+    if layout.twist:
+        stream = read_streams(tmp_path / 'b', {'tool_twist': 'a'})['tool_twist']
+        assert_array_equal(stream.angular, made.twist_values(COUNT)[:, 3:])
+        assert stream.frame_id == ('tool' if kind == made.ODOMETRY else 'map')
+
+
+def test_topics_are_recorded_in_the_order_messages_were_received_in(tmp_path):
+    t = made.stamps(COUNT)
+    late = t + 5_000_000
+    write_bag(
+        tmp_path / 'b',
+        [
+            recorded(log_times_ns=late[::-1]),
+            Recorded('/b', made.TWIST, t, made.twist_values(COUNT)),
+        ],
+    )
+    with AnyReader([tmp_path / 'b']) as reader:
+        order = [(t, c.topic) for c, t, _ in reader.messages()]
+    assert order == sorted([(x, '/a') for x in late] + [(x, '/b') for x in t])
+    stream = read_streams(tmp_path / 'b', {'p': 'a'})['p']
+    assert_array_equal(stream.stamps_ns, t[-1:])
+    assert stream.refused == {'backward_stamp': tuple(range(1, COUNT))}
 
 
 def test_faults_can_be_recorded_and_one_topic_fed_from_several_sources(tmp_path):
@@ -160,3 +192,11 @@ def test_what_cannot_be_recorded_is_refused(tmp_path):
     with pytest.raises(BellowsError):
         write_bag(tmp_path / 'none' / 'b', [recorded()])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_stamps_keep_every_nanosecond(tmp_path):
+    t = made.EPOCH_NS + np.array([0, 1, 999_999_999, 1_000_000_000, 2_123_456_789])
+    write_bag(tmp_path / 'b', [Recorded('/a', made.POSE, t, made.pose_values(5))])
+    stream = read_streams(tmp_path / 'b', {'p': 'a'})['p']
+    assert_array_equal(stream.stamps_ns, t)
+    assert_allclose(np.linalg.det(stream.rotation), 1.0, rtol=1e-14)

@@ -9,7 +9,7 @@ from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bags, sqlite_storage
-from bellows_ros.files.bags import read_streams, topics
+from bellows_ros.files.bags import accepted_types, read_streams, topics
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -79,6 +79,13 @@ def test_streams_are_read_from_every_storage_and_compression(bag):
     assert_array_equal(pose.rotation, quaternion_to_rotation(values[:, 3:]))
     assert_array_equal(np.hstack([twist.linear, twist.angular]), made.twist_values(COUNT))
     assert_array_equal(twist.stamps_ns, made.stamps(COUNT))
+
+
+def test_topics_are_listed_by_name(bag):
+    assert topics(bag) == [
+        ('/tool/pose', made.POSE, COUNT), ('/tool/twist', made.TWIST, COUNT),
+        ('/unused', made.POSE, 3),
+    ]
 
 
 def test_a_bare_storage_file_is_a_recording_too(bag):
@@ -187,6 +194,20 @@ def test_messages_that_cannot_be_used_are_counted_by_reason(tmp_path, reason):
     assert stream.frame_id == 'world'
 
 
+def test_a_message_with_several_faults_is_counted_once(tmp_path):
+    reasons = list(bags.messages.REASONS)
+    messages = made.poses(100)
+    rng = np.random.default_rng(5)
+    expected = {}
+    for i in range(1, 100, 2):
+        reason = reasons[rng.integers(len(reasons))]
+        messages[i] = (messages[i][0], faulty(i, reason))
+        expected.setdefault(reason, []).append(i)
+    stream = read_streams(one_topic(tmp_path / 'b', messages), {'p': 'a'})['p']
+    assert {k: list(v) for k, v in stream.refused.items()} == expected
+    assert len(stream) + sum(map(len, stream.refused.values())) == 100
+
+
 def test_quaternions_with_small_rounding_are_normalised(tmp_path):
     values = made.pose_values(10)
     rounded = np.hstack([values[:, :3], np.round(values[:, 3:], 3)])
@@ -194,6 +215,15 @@ def test_quaternions_with_small_rounding_are_normalised(tmp_path):
     assert stream.refused == {}
     # Three decimals leave up to 0.5e-3 per component, twice that in an angle.
     assert_allclose(stream.rotation, quaternion_to_rotation(values[:, 3:]), rtol=0, atol=3e-3)
+
+
+def test_nan_in_a_twist_is_counted(tmp_path):
+    values = made.twist_values(5)
+    values[3, 4] = np.nan
+    t = made.stamps(5)
+    messages = [(int(t[i]), made.encoded(made.TWIST, t[i], twist=values[i])) for i in range(5)]
+    path = one_topic(tmp_path / 'b', messages, made.TWIST)
+    assert read_streams(path, {'tool_twist': 'a'})['tool_twist'].refused == {'nan': (3,)}
 
 
 def test_messages_come_in_the_order_they_were_received_in(tmp_path):
@@ -252,11 +282,89 @@ def test_metadata_of_every_version_is_read(tmp_path, version, storage):
     assert len(read_streams(folder, {'p': 'a'})['p']) == 4
 
 
+JAZZY = """
+rosbag2_bagfile_information:
+  version: 9
+  storage_identifier: mcap
+  duration:
+    nanoseconds: 8333333
+  starting_time:
+    nanoseconds_since_epoch: 1760000000000000000
+  message_count: 4
+  topics_with_message_count:
+    - topic_metadata:
+        name: /a
+        type: geometry_msgs/msg/PoseStamped
+        serialization_format: cdr
+        offered_qos_profiles:
+          - history: unknown
+            depth: 0
+            reliability: reliable
+            durability: volatile
+            deadline:
+              sec: 9223372036
+              nsec: 854775807
+            lifespan:
+              sec: 9223372036
+              nsec: 854775807
+            liveliness: automatic
+            liveliness_lease_duration:
+              sec: 9223372036
+              nsec: 854775807
+            avoid_ros_namespace_conventions: false
+        type_description_hash: RIHS01_10f3786d7d40
+      message_count: 4
+  compression_format: ""
+  compression_mode: ""
+  relative_file_paths:
+    - b.mcap
+  files:
+    - path: b.mcap
+      starting_time:
+        nanoseconds_since_epoch: 1760000000000000000
+      duration:
+        nanoseconds: 8333333
+      message_count: 4
+  custom_data: ~
+  ros_distro: jazzy
+"""
+
+
+def test_metadata_as_jazzy_writes_it_is_read(tmp_path):
+    folder = one_topic(tmp_path / 'b', made.poses(4))
+    (folder / 'metadata.yaml').write_text(JAZZY)
+    assert topics(folder) == [('/a', made.POSE, 4)]
+
+
 def test_a_missing_recording_is_refused(tmp_path):
     assert 'does not exist' in error_of(tmp_path / 'nothing')
     assert 'does not exist' in error_of('nul\0byte')
     with pytest.raises(BellowsError):
         topics(tmp_path / 'nothing')
+
+
+def test_a_folder_without_metadata_is_read_with_a_note(tmp_path):
+    """As a recorder leaves it that crashed in its twelfth file, while it compressed another."""
+    assert 'no metadata.yaml and no storage file' in error_of(tmp_path)
+    folder, messages = tmp_path / 'crashed', made.poses(12)
+    folder.mkdir()
+    for k, message in enumerate(messages):
+        part = made.storage_file(one_topic(tmp_path / f'{k}', [message]))
+        shutil.copy(part, folder / f'crashed_{k}.mcap')
+    (folder / 'crashed_3.mcap.zstd').write_bytes(b'half')
+    (folder / 'notes.txt').write_text('by hand')
+    whole = (folder / 'crashed_11.mcap').read_bytes()
+    (folder / 'crashed_11.mcap').write_bytes(whole[:len(whole) // 2])
+    contents = bags.read_contents(folder, {'p': 'a'})
+    stream = contents.streams['p']
+    assert_array_equal(stream.stamps_ns, made.stamps(12)[:len(stream)])
+    assert len(stream) >= 11 and stream.refused == {}
+    first, last = contents.notes
+    assert 'has no metadata.yaml: its recorder has crashed' in first
+    assert 'crashed_0.mcap, crashed_1.mcap, crashed_2.mcap, crashed_3.mcap' in first
+    assert 'crashed_11.mcap' in last and 'was not ended' in last
+    (folder / 'other.db3').write_bytes(b'')
+    assert 'files of two storages' in error_of(folder)
 
 
 def test_other_numbers_of_messages_than_metadata_says_are_noted(tmp_path):
@@ -293,6 +401,13 @@ def test_an_empty_recording_is_refused(tmp_path, storage):
     assert 'is empty' in error_of(folder)
 
 
+@pytest.mark.parametrize('storage', made.PLUGINS)
+def test_a_file_without_a_byte_is_refused(tmp_path, storage):
+    folder = one_topic(tmp_path / 'b', made.poses(4), storage=storage)
+    made.storage_file(folder).write_bytes(b'')
+    assert 'is not whole: it is empty' in error_of(folder)
+
+
 def test_a_wrong_topic_is_refused_with_those_that_are_there(bag):
     message = error_of(bag, {'tool_pose': '/tool'})
     assert "'/tool' is not in recording" in message
@@ -308,6 +423,19 @@ def test_a_wrong_type_is_refused_with_those_accepted(bag):
     assert 'fitting type there: /tool/twist' in message
 
 
+def test_a_recording_without_any_fitting_topic_says_so(tmp_path):
+    kind = 'std_msgs/msg/String'
+    text = made.TYPES.types[kind](data='x')
+    data = bytes(made.TYPES.serialize_cdr(text, kind))
+    folder = one_topic(tmp_path / 'b', [(made.EPOCH_NS, data)], kind)
+    assert f'there are: /a ({kind})' in error_of(folder, {'tool_pose': '/b'})
+
+
+def test_a_topic_without_messages_is_refused(tmp_path):
+    content = {('/a', made.POSE): [], ('/b', made.POSE): made.poses(3)}
+    assert 'has no messages' in error_of(made.write(tmp_path / 'b', content))
+
+
 def test_a_topic_without_usable_messages_is_refused_with_the_counts(tmp_path):
     values = made.pose_values(10)
     values[:6, 0] = np.nan
@@ -315,6 +443,20 @@ def test_a_topic_without_usable_messages_is_refused_with_the_counts(tmp_path):
     message = error_of(one_topic(tmp_path / 'b', made.poses(10, values)))
     assert 'Of 10: 6 hold NaN or infinity (first: message 0)' in message
     assert '4 have a quaternion of zero (first: message 6)' in message
+
+
+def test_a_topic_of_two_types_is_refused(tmp_path):
+    t, pose = made.EPOCH_NS, made.pose_values(1)[0]
+    kinds = (made.POSE, made.TRANSFORM)
+    content = {('/a', k): [(t, made.encoded(k, t, pose=pose))] for k in kinds}
+    assert 'messages of two types' in error_of(made.write(tmp_path / 'b', content))
+
+
+def test_another_encoding_is_refused(tmp_path):
+    folder = one_topic(tmp_path / 'b', made.poses(3))
+    file = made.storage_file(folder)
+    file.write_bytes(file.read_bytes().replace(b'\3\0\0\0cdr', b'\3\0\0\0abc'))
+    assert 'PoseStamped in abc' in error_of(folder)
 
 
 @pytest.mark.parametrize(
@@ -326,6 +468,14 @@ def test_files_outside_the_folder_are_not_read(tmp_path, name, version):
     one_topic(tmp_path / 'other', made.poses(4))
     folder = one_topic(tmp_path / 'b', made.poses(4))
     change_metadata(folder, relative_file_paths=[name], version=version)
+    assert 'files outside the folder are not read' in error_of(folder)
+
+
+def test_a_link_out_of_the_folder_is_not_followed(tmp_path):
+    other = one_topic(tmp_path / 'other', made.poses(4))
+    folder = one_topic(tmp_path / 'b', made.poses(4))
+    made.storage_file(folder).unlink()
+    (folder / 'b.mcap').symlink_to(made.storage_file(other))
     assert 'files outside the folder are not read' in error_of(folder)
 
 
@@ -374,10 +524,35 @@ def test_a_file_of_another_kind_is_refused(tmp_path):
     assert 'neither an MCAP nor an SQLite file' in error_of(path)
 
 
+def test_a_path_with_signs_that_mean_something_in_an_address_is_read(tmp_path):
+    folder = one_topic(tmp_path / 'a?b#c%20d', made.poses(4), storage='mcap')
+    target = tmp_path / 'x?mode=rwc#%41'
+    shutil.copytree(one_topic(tmp_path / 'plain', made.poses(4), storage='sqlite3'), target)
+    assert len(read_streams(folder, {'p': 'a'})['p']) == 4
+    assert len(read_streams(target, {'p': 'a'})['p']) == 4
+
+
 def test_a_database_that_was_not_closed_is_refused(tmp_path):
     folder = one_topic(tmp_path / 'b', made.poses(4), storage='sqlite3')
     (folder / 'b.db3-wal').write_bytes(b'x')
     assert 'was not closed: b.db3-wal' in error_of(folder)
+
+
+def test_a_write_ahead_log_is_merged_by_the_remedy(tmp_path):
+    file = made.storage_file(one_topic(tmp_path / 'b', made.poses(4), storage='sqlite3'))
+    database = sqlite3.connect(file)
+    database.execute('PRAGMA journal_mode = WAL')
+    database.execute('DELETE FROM messages WHERE id = 4')
+    database.commit()
+    crashed = tmp_path / 'crashed'
+    shutil.copytree(file.parent, crashed)  # as a recorder leaves it that is killed
+    database.close()
+    assert 'was not closed' in error_of(crashed)
+    merging = sqlite3.connect(crashed / 'b.db3')
+    merging.execute('SELECT * FROM sqlite_master').fetchall()
+    merging.close()
+    for folder in (crashed, file.parent):
+        assert len(read_streams(folder, {'p': 'a'})['p']) == 3
 
 
 def altered_database(tmp_path, *statements):
@@ -418,10 +593,50 @@ def test_a_database_that_computes_without_end_is_refused(tmp_path, monkeypatch):
     assert 'interrupted' in error_of(folder)
 
 
+COMPUTED = {
+    'generated': [
+        'ALTER TABLE messages ADD COLUMN more AS (data || data) VIRTUAL',
+        'ALTER TABLE messages RENAME COLUMN data TO old',
+        'ALTER TABLE messages RENAME COLUMN more TO data'],
+    'of any size': [
+        'ALTER TABLE messages ADD COLUMN big AS (zeroblob(900000000)) VIRTUAL',
+        'ALTER TABLE messages RENAME COLUMN data TO old',
+        'ALTER TABLE messages RENAME COLUMN big TO data'],
+    'in another table': [
+        'CREATE TABLE other (x TEXT, y AS (hex(zeroblob(100000000 * x))) VIRTUAL NOT NULL)',
+        "INSERT INTO other (x) VALUES ('1')"],
+    'virtual': [
+        'DROP TABLE messages',
+        'CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data)'],
+}
+
+
+@pytest.mark.parametrize('kind', COMPUTED)
+def test_a_database_that_computes_what_it_holds_is_refused(tmp_path, kind):
+    assert 'is computed, not stored' in error_of(altered_database(tmp_path, *COMPUTED[kind]))
+
+
+def test_negative_receive_times_do_no_harm(tmp_path):
+    folder = altered_database(tmp_path, 'UPDATE messages SET timestamp = -timestamp')
+    assert len(read_streams(folder, {'p': 'a'})['p']) == 4
+
+
 def test_a_topic_with_too_many_messages_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(bags, 'LARGEST_COUNT', 9)
     assert len(read_streams(one_topic(tmp_path / 'a', made.poses(9)), {'p': 'a'})['p']) == 9
     assert 'more than 9 messages' in error_of(one_topic(tmp_path / 'b', made.poses(10)))
+
+
+def test_a_compressed_database_that_is_too_large_is_refused(tmp_path, monkeypatch):
+    folder = one_topic(tmp_path / 'b', made.poses(9), storage='sqlite3', compression='FILE')
+    monkeypatch.setattr(bags, 'LARGEST_TEMPORARY', 1000)
+    assert 'decompressed it is too large' in error_of(folder)
+
+
+def test_the_types_of_a_role_follow_from_its_name():
+    assert accepted_types('tool_twist') == (made.TWIST, made.ODOMETRY)
+    assert set(accepted_types('package_pose')) == {
+        made.POSE, made.POSE_COVARIANCE, made.TRANSFORM, made.ODOMETRY}
 
 
 def test_reading_holds_little_more_than_what_it_returns(tmp_path):

@@ -145,3 +145,10 @@ def test_any_bytes_are_either_decoded_or_left_out(data):
         for part in parts(kind).values():
             decoded = cdr.decode(data, cdr.LAYOUTS[kind], part)
             assert len(decoded.frame) == len(data)
+
+
+def test_messages_that_are_too_long_are_not_decoded():
+    name = 'x' * cdr.LARGEST_MESSAGE
+    data = made.encoded(made.POSE, made.EPOCH_NS, pose=[0.0] * 7, frame_id=name)
+    decoded = cdr.decode([data], cdr.LAYOUTS[made.POSE], slice(0, 7))
+    assert_array_equal(decoded.frame, [-1])

@@ -5,6 +5,7 @@ Nothing here may end in another exception, take long, or fill the memory.
 """
 
 from collections import Counter
+from copy import deepcopy
 import io
 import re
 import struct
@@ -22,6 +23,7 @@ import lz4.frame
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
+import yaml
 
 from . import recordings as made
 
@@ -37,6 +39,8 @@ FORMS = [
 COUNT = 60
 WANTED = {'p': '/a'}
 PATIENCE = 5.0  # s, for what takes milliseconds
+MEMORY = 2**24  # bytes, for what takes a hundredth
+Dumper = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 read = Counter()  # damaged recordings by how they ended
 
 
@@ -85,6 +89,20 @@ def test_a_file_truncated_anywhere_is_refused_or_read_to_the_break_with_a_note(b
     assert len(outcome(bag).streams['p']) == COUNT
 
 
+@pytest.mark.parametrize('storage, step', [('mcap', 5), ('sqlite3', 64)])
+def test_a_file_truncated_at_every_place_is_refused_or_noted(tmp_path, storage, step):
+    content = {('/a', made.POSE): made.poses(3)}
+    file = made.storage_file(made.write(tmp_path / storage, content, storage))
+    whole = file.read_bytes()
+    seen = set()
+    for size in range(0, len(whole), step):
+        file.write_bytes(whole[:size])
+        found = outcome(file)
+        assert found is None or 'was not ended' in found.notes[0], f'{size} of {len(whole)} bytes'
+        seen.add(len(found.streams['p']) if found else 0)
+    assert seen == ({0, 1, 2, 3} if storage == 'mcap' else {0})
+
+
 def test_metadata_truncated_anywhere_is_an_error_or_enough(bag):
     file = bag / 'metadata.yaml'
     whole = file.read_bytes()
@@ -109,6 +127,66 @@ def test_flipped_bits_are_an_error_or_counted(bag):
         if found is not None and not found.notes:  # no message may go missing without a word
             assert sum(t.messages for t in topics(bag)) == COUNT + 3
     assert refused  # some of them hit what holds the file together
+
+
+def test_overwritten_blocks_are_an_error_or_counted(bag):
+    file = made.storage_file(bag)
+    whole = file.read_bytes()
+    rng = np.random.default_rng(3)
+    for fill in (b'\0', b'\xff', None):
+        for _ in range(10):
+            size = int(rng.integers(1, 400))
+            at = int(rng.integers(0, len(whole)))
+            block = rng.bytes(size) if fill is None else fill * size
+            file.write_bytes(whole[:at] + block + whole[at + size:])
+            assert peak_memory(lambda: outcome(bag)) < MEMORY
+
+
+def test_flipped_bits_in_metadata_are_an_error_or_do_no_harm(bag):
+    file = bag / 'metadata.yaml'
+    whole = np.frombuffer(file.read_bytes(), np.uint8)
+    rng = np.random.default_rng(4)
+    for _ in range(40):
+        damaged = whole.copy()
+        damaged[rng.integers(len(whole))] ^= 1 << rng.integers(8)
+        file.write_bytes(damaged.tobytes())
+        found = outcome(bag)
+        assert found is None or found.notes or len(found.streams['p']) == COUNT
+
+
+HOSTILE = (
+    None, True, -1, 0, 10**30, 2**63, 1e308, float('nan'), float('inf'), '', 'x', '/', '../..',
+    '.', '/etc/passwd', 'a\nb', '\x1b[2J', 'a' * 5000, [], [[[]]], {}, {'a': {}}, [None],
+    ['../bag.mcap'], 'sqlite3', 'mcap', 'zstd', 'FILE', 'message', '2026-11-20', [1] * 500,
+)
+
+
+def places(part):
+    """Yield every container of a tree with each of its keys."""
+    for key in part if isinstance(part, dict) else range(len(part)):
+        yield part, key
+        if isinstance(part[key], dict | list):
+            yield from places(part[key])
+
+
+def test_altered_metadata_is_an_error_or_does_no_harm(bag):
+    file = bag / 'metadata.yaml'
+    original = yaml.safe_load(file.read_text())
+    rng = np.random.default_rng(5)
+    refused = 0
+    for _ in range(60):
+        content = deepcopy(original)
+        there = list(places(content))
+        part, key = there[rng.integers(len(there))]
+        if rng.random() < 0.2:
+            del part[key]
+        else:
+            part[key] = HOSTILE[rng.integers(len(HOSTILE))]
+        file.write_text(yaml.dump(content, Dumper=Dumper))
+        found = outcome(bag)
+        refused += found is None
+        assert found is None or len(found.streams['p']) == COUNT
+    assert 0 < refused < 60
 
 
 def test_a_message_cut_short_in_its_recording_is_counted(tmp_path):
@@ -251,6 +329,21 @@ def test_a_recording_that_was_not_ended_is_read_up_to_the_break(tmp_path, compre
     assert notes == [note]
 
 
+@pytest.mark.parametrize('tail', [bytes(5000), b'\xff' * 5000, b'\x05' + bytes(300)])
+def test_what_a_file_system_leaves_behind_the_break_is_noted(tmp_path, tail):
+    path = write_mcap(tmp_path / 'a.mcap', BASE, message(0), message(1), ended=False)
+    path.write_bytes(path.read_bytes() + tail)
+    found = outcome(path)
+    assert len(found.streams['p']) == 2
+    assert f'the last {len(tail)} of' in found.notes[0]
+
+
+def test_a_recording_that_was_not_ended_and_has_nothing_says_so(tmp_path):
+    path = write_mcap(tmp_path / 'a.mcap', BASE, ended=False)
+    with pytest.raises(BellowsError, match='no message.* was not ended.* 0 messages were read'):
+        read_streams(path, WANTED)
+
+
 def summed(data):
     """Return the checksum of some bytes."""
     return struct.pack('<I', zlib.crc32(data))
@@ -296,6 +389,12 @@ def test_no_bit_of_a_message_of_ours_changes_unseen(tmp_path, zstd):
     assert outcome(file).notes == ()
 
 
+def test_a_checksum_that_is_right_is_accepted(tmp_path):
+    records = BASE + message(0)
+    path = write_mcap(tmp_path / 'a.mcap', chunk(records, checksum=zlib.crc32(records)))
+    assert len(outcome(path).streams['p']) == 1
+
+
 def peak_memory(call):
     """Return the largest memory in use during a call, bytes."""
     tracemalloc.start()
@@ -331,6 +430,12 @@ def test_small_files_that_inflate_do_not_fill_the_memory(tmp_path):
     assert peak_memory(lambda: outcome(tmp_path / 'b.db3')) < 2**24
 
 
+def test_records_inside_an_inflating_file_are_bounded(tmp_path):
+    head = mcap.MAGIC + HEADER + struct.pack('<BQ', 9, 2**29)
+    (tmp_path / 'a.mcap').write_bytes(zstd.compress(head) + bomb(2**29))
+    assert peak_memory(lambda: outcome(tmp_path / 'a.mcap')) < 2**25
+
+
 @pytest.mark.parametrize('form, pack', [('zstd', zstd.compress), ('lz4', lz4.frame.compress)])
 def test_decompression_stops_at_its_limit(form, pack):
     data = bytes(range(256)) * 40
@@ -343,3 +448,11 @@ def test_decompression_stops_at_its_limit(form, pack):
     ):
         with pytest.raises(BellowsError):
             decompressed(form, packed, limit)
+
+
+def test_any_bytes_after_the_magic_are_noted():
+    rng = np.random.default_rng(6)
+    for _ in range(300):
+        file, notes = io.BytesIO(mcap.MAGIC + rng.bytes(int(rng.integers(200)))), []
+        assert list(mcap.scan(file, lambda topic: True, {}, notes)) == []
+        assert len(notes) == 1

@@ -147,6 +147,14 @@ def test_measured_markers_tell_where_there_is_no_quality(tmp_path: Path) -> None
     assert (tool.unseen, len(tool.stamps_ns)) == (1, 1)
 
 
+def test_a_spreadsheet_with_semicolons_is_named(tmp_path: Path) -> None:
+    """Ask for the file that Motive has written."""
+    file = export(tmp_path / 'take.csv')
+    file.write_text(file.read_text().replace(',', ';'))
+    with pytest.raises(BellowsError, match='a spreadsheet has saved it again'):
+        read_motive(file)
+
+
 def test_bodies_are_read_and_bad_frames_left_out(tmp_path: Path) -> None:
     """Count missing poses and such with too few markers apart (appendix H)."""
     file = export(tmp_path / 'take.csv')
@@ -158,6 +166,18 @@ def test_bodies_are_read_and_bad_frames_left_out(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(plate.stamps_ns), [2777780, 5555550], atol=1000)  # 1 us
     # 2021-05-11 14:31:05.250 UTC
     assert tool.stamps_ns[0] == 1_620_743_465_250_000_000
+
+
+def test_fewer_markers_may_be_allowed(tmp_path: Path) -> None:
+    """Keep the pose that was made of two markers."""
+    tool, _ = read_motive(export(tmp_path / 'take.csv'), fewest_markers=2)
+    assert tool.unseen == 0 and len(tool.stamps_ns) == 4
+
+
+def test_without_marker_quality_all_poses_count(tmp_path: Path) -> None:
+    """Do not ask for what was not exported."""
+    tool, _ = read_motive(export(tmp_path / 'take.csv', quality=False))
+    assert len(tool.stamps_ns) == 4
 
 
 def test_millimetres_become_metres(tmp_path: Path) -> None:

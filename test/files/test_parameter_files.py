@@ -4,12 +4,14 @@ from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import parameter_files
 from bellows_ros.files.parameter_files import (
     format_parameters,
     read_parameters,
     write_parameters,
 )
 from hypothesis import given, settings, strategies
+import numpy as np
 import pytest
 import yaml
 
@@ -105,6 +107,11 @@ def test_a_missing_file_is_refused(tmp_path):
         read_parameters(tmp_path / 'none.yaml')
 
 
+def test_deep_nesting_is_refused(file):
+    with pytest.raises(BellowsError, match='nested too deeply|Unknown parameter'):
+        file('a: {' * 300 + 'b: 1' + '}' * 300)
+
+
 def test_all_values_come_back(tmp_path):
     values = {
         **resolve(PACKAGE), **LISTS,
@@ -135,10 +142,45 @@ def test_named_cups_come_back(tmp_path):
         name: value for name, value in resolve({**PACKAGE, **NAMED}).items() if value != ()}
 
 
+@pytest.mark.parametrize('seed', range(5))
+def test_the_order_of_values_and_of_the_table_does_not_matter(tmp_path, monkeypatch, seed):
+    values = {**resolve({**PACKAGE, **NAMED}), **LISTS}
+    rng = np.random.default_rng(seed)
+    shuffled = [str(name) for name in rng.permutation(list(PARAMETERS))]
+    monkeypatch.setattr(
+        parameter_files, 'PARAMETERS', {name: PARAMETERS[name] for name in shuffled})
+    names = [str(name) for name in rng.permutation(list(values))]
+    write_parameters(tmp_path / 'p.yaml', {name: values[name] for name in names})
+    assert read_parameters(tmp_path / 'p.yaml') == values
+
+
+@pytest.mark.parametrize('name', [
+    "/it's", '/\u202eleft\\"', '/\U0001f600\x85two', '/three\u2028lines'])
+def test_any_text_comes_back(tmp_path, name):
+    write_parameters(tmp_path / 'p.yaml', {'topics.tool_pose': name})
+    assert read_parameters(tmp_path / 'p.yaml') == {'topics.tool_pose': name}
+
+
 def test_no_parameter_has_the_name_of_a_group():
     groups = {name.rsplit('.', depth)[0] for name in PARAMETERS for depth in range(1, 4)
               if name.count('.') >= depth}
     assert not groups & set(PARAMETERS)
+
+
+def test_every_line_reads_well():
+    stiffness = np.diag([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123])
+    stiffness[0, 4] = stiffness[4, 0] = -1.25e-05
+    values = {'cup.stiffness': tuple(stiffness.ravel()), 'gravity': 10, 'package.mass': 1e-05}
+    text = format_parameters(values, ['The cup.', 'made from\nlab: 1'])
+    lines = text.splitlines()
+    assert lines[:4] == ['# The cup.', '# made from lab: 1', '/**:', '  ros__parameters:']
+    assert lines[lines.index('    gravity:') + 2] == '      magnitude: 10.0  # m/s^2'
+    assert '      mass: 1.0e-05  # kg' in lines
+    rows = [line for line in lines if line.endswith(('# x: N/m, N', '# ry: N, N m/rad'))]
+    assert rows[0].split() == [
+        '[', '6417.0,', '0.0,', '0.0,', '0.0,', '-1.25e-05,', '0.0,', '#', 'x:', 'N/m,', 'N']
+    assert rows[1].split()[:5] == ['-1.25e-05,', '0.0,', '0.0,', '0.0,', '3.868,']
+    assert all(len(line) < 100 for line in lines)
 
 
 @settings(deadline=None)
@@ -153,6 +195,12 @@ def test_doubles_keep_every_digit_and_their_point(value):
     assert yaml.safe_load(text)['/**']['ros__parameters']['package']['mass'] == value
 
 
+def test_empty_lists_are_left_out_because_ros_has_none():
+    text = format_parameters({'bags': (), 'gravity': 9.81})
+    assert 'bags' not in text
+    assert yaml.safe_load(format_parameters({'bags': ()})) == {'/**': {'ros__parameters': {}}}
+
+
 def test_a_value_that_is_not_allowed_is_not_written(tmp_path):
     path = tmp_path / 'p.yaml'
     path.write_text('old')
@@ -160,3 +208,13 @@ def test_a_value_that_is_not_allowed_is_not_written(tmp_path):
         with pytest.raises(BellowsError):
             write_parameters(path, values)
     assert path.read_text() == 'old'
+
+
+def test_every_parameter_is_written_with_its_sentence_and_unit():
+    values = {**resolve(PACKAGE), 'recording.package_frame': 'com', **LISTS}
+    text = ' '.join(format_parameters(values).split())
+    for parameter in PARAMETERS.values():
+        sentence = ' # '.join(parameter.description.split())
+        assert sentence.replace(' # ', ' ') in text.replace(' # ', ' ')
+        if parameter.unit and parameter.length != 36:
+            assert f'# {parameter.unit}' in text

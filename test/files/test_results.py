@@ -49,6 +49,12 @@ def test_what_is_not_known_is_null(tmp_path):
     assert result['damping_std'] == [[None] * 6] * 6
 
 
+def test_matrices_are_written_row_by_row():
+    text = format_json({'stiffness': np.eye(6), 'empty': {}, 'nothing': []})
+    assert '\n    [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],\n    [0.0, 1.0' in text
+    assert json.loads(text) == {'stiffness': np.eye(6).tolist(), 'empty': {}, 'nothing': []}
+
+
 @pytest.mark.parametrize('key', KEYS)
 def test_a_result_without_one_of_its_keys_is_refused(tmp_path, key):
     write_json(tmp_path / 'fit.json', changed(**{key: None}))
@@ -102,6 +108,18 @@ def test_what_is_no_result_is_refused(tmp_path, data, reason):
     (tmp_path / 'fit.json').write_bytes(data)
     with pytest.raises(BellowsError, match=reason):
         read_result(tmp_path / 'fit.json')
+
+
+def test_a_cup_file_in_place_of_a_result_is_refused_with_the_remedy(tmp_path):
+    (tmp_path / 'cup.yaml').write_text('/**:\n  ros__parameters: {}\n')
+    with pytest.raises(BellowsError, match="not JSON: .*Give what 'bellows identify --json' wro"):
+        read_result(tmp_path / 'cup.yaml')
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    for path in (tmp_path / 'none.json', tmp_path):
+        with pytest.raises(BellowsError, match='does not exist or is not a plain file'):
+            read_result(path)
 
 
 json_values = strategies.recursive(

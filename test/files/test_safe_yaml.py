@@ -76,6 +76,19 @@ def test_what_is_no_yaml_is_refused(tmp_path, data, reason):
     assert time.process_time() - begin < PATIENCE
 
 
+def test_a_megabyte_that_looks_like_one_number_is_a_text(tmp_path):
+    """Digits with colons are a number to the base of 60 in YAML 1.1, computed for minutes."""
+    begin = time.process_time()
+    assert load(tmp_path / 'a', 'x: 1' + ':1' * (2**19 - 9))['x'].startswith('1:1')
+    assert time.process_time() - begin < PATIENCE
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    for path in (tmp_path, tmp_path / 'none', '/dev/zero'):
+        with pytest.raises(BellowsError, match='does not exist or is not a plain file'):
+            safe_yaml.load(type(tmp_path)(path))
+
+
 def test_aliases_that_would_grow_are_not_written_out(tmp_path):
     lines = ['a0: &a0 [x, x]']
     lines += [f'a{i}: &a{i} [*a{i - 1}, *a{i - 1}]' for i in range(1, 60)]

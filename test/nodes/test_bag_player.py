@@ -9,7 +9,7 @@ from typing import Any
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.bags import read_messages
-from bellows_ros.nodes.bag_player import play
+from bellows_ros.nodes.bag_player import play, stamped
 from bellows_ros.nodes.conversions import stamp_to_ns
 import numpy as np
 import pytest
@@ -87,6 +87,16 @@ def test_stamps_of_now_keep_pairs_and_intervals(bag: Path, heard: Any) -> None:
     assert stamps == [stamp_to_ns(m.header.stamp) for _, m in twists]
     assert set(np.diff(stamps)) == {PERIOD_NS // 2}
     assert before - LATER_NS < stamps[0] < 1e9 * poses[0][0]
+
+
+def test_a_stamp_is_replaced_in_either_order_of_bytes() -> None:
+    """Change eight bytes, and read the old ones first."""
+    for order, name in ((b'\x00\x00\x00\x00', 'big'), (b'\x00\x01\x00\x00', 'little')):
+        data = order + (7).to_bytes(4, name) + (5).to_bytes(4, name) + b'rest'
+        seen: list[int] = []
+        new = stamped(data, lambda ns, seen=seen: seen.append(ns) or 9_000_000_008)
+        assert seen == [7_000_000_005]
+        assert new == order + (9).to_bytes(4, name) + (8).to_bytes(4, name) + b'rest'
 
 
 def test_topics_that_are_not_there_are_refused(bag: Path) -> None:

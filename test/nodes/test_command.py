@@ -1,6 +1,6 @@
 """The commands as a user types them: help without ROS, plain errors, an orderly end."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 import signal
 import subprocess
@@ -14,6 +14,7 @@ from bellows_ros.nodes.command import help_text, origin_of
 import pytest
 
 MODULES = {'predictor': predictor, 'identifier': identifier}
+LONGEST_HELP = 0.3  # s of the processor
 PACKAGE = [
     '-p', 'package.mass:=2.17', '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
     '-p', 'package.com:=[0.0, 0.0, -0.03]',
@@ -66,6 +67,20 @@ def test_help_needs_no_ros(name: str, root: Path, user_environment: dict[str, st
 
 
 @pytest.mark.parametrize('name', MODULES)
+def test_help_comes_at_once(
+        name: str, root: Path, user_environment: dict[str, str],
+        cpu_of_children: Callable[[], float]) -> None:
+    """Answer with little work, in one of many starts: what else the machine does adds to it."""
+    def took() -> float:
+        before = cpu_of_children()
+        done = run(user_environment, root, '-m', f'bellows_ros.nodes.{name}', '--help')
+        assert done.returncode == 0, done.stderr
+        return cpu_of_children() - before
+
+    assert any(0.0 < took() < LONGEST_HELP for _ in range(20))
+
+
+@pytest.mark.parametrize('name', MODULES)
 def test_missing_ros_is_said_plainly(
         name: str, root: Path, user_environment: dict[str, str]) -> None:
     """Say how to get it, without a traceback."""
@@ -101,6 +116,18 @@ def test_what_the_user_can_put_right_ends_with_2(
     said = capfd.readouterr().err
     assert words.lower() in said.lower()
     assert 'Traceback' not in said
+
+
+def test_a_file_that_ros_would_read_for_minutes_is_refused(
+        tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Refuse 10 MB of parameters at once."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    file = tmp_path / 'large.yaml'
+    lines = ''.join(f'    some.name{k}: 1.0\n' for k in range(400_000))
+    file.write_text(f'/**:\n  ros__parameters:\n{lines}')
+    assert predictor.main(['--ros-args', '--params-file', str(file)]) == 2
+    said = capfd.readouterr().err
+    assert 'is too large' in said and 'Traceback' not in said
 
 
 @pytest.fixture

@@ -106,3 +106,12 @@ def test_predictor_starts_with_its_files(
         shown = node.get_parameter(name).value
         assert (tuple(shown) if isinstance(value, tuple) else shown) == value
     assert node.given == set(expected)
+
+
+def test_predictor_starts_with_the_file_of_the_identifier(
+        root: Path, make_predictor: Callable[..., Any]) -> None:
+    """Serve both nodes with one file."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    node = make_predictor({}, cli_args=[
+        '--ros-args', '--params-file', str(root / 'config' / 'identifier.yaml')])
+    assert node.get_parameter('package.mass').value == 2.17

@@ -161,6 +161,24 @@ def test_a_tool_whose_z_points_down_is_said(
         assert listener.sees('prediction', OK, 'Predicting.')
 
 
+def test_what_lacks_for_long_is_logged_once(
+        make_predictor: Callable[..., Any], listener: Listener, monkeypatch: pytest.MonkeyPatch,
+        capfd: pytest.CaptureFixture[str]) -> None:
+    """Log an absent driver when it has lasted, and not each second."""
+    from bellows_ros.nodes import diagnostics
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    monkeypatch.setattr(diagnostics, 'LOGGED_AFTER', 0.5)
+    node = make_predictor()
+    assert 'Listens to /tool_arm/pose and /tool_arm/twist, publishes /package/pose.' in (
+        capfd.readouterr().err)
+    reports: list[Any] = []
+    node.create_subscription(DiagnosticArray, '/diagnostics', reports.append, 10)
+    assert listener.ros.spin_until(lambda: len(reports) >= 8)
+    log = capfd.readouterr().err
+    assert log.count('[WARN]') == log.count('Nobody publishes /tool_arm/pose') == 1
+
+
 def test_refused_messages_are_counted_in_the_diagnostics(
         make_partner: Callable[..., Any], listener: Listener) -> None:
     """Count NaN poses, which drivers do publish."""
@@ -168,6 +186,15 @@ def test_refused_messages_are_counted_in_the_diagnostics(
     with sending(partner), sending(partner, 0.02, position=(math.nan, 0.0, 0.0)):
         assert listener.sees('tool pose', WARN, ' nan (a number in it is not finite).')
     assert int(listener.value('tool pose', 'refused: nan')) > 0
+
+
+def test_reports_come_once_a_second(make_predictor: Callable[..., Any], ros: Any) -> None:
+    """Report at 1 Hz on a clock that nobody sets, and with the lines of an active node."""
+    node, listener = make_predictor(), Listener(ros)
+    assert 10**9 in {timer.timer_period_ns for timer in node.timers}
+    assert listener.sees('prediction', OK, 'Waiting')
+    assert set(listener.lines) == {
+        f'predictor: {name}' for name in ('prediction', 'tool pose', 'tool twist', 'load')}
 
 
 def test_vacuum_signal_that_nobody_sends_is_named(

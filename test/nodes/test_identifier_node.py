@@ -130,6 +130,35 @@ def test_all_that_the_command_can_do_the_node_can(
     assert 'Standstills</h2>' in (tmp_path / 'page.html').read_text()
 
 
+def test_packages_in_files_are_enough(ros: Any, root: Path) -> None:
+    """Start without package.* where each recording has a file of its own."""
+    from bellows_ros.nodes.identifier_node import IdentifierNode
+
+    given = {'bags': [str(root / 'bags/validation')],
+             'package.files': [str(root / 'bags/package.yaml')],
+             'topics.tool_pose': '/tool_arm/pose', 'topics.package_pose': '/package/pose',
+             'cup.length': 0.046, 'fit.method': 'least_squares'}
+    node = IdentifierNode(context=ros.context, parameter_overrides=[
+        Parameter(name, value=value) for name, value in given.items()])
+    ros.executor.add_node(node)
+    assert not node.has_parameter('package.mass')
+    assert ros.spin_until(lambda: node.has_parameter('cup.stiffness'), LONGEST)
+
+
+@pytest.mark.parametrize('written', ['', 'cup.yaml'])
+def test_a_forgotten_length_is_among_the_reasons(
+        ros: Any, root: Path, tmp_path: Path, written: str) -> None:
+    """Take the thesis' length for a cup that is 2 mm shorter: say that it was not set."""
+    node = make(
+        ros, bags=[str(root / 'bags/validation')], topics__tool_pose='/tool_arm/pose',
+        topics__package_pose='/package/pose',
+        output__parameters=str(tmp_path / written) if written else '')
+    assert ros.spin_until(node.finished.done, LONGEST)
+    with pytest.raises(BellowsError, match='wrong by about 2.1 mm.* cup.length is not set'):
+        node.finished.result()
+    assert not (tmp_path / 'cup.yaml').exists()
+
+
 def test_a_cup_that_cannot_be_ends_the_node_with_the_reason(ros: Any, root: Path) -> None:
     """Take a length that is wrong by millimetres: the package would push the cup."""
     node = make(

@@ -159,6 +159,15 @@ def test_a_transition_that_is_not_allowed_is_refused(
         assert manager.hears()
 
 
+def test_a_transition_by_its_label(
+        make_predictor: Callable[..., Any], manager: Manager) -> None:
+    """Take the name instead of the number."""
+    make_predictor()
+    label = ChangeState.Request(transition=Transition(label='deactivate'))
+    assert manager.call('/predictor/change_state', ChangeState, label).success
+    assert manager.state() == 'inactive'
+
+
 def test_what_cannot_be_configured_leaves_nothing_behind(
         make_predictor: Callable[..., Any], manager: Manager) -> None:
     """Say why, whatever the reason, and have no topics however often it is tried."""

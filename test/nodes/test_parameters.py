@@ -166,6 +166,41 @@ def test_what_cannot_be_computed_with_is_refused(
         make_predictor({**PACKAGE, **{k.replace('__', '.'): v for k, v in values.items()}})
 
 
+def test_what_is_set_to_what_it_is_has_no_effect(
+        make_predictor: Callable[..., Any], caller: Caller) -> None:
+    """Load what was dumped without anything being made anew."""
+    node = make_predictor()
+    before, model = node.values, node._live.model
+    dumped = {name.replace('.', '__'): node.get_parameter(name).value
+              for name in before if node.has_parameter(name)}
+    assert caller.set_parameters(**dumped) == [(True, '')] * len(dumped)
+    assert node.values is before and node._live.model is model
+
+
+@pytest.mark.parametrize(('name', 'value', 'reason'), [
+    ('', 1.0, 'without a name'),
+    ('package.com', '[0, 0, -0.05]', 'Write every number with a decimal point: 0.0, not 0'),
+    ('package.mass', '2,5', 'got 2,5 (str)'),
+    ('cup.name', 'a\x1b[31mb', "'a?[31mb'"),
+    ('x\x1b[31m\n', 1.0, "'x?[31m?'"),
+])
+def test_what_is_wrong_with_a_value_is_said(
+        name: str, value: Any, reason: str, make_predictor: Callable[..., Any],
+        caller: Caller) -> None:
+    """Name it in both services, in printable characters."""
+    node = make_predictor()
+    before = node.values
+    odd = [Parameter(name, value=value).to_parameter_msg()]
+    one_by_one = caller.call(
+        'set_parameters', SetParameters, SetParameters.Request(parameters=odd)).results
+    at_once = caller.call('set_parameters_atomically', SetParametersAtomically,
+                          SetParametersAtomically.Request(parameters=odd)).result
+    for result in (*one_by_one, at_once):
+        assert not result.successful
+        assert reason in result.reason and result.reason.isprintable()
+    assert node.values is before
+
+
 def test_atomic_service_sets_all_or_none(
         make_predictor: Callable[..., Any], caller: Caller) -> None:
     """Hold for the other service too."""
@@ -244,6 +279,13 @@ def test_one_file_serves_both_nodes(make_predictor: Callable[..., Any]) -> None:
         **PACKAGE, 'fit.structure': 'full', 'use_sim_time': False, 'package.mass': 2})
     assert node.get_parameter('package.mass').value == 2.0
     assert not node.has_parameter('fit.structure')
+
+
+def test_unmatched_qos_override_is_said(
+        make_predictor: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+    """Warn about an override that no topic takes; a misspelt one is silent in ROS."""
+    make_predictor({**PACKAGE, 'qos_overrides./tool_arm/poze.subscription.depth': 5})
+    assert "'qos_overrides./tool_arm/poze.subscription.depth'" in capfd.readouterr().err
 
 
 def test_file_with_named_cups_comes_back_from_a_node(

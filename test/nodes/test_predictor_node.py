@@ -84,6 +84,16 @@ def test_pose_and_twist_are_paired_by_stamp_whichever_comes_first(
     assert partner.predictor._live.twists_estimated == 0
 
 
+def test_poses_alone_are_enough(make_partner: Callable[..., Any]) -> None:
+    """Predict at once where nobody sends twists."""
+    partner = make_partner(with_twists=False)
+    for step in range(5):
+        partner.send_pose(START + step * MS)
+        partner.wait_for_poses(step + 1)
+
+    assert partner.predictor._live.twists_estimated == 5
+
+
 @pytest.mark.parametrize('kind', ['pose', 'pose_with_covariance', 'transform', 'odometry'])
 def test_the_pose_may_come_in_each_type_that_drivers_send(
         kind: str, make_predictor: Callable[..., Any], ros: Any) -> None:
@@ -258,6 +268,21 @@ def test_qos_can_be_overridden(make_predictor: Callable[..., Any]) -> None:
         assert published[topic] == ReliabilityPolicy.RELIABLE
 
 
+@pytest.mark.parametrize('signal', ['bool', 'pressure'])
+def test_qos_of_every_topic_can_be_overridden(
+        signal: str, make_predictor: Callable[..., Any]) -> None:
+    """Declare reliability and depth of all that the node itself makes."""
+    node = make_predictor({**PACKAGE, 'vacuum.signal': signal})
+    of_ros = {'/parameter_events', '/rosout'}
+    ends = [(end, 'subscription') for end in node.subscriptions]
+    ends += [(end, 'publisher') for end in node.publishers]
+    topics = {(end.topic_name, kind) for end, kind in ends if end.topic_name not in of_ros}
+    assert len(topics) >= 11
+    for topic, kind in topics:
+        for policy in ('reliability', 'depth', *(['durability'] * (kind == 'subscription'))):
+            assert node.has_parameter(f'qos_overrides.{topic}.{kind}.{policy}'), topic
+
+
 def test_recording_that_begins_again_is_followed(
         make_partner: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
     """Notice a loop of a bag by its stamps, start from rest, and say so."""
@@ -290,3 +315,10 @@ def test_cup_too_soft_for_the_package_is_said_once(
 
     assert partner.poses == []
     assert capfd.readouterr().err.count('the cup cannot hold the package') == 1
+
+
+def test_thesis_cup_is_announced(
+        make_predictor: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+    """Say whose cup it is when none is given."""
+    make_predictor()
+    assert "using the thesis's values" in capfd.readouterr().err

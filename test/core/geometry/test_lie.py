@@ -5,7 +5,7 @@ from math import factorial, pi
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.errors import BellowsError
-from hypothesis import strategies
+from hypothesis import given, settings, strategies
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -90,6 +90,11 @@ def test_log_is_zero_and_not_nan_at_the_identity():
     assert_array_equal(lie.log_se3(np.eye(4)), np.zeros(6))
 
 
+def test_log_of_a_turn_past_pi_is_the_short_way_round():
+    phi = np.array([0.0, 0.0, pi + 0.5])
+    assert_allclose(lie.log_so3(lie.exp_so3(phi)), [0.0, 0.0, 0.5 - pi], atol=ROUNDING)
+
+
 def test_log_agrees_with_scipy():
     R = Rotation.random(500, random_state=3)
     # Away from pi, where the two equivalent vectors could differ in sign.
@@ -150,6 +155,12 @@ def test_d2exp_is_the_derivative_of_dexp(angle):
     assert_allclose(lie.d2exp(phi, a, b), lie.apply(slope, a), atol=1e-9)
 
 
+def test_d2exp_at_zero():
+    a, b = np.array([1.0, 2.0, 3.0]), np.array([-0.5, 0.2, 0.7])
+    assert_allclose(lie.d2exp(np.zeros(3), a, b), 0.5 * np.cross(b, a), rtol=1e-15)
+    assert_array_equal(lie.d2exp(np.zeros(3), a, a), np.zeros(3))
+
+
 def test_d2exp_is_continuous_across_the_threshold():
     rng = np.random.default_rng(6)
     u = directions()
@@ -164,6 +175,20 @@ def test_dexp_inverse(angle):
     # At 6 rad, close to 2 pi, dexp is nearly singular.
     product = lie.dexp_inverse(phi) @ lie.dexp(phi)
     assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-13)
+
+
+@settings(max_examples=200)
+@given(rotation_vectors(pi - 1e-9))
+def test_log_and_exp_for_any_rotation(phi):
+    assert_allclose(lie.log_so3(lie.exp_so3(phi)), phi, atol=ROUNDING)
+
+
+@settings(max_examples=100)
+@given(rotation_vectors(20.0))
+def test_exp_is_orthonormal(phi):
+    R = lie.exp_so3(phi)
+    assert_allclose(R @ R.T, np.eye(3), atol=2e-14)
+    assert_allclose(np.linalg.det(R), 1.0, atol=2e-14)
 
 
 def test_quaternions_and_scipy_agree():
@@ -206,12 +231,24 @@ def test_exp_se3_is_the_matrix_exponential():
         assert_allclose(lie.exp_se3(xi), expm(M), atol=5e-15)
 
 
+def test_inverse_transform():
+    T = random_poses(50)
+    assert_allclose(lie.inverse_transform(T) @ T, np.broadcast_to(np.eye(4), T.shape), atol=1e-14)
+
+
 def test_adjoint_is_a_homomorphism():
     T_a_b, T_b_c = random_poses(50, 12), random_poses(50, 13)
     product = lie.adjoint(T_a_b) @ lie.adjoint(T_b_c)
     assert_allclose(lie.adjoint(T_a_b @ T_b_c), product, atol=1e-14)
     identity = lie.adjoint(T_a_b) @ lie.adjoint(lie.inverse_transform(T_a_b))
     assert_allclose(identity, np.broadcast_to(np.eye(6), identity.shape), atol=1e-14)
+
+
+def test_adjoint_conjugates_the_exponential():
+    rng = np.random.default_rng(14)
+    T, xi = random_poses(20), rng.normal(size=(20, 6))
+    moved = lie.exp_se3(lie.apply(lie.adjoint(T), xi))
+    assert_allclose(moved, T @ lie.exp_se3(xi) @ lie.inverse_transform(T), atol=1e-13)
 
 
 def test_adjoint_and_wrench_transform_keep_the_power():
@@ -222,6 +259,12 @@ def test_adjoint_and_wrench_transform_keep_the_power():
     wrench_a = lie.apply(lie.wrench_transform(T_a_b), wrench_b)
     power = np.sum(wrench_b * twist_b, axis=1)
     assert_allclose(np.sum(wrench_a * twist_a, axis=1), power, atol=1e-13)
+
+
+def test_a_force_at_a_lever_makes_a_torque():
+    T_a_b = lie.transform(np.eye(3), [0.0, 2.0, 0.0])
+    wrench_a = lie.wrench_transform(T_a_b) @ [0.0, 0.0, 3.0, 0.0, 0.0, 0.0]
+    assert_allclose(wrench_a, [0.0, 0.0, 3.0, 6.0, 0.0, 0.0], atol=1e-15)
 
 
 def test_twist_cross_is_the_rate_of_the_adjoint():

@@ -3,6 +3,7 @@
 from bellows_ros.core.identification.consistency import same_cup
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest
 
@@ -53,6 +54,12 @@ def test_what_differs_is_named(change, words):
     assert label in found.verdict or ROUND.labels[np.ravel(change)[-1]] in found.verdict
 
 
+def test_small_differences_that_are_certain_hardly_matter():
+    first, second = fit(X, 1e-4), fit(X * 1.01, 1e-4)
+    found = same_cup([first, second], NAMES[:2])
+    assert found.probability < 1e-6 and 'hardly matters' in found.verdict
+
+
 def test_what_is_not_identifiable_is_not_compared():
     """Put nonsense where nothing is known: it does not count, and no warning comes of it."""
     fits = [without(fit(np.where(np.arange(8) == 3, 0.0, X)), ['K rz', 'P z']), fit(X)]
@@ -61,3 +68,8 @@ def test_what_is_not_identifiable_is_not_compared():
     assert np.all(np.abs(found.deviations) < 1e-9)
     nothing = same_cup([without(f, ROUND.labels) for f in scattered(3)], NAMES[:2])
     assert 'cannot be compared' in nothing.verdict and not nothing.differs
+
+
+def test_two_fits_of_one_structure_are_needed():
+    with pytest.raises(BellowsError, match='at least two fits'):
+        same_cup([fit(X)], NAMES[:1])

@@ -153,3 +153,15 @@ def test_a_full_fit_of_a_poor_motion_is_advised_against():
     _, found = described(recording, FULL)
     couplings = next(w for w in found.warnings if 'couplings' in w)
     assert 'use a simpler fit.structure' in couplings
+
+
+def test_without_noises_nothing_is_said_about_noise(rich):
+    _, found = described(rich, noisy=False)
+    assert all(np.isnan(p.noise_share) and np.isnan(p.bias) for p in found.parameters)
+    assert all(np.isnan(a.strain_noise) for a in found.axes)
+    assert found.warnings == ()
+
+
+def test_the_same_recording_gets_the_same_answer(rich):
+    one, other = (described(rich)[1] for _ in range(2))
+    assert [p.bias for p in one.parameters] == [p.bias for p in other.parameters]

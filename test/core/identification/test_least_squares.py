@@ -1,13 +1,15 @@
 """Least squares: the truth recovered, the weights and the solver as the thesis has them."""
 
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.identification.result import definiteness_warnings
 from bellows_ros.core.identification.samples import lip_relative, needed_wrench, Samples
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, regressor
 from bellows_ros.core.model.kernels import lip_relative_to_tool, lip_wrench
 from bellows_ros.core.model.simulation import simulate, state_row
-from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.model.structure import structure_named, STRUCTURES
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -198,6 +200,30 @@ def test_one_cluster_tells_no_standard_error(round_cup):
     assert any('too short' in warning for warning in fit.warnings)
 
 
+def test_full_cup_is_seen_through_filtered_poses():
+    rng = np.random.default_rng(8)
+    cup, package = random_cup(rng), random_package(rng)
+    tool = Wobble(rng).trajectory(8.0, 500)
+    smooth = savgol(tool, 6, 6)
+    body = simulate(cup, package, Trajectory(
+        smooth.stamps_ns, smooth.position, smooth.rotation, smooth.twist))
+    n, order = 30, 6
+    samples = Samples(
+        savgol(Trajectory(smooth.stamps_ns, smooth.position, smooth.rotation), n, order),
+        savgol(Trajectory(body.stamps_ns, body.position, body.rotation), n, order),
+        package, GRAVITY, (2 * n + 1) / 500)
+    fit = simulated.least_squares([samples], cup.length, STRUCTURES['full'])
+    assert np.linalg.norm(fit.stiffness - cup.stiffness) < 0.02 * np.linalg.norm(cup.stiffness)
+
+
+def test_too_few_samples(exact):
+    cup, package, samples, _ = exact
+    few = Samples(samples.tool.select(slice(0, 5)), samples.package.select(slice(0, 5)), package,
+                  GRAVITY, 0.02)
+    with pytest.raises(BellowsError, match='5 valid samples are too few for 42'):
+        simulated.least_squares([few], cup.length, STRUCTURES['full'])
+
+
 def test_a_standstill_tells_nothing_about_damping(exact):
     cup, package, samples, _ = exact
     still = Trajectory(
@@ -258,3 +284,29 @@ def test_not_positive_definite_is_said_and_not_mended(exact):
     assert any('axisymmetric' in warning for warning in fit.warnings)
     assert all('cup.length' in warning or 'not identifiable' in warning
                for warning in fit.warnings)
+
+
+def test_semidefinite_damping_is_no_fault():
+    assert definiteness_warnings(np.eye(6), np.zeros((6, 6)), 'full') == ()
+    assert len(definiteness_warnings(np.zeros((6, 6)), -np.eye(6), 'axisymmetric')) == 2
+
+
+@pytest.mark.parametrize('name', list(STRUCTURES))
+def test_parameters_and_matrices_undo_each_other(name):
+    structure = structure_named(name)
+    x = np.random.default_rng(1).standard_normal(2 * structure.size)
+    K, P = structure.matrices(x)
+    assert_allclose(K, K.T)
+    assert_allclose(structure.parameters(K, P), x, atol=1e-15)
+    assert len(structure.labels) == 2 * structure.size
+
+
+def test_unknown_structure_lists_those_there_are():
+    with pytest.raises(BellowsError, match='axisymmetric, axisymmetric_coupled, diagonal, full'):
+        structure_named('round')
+
+
+def test_cup_of_a_fit_is_a_cup(exact):
+    cup, _, samples, _ = exact
+    fit = simulated.least_squares([samples], cup.length, STRUCTURES['full'])
+    Cup(fit.stiffness, fit.damping, cup.length)

@@ -3,7 +3,8 @@
 from dataclasses import replace
 import re
 
-from bellows_ros.core.identification.samples import FOLLOWED, left, pass_band, samples_of
+from bellows_ros.core.identification.identifiability import Axis, too_fast
+from bellows_ros.core.identification.samples import FOLLOWED, left, pass_band, PassBand, samples_of
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
 from bellows_ros.core.signals.savgol import savgol, weights
@@ -78,6 +79,20 @@ def test_a_motion_beyond_the_filter_is_warned_about_and_the_remedy_helps():
 @pytest.mark.parametrize('frequency', [4.0, 6.0])
 def test_a_motion_that_the_filter_follows_is_not_warned_about(frequency):
     assert warnings_of(*recorded(frequency)) == []
+
+
+def test_windows_are_advised_only_where_they_are_shorter():
+    axis = Axis('z', 1e-3, 1e-3, 0.1, (1.0, 5.0), 0.0, 0.0)
+    slow = PassBand(np.ones(1), np.full(1, 0.5), 6.0, (30, 30))
+    (same,) = too_fast([axis], [slow])
+    assert 'half_window' not in same and same.endswith('Use fit.method: prediction_error.')
+
+
+def test_noise_along_one_axis_is_no_motion():
+    loud = np.array([2e-5, 2e-5, 6e-4])
+    recording = simulated.record(
+        simulated.shake(), tool=(2e-5, 5e-5), package=(loud, 5e-5), rate_hz=RATE_HZ)
+    assert warnings_of(samples_of(recording), recording.noise) == []
 
 
 @pytest.mark.parametrize('noise', [1e-4, 1e-3])

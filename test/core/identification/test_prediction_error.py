@@ -1,6 +1,10 @@
 """The prediction-error method recovers the truth, from afar, through noise and outliers."""
 
 from dataclasses import replace
+import os
+from pathlib import Path
+import subprocess
+import sys
 
 from bellows_ros.core.identification.consistency import same_cup
 from bellows_ros.core.identification.minimum import innovations
@@ -8,6 +12,7 @@ from bellows_ros.core.identification.prediction_error import prediction_error
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -101,6 +106,16 @@ def test_errors_are_of_the_size_of_their_standard_errors(exact_tool):
         assert np.all(np.diag(std) > 0.0)
 
 
+def test_iterations_are_reported_and_kept(exact_tool):
+    recordings, reference = exact_tool
+    reported = []
+    fit = prediction_error(recordings, AXISYMMETRIC, TRUTH, reported.append)
+    assert tuple(reported) == fit.iterations
+    assert [i.number for i in reported] == list(range(len(reported)))
+    assert_allclose(fit.stiffness, reference.stiffness, rtol=0, atol=0)  # and bit for bit again
+    assert_allclose(fit.covariance, reference.covariance, rtol=0, atol=0)
+
+
 def test_noise_on_both_bodies_with_outliers_and_dropouts():
     def damage(tool, package):
         position, valid = package.position.copy(), package.valid.copy()
@@ -120,6 +135,15 @@ def test_noise_on_both_bodies_with_outliers_and_dropouts():
     assert_allclose(damping[MOVING], 1.0, atol=0.06)
     assert fit.samples_rejected >= 30
     assert 0.9 < fit.robust_chi2 < 1.1 < fit.chi2  # the outliers are not trimmed
+
+
+def test_full_matrices_from_near_by():
+    cup = random_cup(np.random.default_rng(21))
+    recordings = segments(3, 5.0, package_noise=(1e-5, 5e-5), cup=cup, rate_hz=100.0)
+    start = Cup(0.97 * cup.stiffness, 1.03 * cup.damping, cup.length)
+    fit = prediction_error(recordings, STRUCTURES['full'], start)
+    assert np.linalg.norm(fit.stiffness - cup.stiffness) < 0.005 * np.linalg.norm(cup.stiffness)
+    assert 0.9 < fit.chi2 < 1.1
 
 
 @pytest.mark.stress
@@ -198,3 +222,39 @@ def test_a_wrong_mass_is_noticed():
     assert fit.chi2 > 1.2
     assert 'does not explain' in fit.misfit
     assert 'package.mass' in fit.misfit and 'fit.time_offset' in fit.misfit
+
+
+def test_nothing_to_compare_is_an_error():
+    recordings = segments(8, 4.0)
+    blind = [replace(r, package=replace(r.package, valid=np.array(False))) for r in recordings]
+    with pytest.raises(BellowsError, match='No valid package pose'):
+        prediction_error(blind, AXISYMMETRIC, TRUTH)
+
+
+FULL_FIT = """
+from bellows_ros.core.identification.prediction_error import prediction_error
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import STRUCTURES
+import numpy as np
+from test.core.cases import random_cup
+from test.core.identification.recordings import segments
+
+cup = random_cup(np.random.default_rng(21))
+recordings = segments(3, 5.0, (1e-4, 5e-4), (1e-4, 5e-4), cup, rate_hz=200.0)
+start = Cup(0.97 * cup.stiffness, 1.03 * cup.damping, cup.length)
+fit = prediction_error(recordings, STRUCTURES['full'], start)
+print(*fit.stiffness.ravel(), *fit.damping.ravel(), *np.diag(fit.covariance))
+"""
+
+
+@pytest.mark.stress
+def test_threads_of_linear_algebra_change_nothing(root: Path) -> None:
+    """Ask for one and for two before NumPy starts."""
+    found = []
+    for count in '12':
+        threads = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'), count)
+        done = subprocess.run([sys.executable, '-c', FULL_FIT], cwd=root, check=True, text=True,
+                              capture_output=True, env={**os.environ, **threads})
+        found.append(np.array(done.stdout.split(), dtype=float))
+    assert_allclose(found[1][:72], found[0][:72], rtol=1e-9, atol=1e-9)
+    assert_allclose(found[1][72:], found[0][72:], rtol=1e-6)

@@ -4,6 +4,7 @@ from bellows_ros.core.identification.samples import Samples, samples_of
 from bellows_ros.core.identification.structure_selection import effective_samples, select_structure
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -104,6 +105,25 @@ def test_effective_samples_of_an_autoregression(a):
     valid[rng.integers(0, count, 2000)] = False  # samples missing here and there change nothing
     part = np.count_nonzero(valid) / count
     assert_allclose(effective_samples([(values, valid)], 100), expected * part, rtol=0.05)
+
+
+def test_exact_recordings_are_no_trouble():
+    _, selection = selection_of(simulated.CUP, tool=(0.0, 0.0), package=(0.0, 0.0))
+    assert selection.advised == 'axisymmetric'
+    assert all(candidate.held_out < 2e-3 for candidate in selection.candidates)
+
+
+def test_gaps_are_left_out_and_without_noises_nothing_is_corrected():
+    recording = simulated.record(simulated.shake(duration=12.0), rate_hz=120.0)
+    samples = samples_of(recording)
+    valid = np.ones(len(samples.tool), dtype=bool)
+    valid[300:330] = False
+    tool = Trajectory(*[getattr(samples.tool, name) for name in (
+        'stamps_ns', 'position', 'rotation', 'twist', 'acceleration')], valid)
+    gappy = Samples(tool, samples.package, samples.payload, samples.gravity, samples.window)
+    selection = select_structure([gappy], simulated.CUP.length)
+    assert selection.samples == len(samples.tool) - 30
+    assert selection.advised == 'axisymmetric'
 
 
 def test_a_poor_motion_leaves_the_structures_that_can_be_fitted():

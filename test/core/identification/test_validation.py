@@ -9,6 +9,7 @@ from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
+from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -119,6 +120,13 @@ def test_numbers_are_those_of_the_definition(judged):
         judged.model_error, np.sqrt(np.maximum(rms**2 - judged.noise**2, 0)) / motion)
 
 
+def test_a_recording_that_begins_in_motion_starts_as_measured():
+    """Begin with the filtered pose and twist, and forget what is wrong with it."""
+    found = validate(CUP, recording(noise=0.1, first=int(2.5 * RATE)))
+    assert found.start == 'measured'
+    assert found.failing() == ()
+
+
 def test_lost_package_poses_are_not_compared():
     """Leave an outlier's sample out of the score."""
     whole = recording()
@@ -159,3 +167,20 @@ def test_smoothing_keeps_the_motion_and_bridges_gaps():
     assert_allclose(tool.twist[outside], same.twist[outside], atol=5e-4)
     (start, duration), = bridges
     assert_allclose([start, start + duration], [899 / RATE, 905 / RATE], rtol=1e-6)
+
+
+def test_a_tool_without_poses_is_refused():
+    """Say that nothing can be simulated."""
+    motion = tool_motion()
+    lost = Trajectory(motion.stamps_ns, motion.position, motion.rotation, valid=False)
+    with pytest.raises(BellowsError, match='nothing can be simulated'):
+        smoothed_tool(lost, 4)
+
+
+def test_same_recording_same_bits(judged):
+    """Repeat every number exactly, those from made-up noise too."""
+    again = validate(CUP, recording())
+    np.testing.assert_array_equal(again.predicted, judged.predicted)
+    np.testing.assert_array_equal(again.noise, judged.noise)
+    np.testing.assert_array_equal(again.one_step.spectrum.peak, judged.one_step.spectrum.peak)
+    assert again.one_step.chi2 == judged.one_step.chi2

@@ -84,6 +84,12 @@ def test_a_plan_that_comes_back_is_followed_back():
             assert abs(ahead.progress - t) < 4e-3, t
 
 
+def test_a_tool_elsewhere_does_not_drive_the_plan():
+    ahead = Ahead(MOVE.plan(250), 0)
+    ahead.follow(driven(0.4, off=(0.0, 0.0, 0.2)))
+    assert ahead.off
+
+
 def test_the_future_is_the_plan_and_then_standing():
     ahead, now = Ahead(MOVE.plan(250), T0), driven(0.4)
     ahead.follow(now)

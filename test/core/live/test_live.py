@@ -146,6 +146,20 @@ def test_twists_that_stop_are_not_waited_for_longer_than_the_limit(messages, pre
     assert predictor.predictions == 60
 
 
+def test_flush_predicts_for_what_waits(messages, predictor):
+    predictor.expect_twists = True
+    assert messages.pose(predictor, 0) == []
+    assert [p.stamp_ns for p in predictor.flush()] == messages.stamps[:1]
+
+
+def test_poses_alone_come_close(messages, predictor):
+    out = [p for k in range(len(messages)) for p in messages.pose(predictor, k)]
+    body = simulate(Cup.thesis(), PLATE, messages.tool)
+    position, turn = errors(out, body)
+    assert position < 0.1e-3
+    assert turn < 1e-3
+
+
 @pytest.mark.parametrize('poll', [0.01, 0.02])
 def test_poses_stamped_in_bursts_lose_no_more_than_their_stamps(messages, predictor, poll):
     period_ns = round(poll * 1e9)  # of a driver that fetches the poses and stamps them then
@@ -211,6 +225,11 @@ def test_nan_twist_is_refused_and_its_pose_predicted_all_the_same(messages, pred
     assert all(map(is_finite, out))
 
 
+def test_quaternion_nearly_of_unit_length_is_used_as_unit(predictor):
+    out = predictor.on_pose(START, 'base', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.004))
+    assert_allclose(out[0].quaternion_xyzw, IDENTITY, atol=1e-12)
+
+
 def test_long_gap_starts_from_rest(messages, predictor):
     for k in range(100):
         messages.pose(predictor, k)
@@ -265,6 +284,18 @@ def test_absurd_motion_never_gives_anything_but_finite_numbers(predictor):
     assert_allclose(good[-1].force, [0.0, 0.0, 2.17 * 9.81], rtol=1e-3)
 
 
+@pytest.mark.parametrize('speed', [1e3, 1e150, 1e308])
+def test_absurd_twists_are_refused(messages, predictor, speed):
+    predictor.expect_twists = True
+    out = []
+    for k in range(40):
+        out += messages.pose(predictor, k)
+        out += predictor.on_twist(messages.stamps[k], (speed, 0.0, 0.0), (0.0, speed, 0.0))
+    out += predictor.flush()
+    assert all(map(is_finite, out))
+    assert (len(out), predictor.refused['twist_too_fast']) == (40, 40)
+
+
 def test_model_that_cannot_be_integrated_is_started_from_rest(messages, predictor):
     messages.pose(predictor, 0)
     predictor.set_model(Cup(1e16 * Cup.thesis().stiffness, Cup.thesis().damping, 0.0481), PLATE)
@@ -300,6 +331,26 @@ def test_pause_is_bridged_for_a_while_and_then_nothing_is_said(messages):
     assert np.linalg.norm(back.position - truth.position[216]) < 5e-3
 
 
+def test_pauses_between_bursts_are_nothing_to_be_said():
+    live = LivePredictor(Cup.thesis(), PLATE, 9.81)
+    period, burst, said = 2_777_778, 33_333_333, []
+    for k in range(720):
+        arrival = k * period // burst * burst + burst
+        if k and k * period // burst > (k - 1) * period // burst:
+            said.append(live.phase(arrival - 1))
+        live.on_pose(START + k * period, 'base', (0.0, 0.0, 0.0), IDENTITY, arrival)
+    assert len(said) > 50 and set(said[5:]) == {'predicting'}
+    last = live.arrival_ns
+    assert live.phase(last + 60_000_000) == 'coasting'  # longer than they usually are
+
+
+def test_nothing_is_bridged_without_leave(messages):
+    live = LivePredictor(Cup.thesis(), PLATE, 9.81, coast_limit_ns=0)
+    live.on_pose(START, 'base', (0.0, 0.0, 0.0), IDENTITY, 0)
+    assert [p for ms in range(300) for p in live.coast(ms * 1_000_000)] == []
+    assert live.phase(50_000_000) == 'lost'
+
+
 def test_detached_means_no_prediction_and_attached_a_start_from_rest(messages, predictor):
     for k in range(50):
         messages.pose(predictor, k)
@@ -312,6 +363,19 @@ def test_detached_means_no_prediction_and_attached_a_start_from_rest(messages, p
     (out,) = messages.pose(predictor, 100)
     assert out.linear == (0.0, 0.0, 0.0)
     assert not any(predictor.refused.values())
+
+
+def test_two_rates_come_close_to_the_truth(messages, predictor):
+    slow = [k for k in range(len(messages)) if k % 4 == 1]
+    out = []
+    for k in range(len(messages)):
+        out += messages.pose(predictor, k)
+        if k in slow:
+            out += messages.twist(predictor, k)
+    out += predictor.flush()
+    position, turn = errors(out, simulate(Cup.thesis(), PLATE, messages.tool))
+    assert position < 0.1e-3
+    assert turn < 1e-3
 
 
 @pytest.mark.parametrize(('sent_in', 'said', 'verdict'), [
@@ -332,6 +396,15 @@ def test_twists_in_other_axes_are_noticed(messages, sent_in, said, verdict):
         live.on_pose(messages.stamps[k], 'base', o, q)
         live.on_twist(messages.stamps[k], tuple(v[0].tolist()), tuple(v[1].tolist()))
     assert live.twist_check.verdict == verdict
+
+
+def test_twist_in_another_frame_id_is_refused(messages, predictor):
+    for k in range(20):
+        messages.pose(predictor, k)
+        predictor.on_twist(
+            messages.stamps[k], messages.linear[k], messages.angular[k],
+            'elsewhere' if k == 10 else 'base')
+    assert predictor.refused['twist_frame_id'] == 1
 
 
 def test_twists_in_a_new_frame_id_are_believed_after_a_while(messages, predictor):
@@ -365,3 +438,14 @@ def test_clean_recording_is_predicted(rig, twists, within_m, within_rad):
     turn = log_so3(np.swapaxes(rotation, 1, 2) @ truth['package'][:, :3, :3])
     assert np.linalg.norm(position, axis=1).max() < within_m
     assert np.linalg.norm(turn, axis=1).max() < within_rad
+
+
+def test_twists_that_always_come_one_pose_late_are_waited_for(messages, predictor):
+    predictor.expect_twists = True
+    out = list(messages.pose(predictor, 0)) + predictor.flush()
+    for k in range(1, 200):
+        out += messages.pose(predictor, k)
+        out += messages.twist(predictor, k - 1)
+    assert predictor.twists_estimated < 5
+    assert [p.stamp_ns for p in out] == messages.stamps[:len(out)]
+    assert len(out) >= 199

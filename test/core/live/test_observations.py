@@ -2,9 +2,11 @@
 
 import math
 
-from bellows_ros.core.live.load import deflection, equivalent_box, lip_position, Load
+from bellows_ros.core.live import health, LivePredictor, REFUSALS, RESTARTS
+from bellows_ros.core.live.health import InputSeen, Level, Mismatch, PredictionSeen
+from bellows_ros.core.live.load import deflection, equivalent_box, lip_position, Load, Safety
 from bellows_ros.core.live.samples import ORIGIN, Prediction
-from bellows_ros.core.live.timing import Arrivals, KEPT, Window
+from bellows_ros.core.live.timing import Arrivals, KEPT, Quantiles, Rhythm, Window
 from bellows_ros.core.live.vacuum import check_thresholds, is_held, why_no_pressure
 from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
@@ -19,6 +21,8 @@ ZERO = (0.0, 0.0, 0.0)
 PACKAGE = {
     'package.mass': 2.0, 'package.inertia': (0.01, 0.02, 0.025, 0.0, 0.0, 0.0),
     'package.com': (0.0, 0.0, -0.03)}
+GOOD = Rhythm(500, 500.0, 1e-5, Quantiles(1e-3, 2e-3, 3e-3))
+SILENT = Rhythm(0, math.nan, 0.0, Quantiles(math.nan, math.nan, math.nan))
 
 
 def test_window_keeps_the_newest_and_begins_again():
@@ -98,6 +102,86 @@ def test_box_of_an_inertia_is_the_box():
     assert_allclose(equivalent_box(values), (0.2, 0.3, 0.1))
 
 
+@pytest.mark.parametrize(('seen', 'level', 'words'), [
+    ({}, Level.OK, '500 Hz.'),
+    ({'publishers': 0, 'rhythm': SILENT}, Level.ERROR, 'Nobody publishes /tool'),
+    ({'rhythm': SILENT}, Level.ERROR, 'silent: no message for 3.0 s. Check that the driver'),
+    ({'rhythm': SILENT, 'silent': math.inf}, Level.ERROR, 'silent: no message so far'),
+    ({'rhythm': SILENT, 'mismatch': Mismatch('qos', 'reliability')}, Level.ERROR,
+     'Set qos_overrides./tool.subscription.reliability'),
+    ({'rhythm': SILENT, 'mismatch': Mismatch('type', 'std_msgs/msg/Bool')}, Level.ERROR,
+     'sends std_msgs/msg/Bool, but the node subscribes to another type. Set tool_pose.type'),
+    ({'rhythm': SILENT, 'mismatch': Mismatch('frames', 'no way')}, Level.ERROR,
+     'No pose of the tool from /tool: no way. Check frames.world and frames.tool'),
+    ({'refused': {'nan': 3, 'jump': 0}}, Level.WARN,
+     '3 of 500 messages refused: 3 x nan (a number in it is not finite).'),
+    ({'refused': {'frame_id': 500}}, Level.ERROR, '500 of 500'),
+    ({'rhythm': GOOD._replace(age=Quantiles(*3 * [5.0]))}, Level.WARN, '5 s behind the clock'),
+    ({'rhythm': GOOD._replace(age=Quantiles(*3 * [-2.0]))}, Level.WARN, '2 s ahead of the clock'),
+    ({'rhythm': GOOD._replace(age=Quantiles(*3 * [math.nan]))}, Level.OK, 'Hz'),
+])
+def test_words_on_an_input(seen, level, words):
+    base = InputSeen('/tool', 1, None, GOOD, 3.0, {}, {'nan': 7})
+    status = health.input_status('predictor: tool pose', base._replace(**seen))
+    assert status.level == level
+    assert words in status.message
+    assert status.values['refused: nan'] == '7'
+
+
+def test_an_optional_input_may_be_absent():
+    absent = InputSeen('/twist', 0, None, SILENT, math.inf, {}, {})
+    assert health.input_status('x', absent, optional=True).level == Level.OK
+    assert health.input_status('x', absent._replace(publishers=1), True).level == Level.WARN
+
+
+@pytest.mark.parametrize(('messages', 'alone', 'level'), [
+    (500, 0, Level.OK), (500, 240, Level.OK), (500, 260, Level.WARN), (100, 400, Level.OK)])
+def test_twists_that_serve_no_pose_are_said(messages, alone, level):
+    seen = InputSeen('/twist', 1, None, GOOD._replace(messages=messages), 0.0, {}, {})
+    status = health.twist_status('x', seen, 500, alone)
+    assert status.level == level
+    assert (f'{alone} of 500 poses had no twist' in status.message) is (level == Level.WARN)
+
+
+@pytest.mark.parametrize(('seen', 'held', 'speaks_once', 'level', 'words'), [
+    ({}, True, True, Level.OK, 'Held.'),
+    ({}, False, False, Level.OK, 'Not held.'),
+    ({'rhythm': SILENT}, True, True, Level.OK, 'Held.'),
+    ({'rhythm': SILENT}, True, False, Level.WARN, 'silent for 3.0 s: the package counts as held'),
+    ({'rhythm': SILENT}, False, False, Level.ERROR, 'the package counts as not held'),
+    ({'rhythm': SILENT, 'silent': math.inf}, False, True, Level.WARN, 'No word from /vacuum'),
+    ({'publishers': 0}, False, True, Level.ERROR, 'Nobody publishes /vacuum'),
+    ({'mismatch': Mismatch('qos', 'durability')}, True, True, Level.WARN, 'durability'),
+    ({'refused': {'negative': 500}}, True, False, Level.WARN, '500 of 500 messages refused'),
+])
+def test_words_on_the_vacuum(seen, held, speaks_once, level, words):
+    base = InputSeen('/vacuum', 1, None, GOOD, 3.0, {}, {})
+    status = health.vacuum_status('x', base._replace(**seen), held, speaks_once)
+    assert status.level == level
+    assert words in status.message
+
+
+@pytest.mark.parametrize(('seen', 'level', 'words'), [
+    ({}, Level.OK, 'Predicting.'),
+    ({'state': 'inactive'}, Level.OK, 'Inactive: nothing is published.'),
+    ({'phase': 'detached'}, Level.OK, 'Detached'),
+    ({'phase': 'coasting'}, Level.WARN, 'Coasting'),
+    ({'phase': 'lost'}, Level.ERROR, 'Lost'),
+    ({'restarts': {'gap': 2}}, Level.WARN, 'equilibrium: 2 x no usable pose arrived for more'),
+    ({'restarts': {'no_equilibrium': 1}}, Level.ERROR, 'cannot hold'),
+    ({'twist_verdict': 'other_axes'}, Level.WARN, 'tool_twist.frame'),
+    ({'above': True}, Level.ERROR, 'The package is above the tool: z of the tool points down'),
+    ({'covariance_known': False}, Level.WARN, 'package/odometry is unknown'),
+])
+def test_words_on_the_prediction(seen, level, words):
+    base = PredictionSeen(
+        'active', 'predicting', 'cup.*', Quantiles(1e-4, 2e-4, 3e-4), {}, {'gap': 0}, 'fits')
+    status = health.prediction_status('x', base._replace(**seen))
+    assert status.level == level
+    assert words in status.message
+    assert status.values['compute time p99 (us)'] == '200'
+
+
 def test_the_safety_factor_follows_the_vacuum_that_is_heard():
     values = resolve({**PACKAGE, 'cup.lip_radius': 0.02, 'cup.suction_area': 1e-3,
                       'cup.friction': 0.4, 'vacuum.holding': 6e4})
@@ -112,6 +196,22 @@ def test_the_safety_factor_follows_the_vacuum_that_is_heard():
     assert Load({**values, 'cup.lip_radius': 0.0}).grip is None
 
 
+@pytest.mark.parametrize(('factor', 'bending', 'level', 'words'), [
+    (None, 0.1, Level.OK, 'The limits of the cup are unknown'), (2.0, 0.1, Level.OK, 'Within'),
+    (1.234, 0.1, Level.WARN, '1.23 (peel), below safety.least, 1.5'),
+    (0.8, 0.1, Level.ERROR, '0.80 (peel), below 1: the cup lets go'),
+    (2.0, 0.7, Level.WARN, 'bends by 0.7 rad'),
+])
+def test_words_on_the_load(factor, bending, level, words):
+    safety = factor and Safety(factor, 'peel')
+    status = health.load_status('x', safety, None, bending, factor is not None, False, 1.5)
+    assert status.level == level
+    assert words in status.message
+    assert status.values['distance from envelope'] == 'not known'
+    detached = health.load_status('x', None, None, 0.0, True, False, 1.5)
+    assert detached.message == 'No load: no package is held.'
+
+
 def test_cup_is_chosen_by_name():
     soft = tuple(np.eye(6).ravel())
     values = resolve({
@@ -124,3 +224,16 @@ def test_cup_is_chosen_by_name():
         with_chosen_cup({**values, 'cup.name': 'sofd'})
     with pytest.raises(BellowsError, match=r'cups\.soft\.stiffness'):
         resolve({**PACKAGE, 'cups.soft.stiffness': [0.0] * 36})
+
+
+def test_every_count_has_words():
+    assert {*health.REASONS, 'no_equilibrium', 'failure'} == {*REFUSALS, *RESTARTS}
+
+
+def test_summary_holds_all_counts():
+    live = LivePredictor(Cup.thesis(), Package(2.0, 0.02 * np.eye(3), (0.0, 0.0, -0.03)), 9.81)
+    for stamp_ns in (10**9, 10**9 + 1_000_000, 10**9 + 2_000_000, 10**9):
+        live.on_pose(stamp_ns, 'world', ZERO, (0.0, 0.0, 0.0, 1.0))
+    assert health.summary(live) == (
+        '4 poses and 0 twists in, 3 predictions out, 1 refused (1 backward_stamp), '
+        '3 twists estimated.')

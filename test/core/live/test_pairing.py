@@ -55,6 +55,14 @@ def test_twists_as_often_or_more_often_serve_every_pose(twist_period, offset):
     assert max(delay for _, _, delay in out) <= twist_period
 
 
+def test_seldom_twists_do_not_hold_up_the_poses():
+    pairing, out = run(2 * MS, 8 * MS, offset=MS // 3)
+    check(out, 2 * MS)
+    delays = [delay for p, _, delay in out if p.stamp_ns - START > 20 * MS]
+    assert max(delays) == 0
+    assert len(out) == len(range(MS, 1000 * MS, 2 * MS))
+
+
 def test_single_lost_twist_is_interpolated():
     pairing = Pairing()
     pairing.expect = True

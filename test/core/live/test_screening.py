@@ -11,6 +11,7 @@ import pytest
 START = 1_760_000_000_000_000_000
 MS = 1_000_000
 PERIOD = 2 * MS
+STILL = (0.0, 0.0, 0.0)
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 RECOVERED_WITHIN_NS = 200 * MS
 
@@ -41,6 +42,11 @@ def time_to_recover(driver, verdicts):
 
 GOOD = Verdict('', '')
 SPEEDS = pytest.mark.parametrize('period_ns', [MS, 2 * MS, 8 * MS, 20 * MS])
+
+
+def test_good_poses_are_accepted():
+    assert Driver(speed=2.0).send(1000) == [GOOD] * 1000
+    assert Driver().send(1000) == [GOOD] * 1000  # a robot that stands still repeats its pose
 
 
 @pytest.mark.parametrize('reason, fault', [
@@ -115,6 +121,20 @@ def test_pause_of_the_driver_is_a_gap_and_costs_no_pose():
     assert driver.send(2) == [Verdict('', 'gap'), GOOD]
 
 
+def test_without_arrivals_a_late_stamp_is_a_gap():
+    screen = Screen()
+    for stamp, expected in ((START, GOOD), (START + 10**10, Verdict('', 'gap'))):
+        assert screen.judge(stamp, 'base', STILL, UPRIGHT) == expected
+
+
+def test_poses_that_are_played_fast_lose_one_at_most():
+    screen = Screen()  # a second of stamps every 20 ms
+    verdicts = [
+        screen.judge(START + k * 1000 * MS, 'base', STILL, UPRIGHT, k * 20 * MS)
+        for k in range(50)]
+    assert sum(bool(v.refused) for v in verdicts) == 1
+
+
 @SPEEDS
 def test_new_frame_is_believed_when_nothing_else_comes(period_ns):
     driver = Driver(period_ns=period_ns)
@@ -123,6 +143,14 @@ def test_new_frame_is_believed_when_nothing_else_comes(period_ns):
     assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
     assert [v.restart for v in verdicts if v.restart] == ['frame_changed']
     assert driver.screen.frame_id == 'map'
+
+
+def test_bogus_stamp_in_a_new_frame_does_not_keep_it_out():
+    driver = Driver()
+    driver.send(10)
+    driver.send(1, frame='map', offset_ns=10**10)
+    verdicts = driver.send(300, frame='map')
+    assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
 
 
 def test_two_drivers_in_two_frames_never_mix():
@@ -156,6 +184,14 @@ def test_new_place_is_believed_after_a_few_poses(period_ns):
     verdicts = driver.send(30, position=(3.0, 0.0, 0.0))
     assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
     assert [v.restart for v in verdicts if v.restart] == ['moved']
+
+
+def test_scattered_places_are_never_believed():
+    driver = Driver()
+    driver.send(10)
+    for k in range(50):
+        assert driver.send(1, position=(3.0 + k % 7, 0.0, 0.0)) == [Verdict('jump', '')]
+    assert driver.send(1) == [GOOD]
 
 
 @SPEEDS
@@ -207,3 +243,14 @@ def test_noise_jitter_and_bursts_are_no_jumps(period_ns, noise):
         q = (0.0, 0.0, math.sin(0.5 * turn), math.cos(0.5 * turn))
         assert screen.judge(stamp, 'base', tuple(o.tolist()), q) == GOOD, k
         assert not screen.doubted
+
+
+def test_sign_of_a_quaternion_is_no_jump():
+    driver = Driver(speed=0.5)
+    for _ in range(20):
+        assert driver.send(1) + driver.send(1, xyzw=(0.0, 0.0, 0.0, -1.0)) == [GOOD] * 2
+
+
+def test_limits_leave_room_for_every_arm():
+    assert screening.LARGEST_SPEED >= 10.0  # m/s; fast arms reach 4
+    assert screening.HARDEST_STOP >= 2 * 9.81

@@ -68,6 +68,32 @@ def test_a_slower_link_is_interpolated_between_its_stamps():
         assert_allclose(four(pose), four(rail) @ four(fast[k * MS]), atol=0.02**3 / 100)
 
 
+def test_what_is_missing_is_said():
+    chain = Chain('world', 'tool')
+    assert "no transforms connect 'world' and 'tool'" in chain.missing
+    chain.add('arm', 'tool', along_x(5 * MS, 0.0))
+    assert "lead up to 'world' and 'arm'" in chain.missing
+    assert not list(chain.due())
+    chain.add('world', 'arm', along_x(0, 1.0), static=True)
+    assert chain.missing == "no transform of 'tool' has come" and not list(chain.due())
+    chain.add('world', 'arm', along_x(7 * MS, 1.0))
+    chain.add('arm', 'tool', along_x(2007 * MS, 0.0))
+    assert not list(chain.due())  # where the other end is at that time is not known
+    assert chain.missing == "the transforms of 'arm' are 2 s behind those of 'tool'"
+    still = Chain('world', 'tool')
+    still.add('world', 'tool', along_x(0, 0.0), static=True)
+    assert 'all transforms are static' in still.missing
+
+
+def test_a_frame_beside_the_way_changes_nothing():
+    chain, got = Chain('world', 'tool'), []
+    for stamp in range(1, 4):
+        chain.add('world', 'tool', along_x(stamp * MS, 0.0))
+        chain.add('world', f'camera {stamp}', along_x(stamp * MS, 0.0))
+        got += [pose.stamp_ns // MS for pose in chain.due()]
+    assert got == [1, 2, 3]
+
+
 def test_frames_that_go_in_circles_end_and_are_named():
     chain = Chain('world', 'tool')
     for parent, child in (('a', 'tool'), ('b', 'a'), ('tool', 'b')):

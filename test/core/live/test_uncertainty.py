@@ -4,7 +4,7 @@ import math
 
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
-from bellows_ros.core.live.uncertainty import in_world_axes, Uncertainty
+from bellows_ros.core.live.uncertainty import in_world_axes, Uncertainty, UNKNOWN
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 import numpy as np
@@ -134,6 +134,39 @@ def test_an_entry_that_nobody_knows_is_no_more_uncertain_than_it_is_large():
         found.append(covariance)
     assert_allclose(found[0], found[1], rtol=1e-12)  # the root of a square is off by rounding
     assert np.all(np.isfinite(found[0]))
+
+
+def test_a_package_that_hangs_from_a_tool_that_points_down_has_a_covariance():
+    """Under an upright tool this one would fall over."""
+    hanging = Package(5.0, np.diag([0.02, 0.02, 0.02]), (0.0, 0.0, 0.3))
+    live = LivePredictor(THESIS, hanging, 9.81)
+    down = (1.0, 0.0, 0.0, 0.0)
+    out = [p for k in range(900)
+           for p in live.on_pose(START + k * PERIOD, 'world', (0.0, 0.0, 0.0), down)]
+    uncertainty = Uncertainty(live.model, values(0.1 * THESIS.stiffness, position=1e-4))
+    sizes = [np.sqrt(np.diag(uncertainty.covariance(p))[:6]).max() for p in out][SETTLED:]
+    assert uncertainty.known and len(out) > 400
+    assert 1e-5 < min(sizes) and max(sizes) < 1e-2
+
+
+@pytest.mark.filterwarnings('error')
+def test_a_covariance_that_is_not_known_says_so_and_comes_back():
+    live, out = predict()
+    uncertainty = Uncertainty(live.model, values(0.1 * THESIS.stiffness, position=1e-4))
+    upside_down = out[0].tool[0], (1.0, 0.0, 0.0, 0.0), *out[0].tool[2:]
+    top_heavy = Package(20.0, np.diag([0.02, 0.02, 0.02]), (0.0, 0.0, -0.3))
+    fallen = LivePredictor(THESIS, top_heavy, 9.81)
+    uncertainty = Uncertainty(fallen.model, values(0.1 * THESIS.stiffness, position=1e-4))
+    assert_allclose(uncertainty.covariance(out[0]._replace(tool=upside_down)), UNKNOWN)
+    assert not uncertainty.known
+    assert_allclose(uncertainty.covariance(out[1]), UNKNOWN)  # not tried again at once
+    assert np.isfinite(uncertainty.covariance(out[60])).all() and uncertainty.known
+
+
+def test_pose_covariance_is_turned_into_fixed_axes():
+    quarter = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))  # about z: body x is world y
+    turned = in_world_axes(np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), quarter)
+    assert_allclose(np.diag(turned), [4.0, 1.0, 9.0, 25.0, 16.0, 36.0], atol=1e-12)
 
 
 @pytest.mark.parametrize('damping', [

@@ -88,6 +88,29 @@ def test_at_the_slip_factor_friction_is_used_up(seed):
 
 
 @pytest.mark.parametrize('seed', CASES)
+def test_six_points_of_pham_lose_contact_between_peel_and_tip(seed):
+    """Their six points press or not, each for itself: a rigid hexagon inside the circle."""
+    f, m = wrench(seed)
+    hexagon = largest_scale(ring(6), f, m)
+    assert min(safety_factors(GRIP, f, m)[0], 1e6) <= hexagon * (1 + 1e-9)
+    assert hexagon <= min(tip_factor(f, m), 1e6) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize('seed', CASES)
+def test_slip_against_the_box_of_dex_net(seed):
+    """
+    Compare with sqrt(3) |f_x|, sqrt(3) |f_y| <= mu N and sqrt(3) |m_z| <= r mu N.
+
+    Their box lies in the ball of the same friction, so what it passes holds here too.
+    """
+    f, m = wrench(seed)
+    largest = math.sqrt(3) * max(abs(f[0]), abs(f[1]), abs(m[2]) / RADIUS)
+    load = largest + FRICTION * f[2]
+    box = FRICTION * SUCTION / load if load > 0 else math.inf
+    assert box <= safety_factors(GRIP, f, m)[1] * (1 + 1e-12)
+
+
+@pytest.mark.parametrize('seed', CASES)
 def test_factors_scale_with_the_load_and_with_the_vacuum(seed):
     f, m = wrench(seed)
     factors = np.array(safety_factors(GRIP, f, m))
@@ -95,6 +118,17 @@ def test_factors_scale_with_the_load_and_with_the_vacuum(seed):
     more = safety_factors((3 * SUCTION, RADIUS, FRICTION), f, m)
     assert_allclose(half, 2 * factors)
     assert_allclose(more, 3 * factors)
+
+
+def test_infinite_where_the_cup_is_pushed():
+    pushed = (0.0, 0.0, -30.0)
+    assert safety_factors(GRIP, pushed, (0.0, 0.0, 0.0)) == (math.inf, math.inf)
+    assert safety_factors(GRIP, pushed, (0.5, 0.0, 0.0))[0] == SUCTION / 10.0
+    assert safety_factors(GRIP, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) == (math.inf, math.inf)
+
+
+def test_without_vacuum_nothing_holds():
+    assert safety_factors((0.0, RADIUS, FRICTION), (0.0, 0.0, 10.0), (0.0, 0.0, 0.0)) == (0.0, 0.0)
 
 
 def test_rows_are_the_kernel():

@@ -70,6 +70,12 @@ def test_energy_is_constant_without_damping_and_its_drift_falls_with_h4():
     assert np.all(orders > 3.7), orders
 
 
+def test_energy_never_grows_with_damping():
+    total = thesis_energies(damping=True, steps=4000, seconds=4).sum(axis=0)
+    assert np.all(np.diff(total) <= 1e-12)
+    assert total[-1] < total[0] - 1.0
+
+
 @pytest.fixture(scope='module')
 def shaken():
     """Return a model, an analytic tool motion, a start, and DOP853's solution of 1 s at 1 ms."""
@@ -92,6 +98,21 @@ def test_agrees_with_dop853_on_the_plain_equations(shaken):
     assert_allclose(body.twist, twist, atol=1e-5)
 
 
+def test_agrees_with_dop853_on_the_case_of_the_thesis_at_a_millisecond():
+    cup, package, T = thesis_cup(), thesis_package(), orthonormal(T_WORLD_PACKAGE)
+    tool = still_tool(orthonormal(T_WORLD_TOOL), 5 * 10**9, 5000)
+    body = simulate(cup, package, tool, start_of(T), substeps=1)
+
+    def at(_):
+        return tool.position[0], tool.rotation[0], tool.twist[0]
+
+    gravity = np.array([0.0, 0.0, -GRAVITY])
+    position, rotation, _ = oracle.solve(
+        cup, package, gravity, at, T, np.zeros(6), tool.stamps_ns * 1e-9)
+    assert np.abs(body.position - position).max() < 1e-8
+    assert angle_between(body.rotation, rotation).max() < 1e-8
+
+
 def test_observed_order_is_four(shaken):
     cup, package, motion, start, (position, rotation, _) = shaken
     errors = []
@@ -102,6 +123,14 @@ def test_observed_order_is_four(shaken):
         errors.append([error, angle_between(body.rotation, rotation[truth]).max()])
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     assert np.all(orders > 3.7), orders
+
+
+def test_substeps_converge_to_the_same_motion(shaken):
+    cup, package, motion, start, _ = shaken
+    tool = motion.trajectory(0.5, 200)
+    ends = [simulate(cup, package, tool, start, substeps=n).position[-1] for n in (2, 4, 8)]
+    coarse, fine = (np.abs(ends[i] - ends[i + 1]).max() for i in (0, 1))
+    assert np.log2(coarse / fine) > 3.5
 
 
 @jit.kernel

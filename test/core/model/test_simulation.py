@@ -4,8 +4,10 @@ from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, trans
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import (
     displaced,
+    largest_step,
     linearise,
     static_equilibrium,
+    substeps_for,
     system_matrix,
 )
 from bellows_ros.core.model.kernels import body_acceleration
@@ -97,6 +99,22 @@ def test_slopes_predict_small_changes():
     expected = (jacobian.body_pose @ d + jacobian.body_twist @ v
                 + jacobian.tool_pose @ e + jacobian.tool_twist @ u)
     assert_allclose((ends[0] - ends[1]) / 2, expected, rtol=1e-6, atol=1e-8)
+
+
+def test_steps_are_short_enough_for_stiff_cups():
+    stiff = Cup(100 * Cup.thesis().stiffness, Cup.thesis().damping, 0.0481)
+    longest = largest_step(model_tuple(stiff, PLATE, 9.81))
+    assert longest < largest_step(model_tuple(Cup.thesis(), PLATE, 9.81)) / 8
+    assert substeps_for(0.008, 0.0041) == 2
+    assert substeps_for(0.008, 0.1) == 1
+    body = simulate(stiff, PLATE, still_tool(np.eye(4), 10**9, 125))
+    assert np.ptp(body.position, axis=0).max() < 1e-12
+
+
+def test_a_tool_without_twists_is_refused():
+    tool = Trajectory(np.arange(3), np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1)))
+    with pytest.raises(BellowsError, match='no twists'):
+        simulate(Cup.thesis(), PLATE, tool)
 
 
 def test_a_simulation_that_blows_up_says_so():

@@ -7,11 +7,13 @@ from bellows_ros.core.identification.samples import envelope, Samples
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.validity_range import (
     beyond,
+    Distance,
     distance,
     Envelope,
     joined_envelopes,
     known_envelope,
 )
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill, with_standstills
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -96,6 +98,28 @@ def test_distance_is_one_on_the_edge():
     assert 'bending about y' in far.text
 
 
+def test_a_mass_that_is_not_known_is_not_checked():
+    known = Envelope([-0.01] * 6, [0.01] * 6, [1.0] * 6, np.zeros((2, 2)), [0.0, 0.0])
+    assert distance(known, np.zeros(6), np.zeros(6), 2.0) == Distance(0.0, ())
+    assert distance(known, [0.02] * 6, np.zeros(6), 2.0).value == pytest.approx(2.0)
+    assert beyond(known, known) == ()
+
+
+def test_the_farthest_is_named_first():
+    """Sort what is outside."""
+    far = distance(KNOWN, np.zeros(6), np.array([0.2, 0, 0, 0, 0, 5.0]), 3.0)
+    assert far.outside[0].startswith('the rate of torsion is 5 rad/s')
+    assert far.outside[1] == 'the mass is 3 kg, seen 2'
+    assert far.outside[2].startswith('the rate of displacement in x')
+    assert_allclose(far.value, 5.0)
+
+
+def test_a_direction_at_rest_still_allows_for_noise():
+    """Do not call a tenth of a millimetre an excursion where nothing moved."""
+    still = Envelope(np.zeros(6), np.zeros(6), np.zeros(6), np.zeros((2, 2)), np.ones(2))
+    assert distance(still, np.full(6, 1e-4), np.full(6, 1e-3), 1.05).value < 1.0
+
+
 def test_beyond_names_what_another_recording_leaves():
     """Say nothing about ranges inside, and the end that is farther outside."""
     assert beyond(KNOWN, KNOWN) == ()
@@ -104,6 +128,15 @@ def test_beyond_names_what_another_recording_leaves():
     wider = Envelope(low, KNOWN.deflection_high, KNOWN.rates, KNOWN.frequencies, [2.0, 2.6])
     assert beyond(KNOWN, wider) == (
         'the mass is 2.6 kg, seen 2', 'torsion is -200 mrad, seen -100 to 100 mrad')
+
+
+def test_parameters_hold_it():
+    """Come back from a parameter file as it was; know nothing where all is zero."""
+    values = resolve(KNOWN.parameters())
+    back = known_envelope(values)
+    for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass'):
+        np.testing.assert_array_equal(getattr(back, name), getattr(KNOWN, name))
+    assert known_envelope(resolve({})) is None
 
 
 def test_a_file_holds_at_least_what_was_seen():

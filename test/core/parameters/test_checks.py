@@ -90,6 +90,11 @@ def test_resolve_fills_in_defaults_but_not_the_package():
     assert set(resolve(known, RECORDING_PARAMETERS)) == set(PARAMETERS)
 
 
+def test_gravity_alone_is_its_magnitude():
+    assert resolve({'gravity': 9})['gravity.magnitude'] == 9.0
+    assert 'gravity' not in resolve({'gravity': 9})
+
+
 def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
     with pytest.raises(BellowsError) as error:
         resolve({'package.com': [0, 0, 0]}, PACKAGE_PARAMETERS)
@@ -113,6 +118,27 @@ def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
 def test_a_wrong_name_suggests_the_one_that_was_meant(wrong, meant):
     with pytest.raises(BellowsError, match=rf"Did you mean '{meant}'\?"):
         lookup(wrong)
+
+
+def test_a_letter_left_out_of_any_name_finds_it_again():
+    wrong = {(name[:k] + name[k + 1:], name) for name in PARAMETERS for k in range(len(name))}
+    missed = []
+    for typo, name in wrong:
+        with pytest.raises(BellowsError) as error:
+            lookup(typo)
+        if f"Did you mean '{name}'?" not in str(error.value):
+            missed.append(typo)
+    assert missed in ([], ['envelopemass'])  # which has lost its dot
+
+
+@pytest.mark.parametrize('name, known', [
+    ('package.xyzzy', 'Known there are: package.mass, package.inertia, package.com'),
+    ('package', 'Known there are: package.mass, package.inertia, package.com'),
+    ('cups.soft.xyzzy', 'Known there are: cups.soft.length, cups.soft.stiffness'),
+])
+def test_a_wrong_name_in_a_group_is_shown_the_group(name, known):
+    with pytest.raises(BellowsError, match=known):
+        lookup(name)
 
 
 def test_unknown_names_are_refused_with_the_nearest_known():
@@ -258,6 +284,13 @@ def test_the_filter_needs_enough_samples_for_its_order():
         resolve({'filter.tool.half_window': 2, 'filter.tool.order': 5})
     with pytest.raises(BellowsError, match=r'filter\.package\.order.*6'):
         resolve({'filter.package.half_window': 1})
+
+
+def test_the_table_cannot_be_changed():
+    with pytest.raises(TypeError):
+        PARAMETERS['package.mass'] = None
+    with pytest.raises(AttributeError):
+        PARAMETERS['package.mass'].default = 1.0
 
 
 anything = strategies.recursive(

@@ -59,6 +59,12 @@ def test_twist_is_the_slope_of_the_pose():
     assert_allclose(twist, np.hstack([v, w]), atol=1e-8)
 
 
+def test_columns_are_found_by_name():
+    assert ARM.columns(['spin', 'other', 'turn', 'slide'], 'It') == [2, 3, 0]
+    with pytest.raises(BellowsError, match="It lacks the joint 'slide'.*it has turn, spin"):
+        ARM.columns(['turn', 'spin'], 'It')
+
+
 def test_a_plan_of_joints_goes_through_its_points():
     t = np.linspace(0, 1, 11)
     q = np.outer(t**3 * (10 - 15 * t + 6 * t**2), [0.8, 0.2, -0.5])

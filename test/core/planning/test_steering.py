@@ -194,6 +194,12 @@ def test_modes_are_those_of_mass_and_spring():
         assert near.tilt < 1e-6  # a slide does not drive them
 
 
+def test_modes_alike_are_one():
+    found = to_shape([Mode(3.0, 0.1, 0.1), Mode(3.1, 0.2, 0.3), Mode(5.0, 0.1, 0.001),
+                      Mode(11.0, 0.4, 0.1)], 'zv')
+    assert_allclose(found, [(3.075, 0.175, 0.25), (11.0, 0.4, 0.1)])
+
+
 @pytest.mark.parametrize('method', ['zv', 'zvd'])
 def test_a_mode_that_decays_before_its_shaper_ends_is_left_alone(method):
     """At 0.998 of the critical damping 5 degrees decay to 0.5 in 0.2 s; the shaper takes 4 s."""

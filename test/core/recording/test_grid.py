@@ -49,6 +49,13 @@ def test_a_clock_that_runs_wrong_changes_the_rate_and_nothing_else(drift):
     assert_array_equal(on_grid(moving(stamps), timing(stamps)).stamps_ns, stamps)
 
 
+@pytest.mark.parametrize('steps_ms', [[1, 900], [900, 1], [5, 100, 5], [700, 3000]])
+def test_few_messages_at_any_times_have_a_rate(steps_ms):
+    found = timing(START + np.cumsum([0, *steps_ms]) * 1_000_000)
+    assert 1e3 / max(steps_ms) <= found.rate_hz <= 1e3 / min(steps_ms)
+    assert np.isfinite(found.jitter_s)
+
+
 @pytest.mark.parametrize('together', [2, 3, 5])
 @pytest.mark.parametrize('count', [400, 401])
 def test_poses_in_bursts_have_the_rate_of_their_mean_and_no_gaps(together, count):
@@ -59,6 +66,14 @@ def test_poses_in_bursts_have_the_rate_of_their_mean_and_no_gaps(together, count
     assert_allclose(found.rate_hz, 100.0, rtol=0.01)
     assert found.gaps == ()
     assert on_grid(moving(stamps), found).valid.all()
+
+
+def test_every_second_pose_lost_and_a_pause_do_not_change_the_rate():
+    rng = np.random.default_rng(3)
+    kept = np.flatnonzero(rng.random(3000) < 0.6)
+    stamps = rounded_stamps(360, 3000)[kept]
+    stamps[1000:] += 3_600_000_000_000
+    assert_allclose(timing(stamps).rate_hz, 360.0, rtol=1e-6)
 
 
 @pytest.mark.parametrize('lost', [1, 2, 12, 39, 400])
@@ -78,6 +93,13 @@ def test_gaps_are_filled_on_the_grid_and_invalid(lost):
     assert_array_equal(grid.position[grid.valid], kept.position)
 
 
+def test_invalid_samples_stay_invalid():
+    poses = moving(rounded_stamps(360, 100))
+    valid = np.arange(100) != 40
+    marked = Trajectory(poses.stamps_ns, poses.position, poses.rotation, valid=valid)
+    assert_array_equal(on_grid(marked, timing(poses.stamps_ns)).valid, valid)
+
+
 def test_jittering_stamps_are_interpolated_at_the_uniform_rate():
     rng = np.random.default_rng(4)
     even = rounded_stamps(360, 4000)
@@ -94,9 +116,25 @@ def test_jittering_stamps_are_interpolated_at_the_uniform_rate():
     assert savgol(grid, 10, 4).valid.any()
 
 
+def test_a_gap_of_a_broken_number_of_periods_is_still_a_gap():
+    stamps = rounded_stamps(360, 1000)
+    stamps[500:] += 29_000_000  # 10.44 periods: a system that was started again
+    found = timing(stamps)
+    assert [gap.index for gap in found.gaps] == [499]
+    grid = on_grid(moving(stamps), found)
+    uniform_rate_hz(grid.stamps_ns)
+    inside = (grid.stamps_ns > stamps[499]) & (grid.stamps_ns < stamps[500])
+    assert_array_equal(grid.valid, ~inside)
+
+
 def test_stamps_far_apart_are_refused_and_not_filled():
     stamps = rounded_stamps(360, 1000)
     stamps[999] += 86_400_000_000_000
     poses = moving(stamps)
     with pytest.raises(BellowsError):
         on_grid(poses, timing(stamps))
+
+
+def test_two_stamps_are_too_few():
+    with pytest.raises(BellowsError, match='at least 3 samples'):
+        timing(rounded_stamps(360, 2))

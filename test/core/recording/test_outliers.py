@@ -56,6 +56,23 @@ def test_honest_motion_is_left_alone(rate_hz, motion, noise):
         assert found.steps == ()
 
 
+@pytest.mark.parametrize('motion', [CALM, LIVELY])
+@pytest.mark.parametrize('rate_hz', RATES)
+def test_a_motion_that_begins_at_once_is_no_jump(rate_hz, motion):
+    """Its velocity jumps, its pose does not."""
+    rng = np.random.default_rng(11)
+    for _ in range(5):
+        found = found_in(shaken(rng, Shake(rate_hz, 6.0, *motion), at_once=True))
+        assert found.good.all()
+
+
+@pytest.mark.parametrize('noise', [NONE, LAB])
+def test_a_long_rest_is_left_alone(noise):
+    rng = np.random.default_rng(12)
+    poses = noisy(rng, shaken(rng, Shake(360.0, 30.0), rest=29.0), noise)
+    assert found_in(poses).good.all()
+
+
 @pytest.mark.parametrize('noise', [NONE, LAB, COARSE])
 @pytest.mark.parametrize('motion', [CALM, LIVELY, WILD])
 @pytest.mark.parametrize('rate_hz', RATES)
@@ -67,6 +84,20 @@ def test_large_excursions_are_marked_to_the_sample(rate_hz, motion, noise):
     )
     assert recall > 0.99
     assert precision > 0.97
+
+
+@pytest.mark.parametrize('noise', [NONE, LAB])
+@pytest.mark.parametrize('motion', [CALM, LIVELY])
+@pytest.mark.parametrize('rate_hz', RATES)
+@pytest.mark.parametrize('samples', [(2, 7), (8, 200)])
+def test_excursions_of_a_few_millimetres_are_marked(samples, rate_hz, motion, noise):
+    """From 3 mm or 5 mrad on, with noise of 0.1 mm and 0.5 mrad."""
+    rng = np.random.default_rng(14)
+    recall, precision = score(
+        rng, Shake(rate_hz, 20.0, *motion), noise, (0.003, 0.01), (0.005, 0.02), samples
+    )
+    assert recall > 0.95
+    assert precision > 0.9
 
 
 @pytest.mark.parametrize('metres, radians', [(0.0, 0.02), (0.004, 0.0)])
@@ -93,6 +124,26 @@ def test_a_permanent_step_is_reported_and_only_its_sides_are_marked(on_body):
     # The size of a jump is known to a few times the noise of one sample.
     assert_allclose([step.position, step.rotation], [0.03, 0.2], atol=4e-3)
     assert_array_equal(np.flatnonzero(~found.good), [2999, 3000])
+
+
+def test_an_excursion_within_an_excursion_is_marked_as_a_whole():
+    rng = np.random.default_rng(17)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = displaced(poses, slice(3000, 3060), np.array([0.05, 0, 0]), np.zeros(3), False)
+    poses = displaced(poses, slice(3020, 3040), np.array([0, 0.02, 0]), np.zeros(3), False)
+    found = found_in(poses)
+    assert_array_equal(np.flatnonzero(~found.good), np.arange(3000, 3060))
+    assert found.steps == ()
+
+
+def test_an_excursion_after_a_step_is_distinguished_from_it():
+    rng = np.random.default_rng(18)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = displaced(poses, slice(3000, None), np.array([0.05, 0, 0]), np.zeros(3), False)
+    poses = displaced(poses, slice(3100, 3110), np.array([0, 0.02, 0]), np.zeros(3), False)
+    found = found_in(poses)
+    assert [step.before for step in found.steps] == [2999]
+    assert [(run.first, run.last) for run in found.excursions] == [(3100, 3109)]
 
 
 @pytest.mark.parametrize('noise', [NONE, LAB])
@@ -126,6 +177,24 @@ def test_excursions_that_end_in_a_gap_are_marked(lost, side, length):
     assert found.steps == ()
 
 
+def test_a_step_over_a_gap_is_reported():
+    rng = np.random.default_rng(21)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = displaced(poses, slice(4010, None), np.array([0.3, 0, 0]), np.zeros(3), False)
+    (step,) = found_in(without(poses, slice(4000, 4010))).steps
+    assert step.before == 3999
+
+
+@pytest.mark.parametrize('lost', [1, 10, 40, 100])
+def test_gaps_alone_are_no_jumps(lost):
+    rng = np.random.default_rng(22)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    gaps = [slice(i, i + lost) for i in range(1000, 7000, 1000)]
+    found = found_in(without(poses, *gaps))
+    assert found.good.all()
+    assert found.steps == ()
+
+
 def frozen(poses, run):
     """Give poses that stay at the one before a run of samples."""
     position, rotation = poses.position.copy(), poses.rotation.copy()
@@ -146,6 +215,13 @@ def test_frozen_poses_are_marked(length, noise):
         assert found.steps == ()
 
 
+def test_poses_frozen_till_the_end_are_marked():
+    rng = np.random.default_rng(24)
+    poses = shaken(rng, Shake(360.0))
+    found = found_in(frozen(poses, slice(7100, 7200)))
+    assert_array_equal(np.flatnonzero(~found.good), np.arange(7100, 7200))
+
+
 def test_a_rest_recorded_without_noise_is_not_frozen_even_with_an_outlier_in_it():
     rng = np.random.default_rng(25)
     poses = shaken(rng, Shake(360.0))
@@ -161,6 +237,23 @@ def test_rounded_coordinates_are_neither_jumps_nor_frozen():
     poses = shaken(rng, Shake(360.0, 20.0, 0.5, 1.0))
     rounded = Trajectory(poses.stamps_ns, np.round(poses.position, 4), poses.rotation)
     assert found_in(rounded).good.all()
+
+
+def test_isolated_samples_are_marked():
+    rng = np.random.default_rng(27)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    kept = without(poses, slice(3000, 3010), slice(3012, 3020))
+    found = found_in(kept)
+    assert [(run.first, run.last) for run in found.isolated] == [(3000, 3001)]
+    assert_array_equal(np.flatnonzero(~found.good), [3000, 3001])
+
+
+@pytest.mark.parametrize('noise', [Noise(1e-5, 1e-5), LAB, COARSE])
+def test_noise_is_estimated(noise):
+    rng = np.random.default_rng(28)
+    found = found_in(noisy(rng, shaken(rng, Shake(360.0, 20.0, 0.5, 1.0)), noise))
+    assert_allclose(found.noise['position'], noise.position, rtol=0.05)
+    assert_allclose(found.noise['rotation'], noise.rotation, rtol=0.05)
 
 
 def test_noise_is_estimated_along_each_axis():
@@ -184,6 +277,16 @@ def test_poses_published_faster_than_measured_are_counted():
     assert_allclose(repeats_in_motion(slow), 2 / 3 * 0.8 * len(poses), rtol=0.01)
 
 
+@pytest.mark.parametrize('kind', [np.float64, np.float32])
+def test_slow_motion_without_noise_repeats_poses_by_rounding(kind):
+    stamps = np.arange(3000) * 3_000_000
+    t = stamps * 1e-9
+    x = (0.3 + 1e-5 * (1.0 - np.cos(t))).astype(kind).astype(float)
+    poses = Trajectory(stamps, np.column_stack([x, x, x]), np.tile(np.eye(3), (3000, 1, 1)))
+    assert np.sum(np.diff(x) == 0.0) > (900 if kind == np.float32 else -1)
+    assert repeats_in_motion(poses) == 0
+
+
 def test_a_turn_of_the_whole_recording_changes_nothing():
     rng = np.random.default_rng(30)
     poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
@@ -192,6 +295,13 @@ def test_a_turn_of_the_whole_recording_changes_nothing():
     turned = Trajectory(poses.stamps_ns, poses.position @ R.T, R @ poses.rotation)
     marked = ~found_in(poses).good
     assert np.mean(marked != ~found_in(turned).good) < 1e-3 * np.mean(marked)
+
+
+@pytest.mark.parametrize('count', [3, 4, 5, 7, 12])
+def test_few_samples_are_no_trouble(count):
+    rng = np.random.default_rng(31)
+    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB).select(slice(0, count))
+    assert found_in(poses).good.all()
 
 
 def uneven(seed, rough):
@@ -227,3 +337,23 @@ def test_uneven_stamps_with_many_gaps_and_bursts_of_noise_are_no_faults(seed, ro
     assert np.count_nonzero(~found.good) - isolated <= most * len(poses)
     assert len(found.steps) <= (1 if rough else 0)
     assert all(run.last - run.first < 5 for run in found.excursions)
+
+
+@pytest.mark.parametrize('seed', [30, 31, 34])
+def test_the_motion_between_flickers_is_left_alone(seed):
+    """Take two times at which a marker is seen and lost in turn for no excursion between them."""
+    rng = np.random.default_rng(seed)
+    poses = uneven(seed, True)
+    seconds = poses.seconds
+    flickers = seconds % 1.3 < 0.25
+    lost = np.zeros(len(poses), dtype=bool)
+    for k in range(1, len(poses)):  # each state lasts two or three samples
+        lost[k] = (lost[k - 1] ^ (rng.random() < 0.4)) if flickers[k] else lost[k - 1]
+    found = found_in(replace(
+        poses, position=poses.position + 6e-4 * lost[:, None] * [1.0, -0.5, 0.3],
+        rotation=poses.rotation @ exp_so3(6e-3 * lost[:, None] * np.array([0.9, 0.3, -0.3]))))
+    between = ~flickers & (seconds % 1.3 > 0.3) & (seconds % 1.3 < 1.25)
+    for run in found.isolated:
+        between[run.first:run.last + 1] = False
+    assert np.mean(~found.good[between]) < 0.01
+    assert len(found.steps) < 5

@@ -4,9 +4,11 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.recording.preparation import prepare
+from bellows_ros.core.recording.outliers import find_outliers
+from bellows_ros.core.recording.preparation import prepare, stream_warnings
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.timing import timing
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams
@@ -170,6 +172,30 @@ def test_a_recorded_twist_goes_to_the_measured_tool_alone(axes):
     assert without.measured_tool.twist is None
 
 
+def test_gaps_of_the_twist_make_the_measured_tool_invalid():
+    tool, package = held(66)
+    kept = np.delete(np.arange(len(tool)), slice(4000, 4020))
+    zeros = np.zeros((len(kept), 3))
+    twist = TwistStream('/twist', 'world', tool.stamps_ns[kept], zeros, zeros)
+    found = prepare(stream(tool), stream(package, '/package'), PLAIN, twist)
+    assert_array_equal(np.flatnonzero(~found.measured_tool.valid) + 25, np.arange(4000, 4020))
+    assert found.valid.all()
+
+
+def test_the_alignment_of_one_recording_serves_another_that_never_rests():
+    tool, package = held(67)
+    settings = AT_REST
+    first = prepare(stream(tool), stream(package, '/package'), settings)
+    later = slice(1500, None)
+    second = prepare(
+        stream(tool, '/tool', later), stream(package, '/package', later), settings,
+        alignment=first.alignment)
+    expected = at(first.package, second.package.stamps_ns)
+    assert_allclose(second.package.position, expected.position, atol=1e-12)
+    with pytest.raises(BellowsError, match='at rest'):
+        prepare(stream(tool, '/tool', later), stream(package, '/package', later), settings)
+
+
 def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
     rng = np.random.default_rng(68)
     tool, package = (noisy(rng, poses, Noise()) for poses in held(68))
@@ -190,6 +216,35 @@ def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
     (jitters,) = prepare(
         stream(jittered), stream(package, '/package'), PLAIN).report.warnings
     assert "stamps of topic '/tool' jitter" in jitters
+
+
+def test_poses_that_are_all_left_out_have_no_way_to_warn_about():
+    stamps = START + np.array([0, 1, 100, 101, 200, 201, 300, 301]) * 1_000_000
+    poses = Trajectory(stamps, 100.0 * np.arange(24).reshape(8, 3), np.tile(np.eye(3), (8, 1, 1)))
+    outliers = find_outliers(poses, 5_000_000)
+    assert not outliers.good.any()
+    warnings = stream_warnings(stream(poses), timing(stamps), outliers)
+    assert not any('moves through' in warning for warning in warnings)
+
+
+def test_jitter_of_a_moving_body_is_no_step_and_hides_no_large_one():
+    rng = np.random.default_rng(69)
+    tool, package = (noisy(rng, poses, Noise()) for poses in held(69))
+    late = np.sort(tool.stamps_ns + rng.normal(0.0, 2.5e6, len(tool)).astype(np.int64))
+    step = displaced(tool, slice(4000, None), np.array([0.15, 0, 0]), np.zeros(3), False)
+    for poses, steps in ((tool, 0), (step, 1)):
+        jittered = Trajectory(late, poses.position, poses.rotation)
+        found = prepare(stream(jittered), stream(package, '/package'), PLAIN).report.warnings
+        assert sum('jumps by' in warning for warning in found) == steps
+        assert sum('jitter' in warning for warning in found) == 1
+
+
+def test_a_package_picked_up_far_aside_is_warned_about():
+    tool, package = held(69)
+    aside = displaced(package, slice(None), np.array([0.008, 0, 0]), np.zeros(3), True)
+    settings = AT_REST
+    (warning,) = prepare(stream(tool), stream(aside, '/package'), settings).report.warnings
+    assert '8.0 mm beside its middle' in warning
 
 
 def test_what_cannot_be_prepared_says_why():

@@ -2,6 +2,7 @@
 
 from bellows_ros.core.signals.screening import StampScreen, unusable_stamps
 import numpy as np
+from numpy.testing import assert_array_equal
 import pytest
 
 START = 1_760_000_000_000_000_000
@@ -48,6 +49,13 @@ def test_one_stamp_ahead_costs_itself(at, ahead):
     assert left_out(stamps, arrivals) == {'future_stamp': [at]}
 
 
+@pytest.mark.parametrize('ahead', [5 * S, 3600 * S])
+def test_without_arrivals_one_stamp_ahead_costs_itself_too(ahead):
+    stamps, _ = sent()
+    stamps[1000] += ahead
+    assert left_out(stamps, None) == {'future_stamp': [1000]}
+
+
 def test_many_stamps_ahead_cost_themselves():
     stamps, arrivals = sent()
     wrong = np.arange(50, COUNT, 100)
@@ -78,6 +86,12 @@ def test_a_clock_that_is_set_forward_costs_one_pose():
     assert left_out(stamps, arrivals) == {'future_stamp': [2000]}
 
 
+def test_a_clock_that_is_wrong_for_a_while_costs_that_while():
+    stamps, arrivals = sent()
+    stamps[2000:2100] += 3600 * S
+    assert left_out(stamps, arrivals) == {'future_stamp': list(range(2000, 2100))}
+
+
 def test_pauses_and_late_arrivals_are_no_faults():
     stamps, arrivals = sent()
     stamps[3000:] += 20 * S
@@ -99,3 +113,9 @@ def test_no_more_are_lost_than_are_wrong_or_live():
         wrong = np.count_nonzero(stamps != right)
         lost = sum(map(len, left_out(stamps, arrivals).values()))
         assert lost <= max(wrong + len(faults), live(stamps, arrivals))
+
+
+def test_sound_stamps_need_no_screening(monkeypatch):
+    monkeypatch.setattr(StampScreen, 'judge_stamp', None)
+    stamps, arrivals = sent()
+    assert_array_equal(list(unusable_stamps(stamps, arrivals).values()), False)

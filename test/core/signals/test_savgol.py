@@ -1,7 +1,7 @@
 """The filter against polynomials, a slow reference, and the synthetic motions of the thesis."""
 
 from fractions import Fraction
-from math import factorial
+from math import factorial, pi
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.signals import savgol as module
@@ -35,10 +35,32 @@ def noisy_motion(count=120, seed=0):
     return trajectory_of(position, lie.exp_so3(phi))
 
 
+def thesis_motion(count):
+    """Give positions, rotation vectors, spatial twists and their derivatives (4.34-4.61)."""
+    w, t = 2.0 * pi, np.arange(count)[:, None] / RATE_HZ
+
+    def sine(a0, a1):
+        a0, a1 = np.array(a0), np.array(a1)
+        return a0 + a1 * np.sin(w * t), a1 * w * np.cos(w * t), -a1 * w**2 * np.sin(w * t)
+
+    o, o_rate, o_rate2 = sine([0.2, 0.1, -0.2], [0.6, -0.4, 0.5])
+    xi, xi_rate, xi_rate2 = sine([0.05, -0.15, 0.2], [0.4, 0.7, -0.7])
+    rate = lie.apply(lie.dexp(xi), xi_rate)
+    rate2 = lie.d2exp(xi, xi_rate, xi_rate) + lie.apply(lie.dexp(xi), xi_rate2)
+    v = o_rate - np.cross(rate, o)
+    # (4.38) with the covariant derivative, dw^, in place of R'' R^T.
+    v_rate = o_rate2 - np.cross(rate, o_rate) - np.cross(rate2, o)
+    return o, xi, np.concatenate([v, rate], axis=1), np.concatenate([v_rate, rate2], axis=1)
+
+
 def spatial(filtered):
     """Return the spatial twist (4.32) and its rate (4.33): X(T) of the body's, as X' v = 0."""
     X = lie.adjoint(lie.transform(filtered.rotation, filtered.position))
     return lie.apply(X, filtered.twist), lie.apply(X, filtered.acceleration)
+
+
+def rms(error):
+    return np.sqrt(np.mean(error**2, axis=0))
 
 
 @pytest.mark.parametrize('half_window, order', [(1, 2), (3, 2), (5, 4), (15, 3), (25, 4), (30, 7)])
@@ -77,6 +99,13 @@ def test_weights_are_exact_on_polynomials(half_window, order):
     result = weights(half_window, order, RATE_HZ) / scale
     # The second derivative's weights are large, and rounding grows with them.
     assert_allclose(result @ moments.T, expected, atol=2e-13)
+
+
+def test_weights_are_even_odd_and_even():
+    value, first, second = weights(25, 4, RATE_HZ)
+    assert_array_equal(value, value[::-1])
+    assert_array_equal(first, -first[::-1])
+    assert_array_equal(second, second[::-1])
 
 
 @pytest.mark.parametrize('half_window, order', [(2, 2), (7, 3), (25, 4)])
@@ -169,6 +198,47 @@ def test_agrees_with_a_slow_least_squares_fit_per_window(half_window, order):
     assert_allclose(result.acceleration, acceleration, atol=1e-9, rtol=1e-9)
 
 
+def test_standstill_gives_zeros():
+    R = Rotation.random(random_state=3).as_matrix()
+    count = 60
+    still = trajectory_of(np.tile([1.1, -2.3, 0.7], (count, 1)), np.tile(R, (count, 1, 1)))
+    result = savgol(still, 25, 4)
+    assert_array_equal(result.position, still.position[25:35])
+    assert_allclose(result.rotation, still.rotation[25:35], atol=1e-15)
+    assert_array_equal(result.twist, 0.0)
+    assert_array_equal(result.acceleration, 0.0)
+    assert result.valid.all()
+
+
+@pytest.mark.parametrize('rate', [5.0, -5.0])
+def test_right_through_several_turns(rate):
+    """A wobbling spin, R = Rz(rate t) Rx(a sin(w t)): its body rate follows from the product."""
+    a, w, count = 0.4, 6.0, 2000
+    t = np.arange(count) / RATE_HZ
+    tilt, tilt_rate = a * np.sin(w * t), a * w * np.cos(w * t)
+    zero = np.zeros(count)
+    spin = lie.exp_so3(np.stack([zero, zero, rate * t], axis=1))
+    R = spin @ lie.exp_so3(np.stack([tilt, zero, zero], axis=1))
+    assert rate * t[-1] / (2 * pi) > 4 or rate < 0
+    s, c = np.sin(tilt), np.cos(tilt)
+    body_rate = np.stack([tilt_rate, rate * s, rate * c], axis=1)
+    body_rate2 = np.stack([-(w**2) * tilt, rate * c * tilt_rate, -rate * s * tilt_rate], axis=1)
+    result = savgol(trajectory_of(np.zeros((count, 3)), R), 15, 4)
+    assert result.valid.all()
+    # What a quartic over 31 samples leaves of motions of 6 rad/s; a jump of 2 pi would make 1e2.
+    assert_allclose(result.twist[:, 3:], body_rate[15:-15], atol=1e-4)
+    assert_allclose(result.acceleration[:, 3:], body_rate2[15:-15], atol=1e-2)
+
+
+def test_constant_rotation_through_pi_is_exact():
+    rate = np.array([3.0, -2.0, 6.0])
+    R = lie.exp_so3(np.multiply.outer(np.arange(1500) / RATE_HZ, rate))
+    result = savgol(trajectory_of(np.zeros((1500, 3)), R), 25, 3)
+    # The body rate of a constant rotation is the spatial one.
+    assert_allclose(result.twist[:, 3:], np.tile(rate, (1450, 1)), atol=1e-11)
+    assert_allclose(result.acceleration[:, 3:], 0.0, atol=1e-9)
+
+
 def test_windows_beyond_the_reach_of_the_logarithm_are_not_valid():
     t = np.arange(400) / 125.0
     angle = 2.0 * t + 20.0 * np.clip(t - 1.6, 0.0, None)  # 0.4 rad and then 4.4 rad in 0.2 s
@@ -194,6 +264,13 @@ def test_windows_that_touch_an_invalid_sample_are_not_valid():
     assert_array_equal(result.acceleration[expected], clean.acceleration[expected])
 
 
+def test_as_short_as_one_window():
+    longer, n = noisy_motion(60), 10
+    one = savgol(longer.select(slice(30, 51)), n, 3)
+    assert len(one) == 1
+    assert_allclose(one.acceleration[0], savgol(longer, n, 3).acceleration[30], rtol=1e-6)
+
+
 def test_blocks_leave_no_seams(monkeypatch):
     trajectory = noisy_motion(200)
     whole = savgol(trajectory, 12, 3)
@@ -212,6 +289,75 @@ def test_moving_the_world_changes_nothing_in_the_body():
     assert_allclose(there.twist, here.twist, atol=1e-11)
     assert_allclose(there.acceleration, here.acceleration, atol=1e-8)
     assert_allclose(there.position, lie.apply(R, here.position) + shift, atol=1e-13)
+
+
+@pytest.mark.parametrize('order, expected', [(2, 2.0), (4, 4.0)])
+def test_noise_free_errors_fall_with_the_order_of_the_fit(order, expected):
+    """By parity a fit of even order p errs with h^p in both derivatives."""
+    errors = []
+    for half_window in (12, 24):
+        count = 361
+        o, xi, twist, acceleration = thesis_motion(count)
+        result = savgol(trajectory_of(o, lie.exp_so3(xi)), half_window, order)
+        centre = slice(half_window, count - half_window)
+        v, dv = spatial(result)
+        errors.append([rms(v - twist[centre]), rms(dv - acceleration[centre])])
+    observed = np.log2(np.array(errors[1]) / np.array(errors[0]))
+    # n (n + 1) and not n^2 enters, and each axis sums several terms.
+    assert_allclose(observed, expected, atol=0.25)
+
+
+def test_noise_free_sine_is_damped_as_the_weights_say():
+    """A symmetric filter scales a sine (4.34) by its frequency response."""
+    o, _, _, _ = thesis_motion(400)
+    still = np.tile(np.eye(3), (400, 1, 1))
+    result = savgol(trajectory_of(o, still), HALF_WINDOW, ORDER)
+    phase = 2.0 * pi * np.arange(-HALF_WINDOW, HALF_WINDOW + 1) / RATE_HZ
+    value, first, second = weights(HALF_WINDOW, ORDER, RATE_HZ)
+    a0, a1 = np.array([0.2, 0.1, -0.2]), np.array([0.6, -0.4, 0.5])
+    at = 2.0 * pi * np.arange(HALF_WINDOW, 400 - HALF_WINDOW)[:, None] / RATE_HZ
+    assert_allclose(result.position, a0 + a1 * np.sin(at) * (value @ np.cos(phase)), atol=1e-8)
+    assert_allclose(result.twist[:, :3], a1 * np.cos(at) * (first @ np.sin(phase)), atol=1e-8)
+    damped = a1 * np.sin(at) * (second @ np.cos(phase))
+    # Stamps are whole nanoseconds, so the rate is known to 1e-9 only.
+    assert_allclose(result.acceleration[:, :3], damped, atol=1e-6)
+
+
+def central_differences(poses):
+    """Return spatial twists and accelerations by central differences (F.49-F.54)."""
+    R, o, step = poses.rotation, poses.position, np.diff(poses.stamps_ns)[0] * 2e-9
+    rate = lie.log_so3(R[2:] @ R[:-2].swapaxes(1, 2)) / step
+    velocity = (o[2:] - o[:-2]) / step + np.cross(o[1:-1], rate)
+    twist = np.concatenate([velocity, rate], axis=1)
+    return twist[1:-1], (twist[2:] - twist[:-2]) / step
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_synthetic_motions_of_the_thesis(seed):
+    """Both cases at once (4.34-4.39, 4.56-4.62), with its noise, rate, window and order."""
+    rng, count, sigma = np.random.default_rng(seed), 1081, 1e-3
+    o, xi, twist, acceleration = thesis_motion(count)
+    noisy = trajectory_of(
+        o + sigma * rng.normal(size=o.shape), lie.exp_so3(xi + sigma * rng.normal(size=xi.shape))
+    )
+    found = {
+        name: spatial(result)
+        for name, result in (('parabola', savgol(noisy, HALF_WINDOW, ORDER)),
+                             ('quartic', savgol(noisy, HALF_WINDOW, 4)))}
+    errors = {}
+    for name, own in {**found, 'differences': central_differences(noisy)}.items():
+        k = (count - len(own[0])) // 2
+        errors[name] = (
+            rms(own[0] - twist[k:count - k]), rms(own[1] - acceleration[k:count - k]))
+    v, dv = zip(errors['parabola'], errors['differences'], strict=True)
+    # Noise makes 0.25 m/s and 80 m/s^2 of the differences, 0.004 and 0.2 of the parabola. Its
+    # velocities are limited by the bend that 47 samples of a parabola cannot follow (0.05 m/s).
+    assert np.all(v[0] < v[1] / 4)
+    assert np.all(dv[0] < dv[1] / 100)
+    # A quartic follows, and leaves the noise alone.
+    v, dv = zip(errors['quartic'], errors['differences'], strict=True)
+    assert np.all(v[0] < v[1] / 20)
+    assert np.all(dv[0] < dv[1] / 50)
 
 
 def test_weights_tell_the_noise_of_the_result():
@@ -238,6 +384,12 @@ def test_impossible_fits_are_refused(half_window, order, message):
 def test_a_rate_that_is_not_uniform_is_refused():
     with pytest.raises(BellowsError, match='Resample'):
         savgol(noisy_motion().select(np.delete(np.arange(120), 60)), 10, 2)
+
+
+@pytest.mark.parametrize('rate_hz', [0.0, -1.0, np.nan, np.inf])
+def test_a_rate_that_is_none_is_refused(rate_hz):
+    with pytest.raises(BellowsError, match='positive'):
+        weights(5, 2, rate_hz)
 
 
 @pytest.mark.parametrize('body', ['tool', 'package'])

@@ -1,6 +1,6 @@
 """Motions of the tool: derivatives by finite differences, smoothness, errors of settings."""
 
-from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.geometry.lie import log_so3, rpy_rotation
 from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.synthetic.motion import motion_from, smooth_step
 from bellows_ros.errors import BellowsError
@@ -124,6 +124,16 @@ def test_waypoints_are_reached_and_held():
     assert_allclose(rotation[[0, 2, 4]], expected, atol=1e-12)
 
 
+def test_static_poses_are_waypoints_with_common_times():
+    same = {
+        'poses': [{**pose, 'move': 0.7, 'hold': 1.3} for pose in STATIC['static']['poses']]
+    }
+    t = np.linspace(0.0, 5.0, 101)
+    expected = motion({'kind': 'waypoints', 'rest_duration': 1.0, 'waypoints': same}).state(t)
+    for got, value in zip(motion(STATIC).state(t), expected, strict=True):
+        assert_array_equal(got, value)
+
+
 def test_a_chirp_sweeps_linearly():
     moving = motion(CHIRP)
     phase = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, 5)[0]  # of y, the first that moves
@@ -155,6 +165,11 @@ def test_the_smooth_step_is_the_least_jerk_between_two_rests():
     value, slope = smooth_step(s)[:2]
     assert_allclose(value, [0.0, 0.0, 0.5, 1.0, 1.0])
     assert_allclose(slope, [0.0, 0.0, 1.875, 0.0, 0.0])
+
+
+def test_roll_pitch_yaw_are_about_fixed_axes():
+    rpy = np.array([0.3, -0.5, 2.0])
+    assert_allclose(rpy_rotation(rpy), Rotation.from_euler('xyz', rpy).as_matrix(), atol=1e-15)
 
 
 def changed(content, path, value):

@@ -162,6 +162,57 @@ def test_twists_are_in_the_axes_that_were_asked_for(world):
         assert_allclose(apply(R_T, twists[:, 3:]), truth.twist[:, 3:] @ seen.T, atol=1e-13)
 
 
+def test_twist_noise_and_gaps():
+    sensor = Sensor('tool', 500.0, dropouts=Faults(3, 0.1))
+    plan = plan_of(sensor)
+    truth = tumbling(plan.sampled_ns)
+    exact = measure_twists(truth, TwistSensor(), np.zeros(3), plan, Z_UP, draw())
+    sensor = TwistSensor('world', 2e-3, 5e-3)
+    noisy = measure_twists(truth, sensor, np.zeros(3), plan, Z_UP, draw())
+    count = len(noisy)
+    assert count == 10_001 - 150
+    within = 5.0 / np.sqrt(2.0 * count)
+    assert_allclose((noisy - exact)[:, :3].std(0), 2e-3, rtol=within)
+    assert_allclose((noisy - exact)[:, 3:].std(0), 5e-3, rtol=within)
+
+
+def aligned(tool, package):
+    """Return E_H_S by (4.2)-(4.11), literally, of poses in the world that begin at rest."""
+    R_E0, R_S0 = tool.rotation[0].T, package.rotation[0].T  # (4.4), (4.5): A_R_E = A_R_S = I
+    R_T = np.swapaxes(tool.rotation, -1, -2)
+    between = apply(R_T, package.position - tool.position)  # (4.7)
+    rotation = R_E0.T @ R_T @ package.rotation @ R_S0  # (4.8)
+    position = between @ R_E0
+    lateral = position[0] * [1.0, 1.0, 0.0]  # (4.6)
+    return position - lateral, rotation  # (4.10)
+
+
+@pytest.mark.parametrize('pickup', [(0.0, 0.0), (0.0008, -0.0006)])
+def test_alignment_at_rest_removes_what_was_put_in(pickup):
+    """Recover E_H_S of a package that swings below the tool, from turned and shifted markers."""
+    origin = np.array([*pickup, 0.0])
+    tool_sensor = Sensor('tool', 100.0, marker=np.array([0.04, -0.07, 0.9]))
+    plate_sensor = Sensor('package', 100.0, marker=np.array([-0.03, 0.05, -0.6]), origin=origin)
+    plan = plan_of(tool_sensor)
+    tool = tumbling(plan.sampled_ns)
+    swing = np.sin(np.maximum(tool.seconds - REST, 0.0))[:, None] * [0.1, 0.15, 0.2]
+    R_E_S = exp_so3(swing)
+    o_E_S = np.array([0.0, 0.0, -0.05]) + swing * [0.03, 0.02, 0.01]
+    plate = Trajectory(
+        plan.sampled_ns, tool.position + apply(tool.rotation, o_E_S), tool.rotation @ R_E_S
+    )
+    recorded = [
+        measure_poses(truth, sensor, plan, Z_UP, draw())
+        for truth, sensor in ((tool, tool_sensor), (plate, plate_sensor))
+    ]
+    position, rotation = aligned(*recorded)
+    assert_allclose(rotation, R_E_S, atol=1e-12)
+    # (4.10) takes the offset in the tool's axes; it is fixed to the plate, which turns against
+    # them. At rest both are the same, else they differ by (E_R_S - I) offset.
+    assert_allclose(position[:200], o_E_S[:200], atol=1e-12)
+    assert_allclose(position, o_E_S + apply(R_E_S, origin) - origin, atol=1e-12)
+
+
 def test_the_laboratory_recording_is_what_this_model_records(rig):
     """Find one marker turn and one origin that explain a whole recording of another simulation."""
     from bellows_ros.files.bags import read_streams

@@ -10,6 +10,7 @@ from bellows_ros.core.toss.release import (
     flight,
     flight_path,
     Held,
+    Release,
     release_of,
     STRIDE,
     toss,
@@ -145,3 +146,22 @@ def test_refuses_what_is_no_toss(held, switched, change, words):
     """Each with its own message."""
     with pytest.raises(BellowsError, match=words):
         toss(held, RELEASE._replace(**change), switched)
+
+
+def test_refuses_a_plan_that_ends_in_motion_before_it_lets_go():
+    """Nothing is known of the tool after the end."""
+    plan = tosses.plan()
+    with pytest.raises(BellowsError, match='ends earlier, in motion'):
+        toss(Held(MODEL, tosses.GRIP, plan.select(slice(500))), RELEASE, 0.49)
+
+
+def test_refuses_a_package_without_a_size():
+    """Its corners say where it lands."""
+    with pytest.raises(BellowsError, match='package.size'):
+        release_of(resolve({**tosses.values(), 'package.size': (0.1, 0.0, 0.1)}))
+
+
+def test_release_is_what_the_parameters_say():
+    """Half sides, centre, valve and pulse."""
+    assert Release((0.012, 0.02), 0.05, (
+        tuple(tosses.HALF), tuple(tosses.CENTRE)), 0.0) == RELEASE

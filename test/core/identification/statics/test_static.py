@@ -71,6 +71,13 @@ def test_noise_of_a_mean_is_what_means_scatter_by():
     assert 0.5 < np.std(z, ddof=1) / expected < 1.8  # 12 draws
 
 
+def test_a_motion_without_rest_has_no_standstill():
+    motion = simulated.shake(duration=6.0)
+    recording = simulated.record(motion)
+    with pytest.raises(BellowsError, match='no standstill of 0.6 s'):
+        standstills_of(recording, shortest=0.6)
+
+
 def test_the_right_spring_holds_in_all_poses(tilted):
     found = standstills_of(tilted)[0]
     check = check_spring(simulated.CUP, found, G)
@@ -161,3 +168,10 @@ def test_a_wrong_mass_is_noticed(count):
         [upright(x, m, error=2e-6) for x, m in zip(lengths, given, strict=True)], G)
     assert any('off the polynomial' in warning for warning in wrong.warnings)
     assert abs(wrong.length - 0.0481) < 3.0 * wrong.length_std
+
+
+def test_a_length_known_badly_is_said_to_be():
+    standstills = [upright(0.0481 + 1e-3 * m, m, error=1e-3) for m in (2.0, 2.2, 2.4, 2.6)]
+    found = nominal_length(standstills, G)
+    assert found.length_std > 1e-4
+    assert any('is uncertain by' in warning for warning in found.warnings)

@@ -11,7 +11,9 @@ from bellows_ros.core.identification.statics.static_equations import (
 )
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import standstills_of
+from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -122,6 +124,16 @@ def test_what_no_motion_tells_standstills_do():
     assert joined.damping[2, 2] == fit.damping[2, 2]
 
 
+def test_a_full_cup_is_narrowed_too():
+    full = STRUCTURES['full']
+    recording = simulated.record(simulated.shake(seed=5), seed=5, **NOISE)
+    fit = simulated.least_squares([samples_of(recording)], L0, full)
+    joined = joined_with_standstills(fit, resting(6), exact(42), G, simulated.CUP.stiffness)
+    assert np.all(joined.standstills.narrowed <= 1.0 + 1e-9)
+    off = [np.linalg.norm(found.stiffness - simulated.CUP.stiffness) for found in (fit, joined)]
+    assert off[1] < off[0]
+
+
 def test_standstills_that_do_not_agree_count_less_and_are_warned_about():
     """Say the load was 20 % more than it was."""
     heavy = replace(simulated.HELD, mass=1.2 * simulated.HELD.mass)
@@ -131,6 +143,18 @@ def test_standstills_that_do_not_agree_count_less_and_are_warned_about():
     assert 'static recordings and the motion disagree' in joined.warnings[-1]
     # the motion knows its own stiffness better than 20 %
     assert abs(joined.stiffness[2, 2] / TRUTH[1] - 1.0) < 0.05
+
+
+def test_a_better_mean_counts_more():
+    found = resting(9)
+    better = [replace(still, error=Noise(*(0.5 * e for e in still.error))) for still in found]
+    first, second = (whitened(part)[0] for part in (found, better))
+    assert_allclose(second[:, :3], 2.0 * first[:, :3], rtol=1e-9)
+
+
+def test_none_is_a_mistake():
+    with pytest.raises(BellowsError, match='at least one standstill'):
+        static_equations([], L0, ROUND, G, simulated.CUP.stiffness)
 
 
 def test_a_cup_stays_a_cup():
