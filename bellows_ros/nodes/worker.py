@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .guarding import GuardedNode
-from ..core.arrays import Mask
+from ..core.geometry.arrays import Mask
 
 PATIENCE = 0.5
 """How long (s) to wait for the end of work that was stopped; a compiler does not hear of it."""
