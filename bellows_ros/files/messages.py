@@ -16,7 +16,7 @@ from types import MappingProxyType
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.screening import unusable_stamps
-from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -27,7 +27,6 @@ LARGEST_MESSAGE = 4096
 
 _STAMP_AT, _STRINGS_AT = 4, 12
 _LARGEST_PADDING = 3  # at the end, to a multiple of four
-_NS_PER_S = 1_000_000_000
 
 HEAD = b'\0\1\0\0'
 """Plain CDR, little-endian."""
@@ -139,9 +138,9 @@ def decode(
             continue
         rows = np.frombuffer(b''.join(messages[i] for i in members), dtype=dtype)
         index = np.array(members)
-        stamps_ns[index] = rows['sec'].astype(np.int64) * _NS_PER_S + rows['nanosec']
+        stamps_ns[index] = rows['sec'].astype(np.int64) * NS_PER_S + rows['nanosec']
         values[index] = rows['doubles'][:, part]
-        sound = (rows['sec'] >= 0) & (rows['nanosec'] < _NS_PER_S)
+        sound = (rows['sec'] >= 0) & (rows['nanosec'] < NS_PER_S)
         frame[index[sound]] = numbers.setdefault(names, len(numbers))
     return Decoded(stamps_ns, values, frame, list(numbers))
 
@@ -293,7 +292,7 @@ def encode(
         head = with_text(head, name)
     size = _doubles_at(head) + 8 * layout.doubles
     rows = np.zeros(len(stamps_ns), _dtype(head, size, layout))
-    rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, _NS_PER_S)
+    rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, NS_PER_S)
     column = 0
     for part in filter(None, (layout.pose, layout.twist)):
         width = part.stop - part.start

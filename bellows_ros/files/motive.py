@@ -22,6 +22,7 @@ import re
 from typing import TextIO
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.trajectory_files import numbers
 import numpy as np
@@ -39,7 +40,6 @@ HEAD_ROWS = 12  # in which the table must begin
 POSE = ('Rotation X', 'Rotation Y', 'Rotation Z', 'Rotation W', 'Position X', 'Position Y',
         'Position Z')
 TIME = 1  # column
-NS_PER_S = 1e9
 
 Heads = Mapping[str, Sequence[str]]
 Columns = tuple[list[int], list[int], list[int]]

@@ -17,12 +17,11 @@ from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply, rotation_to_quaternion
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.points import require_count
-from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.messages import HEAD, Reader, with_number, with_text
 import numpy as np
 
-NS_PER_S = 1_000_000_000
 MULTI_DOF = 'trajectory_msgs/msg/MultiDOFJointTrajectory'
 PATH = 'nav_msgs/msg/Path'
 

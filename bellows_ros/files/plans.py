@@ -7,24 +7,25 @@ what lies between the points, is not decided here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 import os
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.planning.arm import Arm, read_arm
 from bellows_ros.core.planning.points import require_count
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import read_text, safe_yaml
 from bellows_ros.files.bags import decoded, message_types, messages_of
+from bellows_ros.files.joint_plans import durations_of, joint_plan, JointPlan, lists_of, ns_of
 from bellows_ros.files.plan_messages import decode_multi_dof, MULTI_DOF, PATH, PlanMessage
 from bellows_ros.files.transforms import poses_in, read_transforms
 import numpy as np
 
-NS_PER_S = 1_000_000_000
 JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
@@ -35,18 +36,6 @@ LARGEST_YAML = 2**27
 
 class NoArmError(BellowsError):
     """Joints are given, but not the arm they belong to."""
-
-
-class JointPlan(NamedTuple):
-    """Positions of an arm's joints over time, rad and m, with rates if given."""
-
-    frame_id: str
-    stamp_ns: int
-    names: tuple[str, ...]
-    times_ns: Stamps
-    position: Array
-    velocity: Array | None
-    acceleration: Array | None
 
 
 def plans_in(
@@ -111,7 +100,7 @@ def multi_dof(message: Any) -> PlanMessage:
     points = message.points
     require_count(len(points), 'The plan')
     transforms, *rates = (
-        _lists(points, part, 1) for part in ('transforms', 'velocities', 'accelerations'))
+        lists_of(points, part, 1) for part in ('transforms', 'velocities', 'accelerations'))
     if transforms is None:
         raise BellowsError('The plan has points without transforms; expected one of each.')
     poses = np.array([_seven(own.translation, own.rotation) for (own,) in transforms])
@@ -119,21 +108,8 @@ def multi_dof(message: Any) -> PlanMessage:
         None if lists is None else np.array(
             [(*_three(own.linear), *_three(own.angular)) for (own,) in lists]) for lists in rates)
     return PlanMessage(
-        _ns(message.header.stamp), message.header.frame_id, tuple(message.joint_names),
-        _durations(points), poses, twists, accelerations)
-
-
-def _lists(points: Sequence[Any], part: str, count: int) -> list[Any] | None:
-    """Return what all points have of a part, or None if no point has any; refuse other numbers."""
-    lists = [getattr(point, part, ()) for point in points]
-    if not any(len(each) for each in lists):
-        return None
-    wrong = [i for i, each in enumerate(lists) if len(each) != count]
-    if wrong:
-        raise BellowsError(
-            f'The plan: point {wrong[0]} (the first is 0) has {len(lists[wrong[0]])} {part}; '
-            f'expected {count} in every point, one per joint or for the tool, or none at all.')
-    return lists
+        ns_of(message.header.stamp), message.header.frame_id, tuple(message.joint_names),
+        durations_of(points), poses, twists, accelerations)
 
 
 def path_points(message: Any) -> PlanMessage:
@@ -144,25 +120,10 @@ def path_points(message: Any) -> PlanMessage:
         raise BellowsError(
             f"The plan is in frame '{message.header.frame_id}', but has poses in "
             f"'{sorted(frames)[0]}'; expected one frame. Transform them before.")
-    stamps = np.array([_ns(pose.header.stamp) for pose in message.poses])
+    stamps = np.array([ns_of(pose.header.stamp) for pose in message.poses])
     poses = np.array([_seven(p.pose.position, p.pose.orientation) for p in message.poses])
     return PlanMessage(
-        _ns(message.header.stamp), message.header.frame_id, ('tool',), stamps - stamps[0], poses)
-
-
-def joint_plan(message: Any) -> JointPlan:
-    """Return the points of a JointTrajectory."""
-    points, names = message.points, tuple(message.joint_names)
-    require_count(len(points), 'The plan')
-    position, velocity, acceleration = (
-        None if lists is None else np.array(lists, dtype=float) for lists in (
-            _lists(points, part, len(names))
-            for part in ('positions', 'velocities', 'accelerations')))
-    if position is None:
-        raise BellowsError('The plan has points without positions; expected one of each joint.')
-    return JointPlan(
-        message.header.frame_id, _ns(message.header.stamp), names, _durations(points), position,
-        velocity, acceleration)
+        ns_of(message.header.stamp), message.header.frame_id, ('tool',), stamps - stamps[0], poses)
 
 
 def encode_joints(plan: JointPlan) -> bytes:
@@ -203,7 +164,7 @@ def recorded_joints(path: str | os.PathLike[str], arm: Arm) -> PlanMessage:
     velocity = np.array([m.velocity[c] for m, c in zip(useful, columns, strict=True)]) if (
         rates) else None
     T, twist = arm.tool(position, velocity)
-    stamps = np.array([_ns(m.header.stamp) for m in useful])
+    stamps = np.array([ns_of(m.header.stamp) for m in useful])
     return _recorded(stamps, T, twist if rates else None, arm.root)
 
 
@@ -282,16 +243,3 @@ def _three(vector: Any) -> tuple[float, float, float]:
 def _seven(vector: Any, q: Any) -> tuple[float, ...]:
     """Return the numbers of a position and a quaternion."""
     return (*_three(vector), float(q.x), float(q.y), float(q.z), float(q.w))
-
-
-def _ns(stamp: Any) -> int:
-    """Return a stamp or duration in ns, of integers as large as ROS has them."""
-    for count, lowest, highest in ((stamp.sec, -2**31, 2**31), (stamp.nanosec, 0, 2**32)):
-        if not isinstance(count, int | np.integer) or not lowest <= count < highest:
-            raise ValueError(f'{count} as seconds or nanoseconds')
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
-
-
-def _durations(points: Sequence[Any]) -> Stamps:
-    """Return the times of points from the start, ns."""
-    return np.array([_ns(point.time_from_start) for point in points], dtype=np.int64)

@@ -14,12 +14,12 @@ from pathlib import Path
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, read_text
 import numpy as np
 
 LARGEST_FILE = 2**31
-NS_PER_S = 10**9
 LATEST_NS = 9 * 10**18
 """Later stamps do not fit into 64 bits."""
 

@@ -12,13 +12,12 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import inverse_transform, quaternion_to_rotation, transform
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import decoded, messages_of
 import numpy as np
 
 TF, STATIC_TF = 'tf2_msgs/msg/TFMessage', '/tf_static'
-NS_PER_S = 1_000_000_000
 
 LONGEST_GAP = 4.0
 """Gaps in a link's transforms longer than this many periods are not interpolated."""

@@ -18,6 +18,7 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from .conversions import stamp_to_ns, write_odometry
+from .joint_planning import JointPlanning
 from .outputs import Topic
 from .tool_inputs import OVERRIDABLE
 from .worker import Worker
@@ -87,6 +88,8 @@ class Planning:
     ----------
     grip : tuple or None
         That of the package which is held, as `grip_of` returns it.
+    worker : Worker
+        Makes the answers.
 
     """
 
@@ -98,13 +101,14 @@ class Planning:
         self._steered = Topic(node, MultiDOFJointTrajectory, 'tool_arm/steered')
         self._at = Topic(node, Odometry, 'package/predicted_at')
         self._compiled: list[Callable[[], None]] = []
-        self._worker = Worker(node, 'plans')
+        self.worker = Worker(node, 'plans')
+        self._joints = JointPlanning(node, self)
         sys.setswitchinterval(SWITCH)
         for kind, topic, callback, compile_it, raw in (
                 (MultiDOFJointTrajectory, 'tool_arm/plan',
-                 partial(self._worker.submit, PLAN, self._on_plan), self._compile, True),
+                 partial(self.worker.submit, PLAN, self._on_plan), self._compile, True),
                 (MultiDOFJointTrajectory, 'tool_arm/steer',
-                 partial(self._worker.submit, STEERING, self._on_steer), self._compile_steering,
+                 partial(self.worker.submit, STEERING, self._on_steer), self._compile_steering,
                  True),
                 (Header, 'package/predict_at', self._on_request, self._compile_later, False)):
             node.create_subscription(
@@ -123,15 +127,15 @@ class Planning:
     @property
     def is_busy(self) -> bool:
         """Whether something is being answered."""
-        return self._worker.is_busy
+        return self.worker.is_busy
 
     def close(self) -> None:
         """End the answers for good."""
-        self._worker.close()
+        self.worker.close()
 
     def forget(self) -> None:
         """Drop the plan and all answers."""
-        self._worker.forget()
+        self.worker.forget()
         self._ahead: Ahead | None = None
         self._found: Predicted | Status | None = None
         self._predicted_ns = 0
@@ -139,6 +143,7 @@ class Planning:
     def set_model(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
         """Go on with other values."""
         self._live, self._values, self.grip = live, values, grip_of(values)
+        self._joints.set_model(live, values)
         self._coarse = COARSE * largest_step(live.model)
         self._period_ns = round(0.9e9 / values['plan.rate'])  # poses come at their rate
 
@@ -146,7 +151,7 @@ class Planning:
         """Compile what answers a topic once a possible publisher appears."""
         if matched.current_count and compile_it not in self._compiled:
             self._compiled.append(compile_it)
-            self._worker.submit(compile_it, compile_it)
+            self.worker.submit(compile_it, compile_it)
 
     def _compile_later(self) -> None:
         """Compile the answer to a request, by making one."""
@@ -178,23 +183,35 @@ class Planning:
     def _read(self, data: bytes) -> tuple[PlanMessage, Rows]:
         """Return a plan as received, and checked."""
         message = decode_multi_dof(data)
-        require_frame(message.frame_id, self._values)
-        frame = self._live.frame_id
-        if frame and message.frame_id not in ('', frame):
-            raise BellowsError(
-                f"The plan is in frame '{message.frame_id}'; expected '{frame}', the frame of "
-                "the tool's poses. Transform the plan.")
+        self.require_frame(message.frame_id)
         return message, rows_of(
             message.times_ns, message.poses, message.twists, message.accelerations,
             self._values['tool_twist.frame'])
 
+    def require_frame(self, frame_id: str) -> None:
+        """Refuse a plan in another frame than that of the tool's poses."""
+        require_frame(frame_id, self._values)
+        frame = self._live.frame_id
+        if frame and frame_id not in ('', frame):
+            raise BellowsError(
+                f"The plan is in frame '{frame_id}'; expected '{frame}', the frame of "
+                "the tool's poses. Transform the plan.")
+
     def _on_plan(self, data: bytes) -> None:
         """Predict a plan, and follow it from now on."""
-        try:
+        def read() -> tuple[int, Rows]:
             message, tool = self._read(data)
-            ahead = Ahead(tool, message.stamp_ns)
+            return message.stamp_ns, tool
+
+        self.take_plan(read)
+
+    def take_plan(self, read: Callable[[], tuple[int, Rows]]) -> None:
+        """Predict a plan of the tool with its stamp (ns), and follow it from now on."""
+        try:
+            stamp_ns, tool = read()
+            ahead = Ahead(tool, stamp_ns)
             now, grip = self.held, grip_of(self._values)
-            rest, body, stamp_ns = ahead.plan, None, message.stamp_ns
+            rest, body = ahead.plan, None
             if now is not None:
                 wait = (stamp_ns - now.stamp_ns) / NS_PER_S
                 if wait > FARTHEST_BEGIN:
@@ -209,16 +226,16 @@ class Planning:
                     body, stamp_ns = now.body, now.stamp_ns
             self._ahead = ahead
             self._answer(Run(self._live.model, grip, rest, body, TAIL, self._coarse,
-                             self._worker.stop), stamp_ns)
+                             self.worker.stop), stamp_ns)
         except BellowsError as error:
-            self._refuse('plan', error)
+            self.refuse('plan', error)
             return
         if (status := self.status) and status.level > Level.OK:
             self._node.get_logger().warning(f'Plan: {status.message}')
 
-    def _refuse(self, what: str, error: BellowsError) -> None:
+    def refuse(self, what: str, error: BellowsError) -> None:
         """Log why a message is refused; the prediction goes on."""
-        if self._worker.stop[0]:  # nobody waits for it any more
+        if self.worker.stop[0]:  # nobody waits for it any more
             return
         self._ahead = self._ahead if what != 'plan' else None
         self._found = Status('plan', Level.WARN, f'The last {what} was refused. {error}', {})
@@ -235,7 +252,7 @@ class Planning:
         elif (ahead.progress > 0.0 and ahead.is_driven(now) and not self.is_busy
                 and time.monotonic_ns() - self._predicted_ns >= self._period_ns):
             self._predicted_ns = time.monotonic_ns()
-            self._worker.submit(PLAN, self._predict_rest, ahead, now)
+            self.worker.submit(PLAN, self._predict_rest, ahead, now)
 
     def _predict_rest(self, ahead: Ahead, now: Prediction) -> None:
         """Predict the rest of a plan from a live state, once that has been delivered."""
@@ -243,9 +260,9 @@ class Planning:
         try:
             self._answer(Run(
                 self._live.model, self.grip, ahead.rest(now), now.body, 0.0, self._coarse,
-                self._worker.stop), now.stamp_ns)
+                self.worker.stop), now.stamp_ns)
         except BellowsError as error:
-            self._refuse('plan', error)
+            self.refuse('plan', error)
 
     def _answer(self, run: Run, stamp_ns: int) -> None:
         """Publish the package along a plan, then its summary."""
@@ -284,8 +301,8 @@ class Planning:
 
     def _on_request(self, request: Header) -> None:
         """Answer a request for the package at a stamp beside the live prediction."""
-        if self._worker.waiting(int) < MOST_WAITING:
-            self._worker.submit(stamp_to_ns(request.stamp), self._predict_at, request)
+        if self.worker.waiting(int) < MOST_WAITING:
+            self.worker.submit(stamp_to_ns(request.stamp), self._predict_at, request)
             return
         self._node.get_logger().warning(
             'Requests on package/predict_at arrive faster than they can be answered, and some are '
@@ -326,7 +343,7 @@ class Planning:
             found = steer(
                 self._live.model, plan.trajectory(), self._values['steer.method'], of_package)
         except BellowsError as error:
-            self._refuse('motion to be steered', error)
+            self.refuse('motion to be steered', error)
             return
         self._steered.publish(encode_multi_dof(plan_message(
             found.tool, message.stamp_ns, message.frame_id, 'tool',

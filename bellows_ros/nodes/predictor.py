@@ -66,6 +66,15 @@ INTERFACE = Interface(
          'A desired motion of the tool, or of B if its joint has the name frames.package.'),
         ('tool_arm/steered', 'trajectory_msgs/MultiDOFJointTrajectory, published',
          'The answer: the motion of the tool without swing of the package.'),
+        ('tool_arm/plan_joints', 'trajectory_msgs/JointTrajectory, subscribed',
+         'A plan of the joints of the arm on robot_description, answered as tool_arm/plan; needs '
+         'tool_link.'),
+        ('tool_arm/steer_joints', 'trajectory_msgs/JointTrajectory, subscribed',
+         'A desired motion of these joints.'),
+        ('tool_arm/steered_joints', 'trajectory_msgs/JointTrajectory, published',
+         'The answer: the motion of the same joints without swing of the package, slowed down '
+         'where their speeds need that.'),
+        ('robot_description', 'std_msgs/String, subscribed', 'URDF of the arm.'),
         ('vacuum/valve', 'std_msgs/Bool, subscribed',
          'Whether the vacuum valve is on: off tosses the package, on picks up the next.'),
         ('/diagnostics', 'diagnostic_msgs/DiagnosticArray, published',

@@ -18,9 +18,8 @@ from bellows_ros.core.model.simulation import Rows, stands
 from bellows_ros.core.model.validity_range import known_envelope
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import short
-from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.planning.fastest import Fastest, fastest
-from bellows_ros.core.planning.joint_path import joint_excess, joint_path, JointPath
+from bellows_ros.core.planning.joint_path import joint_excess, Joints
 from bellows_ros.core.planning.plan import LONGEST_TAIL, Prediction, Run
 from bellows_ros.core.planning.points import plan_of, plan_of_joints, timed
 from bellows_ros.core.recording.alignment import levelling, world_rotation
@@ -33,6 +32,7 @@ from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import read_contents
+from bellows_ros.files.joint_plans import JointPlan
 from bellows_ros.files.parameter_files import with_chosen_cup
 from bellows_ros.files.plan_messages import (
     encode_multi_dof,
@@ -46,7 +46,6 @@ from bellows_ros.files.plan_messages import (
 from bellows_ros.files.plans import (
     arm_of,
     encode_joints,
-    JointPlan,
     JOINTS,
     joints_or_tf,
     plan_in_yaml,
@@ -69,9 +68,6 @@ MOTION_RATE = 500.0
 TIME_ROUNDING = 1.001
 """Factor on time beside that of a limit, as peaks are sought at points 1 ms apart."""
 
-LARGEST_JOINT_STEP = 0.01
-"""Largest time between points of a motion of joints, s, however few the request had."""
-
 AFTER, STANDING_STEP = 1.5, 0.005
 """Time (s) shown after the end, and the spacing of its points."""
 
@@ -88,58 +84,6 @@ BEGINS_IN_MOTION = (
     'lasted. What swings from before is unknown.')
 ENDS_IN_MOTION = (
     'The plan ends in motion, so the swing after its end is unknown.')
-
-
-@dataclass(frozen=True, eq=False)
-class Joints:
-    """
-    Joint positions of a plan of an arm's joints.
-
-    Parameters
-    ----------
-    arm : Arm
-    stamps_ns : int array (N,)
-        ns.
-    position : array (N, M)
-        Of the moving joints in their order, rad or m.
-
-    """
-
-    arm: Arm
-    stamps_ns: Stamps
-    position: Array
-
-    def along(self, tool: Trajectory, planned: Trajectory) -> JointPath:
-        """
-        Return the motion of the same joints that moves the tool as given.
-
-        Its points are points of the tool, about as dense as the plan's, or as
-        `LARGEST_JOINT_STEP` where the plan's are further apart.
-
-        Parameters
-        ----------
-        tool : Trajectory
-            To follow, of the tool link in the arm's root.
-        planned : Trajectory
-            The tool by the plan: joints at the same part of its time tell the configuration.
-
-        Raises
-        ------
-        BellowsError
-            As `joint_path`.
-
-        """
-        from scipy.interpolate import CubicSpline
-
-        step = min(float(np.median(np.diff(self.stamps_ns))) / NS_PER_S, LARGEST_JOINT_STEP)
-        every = max(1, round(step / float(np.median(np.diff(tool.seconds)))))
-        rows = np.arange(0, len(tool), every)
-        rows[-1] = len(tool) - 1  # at rest, where the plan ends at rest
-        points = tool.select(np.isin(np.arange(len(tool)), rows))
-        part = points.seconds / points.seconds[-1]
-        since, until = (int(stamp - self.stamps_ns[0]) for stamp in planned.stamps_ns[[0, -1]])
-        near = CubicSpline(self.stamps_ns - self.stamps_ns[0], self.position)
-        return joint_path(self.arm, points, near(since + part * (until - since)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply, transform
 from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.planning.points import quintic
-from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -19,6 +20,9 @@ direction, m/s or rad/s."""
 
 LARGEST_JUMP = 0.5
 """Largest step of a joint between points, rad or m: more is another configuration."""
+
+LARGEST_JOINT_STEP = 0.01
+"""Largest time between points of a motion of joints, s, however few the request had."""
 
 CHECK_RATE = 1000.0
 """Rate at which limits are checked between the points, Hz."""
@@ -117,3 +121,53 @@ def joint_excess(arm: Arm, path: JointPath, acceleration: float) -> tuple[float,
             found.append((
                 float(asked[worst]) ** (1.0 / order), f'{arm.moving[worst]} {name}'))
     return max(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Joints:
+    """
+    Joint positions of a plan of an arm's joints.
+
+    Parameters
+    ----------
+    arm : Arm
+    stamps_ns : int array (N,)
+        ns.
+    position : array (N, M)
+        Of the moving joints in their order, rad or m.
+
+    """
+
+    arm: Arm
+    stamps_ns: Stamps
+    position: Array
+
+    def along(self, tool: Trajectory, planned: Trajectory) -> JointPath:
+        """
+        Return the motion of the same joints that moves the tool as given.
+
+        Its points are points of the tool, about as dense as the plan's, or as
+        `LARGEST_JOINT_STEP` where the plan's are further apart.
+
+        Parameters
+        ----------
+        tool : Trajectory
+            To follow, of the tool link in the arm's root.
+        planned : Trajectory
+            The tool by the plan: joints at the same part of its time tell the configuration.
+
+        Raises
+        ------
+        BellowsError
+            As `joint_path`.
+
+        """
+        step = min(float(np.median(np.diff(self.stamps_ns))) / NS_PER_S, LARGEST_JOINT_STEP)
+        every = max(1, round(step / float(np.median(np.diff(tool.seconds)))))
+        rows = np.arange(0, len(tool), every)
+        rows[-1] = len(tool) - 1  # at rest, where the plan ends at rest
+        points = tool.select(np.isin(np.arange(len(tool)), rows))
+        part = points.seconds / points.seconds[-1]
+        since, until = (int(stamp - self.stamps_ns[0]) for stamp in planned.stamps_ns[[0, -1]])
+        near = CubicSpline(self.stamps_ns - self.stamps_ns[0], self.position)
+        return joint_path(self.arm, points, near(since + part * (until - since)))

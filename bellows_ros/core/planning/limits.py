@@ -66,6 +66,9 @@ class Limits(NamedTuple):
     """Of each joint of the arm, rad/s^2 or m/s^2; their speeds are in its URDF."""
 
 
+NO_LIMITS = Limits(dict.fromkeys(RATES, NONE), np.full(3, -NONE), np.full(3, NONE), 0.0)
+
+
 def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float]:
     """
     Return the largest speed, acceleration and jerk, and the angular ones, SI, as in `RATES`.

@@ -20,7 +20,7 @@ ORTHONORMAL_WITHIN = 1e-6
 # uniform. At 360 Hz and 1 m/s it moves a sample by 28 um, less than the noise of a motion capture
 # system.
 UNIFORM_WITHIN = 0.01
-NS_PER_S = 1e9
+NS_PER_S = 1_000_000_000
 # Rotations whose entries are in the processor's cache while they are checked.
 CHECKED_AT_ONCE = 2048
 

@@ -1,0 +1,106 @@
+"""Plans of an arm's joints over DDS: predicted, steered in the same joints, refused."""
+
+from collections.abc import Callable
+from typing import Any
+
+from bellows_ros.core.geometry.lie import log_se3, transform
+from bellows_ros.core.planning.arm import read_arm
+from bellows_ros.core.planning.points import plan_of_joints
+from bellows_ros.core.planning.steering import steer
+from bellows_ros.files.plan_messages import decode_multi_dof
+import numpy as np
+import pytest
+
+from .conftest import Partner
+from .test_planning import MODEL, VALUES
+from ..core.planning.arms import UR5E, UR5E_START
+
+ARM = read_arm(UR5E, 'tool')
+T = np.linspace(0.0, 0.8, 81)
+S = T / 0.8
+POSITION = np.array(UR5E_START) + np.outer(
+    S**3 * (10 - 15 * S + 6 * S**2), [0.3, -0.2, 0.2, 0.1, 0.2, -0.3])
+
+
+class JointPlanner:
+    """A partner that sends plans of joints and keeps the answers."""
+
+    def __init__(self, partner: Partner, urdf: str) -> None:
+        """Connect the topics."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from std_msgs.msg import String
+        from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+
+        self.partner, node = partner, partner.node
+        self.plans: list[Any] = []
+        self.steered: list[Any] = []
+        ends = [
+            node.create_subscription(
+                MultiDOFJointTrajectory, 'package/plan',
+                lambda data: self.plans.append(decode_multi_dof(data)), 10, raw=True),
+            node.create_subscription(
+                JointTrajectory, 'tool_arm/steered_joints', self.steered.append, 10)]
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.arm_out = node.create_publisher(String, 'robot_description', latched)
+        self.plan_out, self.steer_out = (
+            node.create_publisher(JointTrajectory, f'tool_arm/{name}_joints', 10)
+            for name in ('plan', 'steer'))
+        self.arm_out.publish(String(data=urdf))
+        planning = partner.predictor._planning
+        self.wait(lambda: planning._joints._urdf and all(
+            end.get_publisher_count() for end in ends) and all(
+            out.get_subscription_count() for out in (self.plan_out, self.steer_out))
+            and planning._plan_out.wanted)
+
+    def wait(self, condition: Callable[[], Any]) -> None:
+        """Spin until something is so."""
+        assert self.partner.ros.spin_until(condition)
+
+
+def message(position: Any = POSITION, names: tuple[str, ...] = ARM.moving) -> Any:
+    """Return joint positions as a message."""
+    from builtin_interfaces.msg import Duration
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+    return JointTrajectory(joint_names=names, points=[
+        JointTrajectoryPoint(
+            positions=q.tolist(), time_from_start=Duration(nanosec=round(1e9 * t)))
+        for t, q in zip(T, position, strict=True)])
+
+
+@pytest.fixture
+def planner(make_partner: Callable[..., Partner]) -> JointPlanner:
+    """Give a predictor that knows the arm."""
+    return JointPlanner(make_partner({**VALUES, 'tool_link': 'tool'}), UR5E)
+
+
+def test_a_plan_of_joints_is_answered_and_steered_in_them(planner: JointPlanner) -> None:
+    """The package along the plan, and joints that move the tool as the inverse wants it."""
+    planner.plan_out.publish(message())
+    planner.wait(lambda: planner.plans)
+    planner.steer_out.publish(message())
+    planner.wait(lambda: planner.steered)
+
+    (answer,) = planner.steered
+    assert tuple(answer.joint_names) == ARM.moving
+    seconds = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in answer.points]
+    wanted = steer(
+        MODEL, plan_of_joints(ARM, np.round(1e9 * T).astype(np.int64), POSITION), 'inverse').tool
+    rows = np.searchsorted(wanted.seconds, np.array(seconds) - 1e-6)
+    found, _ = ARM.tool(np.array([p.positions for p in answer.points]))
+    off = log_se3(np.linalg.inv(
+        transform(wanted.rotation[rows], wanted.position[rows])) @ found)
+    assert np.abs(off[:, :3]).max() < 0.05e-3 and np.abs(off[:, 3:]).max() < 0.1e-3
+    assert len(answer.points[1].velocities) == len(answer.points[1].accelerations) == 6
+
+
+@pytest.mark.parametrize(('change', 'named'), [
+    ({'names': ('a', 'b', 'c', 'd', 'e', 'f')}, 'shoulder_pan'),
+    ({'position': np.full((81, 6), np.nan)}, 'nan')])
+def test_a_bad_plan_of_joints_is_refused(
+        planner: JointPlanner, change: dict[str, Any], named: str) -> None:
+    planner.plan_out.publish(message(**change))
+    planning = planner.partner.predictor._planning
+    planner.wait(lambda: planning.status)
+    assert planning.status.level == 1 and named in planning.status.message.lower()
+    assert not planner.plans
