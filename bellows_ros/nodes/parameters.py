@@ -161,6 +161,8 @@ class TableNode(GuardedNode):
             != p.get_parameter_value())]
         if not changing:
             return SetParametersResult(successful=True)
+        kept = self.values
+        before = [self.get_parameter(p.name) for p in changing if self.has_parameter(p.name)]
         try:
             for parameter in changing:  # before rclpy, which says less
                 if not parameter.name:
@@ -170,11 +172,15 @@ class TableNode(GuardedNode):
                 if _is_ours(parameter):
                     validate(parameter.name, _as_double(parameter).value)
             return self.set_parameters_atomically(changing)
-        except BellowsError as error:
-            return _refused(str(error))
         except ParameterNotDeclaredException:
             unknown = [p.name for p in changing if not self.has_parameter(p.name)]
             return _refused(_why_unknown(unknown[0], self.get_name()))
+        except Exception as error:  # noqa: BLE001 (whatever it is, nothing is to change)
+            if self.values is not kept:
+                self.set_parameters_atomically(before)
+            if not isinstance(error, BellowsError):
+                self.note_failure(error)
+            return _refused(str(error))
 
     def _checked(self, parameters: list[Parameter]) -> Values:
         """Return all values with some of them replaced, or raise BellowsError."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+import time
 from typing import Any
 
 from bellows_ros.core.model.cup_package import Cup
@@ -304,3 +305,92 @@ def test_file_with_named_cups_comes_back_from_a_node(
         assert used(node)[0][0][0] == K[0]
         shown = node.values
         node.close()
+
+
+def ends(parameter: Any) -> list[Any]:
+    """Return the smallest and the largest value of a parameter."""
+    low = parameter.minimum
+    if low is None and parameter.above is not None:
+        low = float(np.nextafter(parameter.above, np.inf))
+    values = [float(end) for end in (low, parameter.maximum) if end is not None]
+    if parameter.kind == 'double':
+        return values
+    size = parameter.length
+    diagonal = size == 36 and not parameter.name.endswith('_std')
+    of = np.eye(6).ravel() if diagonal else np.ones(size)
+    return [(value * of).tolist() for value in values]
+
+
+def test_both_ends_of_each_range_work_or_are_refused(make_partner: Callable[..., Any]) -> None:
+    """
+    Predict, plan, aim and report with each, or change nothing and name what is wrong.
+
+    What a node would do for messages is called here, as nothing else runs.
+    """
+    from .test_planning import encode_multi_dof, message, VALUES
+
+    partner = make_partner({**VALUES, 'package.size': [0.1] * 3, 'landing.height': -1.0})
+    node, tried = partner.predictor, 0
+    assert node.set_parameters([Parameter('landing.aim', value=True)])[0].successful
+    topics = [*vars(node._outputs).values(), *vars(node._tossing).values(),
+              *vars(node._planning).values()]
+    for topic in topics:
+        if hasattr(topic, 'wanted'):
+            topic.wanted = True
+    plan = encode_multi_dof(message())
+    for parameter in parameters_of('predictor'):
+        if parameter.read_only or not parameter.kind.startswith('double'):
+            continue
+        before = node.get_parameter(parameter.name)
+        for value in ends(parameter):
+            kept, tried = node.values, tried + 1
+            (result,) = node.set_parameters([Parameter(parameter.name, value=value)])
+            if not result.successful:
+                assert result.reason and node.values == kept, parameter.name
+                assert node.get_parameter(parameter.name).value == before.value
+                continue
+            begun = time.monotonic()
+            for k in range(1, 12):
+                stamp_ns = tried * 10**9 + k * 4_000_000
+                node._take_pose(stamp_ns, 'world', (1e-5 * k * k, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+            node._planning._on_plan(plan)
+            if node._last is not None:
+                node._tossing._landed_ns = 0
+                node._tossing.publish(node._live.model, node._last, 'world',
+                                      node._outputs.uncertainty.covariance)
+                node._tossing.flight.time_to_target(node._live.model, node._last)
+            node._tick()
+            node._say_report()
+            assert not node.failures, (parameter.name, value)
+            assert time.monotonic() - begun < 20.0, (parameter.name, value)
+            node.set_parameters([before])
+    assert tried > 70
+
+
+@pytest.mark.parametrize(('name', 'value'), [
+    ('cup.damping', [1e6 if i % 7 == 0 else 0.0 for i in range(36)]),
+    ('cup.stiffness', [1e9 if i % 7 == 0 else 0.0 for i in range(36)])])
+def test_what_takes_too_many_steps_is_named(
+        name: str, value: list[float], make_predictor: Callable[..., Any]) -> None:
+    """Say which of the two, and how many steps a second they are."""
+    node = make_predictor()
+    (result,) = node.set_parameters([Parameter(name, value=value)])
+    assert not result.successful
+    assert f'With this {name} the fastest mode' in result.reason
+
+
+def test_a_set_that_fails_changes_nothing(
+        make_predictor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Go back to what was, though it fails where the values are used."""
+    node = make_predictor()
+    sound, kept = node._outputs.set_model, node.values
+
+    def fail_once(*arguments: Any) -> None:
+        monkeypatch.setattr(node._outputs, 'set_model', sound)
+        raise OverflowError('too large')
+
+    monkeypatch.setattr(node._outputs, 'set_model', fail_once)
+    result = node._set([Parameter('cup.stiffness', value=K)])
+    assert not result.successful and 'too large' in result.reason
+    assert node.values == kept and list(kept['cup.stiffness']) == cup(node)[0]
+    assert used(node)[0][0][0] == kept['cup.stiffness'][0] and sum(node.failures.values()) == 1

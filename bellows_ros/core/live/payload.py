@@ -6,6 +6,7 @@ from functools import partial
 import math
 from typing import NamedTuple
 
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import dot, rotation_matrix
 from bellows_ros.core.live.samples import Prediction, ZERO
@@ -13,6 +14,7 @@ from bellows_ros.core.live.settling import Modes, modes_of, Settling
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import (
     largest_step,
+    PHASE_PER_STEP,
     static_equilibrium,
     substeps_for,
     system_matrix,
@@ -38,6 +40,9 @@ MOST_SUBSTEPS = 10_000
 CUP_LENGTHS = SAGS = 3.0
 """No lip is further from where it is without load than so many lengths of the cup, and so many
 times what the package's weight shifts it by in the softest direction."""
+
+SHORTEST_STEP = 1e-6
+"""A model that needs shorter integration steps (s) cannot be predicted live."""
 
 RETRY_NS = 100_000_000
 """Time (ns) until a failed search for equilibrium, which takes milliseconds, is repeated."""
@@ -98,7 +103,9 @@ def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
     try:
         with np.errstate(all='ignore'):
             model = model_tuple(cup, package, gravity)
-            modes = modes_of(system_matrix(model))
+            matrix = system_matrix(model)
+            _require_slow(matrix)
+            modes = modes_of(matrix)
             softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
             sag = package.mass * math.hypot(*model[2]) / softest
             reach = CUP_LENGTHS * cup.length + SAGS * sag
@@ -108,6 +115,20 @@ def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
             f'The prediction fails with this cup and package ({error}). Check package.mass, '
             'package.inertia, cup.stiffness, cup.damping and their units.'
         ) from None
+
+
+def _require_slow(matrix: Array) -> None:
+    """Refuse a model, by its system matrix (12, 12), that takes too many steps a second."""
+    undamped = matrix.copy()
+    undamped[6:, 6:] = 0.0
+    for name, system in (('cup.stiffness', undamped), ('cup.damping', matrix)):
+        fastest = float(np.abs(np.linalg.eigvals(system)).max())
+        if PHASE_PER_STEP < fastest * SHORTEST_STEP:
+            raise BellowsError(
+                f'With this {name} the fastest mode of the package is {fastest:.3g} rad/s, which '
+                f'takes {fastest / PHASE_PER_STEP:.3g} integration steps a second; expected at '
+                f'most {1.0 / SHORTEST_STEP:.3g}. Check {name}, package.mass, package.inertia and '
+                'their units.')
 
 
 class Sample(NamedTuple):

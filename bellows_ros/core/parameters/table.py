@@ -312,10 +312,10 @@ _TABLE = (
               "tool's own."),
     Parameter('plan.frame', '', '', _PREDICTOR,
               description="Frame that plans must be in; '' for any."),
-    Parameter('plan.rate', 20.0, 'Hz', _PREDICTOR, above=0.0, maximum=50.0,
+    Parameter('plan.rate', 20.0, 'Hz', _PREDICTOR, minimum=0.1, maximum=50.0,
               description='Highest rate at which the rest of a plan is predicted again while the '
               'tool drives it.'),
-    Parameter('plan.points_rate', 100.0, 'Hz', _PREDICTOR, above=0.0, maximum=10000.0,
+    Parameter('plan.points_rate', 100.0, 'Hz', _PREDICTOR, minimum=0.1, maximum=10000.0,
               description='Highest number of points per second in the answer to a plan; the last '
               'point is always included. Their twists describe the motion between them.'),
     Parameter('steer.method', 'inverse', '', _PREDICTOR, choices=('inverse', 'zv', 'zvd'),
@@ -404,7 +404,7 @@ _TABLE = (
     Parameter('landing.height', 0.0, 'm', _PREDICTOR, minimum=-100.0, maximum=100.0,
               description='Height of the floor on which a tossed package lands, in the world, '
               'along -gravity.'),
-    Parameter('landing.rate', 50.0, 'Hz', _PREDICTOR, above=0.0, maximum=50.0,
+    Parameter('landing.rate', 50.0, 'Hz', _PREDICTOR, minimum=0.1, maximum=50.0,
               description='Highest rate of package/landing.'),
     Parameter('landing.aim', False, '', _PREDICTOR,
               description='Whether to publish on release/at when to switch the valve for '
