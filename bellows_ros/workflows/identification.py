@@ -13,6 +13,7 @@ from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.validity_range import Envelope, joined_envelopes
 from bellows_ros.core.parameters.checks import pose_text
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
@@ -30,6 +31,9 @@ NOT_OF_THE_CUP = (
     'output.parameters', 'output.json', 'output.report', 'predictor', 'exit_when_done',
 )
 """Parameters of one run, which do not belong in the cup file."""
+
+OF_THE_CUP = ('cup.stiffness', 'cup.damping', 'cup.length')
+"""Parameters that are always in it; others only where they are not the default."""
 
 NO_CUP = 'This cup cannot hold a package: see the warnings.'
 """Reason for refusing a fit that no predictor can use."""
@@ -139,8 +143,11 @@ class Identification:
         }
 
     def parameters(self) -> dict[str, Any]:
-        """Return the parameters of the cup file: those of the run with the cup in them."""
-        kept = {name: v for name, v in self.cup_values().items() if name not in NOT_OF_THE_CUP}
+        """Return the parameters of the cup file: what was found, and of the run what is set."""
+        kept = {
+            name: value for name, value in self.cup_values().items()
+            if name in OF_THE_CUP or not (name in NOT_OF_THE_CUP or (
+                name in PARAMETERS and value == PARAMETERS[name].default))}
         errors = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
             for name in ('stiffness_std', 'damping_std')

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import read_result
@@ -63,9 +64,10 @@ def test_error_of_the_work_ends_the_node(ros: Any, tmp_path: Path) -> None:
 
 def test_cup_is_found_shown_written_and_set_on_the_predictor(
         ros: Any, rig: Path, tmp_path: Path) -> None:
-    """Go the whole way from a recording to a running predictor."""
+    """Go the whole way from a recording to a running predictor, and change nothing else of it."""
+    own = {'cup.lip_radius': 0.03, 'cup.friction': 0.7, 'cup.suction_area': 2e-3}
     predictor = PredictorNode(context=ros.context, parameter_overrides=[
-        Parameter(name, value=value) for name, value in PACKAGE.items()])
+        Parameter(name, value=value) for name, value in {**PACKAGE, **own}.items()])
     ros.executor.add_node(predictor)
     written = tmp_path / 'cup.yaml'
     node = make(
@@ -87,6 +89,10 @@ def test_cup_is_found_shown_written_and_set_on_the_predictor(
         assert_allclose(predictor.values[name], read_parameters(written)[name])
         assert np.any(predictor.values[name])
     assert (tmp_path / 'fit.json').is_file()
+    assert {name: predictor.values[name] for name in own} == own
+    assert not [name for name, value in read_parameters(written).items()
+                if name not in ('cup.stiffness', 'cup.damping', 'cup.length')
+                and value == PARAMETERS[name].default]
 
 
 def test_absent_predictor_is_said(
