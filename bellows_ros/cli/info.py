@@ -7,6 +7,7 @@ recording.
 
 import argparse
 from collections.abc import Iterator
+import math
 from typing import TYPE_CHECKING
 
 from . import options
@@ -89,9 +90,12 @@ def _topic_rows(found: 'Info') -> list[tuple[str, ...]]:
         ('topic', 'type', 'messages', 'rate', 'jitter', 'from', 'to', 'gaps')]
     for topic in found.topics:
         begin = (topic.start_ns - first_ns) * 1e-9
-        timing = (
-            f'{topic.rate_hz:.1f} Hz', f'{topic.jitter_s * 1e3:.2f} ms', f'{begin:.2f} s',
-            f'{begin + topic.duration_s:.2f} s', str(len(topic.gaps))) if topic.kind else [''] * 5
+        numbers = (
+            (topic.rate_hz, '.1f', 'Hz'), (topic.jitter_s * 1e3, '.2f', 'ms'), (begin, '.2f', 's'),
+            (begin + topic.duration_s, '.2f', 's'), (len(topic.gaps), 'd', ''))
+        timing = [  # a single message has no rate
+            f'{value:{form}} {unit}'.rstrip() if topic.kind and math.isfinite(value) else ''
+            for value, form, unit in numbers]
         rows.append((
             topic.name, topic.type_name.replace('/msg/', '/'), str(topic.messages), *timing))
     return rows

@@ -54,7 +54,7 @@ class Diagnostics:
     def forget(self) -> None:
         """Report only the state of the lifecycle."""
         self._live: LivePredictor | None = None
-        self._due: dict[tuple[str, health.Level], float] = {}
+        self._due: dict[tuple[str, object], float] = {}
 
     def watch(
         self, live: LivePredictor, pose: SensorInput, twist: SensorInput, outputs: Outputs,
@@ -117,7 +117,8 @@ class Diagnostics:
         if state != 'active':
             return lines
         started = any(restarts.values())
-        self._log(lines[0], above or started, 0.0 if started else LOGGED_AFTER)
+        self._log(lines[0], above or started, 0.0 if started else LOGGED_AFTER,
+                  tuple(reason for reason, count in restarts.items() if count))
         of_twists = {k: n for k, n in live.refused.items() if k.startswith(OF_TWISTS)}
         of_poses = {k: n for k, n in live.refused.items() if k not in of_twists}
         of_twists.pop('twist_unpaired')  # no fault where twists come more often than poses
@@ -127,12 +128,15 @@ class Diagnostics:
             health.twist_status('tool twist', twists, new['poses'], new['alone'])]
         for line, seen in zip(lines[1:], (poses, twists), strict=True):
             refused = any(seen.refused.values())
-            self._log(line, line.level > health.Level.OK, 0.0 if refused else LOGGED_AFTER)
+            self._log(line, line.level > health.Level.OK, 0.0 if refused else LOGGED_AFTER,
+                      refused)
         return [*lines, self._load(), *(line for line in self._others() if line)]
 
-    def _log(self, line: health.Status, wrong: bool, after: float = 0.0) -> None:
-        """Log a line if its fault lasts for a time (s), but not often."""
-        now, key = time.monotonic(), (line.name, line.level)
+    def _log(
+        self, line: health.Status, wrong: bool, after: float = 0.0, kind: object = None
+    ) -> None:
+        """Log a line if its fault lasts for a time (s), but one of a level and kind not often."""
+        now, key = time.monotonic(), (line.name, (line.level, kind))
         if not wrong:
             self._due = {other: due for other, due in self._due.items() if other[0] != line.name}
         elif now >= self._due.setdefault(key, now + after):

@@ -131,5 +131,8 @@ class Observing:
         more |= Counter(f'alarm: {alarm.cause}' for alarm in self._live.observer.alarms)
         status = status._replace(values={
             **status.values, **{key: str(value) for key, value in more.items()}})
-        return status._replace(level=Level.ERROR, message=self.alarm.message) if (
-            self.alarm) else status
+        if self.alarm:
+            return status._replace(level=Level.ERROR, message=self.alarm.message)
+        flight = self._live.flight
+        is_held = self._live.attached and not (flight and flight.state)
+        return status if is_held else status._replace(level=min(status.level, Level.WARN))

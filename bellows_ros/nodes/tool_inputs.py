@@ -88,6 +88,8 @@ class SensorInput:
     def seen(self, refused: Mapping[str, int]) -> InputSeen:
         """Return the statistics since the last call, with the refused messages so far."""
         before, self._refused = self._refused, dict(refused)
+        if any(count < before.get(reason, 0) for reason, count in refused.items()):
+            before = {}  # what counts has been replaced
         last_ns = self.arrivals.last_ns
         silent = (time.monotonic_ns() - last_ns) * 1e-9 if last_ns >= 0 else float('inf')
         publishers = self._node.count_publishers(self.topic)

@@ -107,3 +107,15 @@ def test_a_part_of_a_recording_is_looked_at(
     assert (written['recording.start'], written['recording.end']) == (1.0, 2.5)
     done = bellows('info', 'recording', '--from', 'soon', cwd=workshop)
     assert done.returncode == 2 and 'recording.start' in done.stderr
+
+
+def test_a_single_message_has_no_rate() -> None:
+    """Leave rate and jitter empty."""
+    from bellows_ros.cli.info import _topic_rows
+    from bellows_ros.workflows.info import TopicInfo
+
+    class Found:
+        topics = (TopicInfo('/tool', 'geometry_msgs/msg/PoseStamped', 1, kind='pose'),)
+
+    (_, row) = _topic_rows(Found())  # type: ignore[arg-type]
+    assert row[3:5] == ('', '') and 'nan' not in ' '.join(row)

@@ -144,7 +144,7 @@ def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
         part: str, name: str, make_partner: Callable[..., Any], listener: Listener) -> None:
     """Publish the pose of each sample, in the motion that it has."""
     from bellows_ros.core.live import LivePredictor
-    from bellows_ros.core.model import cup_of, package_of
+    from bellows_ros.core.model.cup_package import cup_of, package_of
 
     partner = make_partner({**PACKAGE, 'package.size': [0.1] * 3}, with_twists=False)
     predictor = partner.predictor
@@ -165,6 +165,40 @@ def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
     found = [(p.pose.position.x, p.pose.position.z) for p in partner.poses]
     assert found == [(p.position[0], p.position[2]) for p in expected]
     assert not predictor._live.restarts['failure']
+
+
+def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(
+        make_partner: Callable[..., Any]) -> None:
+    """Count it, and go on with the motion and with the next work."""
+    partner = make_partner(with_twists=False)
+    predictor, done = partner.predictor, []
+    partner.send_pose(START)
+    partner.wait_for_poses(1)
+    worker = predictor._planning._worker
+    worker.submit('bad', lambda: [][0])
+    worker.submit('good', done.append, True)
+    assert partner.ros.spin_until(lambda: done)
+    assert sum(predictor.failures.values()) == 1
+    assert predictor._last is not None and not predictor._live.restarts['failure']
+
+
+def test_another_fault_of_the_same_line_is_logged(
+        make_predictor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch,
+        capfd: pytest.CaptureFixture[str]) -> None:
+    """Log bad quaternions though a silent topic, which is as bad, has just been logged."""
+    from bellows_ros.nodes import diagnostics
+
+    monkeypatch.setattr(diagnostics, 'LOGGED_AFTER', 0.0)
+    predictor = make_predictor()
+    for _ in range(2):
+        predictor._say_report()
+    for k in range(3):
+        predictor._take_pose(START + k * MS, 'world', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 3.0))
+    for _ in range(2):
+        predictor._say_report()
+    log = capfd.readouterr().err
+    assert log.count('Nobody publishes /tool_arm/pose') == 1
+    assert log.count('quaternion not of unit length') == 1
 
 
 ENVELOPE = {

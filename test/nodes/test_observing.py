@@ -111,3 +111,29 @@ def test_measured_poses_correct_what_is_published(
         lambda: all(counts[name] == count for name, count in expected.items())), counts
     assert partner.ros.spin_until(lambda: any(
         'measured package' in line.name and 'refused' in line.message for line in lines))
+
+
+def test_counts_begin_again_with_the_observer(make_partner: Callable[..., Partner]) -> None:
+    """Count no messages below zero after a parameter is set, and none as faults in flight."""
+    from bellows_ros.core.live.health import Level
+    from geometry_msgs.msg import PoseStamped
+    from rclpy.parameter import Parameter
+
+    partner = make_partner({**PACKAGE, 'package.size': [0.1] * 3}, with_twists=False)
+    predictor, observing = partner.predictor, partner.predictor._observing
+    start_ns = time.time_ns()
+    partner.send_pose(start_ns)
+    partner.wait_for_poses(1)
+
+    def report(bad: int) -> Any:
+        for _ in range(bad):
+            observing._on_measured(stamped(PoseStamped(), start_ns))  # without a quaternion
+        return observing.status('measured package')
+
+    assert report(3).message.startswith('3 of 3 messages refused')
+    (result,) = predictor.set_parameters([Parameter('measured.noise', value=[1e-3, 1e-3])])
+    assert result.successful
+    assert report(2).message.startswith('2 of 2 messages refused')
+    assert report(0).level == Level.ERROR
+    predictor._live.switch_valve(False, start_ns)
+    assert report(0).level == report(1).level == Level.WARN

@@ -158,7 +158,8 @@ def _judge_input(seen: InputSeen, optional: bool) -> tuple[Level, str]:
             f'Stamps are {abs(age):.3g} s {side} the clock of this node. Synchronise the clocks, '
             'or set use_sim_time while playing a recording.'
         )
-    return Level.OK, f'{seen.rhythm.rate_hz:.4g} Hz.'
+    known = math.isfinite(seen.rhythm.rate_hz)
+    return Level.OK, f'{seen.rhythm.rate_hz:.4g} Hz.' if known else 'A single message.'
 
 
 def twist_status(name: str, seen: InputSeen, poses: int, alone: int) -> Status:

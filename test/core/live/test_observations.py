@@ -113,6 +113,7 @@ def test_box_of_an_inertia_is_the_box():
      'sends std_msgs/msg/Bool, but the node subscribes to another type. Set tool_pose.type'),
     ({'rhythm': SILENT, 'mismatch': Mismatch('frames', 'no way')}, Level.ERROR,
      'No pose of the tool from /tool: no way. Check frames.world and frames.tool'),
+    ({'rhythm': GOOD._replace(messages=1, rate_hz=math.nan)}, Level.OK, 'A single message.'),
     ({'refused': {'nan': 3, 'jump': 0}}, Level.WARN,
      '3 of 500 messages refused: 3 x nan (a number in it is not finite).'),
     ({'refused': {'frame_id': 500}}, Level.ERROR, '500 of 500'),
