@@ -3,7 +3,8 @@
    Written by bellows export --to c. The numbers are at the end, in `bellows_exported` and
    `bellows_exported_grip`. SI units. World A with gravity as a vector; E tip of the tool, z into
    the arm; S middle of the lip; B centre of mass of the package, with the axes of S. Equation
-   numbers are those of docs/model.md.
+   numbers are those of docs/model.md. Where the cup relaxes, BELLOWS_RELAXATION is defined, and
+   z of the package's state are its internal strains, which bellows_equilibrium sets.
 
    bellows_step           the package a time later, the tool moving from one state to another
    bellows_equilibrium    where it hangs at rest; 0, or 1 where the cup cannot carry it
@@ -29,17 +30,28 @@ typedef struct { double x, y, z; } bw_vec;
 typedef struct { double x, y, z, w; } bw_quat;
 typedef struct { double a[9]; } bw_mat;
 typedef struct { bw_mat oo, oR, RR; } bw_blocks;
-typedef struct { double l1, l0; bw_blocks K, P; } bellows_cup; /* m; K and P by 3x3 blocks */
+typedef struct { bw_vec a, b; } bw_pair; /* two halves of a six-vector */
+typedef struct { double r, tau; } bw_branch; /* strength as a fraction of K, time (s) */
+#ifdef BELLOWS_RELAXATION
+#define BW_WITH(code) code
+#define BW_NO_STRAIN , {{{0, 0, 0}, {0, 0, 0}}, {{0, 0, 0}, {0, 0, 0}}}
+#define BW_STRAINS(state) (state)->z
+#else
+#define BW_WITH(code)
+#define BW_NO_STRAIN
+#define BW_STRAINS(state) 0
+#endif
+/* Lengths in m; K and P by 3x3 blocks. */
+typedef struct { double l1, l0; bw_blocks K, P; BW_WITH(bw_branch b1; bw_branch b2;) } bellows_cup;
 typedef struct { double mass; bw_vec com; bw_mat inertia, inertia_inverse; } bellows_package;
 typedef struct { bellows_cup cup; bellows_package package; bw_vec gravity; } bellows_model;
 typedef struct { double suction, radius, friction; } bellows_grip; /* N, m, 1 */
 /* Of a frame in the world: position (m), quaternion x, y, z, w, linear and angular twist (m/s,
    rad/s) in its own axes. */
-typedef struct { bw_vec o; bw_quat q; bw_vec v, w; } bellows_state;
+typedef struct { bw_vec o; bw_quat q; bw_vec v, w; BW_WITH(bw_pair z[2];) } bellows_state;
 typedef struct { bw_vec f, m; } bellows_wrench; /* N, N m */
 
 typedef struct { bw_vec o; bw_mat R; bw_vec v, w; } bw_frame; /* a state with a matrix */
-typedef struct { bw_vec a, b; } bw_pair; /* two halves of a six-vector */
 typedef struct {
     double duration;
     bw_vec o0, a1, a2, a3;
@@ -160,8 +172,23 @@ BW bw_pair bw_bmul(const bw_blocks *M, bw_vec a, bw_vec b)
         bw_add(bw_tmul(&M->oR, a), bw_mul(&M->RR, b))};
 }
 
+#ifdef BELLOWS_RELAXATION
+BW bw_vec bw_effective(const bellows_cup *c, bw_vec h, bw_vec y, bw_vec z)
+{
+    double r = c->b1.r, s = c->b2.r;
+    return bw_axpy(bw_axpy(bw_scale(1 + r + s, h), -r, y), -s, z);
+}
+BW bw_pair bw_strain_rate(bw_branch b, const bw_pair *h, const bw_pair *z)
+{
+    return BW_OF(bw_pair){bw_scale(1 / b.tau, bw_sub(h->a, z->a)),
+        bw_scale(1 / b.tau, bw_sub(h->b, z->b))};
+}
+#endif
+
+/* For internal strains z, whose rates are written to dz; where z is 0, those of long rest are. */
 BW bw_pair bw_cup_wrench(
-    const bellows_model *m, bw_vec o_lip, const bw_mat *R, bw_vec v_lip, bw_vec w)
+    const bellows_model *m, bw_vec o_lip, const bw_mat *R, bw_vec v_lip, bw_vec w,
+    const bw_pair *z, bw_pair *dz)
 {
     double l1 = m->cup.l1;
     const double *r = R->a;
@@ -170,7 +197,21 @@ BW bw_pair bw_cup_wrench(
     bw_vec R_o = bw_tmul(R, o);
     /* spring, (3.18), (3.27) */
     bw_vec skew = {r[7] - r[5], r[2] - r[6], r[3] - r[1]};
-    bw_pair s = bw_bmul(&m->cup.K, bw_add(o, R_o), skew);
+    bw_pair h = {bw_add(o, R_o), skew};
+#ifdef BELLOWS_RELAXATION
+    if (dz) {
+        dz[0] = z ? bw_strain_rate(m->cup.b1, &h, &z[0]) : h;
+        dz[1] = z ? bw_strain_rate(m->cup.b2, &h, &z[1]) : h;
+    }
+    if (z) {
+        h.a = bw_effective(&m->cup, h.a, z[0].a, z[1].a);
+        h.b = bw_effective(&m->cup, h.b, z[0].b, z[1].b);
+    }
+#else
+    (void)z;
+    (void)dz;
+#endif
+    bw_pair s = bw_bmul(&m->cup.K, h.a, h.b);
     bw_vec spring_f = bw_add(s.a, bw_tmul(R, s.a));
     bw_vec spring_m =
         bw_add(bw_sub(bw_scale(r[0] + r[4] + r[8], s.b), bw_mul(R, s.b)), bw_cross(s.a, R_o));
@@ -186,7 +227,8 @@ BW bw_pair bw_cup_wrench(
 }
 
 BW bellows_wrench bw_lip_wrench(
-    const bellows_model *m, const bw_frame *tool, const bw_frame *body)
+    const bellows_model *m, const bw_frame *tool, const bw_frame *body, const bw_pair *z,
+    bw_pair *dz)
 {
     bw_vec com = m->package.com;
     bw_mat R = bw_tmulm(&tool->R, &body->R);
@@ -194,15 +236,16 @@ BW bellows_wrench bw_lip_wrench(
     bw_vec v = bw_sub(bw_add(body->v, bw_cross(com, body->w)),
                       bw_tmul(&R, bw_add(tool->v, bw_cross(tool->w, o))));
     bw_vec w = bw_sub(body->w, bw_tmul(&R, tool->w));
-    bw_pair f = bw_cup_wrench(m, o, &R, v, w);
+    bw_pair f = bw_cup_wrench(m, o, &R, v, w, z, dz);
     return BW_OF(bellows_wrench){f.a, f.b};
 }
 
 BW bw_pair bw_acceleration(
-    const bellows_model *m, const bw_frame *tool, const bw_frame *body) /* (3.42) */
+    const bellows_model *m, const bw_frame *tool, const bw_frame *body, const bw_pair *z,
+    bw_pair *dz) /* (3.42) */
 {
     const bellows_package *p = &m->package;
-    bellows_wrench f = bw_lip_wrench(m, tool, body);
+    bellows_wrench f = bw_lip_wrench(m, tool, body, z, dz);
     bw_vec n = bw_sub(f.m, bw_cross(p->com, f.f));
     bw_vec fall = bw_sub(bw_tmul(&body->R, m->gravity), bw_cross(body->w, body->v));
     bw_vec turn = bw_sub(n, bw_cross(body->w, bw_mul(&p->inertia, body->w)));
@@ -253,10 +296,18 @@ BW bw_frame bw_tool_at(const bw_segment *g, double s)
 }
 
 BW bellows_state bw_moved(
-    const bellows_state *b, double h, bw_vec o, bw_vec s, bw_vec v, bw_vec w)
+    const bellows_state *b, double h, bw_vec o, bw_vec s, bw_vec v, bw_vec w, const bw_pair *dz)
 {
-    return BW_OF(bellows_state){bw_axpy(b->o, h, o), bw_qmul(b->q, bw_expq(bw_scale(h, s))),
-        bw_axpy(b->v, h, v), bw_axpy(b->w, h, w)};
+    bellows_state to = {bw_axpy(b->o, h, o), bw_qmul(b->q, bw_expq(bw_scale(h, s))),
+        bw_axpy(b->v, h, v), bw_axpy(b->w, h, w) BW_NO_STRAIN};
+#ifdef BELLOWS_RELAXATION
+    for (int i = 0; i < 2; i++)
+        to.z[i] = BW_OF(bw_pair){
+            bw_axpy(b->z[i].a, h, dz[i].a), bw_axpy(b->z[i].b, h, dz[i].b)};
+#else
+    (void)dz;
+#endif
+    return to;
 }
 
 BW bw_vec bw_rotation_rate(bw_vec sigma, bw_vec w)
@@ -280,23 +331,29 @@ BW bellows_state bw_rkmk4(
     const bellows_model *m, const bellows_state *body, const bw_frame *t0, const bw_frame *t1,
     const bw_frame *t2, double h)
 {
+    bw_pair z1[2], z2[2], z3[2], z4[2];
     bw_frame f = bw_framed(body);
     bw_vec o1 = bw_mul(&f.R, f.v), s1 = f.w;
-    bw_pair d1 = bw_acceleration(m, t0, &f);
-    bellows_state b = bw_moved(body, 0.5 * h, o1, s1, d1.a, d1.b);
+    bw_pair d1 = bw_acceleration(m, t0, &f, BW_STRAINS(body), z1);
+    bellows_state b = bw_moved(body, 0.5 * h, o1, s1, d1.a, d1.b, z1);
     f = bw_framed(&b);
     bw_vec o2 = bw_mul(&f.R, f.v), s2 = bw_rotation_rate(bw_scale(0.5 * h, s1), f.w);
-    bw_pair d2 = bw_acceleration(m, t1, &f);
-    b = bw_moved(body, 0.5 * h, o2, s2, d2.a, d2.b);
+    bw_pair d2 = bw_acceleration(m, t1, &f, BW_STRAINS(&b), z2);
+    b = bw_moved(body, 0.5 * h, o2, s2, d2.a, d2.b, z2);
     f = bw_framed(&b);
     bw_vec o3 = bw_mul(&f.R, f.v), s3 = bw_rotation_rate(bw_scale(0.5 * h, s2), f.w);
-    bw_pair d3 = bw_acceleration(m, t1, &f);
-    b = bw_moved(body, h, o3, s3, d3.a, d3.b);
+    bw_pair d3 = bw_acceleration(m, t1, &f, BW_STRAINS(&b), z3);
+    b = bw_moved(body, h, o3, s3, d3.a, d3.b, z3);
     f = bw_framed(&b);
     bw_vec o4 = bw_mul(&f.R, f.v), s4 = bw_rotation_rate(bw_scale(h, s3), f.w);
-    bw_pair d4 = bw_acceleration(m, t2, &f);
+    bw_pair d4 = bw_acceleration(m, t2, &f, BW_STRAINS(&b), z4);
+#ifdef BELLOWS_RELAXATION
+    for (int i = 0; i < 2; i++)
+        z1[i] = BW_OF(bw_pair){bw_mean(z1[i].a, z2[i].a, z3[i].a, z4[i].a),
+            bw_mean(z1[i].b, z2[i].b, z3[i].b, z4[i].b)};
+#endif
     b = bw_moved(body, h, bw_mean(o1, o2, o3, o4), bw_mean(s1, s2, s3, s4),
-                 bw_mean(d1.a, d2.a, d3.a, d4.a), bw_mean(d1.b, d2.b, d3.b, d4.b));
+                 bw_mean(d1.a, d2.a, d3.a, d4.a), bw_mean(d1.b, d2.b, d3.b, d4.b), z1);
     b.q = bw_renormalised(b.q);
     return b;
 }
@@ -322,7 +379,7 @@ BW bellows_wrench bellows_lip_wrench(
     const bellows_model *m, const bellows_state *tool, const bellows_state *body)
 {
     bw_frame t = bw_framed(tool), b = bw_framed(body);
-    return bw_lip_wrench(m, &t, &b);
+    return bw_lip_wrench(m, &t, &b, BW_STRAINS(body), 0);
 }
 
 BW double bw_ratio(double suction, double load)
@@ -347,9 +404,9 @@ BW double bellows_safety_factor(
 /* Write M times the acceleration of the package at rest under a tool at rest in the origin. */
 BW void bw_unbalance(const bellows_model *m, const bellows_state *body, double out[6])
 {
-    bellows_state origin = {{0, 0, 0}, {0, 0, 0, 1}, {0, 0, 0}, {0, 0, 0}};
+    bellows_state origin = {{0, 0, 0}, {0, 0, 0, 1}, {0, 0, 0}, {0, 0, 0} BW_NO_STRAIN};
     bw_frame t = bw_framed(&origin), b = bw_framed(body);
-    bw_pair a = bw_acceleration(m, &t, &b);
+    bw_pair a = bw_acceleration(m, &t, &b, 0, 0);
     bw_vec f = bw_scale(m->package.mass, a.a), n = bw_mul(&m->package.inertia, a.b);
     out[0] = f.x; out[1] = f.y; out[2] = f.z; out[3] = n.x; out[4] = n.y; out[5] = n.z;
 }
@@ -359,7 +416,7 @@ BW bellows_state bw_displaced(const bellows_state *b, const double by[6])
     bw_mat R = bw_rot(b->q);
     bw_vec shift = bw_mul(&R, BW_OF(bw_vec){by[0], by[1], by[2]});
     bw_quat q = bw_qmul(b->q, bw_expq(BW_OF(bw_vec){by[3], by[4], by[5]}));
-    return BW_OF(bellows_state){bw_add(b->o, shift), q, {0, 0, 0}, {0, 0, 0}};
+    return BW_OF(bellows_state){bw_add(b->o, shift), q, {0, 0, 0}, {0, 0, 0} BW_NO_STRAIN};
 }
 
 /* Move the body to where nothing accelerates. Return 0, 1 at no minimum, 2 where there is none. */
@@ -414,7 +471,7 @@ BW int bellows_equilibrium(
     bw_mat R = bw_rot(tool->q);
     bw_vec gravity = bw_tmul(&R, m->gravity), com = m->package.com;
     bellows_state now = {
-        {com.x, com.y, com.z - m->cup.l0}, {0, 0, 0, 1}, {0, 0, 0}, {0, 0, 0}};
+        {com.x, com.y, com.z - m->cup.l0}, {0, 0, 0, 1}, {0, 0, 0}, {0, 0, 0} BW_NO_STRAIN};
     for (int load = 1; load <= 8; load++) {
         loaded.gravity = bw_scale(load / 8.0, gravity);
         int failed = bw_newton(&loaded, &now);
@@ -422,6 +479,11 @@ BW int bellows_equilibrium(
     }
     now.o = bw_add(tool->o, bw_mul(&R, now.o));
     now.q = bw_qmul(tool->q, now.q);
+#ifdef BELLOWS_RELAXATION
+    bw_frame t = bw_framed(tool), b = bw_framed(&now);
+    t.v = t.w = now.v;
+    bw_lip_wrench(m, &t, &b, 0, now.z);
+#endif
     *body = now;
     return 0;
 }

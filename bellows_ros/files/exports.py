@@ -60,6 +60,9 @@ def limits(target: Target, cup: Cup) -> list[str]:
         if coupling > 0.0:
             lost.insert(0, f'The off-diagonal entries of {name} are left out; the largest couples '
                            f'two axes by {100 * coupling:.2g} %.')
+    if any(cup.relaxation):
+        lost.insert(0, 'The relaxation of the rubber is left out: the springs are the static K, '
+                    f'and a sudden motion meets {1.0 + sum(cup.relaxation):.3g} times as much.')
     return lost
 
 
@@ -187,7 +190,7 @@ def header(exported: Exported) -> str:
     ] if exported.grip else [
         '/* There is no bellows_exported_grip: cup.lip_radius and vacuum.holding are not set. */']
     return '\n'.join([
-        HEADER.read_text(),
+        *(['#define BELLOWS_RELAXATION 1'] if len(model[0]) > 4 else []), HEADER.read_text(),
         f'static const bellows_model bellows_exported = {_braced(model)};', *grip,
         '/* Longest step of integration, s. */',
         f'static const double bellows_exported_longest = {largest_step(model)!r};',

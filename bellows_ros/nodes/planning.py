@@ -330,7 +330,7 @@ class Planning:
             return
         message = Odometry()
         later = Prediction(
-            stamp_to_ns(request.stamp), *body, ZERO, ZERO)
+            stamp_to_ns(request.stamp), *body[:4], ZERO, ZERO)
         write_odometry(message, self._live.frame_id, self._values['frames.package'], later,
                        UNKNOWN_ROOT)
         self._at.publish(message)

@@ -116,7 +116,7 @@ class PredictorNode(ManagedNode):
         model = cup, package, gravity, values['tool_twist.frame']
         warm_up(*model)
         live = LivePredictor(*model)
-        warm_up_uncertainty()
+        warm_up_uncertainty(cup.relaxation)
         self._outputs = Outputs(self, values)
         if values['tool_pose.type'] == 'tf':
             self._pose_in: SensorInput = TransformInput(self, values, self._take_pose)
@@ -390,7 +390,11 @@ class PredictorNode(ManagedNode):
         if self._live is None:
             return
         values = with_chosen_cup(self.values)
-        self._live.set_model(cup_of(values), package_of(values))
+        cup, package = cup_of(values), package_of(values)
+        if len(cup.as_tuple) != len(self._live.model[0]):  # relaxing or not, it is compiled anew
+            warm_up(cup, package, gravity_of(values), values['tool_twist.frame'])
+            warm_up_uncertainty(cup.relaxation)
+        self._live.set_model(cup, package)
         self._attachment.set_values(values)
         self._diagnostics.set_values(values)
         self._apply(self._live, values)

@@ -61,8 +61,8 @@ class Numbers:
             [package.mass], package.com, np.zeros(6)])
 
 
-def acceleration(p, tool, body):
-    """Return the rate of the body twist (3.5); states are (o, R, v)."""
+def acceleration(p, tool, body, r=(), z=()):
+    """Return the rate of the body twist (3.5); states are (o, R, v), internal strains r and z."""
     (o_E, R_E, v_E), (o_B, R_B, v_B) = tool, body
     n, half, eye = Numbers(p), 0.5 * p[42] * Z, np.eye(3)
     R = R_E.T @ R_B
@@ -72,6 +72,7 @@ def acceleration(p, tool, body):
     J = np.block([
         [R + eye, hat(R.T @ o)], [np.zeros((3, 3)), np.trace(R) * eye - R.T]])
     h = np.concatenate([(eye + R.T) @ o, vee(R - R.T)])
+    h = h + sum((a * (h - b) for a, b in zip(r, z, strict=True)), np.zeros(6))
     X, to_S1 = adjoint(R, o), adjoint(eye, -half)
     f = -0.25 * J.T @ n.K @ h - 0.5 * (n.P + X.T @ n.P @ X) @ to_S1 @ v
     f = adjoint(eye, n.com).T @ (to_S1.T @ f + n.wrench)

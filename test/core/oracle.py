@@ -25,7 +25,14 @@ def potential(K, H):
     return h @ K @ h / 8.0
 
 
-def wrench_at_S1(cup, H, v1):
+def effective_strain(cup, H, strains=()):
+    """Return h + sum_b r_b (h - z_b) for internal strains z_b (12,), h without them."""
+    h = strain(H)
+    return h + sum((r * (h - z) for r, z in zip(
+        cup.relaxation, np.reshape(strains, (-1, 6)), strict=False)), np.zeros(6))
+
+
+def wrench_at_S1(cup, H, v1, strains=()):
     """Return the wrench of spring and damper on the package at S1 (3.24, 3.32, 3.33)."""
     R, o = H[:3, :3], H[:3, 3]
     J = np.block([
@@ -34,22 +41,27 @@ def wrench_at_S1(cup, H, v1):
     ])
     X = adjoint(H)
     D = 0.5 * (cup.damping + X.T @ cup.damping @ X)
-    return -0.25 * J.T @ cup.stiffness @ strain(H) - D @ v1
+    return -0.25 * J.T @ cup.stiffness @ effective_strain(cup, H, strains) - D @ v1
 
 
-def wrench_at_lip(cup, T_E_S, v_ES):
+def wrench_at_lip(cup, T_E_S, v_ES, strains=()):
     """Return the cup's wrench on the package at S (3.27, 3.35)."""
     T_S_S1 = transform(np.eye(3), 0.5 * cup.length * Z)
     X = adjoint(inverse_transform(T_S_S1))
-    return X.T @ wrench_at_S1(cup, spring_frames(cup.length, T_E_S), X @ v_ES)
+    return X.T @ wrench_at_S1(cup, spring_frames(cup.length, T_E_S), X @ v_ES, strains)
 
 
-def acceleration(cup, package, gravity, T_A_E, v_E, T_A_B, v_B):
+def lip_pose(package, T_A_E, T_A_B):
+    """Return the pose of the lip in the tool."""
+    return inverse_transform(T_A_E) @ T_A_B @ transform(np.eye(3), -package.com)
+
+
+def acceleration(cup, package, gravity, T_A_E, v_E, T_A_B, v_B, strains=()):
     """Return the rate of the package's body twist (3.5) with the generalized inertia (A.1)."""
     T_S_B = transform(np.eye(3), package.com)
-    T_E_S = inverse_transform(T_A_E) @ T_A_B @ inverse_transform(T_S_B)
+    T_E_S = lip_pose(package, T_A_E, T_A_B)
     v_ES = adjoint(T_S_B) @ v_B - adjoint(inverse_transform(T_E_S)) @ v_E
-    f = adjoint(T_S_B).T @ wrench_at_lip(cup, T_E_S, v_ES)
+    f = adjoint(T_S_B).T @ wrench_at_lip(cup, T_E_S, v_ES, strains)
     f[:3] += package.mass * T_A_B[:3, :3].T @ gravity
     M = np.block([
         [package.mass * np.eye(3), np.zeros((3, 3))],
@@ -62,24 +74,31 @@ def acceleration(cup, package, gravity, T_A_E, v_E, T_A_B, v_B):
 
 def energies(cup, package, gravity, T_A_E, T_A_B, v_B):
     """Return kinetic (3.43), elastic (3.17) and gravity's (3.44) energy (J) of one state."""
-    T_S_B = transform(np.eye(3), package.com)
-    H = spring_frames(cup.length, inverse_transform(T_A_E) @ T_A_B @ inverse_transform(T_S_B))
+    H = spring_frames(cup.length, lip_pose(package, T_A_E, T_A_B))
     kinetic = package.mass * v_B[:3] @ v_B[:3] + v_B[3:] @ package.inertia @ v_B[3:]
     return np.array([0.5 * kinetic, potential(cup.stiffness, H),
                      -package.mass * gravity @ T_A_B[:3, 3]])
 
 
-def solve(cup, package, gravity, tool_at, T_start, v_start, times):
-    """Integrate the plain equations, R's nine entries as they are, with SciPy's DOP853."""
+def solve(cup, package, gravity, tool_at, T_start, v_start, times, strains=()):
+    """
+    Integrate the plain equations, R's nine entries as they are, with SciPy's DOP853.
+
+    Internal strains (12,) are those at the start of a cup that relaxes.
+    """
+    tau = np.repeat(cup.relaxation_times, 6)
 
     def slope(t, y):
-        T, v = np.eye(4), y[12:]
+        T, v, z = np.eye(4), y[12:18], y[18:]
         T[:3, :3], T[:3, 3] = y[3:12].reshape(3, 3), y[:3]
         o_E, R_E, v_E = tool_at(t)
-        dv = acceleration(cup, package, gravity, transform(R_E, o_E), v_E, T, v)
-        return np.concatenate([T[:3, :3] @ v[:3], (T[:3, :3] @ hat(v[3:])).ravel(), dv])
+        T_E = transform(R_E, o_E)
+        dv = acceleration(cup, package, gravity, T_E, v_E, T, v, z)
+        h = strain(spring_frames(cup.length, lip_pose(package, T_E, T)))
+        dz = (np.tile(h, 2) - z) / tau if len(z) else z
+        return np.concatenate([T[:3, :3] @ v[:3], (T[:3, :3] @ hat(v[3:])).ravel(), dv, dz])
 
-    y0 = np.concatenate([T_start[:3, 3], T_start[:3, :3].ravel(), v_start])
+    y0 = np.concatenate([T_start[:3, 3], T_start[:3, :3].ravel(), v_start, strains])
     out = solve_ivp(slope, (times[0], times[-1]), y0, 'DOP853', times, rtol=3e-13, atol=1e-13)
     assert out.success, out.message
-    return out.y[:3].T, out.y[3:12].T.reshape(-1, 3, 3), out.y[12:].T
+    return out.y[:3].T, out.y[3:12].T.reshape(-1, 3, 3), out.y[12:18].T

@@ -97,7 +97,7 @@ def locate(
     It is sought from the progress on, and of places as near as each other where it is expected.
     The speed is infinite where the plan is slow.
     """
-    o, q, v, w = tool
+    o, q, v, w = tool[:4]
     last = len(seconds) - 1
     first, end = index_at(seconds, progress), 1 + min(
         last, 1 + index_at(seconds, max(expected, progress) + WINDOW))
@@ -156,7 +156,7 @@ def left(
     stamps_ns[0] = 0
     write_row(out[0], tool)
     while True:
-        o, q, v, w = row_state(rows[k])
+        o, q, v, w = row_state(rows[k])[:4]
         stamps_ns[count] = round(
             (wait + max(seconds[k] - progress, 1e-4) / rate) * NS_PER_S)
         write_row(out[count], (o, q, scale(rate, v), scale(rate, w)))
@@ -177,7 +177,7 @@ def thin_out(times_ns: Stamps, states: Array, rate: float, in_world: bool) -> in
     for k in range(last + 1):
         slot = math.floor(times_ns[k] * (rate / NS_PER_S) + 1e-6)
         if slot != before or k == last:
-            o, q, v, w = row_state(states[k])
+            o, q, v, w = row_state(states[k])[:4]
             if in_world:
                 R = rotation_matrix(q)
                 v, w = apply(R, v), apply(R, w)

@@ -10,7 +10,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import scale
 from bellows_ros.core.live.payload import MOST_SUBSTEPS
 from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
-from bellows_ros.core.model.equilibrium import largest_step
+from bellows_ros.core.model.equilibrium import adapted, largest_step
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.kernels import extrapolated, ModelTuple, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, Rows
@@ -174,7 +174,7 @@ class Flight:
         duration = (stamp_ns - self._stamp_ns) * 1e-9
         self._body = flight(model[1], model[2], self._body, duration, COARSE_STRIDE)
         self._stamp_ns = max(stamp_ns, self._stamp_ns)
-        return Prediction(stamp_ns, *self._body, ZERO, ZERO, tool)
+        return Prediction(stamp_ns, *self._body[:4], ZERO, ZERO, tool)
 
     def later(self, model: ModelTuple, now: Prediction, seconds: float) -> State:
         """
@@ -195,7 +195,7 @@ class Flight:
                     model, now, self._future(now), switched, seconds)
             except (ArithmeticError, ValueError):  # interpreted kernels raise
                 raise diverged() from None
-            if not math.isfinite(sum(map(sum, body))):
+            if not math.isfinite(sum(map(sum, body[:4]))):
                 raise diverged()
             if released < 0.0:
                 return body
@@ -213,8 +213,9 @@ class Flight:
         """Return what `toss_along` does, of a package that is held up to a time (s)."""
         rows, seconds = NOTHING if tool is None else (tool.rows[1:], tool.seconds[1:])
         return toss_along(
-            model, self.grip or NO_GRIP, self._release, 0.0, now.tool, now.body, rows, seconds,
-            switched, until, self._longest_step(model))
+            model, self.grip or NO_GRIP, self._release, 0.0, now.tool,
+            adapted(model, now.tool, now.body), rows, seconds, switched, until,
+            self._longest_step(model))
 
     def _longest_step(self, model: ModelTuple) -> float:
         """Return the longest integration step (s) of a model."""
@@ -253,7 +254,8 @@ class Flight:
             rows, seconds = NOTHING if tool is None else (tool.rows[1:], tool.seconds[1:])
             sound, found = sure_toss(
                 model, self.grip or NO_GRIP, self._release, self._deviations, prediction.tool,
-                prediction.body, rows, seconds, self._ahead, longest,
+                adapted(model, prediction.tool, prediction.body), rows, seconds, self._ahead,
+                longest,
                 *((k, k + 1) if self._count else (0, 15)), self._of_state, self._by,
                 self._covariance)
         except (BellowsError, ArithmeticError, ValueError):

@@ -9,12 +9,14 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import dot, rotation_matrix
-from bellows_ros.core.live.samples import Prediction, ZERO
+from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
 from bellows_ros.core.live.settling import Modes, modes_of, Settling
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import (
+    adapted,
     largest_step,
     PHASE_PER_STEP,
+    resting_on_tool,
     static_equilibrium,
     substeps_for,
     system_matrix,
@@ -72,7 +74,7 @@ def hold(model: ModelTuple, body: State, now: State, reach: float) -> tuple[Wren
         package[1], now[0], rotation_matrix(now[1]), now[2], now[3],
         body[0], rotation_matrix(body[1]), body[2], body[3],
     )
-    f, m = wrench = cup_wrench(cup, o_lip, R_lip, v_lip, w_lip)
+    f, m = wrench = cup_wrench(cup, o_lip, R_lip, v_lip, w_lip, body[4:])
     v, w = body[2], body[3]
     total = dot(v, v) + dot(w, w) + dot(f, f) + dot(m, m) + body[1][0] + body[1][3]
     shift = (o_lip[0], o_lip[1], o_lip[2] + cup[1])
@@ -103,9 +105,8 @@ def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
     try:
         with np.errstate(all='ignore'):
             model = model_tuple(cup, package, gravity)
-            matrix = system_matrix(model)
-            _require_slow(matrix)
-            modes = modes_of(matrix)
+            _require_slow(system_matrix(model))
+            modes = modes_of(system_matrix(model, ORIGIN, resting_on_tool(model, ORIGIN)[:4]))
             softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
             sag = package.mass * math.hypot(*model[2]) / softest
             reach = CUP_LENGTHS * cup.length + SAGS * sag
@@ -120,7 +121,7 @@ def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
 def _require_slow(matrix: Array) -> None:
     """Refuse a model, by its system matrix (12, 12), that takes too many steps a second."""
     undamped = matrix.copy()
-    undamped[6:, 6:] = 0.0
+    undamped[6:12, 6:12] = 0.0
     for name, system in (('cup.stiffness', undamped), ('cup.damping', matrix)):
         fastest = float(np.abs(np.linalg.eigvals(system)).max())
         if PHASE_PER_STEP < fastest * SHORTEST_STEP:
@@ -181,6 +182,9 @@ class LivePayload:
             cup, package, self._gravity)
         self.settling.modes = modes
         self._retry_ns = -1
+        if self.sample is not None:
+            stamp_ns, tool, body = self.sample
+            self.sample = Sample(stamp_ns, tool, adapted(self._model, tool, body))
         if self.observer is not None:
             self.observe(self.observer)
 
@@ -235,7 +239,8 @@ class LivePayload:
         self.sample = Sample(stamp_ns, now, body)
         unsettled = self.settling.follow(stamp_ns, now)
         known = None if self.observer is None else partial(self.observer.covariance, stamp_ns)
-        return Prediction(stamp_ns, *body, force, moment, now, False, unsettled, known)
+        return Prediction(
+            stamp_ns, *body[:4], force, moment, now, False, unsettled, known, body[4:])
 
     def coast(self, stamp_ns: int) -> Prediction | None:
         """
@@ -253,7 +258,8 @@ class LivePayload:
             return None
         body, (force, moment) = result
         self._coasted = Sample(stamp_ns, tool, body)
-        return Prediction(stamp_ns, *body, force, moment, tool, True, self.settling.now)
+        return Prediction(stamp_ns, *body[:4], force, moment, tool, True, self.settling.now,
+                          strains=body[4:])
 
     def _advanced(
         self, body: State, start: State, end: State, duration: float, kept_ns: int = 0
@@ -297,4 +303,5 @@ class LivePayload:
         if self.observer is not None:
             self.observer.start(*self.sample)
         self.settling.begin(stamp_ns, tool)
-        return Prediction(stamp_ns, *body, force, moment, tool, False, self.settling.now)
+        return Prediction(stamp_ns, *body[:4], force, moment, tool, False, self.settling.now,
+                          strains=body[4:])

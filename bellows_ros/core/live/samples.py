@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.model.kernels import State
+from bellows_ros.core.model.kernels import State, Strains
 
 ZERO: Vector = (0.0, 0.0, 0.0)
-ORIGIN: State = (ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, ZERO)
+ORIGIN: tuple[Vector, Quaternion, Vector, Vector] = (ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, ZERO)
 
 
 class PoseSample(NamedTuple):
@@ -67,11 +67,13 @@ class Prediction(NamedTuple):
     """The remaining error of the start or of doubtful poses; None if there is none."""
     covariance: Callable[[], Array | None] | None = None
     """Returns the covariance of the state (12, 12), in body axes, if an observer knows it."""
+    strains: Strains = ()
+    """Internal strains of the cup, if it relaxes."""
 
     @property
     def body(self) -> State:
         """Pose and body twist of the package, as the kernels take them."""
-        return self.position, self.quaternion_xyzw, self.linear, self.angular
+        return (self.position, self.quaternion_xyzw, self.linear, self.angular, *self.strains)
 
     @property
     def flies(self) -> bool:

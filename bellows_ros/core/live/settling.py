@@ -52,7 +52,7 @@ class Modes(NamedTuple):
 
 
 def modes_of(system: Array) -> Modes:
-    """Return the modes of the small motions with a system matrix (12, 12)."""
+    """Return the modes of the small motions with a system matrix (12, 12), without relaxation."""
     eigenvalues = np.linalg.eigvals(system)
     give = np.linalg.inv(system[6:, :6])
     by_shift, by_turn, turn_by_turn = (

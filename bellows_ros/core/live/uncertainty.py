@@ -14,12 +14,14 @@ start:
 Rotation of the axes during the motion is neglected. All in body axes: displacement, rotation,
 linear and angular twist. Every part is kept as a root (12, n), whose product with its transpose is
 the covariance: positive semidefinite, whatever is rounded. Where the package has no stable rest it
-is not known, and says so.
+is not known, and says so. The internal strains of a cup that relaxes are 12 states more; noise of
+the tool is too quick for them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 import math
 from typing import Any
 
@@ -28,7 +30,12 @@ from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import rotation_matrix
 from bellows_ros.core.live.samples import ORIGIN, Prediction, Unsettled, ZERO
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
+from bellows_ros.core.model.equilibrium import (
+    adapted,
+    linearise,
+    static_equilibrium,
+    system_matrix,
+)
 from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.matrices import matrix
@@ -82,7 +89,8 @@ class Uncertainty:
                 np.triu_indices(6)]
             for name, (oo, _, RR) in (('stiffness', model[0][2]), ('damping', model[0][3]))])
         self._sensitivity: Array | None = None
-        self._left, self._left_since_ns = np.eye(12), -1
+        self._left: Array = np.eye(12)
+        self._left_since_ns = -1
         self._last_ns = self._measured_ns = self._tried_ns = -1
         self._period_ns = STEP_NS
 
@@ -124,7 +132,7 @@ class Uncertainty:
         sensitivity, period_ns = self._sensitivity_at(prediction), self._period_ns
         if period_ns not in self._noise_of:
             self._noise_of[period_ns] = self._driven_by_noise(period_ns * 1e-9)
-        parts = [sensitivity, self._noise_of[period_ns]]
+        parts = [sensitivity[:12], self._noise_of[period_ns][:12]]
         if prediction.coasting:
             seconds = (prediction.stamp_ns - self._measured_ns) * 1e-9
             parts.append(np.diag([0.5 * seconds ** 2] * 6 + [seconds] * 6) * COASTING)
@@ -138,23 +146,22 @@ class Uncertainty:
         """Return the remainder (12, 12) of earlier errors of a state, one column each."""
         if start.since_ns != self._left_since_ns:
             seconds = max(0.0, (stamp_ns - start.since_ns) * 1e-9)
-            self._left, self._left_since_ns = expm(self._A * seconds), start.since_ns
-        return np.asarray(self._left * np.repeat(start[1:], 3))
+            self._left, self._left_since_ns = expm(self._A * seconds)[:, :12], start.since_ns
+        return np.asarray(self._left[:12] * np.repeat(start[1:], 3))
 
     def _linearise(self, tool: State) -> None:
         """Take the small motions about the package's rest under a tool."""
         still = ZERO, tool[1], ZERO, ZERO
-        jacobian = linearise(self._model, still, static_equilibrium(self._model, still))
-        self._A = np.block(
-            [[np.zeros((6, 6)), np.eye(6)], [jacobian.body_pose, jacobian.body_twist]]
-        )
+        rest = static_equilibrium(self._model, still)
+        jacobian = linearise(self._model, still, rest)
+        self._A = system_matrix(self._model, still, rest)
         self._tool_pose, self._tool_twist = jacobian.tool_pose, jacobian.tool_twist
         self._steps: dict[int, tuple[Array, Array]] = {}
         self._noise_of: dict[int, Array] = {}
         self._left_since_ns = -1
 
     def _sensitivity_at(self, prediction: Prediction) -> Array:
-        """Return d state / d parameter times the parameters' standard deviations (12, n)."""
+        """Return d state / d parameter times the parameters' standard deviations, by column."""
         duration_ns = prediction.stamp_ns - self._last_ns
         S = self._sensitivity
         if S is not None and 0 <= duration_ns < STEP_NS:
@@ -162,7 +169,7 @@ class Uncertainty:
         pushes = self._pushes(prediction)
         if S is None or not 0 <= duration_ns < 500_000_000:
             self._linearise(prediction.tool)
-            S = np.linalg.solve(self._A, -pushes)  # at rest
+            S = np.asarray(np.linalg.solve(self._A, -pushes))  # at rest
         else:
             transition, gain = self._step(duration_ns)
             S = transition @ S + gain @ pushes
@@ -172,10 +179,10 @@ class Uncertainty:
         return S
 
     def _pushes(self, prediction: Prediction) -> Array:
-        """Return the accelerations (12, n) due to one standard deviation of each parameter."""
-        pushes = np.zeros((12, len(self._std)))
+        """Return the slopes of the state due to one standard deviation of each parameter."""
+        pushes = np.zeros((12 + 6 * len(self._model[0][4:]), len(self._std)))
         parameter_jacobian(
-            self._model, prediction.tool, prediction.body, 0, len(self._std), pushes[6:], 0)
+            self._model, prediction.tool, prediction.body, 0, len(self._std), pushes[6:12], 0)
         return (pushes * self._std)[:, self._std > 0.0]
 
     def _step(self, duration_ns: int) -> tuple[Array, Array]:
@@ -187,10 +194,9 @@ class Uncertainty:
 
     def _over(self, seconds: float) -> tuple[Array, Array]:
         """Return exp(A h) and its integral."""
-        block = np.zeros((24, 24))
-        block[:12, :12], block[:12, 12:] = self._A, np.eye(12)
-        both = expm(block * seconds)
-        return both[:12, :12], both[:12, 12:]
+        n = len(self._A)
+        both = expm(np.block([[self._A, np.eye(n)], [np.zeros((n, 2 * n))]]) * seconds)
+        return both[:n, :n], both[:n, n:]
 
     def _driven_by_noise(self, period: float) -> Array:
         """
@@ -199,8 +205,9 @@ class Uncertainty:
         The tool's twist is the derivative of e. Integrated by parts, its slope B_v acts like the
         slope A B_v of e, and B_v e remains. Of L and T L together a triangle (12, 12) is kept.
         """
-        direct = np.vstack([np.zeros((6, 6)), self._tool_twist])
-        drive = np.vstack([np.zeros((6, 6)), self._tool_pose]) + self._A @ direct
+        direct, by_pose = np.zeros((2, len(self._A), 6))
+        direct[6:12], by_pose[6:12] = self._tool_twist, self._tool_pose
+        drive = by_pose + self._A @ direct
         transition, gain = self._over(period)
         root: Array = gain @ drive * self._noise
         for _ in range(DOUBLINGS):
@@ -210,15 +217,16 @@ class Uncertainty:
         return np.asarray(np.hstack([root, direct * self._noise]))
 
 
-def warm_up_uncertainty() -> None:
+def warm_up_uncertainty(relaxation: tuple[float, float] = (0.0, 0.0)) -> None:
     """Compile all that a covariance needs, with a model that has one."""
     package = Package(1.0, 0.01 * np.eye(3), np.array([0.0, 0.0, -0.03]))
-    model = model_tuple(Cup.thesis(), package, 9.81)
+    model = model_tuple(replace(Cup.thesis(), relaxation=relaxation), package, 9.81)
     values = {
         'cup.stiffness_std': (1.0,) * 36, 'cup.damping_std': (1.0,) * 36,
         'tool_noise.position': 1.0, 'tool_noise.rotation': 1.0,
     }
-    Uncertainty(model, values).covariance(Prediction(1, *ORIGIN, ZERO, ZERO))
+    strains = adapted(model, ORIGIN, ORIGIN)[4:]
+    Uncertainty(model, values).covariance(Prediction(1, *ORIGIN, ZERO, ZERO, strains=strains))
 
 
 def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float]) -> Array:

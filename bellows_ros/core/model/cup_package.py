@@ -22,6 +22,7 @@ from bellows_ros.core.model.matrices import (
     matrix,
     require_symmetric,
 )
+from bellows_ros.core.model.structure import RELAXATION_TIMES
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,12 +56,17 @@ class Cup:
     length : float
         Nominal length l0 (m): compressed by the vacuum, without load. Spring and damper sit at
         its middle, l1 = l2 = l0 / 2.
+    relaxation : (float, float)
+        Strengths r_b of two branches of rubber that relax: a sudden strain meets K (1 + r1 + r2),
+        and K, the static stiffness, alone remains of it. A cup without them has two zeros.
+    relaxation_times : (float, float)
+        Times tau_b of the branches, s.
 
     Raises
     ------
     BellowsError
-        If a matrix is not 6x6, finite and symmetric, or the length is not positive. Definiteness
-        is not asked for: the model is defined without it.
+        If a matrix is not 6x6, finite and symmetric, the length or a time is not positive, or a
+        strength is negative. Definiteness is not asked for: the model is defined without it.
 
     Examples
     --------
@@ -74,6 +80,8 @@ class Cup:
     stiffness: Array
     damping: Array
     length: float
+    relaxation: tuple[float, float] = (0.0, 0.0)
+    relaxation_times: tuple[float, float] = RELAXATION_TIMES
 
     def __post_init__(self) -> None:
         """Check and freeze."""
@@ -83,6 +91,16 @@ class Cup:
             object.__setattr__(self, name, matrix)
         if not (np.isfinite(self.length) and self.length > 0.0):
             raise BellowsError(f'The cup length must be above 0 m, got {self.length}.')
+        r, tau = self.relaxation, self.relaxation_times
+        if len(r) != 2 or not all(0.0 <= each < np.inf for each in r):
+            raise BellowsError(
+                'cup.relaxation must be two strengths of 0 or more, as fractions of the static '
+                f'stiffness, got {list(r)}. Without relaxation they are [0, 0].')
+        if len(tau) != 2 or not 0.0 < tau[0] < tau[1] < np.inf:
+            raise BellowsError(
+                'cup.relaxation_times must be two times above 0 s, the shorter one first, got '
+                f'{list(tau)}. Leave them at {list(RELAXATION_TIMES)}: cup.relaxation is '
+                'identified with these.')
 
     @classmethod
     def thesis(cls) -> Cup:
@@ -96,9 +114,12 @@ class Cup:
     @cached_property
     def as_tuple(self) -> CupTuple:
         """The cup as the kernels take it."""
+        branches = [(float(r), float(tau)) for r, tau in zip(
+            self.relaxation, self.relaxation_times, strict=True)]
         return (
             0.5 * float(self.length), float(self.length),
             blocks(self.stiffness), blocks(self.damping),
+            *(branches if any(self.relaxation) else []),
         )
 
 
@@ -158,6 +179,8 @@ def cup_of(values: Mapping[str, Any]) -> Cup:
         stiffness=matrix(values['cup.stiffness']),
         damping=matrix(values['cup.damping']),
         length=values['cup.length'],
+        relaxation=values.get('cup.relaxation', (0.0, 0.0)),
+        relaxation_times=values.get('cup.relaxation_times', RELAXATION_TIMES),
     )
 
 
@@ -220,9 +243,8 @@ def unit_cups(length: float, basis: list[Array]) -> list[CupTuple]:
     zero = blocks(np.zeros((6, 6)))
     units = [blocks(matrix) for matrix in basis]
     half = 0.5 * length
-    return [(half, length, unit, zero) for unit in units] + [
-        (half, length, zero, unit) for unit in units
-    ]
+    springs: list[CupTuple] = [(half, length, unit, zero) for unit in units]
+    return springs + [(half, length, zero, unit) for unit in units]
 
 
 def regressor(

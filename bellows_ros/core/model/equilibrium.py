@@ -27,8 +27,21 @@ from bellows_ros.core.geometry.tuples import (
     unit,
     Vector,
 )
-from bellows_ros.core.model.jacobians import body_jacobians, tool_jacobians
-from bellows_ros.core.model.kernels import body_acceleration, ModelTuple, State
+from bellows_ros.core.model.jacobians import (
+    body_jacobians,
+    Square,
+    strain_jacobians,
+    tool_jacobians,
+)
+from bellows_ros.core.model.kernels import (
+    body_acceleration,
+    lip_strain,
+    ModelTuple,
+    relaxed,
+    State,
+    with_rotation,
+    with_twist,
+)
 from bellows_ros.errors import UnstableError
 import numpy as np
 
@@ -46,7 +59,16 @@ def resting_on_tool(model: ModelTuple, tool: State) -> State:
     offset = apply(R, (com[0], com[1], com[2] - l0))
     o = tool[0]
     zero = (0.0, 0.0, 0.0)
-    return (o[0] + offset[0], o[1] + offset[1], o[2] + offset[2]), tool[1], zero, zero
+    position = (o[0] + offset[0], o[1] + offset[1], o[2] + offset[2])
+    return relaxed(model[0], (zero, zero), (position, tool[1], zero, zero))
+
+
+def adapted(model: ModelTuple, tool: State, body: State) -> State:
+    """Return a state with internal strains, those of long rest if new, if the cup relaxes."""
+    if len(body[4:]) == len(model[0][4:]):
+        return body
+    plain: State = body[0], body[1], body[2], body[3]
+    return relaxed(model[0], lip_strain(model, tool, plain), plain)
 
 
 @kernel
@@ -57,8 +79,7 @@ def displaced(body: State, delta: Vector, phi: Vector) -> State:
     return (
         (o[0] + move[0], o[1] + move[1], o[2] + move[2]),
         quaternion_product(body[1], exp_quaternion(phi)),
-        body[2],
-        body[3],
+        *body[2:],
     )
 
 
@@ -67,8 +88,9 @@ def moved(
     body: State, shift: Vector, turn: Vector, linear: Vector, angular: Vector
 ) -> State:
     """Return a state displaced in its own axes, with its twist changed."""
-    o, q, v, w = displaced(body, shift, turn)
-    return o, normalised(q), add(v, linear), add(w, angular)
+    there = displaced(body, shift, turn)
+    there = with_rotation(there, normalised(there[1]))
+    return with_twist(there, add(there[2], linear), add(there[3], angular))
 
 
 @kernel
@@ -97,8 +119,12 @@ class Jacobian(NamedTuple):
 def linearise(model: ModelTuple, tool: State, body: State) -> Jacobian:
     """Return the derivatives of the package's acceleration about a state."""
     of_body, of_tool = body_jacobians(model, tool, body), tool_jacobians(model, tool, body)
-    return Jacobian(*(np.reshape(square, (2, 2, 3, 3)).transpose(0, 2, 1, 3).reshape(6, 6)
-                      for square in (*of_body, *of_tool)))
+    return Jacobian(*map(_matrix, (*of_body, *of_tool)))
+
+
+def _matrix(square: Square) -> Array:
+    """Return a 6x6 matrix of its blocks."""
+    return np.reshape(square, (2, 2, 3, 3)).transpose(0, 2, 1, 3).reshape(6, 6)
 
 
 def system_matrix(
@@ -108,10 +134,20 @@ def system_matrix(
     Return the matrix (12, 12) of small motions about a state, or the nominal pose, at rest.
 
     The state is displacement and twist of B in its own axes; its eigenvalues are the package's
-    modes (rad/s).
+    modes (rad/s). Internal strains of a cup that relaxes are 12 states more (24, 24).
     """
-    jacobian = linearise(model, tool, body or resting_on_tool(model, tool))
-    return np.block([[np.zeros((6, 6)), np.eye(6)], [jacobian.body_pose, jacobian.body_twist]])
+    body = body or resting_on_tool(model, tool)
+    by = linearise(model, tool, body)
+    eye, none = np.eye(6), np.zeros((6, 6))
+    if len(body) == 4:
+        return np.block([[none, eye], [by.body_pose, by.body_twist]])
+    by_strain, strain_by_pose = map(_matrix, strain_jacobians(model, tool, body))
+    (r, tau), (s, theta) = model[0][4:]
+    return np.block([
+        [none, eye, none, none],
+        [by.body_pose, by.body_twist, r * by_strain, s * by_strain],
+        [strain_by_pose / tau, none, -eye / tau, none],
+        [strain_by_pose / theta, none, none, -eye / theta]])
 
 
 def largest_step(model: ModelTuple) -> float:
@@ -157,7 +193,7 @@ def static_equilibrium(
     R_world_tool = rotation_matrix(tool[1])
     gravity = apply_transposed(R_world_tool, model[2])
     if near is None:
-        body, loads = resting_on_tool(model, _ORIGIN), _LOADS
+        body, loads = resting_on_tool(model, _ORIGIN)[:4], _LOADS
     else:
         shift = apply_transposed(R_world_tool, subtract(near[0], tool[0]))
         turn = quaternion_product(quaternion_conjugate(tool[1]), near[1])
@@ -170,7 +206,9 @@ def static_equilibrium(
             'without tipping over. Check package.mass, package.com, cup.stiffness and their '
             'units.')
     position = add(tool[0], apply(R_world_tool, rest[0]))
-    return position, quaternion_product(tool[1], rest[1]), rest[2], rest[3]
+    return adapted(
+        model, (tool[0], tool[1], *_ORIGIN[2:]),
+        (position, quaternion_product(tool[1], rest[1]), rest[2], rest[3]))
 
 
 @kernel

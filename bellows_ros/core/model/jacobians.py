@@ -37,6 +37,8 @@ from bellows_ros.core.geometry.tuples import (
 from bellows_ros.core.model.kernels import (
     Blocks,
     body_acceleration,
+    Branch,
+    effective_strain,
     lip_relative_to_tool,
     lip_wrench,
     ModelTuple,
@@ -45,6 +47,8 @@ from bellows_ros.core.model.kernels import (
     spring_frames,
     State,
     strain,
+    strain_wrench,
+    Strains,
     Wrench,
 )
 
@@ -126,21 +130,37 @@ def strain_jacobian(o: Vector, R: Matrix) -> tuple[Matrix, Matrix, Matrix]:
 
 
 @kernel
-def spring_jacobian(o: Vector, R: Matrix, K: Blocks) -> Square:
+def stress_jacobian(
+    o: Vector, R: Matrix, K: Blocks, branches: tuple[Branch, ...], strains: Strains
+) -> Square:
+    """Return the derivative K J of K h, with K (1 + r1 + r2) for a cup that relaxes."""
+    J_oo, q_hat, J_RR = strain_jacobian(o, R)
+    K_Ro = transposed(K[1])
+    KJ = (
+        multiply(K[0], J_oo),
+        add_scaled_matrix(multiply(K[0], q_hat), 1.0, multiply(K[1], J_RR)),
+        multiply(K_Ro, J_oo),
+        add_scaled_matrix(multiply(K_Ro, q_hat), 1.0, multiply(K[2], J_RR)),
+    )
+    if len(strains) == 0:
+        return KJ
+    return add_scaled_square(KJ, branches[0][0] + branches[1][0], KJ)
+
+
+@kernel
+def spring_jacobian(
+    o: Vector, R: Matrix, K: Blocks, branches: tuple[Branch, ...] = (), strains: Strains = ()
+) -> Square:
     """
     Return the derivative of `spring_wrench` by shift and turn of S1.
 
     -1/4 J^T K J, and what J's own change makes of s = K h: with q = R^T o
     -1/4 [[0, (R^T s_o)^], [s_o^, s_o^ q^ - s_R h_R^T + R s_R^]].
     """
-    h_o, h_R = strain(o, R)
-    s_o, s_R = multiply_blocks(K, h_o, h_R)
+    h, h_R = effective_strain(strain(o, R), branches, strains), strain(o, R)[1]
+    s_o, s_R = multiply_blocks(K, h[0], h[1])
     J_oo, q_hat, J_RR = strain_jacobian(o, R)
-    K_Ro = transposed(K[1])
-    Z_oo = multiply(K[0], J_oo)
-    Z_oR = add_scaled_matrix(multiply(K[0], q_hat), 1.0, multiply(K[1], J_RR))
-    Z_Ro = multiply(K_Ro, J_oo)
-    Z_RR = add_scaled_matrix(multiply(K_Ro, q_hat), 1.0, multiply(K[2], J_RR))
+    Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, K, branches, strains)
     far = multiply(q_hat, Z_oo), multiply(q_hat, Z_oR)  # - J_oR^T Z
     RR = add_scaled_matrix(multiply(hat(s_o), q_hat), -1.0, outer(s_R, h_R))
     RR = add_scaled_matrix(RR, 1.0, multiply(R, hat(s_R)))
@@ -239,7 +259,8 @@ def wrench_jacobians(
     """Return the derivatives of the cup's wrench at S1 by shift and turn, and twist, of S1."""
     _, o, R, v, w, _, v_tool, w_tool = ends_of_spring(model, tool, body)
     damper, by_twist = damper_jacobians(o, R, v, w, model[0][3])
-    by_pose = add_scaled_square(spring_jacobian(o, R, model[0][2]), 1.0, damper)
+    spring = spring_jacobian(o, R, model[0][2], model[0][4:], body[4:])
+    by_pose = add_scaled_square(spring, 1.0, damper)
     return add_scaled_square(by_pose, -1.0, times_twist(by_twist, v_tool, w_tool)), by_twist
 
 
@@ -271,6 +292,39 @@ def body_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square,
             twist[2], add_scaled_matrix(twist[3], 1.0, multiply(package[3], gyro)),
         ),
     )
+
+
+@kernel
+def strain_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
+    """
+    Return how internal strains couple: the acceleration by r_b z_b, and h by the body's pose.
+
+    A wrench 1/4 J^T K r_b z_b acts at S1, and h changes by J times shift and turn of S1.
+    """
+    c, o, R, _, _, _, _, _ = ends_of_spring(model, tool, body)
+    J_oo, J_oR, J_RR = strain_jacobian(o, R)
+    Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, model[0][2], (), ())
+    quarter = (
+        scale_matrix(0.25, transposed(Z_oo)), scale_matrix(0.25, transposed(Z_Ro)),
+        scale_matrix(0.25, transposed(Z_oR)), scale_matrix(0.25, transposed(Z_RR)),
+    )
+    return accelerations(model[1], shift_left(c, quarter)), shift_right(
+        (J_oo, J_oR, NOTHING, J_RR), c)
+
+
+@kernel
+def relaxation_jacobian(
+    model: ModelTuple, tool: State, body: State, out: Any, column: int
+) -> None:
+    """Write the derivatives of `body_acceleration` by r1 and r2 into two columns (6,)."""
+    c, o, R, _, _, _, _, _ = ends_of_spring(model, tool, body)
+    h, strains = strain(o, R), body[4:]
+    for b in range(2):
+        z = strains[b]
+        f, m = strain_wrench(
+            o, R, model[0][2], (subtract(h[0], z[0]), subtract(h[1], z[1])))
+        dv, dw = acceleration_at(model[1], c, f, m)
+        write_column(out, column + b, dv, dw)
 
 
 @kernel
@@ -370,7 +424,7 @@ def _entries(
     J_oo, J_oR, J_RR = strain_jacobian(o, R)
     o_R = multiply(hat(o), R)
     u_R = apply(R, w)
-    h = _six(*strain(o, R))
+    h = _six(*effective_strain(strain(o, R), model[0][4:], body[4:]))
     near, far = _six(v, w), _six(add(apply(R, v), cross(o, u_R)), u_R)
     s = accelerations_at(package, c, J_oo, J_oR, J_RR)
     e = accelerations_at(package, c, IDENTITY, NOTHING, IDENTITY)
@@ -449,7 +503,8 @@ def by_length(model: ModelTuple, tool: State, body: State, f: Vector) -> Wrench:
     cup, package, _ = model
     c, o, R, v, w, _, _, _ = ends_of_spring(model, tool, body)
     damper, by_twist = damper_jacobians(o, R, v, w, cup[3])
-    by_pose = add_scaled_square(spring_jacobian(o, R, cup[2]), 1.0, damper)
+    spring = spring_jacobian(o, R, cup[2], cup[4:], body[4:])
+    by_pose = add_scaled_square(spring, 1.0, damper)
     shift = (0.5 * R[6], 0.5 * R[7], 0.5 * R[8] + 0.5)
     speed = (0.5 * w[1], -0.5 * w[0], 0.0)
     df, dm = add(apply(by_pose[0], shift), apply(by_twist[0], speed)), add(

@@ -8,6 +8,9 @@ Twists are body twists: ``R^T do/dt`` and the body rate. SI units throughout.
 A cup is the tuple ``(l1, l0, K, P)`` and a 6x6 symmetric matrix its blocks ``(oo, oR, RR)``; a
 package is ``(mass, com, inertia, inertia_inverse)``; a model is ``(cup, package, gravity)`` with
 gravity the acceleration vector in ``A``. `model.Cup` and `model.Package` make these tuples.
+
+A cup that relaxes has two branches behind P, and its package's state two internal strains. Each
+kernel is compiled once with them and once without; at rest, without them, K alone acts.
 """
 
 from __future__ import annotations
@@ -35,13 +38,19 @@ from bellows_ros.core.geometry.tuples import (
 )
 
 Blocks = tuple[Matrix, Matrix, Matrix]
-CupTuple = tuple[float, float, Blocks, Blocks]
+Branch = tuple[float, float]
+"""Stiffness r_b as a fraction of K, and time tau_b (s) in which the branch relaxes."""
+CupTuple = tuple[float, float, Blocks, Blocks, *tuple[Branch, ...]]
 PackageTuple = tuple[float, Vector, Matrix, Matrix]
 ModelTuple = tuple[CupTuple, PackageTuple, Vector]
-State = tuple[Vector, Quaternion, Vector, Vector]
-"""Position (m), orientation, linear and angular body twist (m/s, rad/s) of a frame in A."""
 Wrench = tuple[Vector, Vector]
 """Force (N) and moment (N m)."""
+Strain = tuple[Vector, Vector]
+"""h (3.18), m and rad, or the internal strain z_b of a branch."""
+Strains = tuple[Strain, ...]
+"""Of the two branches, or none."""
+State = tuple[Vector, Quaternion, Vector, Vector, *Strains]
+"""Position (m), orientation, linear and angular body twist (m/s, rad/s) of a frame in A."""
 
 
 @kernel
@@ -63,15 +72,39 @@ def strain(o: Vector, R: Matrix) -> tuple[Vector, Vector]:
 
 
 @kernel
-def spring_wrench(o: Vector, R: Matrix, K: Blocks) -> Wrench:
+def effective_strain(h: Strain, branches: tuple[Branch, ...], strains: Strains) -> Strain:
+    """Return h + sum_b r_b (h - z_b), on which K acts."""
+    if len(strains) == 0:
+        return h
+    r, s = branches[0][0], branches[1][0]
+    y, z = strains
+    return (
+        add_scaled(add_scaled(scale(1.0 + r + s, h[0]), -r, y[0]), -s, z[0]),
+        add_scaled(add_scaled(scale(1.0 + r + s, h[1]), -r, y[1]), -s, z[1]),
+    )
+
+
+@kernel
+def spring_wrench(
+    o: Vector, R: Matrix, K: Blocks, branches: tuple[Branch, ...] = (), strains: Strains = ()
+) -> Wrench:
     """
     Return the spring wrench on the package at S1, f1 = -1/4 J^T K h (3.23, 3.27).
 
-    It is minus the gradient of the energy 1/8 h^T K h (3.17).
-    J = [[R + I, (R^T o)^], [0, tr(R) I - R^T]] is the derivative of the strain h.
+    It is minus the gradient of the energy 1/8 h^T K h (3.17). A cup that relaxes has
+    `effective_strain` in place of h.
     """
-    h_o, h_R = strain(o, R)
-    s_o, s_R = multiply_blocks(K, h_o, h_R)
+    return strain_wrench(o, R, K, effective_strain(strain(o, R), branches, strains))
+
+
+@kernel
+def strain_wrench(o: Vector, R: Matrix, K: Blocks, h: Strain) -> Wrench:
+    """
+    Return -1/4 J^T K h for any h, the pose being (R, o).
+
+    J = [[R + I, (R^T o)^], [0, tr(R) I - R^T]] is the derivative of the strain (3.23).
+    """
+    s_o, s_R = multiply_blocks(K, h[0], h[1])
     trace = R[0] + R[4] + R[8]
     force = add(s_o, apply_transposed(R, s_o))
     moment = add(
@@ -109,7 +142,9 @@ def spring_frames(cup: CupTuple, o_E_S: Vector, R_E_S: Matrix) -> Vector:
 
 
 @kernel
-def cup_wrench(cup: CupTuple, o_E_S: Vector, R_E_S: Matrix, v_ES: Vector, w_ES: Vector) -> Wrench:
+def cup_wrench(
+    cup: CupTuple, o_E_S: Vector, R_E_S: Matrix, v_ES: Vector, w_ES: Vector, strains: Strains = ()
+) -> Wrench:
     """
     Return the wrench of the cup on the package at the lip, in S axes (3.7).
 
@@ -118,7 +153,7 @@ def cup_wrench(cup: CupTuple, o_E_S: Vector, R_E_S: Matrix, v_ES: Vector, w_ES: 
     l1 = cup[0]
     o = spring_frames(cup, o_E_S, R_E_S)
     v_S1 = (v_ES[0] + l1 * w_ES[1], v_ES[1] - l1 * w_ES[0], v_ES[2])  # X(S_H_S1)^-1 (3.34)
-    spring_f, spring_m = spring_wrench(o, R_E_S, cup[2])
+    spring_f, spring_m = spring_wrench(o, R_E_S, cup[2], cup[4:], strains)
     damper_f, damper_m = damper_wrench(o, R_E_S, v_S1, w_ES, cup[3])
     f = add(spring_f, damper_f)
     m = add(spring_m, damper_m)
@@ -178,7 +213,61 @@ def lip_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
         tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
         body[0], rotation_matrix(body[1]), body[2], body[3],
     )
-    return cup_wrench(cup, o_E_S, R_E_S, v_ES, w_ES)
+    return cup_wrench(cup, o_E_S, R_E_S, v_ES, w_ES, body[4:])
+
+
+@kernel
+def lip_strain(model: ModelTuple, tool: State, body: State) -> Strain:
+    """Return the strain h of the cup (3.18) for a state."""
+    cup, package, _ = model
+    o_E_S, R_E_S, _, _ = lip_relative_to_tool(
+        package[1],
+        tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], rotation_matrix(body[1]), body[2], body[3],
+    )
+    return strain(spring_frames(cup, o_E_S, R_E_S), R_E_S)
+
+
+@kernel
+def strain_rate(h: Strain, z: Strain, tau: float) -> Strain:
+    """Return dz/dt = (h - z) / tau."""
+    return scale(1.0 / tau, subtract(h[0], z[0])), scale(1.0 / tau, subtract(h[1], z[1]))
+
+
+@kernel
+def strain_rates(model: ModelTuple, tool: State, body: State) -> Strains:
+    """Return the rates of the internal strains, none where the cup does not relax."""
+    strains, branches = body[4:], model[0][4:]
+    if len(body) == 4:
+        return ()
+    h = lip_strain(model, tool, body)
+    return strain_rate(h, strains[0], branches[0][1]), strain_rate(h, strains[1], branches[1][1])
+
+
+@kernel
+def with_twist(state: State, v: Vector, w: Vector) -> State:
+    """Return a state with another twist."""
+    return (state[0], state[1], v, w, *state[4:])
+
+
+@kernel
+def with_rotation(state: State, q: Quaternion) -> State:
+    """Return a state with another orientation."""
+    return (state[0], q, *state[2:])
+
+
+@kernel
+def with_strains(state: State, strains: Strains) -> State:
+    """Return a state with other internal strains."""
+    return (state[0], state[1], state[2], state[3], *strains)
+
+
+@kernel
+def relaxed(cup: CupTuple, h: Strain, body: State) -> State:
+    """Return a state with the internal strains of a cup that has been strained by h for long."""
+    if len(cup) == 4:
+        return body
+    return with_strains(body, (h, h))
 
 
 @kernel
@@ -257,7 +346,7 @@ def tool_at(segment: Segment, s: float) -> State:
 @kernel
 def extrapolated(tool: State, duration: float) -> State:
     """Return the tool a time later, its tip going on straight and its rotation steadily."""
-    o, q, v, w = tool
+    o, q, v, w = tool[:4]
     velocity = apply(rotation_matrix(q), v)
     q_later = quaternion_product(q, exp_quaternion(scale(duration, w)))
     return (
@@ -267,14 +356,28 @@ def extrapolated(tool: State, duration: float) -> State:
 
 
 @kernel
-def stage_state(body: State, h: float, do: Vector, sigma: Vector, dv: Vector, dw: Vector) -> State:
-    """Return the state moved by h along the rates of position, rotation vector and twist."""
+def stage_state(
+    body: State, h: float, do: Vector, sigma: Vector, dv: Vector, dw: Vector, dz: Strains = ()
+) -> State:
+    """Return the state moved by h along its rates: position, rotation vector, twist, strains."""
     return (
         add_scaled(body[0], h, do),
         quaternion_product(body[1], exp_quaternion(scale(h, sigma))),
         add_scaled(body[2], h, dv),
         add_scaled(body[3], h, dw),
+        *moved_strains(body[4:], h, dz),
     )
+
+
+@kernel
+def moved_strains(strains: Strains, h: float, rates: Strains) -> Strains:
+    """Return internal strains moved by h along their rates."""
+    if len(strains) == 0:
+        return ()
+    (a, b), (c, d) = strains
+    (e, f), (g, i) = rates
+    return (
+        (add_scaled(a, h, e), add_scaled(b, h, f)), (add_scaled(c, h, g), add_scaled(d, h, i)))
 
 
 @kernel
@@ -295,6 +398,19 @@ def weighted(a: Vector, b: Vector, c: Vector, d: Vector) -> Vector:
 
 
 @kernel
+def weighted_strains(a: Strains, b: Strains, c: Strains, d: Strains) -> Strains:
+    """Return `weighted` rates of strains."""
+    if len(a) == 0:
+        return ()
+    return (
+        (weighted(a[0][0], b[0][0], c[0][0], d[0][0]),
+         weighted(a[0][1], b[0][1], c[0][1], d[0][1])),
+        (weighted(a[1][0], b[1][0], c[1][0], d[1][0]),
+         weighted(a[1][1], b[1][1], c[1][1], d[1][1])),
+    )
+
+
+@kernel
 def renormalised(q: Quaternion) -> Quaternion:
     """Return q scaled to unit length, to first order: rounding never adds up."""
     k = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
@@ -310,21 +426,25 @@ def stages(
     do1 = apply(rotation_matrix(body[1]), body[2])
     ds1 = body[3]
     dv1, dw1 = body_acceleration(model, tool, body)
+    dz1 = strain_rates(model, tool, body)
 
-    body2 = stage_state(body, half, do1, ds1, dv1, dw1)
+    body2 = stage_state(body, half, do1, ds1, dv1, dw1, dz1)
     do2 = apply(rotation_matrix(body2[1]), body2[2])
     ds2 = rotation_rate(scale(half, ds1), body2[3])
     dv2, dw2 = body_acceleration(model, tool_middle, body2)
+    dz2 = strain_rates(model, tool_middle, body2)
 
-    body3 = stage_state(body, half, do2, ds2, dv2, dw2)
+    body3 = stage_state(body, half, do2, ds2, dv2, dw2, dz2)
     do3 = apply(rotation_matrix(body3[1]), body3[2])
     ds3 = rotation_rate(scale(half, ds2), body3[3])
     dv3, dw3 = body_acceleration(model, tool_middle, body3)
+    dz3 = strain_rates(model, tool_middle, body3)
 
-    body4 = stage_state(body, h, do3, ds3, dv3, dw3)
+    body4 = stage_state(body, h, do3, ds3, dv3, dw3, dz3)
     do4 = apply(rotation_matrix(body4[1]), body4[2])
     ds4 = rotation_rate(scale(h, ds3), body4[3])
     dv4, dw4 = body_acceleration(model, tool_end, body4)
+    dz4 = strain_rates(model, tool_end, body4)
 
     end = stage_state(
         body,
@@ -333,8 +453,9 @@ def stages(
         weighted(ds1, ds2, ds3, ds4),
         weighted(dv1, dv2, dv3, dv4),
         weighted(dw1, dw2, dw3, dw4),
+        weighted_strains(dz1, dz2, dz3, dz4),
     )
-    return body2, body3, body4, (end[0], renormalised(end[1]), end[2], end[3])
+    return body2, body3, body4, with_rotation(end, renormalised(end[1]))
 
 
 @kernel

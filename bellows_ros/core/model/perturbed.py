@@ -64,7 +64,7 @@ def model_with(model: ModelTuple, numbers: Array) -> ModelTuple:
     K[UPPER], P[UPPER] = numbers[:21], numbers[21:42]
     K, P = (np.triu(M) + np.triu(M, 1).T for M in (K, P))
     inertia = inertia_matrix(numbers[46:])
-    cup = (*model[0][:2], blocks(K), blocks(P))
+    cup = (*model[0][:2], blocks(K), blocks(P), *model[0][4:])
     package: Any = (
         float(numbers[42]), tuple(numbers[43:46].tolist()), tuple(inertia.ravel().tolist()),
         tuple(np.linalg.inv(inertia).ravel().tolist()))

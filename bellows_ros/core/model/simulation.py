@@ -25,6 +25,7 @@ from bellows_ros.core.geometry.tuples import (
 )
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
 from bellows_ros.core.model.equilibrium import (
+    adapted,
     largest_step,
     moved,
     static_equilibrium,
@@ -106,7 +107,7 @@ def steady_start(
     first = row_state(rows[0])
     duration = float(tool.seconds[1])
     _, _, _, bend, _, _, _, turn_bend, _ = tool_segment(first, row_state(rows[1]), duration)
-    R, (v, w) = rotation_matrix(first[1]), first[2:]
+    R, (v, w) = rotation_matrix(first[1]), first[2:4]
     dv = subtract(apply_transposed(R, scale(2.0 / duration**2, bend)), cross(w, v))
     rates = np.array([v, w, dv, scale(2.0 / duration**2, turn_bend)]).reshape(2, 6)
     T_world_tool = transform(quaternion_to_rotation(rows[0, 3:7]), rows[0, :3])
@@ -129,7 +130,7 @@ def steady_start(
         raise UnstableError(
             'The plan begins in motion, and the cup cannot hold the package in steady motion at '
             f'the first acceleration, {math.hypot(*dv):.3g} m/s^2. Give the plan from rest.')
-    return state
+    return adapted(model, first, state)
 
 
 def diverged() -> UnstableError:
@@ -240,7 +241,8 @@ def simulate(
     steps = (substeps_of(durations, largest_step(model)) if substeps is None
              else np.full(len(durations), substeps, dtype=np.int64))
     try:
-        out = simulate_rows(model, start or rest(model, rows[0]), rows, durations, steps)
+        begin = adapted(model, row_state(rows[0]), start) if start else rest(model, rows[0])
+        out = simulate_rows(model, begin, rows, durations, steps)
     except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
         out = np.full(1, np.nan)
     if not np.all(np.isfinite(out)):
@@ -252,15 +254,15 @@ def simulate(
         stamps_ns=tool.stamps_ns,
         position=out[:, :3],
         rotation=quaternion_to_rotation(out[:, 3:7]),
-        twist=out[:, 7:],
+        twist=out[:, 7:13],
     )
 
 
 def simulate_rows(
     model: ModelTuple, start: State, tool: Array, durations: Array, substeps: Stamps
 ) -> Array:
-    """Return the package's state rows (N, 13) for as many tool rows and the times between."""
-    out = np.empty((len(tool), 13))
+    """Return the package's rows (N, `row_length`) for as many tool rows and the times between."""
+    out = np.empty((len(tool), row_length(start)))
     _simulate(model, start, *as_inputs(tool, durations, substeps), out)
     return out
 
@@ -277,12 +279,36 @@ def row_state(row: Array) -> State:
 
 
 @kernel
+def body_row(row: Array, body: State) -> State:
+    """Return the state in one row of `row_length` numbers, for a body of the same kind."""
+    if len(body) == 4:
+        return row_state(row)
+    o, q, v, w = row_state(row)[:4]
+    return (
+        o, q, v, w,
+        ((row[13], row[14], row[15]), (row[16], row[17], row[18])),
+        ((row[19], row[20], row[21]), (row[22], row[23], row[24])),
+    )
+
+
+def row_length(body: State) -> int:
+    """Return how many numbers a state has: 13, with internal strains 25."""
+    return 13 + 6 * len(body[4:])
+
+
+@kernel
 def write_row(row: Array, state: State) -> None:
-    """Write a state into one row of 13 numbers."""
+    """Write a state into one row of 13 numbers, with its internal strains where it is longer."""
     row[0], row[1], row[2] = state[0]
     row[3], row[4], row[5], row[6] = state[1]
     row[7], row[8], row[9] = state[2]
     row[10], row[11], row[12] = state[3]
+    if len(state) == 6:
+        if len(row) > 13:
+            row[13], row[14], row[15] = state[4][0]
+            row[16], row[17], row[18] = state[4][1]
+            row[19], row[20], row[21] = state[5][0]
+            row[22], row[23], row[24] = state[5][1]
 
 
 @kernel

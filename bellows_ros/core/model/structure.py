@@ -12,6 +12,9 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.errors import BellowsError
 import numpy as np
 
+RELAXATION_TIMES = (0.06, 0.8)
+"""Times of the two branches of rubber that relaxes, s; others fit as well (within 0.1 %)."""
+
 AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 """Names of the six directions: translations, then rotations."""
 

@@ -46,9 +46,10 @@ from bellows_ros.core.model.kernels import (
     State,
     tool_at,
     tool_segment,
+    with_twist,
     Wrench,
 )
-from bellows_ros.core.model.simulation import row_state, write_row
+from bellows_ros.core.model.simulation import body_row, row_state, write_row
 import numpy as np
 
 CENTRE = slice(13, 16)
@@ -169,9 +170,9 @@ def pushed(
     """Return a state after a motion of the tool: half of the push before and half after it."""
     dv, dw = acceleration_at(model[1], model[1][1], push[0], push[1])
     half = 0.5 * seconds
-    body = body[0], body[1], add_scaled(body[2], half, dv), add_scaled(body[3], half, dw)
+    body = with_twist(body, add_scaled(body[2], half, dv), add_scaled(body[3], half, dw))
     body = advance(model, body, start, end, seconds, substeps)
-    return body[0], body[1], add_scaled(body[2], half, dv), add_scaled(body[3], half, dw)
+    return with_twist(body, add_scaled(body[2], half, dv), add_scaled(body[3], half, dw))
 
 
 @kernel
@@ -221,7 +222,7 @@ def slopes(
         B[9 + i, 1] += ex[i]
         B[9 + i, 2] += ey[i]
         B[9 + i, 3] += ez[i]
-    still = lip_wrench(model, (tool[0], tool[1], ZERO, ZERO), (body[0], body[1], ZERO, ZERO))
+    still = lip_wrench(model, with_twist(tool, ZERO, ZERO), with_twist(body, ZERO, ZERO))
     dv, dw = acceleration_at(package, com, still[0], ZERO)
     write_column(B[6:], 11, dv, dw)
     dv, dw = acceleration_at(package, com, ZERO, still[1])
@@ -400,7 +401,7 @@ def _followed(
 ) -> State:
     """Return a state after a motion of the tool, from or into the row of a sample at its end."""
     if is_known and is_sample:
-        return row_state(row)
+        return body_row(row, body)
     body = pushed(model, push, body, start, end, seconds, substeps_for(seconds, longest))
     if is_sample:
         write_row(row, body)

@@ -91,7 +91,8 @@ class Track:
     def _make(self, room: int) -> None:
         """Make room for samples."""
         self.count = 0
-        stamps, (starts, ends, bodies) = np.zeros(room, np.int64), np.zeros((3, room, 13))
+        stamps, (starts, ends) = np.zeros(room, np.int64), np.zeros((2, room, 13))
+        bodies = np.zeros((room, 25))  # with internal strains, if there are any
         self.rows = as_inputs(stamps, starts, ends, bodies)
 
     def begin(self, stamp_ns: int) -> None:

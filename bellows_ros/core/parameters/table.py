@@ -11,7 +11,7 @@ import re
 from types import MappingProxyType
 from typing import Literal
 
-from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.model.structure import RELAXATION_TIMES, STRUCTURES
 from bellows_ros.errors import BellowsError
 
 Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_array']
@@ -222,12 +222,19 @@ _TABLE = (
               description='Length l0 of the cup from E to S under vacuum and without load.'),
     Parameter('cup.stiffness', _diagonal(THESIS_STIFFNESS), 'N/m, N, N m/rad', _BOTH, minimum=-1e9,
               maximum=1e9,
-              description='Stiffness K of the cup, 6x6 row-major, linear first; symmetric '
+              description='Static stiffness K of the cup, 6x6 row-major, linear first; symmetric '
               'positive definite.'),
     Parameter('cup.damping', _diagonal(THESIS_DAMPING), 'N s/m, N s, N m s/rad', _BOTH,
               minimum=-1e9, maximum=1e9,
               description='Damping P of the cup, 6x6 row-major, linear first; symmetric positive '
               'semidefinite.'),
+    Parameter('cup.relaxation', (0.0, 0.0), '', _BOTH, minimum=0.0, maximum=100.0,
+              description='Strengths r1, r2 of the relaxation of the rubber: a sudden strain '
+              'meets the stiffness K (1 + r1 + r2), of which K remains; 0 for a cup that does not '
+              'relax.'),
+    Parameter('cup.relaxation_times', RELAXATION_TIMES, 's', _BOTH, above=0.0, maximum=1e3,
+              description='Times of cup.relaxation. Leave them: the strengths are identified with '
+              'these, and others describe the same cup as well.'),
     Parameter('cup.name', '', '', _PREDICTOR,
               description="Name of the mounted cup, one of cups.NAME.*; '' for the one in cup.*."),
     Parameter('cup.stiffness_std', (0.0,) * 36, 'N/m, N, N m/rad', _PREDICTOR, minimum=0.0,

@@ -29,7 +29,7 @@ from bellows_ros.core.geometry.tuples import (
     subtract,
     Vector,
 )
-from bellows_ros.core.model.equilibrium import largest_step, substeps_for
+from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
 from bellows_ros.core.model.grip import Grip, Margin, MODES, safety_factors
 from bellows_ros.core.model.kernels import (
     cup_wrench,
@@ -203,7 +203,7 @@ class Run:
         self.tool, self._model, self._grip = tool, model, grip
         self._rows = rows = tool_rows(tool)
         self._steady = start is None
-        self._start = start or steady_start(model, tool)
+        self._start = adapted(model, row_state(rows[0]), start or steady_start(model, tool))
         self._tail = tail if stands(rows[-1]) else 0.0
         self._end = self._start
         if self._tail:
@@ -368,7 +368,7 @@ def look(
         tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
         body[0], rotation_matrix(body[1]), body[2], body[3],
     )
-    f, m = cup_wrench(cup, o, R, v, w)
+    f, m = cup_wrench(cup, o, R, v, w, body[4:])
     peel, slip = safety_factors(grip, f, m)
     loads[0] = 1.0 / peel if peel > 0.0 else math.inf
     loads[1] = 1.0 / slip if slip > 0.0 else math.inf

@@ -47,12 +47,19 @@ from bellows_ros.core.model.equilibrium import resting_on_tool, system_matrix
 from bellows_ros.core.model.jacobians import damper_jacobians
 from bellows_ros.core.model.kernels import (
     lip_relative_to_tool,
+    lip_strain,
     ModelTuple,
+    moved_strains,
+    relaxed,
     rotation_rate,
     spring_frames,
     spring_wrench,
     stage_state,
     State,
+    strain_rates,
+    with_rotation,
+    with_strains,
+    with_twist,
     Wrench,
 )
 from bellows_ros.core.model.simulation import (
@@ -135,7 +142,7 @@ def inverse3(A: Matrix) -> Matrix:
 def needed_wrench(model: ModelTuple, body: State, dv: Vector, dw: Vector) -> Wrench:
     """Return the wrench at the lip, in S axes, that causes these rates of the package (3.5)."""
     mass, com, inertia, _ = model[1]
-    _, q, v, w = body
+    _, q, v, w = body[:4]
     f = scale(mass, subtract(
         add(dv, cross(w, v)), apply_transposed(rotation_matrix(q), model[2])))
     tau = add(apply(inertia, dw), cross(w, apply(inertia, w)))
@@ -149,7 +156,8 @@ def leading_tool(
     """
     Return the tool with the twist at which the cup causes these rates of the package.
 
-    D1(H) v1 = f_spring(H) - f_needed at S1 (3.27, 3.33) is solved for the relative twist.
+    D1(H) v1 = f_spring(H) - f_needed at S1 (3.27, 3.33) is solved for the relative twist. The
+    internal strains of a cup that relaxes are those of the tool here, as they follow from its way.
     """
     cup, package, _ = model
     l1, zero = cup[0], (0.0, 0.0, 0.0)
@@ -158,7 +166,7 @@ def leading_tool(
         package[1], tool[0], rotation_matrix(tool[1]), zero, zero,
         body[0], rotation_matrix(body[1]), body[2], body[3])
     o = spring_frames(cup, o_E_S, R)
-    spring_f, spring_m = spring_wrench(o, R, cup[2])
+    spring_f, spring_m = spring_wrench(o, R, cup[2], cup[4:], tool[4:])
     a = subtract(spring_f, f)
     b = subtract(spring_m, (m[0] + l1 * f[1], m[1] - l1 * f[0], m[2]))  # X(S_H_S1)^T
     D = damper_jacobians(o, R, zero, zero, cup[3])[1]  # -D1, by blocks
@@ -171,7 +179,7 @@ def leading_tool(
     v_ES = (v[0] - l1 * w[1], v[1] + l1 * w[0], v[2])
     w_E = apply(R, subtract(w_S, w))
     v_E = subtract(apply(R, subtract(v_S, v_ES)), cross(w_E, o_E_S))
-    return tool[0], tool[1], v_E, w_E
+    return with_twist(tool, v_E, w_E)
 
 
 @kernel
@@ -195,11 +203,12 @@ def _lead(
     still, faded, fading = (0.0, 0.0, 0.0), 0, math.ceil(FADE / h)
     for k in range(len(out)):
         do, ds, sum_o, sum_s, stage = still, still, still, still, tool
+        dz = sum_z = moved_strains(tool[4:], -1.0, tool[4:])
         for i in range(4):  # of a step of RKMK4
             body, dv, dw = wanted_at(wanted, 2 * k + (i + 1) // 2)
             at = 0.5 * ((i + 1) // 2) * h
             stage = leading_tool(
-                model, stage_state(tool, at, do, ds, still, still), body, dv, dw)
+                model, stage_state(tool, at, do, ds, still, still, dz), body, dv, dw)
             if i == 0 and faded == 0 and 2 * k >= len(wanted) - 1 and (
                     dot(stage[2], stage[2]) < way * way and (
                         dot(stage[3], stage[3]) < turn * turn)):
@@ -207,7 +216,7 @@ def _lead(
             if faded > 0:
                 s = min(1.0, (k - faded + 0.5 * ((i + 1) // 2)) / fading)
                 part = (1.0 - s) ** 3 * (1.0 + s * (3.0 + 6.0 * s))
-                stage = stage[0], stage[1], scale(part, stage[2]), scale(part, stage[3])
+                stage = with_twist(stage, scale(part, stage[2]), scale(part, stage[3]))
             if i == 0:
                 write_row(out[k], stage)
                 write_row(package[k], body)
@@ -215,16 +224,20 @@ def _lead(
                     return k + 1
             do, ds = apply(rotation_matrix(stage[1]), stage[2]), rotation_rate(
                 scale(at, ds), stage[3])
+            dz = strain_rates(model, stage, with_strains(body, stage[4:]))
             weight = 1.0 if i % 3 == 0 else 2.0
             sum_o, sum_s = add_scaled(sum_o, weight, do), add_scaled(sum_s, weight, ds)
-        tool = stage_state(tool, h / 6.0, sum_o, sum_s, still, still)
-        tool = tool[0], normalised(tool[1]), tool[2], tool[3]
+            sum_z = moved_strains(sum_z, weight, dz)
+        tool = stage_state(tool, h / 6.0, sum_o, sum_s, still, still, sum_z)
+        tool = with_rotation(tool, normalised(tool[1]))
     return len(out)
 
 
 def relaxation_rates(model: ModelTuple) -> Array:
     """
     Return the rates (1/s) at which the cup relaxes under a wrench: those of P^-1 K.
+
+    With internal strains: of P dh/dt = -K (h + sum_b r_b (h - z_b)), dz_b/dt = (h - z_b) / tau_b.
 
     Raises
     ------
@@ -234,10 +247,16 @@ def relaxation_rates(model: ModelTuple) -> Array:
     """
     K, P = (np.block([[np.reshape(A, (3, 3)), np.reshape(B, (3, 3))],
                       [np.reshape(B, (3, 3)).T, np.reshape(C, (3, 3))]])
-            for A, B, C in model[0][2:])
+            for A, B, C in model[0][2:4])
     with np.errstate(all='ignore'):
         sound = np.linalg.eigvalsh(P).min() > 0.0
-        rates = np.sort(np.linalg.eigvals(np.linalg.solve(P, K)).real) if sound else np.zeros(6)
+        A = np.linalg.solve(P, K) if sound else np.zeros((6, 6))
+        if sound and model[0][4:]:
+            (r, tau), (s, theta) = model[0][4:]
+            eye, none = np.eye(6), np.zeros((6, 6))
+            A = np.block([[(1.0 + r + s) * A, -r * A, -s * A], [-eye / tau, eye / tau, none],
+                          [-eye / theta, none, eye / theta]])
+        rates = np.sort(np.linalg.eigvals(A).real)
     if not 0.0 < rates[0] <= rates[-1] < FASTEST:
         raise BellowsError(
             'The cup cannot be inverted: its damping is too small for its stiffness, or not '
@@ -284,8 +303,10 @@ def inverse(
     arrival = (LONGEST_ARRIVAL / rates[0] + FADE) / h
     require_steps(count + 2.0 * arrival, MOST_STEPS)
     if start is None:
-        start = _tool_above(model, rows[0], rates)
+        start = _tool_above(model, rows[0])
     out, package = np.empty((2, count + 2 + round(arrival), 13))
+    body = state_row(rows[0, :3], rows[0, 3:7])
+    start = relaxed(model[0], lip_strain(model, start, body), start)
     found = _led(
         model, start, _wanted(rows, duration, count), h, rates[0] * np.array(ARRIVED), out,
         package)
@@ -345,8 +366,11 @@ def _too_far() -> TooFastError:
         'more time, by --limits for example, or use --method zvd.', 'bending')
 
 
-def _tool_above(model: ModelTuple, body: Array, rates: Array) -> State:
+def _tool_above(model: ModelTuple, body: Array) -> State:
     """Return the tool from which a package of pose (7,) hangs at rest."""
+    (l1, l0, K, P, *_), package, gravity = model
+    model = (l1, l0, K, P), package, gravity
+    rates = relaxation_rates(model)
     shift = resting_on_tool(model, state_row(np.zeros(3), [0, 0, 0, 1]))[0]
     o = body[:3] - quaternion_to_rotation(body[3:]) @ shift
     h = min(GRID, RATE_PER_STEP / rates[-1])
@@ -358,7 +382,7 @@ def _tool_above(model: ModelTuple, body: Array, rates: Array) -> State:
 
 def tool_above(model: ModelTuple, package: Trajectory) -> Trajectory:
     """Return the motion of the tool to which a package, hanging below it, is fixed."""
-    o, q, _, _ = _tool_above(model, tool_rows(package)[0, :7], relaxation_rates(model))
+    o, q = _tool_above(model, tool_rows(package)[0, :7])[:2]
     T_B = transform(package.rotation[0], package.position[0])
     T_E = transform(quaternion_to_rotation(np.array(q)), np.array(o))
     return carried(package, inverse_transform(T_B) @ T_E)
@@ -418,7 +442,8 @@ def modes_left(model: ModelTuple, prediction: Prediction) -> list[Mode]:
     end = prediction.states[-1]
     shift = R.T @ (end[:3] - hanging[0])
     turn = log_so3(R.T @ quaternion_to_rotation(end[3:7]))
-    sizes = np.linalg.solve(vectors, np.concatenate([shift, turn, end[7:]]))
+    state = np.concatenate([shift, turn, end[7:], np.zeros(len(values) - 12)])  # relaxed
+    sizes = np.linalg.solve(vectors, state)
     tilts = 2.0 * np.abs(sizes) * np.linalg.norm(vectors[3:6], axis=0)
     found = [Mode(abs(s) / (2.0 * math.pi), -s.real / abs(s), float(tilt))
              for s, tilt in zip(values, tilts, strict=True) if s.imag > 1e-9 * abs(s)]

@@ -36,6 +36,7 @@ from bellows_ros.core.geometry.tuples import (
     Vector,
 )
 from bellows_ros.core.model.equilibrium import (
+    adapted,
     largest_step,
     moved,
     substeps_for,
@@ -57,8 +58,10 @@ from bellows_ros.core.model.kernels import (
     wrench_at_com,
 )
 from bellows_ros.core.model.simulation import (
+    body_row,
     diverged,
     require_steps,
+    row_length,
     row_state,
     Rows,
     stands,
@@ -133,7 +136,7 @@ def pushed_off(package: PackageTuple, body: State, impulse: float) -> State:
     f, m = wrench_at_com(package[1], (0.0, 0.0, -impulse), (0.0, 0.0, 0.0))
     return (
         body[0], body[1], add_scaled(body[2], 1.0 / package[0], f),
-        add(body[3], apply(package[3], m)),
+        add(body[3], apply(package[3], m)), *body[4:],
     )
 
 
@@ -164,6 +167,7 @@ def flown(package: PackageTuple, gravity: Vector, body: State, h: float) -> Stat
         q_later,
         apply_transposed(R_later, add_scaled(velocity, h, gravity)),
         apply(inverse, apply_transposed(R_later, L)),
+        *body[4:],
     )
 
 
@@ -487,21 +491,23 @@ class Held:
         require_steps(float(counts.sum()), MOST_STEPS)
         self._steps = int(counts.sum())
         self._plan = as_inputs(rows[:count], durations, counts)
-        self._follow(start or steady_start(model, tool))
+        self._follow(adapted(model, row_state(rows[0]), start or steady_start(model, tool)))
 
     def _follow(self, start: State) -> None:
         """Fill in states and loads."""
         self.start = start
         self.times, self.loads = np.empty((2, self._steps + 1))
-        tools, self.states = np.empty((2, self._steps + 1, 13))
+        tools = np.empty((self._steps + 1, 13))
+        states = np.empty((self._steps + 1, row_length(start)))
+        self.states = states[:, :13]
         try:
-            _hold(self.model, self.grip, start, *self._plan, self.times, tools, self.states,
+            _hold(self.model, self.grip, start, *self._plan, self.times, tools, states,
                   self.loads)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
-            self.states[-1] = math.nan
-        if not np.isfinite(self.states[-1]).all():
+            states[-1] = math.nan
+        if not np.isfinite(states[-1]).all():
             raise diverged()
-        self._inputs = as_inputs(self.times, tools, self.states)
+        self._inputs = as_inputs(self.times, tools, states)
 
     def again(self, start: State) -> Held:
         """Return the same from another initial state."""
@@ -514,8 +520,9 @@ class Held:
         times, tools, states = self._inputs
         i = max(0, int(np.searchsorted(self.times, switched, 'right')) - 1)
         return toss_along(
-            self.model, self.grip, release, times[i], row_state(tools[i]), row_state(states[i]),
-            tools[i + 1:], times[i + 1:], switched, times[-1], self._longest)
+            self.model, self.grip, release, times[i], row_state(tools[i]),
+            body_row(states[i], self.start), tools[i + 1:], times[i + 1:], switched, times[-1],
+            self._longest)
 
     def lost_before(self, switched: float) -> float | None:
         """Return the first time (s) before the valve at which the grip is lost already."""

@@ -287,7 +287,7 @@ def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     quaternion = rotation_to_quaternion(still.tool.rotation[0])
     tool = state_row(still.tool.position[0], quaternion)
     try:
-        position, q, _, _ = static_equilibrium(model_tuple(cup, still.payload, gravity), tool)
+        position, q = static_equilibrium(model_tuple(cup, still.payload, gravity), tool)[:2]
     except UnstableError as error:
         return PoseCheck(still, measured, np.full(6, np.nan), 'falls', str(error))
     there = Trajectory(

@@ -1,0 +1,233 @@
+"""Rubber that relaxes, against a second implementation, its limits, and the laws of energy."""
+
+from dataclasses import replace
+
+from bellows_ros.core.geometry.lie import adjoint, inverse_transform
+from bellows_ros.core.geometry.tuples import unit
+from bellows_ros.core.model.cup_package import Cup, model_tuple
+from bellows_ros.core.model.equilibrium import moved, static_equilibrium, system_matrix
+from bellows_ros.core.model.jacobians import (
+    body_jacobians,
+    parameter_jacobian,
+    relaxation_jacobian,
+    strain_jacobians,
+    tool_jacobians,
+)
+from bellows_ros.core.model.kernels import lip_strain, lip_wrench, spring_wrench, with_strains
+from bellows_ros.core.model.simulation import simulate, simulate_rows, state_row
+from bellows_ros.errors import BellowsError
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from .test_integrator import angle_between, start_of
+from .test_jacobians import Case, near, six_by_six
+from .. import complex_step, oracle
+from ..cases import random_cup, random_package, random_pose, ShakenTool, still_tool
+
+R = (0.3, 0.2)
+GRAVITY = np.array([0.0, 0.0, -9.81])
+STILL = state_row(np.zeros(3), [0.0, 0.0, 0.0, 1.0])
+
+
+def pair(h):
+    """Return six numbers as a strain of the kernels."""
+    return tuple(h[:3].tolist()), tuple(h[3:].tolist())
+
+
+def random_strains(rng, size=0.01):
+    """Return internal strains (2, 6) of two branches."""
+    return size * rng.standard_normal((2, 6)) * [1.0, 1.0, 1.0, 10.0, 10.0, 10.0]
+
+
+@pytest.fixture(scope='module')
+def shaken():
+    """Return a model, a tool motion, a start, and DOP853's solution of 1 s at 1 ms."""
+    rng = np.random.default_rng(7)
+    cup, package, motion = random_cup(rng), random_package(rng), ShakenTool(rng)
+    cup, z = replace(cup, relaxation=R), random_strains(rng)
+    T = np.eye(4)
+    T[:3, 3] = package.com - np.array([0.0, 0.0, cup.length])
+    times = np.arange(0, 1001) * 1e-3
+    solution = oracle.solve(
+        cup, package, GRAVITY, motion.at, T, np.zeros(6), times, z.ravel())
+    return cup, package, motion, with_strains(start_of(T), tuple(map(pair, z))), solution
+
+
+def test_agrees_with_dop853_and_is_of_fourth_order(shaken):
+    cup, package, motion, start, (position, rotation, _) = shaken
+    errors = []
+    for rate in (125, 250, 500, 4000):
+        body = simulate(cup, package, motion.trajectory(1.0, rate), start, substeps=1)
+        truth, here = slice(None, None, max(1, 1000 // rate)), slice(
+            None, None, max(1, rate // 1000))
+        errors.append([
+            np.abs(body.position[here] - position[truth]).max(),
+            angle_between(body.rotation[here], rotation[truth]).max()])
+    assert np.all(np.log2(np.divide(errors[:2], errors[1:3])) > 3.7), errors
+    assert np.max(errors[3]) < 1e-9
+
+
+def test_both_ports_agree():
+    rng = np.random.default_rng(1)
+    K = random_cup(rng)
+    blocks, branches = K.as_tuple[2], ((0.3, 0.06), (0.2, 0.8))
+    H = random_pose(rng, 0.5, 0.02)
+    back, z = inverse_transform(H), random_strains(rng)
+    (f, m), (g, n) = (
+        spring_wrench(
+            tuple(T[:3, 3].tolist()), tuple(T[:3, :3].ravel().tolist()), blocks, branches,
+            tuple(map(pair, sign * z)))
+        for T, sign in ((H, 1.0), (back, -1.0)))
+    # power at one port is that at the other: the twist at S2 is -X(H) times that at S1
+    assert_allclose(np.hstack([f, m]), -adjoint(H).T @ np.hstack([g, n]), rtol=1e-11)
+
+
+def energy(cup, package, tool, row):
+    """Return all energy, in J, of cup and package in a row of 25 numbers, the tool at rest."""
+    body = with_strains(
+        state_row(row[:3], row[3:7], row[7:13]), (pair(row[13:19]), pair(row[19:])))
+    model = model_tuple(cup, package, 9.81)
+    h = np.hstack(lip_strain(model, tool, body))
+    elastic = h @ cup.stiffness @ h
+    for r, z in zip(cup.relaxation, (row[13:19], row[19:]), strict=True):
+        elastic += r * (h - z) @ cup.stiffness @ (h - z)
+    v, w = row[7:10], row[10:13]
+    return elastic / 8.0 + 0.5 * (package.mass * v @ v + w @ package.inertia @ w) + (
+        package.mass * 9.81 * row[2])
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 3.0), st.floats(0.01, 3.0))
+def test_energy_with_its_branches_never_grows(seed, r1, r2):
+    rng = np.random.default_rng(seed)
+    cup, package = replace(random_cup(rng), relaxation=(r1, r2)), random_package(rng)
+    model = model_tuple(cup, package, 9.81)
+    T = random_pose(rng, 0.3, 0.01)
+    T[:3, 3] += package.com - np.array([0.0, 0.0, cup.length])
+    start = with_strains(start_of(T, 0.2 * rng.standard_normal(6)), tuple(
+        map(pair, random_strains(rng))))
+    tool = np.tile(np.hstack(STILL), (301, 1))
+    rows = simulate_rows(model, start, tool, np.full(300, 1e-3), np.ones(300, dtype=np.int64))
+    total = np.array([energy(cup, package, STILL, row) for row in rows])
+    assert np.all(np.diff(total) <= 1e-9)
+
+
+def test_no_strength_is_no_relaxation_bit_for_bit(shaken):
+    cup, package, motion, *_ = shaken
+    tool = motion.trajectory(0.2, 500)
+    plain = Cup(cup.stiffness, cup.damping, cup.length)
+    none = replace(cup, relaxation=(0.0, 0.0), relaxation_times=(0.01, 0.02))
+    assert none.as_tuple == plain.as_tuple
+    one, other = (simulate(each, package, tool) for each in (plain, none))
+    assert np.array_equal(one.position, other.position)
+
+
+def test_short_times_are_damping_and_long_ones_stiffness():
+    rng = np.random.default_rng(4)
+    package, motion = random_package(rng), ShakenTool(rng, travel=1e-4, angle=1e-3)
+    plain = random_cup(rng)
+    tool = motion.trajectory(0.5, 1000)
+    nominal = np.eye(4)
+    nominal[:3, 3] = package.com - np.array([0.0, 0.0, plain.length])
+    begin = start_of(nominal)
+    at_once = 2e-4, 4e-4
+    damped = replace(
+        plain, damping=plain.damping + np.dot(R, at_once) * plain.stiffness)
+    stiff = replace(plain, stiffness=(1.0 + sum(R)) * plain.stiffness)
+    for times, limit in ((at_once, damped), ((1e6, 2e6), stiff)):
+        rubber = replace(plain, relaxation=R, relaxation_times=times)
+        found, expected, other = (
+            simulate(each, package, tool, begin, 0.0, 10).position
+            for each in (rubber, limit, plain))
+        assert np.abs(found - expected).max() < 0.1 * np.abs(other - expected).max()
+
+
+def test_a_step_meets_the_whole_stiffness_and_rest_the_static_one():
+    rng = np.random.default_rng(6)
+    cup, package = replace(random_cup(rng), relaxation=R), random_package(rng)
+    model, plain = (model_tuple(each, package, 9.81) for each in (
+        cup, replace(cup, relaxation=(0.0, 0.0))))
+    hangs, expected = static_equilibrium(model, STILL), static_equilibrium(plain, STILL)
+    assert_allclose(np.hstack(hangs[:4]), np.hstack(expected), atol=1e-12)
+    assert_allclose(np.hstack(lip_wrench(model, STILL, hangs)),
+                    np.hstack(lip_wrench(plain, STILL, expected)), atol=1e-9)
+    step = moved(hangs, (0.0, 0.0, 1e-6), *((0.0, 0.0, 0.0),) * 3)
+    instant, static = (
+        np.subtract(lip_wrench(each, STILL, there)[0], lip_wrench(each, STILL, here)[0])
+        for each, there, here in ((model, step, hangs), (plain, step[:4], hangs[:4])))
+    assert_allclose(instant, (1.0 + sum(R)) * static, rtol=1e-3)  # nor does J's change count
+    body = simulate(cup, package, still_tool(np.eye(4), 4 * 10**9, 2000), hangs)
+    assert_allclose(body.position[-1], hangs[0], atol=1e-10)
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_derivatives(seed):
+    case, rng = Case(seed), np.random.default_rng(seed)
+    z = random_strains(rng)
+    branches = tuple(zip(R, (0.06, 0.8), strict=True))
+    model = ((*case.model[0], *branches), *case.model[1:])
+    rows = model, case.row(case.tool), with_strains(case.row(case.body), tuple(map(pair, z)))
+
+    def accelerate(numbers=case.numbers, tool=case.tool, body=case.body, r=R, strains=z):
+        return complex_step.acceleration(numbers, tool, body, r, strains)
+
+    for name, state, jacobians in (
+            ('body', case.body, body_jacobians), ('tool', case.tool, tool_jacobians)):
+        pose, twist = jacobians(*rows)
+        expected = complex_step.derivative(
+            lambda x, name=name, state=state: accelerate(
+                **{name: complex_step.changed(state, x)}), np.zeros(12))
+        near(six_by_six(pose), expected[:, :6], 1e-12)
+        near(six_by_six(twist), expected[:, 6:], 1e-12)
+    out = np.zeros((6, 64))
+    parameter_jacobian(*rows, 0, 62, out, 0)
+    relaxation_jacobian(*rows, out, 62)
+    near(out[:, 62:], complex_step.derivative(lambda r: accelerate(r=r), R), 1e-12)
+    expected = complex_step.derivative(lambda p: accelerate(p), case.numbers)
+    for column in range(62):
+        near(out[:, column], expected[:, column], 1e-11)
+    by_strain, by_pose = map(six_by_six, strain_jacobians(*rows))
+    expected = complex_step.derivative(
+        lambda x: accelerate(strains=x.reshape(2, 6)), z.ravel())
+    near(np.hstack([R[0] * by_strain, R[1] * by_strain]), expected, 1e-12)
+    zero = (0.0, 0.0, 0.0)
+    expected = np.transpose([np.subtract(*(np.hstack(lip_strain(*rows[:2], moved(
+        rows[2], unit(j, d), unit(j - 3, d), zero, zero))) for d in (1e-6, -1e-6))) / 2e-6
+        for j in range(6)])
+    near(by_pose, expected, 1e-8)  # central differences
+
+
+def test_modes_are_those_of_the_complex_stiffness():
+    rng = np.random.default_rng(8)
+    cup, package = replace(random_cup(rng), relaxation=R), random_package(rng)
+    values = np.linalg.eigvals(system_matrix(model_tuple(cup, package, 0.0)))
+    for s in values[np.abs(values.imag) > 1.0]:
+        growth = sum(r * s * tau / (1.0 + s * tau) for r, tau in zip(
+            cup.relaxation, cup.relaxation_times, strict=True))
+        by_static, by_damping = (
+            system_matrix(model_tuple(Cup(K, P, cup.length), package, 0.0))[6:]
+            for K, P in ((cup.stiffness, np.zeros((6, 6))), (np.zeros((6, 6)), cup.damping)))
+        A = s * s * np.eye(6) - (1.0 + growth) * by_static[:, :6] - s * by_damping[:, 6:]
+        assert np.linalg.svd(A, compute_uv=False)[-1] < 1e-8 * abs(s) ** 2
+
+
+@pytest.mark.parametrize(('arguments', 'word'), [
+    ({'relaxation': (-0.1, 0.2)}, 'cup.relaxation'),
+    ({'relaxation': (0.1,)}, 'cup.relaxation'),
+    ({'relaxation': (0.1, np.nan)}, 'cup.relaxation'),
+    ({'relaxation_times': (0.8, 0.06)}, 'cup.relaxation_times'),
+    ({'relaxation_times': (0.0, 0.06)}, 'cup.relaxation_times'),
+])
+def test_a_cup_names_what_is_wrong(arguments, word):
+    with pytest.raises(BellowsError, match=word):
+        replace(Cup.thesis(), **arguments)
+
+
+def test_steps_are_short_enough_for_the_shortest_time():
+    cup = replace(Cup.thesis(), relaxation=R, relaxation_times=(1e-5, 0.8))
+    rng = np.random.default_rng(9)
+    body = simulate(cup, random_package(rng), still_tool(np.eye(4), 10**8, 10))
+    assert np.isfinite(body.position).all()
