@@ -46,7 +46,7 @@ def read_cup(path: str | os.PathLike[str]) -> Cup:
     Parameters
     ----------
     path : path
-        YAML file with cup.stiffness, cup.damping and cup.length.
+        YAML file with cup.stiffness, cup.damping, cup.length and, if it relaxes, cup.relaxation.
 
     Raises
     ------
@@ -117,6 +117,8 @@ def write_cup(path: str | os.PathLike[str], cup: Cup, package: Package | None = 
         'cup.stiffness': cup.stiffness.ravel().tolist(),
         'cup.damping': cup.damping.ravel().tolist(),
         'cup.length': cup.length,
+        'cup.relaxation': cup.relaxation,
+        'cup.relaxation_times': cup.relaxation_times,
     }
     if package is not None:
         values.update(_package_values(package))

@@ -1,0 +1,152 @@
+"""A cup that relaxes in whatever predicts: live, planned, steered, tossed and observed."""
+
+from dataclasses import replace
+import math
+
+from bellows_ros.core.geometry.lie import (
+    exp_so3,
+    log_so3,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+)
+from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.live.flight import Flight
+from bellows_ros.core.live.uncertainty import Uncertainty
+from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.model.simulation import simulate, state_row, tool_rows
+from bellows_ros.core.observer import Observer
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.planning.plan import predict
+from bellows_ros.core.planning.steering import steer
+from bellows_ros.core.toss.release import Held, release_of, toss
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from ..plans import CUP, Move, PACKAGE
+from ..tosses import GRIP, values
+
+RUBBER = replace(CUP, relaxation=(0.2, 0.25))
+MODEL = model_tuple(RUBBER, PACKAGE, 9.81)
+PLAIN = model_tuple(CUP, PACKAGE, 9.81)
+SLIDE = Move([0.6, 0.0, 0.0], [0.0, 0.3, 0.0], 0.6)
+
+
+def live(cup=RUBBER, **more):
+    return LivePredictor(cup, PACKAGE, 9.81, **more)
+
+
+def fed(predictor, tool):
+    """Return the predictions (N, 7) from poses and twists."""
+    rows = tool_rows(tool)
+    found = []
+    for k in range(len(rows)):
+        linear, angular = (tool.rotation[k] @ part for part in np.split(rows[k, 7:], 2))
+        stamp_ns = 10**9 + int(tool.stamps_ns[k])
+        predictor.on_twist(stamp_ns, tuple(linear.tolist()), tuple(angular.tolist()))
+        found += predictor.on_pose(
+            stamp_ns, 'world', tuple(rows[k, :3].tolist()), tuple(rows[k, 3:7].tolist()))
+    return found
+
+
+def tilted(t, angle=0.3):
+    """Return the pose of a tool that is tilted within 0.2 s from 0.1 s on."""
+    s = np.clip((t - 0.1) / 0.2, 0.0, 1.0)
+    angle *= s**3 * (10 - 15 * s + 6 * s * s)
+    return rotation_to_quaternion(exp_so3(np.array([angle, 0.0, 0.0])))
+
+
+def test_live_prediction_is_the_simulation_and_creeps_after_a_move():
+    tool = SLIDE.plan()
+    expected = simulate(RUBBER, PACKAGE, tool, gravity=9.81)
+    predictor = live()
+    predictor.expect_twists = True
+    found = fed(predictor, tool)
+    assert_allclose([own.position for own in found], expected.position[:len(found)], atol=2e-5)
+    assert len(found[-1].strains) == 2
+    assert live(CUP).on_pose(1, 'world', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))[0].strains == ()
+
+
+def test_strains_relax_on_during_a_pause_of_the_poses():
+    """Where no pose comes for a while, the cup creeps on, as it does where all of them come."""
+    def bending(stamps_ms):
+        predictor = live()
+        for ms in stamps_ms:
+            last = predictor.on_pose(
+                ms * 1_000_000 + 1, 'world', (0.0, 0.0, 0.0), tuple(tilted(ms * 1e-3).tolist()))
+        R = quaternion_to_rotation(np.array(last[-1].quaternion_xyzw))
+        return log_so3(exp_so3(np.array([-0.3, 0.0, 0.0])) @ R)[0]
+
+    every = [*range(0, 1200, 4), 1200]
+    paused = [*range(0, 700, 4), *range(1000, 1200, 4), 1200]
+    early = [*range(0, 700, 4)]
+    assert bending(paused) == pytest.approx(bending(every), abs=1e-5)
+    assert abs(bending(every) - bending(early)) > 1e-4
+
+
+def test_relaxation_is_set_while_running():
+    predictor, still = live(CUP), ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    for k, cup in enumerate((CUP, RUBBER, RUBBER, CUP, CUP)):
+        predictor.set_model(cup, PACKAGE)
+        (found,) = predictor.on_pose(1 + k * 4_000_000, 'world', *still)
+        assert len(found.strains) == 2 * any(cup.relaxation)
+        assert_allclose(found.position[2], -0.0779, atol=2e-3)
+    observer = Observer(resolve(values()))
+    predictor.observe(observer)
+    predictor.set_model(RUBBER, PACKAGE)
+    for k in range(5, 30):
+        (found,) = predictor.on_pose(1 + k * 4_000_000, 'world', *still)
+        predictor.on_measured(
+            1 + k * 4_000_000, 'world', found.position, found.quaternion_xyzw)
+    assert observer.counts['used'] > 10
+    assert len(found.strains) == 2
+    root = Uncertainty(MODEL, resolve(values())).root(found)
+    assert np.isfinite(root).all()
+
+
+def test_observer_follows_creep_without_an_alarm():
+    """Poses of a cup that creeps, its relaxation known, say nothing of wear."""
+    predictor, truth = live(), live()
+    observer = Observer(resolve({**values(), 'alarm.false_per_hour': 1.0}))
+    predictor.observe(observer)
+    rng = np.random.default_rng(0)
+    for ms in range(0, 6000, 4):
+        pose = (0.0, 0.0, 0.0), tuple(tilted(ms * 1e-3).tolist())
+        (true,) = truth.on_pose(ms * 1_000_000 + 1, 'world', *pose)
+        predictor.on_pose(ms * 1_000_000 + 1, 'world', *pose)
+        if ms % 32 == 0:
+            q = rotation_to_quaternion(
+                quaternion_to_rotation(np.array(true.quaternion_xyzw))
+                @ exp_so3(2e-3 * rng.standard_normal(3)))
+            predictor.on_measured(
+                ms * 1_000_000 + 1, 'world',
+                tuple((true.position + 3e-4 * rng.standard_normal(3)).tolist()), tuple(q.tolist()))
+    assert observer.counts['used'] > 100
+    assert observer.alarms == []
+
+
+def test_a_plan_is_predicted_and_steered():
+    tool = SLIDE.plan()
+    found = predict(MODEL, GRIP, tool)
+    expected = simulate(RUBBER, PACKAGE, tool, gravity=9.81)
+    assert_allclose(found.states[:, :3], expected.position, atol=1e-8)
+    steered = steer(MODEL, tool, 'inverse')
+    moved = simulate(RUBBER, PACKAGE, steered.tool, gravity=9.81)
+    assert np.abs(moved.position - steered.package.position).max() < 1e-4
+    wrong = simulate(CUP, PACKAGE, steered.tool, gravity=9.81)
+    assert np.abs(wrong.position - steered.package.position).max() > 3e-4
+    assert len(steer(MODEL, tool, 'zvd').modes) >= 1
+
+
+def test_a_toss_holds_until_its_release():
+    release = release_of(resolve({**values(), 'landing.height': -1.0}))
+    plan = Move([0.6, 0.0, 0.3], [0.0, 0.0, 0.0], 0.6).plan()
+    held = Held(MODEL, GRIP, plan)
+    thrown = toss(held, release, 0.3)
+    direct = predict(MODEL, GRIP, plan)
+    assert held.states.shape[1] == direct.states.shape[1] == 13
+    plain = toss(Held(PLAIN, GRIP, plan), release, 0.3)
+    assert math.dist(thrown.landing[0], plain.landing[0]) > 1e-4
+    flight = Flight(resolve(values()))
+    flight.warm_up(MODEL)
+    assert state_row(*np.split(held.states[0], [3, 7]))[:2] == held.start[:2]
