@@ -204,6 +204,10 @@ def say_cup(fit: 'Fit', console: Console, title: str = '') -> None:
             with_error(matrix[axes[0], axes[0]], std[axes[0], axes[0]],
                        UNITS[name][2 * (axes[0] > 2)]) for name, matrix, std in matrices))
         for axes in structure.tied_axes)], title=title)
+    if any(fit.relaxation):
+        strengths = ', '.join(f'r{b} = {with_error(r, std, "")}' for b, (r, std) in enumerate(
+            zip(fit.relaxation, fit.relaxation_std, strict=True), 1))
+        console.paragraph(f'The rubber relaxes: {strengths}. K is the static stiffness.')
     for name, matrix, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]
         rows: list[tuple[str, ...]] = [('', *AXES)]

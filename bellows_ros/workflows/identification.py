@@ -140,6 +140,7 @@ class Identification:
             'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
             'cup.damping': tuple(self.fit.damping.ravel().tolist()),
             'cup.length': self.cup_length,
+            'cup.relaxation': self.fit.relaxation,
         }
 
     def parameters(self) -> dict[str, Any]:

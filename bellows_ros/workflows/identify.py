@@ -14,6 +14,7 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros import __version__
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
+from bellows_ros.core.identification.least_squares import with_relaxation
 from bellows_ros.core.identification.methods import first_guess, fit, fitted, with_freed
 from bellows_ros.core.identification.reduction import Reduced, reduced
 from bellows_ros.core.identification.result import Fit
@@ -53,6 +54,10 @@ MOST_ON_A_PAGE = 20
 """Most recordings shown in a report."""
 
 BY_LEAST_SQUARES = {'fit.method': 'least_squares'}
+
+RELAXES = (
+    'The rubber of the cup relaxes, which fit.method: prediction_error cannot take into account: '
+    'the cup is that of least squares. Set fit.relaxation: off to fit one that does not relax.')
 """How recordings are fitted whose data are certainly wrong."""
 
 NEEDING_RECORDINGS = ('static.length', 'fit.compare_structures', 'output.report')
@@ -105,16 +110,23 @@ def identify(
     of_files = _origins(parameter_files)
     static = _static(values, tell)
     effective = {**values, 'cup.length': static.cup_length} if static else values
-    keep = values['fit.method'] != 'least_squares' or any(
+    keep = values['fit.method'] != 'least_squares' or values['fit.relaxation'] != 'off' or any(
         values[name] for name in NEEDING_RECORDINGS)
-    read = partial(read_all, keep=keep, tell=tell, jobs=jobs, dask=dask)
+
+    def read(own: Mapping[str, Any]) -> tuple[list[Part], list[Failed]]:
+        parts, failed = read_all(own, keep=keep, tell=tell, jobs=jobs, dask=dask)
+        return with_relaxation(parts, own), failed
+
     parts, failed = read(effective)
     whole = [part for part in parts if isinstance(part, Recording)]
     notes = assumed(settings)
+    if values['fit.method'] == 'prediction_error' and any(
+            any(own.relaxation.strengths) for own in whole):
+        effective, notes = {**effective, **BY_LEAST_SQUARES}, (*notes, RELAXES)
     if guess := first_guess(whole, effective):
         values, effective = (with_freed(own, guess) for own in (values, effective))
         parts, failed = read(effective)
-    elif values['fit.method'] == 'prediction_error' and not (force or static):
+    elif effective['fit.method'] == 'prediction_error' and not (force or static):
         tell(CAUSES, FIT_BEGINS)
         early = verdict_of(None, whole, effective['cup.length'], effective)
         if early and early.refusals:

@@ -64,8 +64,9 @@ def fit_json(fit: Fit) -> dict[str, Any]:
     return {
         **attributes(
             fit, 'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std',
-            'samples_used', 'samples_rejected', 'condition_number', 'usable', 'weight',
-            'residual_rms', 'noise_rms', 'chi2', 'robust_chi2', 'converged'),
+            'relaxation', 'relaxation_std', 'samples_used', 'samples_rejected',
+            'condition_number', 'usable', 'weight', 'residual_rms', 'noise_rms', 'chi2',
+            'robust_chi2', 'converged'),
         'intervals_95': {
             name: {'low': value - half, 'high': value + half} for name, value, half in (
                 ('stiffness', fit.stiffness, NORMAL_95 * fit.stiffness_std),

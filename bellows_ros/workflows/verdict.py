@@ -158,7 +158,7 @@ def verdict_of(
     diagnosis = diagnose(some, length, structure_named(values['fit.structure']), known)
     if fit is None or not fit.usable:
         return Verdict((), diagnosis, values)
-    cup = Cup(fit.stiffness, fit.damping, length)
+    cup = Cup(fit.stiffness, fit.damping, length, fit.relaxation)
     return Verdict(tuple(_simulated(cup, own) for own in some), diagnosis, values)
 
 

@@ -13,9 +13,9 @@ from functools import cached_property, reduce
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.model.cup_package import regressor
-from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.model.structure import RELAXATION_TIMES, Structure
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -46,6 +46,49 @@ class Rows(NamedTuple):
         return Rows(whitening @ self.A, self.b @ whitening.T, self.clusters)
 
 
+NO_HISTORY: Array = np.empty((0, 2, 9))
+
+
+def strain_history(position: Array, rotation: Array, rate_hz: float) -> Array:
+    """
+    Return what the internal strains of a cup that relaxes follow from (N, 2, 9).
+
+    For each branch three parts of h (3.18), relaxed: (I + R^T) E_o_S, (I + R^T)(I + R) z / 2,
+    which counts with the length, and (R - R^T)^vee. Exact where h is linear from sample to sample:
+    z1 = a z0 + (1 - a) h0 + (1 - (1 - a) tau / dt) (h1 - h0), a = exp(-dt / tau). At the first
+    sample the cup has been at rest.
+
+    Parameters
+    ----------
+    position, rotation : ndarray (N, 3), (N, 3, 3)
+        E_o_S (m) and E_R_S at a uniform rate.
+    rate_hz : float
+        Samples per second.
+
+    """
+    from scipy.signal import lfilter  # late: scipy.signal takes 0.4 s
+
+    R_back = np.swapaxes(rotation, 1, 2)
+    of_length = 0.5 * (rotation[:, :, 2] + R_back[:, :, 2]) + [0.0, 0.0, 1.0]
+    skew = rotation - R_back
+    parts = np.hstack([
+        position + apply(R_back, position), of_length,
+        np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)])
+    relaxed = []
+    for tau in RELAXATION_TIMES:
+        a = float(np.exp(-1.0 / (rate_hz * tau)))
+        end = 1.0 - (1.0 - a) * tau * rate_hz
+        taps = [end, 1.0 - a - end]
+        relaxed.append(lfilter(taps, [1.0, -a], parts, axis=0, zi=(1.0 - end) * parts[:1])[0])
+    return np.stack(relaxed, axis=1)
+
+
+def internal_strains(history: Array, cup_length: float) -> Array:
+    """Return the internal strains (N, 2, 6) of a cup with a nominal length (m)."""
+    linear = history[..., :3] + cup_length * history[..., 3:6]
+    return np.concatenate([linear, history[..., 6:]], axis=-1)
+
+
 @dataclass(frozen=True, eq=False)
 class LipMotion:
     """
@@ -63,6 +106,10 @@ class LipMotion:
         E_o_S (m), E_R_S and S_v_ES (m/s, rad/s).
     wrench : ndarray (N, 6)
         c of (4.68), N and N m.
+    relaxation : (float, float)
+        Strengths r_b of a cup that relaxes.
+    history : ndarray (N, 2, 9)
+        What its internal strains follow from; see `strain_history`.
 
     """
 
@@ -73,6 +120,8 @@ class LipMotion:
     rotation: Array
     twist: Array
     wrench: Array
+    relaxation: tuple[float, float] = (0.0, 0.0)
+    history: Array = field(default_factory=lambda: NO_HISTORY)
     _kept: dict[Hashable, Array] = field(default_factory=dict, init=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -111,7 +160,8 @@ class LipMotion:
             Whether somebody will ask for the same again.
 
         """
-        key = (cup_length, structure.name)
+        key = (cup_length, structure.name, self.relaxation)
+        strains = internal_strains(self.history, cup_length) if any(self.relaxation) else None
         size = 2 * structure.size
         keep &= 8 * 6 * size * len(self.index) <= LARGEST_KEPT
         kept = self._kept.get(key)
@@ -120,7 +170,7 @@ class LipMotion:
             block = slice(start, min(start + BLOCK, len(self.index)))
             own = kept[block] if kept is not None else regressor(
                 cup_length, structure.basis, self.position[block], self.rotation[block],
-                self.twist[block])
+                self.twist[block], self.relaxation, None if strains is None else strains[block])
             if L is not None:
                 L[block] = own
             yield Rows(own, self.wrench[block], self.clusters(block))
@@ -131,7 +181,8 @@ class LipMotion:
         """Return some of the samples, with all their data."""
         some = LipMotion(
             self.index[chosen], self.stamps_ns[chosen], self.window, self.position[chosen],
-            self.rotation[chosen], self.twist[chosen], self.wrench[chosen])
+            self.rotation[chosen], self.twist[chosen], self.wrench[chosen], self.relaxation,
+            self.history[chosen] if len(self.history) else self.history)
         some._kept.update({key: L[chosen] for key, L in self._kept.items()})
         return some
 

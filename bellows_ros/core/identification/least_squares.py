@@ -4,15 +4,22 @@ Weighted linear least squares on accelerations (4.66-4.81).
 Sufficient statistics of the recordings are weighted and joined by QR factorisations: the normal
 equations of the raw data are never formed. Noise in the equations adds M to A^T A and m to A^T b
 on average; where it is known both are subtracted (compensated least squares).
+
+The internal strains of a cup that relaxes follow from the measured strain alone, so that the
+wrench is linear in K, P and r_b K, too: K, P and r are the minimum of the same weighted squares.
+Without a hold of some seconds r2 is not identifiable.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.equations import (
     CLUSTER_WINDOWS,
     IN_NULL_SPACE,
     joined,
+    Moments,
     r_factor,
     regular,
     Rows,
@@ -21,13 +28,21 @@ from bellows_ros.core.identification.equations import (
     whitening_of,
     without,
 )
-from bellows_ros.core.identification.reduction import Statistics
+from bellows_ros.core.identification.reduction import draws, Reduced, Statistics, with_noise
 from bellows_ros.core.identification.result import (
     Fit,
     LARGEST_ERROR,
     WRENCH_UNITS,
 )
-from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.identification.samples import Samples, samples_of
+from bellows_ros.core.model.structure import Structure, structure_named, STRUCTURES
+from bellows_ros.core.recording.recording import (
+    ENOUGH,
+    FilterNoise,
+    NO_RELAXATION,
+    Recording,
+    Relaxation,
+)
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
@@ -239,3 +254,188 @@ def _misfit(left: Array, by_noise: Array | None, whitening: Array) -> str:
         'package.com and cup.length, and that one clock stamps both streams; or use a richer '
         'fit.structure, or a shorter filter window if the motion is jerky.'
     )
+
+
+SIGNIFICANT = 13.8
+"""Squared Mahalanobis distance from zero that 1 in 1000 cups without relaxation exceed."""
+
+MOST_LEFT = 0.2
+"""Part of what noise does not explain without relaxation that may be left with it: rubber leaves
+some percent, and where something else is wrong with a recording more than half is."""
+
+DEFAULT_RATIO, RATIO_STD = 1.05, 0.4
+"""r2 / r1 of rubber with a constant loss factor, and its standard deviation among rubbers."""
+
+RELAXATION_STEPS = 20
+"""Most steps of the search; a handful suffice."""
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Sums of products (q, q) of whitened rows [L, L1, L2, c], of each cluster, less the noise."""
+
+    clusters: Array
+    noise: Array
+
+
+def relaxation_of(
+    recordings: Sequence[Samples], noises: Sequence[FilterNoise | None], cup_length: float,
+    structure: Structure,
+) -> Relaxation:
+    """
+    Estimate the strengths of the branches.
+
+    Parameters
+    ----------
+    recordings : sequence of Samples
+        Of one cup.
+    noises : sequence of FilterNoise or None
+        Of each; where one is not known, none is taken out.
+    cup_length : float
+        Nominal length l0, m.
+    structure : Structure
+        Of K and P.
+
+    """
+    products = _products(recordings, noises, cup_length, structure)
+    _, unexplained = _minimum(products, structure.size, ())
+    for free in ((0, 1), (0,), (1,)):
+        found, left = _minimum(products, structure.size, free)
+        if min(found.strengths) >= 0.0:
+            break
+    else:
+        return NO_RELAXATION
+    index, own = np.ix_(free, free), np.array(found.strengths)[list(free)]
+    distance = own @ np.linalg.solve(found.covariance[index], own)
+    if distance <= SIGNIFICANT or left > MOST_LEFT * unexplained:
+        return NO_RELAXATION
+    if 0.0 < found.std[1] <= LARGEST_ERROR * max(found.strengths):
+        return found
+    alone, _ = _minimum(products, structure.size, (0,), DEFAULT_RATIO)
+    unknown = np.diag([0.0, (RATIO_STD * alone.strengths[0]) ** 2])
+    return alone._replace(covariance=alone.covariance + unknown, assumed=True)
+
+
+def with_relaxation(
+    recordings: Sequence[Recording | Reduced], values: Mapping[str, Any]
+) -> list[Recording | Reduced]:
+    """
+    Return recordings of one cup with its relaxation, where fit.relaxation lets it be looked for.
+
+    Raises
+    ------
+    BellowsError
+        If fit.relaxation is 'on' and they do not show any.
+
+    """
+    whole = [own for own in recordings if isinstance(own, Recording)]
+    if values['fit.relaxation'] == 'off' or values['fit.free'] or len(whole) < len(recordings):
+        return list(recordings)
+    simplest = next(iter(STRUCTURES.values()))  # one rubber, one law: a richer one is no better
+    found = relaxation_of(
+        [samples_of(own) for own in whole], [own.noise for own in whole], values['cup.length'],
+        simplest)
+    found = found._replace(
+        by=simplest.within(structure_named(values['fit.structure'])) @ found.by)
+    if not any(found.strengths):
+        if values['fit.relaxation'] == 'on':
+            raise UndeterminedError(
+                'fit.relaxation: the recordings show no relaxation that exceeds its standard '
+                'error. Record a hold of a tilt for 5 to 10 s beside the motion, or set '
+                'fit.relaxation: auto.')
+        return list(recordings)
+    return [replace(own, relaxation=found) for own in whole]
+
+
+def _relaxing_rows(
+    samples: Samples, cup_length: float, structure: Structure
+) -> Iterator[tuple[Array, list[slice]]]:
+    """Yield rows [L, L1, L2, c] (N, 6, q), L_b by r_b K, and the clusters, block by block."""
+    n = structure.size
+    lips = [samples.relaxing(r).lip for r in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))]
+    for own, *others in zip(*(
+            lip.equations(cup_length, structure, keep=False) for lip in lips), strict=True):
+        of_branches = [other.A[..., :n] - own.A[..., :n] for other in others]
+        yield np.dstack([own.A, *of_branches, own.b]), own.clusters
+
+
+def _products(
+    recordings: Sequence[Samples], noises: Sequence[FilterNoise | None], cup_length: float,
+    structure: Structure,
+) -> Products:
+    """Return the products of all recordings."""
+    moments = joined(Moments.of(samples.lip.wrench) for samples in recordings)
+    whitening = whitening_of(regular(moments.covariance(structure)))
+    size, clusters = 4 * structure.size + 1, []
+    added = np.zeros((size, size))
+    for samples, noise in zip(recordings, noises, strict=True):
+        for rows, parts in _relaxing_rows(samples, cup_length, structure):
+            rows = whitening @ rows
+            clusters += [_square(rows[part]) for part in parts]
+        if noise is not None:
+            some, (draw,) = samples.relaxing((1.0, 1.0)).thinned(ENOUGH), draws(1)
+            part = max(some.count, 1) / max(samples.count, 1)
+            for block in some.blocks():
+                noisy = with_noise(block, noise, draw)
+                for (own, _), (other, _) in zip(*(
+                        _relaxing_rows(each, cup_length, structure) for each in (block, noisy)),
+                        strict=True):
+                    added += _square(whitening @ (other - own)) / part
+    return Products(np.array(clusters), added)
+
+
+def _square(rows: Array) -> Array:
+    """Return the sum of products (q, q) of rows (N, 6, q)."""
+    flat = rows.reshape(-1, rows.shape[-1])
+    return np.asarray(flat.T @ flat)
+
+
+def _minimum(
+    products: Products, n: int, free: Sequence[int], ratio: float = 0.0
+) -> tuple[Relaxation, float]:
+    """
+    Return r1 and r2, zero where not free, by Gauss-Newton, and the squares that are left.
+
+    They may be negative, and so may be the squares, as those of noise are taken out.
+
+    With a ratio r2 is so many times r1. The covariance needs no independence of residuals that
+    are less than a cluster apart.
+    """
+    by = np.zeros((2, len(free)))
+    by[list(free), range(len(free))] = 1.0
+    by[1] += ratio * by[0]
+    G = products.clusters.sum(axis=0) - products.noise
+    scale = 1.0 / np.sqrt(np.diag(G)[:2 * n])
+    x = np.append(np.linalg.solve(G[:2 * n, :2 * n] * np.outer(scale, scale),
+                                  scale * G[:2 * n, -1]) * scale, np.zeros(len(free)))
+    unit = np.append(scale, np.ones(len(free)))
+    for _ in range(RELAXATION_STEPS):
+        y, Y = _combined(x, n, by)
+        H = (Y * unit).T @ G @ (Y * unit)
+        step = unit * np.linalg.solve(H, (Y * unit).T @ (G @ y))
+        x = x - step
+        if np.abs(step[2 * n:]).max(initial=0.0) < 1e-9:
+            break
+    y, Y = _combined(x, n, by)
+    scores = (products.clusters @ y) @ (Y * unit)
+    scores = scores - scores.mean(axis=0)
+    H = (Y * unit).T @ G @ (Y * unit)
+    gain = by @ np.linalg.inv(H)[2 * n:]
+    slopes = -np.linalg.solve(H[:2 * n, :2 * n], H[:2 * n, 2 * n:]) @ np.linalg.pinv(by)
+    r = by @ x[2 * n:]
+    covariance = gain @ scores.T @ scores @ gain.T
+    return Relaxation(
+        (float(r[0]), float(r[1])), covariance, scale[:, None] * slopes), float(y @ G @ y)
+
+
+def _combined(x: Array, n: int, by: Array) -> tuple[Array, Array]:
+    """Return y = [K, P, r1 K, r2 K, -1], with which rows @ y is the residual, and dy/dx."""
+    K, r = x[:n], by @ x[2 * n:]
+    y = np.concatenate([x[:2 * n], r[0] * K, r[1] * K, [-1.0]])
+    Y = np.zeros((len(y), len(x)))
+    Y[:2 * n, :2 * n] = np.eye(2 * n)
+    for b in range(2):
+        part = slice((2 + b) * n, (3 + b) * n)
+        Y[part, :n] = r[b] * np.eye(n)
+        Y[part, 2 * n:] = np.outer(K, by[b])
+    return y, Y

@@ -28,6 +28,10 @@ TYPICAL_STEPS = 7
 LEAST_NOISE = Noise(1e-5, 5e-5)
 """Noise (m, rad) below which its bias is negligible."""
 
+R2_ASSUMED = (
+    'The rubber relaxes, but nothing was held for long enough to tell how slowly: r2 follows from '
+    'r1 as in rubber with a constant loss factor. Record a hold of a tilt for 5 to 10 s.')
+
 LENGTH_STEP = 1e-5
 """Step of numerical derivatives by cup.length, m."""
 
@@ -92,6 +96,7 @@ def fit(
             'centre of mass), or record a richer motion.')
     if found.method == 'least_squares':
         found = replace(found, notes=(*found.notes, *_of_colour(recordings)))
+    found = _with_relaxation(found, recordings)
     if values['fit.time_offset']:
         found = _with_offsets(found, [part.time_offset for part in parts])
     if standstills:
@@ -149,6 +154,20 @@ def fitted(
             f'step {own.number + 1}: chi^2 {own.chi2:.4g}; K {_diagonal(own.stiffness, 4)}, '
             f'P {_diagonal(own.damping, 3)}',
             (own.number + 1) / (own.number + 1 + TYPICAL_STEPS)), free)
+
+
+def _with_relaxation(found: Fit, recordings: Sequence[Recording | Reduced]) -> Fit:
+    """Return a fit with the relaxation of the recordings, whose errors reach K and P."""
+    relaxation = next((own.relaxation for own in recordings if isinstance(own, Recording)), None)
+    if relaxation is None or not any(relaxation.strengths):
+        return found
+    known = np.isfinite(np.diag(found.covariance))
+    more = relaxation.by @ relaxation.covariance @ relaxation.by.T
+    notes = (R2_ASSUMED,) if relaxation.assumed else ()
+    return replace(
+        found, covariance=found.covariance + np.where(np.outer(known, known), more, 0.0),
+        relaxation=relaxation.strengths, relaxation_std=relaxation.std,
+        notes=(*found.notes, *notes))
 
 
 def _whole(recordings: Sequence[Recording | Reduced]) -> list[Recording]:

@@ -52,7 +52,8 @@ def with_noise(samples: Samples, noise: FilterNoise, draw: np.random.Generator) 
     return Samples(
         _noisy(samples.tool, noise.tool, noise.tool_weights, draw),
         _noisy(samples.package, noise.package, noise.package_weights, draw),
-        samples.payload, samples.gravity, samples.window,
+        samples.payload, samples.gravity, samples.window, samples.relaxation,
+        samples.histories if any(samples.relaxation) else None,
     )
 
 

@@ -116,6 +116,8 @@ class Fit:
         What standstills have added, where there were any.
     noise_rms : ndarray (6,) or None
         RMS of the wrench that noise alone would leave, N and N m; None where it is not known.
+    relaxation, relaxation_std : (float, float)
+        Strengths r1, r2 of the cup's relaxation, and their standard errors; zeros without it.
     bias : ndarray (2 n,) or None
         Error of the parameters from noise in the motions that least squares has taken out; None
         where the noise is not known.
@@ -143,6 +145,8 @@ class Fit:
     standstills: StandstillPart | None = None
     noise_rms: Array | None = None
     bias: Array | None = None
+    relaxation: tuple[float, float] = (0.0, 0.0)
+    relaxation_std: tuple[float, float] = (0.0, 0.0)
 
     @cached_property
     def _matrices(self) -> tuple[Array, Array]:

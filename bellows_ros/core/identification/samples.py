@@ -13,8 +13,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.geometry.lie import apply, quaternion_to_rotation
-from bellows_ros.core.identification.equations import BLOCK, LipMotion
+from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, quaternion_to_rotation
+from bellows_ros.core.identification.equations import BLOCK, LipMotion, NO_HISTORY, strain_history
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.parameters.checks import ESTIMATE
@@ -53,6 +53,10 @@ class Samples:
         m/s^2 along -z of the world.
     window : float
         Duration of the package's filter window, s: so far residuals are correlated.
+    relaxation : (float, float)
+        Strengths r_b of a cup that relaxes.
+    history : ndarray (N, 2, 9), optional
+        What its internal strains follow from, where these are samples of a longer motion.
 
     """
 
@@ -61,6 +65,8 @@ class Samples:
     payload: Package
     gravity: float
     window: float
+    relaxation: tuple[float, float] = (0.0, 0.0)
+    history: Array | None = None
 
     @property
     def valid(self) -> Mask:
@@ -79,7 +85,26 @@ class Samples:
         tool, package = self.tool.select(index), self.package.select(index)
         return LipMotion(
             index, tool.stamps_ns, self.window, *lip_relative(tool, package, self.payload.com),
-            needed_wrench(self.payload, package, self.gravity))
+            needed_wrench(self.payload, package, self.gravity), self.relaxation,
+            self.histories[index] if any(self.relaxation) else NO_HISTORY)
+
+    @cached_property
+    def histories(self) -> Array:
+        """What the internal strains follow from (N, 2, 9); see `strain_history`."""
+        if self.history is not None:
+            return self.history
+        index = np.flatnonzero(self.valid)
+        o, R, _ = lip_relative(
+            self.tool.select(index), self.package.select(index), self.payload.com)
+        every = np.full((len(self.tool), 6), np.nan)
+        every[index] = np.hstack([o, log_so3(R)])
+        every = interpolated(every)
+        return strain_history(
+            every[:, :3], exp_so3(every[:, 3:]), uniform_rate_hz(self.package.stamps_ns))
+
+    def relaxing(self, relaxation: tuple[float, float]) -> 'Samples':
+        """Return the samples for a cup that relaxes."""
+        return replace(self, relaxation=relaxation, history=self.histories)
 
     @cached_property
     def twist_spectrum(self) -> Spectrum:
@@ -94,7 +119,9 @@ class Samples:
 
     def select(self, index: slice | Mask | Stamps) -> 'Samples':
         """Return the samples that a slice, a mask or increasing indices pick."""
-        return replace(self, tool=self.tool.select(index), package=self.package.select(index))
+        return replace(
+            self, tool=self.tool.select(index), package=self.package.select(index),
+            history=self.histories[index] if any(self.relaxation) else None)
 
     def blocks(self) -> 'Iterator[Samples]':
         """Yield the valid samples in blocks, in the order of time."""
@@ -134,7 +161,8 @@ def filtered_samples(recording: Recording) -> Samples:
     """Return the filtered motions of any recording."""
     return recording.once('filtered samples', lambda: Samples(
         recording.tool, recording.package, recording.payload, recording.settings.gravity,
-        recording.package_weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns)))
+        recording.package_weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns),
+        recording.relaxation.strengths))
 
 
 def _require_below(recording: Recording) -> None:

@@ -15,6 +15,7 @@ from bellows_ros.core.model.kernels import (
     CupTuple,
     ModelTuple,
     PackageTuple,
+    Strains,
 )
 from bellows_ros.core.model.matrices import (
     check_inertia,
@@ -233,22 +234,26 @@ def model_tuple(cup: Cup, package: Package, gravity: float | ArrayLike) -> Model
     return cup.as_tuple, package.as_tuple, _tuple(_frozen(vector, (3,), 'gravity'))
 
 
-def unit_cups(length: float, basis: list[Array]) -> list[CupTuple]:
+def unit_cups(
+    length: float, basis: list[Array], relaxation: tuple[float, float] = (0.0, 0.0)
+) -> list[CupTuple]:
     """
     Return the cups whose wrenches are the columns of the regressor L (4.67).
 
     One for every basis matrix (6, 6) as stiffness with no damping, then one for every basis
     matrix as damping with no stiffness: the wrench is linear in K and P.
     """
+    branches = [(r, np.inf) for r in relaxation] if any(relaxation) else []
     zero = blocks(np.zeros((6, 6)))
     units = [blocks(matrix) for matrix in basis]
     half = 0.5 * length
-    springs: list[CupTuple] = [(half, length, unit, zero) for unit in units]
-    return springs + [(half, length, zero, unit) for unit in units]
+    springs: list[CupTuple] = [(half, length, unit, zero, *branches) for unit in units]
+    return springs + [(half, length, zero, unit, *branches) for unit in units]
 
 
 def regressor(
-    length: float, basis: list[Array], position: Array, rotation: Array, twist: Array
+    length: float, basis: list[Array], position: Array, rotation: Array, twist: Array,
+    relaxation: tuple[float, float] = (0.0, 0.0), strains: Array | None = None,
 ) -> Array:
     """
     Return L (N, 6, 2 n) with which the cup's wrench at the lip is L x (4.67).
@@ -261,17 +266,23 @@ def regressor(
         The n symmetric matrices that K and P are sums of; x holds the factors of K, then of P.
     position, rotation, twist : ndarray (N, 3), (N, 3, 3), (N, 6)
         E_o_S (m), E_R_S and the body twist of the lip relative to the tool.
+    relaxation : (float, float)
+        Strengths r_b of a cup that relaxes.
+    strains : ndarray (N, 2, 6), optional
+        Its internal strains.
 
     """
-    cups = unit_cups(length, basis)
+    cups = unit_cups(length, basis, relaxation)
+    z = np.empty((12, 0)) if strains is None else strains.reshape(-1, 12).T.copy()
     o, R = position.T.copy(), rotation.reshape(-1, 9).T.copy()
     v, w = twist[:, :3].T.copy(), twist[:, 3:].T.copy()
     L = np.empty((len(position), 6, len(cups)))
     for column, cup in enumerate(cups):
         if jit.COMPILED:
-            _wrenches(cup, o, R, v, w, L[:, :, column])
+            _wrenches(cup, o, R, v, w, z, L[:, :, column])
         else:  # the kernel's arithmetic holds for tuples of arrays as well
-            columns: Any = (tuple(o), tuple(R), tuple(v), tuple(w))
+            inner = tuple(z.reshape(2, 2, 3, -1)) if z.size else ()
+            columns: Any = (tuple(o), tuple(R), tuple(v), tuple(w), inner)
             f, m = cup_wrench(cup, *columns)
             L[:, :3, column] = np.stack(f, axis=1)
             L[:, 3:, column] = np.stack(m, axis=1)
@@ -279,7 +290,9 @@ def regressor(
 
 
 @jit.kernel
-def _wrenches(cup: CupTuple, o: Array, R: Array, v: Array, w: Array, out: Array) -> None:
+def _wrenches(
+    cup: CupTuple, o: Array, R: Array, v: Array, w: Array, z: Array, out: Array
+) -> None:
     """Write the cup's wrench for every sample into out (N, 6)."""
     for k in range(o.shape[1]):
         f, m = cup_wrench(
@@ -288,9 +301,21 @@ def _wrenches(cup: CupTuple, o: Array, R: Array, v: Array, w: Array, out: Array)
             (R[0, k], R[1, k], R[2, k], R[3, k], R[4, k], R[5, k], R[6, k], R[7, k], R[8, k]),
             (v[0, k], v[1, k], v[2, k]),
             (w[0, k], w[1, k], w[2, k]),
+            strains_of(cup, z, k),
         )
         out[k, 0], out[k, 1], out[k, 2] = f
         out[k, 3], out[k, 4], out[k, 5] = m
+
+
+@jit.kernel
+def strains_of(cup: CupTuple, z: Array, k: int) -> Strains:
+    """Return the internal strains in column k of an array (12, N), for a cup that relaxes."""
+    if len(cup) == 4:
+        return ()
+    return (
+        ((z[0, k], z[1, k], z[2, k]), (z[3, k], z[4, k], z[5, k])),
+        ((z[6, k], z[7, k], z[8, k]), (z[9, k], z[10, k], z[11, k])),
+    )
 
 
 def box_inertia(mass: float, depth: float, width: float, height: float) -> Array:

@@ -286,6 +286,9 @@ _TABLE = (
               description='Form of K and P: ' + '; '.join(
                   f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)'
                   for s in STRUCTURES.values()) + '.'),
+    Parameter('fit.relaxation', 'auto', '', _IDENTIFIER, choices=('auto', 'off', 'on'),
+              description='Whether to estimate cup.relaxation together with K and P. auto: where '
+              'it is significant; on: else refuse the recordings.'),
     Parameter('fit.compare_recordings', False, '', _IDENTIFIER,
               description='Whether to fit each recording alone as well, and test whether all are '
               'of one cup.'),

@@ -363,6 +363,28 @@ class Report:
     package_world: PackageWorld | None = None
 
 
+class Relaxation(NamedTuple):
+    """How the rubber of a cup relaxes, as it was found in recordings."""
+
+    strengths: tuple[float, float]
+    """r1 and r2."""
+    covariance: Array
+    """Of the strengths (2, 2)."""
+    by: Array
+    """Derivatives of the parameters of K and P by the strengths (2 n, 2)."""
+    assumed: bool = False
+    """Whether r2 follows from r1, as nothing was held for long enough."""
+
+    @property
+    def std(self) -> tuple[float, float]:
+        """Standard errors of r1 and r2."""
+        first, second = np.sqrt(np.diag(self.covariance)).tolist()
+        return first, second
+
+
+NO_RELAXATION = Relaxation((0.0, 0.0), np.zeros((2, 2)), np.zeros((8, 2)))
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """
@@ -397,6 +419,8 @@ class Recording:
         Of its messages as stored, the same wherever they lie; '' where nobody asked for it.
     files : tuple of mapping
         Name, bytes and sha256 of each of its files.
+    relaxation : Relaxation
+        Of its cup.
 
     """
 
@@ -417,6 +441,7 @@ class Recording:
     name: str = ''
     digest: str = ''
     files: tuple[Mapping[str, Any], ...] = ()
+    relaxation: Relaxation = NO_RELAXATION
     _kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def once(self, key: Hashable, make: Callable[[], T]) -> T:
