@@ -25,6 +25,9 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.random import Generator
 
+HOLD_MOVE = 1.0
+"""Time (s) in which an oscillation fades into its hold."""
+
 KINDS = ('multi_sine', 'chirp', 'waypoints', 'static')
 AXES = ('x', 'y', 'z')
 
@@ -173,6 +176,10 @@ class Oscillation(Vibration):
         At the end of the rest and at the end of the motion, Hz, changing linearly in between.
     phase : array (M,)
         At the end of the rest, rad.
+    hold : array (3,)
+        Rotation vector that is held in the end instead, in axes of the start, rad.
+    hold_duration : float
+        How long, s; 0 for no hold.
 
     """
 
@@ -184,6 +191,8 @@ class Oscillation(Vibration):
     axis: Stamps
     frequency: Array
     phase: Array
+    hold: Array = field(default_factory=lambda: np.zeros(3))
+    hold_duration: float = 0.0
 
     def displacement(self, t: Array) -> Array:
         """Return displacement and rotation vector since the start, and their rates (2, N, 6)."""
@@ -191,6 +200,11 @@ class Oscillation(Vibration):
         ramp, slope = smooth_step(tau / self.ramp_duration)[:2]
         slope = slope / self.ramp_duration
         moved = np.zeros((2, len(t), 6))
+        if self.hold_duration > 0.0:
+            begin = self.duration - self.hold_duration - HOLD_MOVE
+            held, rate = smooth_step((t - begin) / HOLD_MOVE)[:2] / [[1.0], [HOLD_MOVE]]
+            ramp, slope = ramp * (1.0 - held), slope * (1.0 - held) - ramp * rate
+            moved[:, :, 3:] = np.multiply.outer([held, rate], self.hold)
         for i, axis in enumerate(self.axis):
             first, last = 2.0 * np.pi * self.frequency[i]
             sweep = (last - first) / (self.duration - self.rest_duration)
@@ -366,7 +380,15 @@ def _oscillation(
             'position or of rotation.'
         )
     phase = phases.uniform(0.0, 2.0 * np.pi, len(axis))
-    return Oscillation(start, rest, ramp, duration, amplitude, axis, frequency, phase)
+    hold, held = np.zeros(3), 0.0
+    if 'hold' in settings:
+        block = settings.block('hold')
+        hold = block.vector('rotation', 3, unit='rad')
+        most = duration - rest - ramp - HOLD_MOVE
+        held = block.number('duration', unit='s', above=0.0, most=most)
+        block.done()
+    return Oscillation(
+        start, rest, ramp, duration, amplitude, axis, frequency, phase, hold, held)
 
 
 def _sines(settings: Settings) -> tuple[Stamps, Array, Array]:
