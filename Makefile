@@ -10,7 +10,7 @@ ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 OLDEST := .venv-oldest/bin
-BAGS := identification validation static
+BAGS := identification validation static rubber
 SIDE_BY_SIDE := --numprocesses auto --maxprocesses 8 --dist loadgroup
 
 # What a sourced ROS, or the environment of another Python, leaves in the shell does not belong
@@ -94,7 +94,8 @@ notebooks: $(VENV)/extras-ready  ## run the notebooks, and write what they give 
 bags: $(VENV)/ready  ## make the recordings in bags/ again
 	@for bag in $(BAGS); do \
 	    rm -rf build/bags/$$bag && mkdir -p build/bags && \
-	    $(BIN)/bellows simulate --params bags/cup.yaml --motion bags/$$bag.yaml \
+	    cup=$$(ls bags/cup.yaml bags/$${bag}_cup.yaml 2>/dev/null | tail -1) && \
+	    $(BIN)/bellows simulate --params $$cup --motion bags/$$bag.yaml \
 	        --out build/bags/$$bag && \
 	    rm -rf bags/$$bag && mv build/bags/$$bag bags/$$bag || exit; \
 	done

@@ -1,0 +1,52 @@
+"""Draw stiffness and loss of rubber over frequency, beside the models fitted to a recording."""
+
+from pathlib import Path
+import sys
+from typing import Any
+
+from bellows_ros.core.model.structure import RELAXATION_TIMES
+from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+from benchmarks.rubber import CUP, stiffening, strengths, study, TIMES  # noqa: E402
+
+LOSS_FACTOR = 0.10
+
+
+def frequencies(fits: Any, theme: Theme) -> Any:
+    """Return the figure: stiffness against bending over the static one, and loss factor."""
+    f = np.geomspace(0.01, 10.0, 200)
+    lines = [('rubber', theme.measured, 4.0, CUP.stiffness[3, 3], CUP.damping[3, 3],
+              strengths(LOSS_FACTOR), TIMES)]
+    for name, own, colour in (('without relaxation', fits['off'], theme.error),
+                              ('two branches', fits['auto'], theme.predicted)):
+        lines.append((name, colour, 1.4, own.stiffness[3, 3], own.damping[3, 3], own.relaxation,
+                      RELAXATION_TIMES))
+    with drawing(theme) as figures:
+        figure = figures.Figure(figsize=(7.6, 2.8), layout='constrained')
+        left, right = figure.subplots(1, 2)
+        for name, colour, width, K, P, r, tau in lines:
+            K_star = np.array([K * stiffening(r, tau, x) + 2j * np.pi * x * P for x in f])
+            left.semilogx(f, K_star.real / CUP.stiffness[3, 3], color=colour, linewidth=width)
+            right.semilogx(f, K_star.imag / K_star.real, color=colour, linewidth=width,
+                           label=name)
+        left.set_ylabel('stiffness over the static one')
+        right.set_ylabel('loss factor')
+        right.set_ylim(0.0, 0.3)
+        right.legend(loc='upper left')
+        for panel in (left, right):
+            panel.set_xlabel('frequency (Hz)')
+    return figure
+
+
+def main() -> None:
+    """Write the picture."""
+    fits, _ = study(LOSS_FACTOR)
+    write_figure(ROOT / 'docs' / 'images' / 'relaxation.svg',
+                 frequencies(fits, THEMES['light']))
+
+
+if __name__ == '__main__':
+    main()
