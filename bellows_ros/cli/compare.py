@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.workflows.compare import compare_files
 
     result = compare_files(arguments.before, arguments.after)
-    options.put_json(arguments.json, result.as_json())
+    options.put_json(arguments.json, result)
     _say(result, console)
     console.wrote(arguments.json)
     return NOT_USABLE if result.fits.matters else OK

@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
                 bodies = convert.bodies_in_files(arguments.sources, topics, arguments.markers)
             done = convert.to_bag(
                 bodies, arguments.out, arguments.storage, arguments.force, span)
-    options.put_json(arguments.json, done.as_json())
+    options.put_json(arguments.json, done)
     _say(done, console)
     console.wrote(arguments.json)
     console.wrote(done.out, then=() if text else (

@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         found = info(arguments.bag, options.given_span(arguments))
-    options.put_json(arguments.json, found.as_json())
+    options.put_json(arguments.json, found)
     if arguments.write_params:
         write_text(arguments.write_params, template_with(
             [PARAMETERS[name] for name in UNKNOWN], found.settings,

@@ -120,7 +120,7 @@ def require_free(output: str, force: bool) -> None:
             'holds is then lost.')
 
 
-def put_json(target: str, content: Mapping[str, Any]) -> None:
+def put_json(target: str, content: Any) -> None:
     """Write a result to the target of --json, if there is one."""
     if target:
         from bellows_ros.files.results import write_json

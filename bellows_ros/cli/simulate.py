@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress() as progress:
         report = simulate_recording(
             values, motion, arguments.out, progress, arguments.force, arguments.plan or '')
-    options.put_json(arguments.json, report.as_json())
+    options.put_json(arguments.json, report)
     _say(report, console)
     console.wrote(arguments.json)
     return OK

@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     with console.progress() as progress:
         result = structures(settings, progress)
-    options.put_json(arguments.json, result.as_json())
+    options.put_json(arguments.json, result)
     _say(result, console)
     console.wrote(arguments.json)
     return OK if result.selection.fits else NOT_USABLE
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 def _say(result: 'StructureAdvice', console: Console) -> None:
     """Print the excitation, the candidates and the advice."""
     from bellows_ros.report.cup import excitation_rows, parameter_rows, structure_rows
-    from bellows_ros.workflows.result_json import excitation_json, selection_json
+    from bellows_ros.workflows.identification import excitation_json, selection_json
 
     excitation, selection = result.excitation, result.selection
     found = excitation_json(excitation)

@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         if arguments.out:
             progress('writing')
             write_view(arguments.out, shown, str(arguments.bag))
-    options.put_json(arguments.json, shown.live.as_json())
+    options.put_json(arguments.json, shown.live)
     console.wrote(arguments.json)
     console.wrote(arguments.out, then=('Open it with:', f'  rerun {arguments.out}'))
     if not arguments.out:

@@ -2,19 +2,23 @@
 The result of a fit as a JSON file, with its provenance.
 
 Numbers keep every digit. JSON knows neither NaN nor infinity: a number that is not known, because
-the recording does not determine it, is null.
+the recording does not determine it, is null. Counts, stamps in ns and rates in Hz say so in
+their keys; all other numbers of a fit have their units beside them, in `units` or `unit`.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import fields, is_dataclass
 from importlib import metadata
 import json
 import math
 import os
+from pathlib import PurePath
 import platform
 from typing import Any
 
 from bellows_ros import __version__
+from bellows_ros.core.identification.result import POSE_UNITS, UNITS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, read_text
 from bellows_ros.files.bag_folder import digests
@@ -36,17 +40,43 @@ KEYS = (
 )
 _MATRICES = ('stiffness', 'damping', 'stiffness_std', 'damping_std')
 
+UNIT_OF: Mapping[str, Any] = {
+    **{
+        name: [[UNITS[matrix][(row > 2) + (column > 2)] for column in range(6)]
+               for row in range(6)]
+        for name, matrix in (('stiffness', 'K'), ('damping', 'P'))
+    },
+    **dict.fromkeys((
+        'rms', 'largest', 'motion', 'noise_rms', 'lip', 'measured', 'predicted',
+    ), POSE_UNITS),
+    **dict.fromkeys((
+        'relaxation', 'chi2', 'robust_chi2', 'condition_number', 'narrowed', 'noise_share', 'signal_to_noise',
+        'bias', 'pairs', 'aic', 'bic', 'held_out', 'simulated',
+        'effective_samples', 'probability', 'probability_stiffness', 'probability_damping',
+        'deviations', 'excess', 'left', 'moved', 'nrmse', 'model_error', 'limit', 'p_value',
+        'portmanteau', 'largest_autocorrelation', 'real_time_factor',
+    ), '1'),
+    **dict.fromkeys(('cup_length', 'length', 'lengths'), 'm'),
+    **dict.fromkeys(('time_offsets', 'duration', 'late', 'took'), 's'),
+    **dict.fromkeys(('load', 'loads', 'linear_load'), 'N'),
+    'impulse': 'N s', 'speed': 'm/s', 'tilt': 'rad',
+}
+"""Units of numbers by their keys, and of their standard errors."""
 
-def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
+WITHOUT = ('settings', 'provenance', 'units')
+"""Mappings whose numbers have their units in their names, or none."""
+
+
+def write_json(path: str | os.PathLike[str], content: Any) -> None:
     """
-    Write a mapping as JSON, whole or not at all.
+    Write a result as JSON, whole or not at all.
 
     Parameters
     ----------
     path : path
         JSON file.
-    content : mapping
-        May hold nested mappings, lists, and NumPy arrays and scalars.
+    content : mapping or result
+        As `plain` takes it.
 
     Raises
     ------
@@ -57,9 +87,9 @@ def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None
     atomic.write_text(path, format_json(content))
 
 
-def format_json(content: Mapping[str, Any]) -> str:
+def format_json(content: Any) -> str:
     """Return JSON text with one line per key and per row of a matrix."""
-    return _text(_plain(content), '') + '\n'
+    return _text(plain(content), '') + '\n'
 
 
 def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -132,22 +162,58 @@ def _refuse_constant(name: str) -> None:
     raise ValueError(f'{name} is not allowed, null stands for a number that is not known')
 
 
-def _plain(value: Any) -> Any:
-    """Return plain JSON types: NumPy becomes Python, NaN and infinity become None."""
+def plain(value: Any, units: bool = False) -> Any:
+    """
+    Return a result as plain JSON types.
+
+    A result becomes its `as_json()`, any other dataclass or named tuple its fields; NumPy becomes
+    Python, NaN and infinity become None. With units, every mapping has the units of its numbers by
+    `UNIT_OF` beside them.
+    """
+    value = _as_mapping(value)
     if isinstance(value, Mapping):
-        for key in value:
-            if not isinstance(key, str):
-                raise BellowsError(f'A result cannot hold the key {key!r:.80}: keys are texts.')
-        return {key: _plain(item) for key, item in value.items()}
+        return _plain_mapping(value, units)
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item, units) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
+    if isinstance(value, PurePath):
+        return str(value)
     if value is None or isinstance(value, bool | int | str):
         return value
     raise BellowsError(f'A result cannot hold {type(value).__name__}: {value!r:.80}.')
+
+
+def with_units(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a result as plain JSON types, with the units of its numbers beside them."""
+    return _plain_mapping(content, True)
+
+
+def _as_mapping(value: Any) -> Any:
+    """Return what a result, a dataclass or a named tuple holds by name; else the value."""
+    if hasattr(value, 'as_json'):
+        return value.as_json()
+    if is_dataclass(value):
+        return {own.name: getattr(value, own.name) for own in fields(value)}
+    return value._asdict() if hasattr(value, '_asdict') else value
+
+
+def _plain_mapping(content: Mapping[str, Any], units: bool) -> dict[str, Any]:
+    """Return a mapping of plain types, with units where wanted."""
+    for key in content:
+        if not isinstance(key, str):
+            raise BellowsError(f'A result cannot hold the key {key!r:.80}: keys are texts.')
+    found = {key: plain(item, units and key not in WITHOUT) for key, item in content.items()}
+    known = {key: UNIT_OF[name] for key, item in content.items() if units and item is not None
+             and (name := key.removesuffix('_std')) in UNIT_OF}
+    return {**found, 'units': {**known, **content.get('units', {})}} if known else found
+
+
+def attributes(found: object, *names: str) -> dict[str, Any]:
+    """Return some attributes by name."""
+    return {name: getattr(found, name) for name in names}
 
 
 def _text(value: Any, indent: str) -> str:

@@ -8,7 +8,7 @@ from bellows_ros.core.identification.result import UNITS
 from bellows_ros.core.model.structure import AXES, structure_named
 from bellows_ros.core.signals.residuals import MILLI_UNITS, Spectrum
 from bellows_ros.plots.prediction import excitation_figure, interval_figure, iteration_figure
-from bellows_ros.workflows.result_json import NORMAL_95
+from bellows_ros.workflows.identification import NORMAL_95
 import numpy as np
 
 from .page import bullets, figure, folded, paragraph, percent, table

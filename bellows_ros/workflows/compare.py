@@ -10,8 +10,7 @@ from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.results import content_of, read_result
-from bellows_ros.workflows.result_json import attributes
+from bellows_ros.files.results import attributes, content_of, read_result
 import numpy as np
 
 Path = str | os.PathLike[str]
@@ -62,7 +61,7 @@ class Comparison:
             **{name: [{**vars(change), **attributes(change, *derived)} for change in changes]
                for name, changes in (
                    ('parameters', self.fits.parameters), ('effects', self.fits.effects))},
-            'settings': [difference._asdict() for difference in self.settings],
+            'settings': self.settings,
             'shared_recordings': self.shared,
         }
 

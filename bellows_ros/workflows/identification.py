@@ -9,13 +9,15 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros import __version__
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.reduction import Reduced
-from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
 from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.model.validity_range import Envelope, joined_envelopes
 from bellows_ros.core.parameters.checks import pose_text
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.results import attributes, versions, with_units
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
 import numpy as np
 
@@ -25,6 +27,9 @@ if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
     from bellows_ros.workflows.verdict import Verdict
+
+NORMAL_95 = 1.959963984540054
+"""Half width of a 95 % interval in standard errors."""
 
 NOT_OF_THE_CUP = (
     'bags', 'package.files', 'static.bags', 'static.files', 'static.length', 'validation.bags',
@@ -216,14 +221,6 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        from bellows_ros.files.results import versions
-        from bellows_ros.workflows.result_json import (
-            excitation_json,
-            fit_json,
-            selection_json,
-            with_units,
-        )
-
         read: list[Reduced | Recording] = [
             *self.parts, *(self.static.recordings if self.static else ())]
         return with_units({
@@ -236,14 +233,14 @@ class Identification:
                 for name, value, std, unit in self._freed()},
             'usable': not self.refusals,
             'refusals': self.refusals,
-            'verdict': self.verdict and self.verdict.as_json(),
+            'verdict': self.verdict,
             'recordings': [part.report for part in self.parts],
-            'static': self.static and self.static.as_json(),
-            'one_cup': self.consistency and dict(vars(self.consistency)),
+            'static': self.static,
+            'one_cup': self.consistency,
             'excitation': excitation_json(self.excitation),
             'structures': self.selection and selection_json(self.selection),
-            'validations': [replayed.as_json() for replayed in self.validations],
-            'envelope': self.envelope.as_json(),
+            'validations': self.validations,
+            'envelope': self.envelope,
             'settings': dict(self.values),
             'provenance': {
                 'recordings': [{'path': r.name, 'files': r.files} for r in read],
@@ -326,10 +323,86 @@ def save(
     if json_path:
         from bellows_ros.files.results import write_json
 
-        write_json(json_path, result.as_json())
+        write_json(json_path, result)
     if not parameters_path:
         return
     result.require_usable(force)
     from bellows_ros.files.parameter_files import write_parameters
 
     write_parameters(parameters_path, result.parameters(), result.header())
+
+
+def fit_json(fit: Fit) -> dict[str, Any]:
+    """Return the JSON content on a fit."""
+    units, found = parameter_units(structure_named(fit.structure)), fit.standstills
+    return {
+        **attributes(
+            fit, 'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std',
+            'relaxation', 'relaxation_std', 'samples_used', 'samples_rejected',
+            'condition_number', 'usable', 'weight', 'residual_rms',
+            'noise_rms', 'chi2', 'robust_chi2', 'converged'),
+        'intervals_95': {
+            name: {'low': value - half, 'high': value + half} for name, value, half in (
+                ('stiffness', fit.stiffness, NORMAL_95 * fit.stiffness_std),
+                ('damping', fit.damping, NORMAL_95 * fit.damping_std))},
+        'parameters': {
+            'labels': fit.labels, 'covariance': fit.covariance, 'noise_bias': fit.bias,
+            'units': {'covariance': _products(units), 'noise_bias': units},
+        },
+        'time_offsets': fit.delays,
+        'time_offsets_std': fit.delays_std,
+        'iterations': [
+            attributes(i, 'chi2', 'stiffness', 'damping') for i in fit.iterations],
+        'with_standstills': found and {
+            'standstills': found.count,
+            'chi2': found.chi2,
+            'cup_length': found.length,
+            'cup_length_std': found.length_std,
+            'narrowed': dict(zip(fit.labels, found.narrowed.tolist(), strict=True)),
+        },
+        'units': {
+            'weight': _products([f'1/({unit})' for unit in fit.residual_units]),
+            **dict.fromkeys(('residual_rms', 'noise_rms'), fit.residual_units),
+        },
+    }
+
+
+def _products(units: Any) -> list[list[str]]:
+    """Return the units of products of numbers with these units."""
+    return [[f'{one} {other}' for other in units] for one in units]
+
+
+def excitation_json(excitation: Excitation) -> dict[str, Any]:
+    """Return what is identifiable from recordings, for a JSON file; null is unknown."""
+    units = parameter_units(structure_named(excitation.structure))
+    return {
+        'structure': excitation.structure,
+        'axes': {axis.name: {
+            **attributes(
+                axis, 'strain', 'motion', 'twist', 'band_hz', 'strain_noise', 'twist_noise'),
+            'units': {
+                **dict.fromkeys(('strain', 'motion', 'strain_noise'), unit),
+                **dict.fromkeys(('twist', 'twist_noise'), f'{unit}/s')},
+        } for axis, unit in zip(excitation.axes, POSE_UNITS, strict=True)},
+        'parameters': {
+            own.label: {
+                **attributes(
+                    own, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable',
+                    'weak'),
+                'units': {'value': unit},
+            }
+            for own, unit in zip(excitation.parameters, units, strict=True)
+        },
+        **attributes(excitation, 'rank', 'size', 'condition_number', 'pairs', 'warnings'),
+    }
+
+
+def selection_json(selection: Any) -> dict[str, Any]:
+    """Return a `StructureSelection` for the JSON file."""
+    return {
+        'candidates': [
+            attributes(candidate, 'structure', 'parameters', 'usable', 'refused', 'aic', 'bic',
+                       'held_out', 'simulated')
+            for candidate in selection.candidates],
+        **attributes(selection, 'samples', 'effective_samples', 'advised', 'advice', 'fits'),
+    }

@@ -23,7 +23,13 @@ from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
-from bellows_ros.workflows.identification import Identification, names_of
+from bellows_ros.files.results import with_units
+from bellows_ros.workflows.identification import (
+    excitation_json,
+    Identification,
+    names_of,
+    selection_json,
+)
 from bellows_ros.workflows.recordings import (
     Failed,
     load,
@@ -32,7 +38,6 @@ from bellows_ros.workflows.recordings import (
     values_of_each,
     WHOLE,
 )
-from bellows_ros.workflows.result_json import excitation_json, selection_json, with_units
 from bellows_ros.workflows.verdict import LOOKED_AT, Verdict, verdict_of
 
 if TYPE_CHECKING:  # what a plain identification does without
@@ -411,7 +416,7 @@ class StructureAdvice:
         return with_units({
             'excitation': excitation_json(self.excitation),
             'structures': selection_json(self.selection),
-            'recordings': [recording.as_json() for recording in self.recordings],
+            'recordings': self.recordings,
             'warnings': self.warnings,
             'settings': dict(self.values),
             'version': __version__,

@@ -1,7 +1,7 @@
 """Contents and quality of a recording: topics, rates, gaps, and their probable roles."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 import os
 from pathlib import Path
 from types import MappingProxyType
@@ -115,7 +115,7 @@ class Info:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        return {**asdict(self), 'version': __version__}
+        return {**vars(self), 'version': __version__}
 
 
 def info(

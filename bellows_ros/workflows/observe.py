@@ -20,7 +20,7 @@ from bellows_ros.core.signals.residuals import compare, Comparison
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams
-from bellows_ros.workflows.result_json import attributes
+from bellows_ros.files.results import attributes
 import numpy as np
 
 ONE_WORLD = np.array([0.0] * 6 + [1.0])

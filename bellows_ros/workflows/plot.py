@@ -303,5 +303,5 @@ def data_json(shown: Motion | Spectra | Loads | Margins | Replayed) -> dict[str,
         'deflection': shown.deflection,
         'position': shown.position,
         'rotation': shown.rotation,
-        'scores': shown.live.as_json(),
+        'scores': shown.live,
     }

@@ -17,9 +17,9 @@ from bellows_ros.core.toss.release_fit import (
 from bellows_ros.errors import UndeterminedError
 from bellows_ros.files.bags import messages_of
 from bellows_ros.files.messages import BOOL, decode_bool
+from bellows_ros.files.results import with_units
 from bellows_ros.workflows.identify import resolved
 from bellows_ros.workflows.recordings import load, Progress, values_of_each
-from bellows_ros.workflows.result_json import with_units
 import numpy as np
 
 CHI2_WARNED = 2.0

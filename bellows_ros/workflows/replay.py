@@ -21,11 +21,10 @@ from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.signals.residuals import AXES, Comparison, Spectrum, Whiteness
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.results import provenance
+from bellows_ros.files.results import provenance, with_units
 from bellows_ros.workflows.observe import live_predictor, Observed, observed
 from bellows_ros.workflows.plan import curves, NO_GRIP
 from bellows_ros.workflows.recordings import load, Progress
-from bellows_ros.workflows.result_json import with_units
 import numpy as np
 
 SHOWN = 3
@@ -177,16 +176,16 @@ class Replay:
             'limit': limit,
             'above_limit': found.failing(limit),
             'start': found.start,
-            'margin': self.margin and self.margin._asdict(),
-            'time_offset': self.time_offset and self.time_offset.as_json(),
+            'margin': self.margin,
+            'time_offset': self.time_offset,
             'seed': SEED,
             'free_run': _coloured_json(found.whiteness, found.spectrum),
             'one_step': found.one_step and {
                 **_coloured_json(found.one_step.whiteness, found.one_step.spectrum),
                 'chi2': found.one_step.chi2,
             },
-            'live': self.live and self.live.as_json(),
-            'observed': self.observed and self.observed.as_json(),
+            'live': self.live,
+            'observed': self.observed,
             'warnings': self.warnings,
             'settings': dict(self.values),
             'provenance': provenance([self.bag], parameter_files),

@@ -107,15 +107,6 @@ class SimulationReport:
     margin: Margin | None
     tosses: tuple[Thrown, ...] = ()
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the content of the JSON file."""
-        return {
-            **vars(self), 'bag': str(self.bag), 'truth': self.truth and str(self.truth),
-            'events': [event._asdict() for event in self.events],
-            'margin': self.margin and self.margin._asdict(),
-            'tosses': [toss._asdict() for toss in self.tosses],
-        }
-
 
 def simulate_recording(
     parameters: Mapping[str, object],

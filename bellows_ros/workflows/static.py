@@ -18,8 +18,8 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files.parameter_files import write_parameters
+from bellows_ros.files.results import attributes, with_units
 from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress, values_of_each
-from bellows_ros.workflows.result_json import attributes, with_units
 import numpy as np
 
 StaticBag = tuple[str, Mapping[str, Any]]

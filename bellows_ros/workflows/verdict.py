@@ -107,7 +107,7 @@ class Verdict(NamedTuple):
     def as_json(self) -> dict[str, Any]:
         """Return it for a JSON file."""
         return {
-            'free_simulations': [own.as_json() for own in self.simulated],
+            'free_simulations': self.simulated,
             'excess': self.diagnosis.excess,
             'hypotheses': [
                 {**found._asdict(), 'material': found.material, 'setting': setting_of(found),

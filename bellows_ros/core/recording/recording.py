@@ -508,16 +508,15 @@ class Recording:
 
     def as_json(self) -> dict[str, Any]:
         """Return the report on the recording, for a JSON file."""
-        noise, payload, offset = self.noise, self.payload, self.report.time_offset
-        world = self.report.package_world
+        noise, payload = self.noise, self.payload
         return {
             'bag': self.name,
             'samples': len(self.valid),
             'valid': int(np.count_nonzero(self.valid)),
             'tool_pose': self.report.tool.as_json(),
             'package_pose': self.report.package.as_json(),
-            'time_offset': offset and offset.as_json(),
-            'package_world': world and world.as_json(),
+            'time_offset': self.report.time_offset,
+            'package_world': self.report.package_world,
             'package': {
                 'mass': payload.mass, 'inertia': payload.inertia, 'com': payload.com,
                 'units': {'mass': 'kg', 'inertia': 'kg m^2', 'com': 'm'},
