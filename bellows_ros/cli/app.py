@@ -25,7 +25,7 @@ from typing import Any, NoReturn
 from bellows_ros.core import keep_linear_algebra_single
 
 from . import options
-from .console import Console, EXIT_CODES, in_order, USER_ERROR
+from .console import Console, EXIT_CODES, run_guarded, USER_ERROR
 
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
@@ -109,7 +109,7 @@ def main(args: Sequence[str] | None = None) -> int:
     if '_ARGCOMPLETE' in os.environ:
         _complete()
     arguments = list(sys.argv[1:] if args is None else args)
-    return in_order(lambda console: _run(arguments, console))
+    return run_guarded(lambda console: _run(arguments, console))
 
 
 def _run(arguments: list[str], console: Console) -> int:

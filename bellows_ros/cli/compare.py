@@ -16,7 +16,7 @@ from .console import Console, listed, NOT_USABLE, OK, with_error
 
 if TYPE_CHECKING:
     from bellows_ros.core.identification.comparison import Change
-    from bellows_ros.workflows.compare import Comparison
+    from bellows_ros.workflows.compare import ResultComparison
 
 EXAMPLES = (
     ('bellows compare monday.json friday.json', 'check whether the cup has aged'),
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return NOT_USABLE if result.fits.matters else OK
 
 
-def _say(result: 'Comparison', console: Console) -> None:
+def _say(result: 'ResultComparison', console: Console) -> None:
     """Print the tables and the verdict."""
     from bellows_ros.core.parameters.table import short
 
@@ -83,7 +83,7 @@ def _change_rows(changes: 'tuple[Change, ...]') -> list[tuple[str, ...]]:
     return rows
 
 
-def verdict(result: 'Comparison') -> Iterator[str]:
+def verdict(result: 'ResultComparison') -> Iterator[str]:
     """Yield the changes and whether they matter, as sentences."""
     fits = result.fits
     if result.shared:

@@ -270,7 +270,7 @@ def many(count: int, noun: str) -> str:
 ENDING = (signal.SIGTERM, signal.SIGHUP)
 
 
-def in_order(work: Callable[[Console], int]) -> int:
+def run_guarded(work: Callable[[Console], int]) -> int:
     """
     Do some work with the streams of this process; return the exit code.
 

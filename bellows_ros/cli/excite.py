@@ -11,10 +11,10 @@ from typing import Any, TYPE_CHECKING
 
 from . import options
 from .console import Console, with_error
-from .planned import carry_out
+from .planned import run_plan_command
 
 if TYPE_CHECKING:
-    from bellows_ros.workflows.excite import Excitation
+    from bellows_ros.workflows.excite import DesignedMotion
 
 EXAMPLES = (
     ('bellows excite --params bags/cup.yaml --limits config/limits_example.yaml --time 20 \\\n'
@@ -75,12 +75,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.files.safe_yaml import load
     from bellows_ros.workflows.excite import excite, write_motion
 
-    def draw(found: 'Excitation') -> Any:
+    def draw(found: 'DesignedMotion') -> Any:
         from bellows_ros.plots.plan import excite_figure
 
         return excite_figure(found.design, f'{arguments.time:g} s, for {arguments.limits}')
 
-    return carry_out(
+    return run_plan_command(
         arguments, console, lambda values, progress: excite(
             values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
             arguments.beside, arguments.seed, progress, arguments.series),
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             arguments.out, found, arguments.csv, arguments.urscript, arguments.force))
 
 
-def _say(found: 'Excitation', console: Console) -> None:
+def _say(found: 'DesignedMotion', console: Console) -> None:
     """Print the expected errors and the active limits."""
     from bellows_ros.core.identification.result import parameter_units
 
@@ -114,7 +114,7 @@ def _say(found: 'Excitation', console: Console) -> None:
     console.warn(*found.warnings)
 
 
-def _say_series(found: 'Excitation', console: Console) -> None:
+def _say_series(found: 'DesignedMotion', console: Console) -> None:
     """Print what to record, in order, and what each recording identifies."""
     if not found.series:
         return

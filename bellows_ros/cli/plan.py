@@ -10,7 +10,7 @@ import math
 from typing import Any, TYPE_CHECKING
 
 from .console import Console, with_error
-from .planned import add_plan_options, carry_out
+from .planned import add_plan_options, run_plan_command
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.plan import PlanReport
@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
         return plan_figure(report, f'{arguments.plan}')
 
-    return carry_out(
+    return run_plan_command(
         arguments, console, lambda values, progress: plan(
             arguments.plan, values, str(arguments.urdf or ''), arguments.topic,
             arguments.fastest),

@@ -32,7 +32,7 @@ def add_plan_options(
         options.add_force_option(parser)
 
 
-def carry_out(
+def run_plan_command(
     arguments: argparse.Namespace, console: Console,
     work: Callable[[Mapping[str, Any], Callable[..., None]], Any],
     draw: Callable[[Any], Any], say: Callable[[Any, Console], None],

@@ -42,7 +42,7 @@ WHAT = {
 
 OF_THE_RECORDING = ('motion', 'spectra', 'path')  # pictures that need no cup
 FASTEST = 100.0
-WHOLE = (float('-inf'), float('inf'))  # s
+FULL_RANGE = (float('-inf'), float('inf'))  # s
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,11 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='speed of an animation: seconds of the recording per second (default: %(default)g)',
     )
     parser.add_argument(
-        '--from', metavar='S', type=float, dest='first', default=WHOLE[0],
+        '--from', metavar='S', type=float, dest='first', default=FULL_RANGE[0],
         help="start of the picture, in s after the recording's first stamp; not for spectra",
     )
     parser.add_argument(
-        '--to', metavar='S', type=float, dest='last', default=WHOLE[1],
+        '--to', metavar='S', type=float, dest='last', default=FULL_RANGE[1],
         help='end of the picture',
     )
 
@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     settings = resolve(values, () if tracked and not (arguments.what == 'spectra' and given)
                        else PACKAGE_PARAMETERS)
     require_picture(arguments.out, FILMS if arguments.what == 'animation' else PICTURES)
-    if arguments.what == 'spectra' and (arguments.first, arguments.last) != WHOLE:
+    if arguments.what == 'spectra' and (arguments.first, arguments.last) != FULL_RANGE:
         raise BellowsError('Spectra use the whole recording. Leave out --from and --to.')
     if not 0.0 < arguments.speed <= FASTEST:
         raise BellowsError(

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from .console import Console
-from .planned import add_plan_options, carry_out
+from .planned import add_plan_options, run_plan_command
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.steer import SteerReport
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             arguments.out, report.source, motion.tool, motion.prediction.states,
             arguments.force)
 
-    return carry_out(
+    return run_plan_command(
         arguments, console, lambda values, progress: steer_plan(
             arguments.plan, values, arguments.method, arguments.limits or '',
             str(arguments.urdf or ''), arguments.topic),

@@ -12,7 +12,7 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.errors import BellowsError
 
 from .console import Console
-from .planned import add_plan_options, carry_out
+from .planned import add_plan_options, run_plan_command
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.toss import TossResult
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
         return toss_figure(result, f'Toss of {arguments.plan.name}')
 
-    return carry_out(
+    return run_plan_command(
         arguments, console, lambda values, progress: toss_plan(
             arguments.plan, values, arguments.release, arguments.target,
             arguments.target_rotation, arguments.monte_carlo, progress,

@@ -11,7 +11,7 @@ import tempfile
 import time
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.cli.console import Console, in_order, NOT_USABLE, OK, percent, Progress
+from bellows_ros.cli.console import Console, NOT_USABLE, OK, percent, Progress, run_guarded
 from bellows_ros.cli.identify import say_cup
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.live.replay import compare_recorded
@@ -57,7 +57,7 @@ def main(args: Sequence[str] | None = None) -> int:
         help='gets the pictures, the cup, the fit and the log (default: %(default)s)',
     )
     arguments = parser.parse_args(args)
-    return in_order(lambda console: run(arguments.bags, arguments.out, console))
+    return run_guarded(lambda console: run(arguments.bags, arguments.out, console))
 
 
 def run(bags: Path, out: Path, console: Console) -> int:

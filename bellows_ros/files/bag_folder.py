@@ -22,7 +22,7 @@ else:
 LARGEST_RECORD = 256 * 2**20
 
 
-class Topic(NamedTuple):
+class Channel(NamedTuple):
     """A recorded topic: its name, its type and the encoding of its messages."""
 
     name: str
@@ -33,12 +33,12 @@ class Topic(NamedTuple):
 class Message(NamedTuple):
     """A recorded message: the topic, the time it was recorded at in ns, and its bytes."""
 
-    topic: Topic
+    topic: Channel
     log_time_ns: int
     data: bytes
 
 
-Wanted = Callable[[Topic], bool]
+Wanted = Callable[[Channel], bool]
 
 
 class DamagedError(BellowsError):

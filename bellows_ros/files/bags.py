@@ -18,13 +18,13 @@ from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files import mcap, messages
 from bellows_ros.files.bag_folder import (
+    Channel,
     DamagedError,
     decompressed,
     listing,
     Message,
     METADATA,
     open_plain,
-    Topic,
     Wanted,
     ZSTD_MAGIC,
     ZstdError,
@@ -94,7 +94,7 @@ class _Bag:
         """Find its files; raise BellowsError if there are none."""
         self.path = Path(path)
         self._listed = listing(path)
-        self.counts: dict[Topic, int] = {}
+        self.counts: dict[Channel, int] = {}
         self.notes = list(self._listed.notes)
 
     def messages(self, wanted: Wanted) -> Iterator[Message]:
@@ -176,7 +176,7 @@ def read_messages(
     """
     bag, wanted = _Bag(path), {_absolute(name) for name in names}
 
-    def chosen(topic: Topic) -> bool:
+    def chosen(topic: Channel) -> bool:
         readable = topic.type_name in messages.LAYOUTS and topic.encoding == 'cdr'
         return readable and (not wanted or topic.name in wanted)
 
@@ -233,9 +233,9 @@ def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Co
     """
     bag = _Bag(path)
     roles = {role: _absolute(topic) for role, topic in wanted.items() if topic}
-    collectors: dict[Topic, dict[str, _Collector]] = {}
+    collectors: dict[Channel, dict[str, _Collector]] = {}
 
-    def is_wanted(topic: Topic) -> bool:
+    def is_wanted(topic: Channel) -> bool:
         """Begin to collect a topic for each role that it is for, and return whether any is."""
         if topic not in collectors:
             collectors[topic] = {
@@ -329,7 +329,7 @@ def accepted_types(role: str) -> tuple[str, ...]:
 class _Collector:
     """The messages of one topic and type for one role, decoded in batches as they come."""
 
-    def __init__(self, topic: Topic, role: str) -> None:
+    def __init__(self, topic: Channel, role: str) -> None:
         """Start empty."""
         self.topic = topic
         self._layout = layout = messages.LAYOUTS[topic.type_name]
@@ -424,7 +424,7 @@ def _plain(data: bytes) -> bytes:
 
 
 def _file_messages(
-    path: Path, wanted: Wanted, counts: dict[Topic, int], lost: list[str]
+    path: Path, wanted: Wanted, counts: dict[Channel, int], lost: list[str]
 ) -> Iterator[Message]:
     """Yield the wanted messages of a file, whose first bytes identify storage and compression."""
     with open_plain(path) as (file, compressed):

@@ -17,12 +17,12 @@ from typing import BinaryIO
 import zlib
 
 from bellows_ros.files.bag_folder import (
+    Channel,
     DamagedError,
     decompressed,
     FRAMES,
     LARGEST_RECORD,
     Message,
-    Topic,
     Wanted,
 )
 
@@ -41,7 +41,7 @@ Record = tuple[int, bytes | memoryview]
 
 
 def scan(
-    file: BinaryIO, wanted: Wanted, counts: dict[Topic, int], notes: list[str]
+    file: BinaryIO, wanted: Wanted, counts: dict[Channel, int], notes: list[str]
 ) -> Iterator[Message]:
     """
     Yield the messages of the wanted topics in the order they are stored in.
@@ -83,12 +83,12 @@ def scan(
 class _Scan:
     """The schemas and channels met so far, and how many bytes hold whole records."""
 
-    def __init__(self, wanted: Wanted, counts: dict[Topic, int]) -> None:
+    def __init__(self, wanted: Wanted, counts: dict[Channel, int]) -> None:
         """Start empty."""
         self._wanted = wanted
         self._counts = counts
         self._schemas: dict[int, str] = {}
-        self._channels: dict[int, Topic] = {}
+        self._channels: dict[int, Channel] = {}
         self._wanted_channels: set[int] = set()
         self.met: Counter[int] = Counter()
         self.whole = len(MAGIC)
@@ -161,7 +161,7 @@ class _Scan:
         """Remember a topic; the summary at the end repeats them."""
         number, schema = fields.number('<H'), fields.number('<H')
         name, encoding = fields.text(), fields.text()
-        topic = Topic(name, self._schemas.get(schema, ''), encoding)
+        topic = Channel(name, self._schemas.get(schema, ''), encoding)
         if self._channels.setdefault(number, topic) != topic:
             raise DamagedError(f'channel {number} is defined twice and differently')
         self._counts.setdefault(topic, 0)

@@ -132,7 +132,7 @@ def decode(
     values = np.zeros((count, part.stop - part.start))
     frame = np.full(count, -1, dtype=np.int64)
     numbers = {} if numbers is None else numbers
-    for (head, size), (names, members) in _alike(messages, layout.strings).items():
+    for (head, size), (names, members) in _same_layout(messages, layout.strings).items():
         dtype = _dtype(head, size, layout)
         if dtype is None:
             continue
@@ -145,7 +145,7 @@ def decode(
     return Decoded(stamps_ns, values, frame, list(numbers))
 
 
-def _alike(
+def _same_layout(
     messages: Sequence[bytes], strings: int
 ) -> dict[tuple[bytes, int], tuple[tuple[str, ...], list[int]]]:
     """
@@ -377,7 +377,7 @@ def pose_stream(name: str, decoded: Decoded) -> PoseStream:
         'zero_quaternion': norm < ZERO_QUATERNION_BELOW,
         'not_unit': np.abs(norm - 1.0) > NOT_UNIT_ABOVE,
     }
-    used, frame_id, refused = _sift(decoded, decoded.values[:, :3], unusable)
+    used, frame_id, refused = _drop_invalid(decoded, decoded.values[:, :3], unusable)
     return PoseStream(
         name, frame_id, decoded.stamps_ns[used], decoded.values[used, :3],
         _rotations(decoded.values[used, 3:]), refused,
@@ -403,13 +403,14 @@ def twist_stream(name: str, decoded: Decoded, in_child_frame: bool) -> TwistStre
         With `refused` as in `pose_stream`.
 
     """
-    used, frame_id, refused = _sift(decoded, decoded.values, {}, -1 if in_child_frame else 0)
+    used, frame_id, refused = _drop_invalid(
+        decoded, decoded.values, {}, -1 if in_child_frame else 0)
     return TwistStream(
         name, frame_id, decoded.stamps_ns[used], decoded.values[used, :3],
         decoded.values[used, 3:], refused)
 
 
-def _sift(
+def _drop_invalid(
     decoded: Decoded, lengths: Array, unusable: Mapping[str, Mask], frame_name: int = 0
 ) -> tuple[Stamps, str, Refused]:
     """Return the indices of the usable messages, their frame, and the others by reason."""

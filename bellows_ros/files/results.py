@@ -50,7 +50,8 @@ UNIT_OF: Mapping[str, Any] = {
         'rms', 'largest', 'motion', 'noise_rms', 'lip', 'measured', 'predicted',
     ), POSE_UNITS),
     **dict.fromkeys((
-        'relaxation', 'chi2', 'robust_chi2', 'condition_number', 'narrowed', 'noise_share', 'signal_to_noise',
+        'relaxation', 'chi2', 'robust_chi2', 'condition_number', 'narrowed', 'noise_share',
+        'signal_to_noise',
         'bias', 'pairs', 'aic', 'bic', 'held_out', 'simulated',
         'effective_samples', 'probability', 'probability_stiffness', 'probability_damping',
         'deviations', 'excess', 'left', 'moved', 'nrmse', 'model_error', 'limit', 'p_value',

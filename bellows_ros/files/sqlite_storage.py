@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 import sqlite3
 
-from bellows_ros.files.bag_folder import DamagedError, LARGEST_RECORD, Message, Topic, Wanted
+from bellows_ros.files.bag_folder import Channel, DamagedError, LARGEST_RECORD, Message, Wanted
 
 _HEADER = 100
 
@@ -22,7 +22,7 @@ _LEAST_STEPS = 10_000_000
 _STEPS_BETWEEN_CHECKS = 100_000
 
 
-def scan(path: Path, wanted: Wanted, counts: dict[Topic, int]) -> Iterator[Message]:
+def scan(path: Path, wanted: Wanted, counts: dict[Channel, int]) -> Iterator[Message]:
     """
     Yield the messages of the wanted topics, topic by topic, in the order they are stored in.
 
@@ -121,21 +121,21 @@ def _connect(path: Path) -> sqlite3.Connection:
     return database
 
 
-def _topics(database: sqlite3.Connection, counts: dict[Topic, int]) -> dict[int, Topic]:
+def _topics(database: sqlite3.Connection, counts: dict[Channel, int]) -> dict[int, Channel]:
     """Return the topics by number, and count their messages."""
     amounts = dict(database.execute('SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id'))
-    numbers: dict[int, Topic] = {}
+    numbers: dict[int, Channel] = {}
     for row in database.execute('SELECT id, name, type, serialization_format FROM topics'):
         if not isinstance(row[0], int) or not all(isinstance(x, str) for x in row[1:]):
             raise DamagedError("its table 'topics' is damaged")
-        topic = numbers[row[0]] = Topic(*row[1:])
+        topic = numbers[row[0]] = Channel(*row[1:])
         counts[topic] = counts.get(topic, 0) + amounts.pop(row[0], 0)
     if amounts:
         raise DamagedError(f'{sum(amounts.values())} messages have a topic it does not list')
     return numbers
 
 
-def _messages(database: sqlite3.Connection, topic_id: int, topic: Topic) -> Iterator[Message]:
+def _messages(database: sqlite3.Connection, topic_id: int, topic: Channel) -> Iterator[Message]:
     """Yield the messages of one topic."""
     query = 'SELECT timestamp, data FROM messages WHERE topic_id = ?'
     for log_time_ns, data in database.execute(query, (topic_id,)):

@@ -107,5 +107,5 @@ class Attachment:
         """Return the diagnostics line on the vacuum signal, if there is to be one."""
         if self.signal is None:
             return None
-        speaks_once = self._kind == 'bool'
-        return vacuum_status(name, self.signal.seen(self._refused), self.held, speaks_once)
+        latched = self._kind == 'bool'
+        return vacuum_status(name, self.signal.seen(self._refused), self.held, latched)

@@ -11,7 +11,7 @@ import time
 from typing import Any
 
 from bellows_ros.core.signals.trajectory import NS_PER_S
-from bellows_ros.files.bag_folder import Message, Topic
+from bellows_ros.files.bag_folder import Channel, Message
 import rclpy
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -198,7 +198,7 @@ def spin_until(
     return is_done
 
 
-def publisher(node: Node, topic: Topic, name: str, qos: QoSProfile) -> Any:
+def publisher(node: Node, topic: Channel, name: str, qos: QoSProfile) -> Any:
     """Return a publisher of a recorded topic's messages under some name; it takes their bytes."""
     package, _, kind = topic.type_name.partition('/msg/')
     return node.create_publisher(

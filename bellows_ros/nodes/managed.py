@@ -70,11 +70,11 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
             kind = '' if isinstance(error, BellowsError) else f'{type(error).__name__}: '
             self._why_not = f'{kind}{short(str(error), 1000)}'
             self.get_logger().error(f'Cannot be configured: {self._why_not}')
-            self.give_back()
+            self.release_resources()
             return FAILURE
         return super().on_configure(state)
 
-    def give_back(self) -> None:
+    def release_resources(self) -> None:
         """Destroy the topics and services that were made to be configured."""
         made: tuple[tuple[Iterable[Any], Callable[[Any], object]], ...] = (
             (self.publishers, self.destroy_lifecycle_publisher),

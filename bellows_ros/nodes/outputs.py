@@ -192,7 +192,7 @@ class Outputs:
             write_quaternion(package.transform.rotation, prediction.quaternion_xyzw)
             self._tf.publish(self._tf_message)
 
-    def say_state(self, state: str) -> None:
+    def publish_state(self, state: str) -> None:
         """Publish the state when it changes; late subscribers get it too."""
         if state != self._said:
             self._said = state

@@ -154,7 +154,7 @@ class PredictorNode(ManagedNode):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Fall silent."""
-        self._outputs.say_state('inactive')
+        self._outputs.publish_state('inactive')
         self._active, self._last = False, None
         self._live.reset()
         self._planning.forget()
@@ -187,15 +187,15 @@ class PredictorNode(ManagedNode):
         self.get_logger().info(summary(self._live))
         self._diagnostics.forget()
         del self._live
-        self.give_back()
+        self.release_resources()
 
-    def give_back(self) -> None:
+    def release_resources(self) -> None:
         """End the threads, too."""
         for part in (self._planning, self._tossing):
             if part is not None:
                 part.close()
         self._planning = self._tossing = None  # type: ignore[assignment]
-        super().give_back()
+        super().release_resources()
 
     def _say_model(self, values: Values) -> None:
         """Log the cup and the package that are used."""
@@ -368,7 +368,7 @@ class PredictorNode(ManagedNode):
     def _say_state(self) -> None:
         """Publish the state when it changes."""
         alarm = self._observing.alarm
-        self._outputs.say_state(
+        self._outputs.publish_state(
             f'alarm: {alarm.cause}' if alarm else self._live.phase(time.monotonic_ns()))
 
     # ------------------------------------------------------------- parameters

@@ -219,7 +219,7 @@ def steer_figure(motions: Mapping[str, Any], note: str, theme: str = 'light') ->
 
     Parameters
     ----------
-    motions : mapping of str to workflows.steer.Motion
+    motions : mapping of str to workflows.steer.SteeredMotion
         By name; the first is the one that is recommended.
     note : str
         Which plan and cup.

@@ -6,7 +6,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import MILLI_UNITS, Spectrum
-from bellows_ros.workflows.plot import Loads, Motion, Spectra
+from bellows_ros.workflows.plot import Loads, MeasuredMotion, Spectra
 import numpy as np
 
 from .panels import (
@@ -24,13 +24,13 @@ from .panels import (
 from .style import THEMES
 
 
-def motion_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
+def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
     """
     Draw tool and package over time, each axis from its start.
 
     Parameters
     ----------
-    motion : Motion
+    motion : MeasuredMotion
         What is drawn.
     note : str
         Which recording.
@@ -137,13 +137,13 @@ def spans(mask: Mask, seconds: Array, step: float) -> list[tuple[float, float]]:
             for first, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def path_figure(motion: Motion, note: str, theme: str = 'light') -> Any:
+def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
     """
     Draw the paths of tool and package in space, with the axes of both now and then.
 
     Parameters
     ----------
-    motion : Motion
+    motion : MeasuredMotion
         What is drawn.
     note : str
         Which recording.

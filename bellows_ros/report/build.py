@@ -99,7 +99,7 @@ def identification_report(
         *([section('Standstills', *standstill_content(content))] if content.get('static') else []),
         *([section('Structures', *selection_content(content['structures']))]
           if content.get('structures') else []),
-        section('Where this comes from', *_origin(origin, settings)),
+        section('Provenance', *_origin(origin, settings)),
     ]
     title = f'Cup identified from {", ".join(bags)}'
     return page(title, f'{method}, {content["structure"]}', sections)
@@ -116,7 +116,7 @@ def replay_report(
         *([section(f'With {found.observed.topic}', *observed_content(found.observed))]
           if found.observed else []),
         section('Samples', *samples_content(found.recording)),
-        section('Where this comes from', *_origin(
+        section('Provenance', *_origin(
             provenance([found.bag], parameter_files), found.values)),
     ]
     return page(f'Replay of {found.bag}', 'free simulation from start to end', sections)

@@ -29,7 +29,7 @@ class Difference(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class ResultComparison:
     """
     Two result files compared.
 
@@ -66,7 +66,7 @@ class Comparison:
         }
 
 
-def compare_files(before: Path, after: Path) -> Comparison:
+def compare_files(before: Path, after: Path) -> ResultComparison:
     """
     Compare two result files of identifications.
 
@@ -95,7 +95,7 @@ def compare_files(before: Path, after: Path) -> Comparison:
         values: dict[str, Any] = dict(resolve(settings, PACKAGE_PARAMETERS))
     with content_of(before, after):
         old, new = map(_described, contents)
-        return Comparison(
+        return ResultComparison(
             paths=(os.fspath(before), os.fspath(after)),
             fits=compare_fits(
                 fitted[0], fitted[1], package_of(values), values['gravity.magnitude']),

@@ -19,7 +19,7 @@ from bellows_ros.files.motive import FEWEST_MARKERS, is_motive, read_motive
 from bellows_ros.files.plans import joints_or_tf
 from bellows_ros.files.trajectory_files import read_trajectory, write_tum
 from bellows_ros.files.transforms import poses_in, read_transforms
-from bellows_ros.workflows.recordings import inside, part_of, WHOLE
+from bellows_ros.workflows.recordings import FULL_RANGE, inside, part_of
 import numpy as np
 
 POSE = 'geometry_msgs/msg/PoseStamped'
@@ -226,7 +226,7 @@ def bodies_in_transforms(
 
 def to_bag(
     bodies: Sequence[Body], out: str | os.PathLike[str], storage: str = 'mcap',
-    replace: bool = False, span: Mapping[str, Any] = WHOLE,
+    replace: bool = False, span: Mapping[str, Any] = FULL_RANGE,
 ) -> Conversion:
     """
     Write bodies as a recording.
@@ -292,7 +292,7 @@ def _topic_of(name: str) -> str:
 
 def to_tum(
     bag: str | os.PathLike[str], out: str | os.PathLike[str], topic: str = '',
-    span: Mapping[str, Any] = WHOLE,
+    span: Mapping[str, Any] = FULL_RANGE,
 ) -> Conversion:
     """
     Write the poses of a topic of a recording as a TUM file.

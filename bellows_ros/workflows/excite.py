@@ -53,7 +53,7 @@ NO_GRIP = (
 
 
 @dataclass(frozen=True, eq=False)
-class Excitation:
+class DesignedMotion:
     """
     A designed motion and its expected information.
 
@@ -114,7 +114,7 @@ def excite(
     settings: Mapping[str, object], limits: Mapping[str, Any], duration: float,
     urdf: str = '', beside: Sequence[str | os.PathLike[str]] = (), seed: int = 0,
     progress: Progress | None = None, with_series: bool = False,
-) -> Excitation:
+) -> DesignedMotion:
     """
     Design a motion that is most informative on K and P.
 
@@ -148,7 +148,7 @@ def excite(
             f'The motion is {duration:g} s long; expected {SHORTEST:g} to {LONGEST:g} s, with '
             f'{REST:g} s of rest and ramps of {RAMP:g} s.')
     if seed < 0:
-        raise BellowsError(f'The seed is {seed}; expected a whole number from 0 on.')
+        raise BellowsError(f'The seed is {seed}; expected an integer from 0 on.')
     tell = progress or (lambda what, part: None)
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     arm = arm_of(urdf, values['tool_link']) if urdf else None
@@ -179,7 +179,7 @@ def excite(
     } if with_series else {}
     series = {name: (motion, errors_of(motion.at_rate(1.0 / period)))
               for name, motion in more.items()}
-    return Excitation(found, structure, guess, others, series, values)
+    return DesignedMotion(found, structure, guess, others, series, values)
 
 
 def tracking_from(settings: Settings) -> Tracking:
@@ -206,7 +206,7 @@ def tracking_from(settings: Settings) -> Tracking:
 
 
 def write_motion(
-    path: str | os.PathLike[str], found: Excitation, csv: str = '', urscript: str = '',
+    path: str | os.PathLike[str], found: DesignedMotion, csv: str = '', urscript: str = '',
     replace: bool = False,
 ) -> None:
     """

@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.core.identification.structure_selection import StructureSelection
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
-    from bellows_ros.workflows.verdict import Verdict
+    from bellows_ros.workflows.verdict import FitVerdict
 
 NORMAL_95 = 1.959963984540054
 """Half width of a 95 % interval in standard errors."""
@@ -88,7 +88,7 @@ class Identification:
         The structures of K and P compared, where that was asked for.
     validations : tuple of Replay
         Recordings that the fit has not seen, simulated with its cup.
-    verdict : Verdict or None
+    verdict : FitVerdict or None
         What the cup is worth, and whether what was given is right; None where no recording itself
         was at hand.
     failed : tuple of Failed
@@ -109,7 +109,7 @@ class Identification:
     static: 'StaticResult | None' = None
     selection: 'StructureSelection | None' = None
     validations: tuple['Replay', ...] = ()
-    verdict: 'Verdict | None' = None
+    verdict: 'FitVerdict | None' = None
     failed: tuple[Failed, ...] = ()
     assumed: tuple[str, ...] = ()
     parameter_files: tuple[Mapping[str, Any], ...] = ()

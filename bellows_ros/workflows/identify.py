@@ -32,13 +32,13 @@ from bellows_ros.workflows.identification import (
 )
 from bellows_ros.workflows.recordings import (
     Failed,
+    FULL_RANGE,
     load,
     Progress,
     repeats,
     values_of_each,
-    WHOLE,
 )
-from bellows_ros.workflows.verdict import LOOKED_AT, Verdict, verdict_of
+from bellows_ros.workflows.verdict import FitVerdict, LOOKED_AT, verdict_of
 
 if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.core.identification.consistency import Consistency
@@ -216,7 +216,7 @@ def _static(values: Mapping[str, Any], tell: Progress) -> 'StaticResult | None':
         return None
     from bellows_ros.workflows.static import read_standstills
 
-    return read_standstills({**values, **WHOLE}, tell)
+    return read_standstills({**values, **FULL_RANGE}, tell)
 
 
 def read_part(
@@ -351,7 +351,7 @@ def _consistency(
 
 def selection(
     recordings: Sequence[Recording], values: Mapping[str, Any], tell: Progress,
-    verdict: Verdict | None = None,
+    verdict: FitVerdict | None = None,
 ) -> 'StructureSelection':
     """Compare the structures, with a verdict where none fits; that of the fit where given."""
     from bellows_ros.core.identification.samples import samples_of
@@ -374,7 +374,7 @@ def _validated(result: Identification, tell: Progress) -> 'list[Replay]':
         return []
     from bellows_ros.workflows.replay import replay
 
-    settings = {**result.cup_values(), **result.envelope.parameters(), **WHOLE}
+    settings = {**result.cup_values(), **result.envelope.parameters(), **FULL_RANGE}
     found = []
     for bag in result.values['validation.bags']:
         tell(f'validating on {bag}', FIT_ENDS)

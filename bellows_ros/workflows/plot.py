@@ -29,7 +29,7 @@ TRACKED = {'recording.package_frame': 'com', 'package.mass': 1.0, 'package.inert
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MeasuredMotion:
     """
     Tool and package as measured, at common times.
 
@@ -120,7 +120,7 @@ class Replayed:
         From the recording's first stamp, s.
     live : Live
         What the live predictor gives.
-    motion : Motion
+    motion : MeasuredMotion
         Measured, at the same times.
     position, rotation : array (N, 3), (N, 3, 3)
         Of B in the world, predicted.
@@ -135,7 +135,7 @@ class Replayed:
 
     seconds: Array
     live: Live
-    motion: Motion
+    motion: MeasuredMotion
     position: Array
     rotation: Array
     deflection: Array
@@ -144,11 +144,11 @@ class Replayed:
     box: Array
 
 
-Timed = TypeVar('Timed', Motion, Loads, Margins, Replayed)
-Group = TypeVar('Group', Motion, Loads, Margins, Replayed, Live)
+Timed = TypeVar('Timed', MeasuredMotion, Loads, Margins, Replayed)
+Group = TypeVar('Group', MeasuredMotion, Loads, Margins, Replayed, Live)
 
 
-def motion(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Motion:
+def motion(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> MeasuredMotion:
     """
     Return tool and package of a recording as measured.
 
@@ -157,10 +157,10 @@ def motion(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Motio
     return _motion(load(bag, resolve({**TRACKED, **settings})))
 
 
-def _motion(recording: Recording) -> Motion:
+def _motion(recording: Recording) -> MeasuredMotion:
     """Return tool and package as measured."""
     tool, package = recording.measured_tool, recording.measured_package
-    return Motion(
+    return MeasuredMotion(
         recording.since_start(tool.stamps_ns), tool.position, tool.rotation,
         package.position, package.rotation, relative_coordinates(tool, package),
         tool.valid & package.valid,
@@ -256,7 +256,7 @@ def within(shown: Timed, first: float, last: float) -> Timed:
 
     Parameters
     ----------
-    shown : Motion, Loads, Margins or Replayed
+    shown : MeasuredMotion, Loads, Margins or Replayed
         Of the whole recording.
     first, last : float
         From the recording's first stamp, s.
@@ -292,7 +292,7 @@ def _picked(group: Group, index: Stamps | Mask) -> Group:
     return replace(group, **picked)
 
 
-def data_json(shown: Motion | Spectra | Loads | Margins | Replayed) -> dict[str, Any]:
+def data_json(shown: MeasuredMotion | Spectra | Loads | Margins | Replayed) -> dict[str, Any]:
     """Return the numbers that a picture is drawn from, for a JSON file; SI units."""
     if not isinstance(shown, Replayed):
         return dict(vars(shown))

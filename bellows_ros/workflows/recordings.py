@@ -43,7 +43,7 @@ NO_OFFSET = (
 OWN_TOPICS = ' If only some recordings have other topics, give each its own file in package.files.'
 """Remedy for a topic that is missing in one of several recordings."""
 
-WHOLE = {'recording.start': 0.0, 'recording.end': 0.0}
+FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
 """For what is read whole: plans, standstills, and recordings for validation."""
 
 ARRAYS = ('stamps_ns', 'position', 'rotation', 'linear', 'angular')
@@ -129,7 +129,7 @@ def inside(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask
         If the end is not after the start, or there is nothing at all.
 
     """
-    start, end = (values.get(name, 0.0) for name in WHOLE)
+    start, end = (values.get(name, 0.0) for name in FULL_RANGE)
     if not (start or end):
         return [np.ones(len(stamps), bool) for stamps in all_stamps]
     first = min((int(stamps.min()) for stamps in all_stamps if len(stamps)), default=0)

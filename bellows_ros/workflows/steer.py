@@ -26,7 +26,7 @@ TAIL = 2.0
 """Duration after the end of the motion for which the swing is predicted, s."""
 
 
-class Motion(NamedTuple):
+class SteeredMotion(NamedTuple):
     """A motion of the tool, and its effect on the package."""
 
     tool: Trajectory
@@ -93,7 +93,7 @@ class SteerReport:
 
     source: Source
     method: str
-    motions: Mapping[str, Motion]
+    motions: Mapping[str, SteeredMotion]
     steered: Steered
     time_scale: float
     limit: str
@@ -255,14 +255,14 @@ def _scale(
     return stretched(limits, motion)
 
 
-def _motion(source: Source, tool: Trajectory, wanted: Trajectory, arrival: float) -> Motion:
+def _motion(source: Source, tool: Trajectory, wanted: Trajectory, arrival: float) -> SteeredMotion:
     """Return the effect of a motion of the tool on the package, which arrives then (s)."""
     model = source.model
     run, longer = Run(model, source.grip, tool), standing(tool, TAIL)
     square = mean_square(
         source.values, model,
         lambda changed: float(run.of(changed).at(1.0).figures()['swing_left']))
-    return Motion(
+    return SteeredMotion(
         tool, run.at(1.0), arrival - source.duration, longer,
         Run(model, None, longer, tail=0.0).at(1.0).states, standing(wanted, TAIL),
         math.sqrt(square))

@@ -56,7 +56,7 @@ class Simulated(NamedTuple):
         return {**self._asdict(), 'axes': AXES, 'units': {'noise': POSE_UNITS}}
 
 
-class Verdict(NamedTuple):
+class FitVerdict(NamedTuple):
     """Free simulations of recordings of the fit, and what was found to be otherwise."""
 
     simulated: tuple[Simulated, ...]
@@ -131,7 +131,7 @@ SETTINGS = {
 def verdict_of(
     fit: Fit | None, recordings: Sequence[Recording], length: float, values: Mapping[str, Any],
     known: Sequence[str] = (),
-) -> Verdict | None:
+) -> FitVerdict | None:
     """
     Return the verdict on a fit from some of its recordings, None without any.
 
@@ -157,9 +157,9 @@ def verdict_of(
               'package.inertia': np.diag(held.inertia)}
     diagnosis = diagnose(some, length, structure_named(values['fit.structure']), known)
     if fit is None or not fit.usable:
-        return Verdict((), diagnosis, values)
+        return FitVerdict((), diagnosis, values)
     cup = Cup(fit.stiffness, fit.damping, length, fit.relaxation)
-    return Verdict(tuple(_simulated(cup, own) for own in some), diagnosis, values)
+    return FitVerdict(tuple(_simulated(cup, own) for own in some), diagnosis, values)
 
 
 def _simulated(cup: Cup, recording: Recording) -> Simulated:

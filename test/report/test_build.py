@@ -102,7 +102,7 @@ def test_every_part_is_there(html):
     """Show what a reader looks for."""
     text = ' '.join(parsed(html).text)
     for words in ('Stiffness K', 'Measured and simulated', 'Spectra', 'Whiteness', 'Excitation',
-                  'Validity range', 'Samples of', 'Where this comes from', 'All settings',
+                  'Validity range', 'Samples of', 'Provenance', 'All settings',
                   '95 % interval'):
         assert words in text
     assert text.count('Measured and simulated') == 1
