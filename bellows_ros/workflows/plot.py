@@ -295,7 +295,8 @@ def _picked(group: Group, index: Stamps | Mask) -> Group:
 def data_json(shown: MeasuredMotion | Spectra | Loads | Margins | Replayed) -> dict[str, Any]:
     """Return the numbers that a picture is drawn from, for a JSON file; SI units."""
     if not isinstance(shown, Replayed):
-        return dict(vars(shown))
+        smallest = {'smallest': [*shown.smallest]} if isinstance(shown, Margins) else {}
+        return {**vars(shown), **smallest}
     return {
         'seconds': shown.seconds,
         'measured': shown.live.measured,
