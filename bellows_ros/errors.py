@@ -31,5 +31,11 @@ class UndeterminedError(BellowsError):
     """The recordings do not determine what is to be estimated."""
 
 
+class UnexplainedError(UndeterminedError):
+    """No model explains the recordings."""
+
+    exit_code = 1
+
+
 class NoLandingError(BellowsError):
     """A package is not let go, or not above the floor, or does not come down."""

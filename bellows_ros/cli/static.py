@@ -121,8 +121,10 @@ def _say_length(result: 'StaticResult', console: Console) -> None:
     console.say('Nominal length', 'bold')
     console.say(f'  l0 {length.text}')
     console.paragraph(
-        f'  polynomial of order {len(length.coefficients) - 1} through {len(length.loads)} '
-        'standstills.')
+        f'  {"straight line" if len(length.coefficients) == 2 else "cubic"} through '
+        f'{len(length.loads)} standstills.')
+    if math.isfinite(length.pick_std):
+        console.say(f'  scatter from pick to pick {1e3 * length.pick_std:.2f} mm')
     beyond = length.linear_load < float(length.loads.max())
     console.paragraph(
         f'  Axial stiffness {length.stiffness:.0f} N/m; linear up to '

@@ -46,6 +46,8 @@ class StaticResult:
         The length that the cup is taken to have, m.
     spring : SpringCheck or None
         The spring in every pose; None where no stiffness is known.
+    repeated : int
+        Recordings that were given more than once; each counts once.
 
     """
 
@@ -54,6 +56,7 @@ class StaticResult:
     no_length: str
     cup_length: float
     spring: SpringCheck | None = None
+    repeated: int = 0
 
     @property
     def standstills(self) -> list[Standstill]:
@@ -64,6 +67,10 @@ class StaticResult:
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
         found = list(self.length.warnings) if self.length else []
+        if self.repeated:
+            found.append(
+                f'{self.repeated} of {self.repeated + len(self.recordings)} recordings were given '
+                'before; each counts once.')
         if self.length and abs(self.length.length - self.cup_length) > LENGTHS_AGREE_WITHIN:
             found.append(
                 f'cup.length is {self.cup_length * 1e3:.2f} mm, but these recordings give '
@@ -208,7 +215,7 @@ def _read(
     each: Sequence[StaticBag], values: Mapping[str, Any], tell: Progress
 ) -> StaticResult:
     """Return the result of recordings, each with its parameters; twists do not matter at rest."""
-    recordings = []
+    recordings = list[Recording]()
     for number, (bag, own) in enumerate(each):
         tell(f'reading {bag}', number / len(each))
         if own['recording.package_world'] == ESTIMATE:
@@ -216,15 +223,26 @@ def _read(
                 f"'{bag}' has only standstills, which do not give "
                 'recording.package_world. Set its seven numbers: they are in the cup file of an '
                 'identification with a motion.')
-        recordings.append(
-            load(bag, {**own, 'topics.tool_twist': '', 'fit.time_offset': False}))
+        found = load(bag, {**own, 'topics.tool_twist': '', 'fit.time_offset': False})
+        if not any(_same(found, other) for other in recordings):
+            recordings.append(found)
     stills = [still for recording in recordings for still in standstills_in(recording)[0]]
     length, no_length = None, ''
     try:
         length = nominal_length(stills, values['gravity.magnitude'])
     except UndeterminedError as error:
         no_length = str(error)
-    return StaticResult(tuple(recordings), length, no_length, values['cup.length'])
+    return StaticResult(
+        tuple(recordings), length, no_length, values['cup.length'], None,
+        len(each) - len(recordings))
+
+
+def _same(one: Recording, other: Recording) -> bool:
+    """Return whether two recordings have the same poses of the package."""
+    poses = one.package_pose, other.package_pose
+    return len(poses[0]) == len(poses[1]) and all(
+        np.array_equal(getattr(poses[0], name), getattr(poses[1], name))
+        for name in ('stamps_ns', 'position'))
 
 
 def save_length(

@@ -16,7 +16,7 @@ from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import UndeterminedError, UnstableError
+from bellows_ros.errors import UndeterminedError, UnexplainedError, UnstableError
 import numpy as np
 from scipy.special import chdtrc
 
@@ -29,14 +29,23 @@ SAME_MASS_WITHIN = 1e-3
 SAME_LOAD_WITHIN = 1e-2
 """The same for loads, N."""
 
-POLYNOMIAL = 3
-"""Degree of length against load (4.2), if there are enough loads."""
+STRAIGHT, CUBIC = 1, 3
+"""Degrees of length against load (4.2)."""
+
+GAIN = 0.8
+"""The cubic counts if it predicts masses left out with less than this part of the error."""
+
+EXPLAINED = 0.25
+"""Scatter about the line, as a part of what the loads lengthen the cup, above which none fits."""
 
 LINEAR_WITHIN = 0.05
 """The linear range ends where the polynomial deviates from its tangent by this fraction."""
 
 MISFIT = 0.01
 """p-value of the polynomial's residuals below which a misfit is reported."""
+
+FEWEST_PICKS = 3
+"""Picks beyond the first of each mass that tell the scatter from pick to pick."""
 
 WANTED_LENGTH_ERROR = 1e-4
 """Largest acceptable standard error of the nominal length, m."""
@@ -67,6 +76,9 @@ class NominalLength:
         Load (N), length (m) and its standard error (m) of every standstill that was used.
     coefficients : ndarray
         Of the polynomial, m, m/N, m/N^2, m/N^3.
+    pick_std : float
+        Standard deviation of the length from pick to pick of the same mass, m; NaN where no mass
+        was picked often enough.
     warnings : tuple of str
         What the user should know, in sentences.
 
@@ -82,6 +94,7 @@ class NominalLength:
     lengths: Array
     errors: Array
     coefficients: Array
+    pick_std: float
     warnings: tuple[str, ...]
 
     @property
@@ -98,8 +111,9 @@ def nominal_length(
     """
     Return the cup's length without load from standstills of several masses (4.2).
 
-    Length against load is fitted by a polynomial of third order, or of lower order where there
-    are fewer loads, so that one is left to test it; its value at no load is l0.
+    Length against load is straight, or a cubic where that predicts masses left out better; its
+    value at no load is l0. Masses that were picked several times tell the scatter from pick to
+    pick, which counts as an error of each standstill.
 
     Parameters
     ----------
@@ -110,8 +124,10 @@ def nominal_length(
 
     Raises
     ------
-    BellowsError
+    UndeterminedError
         If there are fewer than two different masses with the cup's axis vertical.
+    UnexplainedError
+        If no line fits.
 
     """
     upright = [still for still in standstills if still.tilt <= UPRIGHT_WITHIN]
@@ -125,14 +141,58 @@ def nominal_length(
             f'vertical, but there {"is" if different == 1 else "are"} {different}. Record '
             'standstills with other known masses, and give each its own --mass.'
         )
-    degree = max(1, min(POLYNOMIAL, different - 2))
-    coefficients, std, chi2, freedom = _polynomial(loads, lengths, errors, degree)
+    groups = _groups(loads, SAME_MASS_WITHIN * gravity)
+    pick = _pick_scatter(lengths, errors, groups)
+    scattered = np.hypot(errors, np.nan_to_num(pick))
+    degree = STRAIGHT
+    if different >= CUBIC + 2:
+        straight, cubic = (
+            _left_out(loads, lengths, scattered, groups, k) for k in (STRAIGHT, CUBIC))
+        degree = CUBIC if cubic < GAIN * straight else STRAIGHT
+    coefficients, std, chi2, freedom = _polynomial(loads, lengths, scattered, degree)
+    fitted = np.polynomial.polynomial.polyval(loads, coefficients)
+    left, reach = float(np.sqrt(np.mean((lengths - fitted)**2))), float(np.ptp(fitted))
+    if not coefficients[1] > 0.0 or left > EXPLAINED * reach:
+        raise UnexplainedError(
+            f'No line fits length against load: it changes by {1e3 * reach:.2g} mm from the '
+            f'lightest to the heaviest mass, {"up" if coefficients[1] > 0.0 else "down"}, and '
+            f'the lengths scatter by {1e3 * left:.2g} mm about it. Check each mass, and that the '
+            'poses are those of E and S.')
     linear_load = _linear_range(coefficients, float(loads.max()))
     return NominalLength(
         float(coefficients[0]), std, chi2, freedom,
         float(1.0 / coefficients[1]), linear_load, loads, lengths, errors,
-        coefficients, tuple(_warnings(different, std, (chi2, freedom), coefficients, loads)),
+        coefficients, pick, tuple(_warnings(different, std, (chi2, freedom), pick, loads)),
     )
+
+
+def _groups(loads: Array, within: float) -> Array:
+    """Return the number of the mass of each load (N,)."""
+    order = np.argsort(loads)
+    number = np.empty(len(loads), dtype=int)
+    number[order] = np.cumsum(np.diff(loads[order], prepend=loads[order[0]]) > within)
+    return number
+
+
+def _pick_scatter(lengths: Array, errors: Array, groups: Array) -> float:
+    """Return by how much lengths of the same mass scatter beyond their errors, or NaN."""
+    means = np.array([lengths[groups == group].mean() for group in groups])
+    freedom = len(lengths) - len(set(groups.tolist()))
+    if freedom < FEWEST_PICKS:
+        return float('nan')
+    variance = float(np.sum((lengths - means)**2)) / freedom - float(np.mean(errors**2))
+    return float(np.sqrt(max(variance, 0.0)))
+
+
+def _left_out(loads: Array, lengths: Array, errors: Array, groups: Array, degree: int) -> float:
+    """Return the mean squared error (m^2) of predicting each mass from the others."""
+    total = 0.0
+    for group in set(groups.tolist()):
+        out = groups == group
+        coefficients = _polynomial(loads[~out], lengths[~out], errors[~out], degree)[0]
+        off = lengths[out] - np.polynomial.polynomial.polyval(loads[out], coefficients)
+        total += float(off.mean()**2)
+    return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,36 +307,31 @@ def _linear_range(coefficients: Array, largest: float) -> float:
 
 
 def _warnings(
-    different: int, std: float, fit: tuple[float, int], coefficients: Array, loads: Array
+    different: int, std: float, fit: tuple[float, int], pick: float, loads: Array
 ) -> Iterator[str]:
     """Yield warnings about a nominal length and its fit, chi^2 and degrees of freedom."""
     chi2, freedom = fit
     if freedom and chdtrc(freedom, chi2) < MISFIT:
+        size = float(np.sqrt(chi2 / freedom))
         yield (
-            f'The lengths are off the polynomial by {np.sqrt(chi2 / freedom):.2g} times their '
-            'noise: a mass may be wrong, or the cup too nonlinear for the polynomial. Check each '
-            'mass, and add more masses.'
-        )
+            f'The lengths are off the line by {size:.2g} times their scatter from pick to pick: a '
+            'mass may be wrong. Check each mass.' if np.isfinite(pick) else
+            f'The lengths are off the line by {size:.2g} times their noise: they scatter from '
+            'pick to pick, or a mass is wrong. Pick each mass several times to tell which.')
     if not np.isfinite(std):
         yield (
             'With two masses the nominal length has no standard error, and a wrong mass would '
             'go unnoticed. Add a third mass.'
         )
-    elif different < POLYNOMIAL + 2:
+    elif different < CUBIC + 2:
         yield (
-            f'With {different} different masses, a polynomial of order {len(coefficients) - 1} '
-            f'is fitted to length against load; {POLYNOMIAL + 2} or more show where the cup '
-            'stops being linear.'
+            f'With {different} different masses, a straight line is fitted to length against '
+            f'load; {CUBIC + 2} or more show where the cup stops being linear.'
         )
     if WANTED_LENGTH_ERROR < std < np.inf:
         yield (
             f'The nominal length is uncertain by {std * 1e3:.2f} mm. Add masses lighter than '
             f'{loads.min():.3g} N, or hold each for longer.'
-        )
-    if not coefficients[1] > 0.0:
-        yield (
-            'The cup gets shorter under load. Check the masses, and that the poses are those of '
-            'E and S.'
         )
 
 
