@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
-DISPLAYS = ('Grid', 'Pose', 'MarkerArray')  # of the plugins that come with RViz
+DISPLAYS = ('Grid', 'Pose', 'MarkerArray', 'Path')  # of the plugins that come with RViz
 
 
 def topics_of(content: Any) -> set[str]:
@@ -23,7 +23,8 @@ def test_layouts_show_topics_of_the_predictor(name: str, root: Path) -> None:
     content = yaml.safe_load(text) if name.endswith('.rviz') else json.loads(text)
     shown = topics_of(content)
     nodes = ''.join(path.read_text() for path in (root / 'bellows_ros' / 'nodes').glob('*.py'))
-    assert {'/tool_arm/pose', '/package/pose'} <= shown
+    assert {'/tool_arm/pose', '/package/pose', '/package/measured', '/package/plan_path',
+            '/package/landing_markers'} <= shown
     assert [topic for topic in shown if f"'{topic[1:]}'" not in nodes] == []
 
 
@@ -38,7 +39,8 @@ def test_every_plot_of_the_foxglove_layout_is_of_fields_that_messages_have(root:
     """Name panels and paths as Foxglove saves them, with fields of the messages' own types."""
     geometry = pytest.importorskip(
         'geometry_msgs.msg', reason="no ROS messages here (pip install '.[ros]')")
-    types = {'/cup/wrench': geometry.WrenchStamped, '/cup/deflection': geometry.PoseStamped}
+    types = {'/cup/wrench': geometry.WrenchStamped, '/cup/deflection': geometry.PoseStamped,
+             '/cup/safety_factor': geometry.Vector3Stamped}
     content = json.loads((root / 'config' / 'predictor.foxglove.json').read_text())
     for name, panel in content['configById'].items():
         assert panel['foxglovePanelTitle'] and 'title' not in panel
