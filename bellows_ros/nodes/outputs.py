@@ -9,7 +9,7 @@ from nav_msgs.msg import Odometry
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 from visualization_msgs.msg import MarkerArray
 
 from .conversions import (
@@ -105,6 +105,7 @@ class Outputs:
         self._markers = Topic(node, MarkerArray, 'package/markers')
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state = Topic(node, String, 'package/state', latched)
+        self._ok = Topic(node, Bool, 'package/ok', latched)
         self._tf: Topic | None = None
         if values['frames.tf'] and importlib.util.find_spec('tf2_msgs') is None:
             node.get_logger().info('tf2_msgs is not installed: the package is not sent to tf.')
@@ -116,6 +117,7 @@ class Outputs:
         self._messages = geometry.PoseStamped(), geometry.TwistStamped(), geometry.WrenchStamped()
         self._factors = geometry.Vector3Stamped()
         self._said = ''
+        self._was_ok: bool | None = None
         self._extrapolated_ns = -1
         self._is_late = self._is_due = False
 
@@ -191,6 +193,12 @@ class Outputs:
             write_vector(package.transform.translation, prediction.position)
             write_quaternion(package.transform.rotation, prediction.quaternion_xyzw)
             self._tf.publish(self._tf_message)
+
+    def publish_ok(self, ok: bool) -> None:
+        """Publish whether the package is held within limits, when it changes; latched."""
+        if ok != self._was_ok:
+            self._was_ok = ok
+            self._ok.publish(Bool(data=ok))
 
     def publish_state(self, state: str) -> None:
         """Publish the state when it changes; late subscribers get it too."""

@@ -43,6 +43,9 @@ INTERFACE = Interface(
         ('package/state', 'std_msgs/String, published, latched',
          'waiting, settling, predicting, coasting, lost, detached or inactive; after the valve '
          'released, flying and landed; for 5 s after an alarm "alarm: " and its cause.'),
+        ('package/ok', 'std_msgs/Bool, published, latched',
+         'True while the package is held, predicted, without an alarm, and with a safety factor '
+         'of at least safety.least; no safety function.'),
         ('package/estimated', 'geometry_msgs/InertiaStamped, published',
          'Estimated mass, centre of mass in the frame of the lip, and inertia, with '
          'payload.estimate; standard deviations are in the diagnostics.'),

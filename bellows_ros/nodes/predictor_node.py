@@ -49,6 +49,11 @@ LOAD_TICKS = 3
 
 REPORT_PERIOD = 1.0
 
+HELD_STATES = ('predicting', 'settling')
+"""States in which package/ok can be true."""
+UNSAFE_NS = 1_000_000_000
+"""After a safety factor below safety.least, package/ok stays false for this long (ns)."""
+
 CLOCKS_APART_NS = 500_000_000
 """If the node's clock differs by more (ns), the valve is switched at the newest pose."""
 
@@ -91,6 +96,7 @@ class PredictorNode(ManagedNode):
         self._active = self._twists_exist = False
         self._idle_ticks = self._ticks = self._ticked_ns = 0
         self._was_late = False
+        self._safe_from_ns = 0
         self._arrival_at_last_tick: int | None = None
         self._last: Prediction | None = None
         self._publish_more = self.guarded(self._publish_beside)
@@ -155,6 +161,7 @@ class PredictorNode(ManagedNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Fall silent."""
         self._outputs.publish_state('inactive')
+        self._outputs.publish_ok(False)
         self._active, self._last = False, None
         self._live.reset()
         self._planning.forget()
@@ -266,6 +273,9 @@ class PredictorNode(ManagedNode):
     def _publish_beside(self, prediction: Prediction) -> None:
         """Send all but the pose, and watch the load on the cup."""
         factors = self._diagnostics.load.watch_force(prediction)
+        if factors and min(factors) < self._diagnostics.load.least:
+            self._safe_from_ns = time.monotonic_ns() + UNSAFE_NS
+            self._outputs.publish_ok(False)
         self._outputs.publish_more(prediction, self._live.frame_id, factors)
         self._planning.follow()
 
@@ -367,9 +377,10 @@ class PredictorNode(ManagedNode):
 
     def _say_state(self) -> None:
         """Publish the state when it changes."""
-        alarm = self._observing.alarm
-        self._outputs.publish_state(
-            f'alarm: {alarm.cause}' if alarm else self._live.phase(time.monotonic_ns()))
+        alarm, now_ns = self._observing.alarm, time.monotonic_ns()
+        state = f'alarm: {alarm.cause}' if alarm else self._live.phase(now_ns)
+        self._outputs.publish_state(state)
+        self._outputs.publish_ok(state in HELD_STATES and now_ns >= self._safe_from_ns)
 
     # ------------------------------------------------------------- parameters
 

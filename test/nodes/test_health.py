@@ -399,3 +399,31 @@ def _time(second: int) -> Any:
     from builtin_interfaces.msg import Time
 
     return Time(sec=second)
+
+
+def test_ok_is_true_only_while_the_package_is_held_within_limits(
+        make_partner: Callable[..., Any]) -> None:
+    """False before the first pose, true at rest, false with the first pose of too high a load."""
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from std_msgs.msg import Bool
+
+    partner = make_partner({
+        **PACKAGE, 'coast.limit': 0.0, 'cup.lip_radius': 0.02, 'vacuum.holding': 5e4,
+        'safety.least': 1.0})
+    heard: list[bool] = []
+    partner.node.create_subscription(
+        Bool, 'package/ok', lambda message: heard.append(message.data),
+        QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    assert partner.ros.spin_until(lambda: heard == [False])
+    stamp, step = 1_700_000_000_000_000_000, 2_000_000
+    for k in range(5):
+        partner.send_pose(stamp + k * step)
+        partner.send_twist(stamp + k * step, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert partner.ros.spin_until(lambda: heard == [False, True])
+    height, speed = 0.0, 0.0
+    for k in range(5, 60):  # upwards at 100 m/s^2
+        speed += 100.0 * step * 1e-9
+        height += speed * step * 1e-9
+        partner.send_pose(stamp + k * step, (0.0, 0.0, height))
+        partner.send_twist(stamp + k * step, (0.0, 0.0, speed), (0.0, 0.0, 0.0))
+    assert partner.ros.spin_until(lambda: heard == [False, True, False])
