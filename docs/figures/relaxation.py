@@ -10,7 +10,13 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
-from benchmarks.rubber import CUP, stiffening, strengths, study, TIMES  # noqa: E402
+from benchmarks.rubber import (  # noqa: E402, I100
+    CUP,
+    stiffening,
+    strengths,
+    study,
+    TIMES,
+)
 
 LOSS_FACTOR = 0.10
 
