@@ -204,10 +204,7 @@ def say_cup(fit: 'Fit', console: Console, title: str = '') -> None:
             with_error(matrix[axes[0], axes[0]], std[axes[0], axes[0]],
                        UNITS[name][2 * (axes[0] > 2)]) for name, matrix, std in matrices))
         for axes in structure.tied_axes)], title=title)
-    if any(fit.relaxation):
-        strengths = ', '.join(f'r{b} = {with_error(r, std, "")}' for b, (r, std) in enumerate(
-            zip(fit.relaxation, fit.relaxation_std, strict=True), 1))
-        console.paragraph(f'The rubber relaxes: {strengths}. K is the static stiffness.')
+    say_relaxation(fit.relaxation, fit.relaxation_std, console)
     for name, matrix, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]
         rows: list[tuple[str, ...]] = [('', *AXES)]
@@ -215,6 +212,16 @@ def say_cup(fit: 'Fit', console: Console, title: str = '') -> None:
             rows.append((axis, *('-' if math.isinf(error) else f'{value:.4g}'
                                  for value, error in zip(values, errors, strict=True))))
         console.table(rows, right=True, title=f'{name} in {linear}, {coupling} and {angular}:')
+
+
+def say_relaxation(
+    strengths: tuple[float, float], errors: tuple[float, float], console: Console
+) -> None:
+    """Print how the rubber relaxes, if it does."""
+    if any(strengths):
+        numbers = ', '.join(f'r{b} = {with_error(r, std, "")}' for b, (r, std) in enumerate(
+            zip(strengths, errors, strict=True), 1))
+        console.paragraph(f'The rubber relaxes: {numbers}. K is the static stiffness.')
 
 
 def _say_samples(result: 'Identification', console: Console) -> None:

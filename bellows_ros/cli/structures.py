@@ -10,6 +10,7 @@ from typing import Any, TYPE_CHECKING
 
 from . import options
 from .console import Console, NOT_USABLE, OK
+from .identify import say_relaxation
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.identify import StructureAdvice
@@ -67,5 +68,7 @@ def _say(result: 'StructureAdvice', console: Console) -> None:
         'independent ones.'
     )
     console.say()
+    relaxation = result.recordings[0].relaxation
+    say_relaxation(relaxation.strengths, relaxation.std, console)
     console.paragraph(*selection.advice)
     console.warn(*result.warnings)

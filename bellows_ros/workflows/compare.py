@@ -117,7 +117,7 @@ def _fitted(content: Mapping[str, Any]) -> Fitted:
     order = [labels.index(label) for label in structure.labels]
     cup = Cup(
         np.array(content['stiffness'], dtype=float), np.array(content['damping'], dtype=float),
-        float(content['cup_length']),
+        float(content['cup_length']), tuple(content.get('relaxation', (0.0, 0.0))),
     )
     return Fitted(structure, cup, covariance[np.ix_(order, order)])
 

@@ -443,7 +443,8 @@ def structures(
 
     """
     tell, values = progress or (lambda what, part: None), resolved(settings)
-    recordings, _ = read_all(values, True, tell)
+    read: list[Recording] = read_all(values, True, tell)[0]
+    recordings = with_relaxation(read, values)
     advice = StructureAdvice(
         excitation_of([reduced(recording, values) for recording in recordings]),
         selection(recordings, values, tell), tuple(recordings), values)

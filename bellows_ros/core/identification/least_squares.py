@@ -12,7 +12,7 @@ Without a hold of some seconds r2 is not identifiable.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.equations import (
@@ -256,6 +256,8 @@ def _misfit(left: Array, by_noise: Array | None, whitening: Array) -> str:
     )
 
 
+T = TypeVar('T', bound=Recording | Reduced)
+
 SIGNIFICANT = 13.8
 """Squared Mahalanobis distance from zero that 1 in 1000 cups without relaxation exceed."""
 
@@ -316,9 +318,7 @@ def relaxation_of(
     return alone._replace(covariance=alone.covariance + unknown, assumed=True)
 
 
-def with_relaxation(
-    recordings: Sequence[Recording | Reduced], values: Mapping[str, Any]
-) -> list[Recording | Reduced]:
+def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[T]:
     """
     Return recordings of one cup with its relaxation, where fit.relaxation lets it be looked for.
 
@@ -344,7 +344,7 @@ def with_relaxation(
                 'error. Record a hold of a tilt for 5 to 10 s beside the motion, or set '
                 'fit.relaxation: auto.')
         return list(recordings)
-    return [replace(own, relaxation=found) for own in whole]
+    return [replace(own, relaxation=found) for own in recordings]  # type: ignore[arg-type]
 
 
 def _relaxing_rows(

@@ -43,6 +43,9 @@ FOLDS = 5
 SHORTEST_RUN = 1.0
 """Shortest simulated segment, s."""
 
+DIVERGED: Array = np.array([[np.inf, np.inf], [0.0, 0.0]])
+"""Sums of squares of a simulation that diverges."""
+
 FAR_AWAY = 1e3
 """A simulated package that is farther from where it was has gone astray, m."""
 
@@ -288,23 +291,38 @@ def _candidate(
         if noise is not None:
             part_of_it = (1.0 - counts[number] / problem.used) * noise
             x = x - noise_bias(part_of_it, problem.whitening, x, inverse)[0]
-        simulated.append(_simulated_error(
-            Cup(*structure.matrices(x), problem.cup_length),
+        simulated.append(_simulated_errors(
+            Cup(*structure.matrices(x), problem.cup_length, problem.recordings[0].relaxation),
             [run for samples, part in fold for run in _runs(samples.select(part))]))
     part = problem.effective / problem.used
     squares = part * float(r_factor(parts, size + 1)[-1, -1] ** 2)
     return Candidate(
         structure.name, size, fit, refused, squares + 2.0 * size,
         squares + size * float(np.log(problem.effective)),
-        np.array(simulated))
+        _over_motion(np.array(simulated)))
 
 
-def _simulated_error(cup: Cup, runs: Sequence[Samples]) -> float:
+def _over_motion(sums: Array) -> Array:
     """
-    Return the error of simulated segments over the size of their motion, inf where one diverges.
+    Return errors (F,) over the size of the motion, from sums (F, 2, 2) of all folds.
 
-    Both are RMS values of three positions and of three rotations in the tool, taken together as
-    the mean of the two ratios' squares.
+    The size is that of an average fold: one may be a hold. Errors are RMS values of positions and
+    of rotations, taken together as the mean of the two ratios' squares.
+    """
+    errors, sizes = sums[:, 0], sums[:, 1].mean(axis=0)
+    moving = sizes > 0.0
+    if not moving.any():
+        return np.full(len(sums), np.inf if np.isinf(errors).any() else np.nan)
+    ratios: Array = np.sqrt(np.mean(errors[:, moving] / sizes[moving], axis=1))
+    return ratios
+
+
+def _simulated_errors(cup: Cup, runs: Sequence[Samples]) -> Array:
+    """
+    Return sums of squares (2, 2) of simulated segments: of errors, and of their motion.
+
+    Each of three positions, and of three rotations in the tool. Errors are infinite where a
+    segment diverges.
     """
     squares, sizes = np.zeros(6), np.zeros(6)
     for run in runs:
@@ -315,15 +333,14 @@ def _simulated_error(cup: Cup, runs: Sequence[Samples]) -> float:
         try:
             moved = simulate(cup, run.payload, run.tool, start, run.gravity)
         except UnstableError:
-            return np.inf
+            return DIVERGED
         if float(np.abs(moved.position).max()) > FAR_AWAY:
-            return np.inf
+            return DIVERGED
         found = compare(moved, run.tool, run.package).scores
         squares += found.samples * found.rms**2
         sizes += found.samples * found.motion**2
-    kinds = [(squares[kind].sum(), sizes[kind].sum()) for kind in (slice(0, 3), slice(3, 6))]
-    ratios = [square / size for square, size in kinds if size > 0.0]
-    return float(np.sqrt(np.mean(ratios))) if ratios else np.nan
+    sums: Array = np.array([squares, sizes]).reshape(2, 2, 3).sum(axis=2)
+    return sums
 
 
 def _runs(samples: Samples) -> Iterator[Samples]:
