@@ -20,7 +20,7 @@ from bellows_ros.core.recording.alignment import (
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.preparation import stream_warnings
 from bellows_ros.core.signals.timing import timing
-from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.workflows.recordings import part_of
 from bellows_ros.workflows.roles import Guess, likely_alone, likely_pair, likely_twist, Pair
@@ -29,6 +29,12 @@ import numpy as np
 Stream = PoseStream | TwistStream
 
 REST_USED = 0.9  # of the standstill that was found
+
+
+SHORTEST_HOLD, LEAST_TILT = 4.0, 0.1
+"""A tilt beyond this (rad) that is held so long (s) shows how rubber creeps."""
+HOLD_STEP, HELD = 0.25, (0.01, 0.04)
+"""Time (s) between the poses that are compared, and what stands still (m/s, rad/s)."""
 
 
 @dataclass(frozen=True)
@@ -247,8 +253,9 @@ def _at_rest(
 
     Where their worlds are apart, distance and turn say nothing of the bodies.
     """
-    rest = rest_of(*(in_world(poses[guess.topic].trajectory(), world_rotation(pair.world))
-                     for guess in (pair.tool, pair.package)))
+    tool, package = (in_world(poses[guess.topic].trajectory(), world_rotation(pair.world))
+                     for guess in (pair.tool, pair.package))
+    rest = rest_of(tool, package)
     notes = [
         f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool. That is about '
         'cup.length if its poses are those of the lip (recording.package_frame: lip), or '
@@ -260,9 +267,26 @@ def _at_rest(
             f'The standstill at the beginning lasts only {rest.seconds:.1f} s. Start with 2 s of '
             'standstill, so that rotated marker frames can be detected.'
         )
+    if longest_hold(tool) < SHORTEST_HOLD:
+        notes.append(
+            f'No tilt is held for {SHORTEST_HOLD:g} s, so how far the rubber creeps '
+            '(cup.relaxation) is not seen. Hold one still for 5 to 10 s beside the motion.')
     aligned = rest.is_turned and not apart
     if aligned:
         notes += rest.turned_sentence
     duration = max(0.1, np.floor(10.0 * REST_USED * rest.seconds) / 10.0)
     return rest.seconds, {
         'recording.align_at_rest': aligned, 'recording.rest_duration': float(duration)}, notes
+
+
+def longest_hold(tool: Trajectory) -> float:
+    """Return the longest time (s) for which a tool stands still, tilted against its start."""
+    marks = np.arange(tool.stamps_ns[0], tool.stamps_ns[-1], round(HOLD_STEP * NS_PER_S))
+    some = tool.select(np.unique(np.searchsorted(tool.stamps_ns, marks)))
+    up = some.rotation[:, 2]
+    turn = log_so3(np.swapaxes(some.rotation[:-1], 1, 2) @ some.rotation[1:])
+    still = (np.linalg.norm(turn, axis=1) < HOLD_STEP * HELD[1]) & (
+        np.linalg.norm(np.diff(some.position, axis=0), axis=1) < HOLD_STEP * HELD[0])
+    held = still & (np.arccos(np.clip(up[1:] @ up[0], -1.0, 1.0)) > LEAST_TILT)
+    edges = np.flatnonzero(np.diff(held, prepend=False, append=False)).reshape(-1, 2)
+    return float(HOLD_STEP * np.max(edges[:, 1] - edges[:, 0], initial=0))

@@ -181,3 +181,8 @@ def test_recordings_with_known_truth_are_read_right(
     keys = ('topics.tool_pose', 'topics.package_pose', 'recording.world',
             'recording.align_at_rest')
     assert tuple(settings[key] for key in keys) == expected
+
+
+def test_a_recording_without_a_hold_is_told_to_have_one(root):
+    assert any('cup.relaxation' in note for note in info(root / 'bags' / 'identification').notes)
+    assert not any('cup.relaxation' in note for note in info(root / 'bags' / 'rubber').notes)
