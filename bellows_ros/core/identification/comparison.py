@@ -214,7 +214,7 @@ def compare_fits(
         parameters=changes,
         effects=_effects(before, after, package, gravity),
         shake_rms=np.sqrt(np.mean((seen[1] - seen[0]) ** 2, axis=0)),
-        p_value=_together(sides[1][0] - sides[0][0], sides[0][1] + sides[1][1]),
+        p_value=_joint_p_value(sides[1][0] - sides[0][0], sides[0][1] + sides[1][1]),
     )
 
 
@@ -307,7 +307,7 @@ def _deviations(covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
-def _together(difference: Array, covariance: Array) -> float:
+def _joint_p_value(difference: Array, covariance: Array) -> float:
     """Return the probability of a difference by chance, of the parameters with a covariance."""
     std = _deviations(covariance)
     known = np.isfinite(std) & (std > 0.0)

@@ -204,17 +204,17 @@ def _mismatch_message(topic: str, mismatch: Mismatch) -> str:
             f'requested one. Set qos_overrides.{topic}.subscription.{name} to the offered value.')
 
 
-def vacuum_status(name: str, seen: InputSeen, held: bool, speaks_once: bool) -> Status:
+def vacuum_status(name: str, seen: InputSeen, held: bool, latched: bool) -> Status:
     """
     Return the line on the signal of the vacuum.
 
     One that speaks once, when it changes, may be silent from its first word on.
     """
     values = _values(seen) | {'held': str(held).lower()}
-    return Status(name, *_judge_vacuum(seen, held, speaks_once), values)
+    return Status(name, *_judge_vacuum(seen, held, latched), values)
 
 
-def _judge_vacuum(seen: InputSeen, held: bool, speaks_once: bool) -> tuple[Level, str]:
+def _judge_vacuum(seen: InputSeen, held: bool, latched: bool) -> tuple[Level, str]:
     """Return level and words on the vacuum signal."""
     lost = Level.WARN if held else Level.ERROR  # not held, nothing is predicted
     counts = f'the package counts as {"" if held else "not "}held'
@@ -229,7 +229,7 @@ def _judge_vacuum(seen: InputSeen, held: bool, speaks_once: bool) -> tuple[Level
         return lost, f'{_refusals(seen)}; {counts}. Publish the absolute pressure, Pa.'
     if not math.isfinite(seen.silent):
         return Level.WARN, f'No word from {seen.topic} so far: {counts}.'
-    if not (seen.rhythm.messages or speaks_once):
+    if not (seen.rhythm.messages or latched):
         return lost, f'{seen.topic} has been silent for {seen.silent:.1f} s: {counts}.'
     return Level.OK, 'Held.' if held else 'Not held.'
 

@@ -70,7 +70,7 @@ class Pairing:
         self._twists: deque[TwistSample] = deque(maxlen=TWISTS_KEPT)
         self._before: TwistSample | None = None
         self._before_served = True
-        self._newest_ns = self._gone_ns = -1
+        self._newest_ns = self._last_emitted_ns = -1
         self._pose_period_ns = self._twist_period_ns = 0.0
         self._newest_twist_ns = -1
         self._pairs_in_a_row = self._lost_in_a_row = self._late_in_a_row = 0
@@ -101,11 +101,11 @@ class Pairing:
             self._twist_period_ns = smoothed(
                 self._twist_period_ns, stamp_ns - self._newest_twist_ns)
         self._newest_twist_ns = max(self._newest_twist_ns, stamp_ns)
-        if abs(stamp_ns - self._gone_ns) <= PAIRING_TOLERANCE_NS:
+        if abs(stamp_ns - self._last_emitted_ns) <= PAIRING_TOLERANCE_NS:
             if not self._last_paired:  # it came after its pose had gone on without it
                 self._count_pair()
             self._set_before(twist, served=True)
-        elif stamp_ns < self._gone_ns:
+        elif stamp_ns < self._last_emitted_ns:
             self._note_late(stamp_ns)
             if self._before is None or stamp_ns > self._before.stamp_ns:
                 self._set_before(twist)
@@ -154,7 +154,7 @@ class Pairing:
         """Remember how a pose went on."""
         if not self._last_paired:
             self._pairs_in_a_row = 0
-        self._gone_ns, self._last_paired = stamp_ns, False
+        self._last_emitted_ns, self._last_paired = stamp_ns, False
         if paired:
             self._count_pair()
         else:

@@ -45,14 +45,14 @@ JUMP_RUN = 5
 SPEED_SLACK, RATE_SLACK = 0.05, 0.3
 """Tolerance (m, rad) of a pose about where an arm could be."""
 
-HARDEST_JOLT, JOLT_SLACK = 100.0, 0.02
+LARGEST_JUMP, JUMP_SLACK = 100.0, 0.02
 """Largest acceleration of an arm (m/s^2), and tolerance of a pose beside it (m)."""
 
-HARDEST_TURN_JOLT, TURN_JOLT_SLACK = 1000.0, 0.2
+LARGEST_TURN_JUMP, TURN_JUMP_SLACK = 1000.0, 0.2
 """The same for rotations (rad/s^2, rad)."""
 
-DOUBTED_JOLT, DOUBTED_JOLT_SLACK = 40.0, 0.015
-DOUBTED_TURN_JOLT, DOUBTED_TURN_JOLT_SLACK = 400.0, 0.15
+DOUBTED_JUMP, DOUBTED_JUMP_SLACK = 40.0, 0.015
+DOUBTED_TURN_JUMP, DOUBTED_TURN_JUMP_SLACK = 400.0, 0.15
 """The same, for doubting the arm's motion or the tracker."""
 
 AFTER_JUMPS = 0.2
@@ -61,10 +61,10 @@ AFTER_JUMPS = 0.2
 JITTER = 0.025
 """Largest error (s) of stamps; those of arrival come in bursts."""
 
-HARDEST_STOP, STOP_SLACK = 30.0, 3e-4
+LARGEST_STOP, STOP_SLACK = 30.0, 3e-4
 """Largest deceleration (m/s^2) to a complete stop within one sample, and its noise (m)."""
 
-HARDEST_TURN_STOP, TURN_STOP_SLACK = 300.0, 1.5e-3
+LARGEST_TURN_STOP, TURN_STOP_SLACK = 300.0, 1.5e-3
 """The same for rotations (rad/s^2, rad)."""
 
 UNKNOWN = -1.0
@@ -78,9 +78,9 @@ class Step(NamedTuple):
     """Size relative to what an arm can do; above 1 is impossible."""
     doubt: float
     """Size relative to the limit of doubt."""
-    jolt: float
+    position_jump: float
     """Deviation from a steady motion, m."""
-    turn_jolt: float
+    rotation_jump: float
     """The same for rotations, rad."""
     speed: float
     """Smaller speed of this step and the one before, m/s: one jump is no motion."""
@@ -129,15 +129,15 @@ def step_after(
     Return the `Step` from a pose to another after some seconds; numba is slow at named tuples.
 
     The change of velocity counts for the shorter of the two periods, and less in a steady motion,
-    so that neither bursts nor stamps with jitter make jolts of it.
+    so that neither bursts nor stamps with jitter make jumps of it.
     """
     shift = subtract(other_o, o)
     turn = log_quaternion(quaternion_product(quaternion_conjugate(q), other_q))
     v, w = scale(1.0 / seconds, shift), scale(1.0 / seconds, turn)
-    kick, speed = change(velocity, v)
-    turn_kick, turn_speed = change(rate, w)
+    velocity_change, speed = change(velocity, v)
+    rate_change, turn_speed = change(rate, w)
     shorter = min(seconds, period) if period > 0.0 else seconds
-    jolt, turn_jolt = kick * shorter, turn_kick * shorter
+    position_jump, rotation_jump = velocity_change * shorter, rate_change * shorter
     jitter, turn_jitter = JITTER * speed, JITTER * turn_speed
     squared = 0.5 * (seconds + shorter) * shorter
     excess = max(
@@ -147,13 +147,13 @@ def step_after(
     doubt = 0.0
     if period != UNKNOWN:
         excess = max(
-            excess, jolt / (JOLT_SLACK + jitter + HARDEST_JOLT * squared),
-            turn_jolt / (TURN_JOLT_SLACK + turn_jitter + HARDEST_TURN_JOLT * squared))
+            excess, position_jump / (JUMP_SLACK + jitter + LARGEST_JUMP * squared),
+            rotation_jump / (TURN_JUMP_SLACK + turn_jitter + LARGEST_TURN_JUMP * squared))
     if period > 0.0:
         doubt = max(
-            jolt / (DOUBTED_JOLT_SLACK + jitter + DOUBTED_JOLT * squared),
-            turn_jolt / (DOUBTED_TURN_JOLT_SLACK + turn_jitter + DOUBTED_TURN_JOLT * squared))
-    return excess, doubt, jolt, turn_jolt, speed, turn_speed, v, w
+            position_jump / (DOUBTED_JUMP_SLACK + jitter + DOUBTED_JUMP * squared),
+            rotation_jump / (DOUBTED_TURN_JUMP_SLACK + turn_jitter + DOUBTED_TURN_JUMP * squared))
+    return excess, doubt, position_jump, rotation_jump, speed, turn_speed, v, w
 
 
 class FrameChange:
@@ -188,7 +188,7 @@ class Screen(StampScreen):
     newest_ns : int
         Stamp of the newest accepted pose, -1 before the first.
     doubted : bool
-        Whether the newest accepted pose is doubted, by the `jolt` (m, rad) that led there.
+        Whether the newest accepted pose is doubted, by the `jump` (m, rad) that led there.
 
     """
 
@@ -212,9 +212,9 @@ class Screen(StampScreen):
         self._elsewhere_run = 0
 
     @property
-    def jolt(self) -> tuple[float, float]:
+    def jump(self) -> tuple[float, float]:
         """Deviation (m, rad) of the newest pose from a steady motion."""
-        return self._step.jolt, self._step.turn_jolt
+        return self._step.position_jump, self._step.rotation_jump
 
     def judge(
         self,
@@ -321,13 +321,13 @@ class Screen(StampScreen):
 def _beside(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> tuple[float, float]:
     """Return how far (m, rad) a pose is from where the motion at a reference leads."""
     later = step_between(last._replace(period=0.0), stamp_ns, o, q)
-    return later.jolt, later.turn_jolt
+    return later.position_jump, later.rotation_jump
 
 
 def _cannot_stop(last: Reference) -> bool:
     """Return whether an arm is too fast to stand still one sample later."""
     step, period = last.step, last.period
     return (
-        (step.speed - HARDEST_STOP * period) * period > STOP_SLACK
-        or (step.turn_speed - HARDEST_TURN_STOP * period) * period > TURN_STOP_SLACK
+        (step.speed - LARGEST_STOP * period) * period > STOP_SLACK
+        or (step.turn_speed - LARGEST_TURN_STOP * period) * period > TURN_STOP_SLACK
     )

@@ -39,7 +39,7 @@ from bellows_ros.core.model.equilibrium import (
 from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.matrices import matrix
-from bellows_ros.core.model.perturbed import at_most_whole
+from bellows_ros.core.model.perturbed import capped_std
 from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.linalg import expm
@@ -85,7 +85,7 @@ class Uncertainty:
         self._model = model
         self._noise = np.repeat([values['tool_noise.position'], values['tool_noise.rotation']], 3)
         self._std: Array = np.concatenate([  # of the upper triangles of K and of P
-            at_most_whole(matrix(values[f'cup.{name}_std']), [*oo[::4], *RR[::4]])[
+            capped_std(matrix(values[f'cup.{name}_std']), [*oo[::4], *RR[::4]])[
                 np.triu_indices(6)]
             for name, (oo, _, RR) in (('stiffness', model[0][2]), ('damping', model[0][3]))])
         self._sensitivity: Array | None = None

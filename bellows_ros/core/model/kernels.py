@@ -121,11 +121,11 @@ def damper_wrench(o: Vector, R: Matrix, v: Vector, w: Vector, P: Blocks) -> Wren
 
     X = X(S2_H_S1) (2.24); (v, w) is v1 = S1_v_{S2,S1}, the twist of S1 relative to S2.
     """
-    near_o, near_R = multiply_blocks(P, v, w)  # P v1, the port at S1
+    f_S1, m_S1 = multiply_blocks(P, v, w)  # P v1, the port at S1
     R_w = apply(R, w)
-    far_o, far_R = multiply_blocks(P, add(apply(R, v), cross(o, R_w)), R_w)  # P X v1, at S2
-    force = add(near_o, apply_transposed(R, far_o))
-    moment = add(near_R, apply_transposed(R, subtract(far_R, cross(o, far_o))))
+    f_S2, m_S2 = multiply_blocks(P, add(apply(R, v), cross(o, R_w)), R_w)  # P X v1, at S2
+    force = add(f_S1, apply_transposed(R, f_S2))
+    moment = add(m_S1, apply_transposed(R, subtract(m_S2, cross(o, f_S2))))
     return scale(-0.5, force), scale(-0.5, moment)
 
 

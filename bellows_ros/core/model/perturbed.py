@@ -30,7 +30,7 @@ NAMES = (
 """The 52 parameters, in the order of the arrays."""
 
 
-def numbers_of(values: Mapping[str, Any]) -> Array:
+def parameter_vector(values: Mapping[str, Any]) -> Array:
     """Return the numbers (52,) of parameter values: K and P, mass, com, inertia; SI units."""
     return np.concatenate([
         matrix(values['cup.stiffness'])[UPPER], matrix(values['cup.damping'])[UPPER],
@@ -39,14 +39,14 @@ def numbers_of(values: Mapping[str, Any]) -> Array:
 
 def deviations_of(values: Mapping[str, Any]) -> Array:
     """Return the standard deviations (52,) of the numbers."""
-    K, P = (at_most_whole(matrix(values[f'{kind}_std']), np.diag(matrix(values[kind])))
+    K, P = (capped_std(matrix(values[f'{kind}_std']), np.diag(matrix(values[kind])))
             for kind in ('cup.stiffness', 'cup.damping'))
     return np.concatenate([
         K[UPPER], P[UPPER],
         [values['package.mass_std']], values['package.com_std'], values['package.inertia_std']])
 
 
-def at_most_whole(std: Array, diagonal: ArrayLike) -> Array:
+def capped_std(std: Array, diagonal: ArrayLike) -> Array:
     """
     Return standard deviations (6, 6) of K or P, no larger than its diagonal (6,) allows.
 
@@ -75,7 +75,7 @@ def perturbed(
     values: Mapping[str, Any], model: ModelTuple
 ) -> Iterator[tuple[str, ModelTuple, ModelTuple]]:
     """Yield name and models with a number `STEP` sigma up and down, where sigma is not 0."""
-    numbers, std = numbers_of(values), deviations_of(values)
+    numbers, std = parameter_vector(values), deviations_of(values)
     for i in np.flatnonzero(std):
         change = np.zeros(len(std))
         change[i] = STEP * std[i]

@@ -19,7 +19,7 @@ import numpy as np
 SLOWEST, QUICKEST = 10.0, 0.02
 """Range of time scales that is searched."""
 
-FINENESS = 0.006
+SCAN_STEP = 0.006
 """Relative spacing of the time scales in the scan."""
 
 ABORT_BELOW = 0.95
@@ -31,7 +31,7 @@ LONGEST_TAIL = 2.0
 ROW_NS = 4_000_000
 """Minimum spacing (ns) of the plan's points in the scan."""
 
-RENEW = 0.03
+UPDATE_WITHIN = 0.03
 """Standard deviations are recomputed within this fraction of the required factor, and after this
 change of scale."""
 
@@ -99,9 +99,9 @@ def fastest(
     part, known_at, past = 0.0, 0.0, [-1.0, -1.0]
     while scale < SLOWEST:
         here = margin(scale, part, quick)
-        if here < past[1] > max(past[0], -FINENESS):  # between two scales it may just hold
-            scale, here = _summit(partial(margin, part=part, run=quick), scale)
-        if here > -RENEW and scale > (1.0 + RENEW) * known_at:
+        if here < past[1] > max(past[0], -SCAN_STEP):  # between two scales it may just hold
+            scale, here = _local_maximum(partial(margin, part=part, run=quick), scale)
+        if here > -UPDATE_WITHIN and scale > (1.0 + UPDATE_WITHIN) * known_at:
             part, known_at = sigma(scale), scale
             here = margin(scale, part, quick)
         if here >= 0.0:
@@ -109,7 +109,7 @@ def fastest(
             if margin(scale, part, quick) >= 0.0:
                 return _narrowed(partial(margin, part=part, run=fine), scale, fine, part)
         past = [past[1], here]
-        scale *= 1.0 + FINENESS
+        scale *= 1.0 + SCAN_STEP
     return None
 
 
@@ -119,14 +119,14 @@ def _factor(run: Run, scale: float, ceiling: float = math.inf) -> float:
     return 1.0 / load if load > 0.0 else math.inf
 
 
-def _summit(margin: Callable[[float], float], scale: float) -> tuple[float, float]:
+def _local_maximum(margin: Callable[[float], float], scale: float) -> tuple[float, float]:
     """Return where a margin is largest, of the last two steps of the scan, and how large."""
     from scipy.optimize import minimize_scalar
 
-    lowest = scale / (1.0 + FINENESS) ** 2
+    lowest = scale / (1.0 + SCAN_STEP) ** 2
     top = minimize_scalar(
         lambda s: -margin(s), bounds=(lowest, scale), method='bounded',
-        options={'xatol': 0.01 * FINENESS * scale})
+        options={'xatol': 0.01 * SCAN_STEP * scale})
     return (float(top.x), -float(top.fun)) if top.fun <= 0.0 else (scale, margin(scale))
 
 
@@ -134,7 +134,7 @@ def _narrowed(
     margin: Callable[[float], float], scale: float, run: Run, part: float
 ) -> Fastest:
     """Return the shortest safe time scale near a safe one, by bisection with fine steps."""
-    low, high = scale / (1.0 + FINENESS), scale
+    low, high = scale / (1.0 + SCAN_STEP), scale
     while margin(high) < 0.0:  # with coarse steps it just held
         low, high = high, (1.0 + TOLERANCE) * high
     while high > (1.0 + TOLERANCE) * low:

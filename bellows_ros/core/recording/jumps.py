@@ -26,22 +26,22 @@ LONG_SIDE = 5
 EVEN_WITHIN = 0.1
 # A jump counts from this many times the median of its surroundings on. Of white noise, the largest
 # in two million samples reaches 4.0.
-STANDS_OUT = 4.5
+THRESHOLD_FACTOR = 4.5
 # It must be at least this large: far below what matters, far above rounding and quantisation.
 SMALLEST_JUMP = {'position': 0.5e-3, 'rotation': 1e-3}
 # Motion whose velocity changes at once is no jump: parabolas through the samples on each side, if
 # they are smooth to this part of the jump, then meet to within that part of it.
 SMOOTH_WITHIN = 0.5
-MEETS_WITHIN = 0.3
+MEETING_DISTANCE = 0.3
 # In the longer look, the lines must fit their samples to this part of the jump.
-FITS_WITHIN = 0.6
+LINE_MISFIT = 0.6
 # A jump that may be the other end of one that counts may be weaker, by this factor.
-WEAKER = 0.5
+PARTNER_STRENGTH = 0.5
 # Among fewer jumps than this nothing stands out.
-FEWEST_JUDGED = 30
+MIN_SAMPLES = 30
 # Samples of the running median of the surroundings, and of the one that follows the acceleration.
-SURROUNDINGS = 51
-SMOOTH = 7
+MEDIAN_SAMPLES = 51
+ACCELERATION_SAMPLES = 7
 # Median size along an axis of the jump in the middle per standard deviation of white noise, from
 # two samples on each side: that of a normal distribution, times the norm of (1, -3, 3, -1) / 2.
 MEDIAN_PER_DEVIATION = 0.6745 * sqrt(5.0)
@@ -53,7 +53,7 @@ class Jumps:
 
     jump: Array  # (M, 3)
     threshold: Array  # (M,)
-    usual: Array  # (3,) median size along each axis of the jump in the middle of the interval
+    typical: Array  # (3,) median size along each axis of the jump in the middle of the interval
 
     @property
     def strength(self) -> Array:
@@ -69,7 +69,7 @@ def increments_of(poses: Trajectory) -> dict[str, Array]:
     }
 
 
-def short_look(increment: Array, step_ns: Stamps, gap: Mask, quantity: str) -> Jumps:
+def short_window(increment: Array, step_ns: Stamps, gap: Mask, quantity: str) -> Jumps:
     """
     Return the jumps seen from two samples on each side, at any stamps.
 
@@ -83,7 +83,7 @@ def short_look(increment: Array, step_ns: Stamps, gap: Mask, quantity: str) -> J
     start[:-1] = increment[:-1] - velocity[1:] * step_s[:-1]
     end[1:] = increment[1:] - velocity[:-1] * step_s[1:]
     start[-1], end[0] = -end[-1], -start[0]
-    start, end = _without_acceleration(start, end, SMOOTH)
+    start, end = _without_acceleration(start, end, ACCELERATION_SAMPLES)
     start[-1], end[0] = end[-1], start[0]
     jumps = _jumps(start, end, gap, SMALLEST_JUMP[quantity])
     jumps.jump[_bends(increment, jumps, gap)] = 0.0
@@ -92,7 +92,7 @@ def short_look(increment: Array, step_ns: Stamps, gap: Mask, quantity: str) -> J
 
 def _bends(increment: Array, jumps: Jumps, gap: Mask) -> Indices:
     """Return where an apparent jump is a bend of a motion that is smooth on both sides."""
-    tried = np.flatnonzero(jumps.strength >= WEAKER)
+    tried = np.flatnonzero(jumps.strength >= PARTNER_STRENGTH)
     inside = (tried >= 3) & (tried < len(increment) - 3)
     i = tried[inside]
     around = i[:, None] + np.arange(-3, 4)
@@ -105,17 +105,17 @@ def _bends(increment: Array, jumps: Jumps, gap: Mask) -> Indices:
     time, through = np.linspace(0.0, 1.0, 21), np.linalg.inv(np.vander([-2.0, -1.0, 0.0]))
     ahead, behind = (np.vander(t, 3) @ through for t in (time, 1.0 - time))
     apart = np.linalg.norm(ahead @ before[:, 1:] - behind @ after[:, 1:], axis=2)
-    meets = apart.min(axis=1) < MEETS_WITHIN * size
+    meets = apart.min(axis=1) < MEETING_DISTANCE * size
     return np.asarray(i[smooth & meets & ~gap[around].any(axis=1)])
 
 
-def long_look(increment: Array, breaks: Mask, quantity: str) -> Jumps:
+def long_window(increment: Array, breaks: Mask, quantity: str) -> Jumps:
     """Return the jumps seen from lines through `LONG_SIDE` samples without breaks on each side."""
     m = LONG_SIDE
     start, end = np.zeros_like(increment), np.zeros_like(increment)
     misfit = np.zeros(len(increment))
     count = len(increment) - 2 * m + 2  # intervals with so many samples on each side
-    unseen = np.full(len(increment), True)
+    unobserved = np.full(len(increment), True)
     if count > 0:
         path = np.concatenate([np.zeros((1, 3)), np.cumsum(increment, axis=0)])
         sides = sliding_window_view(path, m, axis=0)
@@ -125,10 +125,10 @@ def long_look(increment: Array, breaks: Mask, quantity: str) -> Jumps:
         start[inside] = after @ beyond - before @ here
         end[inside] = after @ here - before @ beyond
         misfit[inside] = np.sqrt(np.sum((before @ left) ** 2 + (after @ left) ** 2, axis=(1, 2)))
-        unseen[inside] = any_within(breaks, 2 * m - 1)
+        unobserved[inside] = any_within(breaks, 2 * m - 1)
     start, end = _without_acceleration(start, end, 2 * m + 1)
-    jumps = _jumps(start, end, unseen, SMALLEST_JUMP[quantity])
-    jumps.jump[misfit > FITS_WITHIN * np.linalg.norm(jumps.jump, axis=1)] = 0.0
+    jumps = _jumps(start, end, unobserved, SMALLEST_JUMP[quantity])
+    jumps.jump[misfit > LINE_MISFIT * np.linalg.norm(jumps.jump, axis=1)] = 0.0
     jumps.jump[_bends(increment, jumps, breaks)] = 0.0
     return jumps
 
@@ -154,7 +154,7 @@ def _without_acceleration(start: Array, end: Array, width: int) -> tuple[Array, 
     return start + smooth, end - smooth
 
 
-def _jumps(start: Array, end: Array, unseen: Mask, smallest: float) -> Jumps:
+def _jumps(start: Array, end: Array, unobserved: Mask, smallest: float) -> Jumps:
     """Return the least of the jumps from those at the start to those at the end of intervals."""
     change = end - start
     squared = np.sum(change**2, axis=1)
@@ -162,23 +162,24 @@ def _jumps(start: Array, end: Array, unseen: Mask, smallest: float) -> Jumps:
         -np.sum(start * change, axis=1), squared, out=np.zeros_like(squared), where=squared > 0.0
     )
     jump = start + np.clip(along, 0.0, 1.0)[:, None] * change
-    jump[unseen] = 0.0
+    jump[unobserved] = 0.0
     middle = 0.5 * (start + end)
-    usual = _surroundings(np.linalg.norm(middle, axis=1), unseen)
-    return Jumps(jump, np.maximum(STANDS_OUT * usual, smallest), np.median(np.abs(middle), axis=0))
+    typical = _surroundings(np.linalg.norm(middle, axis=1), unobserved)
+    threshold = np.maximum(THRESHOLD_FACTOR * typical, smallest)
+    return Jumps(jump, threshold, np.median(np.abs(middle), axis=0))
 
 
-def _surroundings(values: Array, unseen: Mask) -> Array:
+def _surroundings(values: Array, unobserved: Mask) -> Array:
     """
     Return the running median before or after each sample, whichever is larger.
 
     So the first samples of a motion are compared with the motion, not with the rest before it.
     """
-    seen = np.flatnonzero(~unseen)
-    if len(seen) < FEWEST_JUDGED:
+    seen = np.flatnonzero(~unobserved)
+    if len(seen) < MIN_SAMPLES:
         return np.full_like(values, np.inf)
-    median = median_filter(values[seen], size=SURROUNDINGS, mode='mirror')
-    shift = SURROUNDINGS // 2
+    median = median_filter(values[seen], size=MEDIAN_SAMPLES, mode='mirror')
+    shift = MEDIAN_SAMPLES // 2
     place = np.searchsorted(seen, np.arange(len(values)))
     before = median[np.clip(place - shift, 0, len(seen) - 1)]
     after = median[np.clip(place + shift, 0, len(seen) - 1)]

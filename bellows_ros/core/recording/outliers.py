@@ -15,17 +15,17 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.recording.jumps import (
+    ACCELERATION_SAMPLES,
     EVEN_WITHIN,
     increments_of,
     Indices,
     Jumps,
-    long_look,
+    long_window,
     MEDIAN_PER_DEVIATION,
-    short_look,
+    PARTNER_STRENGTH,
+    short_window,
     SMALLEST_JUMP,
-    SMOOTH,
     strength_of,
-    WEAKER,
 )
 from bellows_ros.core.signals.trajectory import any_within, NS_PER_S, Trajectory
 import numpy as np
@@ -35,7 +35,7 @@ from scipy.ndimage import find_objects, label
 CANCELS_WITHIN = 0.5
 # ... or this, when more samples than that lie between.
 CANCELS_LATE_WITHIN = 0.2
-LATE = 210
+CANCELS_LATE_SAMPLES = 210
 # Noise adds this part of the threshold, and sums of what does not stand out are below that part.
 NOISE_WITHIN = 0.35
 NOTHING_WITHIN = 0.85
@@ -51,15 +51,15 @@ ALIKE_FROM = 0.5
 FLICKERS_FROM = 3
 FLICKERS_WITHIN = 25
 # How many of the jumps around one are tried for cancelling it.
-TRIED = 50
+MAX_PARTNERS = 50
 # Without a cancelling jump, what lies between a jump and an end of the recording is marked up to
 # this time, s.
 LONGEST_AT_END = 1.0
 # A jump over a gap counts when it is larger by this factor than any over equally long parts of
 # the same recording; so many of these are looked at, and at least so many must there be.
-GAP_STANDS_OUT = 2.0
-GAPS_TRIED = 2000
-FEWEST_GAPS_TRIED = 20
+GAP_THRESHOLD_FACTOR = 2.0
+GAPS_SAMPLED = 2000
+MIN_GAPS_SAMPLED = 20
 
 
 class Run(NamedTuple):
@@ -96,7 +96,7 @@ def edges_seen(
     from_short, from_long = strength_of(short), strength_of(long)
     both = np.maximum(from_short, from_long)
     edges = []
-    at = np.flatnonzero(certain | (both >= WEAKER))
+    at = np.flatnonzero(certain | (both >= PARTNER_STRENGTH))
     lasting = _lasting(poses, at)
     for k, i in enumerate(at):
         look = short if certain[i] or from_short[i] > from_long[i] else long
@@ -195,12 +195,12 @@ def _thresholds_over(
     if len(breaks) < slots + 2:
         return np.full(2, np.inf)
     free = np.flatnonzero(~any_within(breaks, slots + 2)) + 1
-    if len(free) < FEWEST_GAPS_TRIED * slots:  # parts that overlap tell little more than one
+    if len(free) < MIN_GAPS_SAMPLED * slots:  # parts that overlap tell little more than one
         return np.full(2, np.inf)
-    tried = free[:: len(free) // GAPS_TRIED + 1]
+    tried = free[:: len(free) // GAPS_SAMPLED + 1]
     around = tried[:, None] + np.array([-1, slots])
     jumps = _jump_over(poses, increments, tried, tried + slots, around)
-    return np.asarray(GAP_STANDS_OUT * np.linalg.norm(jumps, axis=2).max(axis=1))
+    return np.asarray(GAP_THRESHOLD_FACTOR * np.linalg.norm(jumps, axis=2).max(axis=1))
 
 
 def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Run], list[Step]]:
@@ -240,7 +240,7 @@ def _flicker(edges: list[Edge]) -> Mask:
     first = np.searchsorted(at, at - FLICKERS_WITHIN)
     after = np.searchsorted(at, at + FLICKERS_WITHIN, side='right')
     return np.array([
-        np.count_nonzero(strength[i:j] >= WEAKER * own) > FLICKERS_FROM
+        np.count_nonzero(strength[i:j] >= PARTNER_STRENGTH * own) > FLICKERS_FROM
         for i, j, own in zip(first, after, strength, strict=True)], dtype=bool)
 
 
@@ -249,7 +249,8 @@ def _lasts(edge: Edge) -> bool:
     if edge.lasting is None:
         return True
     sizes, lasting = _sizes(edge.forms), np.linalg.norm(edge.lasting, axis=1)
-    return bool(np.any((sizes >= WEAKER * edge.thresholds) & (lasting >= LASTS_FROM * sizes)))
+    strong = sizes >= PARTNER_STRENGTH * edge.thresholds
+    return bool(np.any(strong & (lasting >= LASTS_FROM * sizes)))
 
 
 def _last_alike(one: Edge, other: Edge) -> bool:
@@ -265,9 +266,9 @@ def _last_alike(one: Edge, other: Edge) -> bool:
 def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int, int]]:
     """Yield the pair (k, b) of a jump and the first after it with which the sum cancels."""
     total = edges[k].forms
-    for b in range(k + 1, min(k + 1 + TRIED, len(edges))):
+    for b in range(k + 1, min(k + 1 + MAX_PARTNERS, len(edges))):
         other = edges[b]
-        late = other.before - edges[k].before > LATE
+        late = other.before - edges[k].before > CANCELS_LATE_SAMPLES
         if b in used or (late and other.strength < 1.0):
             continue
         summed = _sum(total, other.forms)
@@ -280,9 +281,9 @@ def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int
 
 def _ends_behind(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int, int]]:
     """Yield the pair (b, k) of a jump and the nearest weaker one before it that it cancels."""
-    for b in range(k - 1, max(k - 1 - TRIED, -1), -1):
+    for b in range(k - 1, max(k - 1 - MAX_PARTNERS, -1), -1):
         other = edges[b]
-        if b in used or edges[k].before - other.before > LATE:
+        if b in used or edges[k].before - other.before > CANCELS_LATE_SAMPLES:
             return
         if other.strength < 1.0 and _cancels(edges[k], _sum(other.forms, edges[k].forms)):
             yield b, k
@@ -393,9 +394,9 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     gap = steps_ns > longest_step_ns
     uneven = np.abs(steps_ns / np.median(steps_ns) - 1.0) > EVEN_WITHIN
     increments = increments_of(poses)
-    short = [short_look(increments[q], steps_ns, gap, q) for q in increments]
+    short = [short_window(increments[q], steps_ns, gap, q) for q in increments]
     breaks = gap | (strength_of(short) >= 1.0)
-    long = [long_look(increments[q], breaks | uneven, q) for q in increments]
+    long = [long_window(increments[q], breaks | uneven, q) for q in increments]
     edges = edges_seen(poses, short, long, breaks & ~gap)
     excursions, steps = paired(edges + edges_over_gaps(poses, increments, gap, breaks), poses)
     good = np.full(len(poses), True)
@@ -405,7 +406,7 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     isolated = _isolated(good, gap)
     _mark(good, isolated)
     moving[kept] = good
-    deviations = (jumps.usual / MEDIAN_PER_DEVIATION for jumps in short)
+    deviations = (jumps.typical / MEDIAN_PER_DEVIATION for jumps in short)
     away, alone = (tuple(Run(*kept[list(run)].tolist()) for run in runs)
                    for runs in (excursions, isolated))
     return Outliers(
@@ -498,7 +499,7 @@ def _catch_up(length: Array, moves: Indices, k: int, repeats: int) -> float:
     A body that froze till the end would have gone on, unless it slowed down before.
     """
     if k == len(moves):
-        usual = float(np.median(length[moves[-1 - SMOOTH:]]))
-        return repeats * usual if float(length[moves[-1]]) * CATCHES_UP > usual else 0.0
-    near = moves[max(k - SMOOTH // 2, 0):k + SMOOTH // 2 + 1]
+        typical = float(np.median(length[moves[-1 - ACCELERATION_SAMPLES:]]))
+        return repeats * typical if float(length[moves[-1]]) * CATCHES_UP > typical else 0.0
+    near = moves[max(k - ACCELERATION_SAMPLES // 2, 0):k + ACCELERATION_SAMPLES // 2 + 1]
     return float(length[moves[k]] - CATCHES_UP * np.median(length[near]))

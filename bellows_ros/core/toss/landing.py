@@ -21,7 +21,7 @@ from bellows_ros.core.model.perturbed import (
     deviations_of,
     model_with,
     NAMES,
-    numbers_of,
+    parameter_vector,
     STEP,
 )
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -128,7 +128,7 @@ class Drawn(NamedTuple):
 def draw(case: Case, nominal: Toss, count: int, seed: int = 0) -> Drawn:
     """Return random tosses with every parameter drawn from its normal distribution."""
     rng = np.random.default_rng(seed)
-    numbers, std = numbers_of(case.values), deviations_of(case.values)
+    numbers, std = parameter_vector(case.values), deviations_of(case.values)
     of_release = release_deviations(case.values)
     until, rows, failed = nominal.release_time + MARGIN, [], 0
     for _ in range(count):

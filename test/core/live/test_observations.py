@@ -155,9 +155,9 @@ def test_twists_that_serve_no_pose_are_said(messages, alone, level):
     ({'mismatch': Mismatch('qos', 'durability')}, True, True, Level.WARN, 'durability'),
     ({'refused': {'negative': 500}}, True, False, Level.WARN, '500 of 500 messages refused'),
 ])
-def test_words_on_the_vacuum(seen, held, speaks_once, level, words):
+def test_words_on_the_vacuum(seen, held, latched, level, words):
     base = InputSeen('/vacuum', 1, None, GOOD, 3.0, {}, {})
-    status = health.vacuum_status('x', base._replace(**seen), held, speaks_once)
+    status = health.vacuum_status('x', base._replace(**seen), held, latched)
     assert status.level == level
     assert words in status.message
 

@@ -253,4 +253,4 @@ def test_sign_of_a_quaternion_is_no_jump():
 
 def test_limits_leave_room_for_every_arm():
     assert screening.LARGEST_SPEED >= 10.0  # m/s; fast arms reach 4
-    assert screening.HARDEST_STOP >= 2 * 9.81
+    assert screening.LARGEST_STOP >= 2 * 9.81

@@ -7,7 +7,7 @@ from bellows_ros.core.model.perturbed import (
     deviations_of,
     model_with,
     NAMES,
-    numbers_of,
+    parameter_vector,
     perturbed,
 )
 from bellows_ros.core.planning.fastest import fastest
@@ -98,9 +98,9 @@ def test_each_number_is_changed_in_its_place():
         if name == 'cup.stiffness[3,3]':
             assert_allclose(np.array(up[0][2][2]) - MODEL[0][2][2], 0.021 * np.eye(3)[0].repeat(
                 [1, 4, 4]), atol=1e-12)
-    again = model_with(MODEL, numbers_of(VALUES))
+    again = model_with(MODEL, parameter_vector(VALUES))
     assert again[0] == MODEL[0] and again[1][:3] == MODEL[1][:3]
-    assert len(NAMES) == len(numbers_of(VALUES)) == len(deviations_of(VALUES))
+    assert len(NAMES) == len(parameter_vector(VALUES)) == len(deviations_of(VALUES))
 
 
 def test_an_entry_of_which_nothing_is_known_counts_whole():
@@ -124,6 +124,6 @@ def test_standard_deviations_are_those_of_monte_carlo(count, within):
 
     _, parts = contributions(VALUES, MODEL, figures)
     rng = np.random.default_rng(8)
-    draws = numbers_of(VALUES) + deviations_of(VALUES) * rng.standard_normal((count, 52))
+    draws = parameter_vector(VALUES) + deviations_of(VALUES) * rng.standard_normal((count, 52))
     spread = np.std([figures(model_with(MODEL, numbers)) for numbers in draws], axis=0)
     assert_allclose(np.linalg.norm(parts, axis=0), spread, rtol=within)

@@ -4,7 +4,12 @@ import math
 
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, transform
 from bellows_ros.core.model.cup_package import Cup, model_tuple
-from bellows_ros.core.model.perturbed import deviations_of, mean_square, model_with, numbers_of
+from bellows_ros.core.model.perturbed import (
+    deviations_of,
+    mean_square,
+    model_with,
+    parameter_vector,
+)
 from bellows_ros.core.model.simulation import tool_rows
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import demands
@@ -257,6 +262,6 @@ def test_the_expected_swing_is_that_of_monte_carlo():
         return run.of(model).at(1.0).figures()['swing_left']
 
     rng = np.random.default_rng(3)
-    draws = numbers_of(VALUES) + deviations_of(VALUES) * rng.standard_normal((100, 52))
+    draws = parameter_vector(VALUES) + deviations_of(VALUES) * rng.standard_normal((100, 52))
     drawn = math.sqrt(np.mean([swing(model_with(MODEL, numbers)) ** 2 for numbers in draws]))
     assert_allclose(math.sqrt(mean_square(VALUES, MODEL, swing)), drawn, rtol=0.15)
