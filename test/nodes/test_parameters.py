@@ -349,7 +349,7 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner: Callable[...,
                 assert result.reason and node.values == kept, parameter.name
                 assert node.get_parameter(parameter.name).value == before.value
                 continue
-            begun = time.monotonic()
+            begun = time.process_time()
             for k in range(1, 12):
                 stamp_ns = tried * 10**9 + k * 4_000_000
                 node._take_pose(stamp_ns, 'world', (1e-5 * k * k, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
@@ -362,7 +362,7 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner: Callable[...,
             node._tick()
             node._say_report()
             assert not node.failures, (parameter.name, value)
-            assert time.monotonic() - begun < 20.0, (parameter.name, value)
+            assert time.process_time() - begun < 10.0, (parameter.name, value)
             node.set_parameters([before])
     assert tried > 70
 
