@@ -13,13 +13,11 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from .outputs import Topic
 from .tool_inputs import OVERRIDABLE
-from ..core.live import LivePredictor
 from ..core.model.simulation import Rows, tool_rows
 from ..core.planning.arm import Arm, read_arm
 from ..core.planning.joint_path import joint_excess, JointPath, Joints
 from ..core.planning.limits import NO_LIMITS, stretched
 from ..core.planning.points import plan_of_joints, timed
-from ..core.planning.steering import steer
 from ..core.signals.trajectory import NS_PER_S, Trajectory
 from ..errors import BellowsError
 from ..files.joint_plans import joint_plan, JointPlan
@@ -49,15 +47,15 @@ class JointPlanning:
                 (JointTrajectory, 'tool_arm/plan_joints',
                  partial(planning.worker.submit, 'plan', self._on_plan), QoSProfile(depth=10)),
                 (JointTrajectory, 'tool_arm/steer_joints',
-                 partial(planning.worker.submit, 'steering', self._on_steer),
+                 partial(planning.steerer.submit, 'steering', self._on_steer),
                  QoSProfile(depth=10))):
             node.create_subscription(
                 kind, topic, callback, qos,
                 qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
 
-    def set_model(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
+    def set_values(self, values: Mapping[str, Any]) -> None:
         """Go on with other values."""
-        self._live, self._values = live, values
+        self._values = values
 
     def _on_description(self, message: String) -> None:
         """Keep the arm, which is read when a plan needs it."""
@@ -90,10 +88,7 @@ class JointPlanning:
         """Answer a motion with one that leaves the package without swing, in the same joints."""
         try:
             plan, joints, tool = self._read(message)
-            path = steered_joints(
-                joints, tool,
-                lambda wanted: steer(
-                    self._live.model, wanted, self._values['steer.method']).tool)
+            path = steered_joints(joints, tool, self._planning.steered)
         except BellowsError as error:
             self._planning.refuse('motion to be steered', error)
             return

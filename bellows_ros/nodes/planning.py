@@ -34,7 +34,7 @@ from ..core.planning.plan import COARSE, predict, Run
 from ..core.planning.plan import Prediction as Predicted
 from ..core.planning.points import rows_of
 from ..core.planning.steering import steer
-from ..core.signals.trajectory import NS_PER_S
+from ..core.signals.trajectory import NS_PER_S, Trajectory
 from ..errors import BellowsError
 from ..files.plan_messages import (
     decode_multi_dof,
@@ -63,6 +63,9 @@ TAIL = 2.0
 DELIVERED = 4e-4
 """Wait (s) after a prediction before a plan is predicted anew: its listeners come first."""
 
+LONGEST_STEERED = 60.0
+"""Longest motion (s) that is steered live; its splines hold the interpreter."""
+
 PLAN, STEERING = 'plan', 'steering'
 """Kinds of work of which only the newest is wanted."""
 
@@ -88,8 +91,8 @@ class Planning:
     ----------
     grip : tuple or None
         That of the package which is held, as `grip_of` returns it.
-    worker : Worker
-        Makes the answers.
+    worker, steerer : Worker
+        Make the answers; no plan waits for the steering of a motion.
 
     """
 
@@ -101,14 +104,14 @@ class Planning:
         self._steered = Topic(node, MultiDOFJointTrajectory, 'tool_arm/steered')
         self._at = Topic(node, Odometry, 'package/predicted_at')
         self._compiled: list[Callable[[], None]] = []
-        self.worker = Worker(node, 'plans')
+        self.worker, self.steerer = Worker(node, 'plans'), Worker(node, 'steering')
         self._joints = JointPlanning(node, self)
         sys.setswitchinterval(SWITCH)
         for kind, topic, callback, compile_it, raw in (
                 (MultiDOFJointTrajectory, 'tool_arm/plan',
                  partial(self.worker.submit, PLAN, self._on_plan), self._compile, True),
                 (MultiDOFJointTrajectory, 'tool_arm/steer',
-                 partial(self.worker.submit, STEERING, self._on_steer), self._compile_steering,
+                 partial(self.steerer.submit, STEERING, self._on_steer), self._compile_steering,
                  True),
                 (Header, 'package/predict_at', self._on_request, self._compile_later, False)):
             node.create_subscription(
@@ -127,15 +130,17 @@ class Planning:
     @property
     def is_busy(self) -> bool:
         """Whether something is being answered."""
-        return self.worker.is_busy
+        return self.worker.is_busy or self.steerer.is_busy
 
     def close(self) -> None:
         """End the answers for good."""
         self.worker.close()
+        self.steerer.close()
 
     def forget(self) -> None:
         """Drop the plan and all answers."""
         self.worker.forget()
+        self.steerer.forget()
         self._ahead: Ahead | None = None
         self._found: Predicted | Status | None = None
         self._predicted_ns = 0
@@ -143,7 +148,7 @@ class Planning:
     def set_model(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
         """Go on with other values."""
         self._live, self._values, self.grip = live, values, grip_of(values)
-        self._joints.set_model(live, values)
+        self._joints.set_values(values)
         self._coarse = COARSE * largest_step(live.model)
         self._period_ns = round(0.9e9 / values['plan.rate'])  # poses come at their rate
 
@@ -151,7 +156,8 @@ class Planning:
         """Compile what answers a topic once a possible publisher appears."""
         if matched.current_count and compile_it not in self._compiled:
             self._compiled.append(compile_it)
-            self.worker.submit(compile_it, compile_it)
+            steers = compile_it == self._compile_steering
+            (self.steerer if steers else self.worker).submit(compile_it, compile_it)
 
     def _compile_later(self) -> None:
         """Compile the answer to a request, by making one."""
@@ -235,8 +241,8 @@ class Planning:
 
     def refuse(self, what: str, error: BellowsError) -> None:
         """Log why a message is refused; the prediction goes on."""
-        if self.worker.stop[0]:  # nobody waits for it any more
-            return
+        if (self.worker if what == 'plan' else self.steerer).stop[0]:
+            return  # nobody waits for it any more
         self._ahead = self._ahead if what != 'plan' else None
         self._found = Status('plan', Level.WARN, f'The last {what} was refused. {error}', {})
         self._node.get_logger().warning(f'A {what} was refused. {error}')
@@ -249,7 +255,7 @@ class Planning:
         ahead.follow(now)
         if ahead.done:
             self._ahead = None
-        elif (ahead.progress > 0.0 and ahead.is_driven(now) and not self.is_busy
+        elif (ahead.progress > 0.0 and ahead.is_driven(now) and not self.worker.is_busy
                 and time.monotonic_ns() - self._predicted_ns >= self._period_ns):
             self._predicted_ns = time.monotonic_ns()
             self.worker.submit(PLAN, self._predict_rest, ahead, now)
@@ -335,18 +341,28 @@ class Planning:
                        UNKNOWN_ROOT)
         self._at.publish(message)
 
+    def steered(self, wanted: Trajectory, of_package: bool = False) -> Trajectory:
+        """Return a motion of the tool without swing; refuse to work on it for long."""
+        if wanted.seconds[-1] > LONGEST_STEERED:
+            raise BellowsError(
+                f'It takes {wanted.seconds[-1]:.4g} s; expected at most {LONGEST_STEERED:g}. '
+                'Split the motion, or use bellows steer.')
+        tool = steer(self._live.model, wanted, self._values['steer.method'], of_package).tool
+        if self.steerer.stop[0]:
+            raise BellowsError('The steering was stopped before its end.')
+        return tool
+
     def _on_steer(self, data: bytes) -> None:
         """Answer a motion with one that leaves the package without swing."""
         try:
             message, plan = self._read(data)
             of_package = message.names[:1] == (self._values['frames.package'],)
-            found = steer(
-                self._live.model, plan.trajectory(), self._values['steer.method'], of_package)
+            tool = self.steered(plan.trajectory(), of_package)
         except BellowsError as error:
             self.refuse('motion to be steered', error)
             return
         self._steered.publish(encode_multi_dof(plan_message(
-            found.tool, message.stamp_ns, message.frame_id, 'tool',
+            tool, message.stamp_ns, message.frame_id, 'tool',
             self._values['tool_twist.frame'])))
 
 

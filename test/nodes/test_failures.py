@@ -174,7 +174,7 @@ def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(
     predictor, done = partner.predictor, []
     partner.send_pose(START)
     partner.wait_for_poses(1)
-    worker = predictor._planning._worker
+    worker = predictor._planning.worker
     worker.submit('bad', lambda: [][0])
     worker.submit('good', done.append, True)
     assert partner.ros.spin_until(lambda: done)

@@ -281,14 +281,14 @@ def test_a_newer_plan_replaces_one_that_takes_long(planner: Planner) -> None:
                    twists=np.zeros((len(times), 6)))
     for _ in range(3):
         planner.send(long)
-        planner.wait(lambda: planning._worker._running == 'plan')
+        planner.wait(lambda: planning.worker._running == 'plan')
     planner.plans.clear()
     planner.send(message())
     begun = time.monotonic()
     planner.wait(lambda: planner.plans)
     assert time.monotonic() - begun < 2.0 and len(planner.plans[0].times_ns) == 101
     planner.send(long)
-    planner.wait(lambda: planning._worker._running == 'plan')
+    planner.wait(lambda: planning.worker._running == 'plan')
     begun = time.monotonic()
     predictor.trigger_deactivate()
     assert time.monotonic() - begun < 1.0 and not planning.is_busy

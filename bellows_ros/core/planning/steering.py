@@ -96,7 +96,7 @@ quick that a cup known to 5 % swings, a shorter one the tool jerk."""
 
 RATE_PER_STEP = 0.4
 """Relaxation rate of the cup times step; RK4 is then accurate to 1e-4."""
-MOST_STEPS = 1_000_000
+MOST_STEPS = 300_000
 """Most steps of the inverse, each of which is kept."""
 FASTEST = 1e5
 """A cup that relaxes faster (1/s), because its damper is weak, is not inverted."""
