@@ -50,7 +50,7 @@ test-long: $(VENV)/bench-ready  ## run what is too much for the suite: repetitio
 	@$(BIN)/python -m pytest -m stress $(ARGS)
 
 .PHONY: stress
-stress: $(VENV)/ready  ## damage files, kill writers, fill disks for an hour, or ARGS='--minutes 5'
+stress: $(VENV)/ready  ## damage files, kill writers, fill disks, attack nodes for an hour, or ARGS='--minutes 5'
 	@$(BIN)/python -m test.stress $(ARGS)
 
 .PHONY: lint

@@ -1,6 +1,7 @@
 """Hostile messages to the real node over DDS: finite answers, every pose counted, recovery."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 import time
 
@@ -15,8 +16,9 @@ from ..nodes.test_hostile import Attacker, listen, MS, numbers, RELIABLE, stamps
 BURST = 100  # messages of an attempt
 
 
-def messages(rng: np.random.Generator, folder: Path) -> Iterator[str]:
-    """Send bursts of what nobody should send, and then good poses, which must be answered."""
+@contextmanager
+def connected(given: Mapping[str, object]) -> Iterator[Partner]:
+    """Give a predictor of its own, and what sends messages to it."""
     from bellows_ros.nodes.predictor_node import PredictorNode
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
@@ -27,20 +29,26 @@ def messages(rng: np.random.Generator, folder: Path) -> Iterator[str]:
     rclpy.init(args=['--ros-args', '--log-level', 'fatal'], context=context)
     ros = Ros(context, SingleThreadedExecutor(context=context))
     try:
-        given = [Parameter(name, value=value) for name, value in {**PACKAGE, **RELIABLE}.items()]
-        predictor = PredictorNode(context=context, parameter_overrides=given)
+        predictor = PredictorNode(context=context, parameter_overrides=[
+            Parameter(name, value=value) for name, value in {**given, **RELIABLE}.items()])
         partner = Partner(ros, Node('partner', context=context), predictor)
         for node in (predictor, partner.node):
             ros.executor.add_node(node)
         partner.connect(INPUTS, OUTPUTS, with_twists=True)
-        heard, attacker = listen(partner), Attacker(partner, int(rng.integers(2**31)))
-        for number in range(ATTEMPTS):
-            yield burst(partner, attacker, heard, number)
+        yield partner
     finally:
         for node in ros.executor.get_nodes():
             node.destroy_node()
         ros.executor.shutdown()
         context.try_shutdown()
+
+
+def messages(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+    """Send bursts of what nobody should send, and then good poses, which must be answered."""
+    with connected(PACKAGE) as partner:
+        heard, attacker = listen(partner), Attacker(partner, int(rng.integers(2**31)))
+        for number in range(ATTEMPTS):
+            yield burst(partner, attacker, heard, number)
 
 
 def burst(partner: Partner, attacker: Attacker, heard: list, number: int) -> str:

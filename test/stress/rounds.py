@@ -6,6 +6,7 @@ from importlib.util import find_spec
 from .frame import Round
 from .messages import messages
 from .readers import bags, metadata, motions, parameters, plans, recordings, tables
+from .requests import requests
 from .results import fits
 from .writers import disks, kills
 
@@ -20,5 +21,6 @@ ROUNDS: Mapping[str, Round] = {
     'kills': Round(kills, patience=120.0, short=0),  # test/files/test_killed.py does it
     'disks': Round(disks, short=20),
     'fits': Round(fits, patience=120.0, short=10),
-    **({'messages': Round(messages, patience=60.0, short=4)} if find_spec('rclpy') else {}),
+    **({'messages': Round(messages, patience=60.0, short=4),
+        'requests': Round(requests, patience=90.0, short=3)} if find_spec('rclpy') else {}),
 }
