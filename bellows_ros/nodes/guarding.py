@@ -5,6 +5,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial, wraps
 from pathlib import Path
+from threading import Thread
 import traceback
 from typing import Any
 
@@ -62,6 +63,10 @@ class GuardedNode(Node):
                 return otherwise()
 
         return call
+
+    def beside(self, work: Callable[[], None]) -> None:
+        """Run what takes long, such as compiling, in a thread that ends with the process."""
+        Thread(target=self.guarded(work), daemon=True).start()
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *more: Any, **options: Any

@@ -1,6 +1,7 @@
 """Outputs of the predictor; beside the pose, each topic only while it has subscribers."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 import importlib.util
 from typing import Any
 
@@ -25,7 +26,8 @@ from .markers import gone, Picture
 from ..core.live import Prediction
 from ..core.live.load import deflection, deflection_rotation
 from ..core.live.samples import ORIGIN, ZERO
-from ..core.live.uncertainty import Uncertainty, UNKNOWN_ROOT
+from ..core.live.uncertainty import Uncertainty, UNKNOWN_ROOT, warm_up_uncertainty
+from ..core.model.cup_package import cup_of
 from ..core.model.kernels import ModelTuple
 
 QUEUE = 500
@@ -53,12 +55,18 @@ class Topic:
         Relative name.
     qos : QoSProfile, optional
         Reliable with a queue unless given; it can be overridden.
+    prepare : callable, optional
+        Compiles what makes the messages, once somebody listens; they begin when it is done.
 
     """
 
-    def __init__(self, node: Any, kind: type, name: str, qos: QoSProfile | None = None) -> None:
+    def __init__(
+        self, node: Any, kind: type, name: str, qos: QoSProfile | None = None,
+        prepare: Callable[[], None] | None = None,
+    ) -> None:
         """Advertise."""
-        self.wanted = False
+        self.wanted = self._heard = False
+        self._node, self._prepare, self._is_ready = node, prepare, prepare is None
         self._publisher = node.create_lifecycle_publisher(
             kind, name, qos or QoSProfile(depth=QUEUE),
             event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
@@ -69,7 +77,16 @@ class Topic:
 
     def _on_matched(self, matched: Any) -> None:
         """Note whether somebody listens."""
-        self.wanted = matched.current_count > 0
+        self._heard = matched.current_count > 0
+        self.wanted = self._heard and self._is_ready
+        if self._heard and self._prepare:
+            self._node.beside(partial(self._make_ready, self._prepare))
+            self._prepare = None
+
+    def _make_ready(self, prepare: Callable[[], None]) -> None:
+        """Prepare the messages."""
+        prepare()
+        self._is_ready, self.wanted = True, self._heard
 
 
 class Outputs:
@@ -98,7 +115,9 @@ class Outputs:
         """Advertise all topics; messages are made once and filled in again."""
         self.pose = Topic(node, geometry.PoseStamped, 'package/pose')
         self._twist = Topic(node, geometry.TwistStamped, 'package/twist')
-        self._odometry = Topic(node, Odometry, 'package/odometry')
+        self._odometry = Topic(
+            node, Odometry, 'package/odometry',
+            prepare=partial(warm_up_uncertainty, cup_of(values).relaxation))
         self._wrench = Topic(node, geometry.WrenchStamped, 'cup/wrench')
         self._safety = Topic(node, geometry.Vector3Stamped, 'cup/safety_factor')
         self._deflection = Topic(node, geometry.PoseStamped, 'cup/deflection')

@@ -122,7 +122,6 @@ class PredictorNode(ManagedNode):
         model = cup, package, gravity, values['tool_twist.frame']
         warm_up(*model)
         live = LivePredictor(*model)
-        warm_up_uncertainty(cup.relaxation)
         self._outputs = Outputs(self, values)
         if values['tool_pose.type'] == 'tf':
             self._pose_in: SensorInput = TransformInput(self, values, self._take_pose)

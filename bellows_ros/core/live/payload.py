@@ -105,12 +105,13 @@ def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
     try:
         with np.errstate(all='ignore'):
             model = model_tuple(cup, package, gravity)
-            _require_slow(system_matrix(model))
+            A = system_matrix(model)
+            _require_slow(A)
             modes = modes_of(system_matrix(model, ORIGIN, resting_on_tool(model, ORIGIN)[:4]))
             softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
             sag = package.mass * math.hypot(*model[2]) / softest
             reach = CUP_LENGTHS * cup.length + SAGS * sag
-            return Prepared(model, largest_step(model), reach, modes)
+            return Prepared(model, largest_step(model, A), reach, modes)
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(
             f'The prediction fails with this cup and package ({error}). Check package.mass, '

@@ -134,13 +134,17 @@ def system_matrix(
     Return the matrix (12, 12) of small motions about a state, or the nominal pose, at rest.
 
     The state is displacement and twist of B in its own axes; its eigenvalues are the package's
-    modes (rad/s). Internal strains of a cup that relaxes are 12 states more (24, 24).
+    modes (rad/s). Internal strains of a cup that relaxes are 12 states more (24, 24). Without them
+    it is of differences, good to nine digits: those of `linearise` take seconds to compile, and a
+    live prediction starts without them.
     """
     body = body or resting_on_tool(model, tool)
+    if len(body) == 4:
+        up, down = (np.transpose([_accelerated(model, tool, body, j, by) for j in range(12)])
+                    for by in (_DIFFERENCE, -_DIFFERENCE))
+        return np.vstack([np.eye(6, 12, k=6), (up - down) / (2.0 * _DIFFERENCE)])
     by = linearise(model, tool, body)
     eye, none = np.eye(6), np.zeros((6, 6))
-    if len(body) == 4:
-        return np.block([[none, eye], [by.body_pose, by.body_twist]])
     by_strain, strain_by_pose = map(_matrix, strain_jacobians(model, tool, body))
     (r, tau), (s, theta) = model[0][4:]
     return np.block([
@@ -150,9 +154,24 @@ def system_matrix(
         [strain_by_pose / theta, none, none, -eye / theta]])
 
 
-def largest_step(model: ModelTuple) -> float:
-    """Return the longest integration step (s) that keeps RK4 accurate for the fastest mode."""
-    fastest = float(np.abs(np.linalg.eigvals(system_matrix(model))).max())
+@kernel
+def _accelerated(
+    model: ModelTuple, tool: State, body: State, j: int, by: float
+) -> tuple[float, float, float, float, float, float]:
+    """Return the package's acceleration with one of its 12 coordinates changed."""
+    dv, dw = body_acceleration(model, tool, moved(
+        body, unit(j, by), unit(j - 3, by), unit(j - 6, by), unit(j - 9, by)))
+    return dv[0], dv[1], dv[2], dw[0], dw[1], dw[2]
+
+
+def largest_step(model: ModelTuple, A: Array | None = None) -> float:
+    """
+    Return the longest integration step (s) that keeps RK4 accurate for the fastest mode.
+
+    A is the `system_matrix` of the model, where it is known.
+    """
+    A = system_matrix(model) if A is None else A
+    fastest = float(np.abs(np.linalg.eigvals(A)).max())
     return PHASE_PER_STEP / fastest if fastest > 0.0 else math.inf
 
 
