@@ -346,7 +346,10 @@ class _Collector:
     def add(self, message: Message) -> None:
         """Take a message, unless there are too many."""
         if len(self._log_times) < LARGEST_COUNT:
-            self._log_times.append(max(0, min(message.log_time_ns, _LARGEST_INT64)))
+            try:
+                self._log_times.append(message.log_time_ns)
+            except OverflowError:
+                self._log_times.append(_LARGEST_INT64)
             self._batch.append(_plain(message.data))
         if len(self._batch) == _BATCH:
             self._flush()
@@ -360,7 +363,7 @@ class _Collector:
     def stream(self, recording: Path) -> Stream:
         """Return the usable messages, in the order they were recorded in."""
         self._flush()
-        log_times = np.array(self._log_times)
+        log_times = np.maximum(self._log_times, 0)
         order: Any = np.argsort(log_times, kind='stable')
         if np.array_equal(order, np.arange(len(order))):
             order = slice(None)  # which copies nothing

@@ -53,7 +53,7 @@ def scan(
     wanted : callable
         Topic to whether its messages are yielded.
     counts : dict
-        Filled while reading: every topic, with its number of messages.
+        Filled while reading: every topic, and at the end its number of messages.
     notes : list of str
         Filled while reading: what was lost because the recording was not ended.
 
@@ -78,6 +78,8 @@ def scan(
         notes.append(
             f'its recording was not ended, {reason}: {sum(scanned.met.values())} messages were '
             f'read; the last {size - scanned.whole} of {size} bytes are damaged or cut short')
+    finally:
+        scanned.add_counts()
 
 
 class _Scan:
@@ -131,11 +133,10 @@ class _Scan:
                 if channel not in self._channels:
                     raise DamagedError(
                         f'a message belongs to channel {channel}, which is not defined')
-                topic = self._channels[channel]
-                self._counts[topic] += 1
                 self.met[channel] += 1
                 if channel in self._wanted_channels:
-                    yield Message(topic, log_time_ns, bytes(body[_MESSAGE_HEAD.size:]))
+                    yield Message(
+                        self._channels[channel], log_time_ns, bytes(body[_MESSAGE_HEAD.size:]))
             elif kind == _CHUNK:
                 yield from self.messages(_chunk_records(body))
             elif kind == _SCHEMA:
@@ -146,6 +147,11 @@ class _Scan:
                 self._add_channel(_Fields(body))
             elif kind == _STATISTICS:
                 self._compare(_Fields(body))
+
+    def add_counts(self) -> None:
+        """Add the messages met to those of their topics."""
+        for channel, number in self.met.items():
+            self._counts[self._channels[channel]] += number
 
     def _compare(self, fields: '_Fields') -> None:
         """Refuse a file with fewer or more messages than its statistics count."""

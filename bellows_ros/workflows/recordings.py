@@ -146,6 +146,8 @@ def inside(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask
 
 def part_of(streams: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return poses and twists by role from recording.start to recording.end; see `inside`."""
+    if not any(values.get(name) for name in FULL_RANGE):
+        return dict(streams)
     chosen = inside([own.stamps_ns for own in streams.values()], values)
     return {role: replace(own, **{
         name: getattr(own, name)[mask] for name in ARRAYS if hasattr(own, name)

@@ -229,8 +229,8 @@ def replay(
     tell('simulating', 0.3)
     free = validated(values, recording)
     live = predicted_live(recording, values, lambda what, part: tell(what, 0.6 + 0.4 * part))
-    messages = tool_messages(recording, values)
-    found = observed(bag, recording, messages, values, observe) if observe else None
+    found = observed(
+        bag, recording, tool_messages(recording, values), values, observe) if observe else None
     tell('done', 1.0)
     return replace(free, live=live, observed=found)
 

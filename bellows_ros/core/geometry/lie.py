@@ -276,12 +276,11 @@ def rotation_to_quaternion(R: ArrayLike) -> Array:
 
     """
     R = _array(R, 3, 3)
-    outer = _quaternion_outer_product(R)
-    diagonal = np.diagonal(outer, axis1=-2, axis2=-1)
-    largest = np.argmax(diagonal, axis=-1)[..., None, None]
-    q = np.take_along_axis(outer, largest, axis=-2)[..., 0, :]
-    sign = np.where(q[..., 3:] < 0.0, -1.0, 1.0)
-    return np.asarray(q * sign / np.linalg.norm(q, axis=-1, keepdims=True))
+    q, diagonal = _quaternion_outer_product(R)
+    # Component by component in memory, which takes a third of the time.
+    rows = np.take_along_axis(q, np.argmax(diagonal, axis=0)[None, None], axis=0)[0]
+    rows *= np.where(rows[3] < 0.0, -1.0, 1.0) / np.sqrt(np.sum(rows * rows, axis=0))
+    return np.moveaxis(rows, 0, -1)
 
 
 def nearest_rotation(M: Array) -> Array:
@@ -552,18 +551,14 @@ def _rotation_polynomial(v: Array, linear: Array, quadratic: Array) -> Array:
     return result
 
 
-def _quaternion_outer_product(R: Array) -> Array:
-    """Return 4 q q^T (..., 4, 4), components (x, y, z, w), of rotation matrices."""
-    outer = np.empty((*R.shape[:-2], 4, 4))
-    outer[..., :3, :3] = R + np.swapaxes(R, -1, -2)
-    x, y, z = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
-    outer[..., 0, 0] = 1.0 + x - y - z
-    outer[..., 1, 1] = 1.0 - x + y - z
-    outer[..., 2, 2] = 1.0 - x - y + z
-    outer[..., 3, 3] = 1.0 + x + y + z
-    outer[..., 3, :3] = vee(R - np.swapaxes(R, -1, -2))
-    outer[..., :3, 3] = outer[..., 3, :3]
-    return outer
+def _quaternion_outer_product(R: Array) -> tuple[Array, Array]:
+    """Return 4 q q^T (4, 4, ...), components (x, y, z, w), of rotations, and its diagonal."""
+    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(R, (-2, -1), (0, 1)).copy()
+    diagonal = np.array([1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i])
+    xx, yy, zz, ww = diagonal
+    xy, xz, yz, xw, yw, zw = b + d, c + g, f + h, h - f, c - g, d - b
+    return np.array([[xx, xy, xz, xw], [xy, yy, yz, yw], [xz, yz, zz, zw], [xw, yw, zw, ww]]), (
+        diagonal)
 
 
 def _squared(v: Array) -> Array:

@@ -22,7 +22,7 @@ import numpy as np
 BLOCK = 4096
 """Samples processed at a time, so that memory does not grow with the recording."""
 
-LARGEST_KEPT = 2**27
+LARGEST_KEPT = 2**25
 """Largest regressor of one recording that is kept for reuse, bytes."""
 
 CLUSTER_WINDOWS = 4

@@ -16,14 +16,13 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.equations import IN_NULL_SPACE, LipMotion, Moments, regular
 from bellows_ros.core.identification.reduction import draws
-from bellows_ros.core.identification.samples import lip_relative, samples_of
+from bellows_ros.core.identification.samples import lip_relative, Samples, samples_of
 from bellows_ros.core.identification.variations import Given, time_offset
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.table import THESIS_DAMPING, THESIS_STIFFNESS
-from bellows_ros.core.recording.recording import Colour, Recording
-from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.savgol import savgol
-from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.signals.savgol import displaced, filtered, weights
+from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 RATE_HZ = 60.0
@@ -104,10 +103,12 @@ def ensemble_of(
     recordings: Sequence[Recording], length: float, structure: Structure, count: int = DRAWS
 ) -> Ensemble:
     """Return recordings and the same with noise once more, thinned."""
-    def given(recording: Recording) -> Given:
+    def given(recording: Recording, draw: np.random.Generator | None = None) -> Given:
         settings, samples = recording.settings, samples_of(recording)
         rate = 1e9 / float(np.median(np.diff(samples.package.stamps_ns)))
         some = samples.thinned(max(int(RATE_HZ / rate * len(samples.tool)), 1))
+        if draw is not None:
+            some = _noisier(recording, some, draw)
         bins = _bins(some.package.stamps_ns)
         every = -(-int(bins[-1] - bins[0] + 1) * len(recordings) // MEANS)
         body = replace(some.package, valid=some.package.valid & (bins % every == 0))
@@ -116,34 +117,32 @@ def ensemble_of(
 
     return Ensemble(
         tuple(map(given, recordings)),
-        tuple(tuple(given(_noisier(own, draw)) for own in recordings) for draw in draws(count)))
+        tuple(tuple(given(own, draw) for own in recordings) for draw in draws(count)))
 
 
-def _noisier(recording: Recording, draw: np.random.Generator) -> Recording:
-    """Return a recording with as much noise once more, through the same filters."""
-    settings = recording.settings
-    tool, package = (
-        _shaken(poses, colours, draw) for poses, colours in zip(
+def _noisier(recording: Recording, some: Samples, draw: np.random.Generator) -> Samples:
+    """Return samples of a recording with as much noise once more, through the same filters."""
+    stamps, of_tool = some.package.stamps_ns, recording.aligned_tool.stamps_ns
+    tool_noise, package_noise = (
+        np.hstack([colour.drawn(len(body), draw) for colour in colours])
+        for body, colours in zip(
             (recording.aligned_tool, recording.aligned_package), recording.colours, strict=True))
-    filtered_tool, filtered = (
-        savgol(body, weights.shape[1] // 2, order) for body, weights, order in (
-            (tool, recording.tool_weights, settings.tool_order),
-            (package, recording.package_weights, settings.package_order)))
-    stamps = recording.package.stamps_ns
-    first = int(np.searchsorted(filtered.stamps_ns, stamps[0]))
-    there = resample(filtered_tool, stamps)
-    return replace(
-        recording, package=filtered.select(slice(first, first + len(stamps))),
-        tool=replace(there, valid=recording.tool.valid))
-
-
-def _shaken(
-    poses: Trajectory, colours: tuple[Colour, Colour], draw: np.random.Generator
-) -> Trajectory:
-    """Return poses with noise of their kind once more."""
-    way, turn = (colour.drawn(len(poses), draw) for colour in colours)
-    return Trajectory(poses.stamps_ns, poses.position + way, poses.rotation @ exp_so3(turn),
-                      valid=poses.valid)
+    package = filtered(package_noise, recording.package_weights,
+                       np.searchsorted(recording.aligned_package.stamps_ns, stamps))
+    # As the tool itself, on the cubic polynomial between two filtered samples.
+    half = recording.tool_weights.shape[1] // 2
+    before = np.clip(np.searchsorted(of_tool, stamps, side='right') - 1,
+                     half, len(of_tool) - half - 2)
+    step_ns = (of_tool[before + 1] - of_tool[before])[:, None]
+    s, h = (stamps - of_tool[before])[:, None] / step_ns, step_ns / NS_PER_S
+    (a, a_rate, _), (b, b_rate, _) = (
+        filtered(tool_noise, recording.tool_weights, before + k) for k in (0, 1))
+    value = (a + s**2 * (3.0 - 2.0 * s) * (b - a)
+             + h * s * (1.0 - s) * ((1.0 - s) * a_rate - s * b_rate))
+    rate = (6.0 * s * (1.0 - s) * (b - a) / h
+            + (1.0 - s) * (1.0 - 3.0 * s) * a_rate - s * (2.0 - 3.0 * s) * b_rate)
+    return replace(some, tool=displaced(some.tool, *np.split(np.array([value, rate]), 2, axis=2)),
+                   package=displaced(some.package, *np.split(package, 2, axis=2)))
 
 
 def _bins(stamps_ns: Stamps) -> Stamps:
@@ -200,8 +199,6 @@ def _sizes(displacement: Array) -> Array:
 
 def _dragged(given: Given) -> Array:
     """Return the displacements (2, N, 6) of two sliders that the lip drags along (Dahl, 1968)."""
-    from scipy.signal import savgol_filter  # late: it takes 0.4 s and 25 MB
-
     own = given.samples
     way = LipMotion(
         np.arange(len(own.tool)), own.tool.stamps_ns, own.window,
@@ -216,9 +213,11 @@ def _dragged(given: Given) -> Array:
         z = dragged[:, k] = (z + step) * keeps[:, k]
     # Seen through a filter, as accelerations are.
     rate_hz = NS_PER_S / float(np.median(np.diff(own.tool.stamps_ns)))
-    half_window = round(0.5 * own.window * rate_hz)
-    return np.asarray(savgol_filter(
-        dragged, 2 * half_window + 1, min(SMOOTHING, 2 * half_window), axis=1, mode='nearest'))
+    half_window = max(round(0.5 * own.window * rate_hz), 1)
+    W = weights(half_window, min(SMOOTHING, 2 * half_window), rate_hz)[:1]
+    ends = np.pad(dragged, ((0, 0), (half_window, half_window), (0, 0)), mode='edge')
+    index = np.arange(half_window, half_window + len(way))
+    return np.concatenate([filtered(z, W, index) for z in ends])
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ recordings, wherever they were made.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
@@ -306,6 +306,10 @@ def reduced(recording: Recording | Reduced, values: Mapping[str, Any]) -> Reduce
         ('reduced', length, structure.name), lambda: _reduced(recording, length, structure))
 
 
+LONG = 50_000
+"""Samples of a recording whose lip motion, as large as itself, is not kept."""
+
+
 def envelope_of(recording: Recording, cup_length: float) -> Envelope:
     """Return the validity range of a recording."""
     return recording.once(
@@ -315,7 +319,10 @@ def envelope_of(recording: Recording, cup_length: float) -> Envelope:
 def _reduced(recording: Recording, length: float, structure: Structure) -> Reduced:
     """Return a recording reduced."""
     samples, noise = samples_of(recording), recording.noise
-    seen = envelope_of(recording, length)  # refuses a recording without valid samples
+    if len(samples.tool) > LONG:  # a copy, with which the motion of the lip is dropped
+        samples = replace(samples)
+    seen = recording.once(  # refuses a recording without valid samples
+        ('envelope', length), lambda: envelope(samples, length))
     return Reduced(
         recording.as_json(), recording.digest, recording.files, recording.payload,
         recording.report.time_offset, recording.report.package_world,

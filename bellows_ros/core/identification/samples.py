@@ -82,7 +82,8 @@ class Samples:
     def lip(self) -> LipMotion:
         """The motion of the lip, the basis of the equations."""
         index = np.flatnonzero(self.valid)
-        tool, package = self.tool.select(index), self.package.select(index)
+        some = slice(None) if len(index) == len(self.tool) else index  # which copies nothing
+        tool, package = self.tool.select(some), self.package.select(some)
         return LipMotion(
             index, tool.stamps_ns, self.window, *lip_relative(tool, package, self.payload.com),
             needed_wrench(self.payload, package, self.gravity), self.relaxation,

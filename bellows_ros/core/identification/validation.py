@@ -6,18 +6,23 @@ package. The tool is smoothed lightly, as its noise drives the package, and what
 bodies does to the comparison is known from simulation too: an error beyond that is the model's.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
-from bellows_ros.core.identification.segments import bridged, segments_of
+from bellows_ros.core.identification.segments import (
+    bridged,
+    Measured,
+    measured_segments,
+    segments_of,
+)
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, state_row, tool_rows
 from bellows_ros.core.recording.alignment import rest_of
-from bellows_ros.core.recording.recording import Noise, Recording
+from bellows_ros.core.recording.recording import ENOUGH, Noise, Recording
 from bellows_ros.core.signals.residuals import (
     AXES,
     compare,
@@ -52,13 +57,16 @@ REST_S = 0.3
 SEED = 0
 """Seed of the added noise: the same recording gives the same numbers."""
 
+ONE_STEP = 10_000
+"""Samples whose innovations are looked at; each takes 8 kB of memory."""
+
 LEAST_NOISE = 1e-7
 """Noise (m, rad) below which rounding dominates the innovations."""
 
 
 class OneStep(NamedTuple):
     """
-    The innovations of the prediction-error method along a recording.
+    The innovations of the prediction-error method along a recording, or its middle.
 
     Chi2: their mean square, 1 where model and noise explain the motion; whiteness; and spectrum,
     scaled to the noise of the package's poses, m and rad.
@@ -78,18 +86,12 @@ class Validation(Comparison):
     ----------
     noise : ndarray (6,)
         RMS error that measurement noise alone makes, m and rad.
-    whiteness : Whiteness
-        Of the errors of the free simulation.
-    spectrum, motion : Spectrum
-        Of these errors, and of the measured coordinates; lost samples interpolated.
     cup : Cup
         That was simulated.
     recording : Recording
         With which it is compared.
-    wrench : ndarray (N, 6)
-        Of the cup at the lip in the free simulation, in lip axes, N and N m.
-    tool : Trajectory
-        Of E with twists, that was simulated.
+    tool, package : Trajectory
+        Of E with twists, and of B in the free simulation.
     state : State
         Of B in the world at its first sample.
     start : str
@@ -100,16 +102,39 @@ class Validation(Comparison):
     """
 
     noise: Array
-    whiteness: Whiteness
-    spectrum: Spectrum
-    motion: Spectrum
     cup: Cup
     recording: Recording
-    wrench: Array
     tool: Trajectory
+    package: Trajectory
     state: State
     start: str
     warnings: tuple[str, ...]
+
+    @cached_property
+    def wrench(self) -> Array:
+        """Of the cup at the lip in the free simulation, in lip axes, N and N m (N, 6)."""
+        model = model_tuple(
+            self.cup, self.recording.payload, self.recording.settings.gravity)
+        return lip_wrenches(model, self.tool, self.package)
+
+    @cached_property
+    def whiteness(self) -> Whiteness:
+        """Of the errors of the free simulation."""
+        return portmanteau(self.error)
+
+    @cached_property
+    def spectrum(self) -> Spectrum:
+        """Of these errors; lost samples interpolated."""
+        return self._spectrum_of(self.error)
+
+    @cached_property
+    def motion(self) -> Spectrum:
+        """Of the measured coordinates; lost samples interpolated."""
+        return self._spectrum_of(self.measured)
+
+    def _spectrum_of(self, values: Array) -> Spectrum:
+        """Return the spectrum of coordinates (N, 6)."""
+        return spectrum(interpolated(values), uniform_rate_hz(self.stamps_ns))
 
     @cached_property
     def one_step(self) -> OneStep | None:
@@ -119,7 +144,7 @@ class Validation(Comparison):
         from .minimum import innovations  # late: not for the verdict on a fit
 
         try:
-            segments = segments_of(self.recording)
+            segments = _middle_segments(self.recording)
             white = np.concatenate([innovations(self.cup, segment) for segment in segments])
         except BellowsError:
             return None
@@ -153,6 +178,18 @@ class Validation(Comparison):
         if not self.moves.any():
             return 'No axis moves enough for a verdict: record a larger motion.'
         return f'All axes that move are predicted within {part}.'
+
+
+def _middle_segments(recording: Recording) -> list[Measured]:
+    """Return the segments of a recording, of a long one those of its middle."""
+    stamps = recording.aligned_package.stamps_ns
+    spare = max(len(stamps) - ONE_STEP, 0) // 2
+    if not spare:
+        return segments_of(recording)
+    tool, package = (
+        body.select(slice(*np.searchsorted(body.stamps_ns, stamps[[spare, -spare]]).tolist()))
+        for body in (recording.aligned_tool, recording.aligned_package))
+    return measured_segments(tool, package, recording.payload, recording.settings.gravity)
 
 
 def validate(cup: Cup, recording: Recording) -> Validation:
@@ -192,17 +229,14 @@ def _validated(cup: Cup, recording: Recording) -> Validation:
         for body in (recording.measured_tool, recording.measured_package))
     body = simulate(cup, package, tool, start, gravity)
     compared = compare(body, measured_tool, measured_package)
-    rate_hz = uniform_rate_hz(tool.stamps_ns)
     return Validation(
         **vars(compared),
-        noise=_noise_of_errors((cup, package, gravity), tool, start, body, noises),
-        whiteness=portmanteau(compared.error),
-        spectrum=spectrum(interpolated(compared.error), rate_hz),
-        motion=spectrum(interpolated(compared.measured), rate_hz),
+        noise=_noise_of_errors((cup, package, gravity), *(
+            motion.select(slice(ENOUGH)) for motion in (tool, body)), start, noises),
         cup=cup,
         recording=recording,
-        wrench=lip_wrenches(model, tool, body),
         tool=tool,
+        package=body,
         state=start,
         start=kind,
         warnings=tuple(
@@ -244,7 +278,8 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
             'can be simulated.'
         )
     wanted = slice(int(usable[0]), int(usable[-1]) + 1)
-    tool, there = filtered.select(wanted), measured.valid[half_window:][wanted]
+    tool = replace(filtered.select(wanted), acceleration=None)
+    there = measured.valid[half_window:][wanted]
     gaps = np.flatnonzero(np.diff(np.flatnonzero(there)) > 1)
     edges = (tool.stamps_ns[there] - measured.stamps_ns[0]) / NS_PER_S
     return tool, np.column_stack([edges[gaps], edges[gaps + 1] - edges[gaps]])
@@ -274,8 +309,8 @@ def _start(
 def _noise_of_errors(
     payload: tuple[Cup, Package, float],
     tool: Trajectory,
-    start: State,
     body: Trajectory,
+    start: State,
     noises: tuple[Noise, Noise],
 ) -> Array:
     """Return the RMS error (6,) due to noise of the package and of the tool."""

@@ -13,7 +13,7 @@ from bellows_ros.core.live.predictor import LivePredictor
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.residuals import compare, Comparison
-from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.signals.trajectory import frozen, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -98,8 +98,8 @@ def predictions(
             f'The predictor made {len(stamps)} predictions, too few to compare. Check the '
             'recording, and whether the cup can hold the package.'
         )
-    rows = np.array(numbers).reshape(-1, 13)
-    rotation = quaternion_to_rotation(rows[:, 3:7])
+    rows = frozen(np.frombuffer(numbers).reshape(-1, 13))
+    rotation = frozen(quaternion_to_rotation(rows[:, 3:7]))
     return Trajectory(np.array(stamps), rows[:, :3], rotation, rows[:, 7:])
 
 

@@ -39,7 +39,7 @@ from bellows_ros.core.model.kernels import (
     State,
     tool_segment,
 )
-from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -252,8 +252,8 @@ def simulate(
         )
     return Trajectory(
         stamps_ns=tool.stamps_ns,
-        position=out[:, :3],
-        rotation=quaternion_to_rotation(out[:, 3:7]),
+        position=frozen(out)[:, :3],
+        rotation=frozen(quaternion_to_rotation(out[:, 3:7])),
         twist=out[:, 7:13],
     )
 

@@ -37,12 +37,13 @@ SMALLEST_PART_AT_REST = 0.5
 # standard deviations.
 TRIMMED_BEYOND = 5.0
 # A beginning at rest: over how long (s) poses are averaged, how far (m, rad) and how many times
-# the noise's second differences a body moves at least, and how long (s) it stands still for an
-# alignment.
+# the noise's second differences a body moves at least, how long (s) it stands still for an
+# alignment, and how much of a recording (s) is its beginning.
 START_SECONDS = 0.2
 STILL_POSITION, STILL_ROTATION = 1e-3, 5e-3
 STILL_DEVIATIONS = 3.0
 SHORTEST_REST = 0.5
+LONGEST_BEGINNING = 20.0
 # Marker frames are turned against each other if by more than this (rad), and by more than this
 # part of the tool's tilt, with which a package bends the cup.
 TURNED = np.deg2rad(1.5)
@@ -88,7 +89,7 @@ class Alignment:
             Without twists.
 
         """
-        return replace(markers, rotation=frozen(markers.rotation @ self.R_tool_markers_tool))
+        return replace(markers, rotation=_turned(markers.rotation, self.R_tool_markers_tool))
 
     def package(self, markers: Trajectory) -> Trajectory:
         """
@@ -109,9 +110,15 @@ class Alignment:
             Without twists.
 
         """
-        rotation = markers.rotation @ self.R_package_markers_lip
+        rotation = _turned(markers.rotation, self.R_package_markers_lip)
         position = markers.position + apply(rotation, self.origin_to_com)
-        return replace(markers, position=frozen(position), rotation=frozen(rotation))
+        return replace(markers, position=frozen(position), rotation=rotation)
+
+
+def _turned(rotation: Array, R: Array) -> Array:
+    """Return rotations (N, 3, 3) times R, the same array where R is the identity."""
+    found: Array = rotation if np.array_equal(R, np.eye(3)) else frozen(rotation @ R)
+    return found
 
 
 class MeanPose(NamedTuple):
@@ -289,7 +296,9 @@ class Rest(NamedTuple):
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
     """Return how both bodies begin, from where both are known; poses in the world, z up."""
     begin = max(int(body.stamps_ns[0]) for body in (tool, package))
-    bodies = [body.select((body.stamps_ns >= begin) & body.valid) for body in (tool, package)]
+    end = begin + int(LONGEST_BEGINNING * NS_PER_S)
+    bodies = [body.select((body.stamps_ns >= begin) & (body.stamps_ns <= end) & body.valid)
+              for body in (tool, package)]
     if not all(len(body) for body in bodies):
         return Rest(0.0, (0.0, 0.0), 0.0)
     (R_tool, still), (R_package, package_still) = map(_beginning, bodies)

@@ -14,7 +14,7 @@ from math import sqrt
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import log_so3
-from bellows_ros.core.signals.trajectory import any_within, NS_PER_S, Trajectory
+from bellows_ros.core.signals.trajectory import any_within, NS_PER_S, PoseStream, Trajectory
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import median_filter
@@ -61,7 +61,7 @@ class Jumps:
         return np.asarray(np.linalg.norm(self.jump, axis=1) / self.threshold)
 
 
-def increments_of(poses: Trajectory) -> dict[str, Array]:
+def increments_of(poses: Trajectory | PoseStream) -> dict[str, Array]:
     """Return the differences of positions and the body rotation vectors between samples (M, 3)."""
     return {
         'position': np.diff(poses.position, axis=0),

@@ -27,7 +27,7 @@ from bellows_ros.core.recording.jumps import (
     SMALLEST_JUMP,
     strength_of,
 )
-from bellows_ros.core.signals.trajectory import any_within, NS_PER_S, Trajectory
+from bellows_ros.core.signals.trajectory import any_within, NS_PER_S, PoseStream, Trajectory
 import numpy as np
 from scipy.ndimage import find_objects, label
 
@@ -415,7 +415,7 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
         dict(zip(increments, deviations, strict=True)))
 
 
-def repeats_in_motion(poses: Trajectory) -> int:
+def repeats_in_motion(poses: Trajectory | PoseStream) -> int:
     """
     Count the poses that repeat the one before while others near them, on both sides, do not.
 
@@ -423,7 +423,7 @@ def repeats_in_motion(poses: Trajectory) -> int:
 
     Parameters
     ----------
-    poses : Trajectory
+    poses : Trajectory or PoseStream
         As recorded.
 
     Returns
@@ -432,6 +432,8 @@ def repeats_in_motion(poses: Trajectory) -> int:
 
     """
     repeats = _repeats(poses)
+    if not repeats.any():
+        return 0
     moved = np.concatenate([[0], np.cumsum(~repeats)])
     at = np.flatnonzero(repeats)
     before = moved[at] > moved[np.maximum(at - NEARBY, 0)]
@@ -446,7 +448,7 @@ def repeats_in_motion(poses: Trajectory) -> int:
     return int(np.count_nonzero(before & after & seen))
 
 
-def _repeats(poses: Trajectory) -> Mask:
+def _repeats(poses: Trajectory | PoseStream) -> Mask:
     """Return the samples after which the identical pose comes again (M,)."""
     same: Mask = np.all(poses.position[1:] == poses.position[:-1], axis=1)
     same &= np.all(poses.rotation[1:] == poses.rotation[:-1], axis=(1, 2))

@@ -305,7 +305,7 @@ def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> l
     ]
     good = recorded.position[outliers.good]
     way = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
-    repeats = repeats_in_motion(recorded.trajectory())
+    repeats = repeats_in_motion(recorded)
     return found + [text for noticed, text in (
         (way > LARGE_WAY,
          f"Topic '{name}' moves through {way:.0f} m. Its positions may be in millimetres; they "

@@ -126,9 +126,11 @@ class Colour(NamedTuple):
 
     def drawn(self, count: int, draw: np.random.Generator) -> Array:
         """Return samples of this noise in three axes (N, 3)."""
-        from scipy.signal import lfilter  # late: it takes 0.4 s and 25 MB
-
         white = self.size * draw.standard_normal((count, 3))
+        if not self.correlation:
+            return white
+        from scipy.signal import lfilter  # late: it takes a second and 50 MB
+
         root = np.sqrt(1.0 - self.correlation**2)
         return np.asarray(lfilter([root], [1.0, -self.correlation], white, axis=0))
 
