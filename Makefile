@@ -45,6 +45,10 @@ soak: $(VENV)/ready  ## predict for 5 minutes at 1 kHz; fails on a loss or a gro
 bench: $(VENV)/bench-ready  ## measure the speed, and write it into docs/performance.md and .json
 	@$(BIN)/python -m benchmarks $(ARGS)
 
+.PHONY: bench-quick
+bench-quick: $(VENV)/ready  ## whether something takes twice as long as it should, in a minute
+	@$(BIN)/python -m benchmarks.quick
+
 .PHONY: test-long
 test-long: $(VENV)/bench-ready  ## run what is too much for the suite: repetitions, all short benchmarks
 	@$(BIN)/python -m pytest -m stress $(ARGS)

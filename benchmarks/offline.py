@@ -39,44 +39,47 @@ SETTINGS: Mapping[str, Any] = {
     'recording.package_frame': 'com',
 }
 
-_PEAK = """
+PEAK = """
 def peak():  # not ru_maxrss, which a process has from the one that started it
     with open('/proc/self/status') as status:
         return next(1024 * int(line.split()[1]) for line in status if line.startswith('VmHWM'))
 """
 
-PLAIN_LOOP = _PEAK + """
+PLAIN_LOOP = PEAK + """
 import json, sys, time
 from pathlib import Path
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
-start, count = time.perf_counter(), 0
+start, used, count = time.perf_counter(), time.process_time(), 0
 with AnyReader([Path(sys.argv[1])], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
     for connection, _, data in reader.messages():
         reader.deserialize(data, connection.msgtype)
         count += 1
-print(json.dumps({'seconds': time.perf_counter() - start, 'peak': peak(), 'messages': count}))
+print(json.dumps({'seconds': time.perf_counter() - start, 'processor': time.process_time() - used,
+                  'peak': peak(), 'messages': count}))
 """
 
-IDENTIFY = _PEAK + """
+IDENTIFY = PEAK + """
 import json, sys, time
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.identify import identify
 values = {
     **read_parameters(sys.argv[1] + '.yaml'), 'bags': [sys.argv[1]], 'fit.method': sys.argv[2]}
-start = time.perf_counter()
+start, used = time.perf_counter(), time.process_time()
 identify(values)
-print(json.dumps({'seconds': time.perf_counter() - start, 'peak': peak()}))
+print(json.dumps({'seconds': time.perf_counter() - start, 'processor': time.process_time() - used,
+                  'peak': peak()}))
 """
 
-REPLAY = _PEAK + """
-import json, sys
+REPLAY = PEAK + """
+import json, sys, time
 from bellows_ros.cli import main
 bag, out = sys.argv[1:]
 if main(['replay', bag, '--params', bag + '.yaml', '--json', out]):
     sys.exit('bellows replay failed')
 with open(out) as file:
-    print(json.dumps({'peak': peak(), 'factor': json.load(file)['live']['real_time_factor']}))
+    print(json.dumps({'processor': time.process_time(), 'peak': peak(),
+                      'factor': json.load(file)['live']['real_time_factor']}))
 """
 
 

@@ -6,12 +6,13 @@ import tempfile
 import time
 from typing import Any
 
+from .offline import PEAK
 from .timing import figures, in_process, same_package
 
 HELP = 'from bellows_ros.cli import main; import sys; sys.argv = ["bellows", "--help"]; main()'
 
 # From the start of the interpreter to the first prediction that could be made.
-READY = """
+READY = PEAK + """
 import json, time
 from benchmarks.step_case import CUP, PACKAGE
 import bellows_ros.nodes.predictor_node
@@ -19,7 +20,7 @@ import rclpy
 rclpy.init()
 from bellows_ros.core.live import warm_up
 warm_up(CUP, PACKAGE, 9.81, 'world')
-print(json.dumps({'done': time.monotonic()}))
+print(json.dumps({'done': time.monotonic(), 'processor': time.process_time(), 'peak': peak()}))
 """
 
 
