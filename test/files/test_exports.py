@@ -1,5 +1,6 @@
 """Cups for simulators: well-formed, with the right numbers in the right places."""
 
+from dataclasses import replace
 from xml.etree import ElementTree
 
 from bellows_ros.core.model.cup_package import Cup, Package
@@ -146,3 +147,11 @@ def test_drake_lets_the_package_sag_as_far_as_it_should() -> None:
     sag = 2.17 * plant.gravity_field().gravity_vector()[2] / K[2]
     # The dummy links of plain SDF weigh something too.
     np.testing.assert_allclose(pose.translation()[2], -CUP.length / 2 + sag, atol=1.5e-5)
+
+
+def test_what_cannot_relax_says_so():
+    """Name the relaxation where springs alone are exported, and not in C, which has it."""
+    rubber = replace(CUP, relaxation=(0.2, 0.1))
+    for name, target in TARGETS.items():
+        assert ('relaxation' in limits(target, rubber)[0]) == (name != 'c')
+        assert not any('relaxation' in sentence for sentence in limits(target, CUP))
