@@ -178,10 +178,10 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
 def _with_free(values: dict[str, Any]) -> dict[str, Any]:
     """Return parameters with the clocks and worlds of fit.free; refuse what cannot be free."""
     free = set(values['fit.free'])
-    given = sorted(free - {'time_offset', 'package_world'})
+    given = sorted(free - {'time_offset', 'package_world', 'package_marker'})
     for wrong, remedy in (
-        (given and values['fit.method'] != 'prediction_error',
-         'they need fit.method: prediction_error. Set it'),
+        (given and values['fit.method'] == 'least_squares',
+         'they need fit.method: prediction_error or output_error. Set one'),
         (set(given) - {'length'} and values['package.files'],
          'package.files gives each recording a package of its own. Fit the recordings of one '
          'package alone'),
@@ -190,6 +190,8 @@ def _with_free(values: dict[str, Any]) -> dict[str, Any]:
     ):
         if wrong:
             raise BellowsError(f'fit.free: {", ".join(given)}: {remedy}.')
+    if 'package_marker' in free and values['fit.method'] != 'output_error':
+        raise BellowsError('fit.free: package_marker: it needs fit.method: output_error. Set it.')
     world = values['recording.package_world']
     return {**values, 'fit.time_offset': values['fit.time_offset'] or 'time_offset' in free,
             'recording.package_world': world or ('estimate' if 'package_world' in free else '')}

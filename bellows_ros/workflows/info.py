@@ -18,7 +18,7 @@ from bellows_ros.core.recording.alignment import (
     world_rotation,
 )
 from bellows_ros.core.recording.outliers import find_outliers
-from bellows_ros.core.recording.preparation import stream_warnings
+from bellows_ros.core.recording.preparation import LOW_RATE_HZ, stream_warnings
 from bellows_ros.core.signals.timing import timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
@@ -230,12 +230,17 @@ def _assigned(
     frames = [short(poses[guess.topic].frame_id) for guess in (tool, package) if guess]
     apart = all(frames) and len(set(frames)) == 2
     if apart:
-        settings['recording.package_world'] = ESTIMATE
+        settings |= {
+            'fit.method': 'output_error', 'recording.package_world': ESTIMATE,
+            'fit.time_offset': True, 'fit.free': ('package_marker',)}
         notes.append(
             f"The tool is in frame '{frames[0]}', the package in '{frames[1]}'. "
             f'recording.package_world: {ESTIMATE} finds how the second lies in the first, best '
             'with standstills tilted to several sides at the end; if you know it, give its seven '
-            'numbers.')
+            'numbers. The time offset and the marker are estimated, too: leave out what you know.')
+    if any(timing(poses[guess.topic].stamps_ns).rate_hz < LOW_RATE_HZ
+           for guess in (tool, package) if guess):
+        settings['fit.method'] = 'output_error'
     if pair:
         rest_s, at_rest, more = _at_rest(poses, pair, apart)
         settings |= at_rest if apart else {'recording.world': pair.world, **at_rest}

@@ -7,7 +7,7 @@ import os
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Mask, Stamps
-from bellows_ros.core.model.cup_package import package_of
+from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters.checks import (
     ESTIMATE,
@@ -159,6 +159,10 @@ def _prepared(
     values: Mapping[str, Any],
 ) -> Recording:
     """Return prepared streams, in one world and on one clock."""
+    if values['fit.method'] == 'output_error' and (
+            values['recording.package_world'] == ESTIMATE or values['fit.time_offset']
+            or 'package_marker' in values['fit.free']):
+        return _registered(tool, package, twist, settings, values)
     world = values['recording.package_world']
     recorded, pose = package, None
     if world == '':
@@ -201,6 +205,62 @@ def _prepared(
             filtered, changes['time_offset'] = filtered.earlier(found.offset), found.offset
     recording = filtered.joined()
     return replace(recording, report=replace(recording.report, **changes))
+
+
+def _registered(
+    tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
+    values: Mapping[str, Any],
+) -> Recording:
+    """Return prepared streams whose clocks, worlds and marker are found by simulation."""
+    from bellows_ros.core.identification.registration import (  # late: rare
+        hand_eye,
+        registered,
+        regripped,
+        rough_offset,
+    )
+    from bellows_ros.core.recording.package_world import in_tool_world, pose_of, shifted_pose
+
+    world, marked = values['recording.package_world'], 'package_marker' in values['fit.free']
+    wanted = {'time_offset': values['fit.time_offset'], 'package_world': world == ESTIMATE,
+              'package_marker': marked}
+    offset, recorded, pose, alignment = 0.0, package, None, None
+    if values['fit.time_offset']:
+        offset = rough_offset(tool.trajectory(), package.trajectory())
+        tool, twist = _earlier(tool, offset), twist and _earlier(twist, offset)
+    if world == '':
+        require_one_frame(tool, package)
+    elif world != ESTIMATE:
+        pose = pose_of(world)
+    if marked or world == ESTIMATE:
+        guess, grip = hand_eye(tool.trajectory(), package.trajectory(), values['cup.length'],
+                               settings.payload.com)
+        pose = guess if world == ESTIMATE else pose
+        alignment = grip if marked else None
+    if pose is not None:
+        package = in_tool_world(recorded, pose, tool.frame_id)
+    filtered = filter_streams(tool, package, settings, twist, alignment)
+    found = registered(filtered.joined(), structure_named(values['fit.structure']),
+                       cup_of(values), [name for name, own in wanted.items() if own])
+    changes = dict[str, Any]()
+    if 'package_world' in found.values and pose is not None:
+        pose = shifted_pose(pose, settings.R_world_recorded, found.middle,
+                            found.values['package_world'])
+        changes['package_world'] = PackageWorld(pose, found.std['package_world'])
+        package = in_tool_world(recorded, pose, tool.frame_id)
+    alignment = filtered.alignment
+    if marked:
+        alignment = regripped(alignment, found.values['package_marker'])
+    if 'time_offset' in found.values:
+        fine = float(found.values['time_offset'][0])
+        tool, twist = _earlier(tool, fine), twist and _earlier(twist, fine)
+        changes['time_offset'] = TimeOffset(offset + fine, float(found.std['time_offset'][0]))
+    recording = filter_streams(tool, package, settings, twist, alignment).joined()
+    return replace(recording, report=replace(recording.report, **changes))
+
+
+def _earlier(stream: Any, seconds: float) -> Any:
+    """Return a stream with earlier stamps."""
+    return replace(stream, stamps_ns=stream.stamps_ns - round(seconds * NS_PER_S))
 
 
 def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:

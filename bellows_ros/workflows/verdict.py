@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.hypotheses import (
+    absurd,
     diagnose,
     Diagnosis,
     DOUBTED,
@@ -23,6 +24,9 @@ LOOKED_AT = 3
 
 UNEXPLAINED = 0.2
 """Largest fraction of the motion in an axis that may be unexplained."""
+
+MISFIT = 2.0
+"""Times the noise by which a free simulation of output error may be off."""
 
 AT_NOISE = 1.1
 """A free simulation that is off by so many times the noise leaves nothing to doubt. Residuals may
@@ -57,11 +61,16 @@ class Simulated(NamedTuple):
 
 
 class FitVerdict(NamedTuple):
-    """Free simulations of recordings of the fit, and what was found to be otherwise."""
+    """
+    Free simulations of recordings of the fit, and what was found to be otherwise.
+
+    Strict is whether a misfit beyond the noise refuses a cup: where fit and noise are of one kind.
+    """
 
     simulated: tuple[Simulated, ...]
     diagnosis: Diagnosis
     given: Mapping[str, Any]
+    strict: bool = False
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -98,6 +107,12 @@ class FitVerdict(NamedTuple):
                 found.append(
                     f'{own.bag}: more than {100.0 * UNEXPLAINED:g} % of the motion is unexplained '
                     f'in {", ".join(own.unexplained)}.')
+            elif self.strict and (own.rms > MISFIT * own.noise).any():
+                found.append(
+                    f'{own.bag}: the free simulation is off by up to '
+                    f'{np.max(own.rms / own.noise):.1f} times the noise, so model or data are '
+                    'wrong. Check package.mass, package.com, package.inertia and the frames, or '
+                    'use a richer fit.structure.')
         first = self.diagnosis.findings[:1]
         if first and first[0].material:
             found.append(
@@ -118,13 +133,14 @@ class FitVerdict(NamedTuple):
 
 
 UNITS: dict[str, Any] = {
-    'time_offset': 's', 'com': 'm', 'length': 'm', 'package_world': POSE_UNITS}
+    'time_offset': 's', 'com': 'm', 'length': 'm', 'package_world': POSE_UNITS,
+    'package_marker': POSE_UNITS}
 
 SETTINGS = {
     'time_offset': 'fit.time_offset', 'com': 'package.com', 'length': 'cup.length',
     'inertia': 'package.inertia', 'mass': 'package.mass', 'structure': 'fit.structure',
-    'package_world': 'recording.package_world', 'tool': 'the axes of topics.tool_pose',
-    'package': 'the axes of topics.package_pose',
+    'package_world': 'recording.package_world', 'package_marker': 'fit.free',
+    'tool': 'the axes of topics.tool_pose', 'package': 'the axes of topics.package_pose',
 }
 
 
@@ -155,11 +171,16 @@ def verdict_of(
     held = some[0].payload
     values = {**values, 'package.mass': held.mass, 'package.com': held.com,
               'package.inertia': np.diag(held.inertia)}
-    diagnosis = diagnose(some, length, structure_named(values['fit.structure']), known)
+    if fit is not None and fit.method == 'output_error':
+        diagnosis = Diagnosis(max((fit.chi2 or 0.0) - 1.0, 0.0), (
+            *(wrong for own in some for wrong in absurd(own)), *fit.causes))
+    else:
+        diagnosis = diagnose(some, length, structure_named(values['fit.structure']), known)
     if fit is None or not fit.usable:
         return FitVerdict((), diagnosis, values)
     cup = Cup(fit.stiffness, fit.damping, length, fit.relaxation)
-    return FitVerdict(tuple(_simulated(cup, own) for own in some), diagnosis, values)
+    return FitVerdict(tuple(_simulated(cup, own) for own in some), diagnosis, values,
+                      fit.method == 'output_error')
 
 
 def _simulated(cup: Cup, recording: Recording) -> Simulated:
@@ -220,6 +241,12 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
         return (f'cup.length is {_size(theta[0], std[0])} mm too {side}',
                 'Measure it under vacuum, or with bellows static: it would be '
                 f'{given["cup.length"] + theta[0]:.5f}.')
+    if name == 'package_marker':
+        shift, turn = (float(np.linalg.norm(part)) for part in np.split(theta, 2))
+        return (f'The marker on the package is {1e3 * shift:.1f} mm and '
+                f'{np.rad2deg(turn):.1f} degrees from where it was supposed',
+                'Correct its frame, or set fit.free: [package_marker] with fit.method: '
+                'output_error.')
     if name == 'package_world':
         from bellows_ros.core.recording.package_world import motion_sentence  # late: rare
 

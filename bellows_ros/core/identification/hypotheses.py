@@ -220,8 +220,8 @@ def diagnose(
 
     """
     for own in recordings:
-        if wrong := _absurd(own.payload) or _in_other_axes(own):
-            return Diagnosis(np.inf, (wrong,))
+        if wrong := absurd(own):
+            return Diagnosis(np.inf, wrong)
     before, tried = recordings[0].once(
         ('trials', *(own.name for own in recordings), length, structure.name),
         lambda: _trials(recordings, length, structure))
@@ -230,6 +230,12 @@ def diagnose(
     if before.excess < _chance(before):
         findings = [own for own in findings if own.certain]
     return Diagnosis(before.excess, tuple(findings))
+
+
+def absurd(own: Recording) -> tuple[Finding, ...]:
+    """Return the unit or the axes that something given for a recording has, if not as it says."""
+    wrong = _absurd(own.payload) or _in_other_axes(own)
+    return (wrong,) if wrong else ()
 
 
 def _trials(

@@ -290,7 +290,8 @@ def excitation_of(
     rank = found.rank if fit is None else int(np.count_nonzero(known))
     return Excitation(
         structure.name, axes, parameters, rank, len(values), found.condition_number, pairs,
-        (*advice(parameters, structure, pairs, source), *fast))
+        (*(advice(parameters, structure, pairs, source) if method != 'output_error' else ()),
+         *fast))
 
 
 def _noise_effects(noise: Array, whitening: Array, found: Solution) -> tuple[Array, Array]:

@@ -8,8 +8,9 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import least_squares
+from bellows_ros.core.identification.motion_equations import KINDS
 from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
-from bellows_ros.core.identification.result import Fit, Freed
+from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.cup_package import Cup, cup_of, package_of, varied
 from bellows_ros.core.model.structure import structure_named
@@ -134,6 +135,8 @@ def fitted(
     """Return the fit to recordings alone, without standstills and prior knowledge."""
     if values['fit.method'] == 'least_squares':
         return least_squares([reduced(own, values).statistics for own in recordings])
+    if values['fit.method'] == 'output_error':
+        return _by_output_error(_whole(recordings), values, progress)
     from bellows_ros.core.identification.prediction_error import prediction_error
     from bellows_ros.core.identification.segments import segments_of
     from bellows_ros.core.identification.variations import LARGEST_OFFSET
@@ -148,12 +151,51 @@ def fitted(
         sideways = lip or own.settings.align_at_rest
         segments += [replace(segment, recording=number, moves_with_com=(sideways, sideways, lip))
                      for segment in segments_of(own, margin)]
+    return prediction_error(segments, structure, start, _told(progress), free)
+
+
+def _told(progress: Progress | None) -> Callable[[Iteration], None]:
+    """Return what tells of the steps of a fit."""
     tell = progress or (lambda what, part: None)
-    return prediction_error(
-        segments, structure, start, lambda own: tell(
-            f'step {own.number + 1}: chi^2 {own.chi2:.4g}; K {_diagonal(own.stiffness, 4)}, '
-            f'P {_diagonal(own.damping, 3)}',
-            (own.number + 1) / (own.number + 1 + TYPICAL_STEPS)), free)
+    return lambda own: tell(
+        f'step {own.number + 1}: chi^2 {own.chi2:.4g}; K {_diagonal(own.stiffness, 4)}, '
+        f'P {_diagonal(own.damping, 3)}',
+        (own.number + 1) / (own.number + 1 + TYPICAL_STEPS))
+
+
+def _by_output_error(
+    recordings: Sequence[Recording], values: Mapping[str, Any], progress: Progress | None
+) -> Fit:
+    """Return the fit by simulation, with all that is uncertain free beside K and P."""
+    from bellows_ros.core.identification.output_error import output_error
+    from bellows_ros.core.identification.search import measured_of, SLOW_HZ
+
+    structure, start = structure_named(values['fit.structure']), cup_of(values)
+    measured = [part for number, own in enumerate(recordings) for part in measured_of(own, number)]
+    if all(own.report.package.timing.rate_hz >= SLOW_HZ for own in recordings):
+        start = start_cup([reduced(own, values).statistics for own in recordings], start)
+    named = dict.fromkeys(values['fit.free'])
+    reports = [own.report for own in recordings]
+    estimated = {
+        'time_offset': values['fit.time_offset'],
+        'package_world': any(own.package_world for own in reports),
+        'package_marker': 'package_marker' in named}
+    named |= dict.fromkeys(name for name, wanted in estimated.items() if wanted)
+    return output_error(
+        measured, structure, start, _told(progress), {**given_std(values), **{
+            name: np.full(KINDS[name].size, KINDS[name].wide) for name in named}}, tuple(named))
+
+
+def given_std(values: Mapping[str, Any]) -> dict[str, Array]:
+    """Return the standard deviations of quantities of `KINDS` that were given with one."""
+    held = package_of(values) if 'package.mass' in values else None
+    if held is None:
+        return {}
+    stated = {
+        'mass': np.array([values['package.mass_std'] / held.mass]),
+        'com': np.array(values['package.com_std']),
+        'inertia': np.array(values['package.inertia_std'][:3]) / np.diag(held.inertia)}
+    return {name: np.maximum(std, 1e-9) for name, std in stated.items() if np.any(std)}
 
 
 def _with_relaxation(found: Fit, recordings: Sequence[Recording | Reduced]) -> Fit:
@@ -203,9 +245,10 @@ def first_guess(
 
     It is looked for as hypotheses are, on a raster first: where something is far off, so are K and
     P, and the prediction error would start from there. What is not identifiable so is not changed.
+    The output error needs no guess.
     """
     names = [name for name in values['fit.free'] if name not in ('time_offset', 'package_world')]
-    if not names:
+    if not names or values['fit.method'] == 'output_error':
         return ()
     from bellows_ros.core.identification.free import BLOCKS, refine
     from bellows_ros.core.identification.motion_equations import KINDS

@@ -132,11 +132,11 @@ def _fit(search: Search, found: Found, iterations: list[Iteration]) -> Fit:
         covariance=without(covariance[:size, :size], ~known[:size]),
         samples_used=used,
         samples_rejected=sum(len(m.package) for m in measured) - used,
-        condition_number=_condition(found.information[:size, :size]),
+        condition_number=condition(found.information[:size, :size]),
         weight=np.diag(search.noises(search.segments[0], search.kept)[0].std ** -2),
         residual_rms=np.sqrt(np.mean(noise**2, axis=0)),
         notes=() if found.converged else (NOT_CONVERGED,),
-        misfit=' '.join(filter(None, (_colour(search), _misfit(robust_chi2)))),
+        misfit=' '.join(filter(None, (_colour(search), misfit(robust_chi2)))),
         chi2=_squares(search, found.theta) / max(len(r) - len(x), 1),
         robust_chi2=robust_chi2,
         converged=found.converged,
@@ -160,7 +160,7 @@ def _colour(search: Search) -> str:
         'poses give smaller ones.')
 
 
-def _misfit(chi2: float) -> str:
+def misfit(chi2: float) -> str:
     """Return a sentence if chi^2 per degree of freedom is too large."""
     if chi2 <= LARGEST_CHI2:
         return ''
@@ -170,7 +170,7 @@ def _misfit(chi2: float) -> str:
         'both streams (else set fit.time_offset), or use a richer fit.structure.')
 
 
-def _condition(information: Array) -> float:
+def condition(information: Array) -> float:
     """Return the condition number of the scaled problem behind an information matrix."""
     scale = np.sqrt(np.diag(information))
     values = np.linalg.eigvalsh(information / np.outer(scale, scale))
@@ -256,12 +256,12 @@ MEDIAN_OF_NORMAL = 0.6744897501960817
 def _covariance(search: Search, found: Found) -> Array:
     """Return the covariance (m, m) of the unknowns, in their units."""
     directions, signal = _directions(found.information, _signal(search, found))
-    excess = _excess(np.array([
+    scatter = excess(np.array([
         directions.T @ gradient for segment, part in zip(search.segments, found.parts, strict=True)
-        for gradient in _left_out(found.information, part, segment.period)]))
+        for gradient in left_out(found.information, part, segment.period)]))
     if all(np.all(own.measured.package_noise.ripple <= SMALLEST) for own in search.segments):
-        excess = np.maximum(excess, 1.0)  # what is left is no noise: rounding, interpolation
-    return (directions * excess / signal**2) @ directions.T
+        scatter = np.maximum(scatter, 1.0)  # what is left is no noise: rounding, interpolation
+    return (directions * scatter / signal**2) @ directions.T
 
 
 def _squares(search: Search, theta: Array) -> float:
@@ -304,7 +304,7 @@ def _directions(information: Array, signal: Array) -> tuple[Array, Array]:
     return np.linalg.solve(root.T, vectors), np.maximum(values, LEAST_SIGNAL)
 
 
-def _left_out(information: Array, part: Whitened, period: float) -> Iterator[Array]:
+def left_out(information: Array, part: Whitened, period: float) -> Iterator[Array]:
     """Yield the gradient (m,) of each second of a segment, as it is for the fit without it."""
     length = 6 * max(round(CLUSTER / period), 1)
     for first in range(0, len(part.innovations), length):
@@ -313,7 +313,7 @@ def _left_out(information: Array, part: Whitened, period: float) -> Iterator[Arr
         yield np.asarray(information @ np.linalg.solve(rest, J.T @ r), dtype=np.float64)
 
 
-def _excess(influences: Array) -> Array:
+def excess(influences: Array) -> Array:
     """
     Return the variances (m,) along directions over those of the noise model.
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.structure import Structure, structure_named, STRUCTURES
@@ -80,7 +80,7 @@ class Fit:
     Parameters
     ----------
     method : str
-        'least_squares' or 'prediction_error', as in fit.method.
+        As fit.method.
     structure : str
         Name of the structure of K and P.
     parameters : ndarray (2 n,)
@@ -121,6 +121,8 @@ class Fit:
     bias : ndarray (2 n,) or None
         Error of the parameters from noise in the motions that least squares has taken out; None
         where the noise is not known.
+    causes : tuple of Finding
+        What would explain what output error leaves, the likeliest first.
 
     """
 
@@ -147,6 +149,7 @@ class Fit:
     bias: Array | None = None
     relaxation: tuple[float, float] = (0.0, 0.0)
     relaxation_std: tuple[float, float] = (0.0, 0.0)
+    causes: tuple[Any, ...] = ()
 
     @cached_property
     def _matrices(self) -> tuple[Array, Array]:

@@ -278,8 +278,10 @@ _TABLE = (
     Parameter('filter.package.order', 6, '', _IDENTIFIER, minimum=2, maximum=10,
               description="Polynomial order of the filter on the package's poses; at most 2 n."),
     Parameter('fit.method', 'prediction_error', '', _IDENTIFIER,
-              choices=('prediction_error', 'least_squares'),
+              choices=('prediction_error', 'output_error', 'least_squares'),
               description='Method of the fit. prediction_error, on poses, is unbiased by noise. '
+              'output_error, by simulation from pose to pose, is too, and takes a camera of 10 to '
+              '60 Hz and a robot. '
               'least_squares, on accelerations (section 4.3.2), is for a quick look and '
               'for very many recordings.'),
     Parameter('fit.structure', 'axisymmetric', '', _IDENTIFIER, choices=tuple(STRUCTURES),
@@ -300,9 +302,11 @@ _TABLE = (
               "stamps behind the package's, up to 0.1 s, and remove it: for streams of two "
               'clocks.'),
     Parameter('fit.free', (), '', _IDENTIFIER,
-              choices=('time_offset', 'com', 'length', 'inertia', 'mass', 'package_world'),
+              choices=('time_offset', 'com', 'length', 'inertia', 'mass', 'package_world',
+                       'package_marker'),
               description='Quantities to estimate together with K and P, with standard errors: '
-              'time_offset, com, length, inertia, mass, package_world. Refused if they are not '
+              'time_offset, com, length, inertia, mass, package_world, package_marker (the pose '
+              'of the marker on the package; with output_error). Refused if they are not '
               'identifiable.'),
     Parameter('gravity.magnitude', 9.81, 'm/s^2', _BOTH, minimum=0.0, maximum=100.0,
               read_only=True,

@@ -73,11 +73,11 @@ def closed_form(
         If the two have too few poses in common, or nothing turns where that is needed.
 
     """
-    hand, eye = _slow(tool, package)
+    hand, eye = slow_poses(tool, package)
     R_tool, R_package = hand.rotation, eye.rotation
     below = np.array([0.0, 0.0, -length])
     if turned:
-        R = _turn(R_tool, R_package)
+        R = turn_of(R_tool, R_package)
         # o_E + R_E (below - origin_to_lip + (dx, dy, 0)) = R o_M + o
         A = np.concatenate([np.tile(np.eye(3), (len(hand), 1, 1)), -R_tool[:, :, :2]], axis=2)
         b = hand.position + apply(R_tool, below - origin_to_lip) - apply(R, eye.position)
@@ -121,7 +121,7 @@ def motion_sentence(theta: Array, std: Array | None = None) -> str:
             f'by {sizes[1]}')
 
 
-def _slow(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Trajectory]:
+def slow_poses(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Trajectory]:
     """Return valid poses of both at common stamps, the slowest ones."""
     first, last = (pick(tool.stamps_ns[end], package.stamps_ns[end])
                    for pick, end in ((max, 0), (min, -1)))
@@ -142,7 +142,7 @@ def _slow(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Trajectory
     return hand.select(slow), eye.select(slow)
 
 
-def _turn(R_tool: Array, R_package: Array) -> Array:
+def turn_of(R_tool: Array, R_package: Array) -> Array:
     """Return the rotation between the worlds that makes both bodies rotate alike."""
     pairs = [(first, slice(first, None, len(R_tool) // 15 + 1))
              for first in range(0, len(R_tool), len(R_tool) // 15 + 1)]

@@ -1,0 +1,82 @@
+"""
+Which number that was given would explain what a fit by simulation leaves.
+
+Beside K and P each quantity of `KINDS` gets its columns in one pass about the minimum; what the
+squares would fall by if it were free is its score. The best is then freed, and all is fitted
+again: a cause is a number that moves by many of its standard deviations.
+"""
+
+from collections.abc import Iterator
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.identification.hypotheses import DISTINCT, Finding, SIGNIFICANT
+from bellows_ros.core.identification.motion_equations import KINDS
+from bellows_ros.core.identification.search import Found, Search
+from bellows_ros.core.model.structure import Structure
+import numpy as np
+
+MOVES = 0.02
+"""Part by which a cause moves an entry of K, at least, where it does not halve the residuals."""
+
+CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker')
+
+
+def causes(search: Search, found: Found) -> tuple[Finding, ...]:
+    """Return the likeliest cause of what a fit leaves, none where all is as it should be."""
+    scored = sorted(_scores(search, found), reverse=True)
+    if not scored or scored[0][0] < SIGNIFICANT**2:
+        return ()
+    fall, name = scored[0]
+    freed = _beside(search, found, (name,))
+    again = freed.found(lambda theta, chi2: None, freed.at(found.theta))
+    if not again.converged:
+        return ()
+    place = freed.places[name].ravel()
+    theta = (freed.units * again.theta)[place]
+    covariance = np.linalg.inv(again.information)
+    std = freed.units[place] * np.sqrt(np.diag(covariance))[place]
+    if np.max(np.abs(theta) / std) < SIGNIFICANT:
+        return ()
+    left = float(np.sqrt(_rest(again) / _rest(found)))
+    moved = _moved(search.structure, search.units[:search.count] * found.theta[:search.count],
+                   freed.units[:search.count] * again.theta[:search.count])
+    rival = next((other for other, _ in scored[1:]), 0.0)
+    certain = rival < DISTINCT * fall and (moved > MOVES or left < DISTINCT)
+    if name == 'mass':  # K and P scaled with mass and inertia make the same motion
+        name, theta = 'inertia', -theta
+    return (Finding(name, '', theta, std, left, moved, True, certain),)
+
+
+def _beside(search: Search, found: Found, names: tuple[str, ...]) -> Search:
+    """Return a search about a minimum in which more is free."""
+    known = {name: search.units[own] * search.weights[own] ** -0.5
+             for name, own in ((name, rows[0]) for name, rows in search.places.items())}
+    return Search(search.segments, search.structure, search.cup(found.theta), {
+        **known, **{name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}})
+
+
+def _scores(search: Search, found: Found) -> Iterator[tuple[float, str]]:
+    """Yield by how much the squares would fall with each quantity free."""
+    names = tuple(name for name in CANDIDATES if name not in search.places)
+    wide = _beside(search, found, names)
+    _, H, g = wide.system(wide.at(found.theta), 0.0)
+    base = np.arange(len(search.units))
+    gain = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([H[base], g[base]]))
+    for name in names:
+        own = wide.places[name].ravel()
+        S = H[np.ix_(own, own)] - H[np.ix_(own, base)] @ gain[:, own]
+        slope = g[own] - H[np.ix_(own, base)] @ gain[:, -1]
+        yield float(slope @ np.linalg.solve(S, slope)), name
+
+
+def _rest(found: Found) -> float:
+    """Return the mean square of the differences, 1 mm as much as 10 mrad."""
+    left = np.concatenate([own.innovations.reshape(-1, 6) ** 2 * own.spread
+                           for own in found.parts])
+    return float(np.sum(np.mean(left, axis=0) / [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]))
+
+
+def _moved(structure: Structure, before: Array, after: Array) -> float:
+    """Return the largest part by which the diagonal of K moves."""
+    first, second = (np.diag(structure.matrices(x)[0]) for x in (before, after))
+    return float(np.max(np.abs(second / first - 1.0)))

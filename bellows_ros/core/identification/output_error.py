@@ -1,0 +1,137 @@
+"""Output error: K and P by simulation, with their uncertainty and what would explain the rest."""
+
+from collections.abc import Callable, Iterator, Sequence
+
+from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.identification.causes import causes
+from bellows_ros.core.identification.equations import without
+from bellows_ros.core.identification.identifiability import DIRECTIONS
+from bellows_ros.core.identification.motion_equations import Free, KINDS
+from bellows_ros.core.identification.prediction_error import (
+    condition,
+    excess,
+    left_out,
+    MEDIAN_OF_NORMAL,
+    misfit,
+)
+from bellows_ros.core.identification.result import Fit, Freed, Iteration, LARGEST_ERROR
+from bellows_ros.core.identification.search import Found, Measured, Search, Segment, squares
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import Structure
+import numpy as np
+
+NOT_CONVERGED = (
+    'The search for K and P did not converge: they must not be used, and there are no standard '
+    'errors. Check package.mass, package.com, the frames and the clocks, or use a simpler '
+    'fit.structure.')
+
+
+def output_error(
+    measured: Sequence[Measured],
+    structure: Structure,
+    start: Cup,
+    progress: Callable[[Iteration], None] | None = None,
+    free: Free | None = None,
+    named: Sequence[str] = (),
+) -> Fit:
+    """
+    Fit K and P so that the model, moved as the tool was, meets the package's poses.
+
+    Parameters
+    ----------
+    measured : sequence of Measured
+        Parts of recordings of one cup.
+    structure : Structure
+        Which entries of K and P are free.
+    start : Cup
+        First guess, definite, with the nominal length l0.
+    progress : callable, optional
+        Called with every iteration.
+    free : mapping, optional
+        Standard deviations, SI units, of quantities of `KINDS` that were given.
+    named : sequence of str
+        Those of them that are results, too.
+
+    """
+    search = Search([Segment(own) for own in measured], structure, start, free or {})
+    iterations: list[Iteration] = []
+
+    def note(theta: Array, chi2: float) -> None:
+        cup = search.cup(theta)
+        iterations.append(Iteration(len(iterations), chi2, cup.stiffness, cup.damping))
+        if progress is not None:
+            progress(iterations[-1])
+
+    return _fit(search, search.found(note), iterations, named)
+
+
+def covariance_of(search: Search, found: Found) -> Array:
+    """Return the covariance (m, m) of the unknowns, SI units; see `prediction_error`."""
+    directions = np.linalg.inv(np.linalg.cholesky(found.information)).T
+    scatter = excess(np.array([
+        directions.T @ gradient for segment, own in zip(search.segments, found.parts, strict=True)
+        for gradient in left_out(found.information, own, segment.period)]))
+    covariance = (directions * np.maximum(scatter, 1.0)) @ directions.T
+    return np.asarray(covariance * np.outer(search.units, search.units))
+
+
+def _fit(
+    search: Search, found: Found, iterations: list[Iteration], named: Sequence[str]
+) -> Fit:
+    """Return the result, with the covariance of what is identifiable."""
+    size, x = search.count, search.units * found.theta
+    covariance = covariance_of(search, found)
+    std = np.sqrt(np.diag(covariance))
+    cup, largest = search.cup(found.theta), np.full(len(x), np.inf)
+    largest[:size] = LARGEST_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
+    for name in named:
+        largest[search.places[name]] = KINDS[name].known
+    known = (std <= largest) & found.converged
+    notes = tuple(_unknown(search, std / (largest / LARGEST_ERROR), known[:size]))
+    std = np.where(known, std, np.inf)
+    r = np.concatenate([own.innovations for own in found.parts])
+    left = np.concatenate([own.innovations.reshape(-1, 6) * np.sqrt(own.spread)
+                           for own in found.parts])
+    robust_chi2 = float((np.median(np.abs(r)) / MEDIAN_OF_NORMAL) ** 2)
+    total = sum(len(segment.measured.package) for segment in search.segments)
+    offsets = search.places.get('time_offset', np.empty(0, np.int64)).ravel()
+    return Fit(
+        method='output_error',
+        structure=search.structure.name,
+        parameters=x[:size],
+        covariance=without(covariance[:size, :size], ~known[:size]),
+        samples_used=len(left),
+        samples_rejected=total - len(left),
+        condition_number=condition(found.information[:size, :size]),
+        weight=np.diag(search.segments[0].std ** -2),
+        residual_rms=np.sqrt(np.mean(left**2, axis=0)),
+        notes=notes if found.converged else (NOT_CONVERGED,),
+        misfit=misfit(robust_chi2),
+        chi2=squares(found.parts) / max(len(r) - len(x), 1),
+        robust_chi2=robust_chi2,
+        converged=found.converged,
+        iterations=tuple(iterations),
+        delays=tuple(x[offsets].tolist()),
+        delays_std=tuple(std[offsets].tolist()),
+        freed=tuple(
+            Freed(name, tuple(x[own].tolist()), tuple(std[own].tolist()))
+            for name, (own, *_) in search.places.items()
+            if name in named and not KINDS[name].each),
+        causes=causes(search, found) if found.converged else (),
+    )
+
+
+def _unknown(search: Search, errors: Array, known: Mask) -> Iterator[str]:
+    """Yield a sentence about each number that is not identifiable, with what would make it so."""
+    for label, error, is_known in zip(
+            search.structure.labels, errors.tolist()[:len(known)], known.tolist(), strict=True):
+        less = LARGEST_ERROR / error
+        if error >= 1.0:  # the prior limits it
+            how = DIRECTIONS.get(label.split()[1], ('', 'move all axes at once'))[1]
+            yield (f'{label} is not identifiable: its standard error is as large as itself or '
+                   f'larger; {how}, or measure with less noise.')
+        elif not is_known:
+            yield (
+                f'{label} is not identifiable from this motion with this noise: its standard '
+                f'error is {100.0 * error:.2g} % of its size. {1e2 * less:.0f} % of the noise '
+                f'would do, or {less**-2:.2g} times as long a recording.')

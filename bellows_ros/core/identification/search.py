@@ -1,0 +1,501 @@
+"""
+The search for K and P with which the model, moved as the tool was measured, meets all poses.
+
+Whatever else is uncertain is free at once, each number with what was known of it before as one
+more measurement. See `whitening` for what the differences are weighted by. The steps are those of
+Gauss and Newton, with derivatives along the likeliest path of the tool: so their mean is zero at
+the truth, which the slope of the squares along the measured path, or with their weights'
+likelihood, is not. K and P move along geodesics of the definite matrices, with a wide prior on the
+logarithm of their size, which no number that the recordings determine feels.
+
+A start that is far off is brought near first: with an unknown acceleration of the package, which
+is taken away in stages, all that lies further back than a moment is forgotten.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
+from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, rotation_to_quaternion
+from bellows_ros.core.identification.motion_equations import (
+    Free,
+    KINDS,
+    model_columns,
+    payload_of,
+    pose_changes,
+    poses_of,
+)
+from bellows_ros.core.identification.segments import (
+    bridged,
+    LONGEST_GAP,
+    pose_noise,
+    PoseNoise,
+    SHORTEST_SEGMENT,
+    SMALLEST,
+)
+from bellows_ros.core.identification.whitening import likeliest, whiten
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.equilibrium import largest_step, moved, pose_error, substeps_of
+from bellows_ros.core.model.jacobians import DAMPING, PARAMETERS
+from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.simulation import state_row, tool_rows
+from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.timing import MAD_TO_STD, subdivided
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.errors import BellowsError, UndeterminedError
+import numpy as np
+
+SMOOTHED_OVER, SMOOTHED_ORDER, FEWEST = 1 / 12, 6, 4
+"""Half window (s) and order of the polynomials of the tool's path, and its fewest samples."""
+
+MISSING = np.repeat([5e-3, 5e-2], 3)
+"""Standard deviation of a pose of the tool that is bridged (m, rad)."""
+
+START = np.repeat([0.05, 0.3, 0.5, 3.0], 3)
+"""Standard deviation of the package's first state about its first pose, at rest; SI units."""
+
+LONGEST_STEP, LONGEST_INTEGRATION = 0.01, 0.005
+"""Longest steps of the linearised model, and of the integrator (s)."""
+
+STAGES = (30.0, 10.0, 3.0, 0.0)
+"""What the unknown acceleration forgets per second, stage by stage; nothing in the last."""
+
+WIDE = 2.0
+"""Standard deviation of the logarithm of the size of K and of P about the start."""
+
+LONGEST_WAY = 1.0
+"""Largest change of the logarithm of K or P in a step."""
+
+MOST_STEPS = 30
+NEAR, ENOUGH = 3.0, 3e-3
+"""Squared length of a step, in standard deviations, at which a stage ends, and the last one."""
+
+RISES = 1.2
+"""Factor by which the sum of squares may rise in a step: their weights change, too."""
+
+LONGEST_PART = 60.0
+"""Longer parts (s) of recordings are split, so that memory is bounded."""
+
+SLOW_HZ = 100.0
+"""Rate of the package's poses below which polynomials do not follow its motion: the noise of
+slower ones is what the fit leaves of them."""
+
+
+class BodyNoise(NamedTuple):
+    """Noise of a body's poses: standard deviations (6,), and what is kept from pose to pose."""
+
+    std: Array
+    kept: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """
+    A part of a recording in which the tool is known.
+
+    Parameters
+    ----------
+    tool : Trajectory
+        Poses of E in the world at a uniform rate; what is missing or wrong is not valid.
+    package : Trajectory
+        Poses of B, at any stamps.
+    payload : Package
+        Mass, inertia and centre of mass of the package in this recording.
+    gravity : float or array (3,)
+        m/s^2 along -z of the world, or as a vector there.
+    tool_noise, package_noise : BodyNoise
+        Of the measured poses.
+    recording : int
+        Number of the recording it is of.
+    moves_with_com : tuple of 3 bool
+        Components of the centre of mass with which the poses of B move, as those of the lip are
+        known.
+    middle : ndarray (3,), optional
+        Point about which the package's world may be turned; that of its poses where left out.
+
+    """
+
+    tool: Trajectory
+    package: Trajectory
+    payload: Package
+    gravity: Array | float
+    tool_noise: BodyNoise
+    package_noise: BodyNoise
+    recording: int = 0
+    moves_with_com: tuple[bool, bool, bool] = (False, False, False)
+    middle: Array | None = None
+
+
+def measured_of(recording: Recording, number: int = 0) -> list[Measured]:
+    """
+    Return the parts of a recording between gaps of the tool that cannot be bridged.
+
+    Raises
+    ------
+    UndeterminedError
+        If there is none that is long enough.
+
+    """
+    lip = recording.settings.package_frame == 'lip'
+    sideways = lip or recording.settings.align_at_rest
+    tool, package = recording.aligned_tool, recording.aligned_package
+    noises = [
+        BodyNoise(own.std, own.kept) for own in (
+            PoseNoise(pose_noise(poses).ripple, max(colour.correlation for colour in colours))
+            for poses, colours in zip((tool, package), recording.colours, strict=True))]
+    middle = package.position[package.valid].mean(axis=0)
+    known = tool.stamps_ns[tool.valid]
+    cuts = np.flatnonzero(np.diff(known) > LONGEST_GAP * NS_PER_S)
+    ends = zip(known[np.append(0, cuts + 1)], known[np.append(cuts, -1)], strict=True)
+    parts = []
+    for first, last in ends:
+        count = int((last - first) / NS_PER_S / LONGEST_PART) + 1
+        for edges in pairwise(np.linspace(0, last - first, count + 1).astype(np.int64)):
+            of_tool, of_package = (
+                poses.select((poses.stamps_ns >= first + edges[0])
+                             & (poses.stamps_ns <= first + edges[1])) for poses in (tool, package))
+            if edges[1] - edges[0] > SHORTEST_SEGMENT * NS_PER_S and of_package.valid.any():
+                parts.append(Measured(
+                    of_tool, of_package, recording.payload, recording.settings.gravity, *noises,
+                    number, (sideways, sideways, lip), middle))
+    if not parts:
+        raise UndeterminedError(
+            f'No segment of {SHORTEST_SEGMENT:g} s in which both bodies are tracked. Record '
+            'longer, or check the gaps and outliers in the report.')
+    return parts
+
+
+class Nodes(NamedTuple):
+    """
+    The stamps at which something happens.
+
+    Parameters
+    ----------
+    stamps : int ndarray (M,)
+        ns, by the tool's clock.
+    samples : int ndarray (S,)
+        The nodes at the tool's samples.
+    place : int ndarray (M,)
+        Number of the package's pose at each node, -1 for none.
+    sampled, seen : bool ndarray
+        The tool's samples and the package's poses that are used.
+
+    """
+
+    stamps: Stamps
+    samples: Places
+    place: Places
+    sampled: Mask
+    seen: Mask
+
+
+class Segment:
+    """A part of a recording with the likeliest path of the tool and the package's first state."""
+
+    def __init__(self, measured: Measured) -> None:
+        self.measured = measured
+        self.tool = bridged(measured.tool, None)
+        rate = uniform_rate_hz(self.tool.stamps_ns)
+        self.reach = max(round(SMOOTHED_OVER * rate), FEWEST)
+        self.inner = slice(self.reach, len(self.tool) - self.reach)
+        self.period = float(np.median(np.diff(measured.package.stamps_ns))) / NS_PER_S
+        self.held = np.gradient((self.tool.stamps_ns - self.tool.stamps_ns[0]) / NS_PER_S)
+        known = measured.tool.valid[:, None]
+        self.variance = np.where(known, measured.tool_noise.std, MISSING)[self.inner] ** 2
+        self.package = measured.package.select(measured.package.valid)
+        self.moves = np.array(measured.moves_with_com, dtype=float)
+        self.std = measured.package_noise.std
+        self.expected = self.first = state_row(
+            self.package.position[0], rotation_to_quaternion(self.package.rotation[:1])[0])
+        self.go(np.zeros((len(self.variance), 6)))
+
+    def go(self, change: Array) -> None:
+        """Take the smoothed path through the tool's samples after changes (S, 6) in own axes."""
+        tool, shift = self.tool, np.zeros((len(self.tool), 6))
+        shift[self.inner] = change
+        self.path = savgol(Trajectory(
+            tool.stamps_ns, tool.position + apply(tool.rotation, shift[:, :3]),
+            tool.rotation @ exp_so3(shift[:, 3:])), self.reach, SMOOTHED_ORDER)
+        inverse = np.swapaxes(self.path.rotation, 1, 2)
+        self.way = np.hstack([
+            apply(inverse, tool.position[self.inner] - self.path.position),
+            log_so3(inverse @ tool.rotation[self.inner])])
+
+    def nodes(self, delay: float) -> Nodes:
+        """Return the nodes, with the tool's stamps late by so many seconds."""
+        own, stamps = self.path.stamps_ns, self.package.stamps_ns + round(delay * NS_PER_S)
+        seen = (stamps >= own[0]) & (stamps <= own[-1])
+        if not seen.any():
+            raise BellowsError('No package pose lies within the motion of the tool.')
+        both = np.union1d(own, stamps[seen])
+        both = both[both >= stamps[seen][0]]
+        parts = np.ceil(np.diff(both) / (LONGEST_STEP * NS_PER_S)).astype(np.int64)
+        nodes = subdivided(both, parts)
+        sampled = own >= nodes[0]
+        place = np.full(len(nodes), -1)
+        place[np.searchsorted(nodes, stamps[seen])] = np.arange(np.count_nonzero(seen))
+        return Nodes(nodes, np.searchsorted(nodes, own[sampled]), place, sampled, seen)
+
+
+class Part(NamedTuple):
+    """
+    The whitened differences of a segment.
+
+    Innovations (6 N,), their derivatives (6 N, m) by the unknowns, the variance (N, 6) of each
+    difference and of the part of it that is the pose's own noise, and what is found on the way
+    back: the tool's changes and the package's first state.
+    """
+
+    innovations: Array
+    jacobian: Array
+    spread: Array
+    own: Array
+    change: Array
+    first: State
+
+
+class Found(NamedTuple):
+    """Where the search ended: unknowns, segments, information, and whether it is a minimum."""
+
+    theta: Array
+    parts: list[Part]
+    information: Array
+    converged: bool
+
+
+class Search:
+    """
+    Gauss-Newton steps.
+
+    The unknowns theta are those of the structure in units of their size, then the quantities of
+    `KINDS` that are free, one after the other, in theirs.
+
+    Parameters
+    ----------
+    segments : list of Segment
+        Of one cup's recordings.
+    structure : Structure
+        Of K and P.
+    start : Cup
+        First guess, with the length.
+    free : mapping
+        Standard deviation, SI units, of what else is free, by names of `KINDS`.
+
+    """
+
+    def __init__(
+        self, segments: list[Segment], structure: Structure, start: Cup, free: Free
+    ) -> None:
+        if min(np.linalg.eigvalsh(M)[0] for M in (start.stiffness, start.damping)) <= 0.0:
+            start = Cup(*(np.diag(np.diag(M)) for M in (start.stiffness, start.damping)),
+                        start.length)
+        self.segments, self.structure, self.given = segments, structure, start
+        units = structure.sizes(start.stiffness, start.damping)
+        recordings = 1 + max(segment.measured.recording for segment in segments)
+        self.count, self.places = len(units), dict[str, Places]()
+        wanted, stds = [units], [np.full(len(units), np.inf)]
+        for name, std in free.items():
+            kind = KINDS[name]
+            shape = (recordings if kind.each else 1, kind.size)
+            first = sum(map(len, wanted))
+            self.places[name] = first + np.arange(shape[0] * shape[1]).reshape(shape)
+            wanted.append(np.full(shape[0] * shape[1], kind.unit))
+            stds.append(np.broadcast_to(np.asarray(std) / kind.unit, shape).ravel())
+        self.units, self.weights = np.concatenate(wanted), np.concatenate(stds) ** -2
+        self.start = np.zeros(len(self.units))
+        self.start[:self.count] = structure.parameters(start.stiffness, start.damping) / units
+
+    def cup(self, theta: Array) -> Cup:
+        """Return the cup of the unknowns."""
+        return Cup(*self.structure.matrices((self.units * theta)[:self.count]), self.given.length)
+
+    def own_places(self, segment: Segment) -> dict[str, Places]:
+        """Return where a segment's free quantities are, by name."""
+        return {name: rows[segment.measured.recording if KINDS[name].each else 0]
+                for name, rows in self.places.items()}
+
+    def at(self, theta: Array) -> Array:
+        """Return the unknowns at those of a search with the same cup and fewer free quantities."""
+        there = self.start.copy()
+        there[self.count:len(theta)] = theta[self.count:]
+        return there
+
+    def found(self, note: Callable[[Array, float], None], near: Array | None = None) -> Found:
+        """Go to the root, from unknowns that are near to it where they are given."""
+        theta = self.start if near is None else near
+        for forgets in STAGES if near is None else STAGES[-1:]:
+            parts, H, g = self.system(theta, forgets)
+            damping, share, last = 1e-2 if forgets else 0.0, 1.0, np.zeros(len(theta))
+            end = NEAR if forgets else ENOUGH
+            for _ in range(MOST_STEPS):
+                step = np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
+                turns = step @ H @ last < -0.5 * np.sqrt((step @ H @ step) * (last @ H @ last))
+                share = max(0.5 * share, 0.25) if turns else min(1.5 * share, 1.0)
+                there, way = self.moved(theta, share * step), float(g @ step)
+                new = self.system(there, forgets)
+                if not squares(new[0]) < RISES * squares(parts):  # also where it is no number
+                    damping = max(10.0 * damping, 1e-2)
+                    continue
+                theta, (parts, H, g), last = there, new, step
+                self.take(parts)
+                damping = 0.1 * damping if damping > 1e-5 else 0.0
+                note(theta, squares(parts) / sum(len(own.innovations) for own in parts))
+                if way < end:
+                    break
+        return Found(theta, parts, H, way < end)
+
+    def moved(self, theta: Array, step: Array) -> Array:
+        """Return unknowns after a step, K and P along a geodesic."""
+        there, size = theta + step, self.count // 2
+        moved = []
+        for M, change in zip(self._matrices(theta), self._matrices(step), strict=True):
+            root, inverse = _roots(M)
+            values, vectors = np.linalg.eigh(inverse @ change @ inverse)
+            half = root @ vectors * np.exp(0.5 * np.clip(values, -LONGEST_WAY, LONGEST_WAY))
+            moved.append(half @ half.T)
+        there[:2 * size] = self.structure.parameters(*moved) / self.units[:2 * size]
+        return there
+
+    def _matrices(self, theta: Array) -> tuple[Array, Array]:
+        """Return K and P of unknowns, SI units."""
+        return self.structure.matrices((self.units * theta)[:self.count])
+
+    def _prior(self, theta: Array) -> tuple[Array, Array]:
+        """Return information (m, m) and slope (m,) of what was known before."""
+        H, g = np.diag(self.weights), self.weights * (self.start - theta)
+        size = self.count // 2
+        ends = zip(self._matrices(theta), self._matrices(self.start), strict=True)
+        for half, (M, first) in enumerate(ends):
+            index = slice(half * size, (half + 1) * size)
+            unit = np.array(self.structure.basis) * self.units[index, None, None]
+            root, inverse = _roots(M)
+            turned = inverse @ unit @ inverse
+            values, vectors = np.linalg.eigh(inverse @ first @ inverse)
+            back = (vectors * np.log(values)) @ vectors.T
+            H[index, index] += np.einsum('aij,bji->ab', turned, turned) / WIDE**2
+            g[index] = np.einsum('aij,ji->a', turned, back) / WIDE**2
+        return H, g
+
+    def system(self, theta: Array, forgets: float) -> tuple[list[Part], Array, Array]:
+        """Return the whitened segments, and information and slope of the whole."""
+        parts = [self.part(theta, segment, forgets) for segment in self.segments]
+        H, g = self._prior(theta)
+        for own in parts:
+            H = H + own.jacobian.T @ own.jacobian
+            g = g + own.jacobian.T @ own.innovations
+        return parts, H, g
+
+    def take(self, parts: list[Part]) -> None:
+        """Take the likeliest paths and first states, and the noise of poses that come slowly."""
+        for segment, own in zip(self.segments, parts, strict=True):
+            segment.first = own.first
+            segment.go(own.change)
+            if segment.period * SLOW_HZ > 1.0:
+                differences = own.innovations.reshape(-1, 6) * np.sqrt(own.spread)
+                for axes in (slice(0, 3), slice(3, 6)):
+                    seen = (MAD_TO_STD * np.median(np.abs(differences[:, axes]))) ** 2
+                    known = np.median((own.spread - own.own)[:, axes])
+                    segment.std = segment.std.copy()
+                    segment.std[axes] = np.sqrt(max(seen - known, 0.1 * seen))
+
+    def model(self, theta: Array, segment: Segment) -> tuple[ModelTuple, Free]:
+        """Return the model of a segment, and what is free in it, SI units."""
+        values = self.units * theta
+        free = {name: values[places] for name, places in self.own_places(segment).items()}
+        cup, measured = self.cup(theta), segment.measured
+        if 'length' in free:
+            cup = replace(cup, length=cup.length + float(free['length'][0]))
+        return model_tuple(cup, payload_of(measured.payload, free), measured.gravity), free
+
+    def part(self, theta: Array, segment: Segment, forgets: float) -> Part:
+        """Return a segment's whitened differences."""
+        model, free = self.model(theta, segment)
+        nodes = segment.nodes(float(free['time_offset'][0]) if 'time_offset' in free else 0.0)
+        raw = segment.package.select(nodes.seen)
+        package = poses_of(raw, free, segment.moves, segment.measured.middle)
+        numbers, moves, delay = self._columns(segment, free, raw)
+        count, size, noise = len(nodes.stamps), len(raw), segment.measured.package_noise
+        coloured = noise.kept > 0.0
+        states = 24 if coloured else 18
+        held, way, variance = np.zeros(count), np.zeros((count, 6)), np.zeros((count, 6))
+        held[nodes.samples] = segment.held[segment.inner][nodes.sampled]
+        way[nodes.samples] = segment.way[nodes.sampled]
+        variance[nodes.samples] = segment.variance[nodes.sampled]
+        lengths = np.diff(nodes.stamps) / NS_PER_S
+        own = np.tile((SMALLEST if coloured else segment.std) ** 2, (size, 1))
+        known = [START, segment.measured.tool_noise.std, segment.std]
+        P, x = np.diag(np.concatenate(known)[:states] ** 2), np.zeros(states)
+        x[:12] = _away(segment.first, segment.expected)
+        ahead = x[:12].copy()
+        fading = -np.log(noise.kept) / segment.period if coloured else 0.0
+        out, slopes = np.empty((size, 6)), np.empty((size, 6, len(theta)))
+        F, B = np.zeros((count, 12, 12)), np.zeros((count, 12, 6))
+        K = np.zeros((size, 6, states + 1))
+        whiten(
+            model, segment.first, x, P, tool_rows(resample(segment.path, nodes.stamps)), lengths,
+            substeps_of(lengths, min(largest_step(model), LONGEST_INTEGRATION)), held, way,
+            variance, segment.measured.tool_noise.kept,
+            forgets**4 * segment.period * segment.std**2, forgets > 0.0, nodes.place,
+            np.hstack([package.position, rotation_to_quaternion(package.rotation)]), own,
+            segment.std**2, fading, numbers, delay, moves, out, slopes, F, B, K)
+        if delay >= 0:
+            slopes[:, :, delay] *= self.units[delay]  # the kernel has it per second
+        found, slope = np.zeros((count, 6)), np.zeros(states)
+        likeliest(out, nodes.place, held, variance, segment.measured.tool_noise.kept, F, B, K,
+                  np.exp(-fading * lengths), found, slope)
+        change = np.zeros_like(segment.way)
+        change[nodes.sampled] = found[nodes.samples]
+        first = (ahead - START**2 * slope[:12]).reshape(4, 3).tolist()
+        return Part(
+            out.ravel(), slopes.reshape(6 * size, -1), K[:, :, -1] ** -2, own,
+            _accumulated(change, segment.measured.tool_noise.kept),
+            moved(segment.first, *map(tuple, first)))
+
+    def _columns(self, segment: Segment, free: Free, raw: Trajectory) -> tuple[Array, Array, int]:
+        """Return the model's numbers, the package's poses and the delay, by the unknowns."""
+        numbers = np.zeros((PARAMETERS, len(self.units)))
+        moves = np.zeros((len(raw), 6, len(self.units)))
+        numbers[:DAMPING.stop, :self.count] = self.structure.upper
+        places = self.own_places(segment)
+        payload = payload_of(segment.measured.payload, free)
+        for name, own in places.items():
+            numbers[:, own] = model_columns(name, payload, np.eye(PARAMETERS))
+            change = pose_changes(name, raw, segment.moves, segment.measured.middle)
+            if change is not None:
+                moves[:, :, own] = -change
+        delay = int(places['time_offset'][0]) if 'time_offset' in places else -1
+        last = PARAMETERS if np.any(numbers[DAMPING.stop:]) else DAMPING.stop
+        return numbers[:last] * self.units, moves * self.units, delay
+
+
+def squares(parts: Sequence[Part]) -> float:
+    """Return the sum of squares."""
+    return float(sum(own.innovations @ own.innovations for own in parts))
+
+
+def _roots(M: Array) -> tuple[Array, Array]:
+    """Return the symmetric root of a definite matrix, and its inverse."""
+    values, vectors = np.linalg.eigh(M)
+    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    return (vectors * root) @ vectors.T, (vectors / root) @ vectors.T
+
+
+def _away(body: State, other: State) -> Array:
+    """Return what separates a state from another (12,)."""
+    shift, turn = pose_error(body, other[0], other[1])
+    return np.concatenate([
+        shift, turn, np.subtract(other[2], body[2]), np.subtract(other[3], body[3])])
+
+
+def _accumulated(fresh: Array, kept: float) -> Array:
+    """Return noise (S, 6) from what is fresh in it."""
+    if kept == 0.0:
+        return fresh
+    from scipy.signal import lfilter  # late: it takes 0.4 s and 25 MB
+
+    return np.asarray(lfilter([1.0], [1.0, -kept], fresh, axis=0))
