@@ -7,8 +7,9 @@ The names in `__all__` are the library, which is loaded when one of them is aske
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    __version__: str
     from bellows_ros.library import *  # noqa: F403
+
+    __version__: str
 
 __all__ = [  # noqa: F405
     'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'identify',

@@ -215,7 +215,7 @@ def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spe
         for segments in (sliding_window_view(channel, length)[::length - length // 2]
                          for channel in filled.T)])
     density[[0] if length % 2 else [0, -1]] *= 0.5  # one-sided
-    return Spectrum(np.fft.rfftfreq(length, 1.0 / rate_hz), density)
+    return Spectrum(np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64), density)
 
 
 LAGS = 20
