@@ -10,7 +10,7 @@ import numpy as np
 from .guarding import GuardedNode
 from ..core.geometry.arrays import Mask
 
-PATIENCE = 0.5
+PATIENCE = 0.25
 """How long (s) to wait for the end of work that was stopped; a compiler does not hear of it."""
 
 

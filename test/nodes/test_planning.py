@@ -302,3 +302,13 @@ def test_what_takes_too_many_steps_is_refused(planner: Planner) -> None:
     planner.send(message())
     planner.wait(lambda: planning.status)
     assert planning.status.level == 1 and '1e+09 integration steps' in planning.status.message
+
+
+def test_a_motion_that_takes_too_long_is_not_steered_live(planner: Planner) -> None:
+    """Name the longest, and go on."""
+    planning = planner.partner.predictor._planning
+    still = message(times_ns=np.array([0, 61 * 10**9]), poses=np.eye(1, 7, 6).repeat(2, 0),
+                    twists=np.zeros((2, 6)))
+    planner.steer_out.publish(encode_multi_dof(still))
+    planner.wait(lambda: planning.status)
+    assert planning.status.level == 1 and '61 s; expected at most 60' in planning.status.message

@@ -170,7 +170,7 @@ _TABLE = (
     Parameter('recording.align_at_rest', False, '', _IDENTIFIER,
               description='Whether to correct rotated marker frames and a lateral pick-up offset '
               'from the standstill at the beginning, equations (4.2)-(4.13).'),
-    Parameter('recording.rest_duration', 1.0, 's', _IDENTIFIER, above=0.0, maximum=600.0,
+    Parameter('recording.rest_duration', 1.0, 's', _IDENTIFIER, minimum=0.01, maximum=600.0,
               description='Duration of the standstill at the beginning of the recording; used '
               'with recording.align_at_rest.'),
     Parameter('recording.start', 0.0, 's', _IDENTIFIER, minimum=0.0, maximum=1e6,
