@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from functools import partial
 import gc
 import time
 from typing import Any
@@ -16,7 +15,6 @@ from .outputs import Outputs, Topic
 from .tool_inputs import SensorInput
 from ..core.live import LivePredictor
 from ..core.live.health import input_status, Level, Status
-from ..core.model.kernels import ModelTuple
 from ..core.observer import Alarm, Observer, VERDICTS, warm_up_observer
 from ..core.parameters.table import short
 
@@ -46,8 +44,7 @@ class Observing:
         """Subscribe; nothing changes before the first message."""
         self._with_covariance = kind != 'pose'
         self._live: LivePredictor | None = None
-        self._node, self._said = node, 0
-        self._is_warming = self._is_warm = False
+        self._node, self._is_warm, self._said = node, False, 0
         self._heard = SensorInput(
             node, KINDS[kind], 'package/measured', self._on_measured, self._on_publishers)
         self._estimated = Topic(node, InertiaStamped, 'package/estimated')
@@ -62,24 +59,17 @@ class Observing:
             self._said = 0
 
     def _on_publishers(self, count: int) -> None:
-        """Compile once a possible publisher appears, beside the prediction."""
-        if count and self._live is not None and not self._is_warming:
-            self._is_warming = True
-            self._node.beside(partial(self._compile, self._values, self._live.model))
-
-    def _compile(self, values: Mapping[str, Any], model: ModelTuple) -> None:
-        """Compile all that a correction needs."""
-        warm_up_observer(values, model)
-        gc.collect()
-        gc.freeze()  # as `spinning` does: what a compiler leaves is never looked at again
-        self._is_warm = True
+        """Compile once a possible publisher appears."""
+        if count and self._live is not None and not self._is_warm:
+            self._is_warm = True
+            warm_up_observer(self._values, self._live.model)
+            gc.collect()
+            gc.freeze()  # as `spinning` does: what a compiler leaves is never looked at again
 
     def _on_measured(self, message: Any) -> None:
         """Correct the prediction."""
         live, header, arrival_ns = self._live, message.header, time.monotonic_ns()
-        if not self._is_warm:
-            self._on_publishers(1)
-        if live is None or live.arrival_ns is None or not self._is_warm:
+        if live is None or live.arrival_ns is None:
             return
         if live.observer is None:
             live.observe(Observer(self._values))

@@ -56,7 +56,14 @@ class Topic:
     qos : QoSProfile, optional
         Reliable with a queue unless given; it can be overridden.
     prepare : callable, optional
-        Compiles what makes the messages, once somebody listens; they begin when it is done.
+        Compiles what makes whole messages, in a thread, once somebody listens.
+
+    Attributes
+    ----------
+    wanted : bool
+        Whether somebody listens.
+    is_ready : bool
+        Whether all is compiled.
 
     """
 
@@ -65,8 +72,8 @@ class Topic:
         prepare: Callable[[], None] | None = None,
     ) -> None:
         """Advertise."""
-        self.wanted = self._heard = False
-        self._node, self._prepare, self._is_ready = node, prepare, prepare is None
+        self.wanted, self.is_ready = False, prepare is None
+        self._node, self._prepare = node, prepare
         self._publisher = node.create_lifecycle_publisher(
             kind, name, qos or QoSProfile(depth=QUEUE),
             event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
@@ -77,16 +84,15 @@ class Topic:
 
     def _on_matched(self, matched: Any) -> None:
         """Note whether somebody listens."""
-        self._heard = matched.current_count > 0
-        self.wanted = self._heard and self._is_ready
-        if self._heard and self._prepare:
+        self.wanted = matched.current_count > 0
+        if self.wanted and self._prepare:
             self._node.beside(partial(self._make_ready, self._prepare))
             self._prepare = None
 
     def _make_ready(self, prepare: Callable[[], None]) -> None:
         """Prepare the messages."""
         prepare()
-        self._is_ready, self.wanted = True, self._heard
+        self.is_ready = True
 
 
 class Outputs:
@@ -194,7 +200,8 @@ class Outputs:
         stamp_ns, values = prediction.stamp_ns, self._values
         if self._odometry.wanted:
             odometry = Odometry()
-            root = UNKNOWN_ROOT if prediction.flies else self.uncertainty.root(prediction)
+            known = self._odometry.is_ready and not prediction.flies
+            root = self.uncertainty.root(prediction) if known else UNKNOWN_ROOT
             write_odometry(odometry, frame_id, values['frames.package'], prediction, root)
             self._odometry.publish(odometry)
         if self._deflection.wanted and not prediction.flies:

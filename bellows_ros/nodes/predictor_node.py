@@ -136,6 +136,8 @@ class PredictorNode(ManagedNode):
         self._tossing = Tossing(self, self._on_valve, self._planning)
         self._observing = Observing(self, values['measured.type'])
         self._apply(live, values)
+        if self._tossing.flight.known:  # whose landings have a covariance
+            warm_up_uncertainty(cup.relaxation)
         self._diagnostics.watch(
             live, self._pose_in, self._twist_in, self._outputs, values,
             lambda: (self._observing.status('measured package'),

@@ -19,8 +19,6 @@ from .worker import Worker
 from ..core.geometry.arrays import Array
 from ..core.live import Prediction
 from ..core.live.flight import Flight, Landing, PATH_POINTS
-from ..core.live.uncertainty import warm_up_uncertainty
-from ..core.model.cup_package import cup_of
 from ..core.model.kernels import ModelTuple
 from ..core.toss.landing import ellipse
 from ..core.toss.release import flight_path
@@ -54,14 +52,12 @@ class Tossing:
         self, node: Any, on_valve: Callable[[bool], None], planning: Planning
     ) -> None:
         """Advertise, and listen to the valve."""
-        self._planning, self._node, self._compiles = planning, node, False
+        self._planning = planning
         self._worker = Worker(node, 'release')  # no plan waits behind a search
-        self._landing = Topic(
-            node, PoseWithCovarianceStamped, 'package/landing', prepare=self._compile)
-        self._at = Topic(node, Header, 'release/at', prepare=self._compile)
+        self._landing = Topic(node, PoseWithCovarianceStamped, 'package/landing')
+        self._at = Topic(node, Header, 'release/at')
         self._message = PoseWithCovarianceStamped()
-        self._picture = Topic(
-            node, MarkerArray, 'package/landing_markers', prepare=self._compile)
+        self._picture = Topic(node, MarkerArray, 'package/landing_markers')
         node.create_subscription(
             Bool, 'vacuum/valve', lambda m: on_valve(m.data), 10,
             qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
@@ -76,18 +72,10 @@ class Tossing:
         self._worker.close()
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
-        """Use other values; compile what a toss needs once one is known, beside the prediction."""
+        """Use other values; compile what a landing needs."""
         self.flight = Flight(values, self._planning.rest)
         self._period_ns = round(0.9e9 / values['landing.rate'])  # ticks are not exact
-        self._model, self._values = model, values
-        if self.flight.known and not self._compiles:
-            self._compiles = True
-            self._node.beside(self._compile)
-
-    def _compile(self) -> None:
-        """Compile all that a toss needs, with a flight of its own."""
-        Flight(self._values, self._planning.rest).warm_up(self._model)
-        warm_up_uncertainty(cup_of(self._values).relaxation)
+        self.flight.warm_up(model)
 
     def publish(
         self, model: ModelTuple, prediction: Prediction, frame_id: str,
