@@ -57,8 +57,8 @@ REST_S = 0.3
 SEED = 0
 """Seed of the added noise: the same recording gives the same numbers."""
 
-ONE_STEP = 10_000
-"""Samples whose innovations are looked at; each takes 8 kB of memory."""
+ONE_STEP = 4_000
+"""Samples whose innovations are looked at; each takes 27 kB of memory."""
 
 LEAST_NOISE = 1e-7
 """Noise (m, rad) below which rounding dominates the innovations."""
